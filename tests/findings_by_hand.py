@@ -13,7 +13,7 @@ from mcrim_mitsuba.core.run import Provenance
 from mcrim_mitsuba.inference import repair as repairing
 from mcrim_mitsuba.inference.candidates import Candidate, Limit, NextMeasurement
 from mcrim_mitsuba.inference.compare import Absorbed, Comparison, Suspect, Trend
-from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
+from mcrim_mitsuba.inference.diagnose import Diagnosis, FamilyProbability, RepairStep
 from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
 from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.fit import Calibration
@@ -87,7 +87,7 @@ def candidate(
         " + ".join(effects), effects, 64.2 - gain, 12 - len(sizes), 0.44, gain, 0.8, 1e-9, 2e-8,
         -gain, 0.4 * gain, 54.2 - gain, 1.3, {**FITTED, **sizes}, tuple(sizes),
         {"value": 7.52, "sigma": 0.2, "change": -0.095}, plausible,
-        any(s.at_bound for s in sizes.values()), 0.5, mimics,
+        any(s.at_bound for s in sizes.values()), 0.5, mimics, "surface", "Polish it again.",
     )  # fmt: skip
 
 
@@ -98,6 +98,10 @@ CANDIDATES = (
     candidate((OFF,), -2.2, {}),
 )
 SIZES = {"surface_loss": estimate(0.01, 0.001), "bubble_fraction": estimate(0.1, 0.02)}
+FAMILIES = (
+    FamilyProbability("surface", 0.7, (FIRST,)), FamilyProbability("gap", 0.29, (SECOND,)),
+    FamilyProbability("none", 0.01, ()),
+)  # fmt: skip
 PAIR = candidate((FIRST, SECOND), 55.0, SIZES)
 STEPS = (
     RepairStep(0, None, (), 64.2, 12, 2.3e-9, 2.1, 2.6, 0.0, FITTED,
@@ -123,6 +127,7 @@ def diagnosis(verdict: str, **changed) -> Diagnosis:
         limits if verdict == "adequate" else {}, (), STEPS,
         (following,) if verdict == "ambiguous" else (), {"saturation": "excluded"},
         {FIRST: 0.7, SECOND: 0.29, "none": 0.01}, AveragedYield(7.7, 0.86, 0.78, 0.36), 1.0,
+        FAMILIES,
     )  # fmt: skip
     return replace(made, **changed)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -31,13 +31,20 @@ from mcrim_mitsuba.campaign.raw_data import file_in
 from mcrim_mitsuba.campaign.reduction import RawData, reduce_raw_data
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
 from mcrim_mitsuba.core.files import is_there
-from mcrim_mitsuba.core.numbers import Value, judge
+from mcrim_mitsuba.core.numbers import Value, judge, value_text
 from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
 from mcrim_mitsuba.effects.catalogue import catalogue, effect_of, exclude_each_other
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
-from mcrim_mitsuba.scene.spectrophotometer import BEAM_AXIS, BEAM_PARAMETERS, refused_of_beam
+from mcrim_mitsuba.scene.spectrophotometer import (
+    BEAM_AXIS,
+    BEAM_DIAMETER,
+    BEAM_PARAMETERS,
+    refused_of_beam,
+    spectrophotometer_of,
+    too_wide,
+)
 
 
 @dataclass(frozen=True)
@@ -125,7 +132,7 @@ class Campaign:
         the campaign, or a column, already.
         """
         effects = [*self.effects, *names]
-        _refuse_effects(effects, self.catalogue, self.scene, self.measurements)
+        _refuse_effects(effects, self.catalogue, self.scene, self.measurements, self.beam)
         ranges = known_ranges(self.catalogue, names, self.values)
         added = {}
         for name in (p.name for effect in names for p in self.catalogue[effect].parameters):
@@ -164,16 +171,17 @@ def read_campaign(path: str | Path) -> Campaign:
     table = read_table(_sibling(entries, "measurements"), scene.parameters)
     document, measurements, raw = reduce_raw_data(document, table, scene)
     _refuse_rows_the_scene_cannot_take(scene, measurements)
-    effects = _read_effects(entries, known, scene, measurements)
-    beam = _read_beam(document, measurements)
+    beam = _read_beam(document, scene, measurements)
+    effects = _read_effects(entries, known, scene, measurements, beam)
     values = {**scene.parameters, **beam}
     ranges = known_ranges(known, effects, values)
-    _refuse_parameters_of_other_effects(document, known, effects, scene)
+    _refuse_parameters_of_other_effects(document, known, effects, values)
     brought = [p.name for effect in effects for p in known[effect].parameters]
     parameters = {
         name: read_parameter(document, name, scene, values, measurements, ranges)
         for name in dict.fromkeys([*document.table("parameters"), *brought])
     }
+    _refuse_ranges_of_beam(document, parameters, values)
     scale = parameters.pop(SCALE, None)
     light_yield = read_light_yield(document)
     if light_yield is not None and raw is not None and raw.efficiency is not None:
@@ -193,6 +201,12 @@ def read_campaign(path: str | Path) -> Campaign:
         raw=raw,
         beam=beam,
     )
+    if SCALE in campaign.free and all(reading.of_beam for reading in measurements.in_use):
+        raise InputError(
+            "all readings in use are transmittances, which say nothing of the scale",
+            "add a reading of light, or hold it: [parameters.scale] with start = 1, fixed = true",
+            path=campaign.path,
+        )
     if campaign.ndf < 0:
         raise InputError(
             f"{counted(len(campaign.free), 'free parameter')} ({', '.join(campaign.free)}) but "
@@ -204,7 +218,9 @@ def read_campaign(path: str | Path) -> Campaign:
     return campaign
 
 
-def _read_beam(document: TomlDocument, measurements: Measurements) -> dict[str, Value]:
+def _read_beam(
+    document: TomlDocument, scene: SceneFile, measurements: Measurements
+) -> dict[str, Value]:
     """``[beam]``, completed by what is usual; empty where no reading is a transmittance."""
     table = document.table(BEAM_TABLE, BEAM)
     given: dict[str, Value] = {
@@ -214,14 +230,48 @@ def _read_beam(document: TomlDocument, measurements: Measurements) -> dict[str, 
     for name, value in given.items():
         if (wrong := refused_of_beam(name, value)) is not None:
             raise table.refusal(name, *wrong)
-    if any(reading.of_beam for reading in measurements.readings):
-        return {**BEAM_PARAMETERS, **given}
-    if given:
+    beam = {**BEAM_PARAMETERS, **given}
+    transmittances = [reading for reading in measurements.readings if reading.of_beam]
+    if not transmittances and given:
         raise table.refusal(
             "", f"no reading of {measurements.path.name} is a transmittance",
             "add a column kind with transmittance in its row, or remove [beam]",
         )  # fmt: skip
-    return {}
+    if not transmittances:
+        return {}
+    in_beam = spectrophotometer_of(scene).parameters
+    for reading in transmittances:
+        for name, value in reading.parameters.items():
+            # a row may say that there is air
+            if name not in in_beam or (name == "n_gap" and value != 1.0):
+                raise measurements.refusal(
+                    reading, name, f"{name} = {value_text(value)} of a transmittance, which is "
+                    "measured in air without the bench", "empty the cell",
+                )  # fmt: skip
+        values = {**scene.parameters, **beam, **reading.parameters}
+        if (wrong := too_wide(values)) is None:
+            continue
+        if BEAM_DIAMETER in given and not reading.parameters:
+            raise table.refusal(BEAM_DIAMETER, *wrong)
+        raise measurements.refusal(reading, None, *wrong)
+    return beam
+
+
+def _refuse_ranges_of_beam(
+    document: TomlDocument, fitted: Iterable[str], values: Mapping[str, Value]
+) -> None:
+    """Refuse ranges of fitted beam parameters with values that no spectrophotometer has."""
+    for name in fitted:
+        if name not in BEAM_PARAMETERS:
+            continue
+        table = document.table(f"parameters.{name}")
+        for entry in ("start", "min", "max"):
+            value = table.number(entry)
+            if value is None:
+                continue
+            wrong = refused_of_beam(name, value) or too_wide({**values, name: value})
+            if wrong is not None:
+                raise table.refusal(entry, *wrong)
 
 
 def _sibling(entries: TomlTable, name: str) -> Path:
@@ -244,19 +294,27 @@ def _folder(entries: TomlTable) -> Path | None:
 
 
 def _read_effects(
-    entries: TomlTable, known: dict[str, Effect], scene: SceneFile, measurements: Measurements
+    entries: TomlTable,
+    known: dict[str, Effect],
+    scene: SceneFile,
+    measurements: Measurements,
+    beam: Mapping[str, Value],
 ) -> tuple[str, ...]:
     """The effects that are switched on."""
     names = entries.get("effects", [])
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise entries.refusal("effects", "effects is not a list of names", "write effects = []")
     with said_by(partial(entries.refusal, "effects")):
-        _refuse_effects(names, known, scene, measurements)
+        _refuse_effects(names, known, scene, measurements, beam)
     return tuple(names)
 
 
 def _refuse_effects(
-    names: Sequence[str], known: dict[str, Effect], scene: SceneFile, measurements: Measurements
+    names: Sequence[str],
+    known: dict[str, Effect],
+    scene: SceneFile,
+    measurements: Measurements,
+    beam: Mapping[str, Value],
 ) -> None:
     """Refuse effects that cannot be switched on, or not together."""
     for position, name in enumerate(names):
@@ -266,7 +324,10 @@ def _refuse_effects(
         if name in measurements.columns:
             problem = f"{name} is switched on and a column of {measurements.path.name}"
             raise InputError(problem, "remove one of the two")
-        if missing := effect.missing(scene):
+        if effect.of_beam and not beam:
+            problem = f"{name} acts on transmittances, and no reading is one"
+            raise InputError(problem, f"do without {name}")
+        if missing := effect.missing({**scene.parameters, **beam}):
             problem = f"{name} needs {missing}, which is no parameter of {scene.path.name}"
             raise InputError(problem, f"declare it there, or do without {name}")
     if pair := exclude_each_other([known[name] for name in names]):
@@ -274,13 +335,16 @@ def _refuse_effects(
 
 
 def _refuse_parameters_of_other_effects(
-    document: TomlDocument, known: dict[str, Effect], effects: Sequence[str], scene: SceneFile
+    document: TomlDocument,
+    known: dict[str, Effect],
+    effects: Sequence[str],
+    values: Mapping[str, Value],
 ) -> None:
-    """Refuse a parameter whose effect is neither switched on nor in the scene."""
+    """Refuse a parameter whose effect is neither switched on nor in the scene, or the beam."""
     owners = {p.name: effect.name for effect in known.values() for p in effect.parameters}
     for name in document.table("parameters"):
         owner = owners.get(name)
-        if owner is not None and owner not in effects and name not in scene.parameters:
+        if owner is not None and owner not in effects and name not in values:
             problem = f"{name} belongs to {owner}, which is neither switched on nor in the scene"
             raise document.refusal(f"parameters.{name}", problem, f'write "{owner}" into effects')
 

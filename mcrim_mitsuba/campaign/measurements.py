@@ -23,6 +23,7 @@ _OPTIONAL = ("use", "group", "group_sigma")
 #: Labels are written into CSV that people open in spreadsheets.
 _FORMULA = re.compile(r"[=@]|[+-][^(|]*[(|]")
 _KIND, LIGHT, TRANSMITTANCE = "kind", "light", "transmittance"
+_SIGNALS = {LIGHT: "light signal", TRANSMITTANCE: TRANSMITTANCE}
 _FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL, _KIND)
 _HEADERS = "the header is label,signal,sigma,... or label,histogram,..."
 
@@ -235,12 +236,13 @@ class _Cells(dict[str, str]):
                 f"write one of these; an empty cell means {LIGHT}",
             )  # fmt: skip
         if histogram is None:
-            signal, sigma = self._signal()
-            if kind == TRANSMITTANCE and signal >= 1.0:
-                raise self.refusal(
-                    "signal", f"a transmittance of {signal:g}",
-                    "give the fraction of the beam: 0.76 for 76 %",
-                )  # fmt: skip
+            signal, sigma = self._signal(kind)
+            for name, value in (("signal", signal), ("sigma", sigma)):
+                if kind == TRANSMITTANCE and value >= 1.0:
+                    raise self.refusal(
+                        name, f"{name} = {value:g} of a transmittance",
+                        "give the fraction of the beam: 0.76 for 76 %",
+                    )  # fmt: skip
         elif kind == TRANSMITTANCE:
             raise self.refusal(
                 _HISTOGRAM, "a transmittance with a histogram", "give its signal and sigma"
@@ -284,10 +286,10 @@ class _Cells(dict[str, str]):
             raise self.refusal(_HISTOGRAM, problem, f"paths are relative to {self.path.name}")
         return path
 
-    def _signal(self) -> tuple[float, float]:
+    def _signal(self, kind: str) -> tuple[float, float]:
         signal, sigma = self.number("signal"), self.number("sigma")
         if signal <= 0:
-            problem = f"signal = {signal:g}, but a light signal is above 0"
+            problem = f"signal = {signal:g}, but a {_SIGNALS[kind]} is above 0"
             mend = "give the reading in the unit of sigma, or remove the row"
             raise self.refusal("signal", problem, mend)
         if sigma <= 0:

@@ -121,17 +121,19 @@ def _after_comparison(campaign: str, measurements: Path, comparison) -> str:
 
 @click.command()
 @options.campaign
+@click.option("--without", metavar="EFFECT[,EFFECT]", default="", help="Leave these out.")
+@click.option("--only", metavar="EFFECT[,EFFECT]", default="", help="Try these alone.")
 @options.figure("the ranking of the effects")
 @options.effect_photons
 @options.work
-def diagnose(campaign, figure, json_file, work) -> None:
+def diagnose(campaign, figure, json_file, work, without, only) -> None:
     """Rank the catalogue's effects as explanations of a misfit of CAMPAIGN (TOML).
 
     The campaign is fitted with each effect added in turn, and with pairs where none suffices.
     """
     read, _ = showing.read_campaign(campaign, json_file, figure)
     with work.begin() as run:
-        found = mcrim.diagnose(read, run=run)
+        found = mcrim.diagnose(read, without=without, only=only, run=run)
     screen = showing.answer(found, json_file, figure)
     screen.line(f"Next: {_after_diagnosis(campaign, found)}", style="bold")
 
@@ -141,9 +143,11 @@ def _after_diagnosis(campaign: str, diagnosis) -> str:
     from mcrim_mitsuba.output.findings import configuration_text
 
     path = Path(campaign)
-    repair = showing.command("repair", campaign, "-o", path.with_name(f"{path.stem}_mended.toml"))
+    chosen = ["--effect", ",".join(diagnosis.set_aside)] if diagnosis.set_aside else []
+    target = path.with_name(f"{path.stem}_mended.toml")
+    repair = showing.command("repair", campaign, *chosen, "-o", target)
     if diagnosis.verdict == MISSING_EFFECT:
-        return repair
+        return f"look for it on the bench; then {repair}" if chosen else repair
     if diagnosis.verdict == ADEQUATE:
         return showing.command("calibrate", campaign)
     if diagnosis.verdict == AMBIGUOUS and diagnosis.next_measurements:
@@ -170,10 +174,13 @@ def _after_diagnosis(campaign: str, diagnosis) -> str:
 @click.option("-o", "--output", "path", metavar="NEW.toml", required=True,
               help="The mended campaign; its scene is written beside it, as NEW.xml. Never "
               "replaces a file.")  # fmt: skip
+@click.option("--effect", metavar="EFFECT[,EFFECT]", default="",
+              help="Add these, whatever the verdict (default: what it names, if of usual size).",
+)  # fmt: skip
 @options.figure("how the error falls (and readings and pulls before and after, NAME_readings)")
 @options.effect_photons
 @options.work
-def repair(campaign, path, figure, json_file, work) -> None:
+def repair(campaign, path, figure, json_file, work, effect) -> None:
     """Add effects to CAMPAIGN (TOML) one by one while the data justify it.
 
     Writes a campaign and a scene with the effects in them, to go on from.
@@ -198,7 +205,7 @@ def repair(campaign, path, figure, json_file, work) -> None:
             screen.line(descriptions.step_text(step))
 
     with work.begin(growing if live else None) as run:
-        found = mcrim.repair(read, path, on_step=show, run=run)
+        found = mcrim.repair(read, path, effect=effect, on_step=show, run=run)
     found.described = descriptions.of_repair(found.found, with_steps=live)
     showing.answer(found, json_file, figure)
     next_step = f"Next: {showing.command('diagnose', campaign)} says more"

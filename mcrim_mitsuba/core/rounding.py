@@ -112,6 +112,16 @@ def percent(fraction: float, more: int = 0) -> str:
     return f"{value:#.{2 + more}g} %" if value < 9.95 else f"{value:#.{3 + more}g} %"
 
 
+def probability(p: float) -> str:
+    """``70 %``, ``0.3 %``, ``< 0.1 %``: no more digits than a probability deserves."""
+    value = 100 * p
+    if 0 < value < 0.095:
+        return "< 0.1 %"
+    if 99.905 < value < 100:
+        return "> 99.9 %"
+    return f"{value:.1f} %" if 0 < value < 0.95 or 99.05 < value < 100 else f"{value:.0f} %"
+
+
 def counted(number: int, what: str) -> str:
     """``1 reading``, ``2 readings``."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"

@@ -45,6 +45,7 @@ BUILT_IN = (
     "detector_radius",
     "aperture_at_detector",
     "edge_chamfer",
+    "forward_beam",
     "background",
     "saturation",
 )

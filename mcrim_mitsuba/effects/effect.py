@@ -180,6 +180,8 @@ class Effect:
     needs: tuple[str, ...] = ()
     #: Does nothing where the gap is not filled (`filled`); needs ``n_gap``.
     filled_only: bool = False
+    #: Acts on transmittances only; its parameters are the spectrophotometer's.
+    of_beam: bool = False
     #: ``there(scene)`` -> whether the scene has it; needed where no parameter tells.
     there: Callable[[SceneFile], bool] | None = None
     #: ``edit(editor)`` writes it into a scene. ``$name`` of its parameters may be used: `add`
@@ -207,11 +209,11 @@ class Effect:
     #: How to look for it without any fit, in a sentence or two.
     look: str = ""
 
-    def missing(self, scene: SceneFile) -> str | None:
-        """A scene parameter that the effect needs and the scene lacks."""
+    def missing(self, parameters: Parameters) -> str | None:
+        """A parameter that the effect needs and that a scene's, or a campaign's, lack."""
         nominal = (p.nominal for p in self.parameters if p.nominal is not None)
         needed = (*nominal, *self.needs, *(["n_gap"] if self.filled_only else []))
-        numbers = (name for name in needed if not isinstance(scene.parameters.get(name), float))
+        numbers = (name for name in needed if not isinstance(parameters.get(name), float))
         return next(numbers, None)
 
     def is_in(self, scene: SceneFile) -> bool:

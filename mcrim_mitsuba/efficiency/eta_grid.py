@@ -237,7 +237,9 @@ class TableUnit(SceneUnit):
         )  # fmt: skip
         groups: dict[tuple[bool, str, float | None], list[TableRequest]] = {}
         for request in self.requests:
-            key = request.coarse, request.mask, request.radius_mm
+            # beams are cut at their angles photon by photon: one preparation serves all
+            radius_mm = None if request.of_beam else request.radius_mm
+            key = request.coarse, request.mask, radius_mm
             groups.setdefault(key, []).append(request)
         # threads of the linear algebra would change digits, and gain nothing
         with threadpool_limits(1, "blas"), ThreadPoolExecutor(_AT_ONCE) as pool:
@@ -262,7 +264,9 @@ class TableUnit(SceneUnit):
     ) -> list[tuple[int, Content]]:
         """Tables on one grid behind one mask."""
         first = group[0]
-        kept = None if first.radius_mm is None else records.further[first.mask] <= first.radius_mm
+        kept = None
+        if first.radius_mm is not None and not first.of_beam:
+            kept = records.further[first.mask] <= first.radius_mm
         gathering = Gathering(records, self.grids[first.coarse], kept)
         columns = {name: column[gathering.order] for name, column in records.further.items()}
         made: list[tuple[int, Content]] = []
@@ -271,6 +275,9 @@ class TableUnit(SceneUnit):
             if request.effect is not None:
                 assert request.effect.weight is not None
                 weight = request.effect.weight(columns, request.values, request.parameters)
+            if request.of_beam and request.radius_mm is not None:
+                within = columns[ANGLE] <= request.radius_mm
+                weight = within if weight is None else within * weight
             table = gathering.table(weight)
             made.append((request.number, ({n: getattr(table, n).ravel() for n in _COLUMNS}, {})))
         return made

@@ -12,7 +12,7 @@ import functools
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +24,7 @@ from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter, filled
+from mcrim_mitsuba.effects.forward_beam import EFFECT as FORWARD_BEAM
 from mcrim_mitsuba.efficiency.eta_grid import (
     BATCHES,
     EtaGrid,
@@ -73,8 +74,14 @@ _FINE, _COARSE = (17, 6), (7, 4)
 #: Scene parameter that is the radius of the hole in a mask, and a radius (in window widths) that
 #: leaves all of a square window open.
 APERTURE, WINDOW, _OPEN = "aperture_radius_mm", "window_width_mm", 0.75
+#: The index beside the crystal's lower face, which is that of air in a beam.
+LIQUID = "n_gap"
+#: Nodes of a fitted acceptance, and where, in degrees, its logarithm takes over from itself.
+_ACCEPTANCE_NODES, _ACCEPTANCE_SCALE_DEG = 7, 2.0
 #: Stands for infinity in a scene.
 _AS_GOOD_AS_INFINITE = 1e9
+#: Half angle that takes all that leaves a face.
+_HALF_SPACE_DEG = 90.0
 #: Number of what a chunk holds; another layout gets another one.
 _LAYOUT = 1
 #: Part of once scattered light that a beam's detector may take where the closed form of the
@@ -139,6 +146,12 @@ class _Wanted(NamedTuple):
     request: TableRequest
 
 
+def _within(wanted: _Wanted, angle_deg: float) -> _Wanted:
+    """The same table of a beam's light within another half angle."""
+    run, of = replace(wanted.simulation, radius_mm=angle_deg), wanted.request
+    return run.table(coarse=of.coarse, effect=of.effect, values=of.values)
+
+
 #: By the place in an effect's response, its nodes and the reading: the table of the bench as it
 #: is, and the one with the effect. Nothing where the effect is not there.
 _Pairs = dict[tuple[int, ...], tuple[_Wanted, _Wanted]]
@@ -201,7 +214,7 @@ class ResponseMaker:
             values |= {n: v for n, v in absent.items() if n in values}
             known = _seen(campaign.scene, reading.of_beam).parameters
             # in the beam there is air where the bench has a liquid
-            values |= {n: known[n] for n in ("n_gap",) if reading.of_beam and n in known}
+            values |= {n: known[n] for n in (LIQUID,) if reading.of_beam and n in known}
             found.append({n: v for n, v in values.items() if n in known})
         return found
 
@@ -220,7 +233,7 @@ class ResponseMaker:
         radius = None
         if of_beam:
             radius = float(named[ACCEPTANCE])
-            named[ACCEPTANCE] = 90.0
+            named[ACCEPTANCE] = _HALF_SPACE_DEG
         elif self._open_mask:
             radius = float(named[APERTURE])
             named[APERTURE] = _OPEN * float(named[WINDOW])
@@ -249,7 +262,9 @@ class ResponseMaker:
             for reading, values in zip(readings, self.configurations(), strict=True)
         ]
         fine = [run.table(coarse=False) for run in plain]
-        plans = [self._plan(effect, plain) for effect in asked]
+        # where a model may change the acceptance, every effect's response depends on it
+        acceptance = next((p for e in asked if e.of_beam for p in e.parameters), None)
+        plans = [self._plan(effect, plain, acceptance) for effect in asked]
         of_effects = (each for _, pairs in plans for pair in pairs.values() for each in pair)
         tables = self._tables([*fine, *of_effects])
         log_eta, deviations = stack([tables[wanted.number] for wanted in fine])
@@ -269,12 +284,19 @@ class ResponseMaker:
         physical = [effect for effect in effects if effect.reading is None]
         for effect in physical:
             scene = self._with_effect(scene, effect)
-        known = {**scene.parameters, **self.campaign.beam}
-        overrides = {n: v for n, v in values.items() if n in known}
         photons = min(ANCHOR_FACTOR * self._effect_photons, _MOST_PHOTONS)
         readings = self.campaign.measurements.readings
         named = [
-            {**own, **{n: v for n, v in overrides.items() if n not in reading.parameters}}
+            {
+                **own,
+                **{
+                    n: v
+                    for n, v in values.items()
+                    if n in _seen(scene, reading.of_beam).parameters
+                    and n not in reading.parameters
+                    and not (n == LIQUID and reading.of_beam)
+                },
+            }
             for reading, own in zip(readings, self.configurations(), strict=True)
         ]
         runs = [
@@ -317,13 +339,17 @@ class ResponseMaker:
         """Whether a reading can see an effect at all."""
         if effect.filled_only and not filled(run.parameters):
             return False
+        if effect.of_beam:
+            return run.of_beam
         if effect.name in self._further_parameters():
-            return effect.name in run.parameters
+            return effect.name in run.parameters and not (effect.name == LIQUID and run.of_beam)
         if not run.of_beam:
             return True
         # a beam sees what changes in its scene, where only the crystal is left of the bench
-        before, after = (_beam_of(s) for s in (self.campaign.scene, with_effect))
-        return before.content_hash != after.content_hash
+        before = _beam_of(self.campaign.scene)
+        if with_effect is self.campaign.scene:  # which has it, or its parameters
+            return any(p.name in before.parameters for p in effect.parameters)
+        return before.content_hash != _beam_of(with_effect).content_hash
 
     def _with_effect(self, scene: SceneFile, effect: Effect) -> SceneFile:
         """The scene with an effect in it, where it is not there yet."""
@@ -333,9 +359,15 @@ class ResponseMaker:
         return scene.edited(add(effect, scene))
 
     def _plan(
-        self, effect: Effect, plain: Sequence[_Simulation]
+        self,
+        effect: Effect,
+        plain: Sequence[_Simulation],
+        acceptance: EffectParameter | None,
     ) -> tuple[tuple[Axis, ...], _Pairs]:
-        """Nodes of an effect, and the tables that its response is made of."""
+        """Nodes of an effect, and the tables that its response is made of.
+
+        The nodes of `acceptance` come last, if a beam sees the effect.
+        """
         scene = self.campaign.scene
         benches = [{**self.campaign.values, **run.parameters} for run in plain]
         axes = tuple(
@@ -347,10 +379,18 @@ class ResponseMaker:
             with_effect = self._with_effect(scene, effect)
         if not weighs or effect.proposal is not None:
             scene = self._with_effect(scene, effect)
+        seen = [row for row, run in enumerate(plain) if self._is_seen(effect, with_effect, run)]
+        # half angles at which beams see the effect; None: each at its own
+        further: Axis | None = None
+        angles: Sequence[float | None] = [None]
+        in_beams = not effect.of_beam and any(plain[row].of_beam for row in seen)
+        if acceptance is not None and in_beams:
+            further = _axis(acceptance, self.campaign.values, benches)
+            angles = [further.nominal + value for value in further.values]
         pairs: _Pairs = {}
-        for row, run in enumerate(plain):
-            if not self._is_seen(effect, with_effect, run):
-                continue
+        nodes = list(np.ndindex(*(len(axis.values) for axis in axes)))
+        for row in seen:
+            run = plain[row]
             own, reference = run, run.table()
             if weighs and effect.proposal is not None:
                 values = {**run.parameters, **effect.proposal}
@@ -358,7 +398,9 @@ class ResponseMaker:
                 # its own run without the effect: what is common to both cancels
                 absent = {p.name: p.absent for p in effect.parameters if p.absent is not None}
                 reference = own.table(effect=effect, values=absent)
-            for node in np.ndindex(*(len(axis.values) for axis in axes)):
+            if effect.of_beam:  # it weighs all that leaves the crystal
+                own = replace(run, radius_mm=_HALF_SPACE_DEG)
+            for node in nodes:
                 # an axis begins with the value at which the effect is not there, if it has one
                 if any(
                     i == 0 and a.parameter.absent is not None
@@ -372,8 +414,13 @@ class ResponseMaker:
                     values = {**run.parameters, **there}
                     photons = self._effect_photons
                     wanted = self._simulation(scene, values, photons, of_beam=run.of_beam).table()
-                pairs[*node, row] = reference, wanted
-        return axes, pairs
+                for i, angle in enumerate(angles):
+                    place = (*node, row) if angle is None else (*node, i, row)
+                    if angle is None or not run.of_beam:
+                        pairs[place] = reference, wanted
+                    else:
+                        pairs[place] = _within(reference, angle), _within(wanted, angle)
+        return axes if further is None else (*axes, further), pairs
 
     def _response(
         self, effect: Effect, axes: tuple[Axis, ...], pairs: _Pairs, tables: Mapping[int, EtaGrid]
@@ -498,6 +545,8 @@ def _as_effect(campaign: Campaign, name: str) -> Effect:
         problem = f"{name} has the range {known.minimum:g}..{known.maximum:g}"
         mend = "give a finite min and a larger finite max: it is simulated between them"
         raise InputError(problem, mend, path=campaign.path)
+    if name == ACCEPTANCE:
+        return _acceptance_as_effect(campaign)
     nodes = chebyshev_nodes(known.minimum, known.maximum, _SCENE_NODES)
     # the scene's value stands in for the nearest of them
     nodes = np.delete(nodes, int(np.abs(nodes - own).argmin()))
@@ -508,6 +557,23 @@ def _as_effect(campaign: Campaign, name: str) -> Effect:
     )  # fmt: skip
     # nothing to be written into the scene: it has the parameter
     return Effect(name, name, "", "", parameters=(parameter,), edit=lambda editor: None)
+
+
+def _acceptance_as_effect(campaign: Campaign) -> Effect:
+    """The fitted acceptance of a spectrophotometer, by the half angle itself."""
+    known, own = campaign.parameters[ACCEPTANCE], float(campaign.values[ACCEPTANCE])
+    scale = _ACCEPTANCE_SCALE_DEG
+    low, high = np.log1p(np.array([known.minimum, known.maximum]) / scale)
+    nodes = scale * np.expm1(chebyshev_nodes(low, high, _ACCEPTANCE_NODES))
+    nodes = np.clip(nodes, known.minimum, known.maximum)
+    nodes = np.delete(nodes, int(np.abs(nodes - own).argmin()))
+    (parameter,) = FORWARD_BEAM.parameters
+    by_angle = replace(
+        parameter, minimum=known.minimum, maximum=known.maximum, start=known.start, absent=own,
+        plausible=(known.minimum, known.maximum), nodes=tuple(map(float, nodes)), nominal=None,
+        scale=scale, limits=None,
+    )  # fmt: skip
+    return replace(FORWARD_BEAM, name=ACCEPTANCE, parameters=(by_angle,))
 
 
 def _coverage(campaign: Campaign) -> tuple[Grid, Grid, ScatteringProposals]:

@@ -126,7 +126,8 @@ class EffectResponse:
         weights = np.ones((1, 1))
         for axis, own in zip(self.axes, values, strict=True):
             each = axis.nodes.weights_at(axis.parameter.coordinates_of(own - axis.nominal))
-            weights = (weights[:, :, None] * each[:, None, :]).reshape(len(each), -1)
+            points = max(len(weights), len(each))
+            weights = (weights[:, :, None] * each[:, None, :]).reshape(points, -1)
         return weights
 
     def deviations_at(self, point: Point, values: Sequence[float]) -> NDArray[np.float64]:

@@ -73,6 +73,10 @@ class Candidate:
     collinearity: float
     #: Effects that it could be mistaken for.
     mimics: tuple[str, ...]
+    #: What it is a relative of; of a pair of two families both, joined by ``+``.
+    family: str = ""
+    #: How to look for it without any fit.
+    look: str = ""
 
 
 # Candidates whose mimics are found by fits; the others' to first order.
@@ -116,12 +120,7 @@ class CandidateMaker:
         fit, baseline = self._explanations.fit(effects), self._explanations.baseline
         own = [n for e in effects for n in self._explanations.free_parameters(effects, e)]
         evidence = self._explanations.evidence(effects)
-        parameters = estimates(fit)
-        for name in fit.names:
-            parameters[name] = _determined(parameters[name], evidence, name)
-        known = fit.problem.model.campaign.light_yield
-        if known is not None and SCALE in fit.names:
-            parameters[LIGHT_YIELD] = light_yield(parameters[SCALE], known)
+        parameters = determined_estimates(fit, evidence)
         gained = aicc(fit) - aicc(baseline)
         of_light = None
         if LIGHT_YIELD in parameters:
@@ -145,13 +144,12 @@ class CandidateMaker:
             parameters=parameters,
             effect_parameters=tuple(own),
             light_yield_ph_per_keV=of_light,
-            plausible=all(
-                low <= fit.values.get(name, low) <= high
-                for name, (low, high) in self._explanations.plausible(effects).items()
-            ),
+            plausible=self._explanations.is_plausible(effects),
             at_bound=any(fit.at_bound[fit.problem.index(n)] is not None for n in own),
             collinearity=self._collinearity(fit, own),
             mimics=(),
+            family=self._explanations.family(effects),
+            look=" ".join(self._explanations.effects[name].look for name in effects),
         )
 
     def _collinearity(self, fit: Fit, own: list[str]) -> float:
@@ -203,6 +201,16 @@ class CandidateMaker:
         profile = self._explanations.profile((other,), other, fit, problem=ideal, steps=2)
         starts = (theirs.theta, min(profile, key=lambda item: item[0])[1])
         return min(descend(ideal, start, fit.weights, precision=0.02)[1] for start in starts)
+
+
+def determined_estimates(fit: Fit, evidence: Evidence) -> dict[str, ParameterEstimate]:
+    """Parameters of a fit; what readings do not determine has the error that evidence leaves."""
+    parameters, known = estimates(fit), fit.problem.model.campaign.light_yield
+    for name in fit.names:
+        parameters[name] = _determined(parameters[name], evidence, name)
+    if known is not None and SCALE in fit.names:
+        parameters[LIGHT_YIELD] = light_yield(parameters[SCALE], known)
+    return parameters
 
 
 def _determined(known: ParameterEstimate, evidence: Evidence, name: str) -> ParameterEstimate:

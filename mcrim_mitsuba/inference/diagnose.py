@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
+from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.run import Provenance, Run
+from mcrim_mitsuba.effects.catalogue import effect_of
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.inference.candidates import (
     Candidate,
@@ -19,6 +21,7 @@ from mcrim_mitsuba.inference.candidates import (
     Limit,
     MeasurementProposals,
     NextMeasurement,
+    determined_estimates,
     next_measurements,
     upper_limits,
 )
@@ -30,7 +33,6 @@ from mcrim_mitsuba.inference.estimates import (
     corrected,
     criterion,
     error_of_difference,
-    estimates,
     left_out_error,
     rms_pull,
 )
@@ -294,7 +296,7 @@ def steps(explanations: Explanations, chosen: tuple[str, ...]) -> tuple[RepairSt
     for count in range(len(chosen) + 1):
         effects = chosen[:count]
         fit = explanations.fit(effects)
-        parameters = estimates(fit)
+        parameters = determined_estimates(fit, explanations.evidence(effects))
         of_light = parameters.get(LIGHT_YIELD)
         made.append(
             RepairStep(
@@ -317,10 +319,28 @@ def steps(explanations: Explanations, chosen: tuple[str, ...]) -> tuple[RepairSt
     return tuple(made)
 
 
+def _named(chosen: tuple[str, ...], leading: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+    """The most of some effects, from the first on, that a verdict names as one explanation."""
+    sets = set(map(frozenset, leading))
+    counts = (n for n in range(len(chosen), 0, -1) if frozenset(chosen[:n]) in sets)
+    return chosen[: next(counts, 0)]
+
+
 # ---- the whole ----
 
 # Leading explanations that further measurements are to tell apart: each costs simulations.
 _MOST_RIVALS = 3
+
+
+@dataclass(frozen=True)
+class FamilyProbability:
+    """How likely it is that something of a family is missing: its effects are relatives."""
+
+    #: ``none`` where nothing is missing; of a pair of two families both, joined by ``+``.
+    family: str
+    probability: float
+    #: Those of `Diagnosis.probabilities`, the likeliest first.
+    effects: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -355,6 +375,10 @@ class Diagnosis:
     light_yield_averaged: AveragedYield | None
     #: Wall time.
     seconds: float
+    #: The same probabilities by family, the likeliest first.
+    families: tuple[FamilyProbability, ...] = ()
+    #: What a repair would add, were its size one that a laboratory meets.
+    set_aside: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -367,29 +391,72 @@ class Diagnosed:
     provenance: Provenance
 
 
-def diagnose(campaign: str | Path | Campaign, *, run: Run = Run()) -> Diagnosed:
+def diagnose(
+    campaign: str | Path | Campaign, *, without: Sequence[str] = (), only: Sequence[str] = (),
+    run: Run = Run(),
+) -> Diagnosed:  # fmt: skip
     """Rank the catalogue's effects as explanations of a campaign's misfit.
 
-    Parameters and errors as for `compare`.
+    Other parameters and errors as for `compare`.
+
+    Parameters
+    ----------
+    without, only : sequence of str
+        Effects that are left out, and those that alone are tried.
     """
-    return diagnose_on(Workbench(as_campaign(campaign), run))
+    return diagnose_on(Workbench(as_campaign(campaign), run), without=without, only=only)
 
 
-def diagnose_on(bench: Workbench) -> Diagnosed:
-    """`diagnose` with a workbench that can be used further."""
+def diagnose_on(
+    bench: Workbench, *, without: Sequence[str] = (), only: Sequence[str] = (),
+    adding: Sequence[str] = (),
+) -> Diagnosed:  # fmt: skip
+    """`diagnose` with a workbench that can be used further.
+
+    `adding` are the effects of the repair, whatever the verdict.
+    """
     campaign = bench.campaign
+    possible = bench.possible()
+    tried = _tried(possible, campaign, without, only)
+    if adding:
+        _tried(possible, campaign, (), adding)
+        campaign.with_effects(adding)
     # without degrees of freedom nothing can be judged: spare the simulations
     if campaign.ndf > 0:
-        bench.candidates = bench.possible()
+        bench.candidates = tried
+    elif adding:
+        problem = "no reading is left over that an effect could be added for"
+        raise InputError(problem, "measure more configurations", path=campaign.path)
+    if only:
+        bench.notes.append(f"probabilities are among those tried, {', '.join(tried)}")
+    elif without:
+        bench.notes.append(f"left out of the diagnosis: {', '.join(dict.fromkeys(without))}")
     bench.simulate(tuple(bench.candidates))
     found = diagnose_models(
         bench.model,
         bench.candidates,
         proposals=bench.proposals(),
+        adding=tuple(dict.fromkeys(adding)),
         seed=bench.run.seed,
         progress=lambda words: bench.run.tell(words, 1, 1),
     )
     return Diagnosed(fit_model(bench.model(), profile=False), found, bench.provenance())
+
+
+def _tried(
+    possible: Mapping[str, Effect], campaign: Campaign, without: Sequence[str], only: Sequence[str]
+) -> dict[str, Effect]:
+    """Of the effects that could be missing those that somebody wants to be tried."""
+    for name in (*without, *only):
+        effect_of(name, campaign.catalogue)
+    for name in only:
+        if name not in possible:
+            problem = f"{name} is there already, or the scene cannot take it"
+            raise InputError(problem, did_you_mean(name, possible), path=campaign.path)
+    wanted = set(only or possible) - set(without)
+    if possible and not wanted:
+        raise InputError("no effect is left to be tried", "leave out fewer")
+    return {name: effect for name, effect in possible.items() if name in wanted}
 
 
 def diagnose_models(
@@ -397,6 +464,7 @@ def diagnose_models(
     effects: Mapping[str, Effect],
     *,
     proposals: MeasurementProposals | None = None,
+    adding: tuple[str, ...] = (),
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
@@ -414,6 +482,8 @@ def diagnose_models(
         That may be missing.
     proposals : MeasurementProposals, optional
         What could be measured next.
+    adding : tuple of str
+        Effects of the repair, whatever the verdict.
     seed : int
         Of the campaigns that are drawn to know what chance gains.
     progress : callable, optional
@@ -427,6 +497,7 @@ def diagnose_models(
     say("looking for suspect readings")
     compared = comparison_of(baseline)
     chosen: tuple[str, ...] = ()
+    set_aside: tuple[str, ...] = ()
     candidates: tuple[Candidate, ...] = ()
     pairs: tuple[Candidate, ...] = ()
     limits = {}
@@ -472,8 +543,15 @@ def diagnose_models(
             chosen = evidence.effects_to_add(of_pairs)
             if judged.word == UNEXPLAINED:
                 judged = evidence.verdict_of_more(chosen, judged)
-                # effects that do not explain the readings would only bias what is fitted
-                chosen = chosen if judged.leading else ()
+            # effects that do not explain the readings would only bias what is fitted
+            chosen = _named(chosen, judged.leading)
+            if not adding and not explanations.is_plausible(chosen):
+                chosen, set_aside = (), chosen
+        if adding:
+            if not explanations.possible(adding):
+                problem = f"{', '.join(adding)} cannot be fitted to these readings"
+                raise InputError(problem, "choose fewer, or others")
+            chosen = adding
     proposed: tuple[NextMeasurement, ...] = ()
     if proposals is not None and len(judged.leading) > 1:
         say("looking for what to measure next")
@@ -498,4 +576,23 @@ def diagnose_models(
         },
         light_yield_averaged=weighed.light_yield,
         seconds=time.perf_counter() - began,
+        families=_families(weighed, explanations),
+        set_aside=set_aside,
     )
+
+
+def _families(weighed: Weighing, explanations: Explanations) -> tuple[FamilyProbability, ...]:
+    """Probabilities by family."""
+    members: dict[str, list[tuple[float, str]]] = {}
+    for effects, p in weighed.probabilities.items():
+        family = explanations.family(effects) or NOTHING_MISSING
+        members.setdefault(family, []).append((p, " + ".join(effects)))
+    found = (
+        FamilyProbability(
+            family,
+            sum(p for p, _ in each),
+            tuple(name for _, name in sorted(each, reverse=True) if name),
+        )
+        for family, each in members.items()
+    )
+    return tuple(sorted(found, key=lambda one: -one.probability))

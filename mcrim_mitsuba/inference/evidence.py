@@ -20,6 +20,7 @@ from scipy.special import logsumexp, ndtr, ndtri, stdtr, stdtrit
 
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter, LightYieldInput
 from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.rounding import number, pdg
 from mcrim_mitsuba.inference.least_squares import Fit, LeastSquaresProblem
 
 #: The name of the model without further effects.
@@ -242,7 +243,7 @@ class _Sampled:
             residuals, slopes = self._linear(z)
             if gained < 1e-3:
                 break
-        covariance: Array = np.linalg.inv(slopes.T @ slopes + np.eye(len(z)))
+        covariance = np.asarray(np.linalg.inv(slopes.T @ slopes + np.eye(len(z))), float)
         return z, covariance
 
     def _linear(self, z: Array) -> tuple[Array, Array]:
@@ -303,6 +304,10 @@ class AveragedYield:
     #: between them.
     within: float
     between: float
+
+    def __str__(self) -> str:
+        parts = f"within models {number(self.within, 2)}, between them {number(self.between, 2)}"
+        return f"{pdg(self.value, self.sigma)} ph/keV ({parts})"
 
 
 @dataclass(frozen=True)

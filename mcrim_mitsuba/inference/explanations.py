@@ -159,6 +159,28 @@ class Explanations:
         effects = [self.effects[name] for name in added]
         return plausible_ranges(effects, self.baseline.problem.model)
 
+    def is_plausible(self, added: Iterable[str]) -> bool:
+        """Whether a laboratory meets effects of the sizes that were fitted, or that fit as well.
+
+        Outside of what is plausible, chi2 may not rise by 1 on the way to its nearest end.
+        """
+        added = tuple(added)
+        fit, nearest = self.fit(added), {}
+        for name, (low, high) in self.plausible(added).items():
+            value = fit.values.get(name, low)
+            if not low <= value <= high:
+                nearest[name] = min(max(value, low), high)
+        if not nearest:
+            return True
+        start = fit.problem.theta({**fit.values, **nearest})
+        held = [fit.problem.index(name) for name in nearest]
+        chi2 = descend(fit.problem, start, fit.weights, held=held, precision=0.01)[1]
+        return chi2 < fit.chi2 + 1.0
+
+    def family(self, added: Iterable[str]) -> str:
+        """What effects are relatives of; of several families all, joined by ``+``."""
+        return " + ".join(dict.fromkeys(self.effects[name].family for name in added))
+
     def evidence(self, added: Iterable[str]) -> Evidence:
         """Of the campaign with these effects, their sizes being plausible ones."""
         key = tuple(sorted(added))

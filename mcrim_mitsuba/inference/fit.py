@@ -193,6 +193,10 @@ def fit_model(model: Model, *, profile: bool = True) -> Calibration:
     )
 
 
+class UndeterminedError(InputError):
+    """Readings that do not determine all parameters."""
+
+
 def _refuse_undetermined(optimum: Optimum) -> None:
     """Refuse readings that do not determine all parameters.
 
@@ -207,7 +211,7 @@ def _refuse_undetermined(optimum: Optimum) -> None:
         )
         if wish := _wish(optimum):
             problem, mend = wish, _SWAPPED
-        raise InputError(problem, mend, path=likelihood.model.campaign.path)
+        raise UndeterminedError(problem, mend, path=likelihood.model.campaign.path)
 
 
 def _checked_prediction(best: Optimum) -> Prediction:

@@ -310,14 +310,17 @@ class ResponseModel:
             for effect in sorted(effects, key=lambda effect: effect.order)
             if effect.reading is not None
         ]
-        #: Responses to the effects that are switched on.
-        self.switched_on = [
-            responses.effects[e.name] for e in effects if e.name in responses.effects
-        ]
-        self._held = held(campaign)
+        #: Responses to the effects that are switched on, and to other scene parameters that are
+        #: fitted.
+        names = dict.fromkeys([*(effect.name for effect in effects), *campaign.parameters])
+        self.switched_on = [responses.effects[n] for n in names if n in responses.effects]
+        # an effect's response may depend on a beam's parameter, too, that is not fitted
+        axes = [axis for response in self.switched_on for axis in response.axes]
+        named = {axis.name for axis in axes} - set(campaign.parameters)
+        self._held = {**{n: float(campaign.values[n]) for n in named}, **held(campaign)}
         grid = responses.grid
         ranges = {ALPHA_SCAT: grid.alpha_scat_range_per_cm, ALPHA_ABS: grid.alpha_abs_range_per_cm}
-        for axis in (axis for response in self.switched_on for axis in response.axes):
+        for axis in axes:
             ends = [axis.nominal + value for value in axis.values if math.isfinite(value)]
             high = math.inf if any(map(math.isinf, axis.values)) else max(ends)
             ranges[axis.name] = (min(ends), high)
@@ -444,7 +447,9 @@ class _Place:
         for response, own in self._switched_on:
             more, more_by_scat, more_by_abs, by_axis = response.at(self._coarse, own)
             log_eta, by_scat, by_abs = log_eta + more, by_scat + more_by_scat, by_abs + more_by_abs
-            self.slopes |= {axis.name: by_axis[:, i] for i, axis in enumerate(response.axes)}
+            for i, axis in enumerate(response.axes):
+                # a beam's parameter may be one of several effects' responses
+                self.slopes[axis.name] = self.slopes.get(axis.name, 0.0) + by_axis[:, i]
         self.log_eta = log_eta
         self.slopes |= {ALPHA_SCAT: by_scat, ALPHA_ABS: by_abs}
 

@@ -14,7 +14,8 @@ from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.inference.diagnose import Diagnosed, RepairStep, diagnose_on
-from mcrim_mitsuba.inference.fit import Calibration, fit_model
+from mcrim_mitsuba.inference.evidence import AveragedYield
+from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.workbench import Workbench
 from mcrim_mitsuba.scene.editor import SceneEditor
@@ -42,12 +43,15 @@ class Repaired:
     bench: Workbench
     #: The one that `calibration` is the fit of.
     model: ResponseModel
+    #: Why nothing was added although the verdict names an effect: what is not determined with it.
+    undetermined: str = ""
 
 
 def repair(
     campaign: str | Path | Campaign,
     output: str | Path | None = None,
     *,
+    effect: Sequence[str] = (),
     run: Run = Run(),
     on_step: Callable[[RepairStep], None] | None = None,
 ) -> Repaired:
@@ -58,6 +62,8 @@ def repair(
     output : str or Path, optional
         Where the mended campaign is written (TOML); the scene is written beside it under the
         same name. Without it nothing is written.
+    effect : sequence of str
+        Effects to add, whatever the verdict; by default what it names, if its size is plausible.
     run : Run
         As for `diagnose`.
     on_step : callable, optional
@@ -69,44 +75,54 @@ def repair(
         As for `diagnose`, or if the files cannot be written.
     """
     bench = Workbench(as_campaign(campaign), run)
-    diagnosed = diagnose_on(bench)
+    diagnosed = diagnose_on(bench, adding=effect)
     steps = diagnosed.diagnosis.repair
     for step in steps:
         if on_step is not None:
             on_step(step)
     effects = steps[-1].effects  # of the campaign as it came, if nothing was added
+    undetermined = ""
     if effects:
         starts = {name: known.value for name, known in steps[-1].parameters.items()}
-        model, calibration = bench.settled_model(effects, starts)
-    else:
+        try:
+            model, calibration = bench.settled_model(effects, starts)
+        except UndeterminedError as refusal:
+            if effect:
+                raise
+            effects, undetermined = (), refusal.problem
+    if not effects:
         model = bench.model()
         calibration = fit_model(model)
     campaign_path = scene_path = None
     if effects and output is not None:
         campaign_path = Path(output)
-        scene_path = _write(bench.campaign, effects, calibration, campaign_path)
+        averaged = diagnosed.diagnosis.light_yield_averaged
+        scene_path = _write(bench.campaign, effects, calibration, campaign_path, averaged)
     return Repaired(
-        diagnosed, effects, calibration, campaign_path, scene_path, bench.provenance(), bench, model
-    )
+        diagnosed, effects, calibration, campaign_path, scene_path, bench.provenance(), bench,
+        model, undetermined,
+    )  # fmt: skip
 
 
 def _write(
-    campaign: Campaign, effects: tuple[str, ...], calibration: Calibration, target: Path
-) -> Path:
+    campaign: Campaign, effects: tuple[str, ...], calibration: Calibration, target: Path,
+    averaged: AveragedYield | None,
+) -> Path:  # fmt: skip
     """Write scene and campaign; returns the scene's path."""
     scene_path = target.with_suffix(".xml")
     if scene_path.resolve() == campaign.scene.path.resolve():
         problem = f"the mended scene would replace {campaign.scene.path}"
         raise InputError(problem, "give -o another name", path=target)
-    scene, text = mended_files(campaign, effects, calibration, target)
+    scene, text = mended_files(campaign, effects, calibration, target, averaged)
     write_text(str(scene_path), _text_in(scene, target.parent))
     write_text(str(target), text)
     return scene_path
 
 
 def mended_files(
-    campaign: Campaign, effects: Sequence[str], calibration: Calibration, target: Path
-) -> tuple[SceneFile, str]:
+    campaign: Campaign, effects: Sequence[str], calibration: Calibration, target: Path,
+    averaged: AveragedYield | None = None,
+) -> tuple[SceneFile, str]:  # fmt: skip
     """The mended scene and the text of the mended campaign; nothing is written.
 
     Parameters
@@ -117,13 +133,26 @@ def mended_files(
         Of the mended campaign: its values are put into both, to six digits.
     target : Path
         Where the campaign is meant to go; its scene lies beside it under the same name.
+    averaged : AveragedYield, optional
+        Over all that the readings allow: a comment tells it.
     """
     fitted = rounded({name: known.value for name, known in calibration.parameters.items()})
     text = campaign_with_effects(
         campaign, target, target.with_suffix(".xml"), [*campaign.effects, *effects],
         {name: fitted[name] for name in calibration.names if name in fitted},
     )  # fmt: skip
-    return mended_scene(campaign, effects, fitted), text
+    return mended_scene(campaign, effects, fitted), _remark(effects, averaged) + text
+
+
+def _remark(effects: Sequence[str], averaged: AveragedYield | None) -> str:
+    """Lines above a mended campaign: what was added, and that other models are possible."""
+    lines = [f"Mended: {' and '.join(effects)} added."]
+    if averaged is not None:
+        lines += [
+            f"Light yield averaged over all that the readings allow: {averaged}.",
+            "What a fit of this file gives holds for this one model.",
+        ]
+    return "".join(f"# {line}\n" for line in lines)
 
 
 def mended_scene(

@@ -208,6 +208,8 @@ class Workbench:
         for name, effect in campaign.catalogue.items():
             if name in campaign.effects or effect.is_in(campaign.scene):
                 continue
+            if effect.of_beam and not campaign.beam:
+                continue
             if any(name in campaign.catalogue[other].excludes for other in campaign.effects):
                 continue
             try:

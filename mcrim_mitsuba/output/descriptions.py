@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.core.rounding import number, p_text, pdg, pdg_parts, percent
+from mcrim_mitsuba.core.rounding import number, p_text, pdg, pdg_parts, percent, probability
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output import findings
 from mcrim_mitsuba.output.described import (
@@ -172,7 +172,7 @@ def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
 
 
 def of_diagnosis(found: Diagnosed) -> Described:
-    """The verdict, effects as explanations, what the readings allow, what to measure next."""
+    """The averaged yield, the verdict, effects as explanations, limits, what to measure next."""
     diagnosis = found.diagnosis
     columns = ("configuration", "expected gain in chi2", "tells apart")
     rows = (
@@ -183,10 +183,12 @@ def of_diagnosis(found: Diagnosed) -> Described:
         for one in diagnosis.next_measurements
     )  # fmt: skip
     parts: list[Part] = [
+        *_averaged(diagnosis),
         Sentence(findings.headline(diagnosis), strong=True),
         Sentence(f"Without any effect {findings.quality(diagnosis.baseline)}."),
         *_suspects(diagnosis.suspect_readings),
         *_explanations(diagnosis),
+        *_set_aside(diagnosis),
         *([limits_table(diagnosis)] if diagnosis.upper_limits else []),
         *([table("what to measure next", columns, rows)] if diagnosis.next_measurements else []),
         *(Sentence(f"not tried: {name}: {why}") for name, why in diagnosis.not_tried.items()),
@@ -194,16 +196,25 @@ def of_diagnosis(found: Diagnosed) -> Described:
     return _described("what explains a campaign's misfit", parts, found.baseline, found.provenance)
 
 
-_MIMICS_SHOWN = 2
-_NARROW = ("effect", "gain in chi2", "p, fit", "p, gain", "size")
-_WIDE = ("plausible?", "left out", "behind", "AICc", "light yield", "could be mistaken for")
+def _averaged(diagnosis: Diagnosis) -> list[Sentence]:
+    """The light yield over all models; nothing where there is none."""
+    text = findings.averaged_yield(diagnosis)
+    return [Sentence(text, strong=True)] if text else []
+
+
+def _set_aside(diagnosis: Diagnosis) -> list[Sentence]:
+    text = findings.set_aside_text(diagnosis)
+    return [Sentence(text, strong=True)] if text else []
+
+
+_NARROW = ("effect", "probability", "size", "plausible?", "light yield")
+_WIDE = ("gain in chi2", "p, fit", "left out")
 _CANDIDATE = (*map(Column, _NARROW), *(Column(title, wide=True) for title in _WIDE))
 _EXPLANATION = (
-    "gain: fall of chi2, with the simulation's error; p, fit: of the fit with the effect; p, gain: "
-    "probability that chance gives the best of all effects as much; left out: rms error on "
-    "readings left out of the fit, in standard errors; behind: the best, in chi2 + 2 per "
-    "parameter; AICc: information criterion for small samples, against no effect (negative is "
-    "better); light yield: photons per keV, and its change"
+    "probability: among all that was tried and nothing, averaged over plausible sizes; light "
+    "yield: photons per keV, and its change; gain: fall of chi2, with the simulation's error; p, "
+    "fit: of the fit with the effect; left out: rms error on readings left out of the fit, in "
+    "standard errors"
 )
 
 
@@ -216,38 +227,36 @@ def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
     )
     for candidates, title in titles:
         if candidates:
-            rows = (row(*_candidate(one), strong=one in leading) for one in candidates)
+            known = diagnosis.probabilities
+            rows = (
+                row(*_candidate(one, known.get(one.effect)), strong=one in leading)
+                for one in candidates
+            )
             yield table(title, _CANDIDATE, rows)
     if diagnosis.candidates:
         yield Sentence(_EXPLANATION)
         wider = "A wider terminal shows more columns; --json and --figure have all."
         yield Sentence(wider, narrow=True)
-    for one in leading:
-        if one.mimics:
-            names, others = findings.together(one.effects), findings.together(one.mimics, "or")
-            yield Sentence(f"- {names} could be mistaken for {others}")
+    if diagnosis.families:
+        yield Sentence(f"By family: {findings.family_probabilities(diagnosis)}")
+    if text := findings.mistakable(diagnosis):
+        yield Sentence(text)
+    yield from listed("How to look for it, without a fit:", findings.looks(diagnosis))
 
 
-def _candidate(one: Candidate) -> tuple[str | Cell, ...]:
-    light = one.light_yield_ph_per_keV
-    change = None if light is None else light.get("change")
-    mimics = ", ".join(one.mimics[:_MIMICS_SHOWN])
-    more = len(one.mimics) - _MIMICS_SHOWN
+def _candidate(one: Candidate, p: float | None) -> tuple[str | Cell, ...]:
+    light = one.light_yield_ph_per_keV or {}
+    change = light.get("change")
+    changed = "" if change is None else f" ({findings.change_text(change)})"
     return (
         one.effect,
-        measured(one.delta_chi2, one.delta_chi2_sigma or None),
-        shown(one.p_value, p_text),
-        shown(one.p_global, p_text),
+        "" if p is None else Cell(probability(p), p),
         findings.size_text(one, "\n"),
         findings.plausibility(one),
+        Cell(number(light["value"]) + changed, light["value"], light.get("sigma")) if light else "",
+        Cell(findings.gain_text(one), one.delta_chi2, one.delta_chi2_sigma or None),
+        shown(one.p_value, p_text),
         shown(one.left_out_error, number),
-        shown(one.behind, ".1f"),
-        shown(one.aicc, number),
-        "" if light is None else Cell(
-            number(light["value"]) + ("" if change is None else f" ({100 * change:+.1f} %)"),
-            light["value"], light.get("sigma"),
-        ),
-        mimics + (f" and {more} more" if more > 0 else ""),
     )  # fmt: skip
 
 
@@ -265,10 +274,16 @@ def of_repair(found: Repaired, *, with_steps: bool = True) -> Described:
     """The steps, the verdict, and the fit with all effects simulated together."""
     diagnosis, fit = found.diagnosed.diagnosis, found.calibration
     parts: list[Part] = [
+        *_averaged(diagnosis),
         *([steps_table(diagnosis.repair)] if with_steps else []),
         Sentence(findings.headline(diagnosis), strong=True),
         *_suspects(diagnosis.suspect_readings),
     ]
+    parts += _set_aside(diagnosis)
+    if found.undetermined:
+        last = findings.together(diagnosis.repair[-1].effects)
+        text = f"With {last}, {found.undetermined}: diagnose says what to measure next."
+        parts.append(Sentence(text))
     if found.effects:
         together = f"With {findings.together(found.effects)} simulated together: "
         quality = f"chi2 = {number(fit.chi2)} (ndf {fit.ndf}, p = {p_text(fit.p_value)})"

@@ -9,9 +9,19 @@ from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, unit_of
-from mcrim_mitsuba.core.rounding import counted, number, p_text, pdg, pdg_parts, percent, short_text
+from mcrim_mitsuba.core.rounding import (
+    counted,
+    number,
+    p_text,
+    pdg,
+    pdg_parts,
+    percent,
+    probability,
+    short_text,
+)
 from mcrim_mitsuba.inference.diagnose import ADEQUATE, AMBIGUOUS, MISSING_EFFECT, TOO_FEW_READINGS
 from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.plan import (
     EFFICIENCY,
     EVENTS_ORIGIN,
@@ -88,6 +98,87 @@ def leading_candidates(diagnosis: Diagnosis) -> list[Candidate]:
     }
     sets = [frozenset(names) for names in diagnosis.leading_sets]
     return [found[names] for names in sets if names in found]
+
+
+def averaged_yield(diagnosis: Diagnosis) -> str:
+    """The light yield over all that the readings allow, and beside it that of the likeliest.
+
+    Empty where the campaign does not say how to get it.
+    """
+    averaged = diagnosis.light_yield_averaged
+    if averaged is None:
+        return ""
+    names, p = next(iter(diagnosis.probabilities.items()))
+    tried = (*diagnosis.candidates, *diagnosis.pairs)
+    likeliest = next((one for one in tried if one.effect == names), None)
+    known = diagnosis.baseline.parameters.get(LIGHT_YIELD)
+    alone = "" if known is None else estimate_text(known)
+    if likeliest is not None and likeliest.light_yield_ph_per_keV is not None:
+        light = likeliest.light_yield_ph_per_keV
+        alone = pdg(light["value"], light["sigma"])
+    of_model = "nothing missing" if likeliest is None else names
+    return (
+        f"Light yield: {averaged}, averaged over all that the readings allow; {alone} with "
+        f"{of_model} ({probability(p)})"
+    )
+
+
+def family_probabilities(diagnosis: Diagnosis) -> str:
+    """``surface 91 %, housing 4 %; others < 0.1 % each``."""
+    told = {
+        one.family: probability(one.probability)
+        for one in diagnosis.families
+        if one.family != NOTHING_MISSING
+    }
+    nothing = probability(diagnosis.probabilities.get(NOTHING_MISSING, 0.0))
+    named = [f"{family} {p}" for family, p in told.items() if not p.startswith("<")]
+    rest = "; others < 0.1 % each" if len(named) < len(told) else ""
+    return f"{', '.join([*named, f'nothing missing {nothing}'])}{rest}"
+
+
+def mistakable(diagnosis: Diagnosis) -> str:
+    """What the leading effects could be mistaken for, those that are alike by family; or nothing.
+
+    Said of all together.
+    """
+    leading = leading_candidates(diagnosis)
+    own = dict.fromkeys(name for one in leading for name in one.effects)
+    others = [n for n in dict.fromkeys(m for one in leading for m in one.mimics) if n not in own]
+    if not others:
+        return ""
+    families: dict[str, list[str]] = {}
+    for one in diagnosis.candidates:
+        if one.effect in others:
+            families.setdefault(one.family, []).append(one.effect)
+    alike = {name: each for name, each in families.items() if len(each) > 1}
+    if len(others) <= MOST_NAMED:
+        alike = {}
+    each = ["each other"] if len(leading) > 1 else []
+    each += [name for name in others if not any(name in some for some in alike.values())]
+    if alike:
+        each.append(f"one of {', '.join(f'{name} ({len(some)})' for name, some in alike.items())}")
+    return f"By these readings {together(list(own))} could be mistaken for {together(each, 'or')}."
+
+
+def looks(diagnosis: Diagnosis) -> list[str]:
+    """How to look for the leading effects without a fit, a sentence or two for each."""
+    named = {one.effect: one.look for one in diagnosis.candidates}
+    leading = dict.fromkeys(name for one in leading_candidates(diagnosis) for name in one.effects)
+    return [f"{name}: {named[name]}" for name in list(leading)[:MOST_NAMED] if named.get(name)]
+
+
+def set_aside_text(diagnosis: Diagnosis) -> str:
+    """Why a repair does not add what is likeliest; empty where it does."""
+    names = diagnosis.set_aside
+    if not names:
+        return ""
+    tried = (*diagnosis.candidates, *diagnosis.pairs)
+    fit = next((one for one in tried if set(one.effects) == set(names)), None)
+    size = "" if fit is None else f" ({size_text(fit)})"
+    return (
+        f"The likeliest explanation, {together(names)}{size}, has a size that a laboratory does "
+        f"not usually meet, and is not added. If you have seen it, say --effect {','.join(names)}."
+    )
 
 
 def suspicion(suspect: Suspect) -> str:

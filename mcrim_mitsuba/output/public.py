@@ -246,6 +246,12 @@ def _run(run: Run | None, given: Mapping[str, Any]) -> Run:
     return made
 
 
+def _names(given: str | Sequence[str]) -> tuple[str, ...]:
+    """Names, also as a text with commas between them."""
+    several = given.split(",") if isinstance(given, str) else given
+    return tuple(name.strip() for name in several if name.strip())
+
+
 # ---------------------------------------------------------------- of a scene
 
 
@@ -512,11 +518,19 @@ def compare(campaign: str | Path | Campaign, *, run: Run | None = None, **given:
     return _answer("comparison", found, pictures)
 
 
-def diagnose(campaign: str | Path | Campaign, *, run: Run | None = None, **given: Any) -> Answer:
+def diagnose(
+    campaign: str | Path | Campaign, *, without: str | Sequence[str] = (),
+    only: str | Sequence[str] = (), run: Run | None = None, **given: Any,
+) -> Answer:  # fmt: skip
     """Which effects of the catalogue explain a campaign's misfit.
 
-    Parameters and errors as for `calibrate`; the photons (260,000) are those of every simulation
-    with an effect, configurations as they are get nine times as many.
+    Other parameters and errors as for `calibrate`; the photons (260,000) are those of every
+    simulation with an effect, configurations as they are get nine times as many.
+
+    Parameters
+    ----------
+    without, only : str or sequence of str
+        Effects that are left out, and those that alone are tried: ``"background,saturation"``.
 
     Returns
     -------
@@ -526,13 +540,16 @@ def diagnose(campaign: str | Path | Campaign, *, run: Run | None = None, **given
     """
     from mcrim_mitsuba.inference.diagnose import diagnose as diagnosed
 
-    found = diagnosed(campaign, run=_run(run, given))
+    found = diagnosed(
+        campaign, without=_names(without), only=_names(only), run=_run(run, given)
+    )  # fmt: skip
     pictures = {"ranking": lambda: _drawn("diagnosis_figures.draw_ranking", found.diagnosis)}
     return _answer("diagnosis", found, pictures)
 
 
 def repair(
-    campaign: str | Path | Campaign, output: str | Path | None = None, *, run: Run | None = None,
+    campaign: str | Path | Campaign, output: str | Path | None = None, *,
+    effect: str | Sequence[str] = (), run: Run | None = None,
     on_step: Callable[[Any], None] | None = None, **given: Any,
 ) -> Answer:  # fmt: skip
     """Add effects to a campaign one by one while the data justify it.
@@ -541,6 +558,9 @@ def repair(
     ----------
     output : str or Path, optional
         Where the mended campaign is written (``.toml``), its scene beside it.
+    effect : str or sequence of str
+        What is added, whatever the verdict; by default what it names, where its size is one that
+        a laboratory meets.
     run : Run, optional
         As for `diagnose`.
     on_step : callable, optional
@@ -560,7 +580,9 @@ def repair(
     from mcrim_mitsuba.inference.repair import repair as repaired
     from mcrim_mitsuba.output.findings import together
 
-    found = repaired(campaign, output, run=_run(run, given), on_step=on_step)
+    found = repaired(
+        campaign, output, effect=_names(effect), run=_run(run, given), on_step=on_step
+    )  # fmt: skip
     diagnosis = found.diagnosed.diagnosis
     after = found.calibration if found.effects else None
     added = together(found.effects) if found.effects else ""

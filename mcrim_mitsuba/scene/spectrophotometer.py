@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.scene.check_text import bsdf_of, indices_of, is_filled, shape_elements
@@ -56,6 +56,19 @@ def refused_of_beam(name: str, value: Value) -> tuple[str, str] | None:
     if name == BEAM_DIAMETER and not float(value) > 0.0:
         return f"{name} = {float(value):g} is not above 0", "give the beam's width in mm"
     return None
+
+
+def too_wide(values: Mapping[str, Value]) -> tuple[str, str] | None:
+    """What is wrong with a beam beside the crystal's sizes, as `refused_of_beam`."""
+    diameter, width, height = (float(values[name]) for name in (BEAM_DIAMETER, *_SIZES))
+    across = width if values[BEAM_AXIS] == "z" else min(width, height)
+    if diameter < across:
+        return None
+    return (
+        f"the beam is {diameter:g} mm wide, and the crystal across it {across:g} mm",
+        f"give {BEAM_DIAMETER} in [beam] below that: what misses the crystal would count as "
+        "transmitted",
+    )
 
 
 def spectrophotometer_of(bench: SceneFile) -> SceneFile:

@@ -253,3 +253,85 @@ def test_schema_for_editors_takes_what_ships_and_refuses_slips():
     ):
         assert known.is_valid(tomllib.loads(CAMPAIGN))
         assert not known.is_valid(tomllib.loads(CAMPAIGN.replace(old, new))), new
+
+
+# ---- transmittances ----
+
+
+@pytest.fixture
+def three(tmp_path):
+    """The article's three numbers, in a folder of their own."""
+    for ending, scene in (("toml", "camoo4_three"), ("csv", "camoo4_three"), ("xml", "camoo4")):
+        text = (SCENES / f"{scene}.{ending}").read_text().replace("camoo4_three.csv", "three.csv")
+        (tmp_path / f"three.{ending}").write_text(text.replace("camoo4.xml", "three.xml"))
+    return tmp_path
+
+
+@cases("file", "old", "new", "place", "says")
+def test_bad_transmittances_are_refused_in_one_line(three, file, old, new, place, says):
+    path = three / f"three.{file}"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    refused = refusal(read_campaign, three / "three.toml")
+    assert refused.startswith(str(three)) and place in refused and says in refused
+
+
+def rows(three, header, *cells):
+    (three / "three.csv").write_text(
+        "\n".join([f"label,kind,signal,sigma,{header}", *cells]) + "\n"
+    )
+    return read_campaign(three / "three.toml")
+
+
+def test_each_kind_of_reading_leaves_the_others_cells_empty(three):
+    read = rows(
+        three, "n_gap,acceptance_deg", "air,light,14.3,0.2,1,", "gel,,24.5,0.4,1.46,",
+        "t,transmittance,0.76,0.012,,1", "t wide,transmittance,0.77,0.012,1,30",
+    )  # fmt: skip
+    assert [reading.of_beam for reading in read.measurements.readings] == [False, False, True, True]
+    assert [reading.parameters for reading in read.measurements.readings][2:] == [
+        {"acceptance_deg": 1.0}, {"n_gap": 1.0, "acceptance_deg": 30.0},
+    ]  # fmt: skip
+    assert read.beam == {"beam_diameter_mm": 3.0, "beam_axis": "x", "acceptance_deg": 5.0}
+    assert read.values["acceptance_deg"] == 5.0 and "acceptance_deg" not in read.scene.parameters
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "says"),
+    [
+        ("n_gap,acceptance_deg", ["1,5", "1.46,", ",5"], "line 2, column acceptance_deg"),
+        ("n_gap,acceptance_deg", ["1,", "1.46,", ","], "line 4, column acceptance_deg: the cell"),
+        ("n_gap,acceptance_deg", ["1,", "1.46,", ",0"], "line 4, column acceptance_deg"),
+        ("n_gap,beam_axis", ["1,", "1.46,", ",w"], "line 4, column beam_axis: beam_axis = w"),
+        ("n_gap,aperture_radius_mm", ["1,14", "1.46,14", ",7"], "column aperture_radius_mm"),
+        ("n_gap,crystal_height_mm", ["1,10", "1.46,10", ",2"], "line 4: the beam is 3 mm wide"),
+    ],
+)
+def test_bad_cells_beside_transmittances_are_refused(three, header, row, says):
+    starts = ("air,light,14.3,0.2,", "gel,light,24.5,0.4,", "t,transmittance,0.76,0.012,")
+    cells = [start + cell for start, cell in zip(starts, row, strict=True)]
+    assert says in refusal(rows, three, header, *cells)
+
+
+def test_a_transmittance_has_no_histogram(three):
+    cells = ["air,light,14.3,0.2,1,", "t,transmittance,,,,three.csv"]
+    refused = refusal(rows, three, "n_gap,histogram", *cells)
+    assert "line 3, column histogram" in refused and "give its signal and sigma" in refused
+
+
+def test_the_schema_knows_the_beam(three):
+    jsonschema = pytest.importorskip("jsonschema")
+    known = jsonschema.Draft7Validator(json_schema())
+    text = (three / "three.toml").read_text()
+    assert known.is_valid(tomllib.loads(text))
+    for old, new in (("deg = 5.0", "deg = 0"), ("deg = 5.0", "deg = 120"), ('"x"', '"w"')):
+        assert not known.is_valid(tomllib.loads(text.replace(old, new))), new
+
+
+def test_a_liquid_without_a_parameter_cannot_be_left_out_of_the_beam(three):
+    scene = (three / "three.xml").read_text().replace("$n_gap", "1.46")
+    (three / "three.xml").write_text(scene.replace('<default name="n_gap" value="1.00"/>', ""))
+    cells = "air,light,14.3,0.2,1", "t,transmittance,0.76,0.012,1"
+    refused = refusal(rows, three, "crystal_height_mm", *cells)
+    assert "three.xml" in refused and "name the liquid's index as a parameter n_gap" in refused

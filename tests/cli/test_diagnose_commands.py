@@ -17,6 +17,7 @@ from mcrim_mitsuba.inference import repair as repairing
 from mcrim_mitsuba.inference.compare import Compared
 from mcrim_mitsuba.inference.diagnose import Diagnosed
 from mcrim_mitsuba.inference.repair import Repaired
+from mcrim_mitsuba.output import findings
 from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
 from mcrim_mitsuba.output.fit_figures import draw_comparison
 
@@ -104,6 +105,10 @@ def test_compare_says_what_chi2_means(mcrim, campaign, found, p_value, says, fol
     assert "before physics is blamed" not in out
 
 
+AVERAGED = (
+    "Light yield: 7.7 ± 0.9 ph/keV (within models 0.78, between them 0.36), averaged over all "
+    "that the readings allow; 7.52 ± 0.20 with surface_absorption (70 %)"
+)
 FIRST_LINES = {
     "missing_effect": "missing_effect: surface_absorption (surface_loss = 0.0123 ± 0.0008) "
     "explains the misfit: chi2 64.2 -> 12.1 (ndf 11, p = 0.44)",
@@ -126,17 +131,22 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
     found["diagnose"] = replace(found["diagnose"], diagnosis=by.diagnosis(verdict))
     out = mcrim.shown("diagnose", campaign)
     lines = out.splitlines()
-    assert lines[0] == FIRST_LINES[verdict]
+    assert lines[0] == AVERAGED
+    assert lines[1] == FIRST_LINES[verdict]
     assert lines[-1].startswith(LAST_LINES[verdict])
     assert row_of(out, by.FIRST) == [
-        by.FIRST, "52.1 ± 0.8", "0.44", "2e-08", "surface_loss = 0.0123 ± 0.0008", "usual size",
-        "1.3", "2.1", "-52.1", "7.52 (-9.5 %)", by.SECOND,
+        by.FIRST, "70 %", "surface_loss = 0.0123 ± 0.0008", "usual size", "7.52 (-9.5 %)",
+        "52.1 ± 0.8", "0.44", "1.3",
     ]  # fmt: skip
-    assert row_of(out, by.SECOND)[5] == "unusual size"
-    assert row_of(out, "gap_absorption")[4:6] == [
+    assert row_of(out, by.SECOND)[3] == "unusual size"
+    assert row_of(out, "gap_absorption")[2:4] == [
         "gap_absorption_per_cm = 20, at its bound", "end of its range",
     ]  # fmt: skip
-    assert row_of(out, by.OFF)[1:6:2] == ["-2.2 ± 0.8", "2e-08", "on or off"]
+    assert row_of(out, by.OFF)[1:6:2] == ["", "on or off", "-2.2 ± 0.8"]
+    named = verdict in ("missing_effect", "ambiguous")
+    assert ("How to look for it, without a fit:" in lines) == named
+    assert (f"- {by.FIRST}: Polish it again." in lines) == named
+    assert "By family: surface 70 %, gap 29 %, nothing missing 1 %" in lines
     assert "not tried: saturation: excluded" in lines
     assert ("what the readings allow" in out) == (verdict == "adequate")
     if verdict == "adequate":
@@ -159,7 +169,7 @@ def test_a_pair_and_suspect_readings_are_named(mcrim, campaign, found):
     pair = by.diagnosis("missing_effect", pairs=(by.PAIR,), leading_sets=((by.FIRST, by.SECOND),))
     found["diagnose"] = replace(found["diagnose"], diagnosis=pair)
     out = mcrim.shown("diagnose", campaign)
-    assert out.startswith(
+    assert out.splitlines()[1].startswith(
         "missing_effect: surface_absorption and gap_bubble (surface_loss = 0.0100 ± 0.0010; "
         "bubble_fraction = 0.100 ± 0.020) explain the misfit: chi2 64.2 -> 9.2"
     )
@@ -181,9 +191,49 @@ def test_repair_shows_the_error_fall_and_how_to_go_on(mcrim, campaign, found):
         "step 1, + surface_absorption: chi2 / ndf 12.1 / 11 = 1.1, p = 0.36, rms pull 0.9, "
         "left-out error 1.1, light yield (ph/keV) 7.52 ± 0.22, alpha_scat 0.543 ± 0.021 /cm",
     ]
-    assert lines[2] == FIRST_LINES["missing_effect"]
+    assert lines[2:4] == [AVERAGED, FIRST_LINES["missing_effect"]]
     assert row_of(out, "surface_loss")[1] == "0.0123 ± 0.0008"
     assert lines[-1] == "new.toml and new.xml were written. Next: mcrim calibrate new.toml"
+
+
+def test_an_unusual_size_is_told_and_not_added(mcrim, campaign, found):
+    aside = by.diagnosis(
+        "ambiguous", leading_sets=((by.SECOND,), (by.FIRST,)), set_aside=(by.SECOND,),
+        next_measurements=(), repair=by.STEPS[:1],
+    )  # fmt: skip
+    told = (
+        "The likeliest explanation, gap_bubble (bubble_fraction = 0.200 ± 0.010), has a size that "
+        "a laboratory does not usually meet, and is not added. If you have seen it, say --effect "
+        "gap_bubble."
+    )
+    found["diagnose"] = replace(found["diagnose"], diagnosis=aside)
+    lines = mcrim.shown("diagnose", campaign).splitlines()
+    assert told in lines and "--effect gap_bubble -o" in lines[-1]
+    found["repair"] = Repaired(
+        found["diagnose"], (), by.calibration(), None, None, by.PROVENANCE, None, None,
+    )  # fmt: skip
+    lines = mcrim.shown("repair", campaign, "-o", "new.toml").splitlines()
+    assert told in lines and "Nothing was added, and no file written." in lines
+    usual = replace(found["diagnose"], diagnosis=by.diagnosis("missing_effect"))
+    found["repair"] = replace(
+        found["repair"], diagnosed=usual, undetermined="the readings do not determine scale"
+    )
+    out = mcrim.shown("repair", campaign, "-o", "new.toml")
+    assert "With surface_absorption, the readings do not determine scale: diagnose says" in out
+
+
+def test_what_is_alike_is_said_by_family():
+    leading = (by.CANDIDATES[0], by.CANDIDATES[1])
+    families = {f"effect_{i}": "gap" if i < 4 else "bulk" if i < 6 else "light" for i in range(7)}
+    alike = [
+        replace(by.CANDIDATES[3], effect=n, effects=(n,), family=f) for n, f in families.items()
+    ]
+    first, second = (replace(one, mimics=tuple(families)) for one in leading)
+    found = by.diagnosis("ambiguous", candidates=(first, second, *alike))
+    assert findings.mistakable(found) == (
+        "By these readings surface_absorption and gap_bubble could be mistaken for each other, "
+        "effect_6 or one of gap (4), bulk (2)."
+    )
 
 
 def test_repair_says_where_nothing_was_added(mcrim, campaign, found):

@@ -72,7 +72,7 @@ def added(scene, *names):
 
 def test_every_effect_of_the_definitions_is_there():
     assert list(KNOWN) == list(BUILT_IN)
-    assert len(KNOWN) == 24
+    assert len(KNOWN) == 25
     for name, effect in KNOWN.items():
         assert effect.name == name
         assert (
@@ -91,6 +91,7 @@ def test_every_effect_of_the_definitions_is_there():
         "gap_absorption_per_cm": (0, 20), "bubble_fraction": (0, 0.6),
         "top_reflectance": (0, 0.99), "detector_reflectance": (0, 0.5),
         "angular_falloff": (0, 1), "radial_falloff": (0, 1), "chamfer_mm": (0, 1),
+        "acceptance_deg": (-89, 89),
         "background": (-math.inf, math.inf), "saturation": (0, 0.05),
     }  # fmt: skip
 

@@ -17,6 +17,7 @@ from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR, ResponseMaker
 from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.repair import repair
+from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
 from mcrim_mitsuba.transport.launch_plan import LANES
 from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -182,3 +183,82 @@ def test_a_mended_campaign_says_the_same_by_every_command(campaign, tmp_path, mo
         own = {"n_gap": n, "aperture_radius_mm": radius, "crystal_height_mm": height}
         found = Simulation(scene.with_overrides(own), check=False).collect(300_000, seed=99)
         assert abs(found.eta - row.eta) < 4.5 * math.hypot(found.eta_sigma, row.eta_sigma)
+
+
+# ---- a beam through the crystal ----
+
+_AT = {"alpha_scat_per_cm": 0.3, "alpha_abs_per_cm": 0.02, "scale": 1.0}
+
+
+@pytest.fixture(scope="module")
+def with_beam(tmp_path_factory):
+    """A campaign with a transmittance, whose acceptance is fitted."""
+    folder = tmp_path_factory.mktemp("beam")
+    (folder / "readings.csv").write_text(
+        "label,kind,signal,sigma,n_gap\nair,light,14.3,0.2,1\ngel,light,24.5,0.4,1.46\n"
+        "t,transmittance,0.76,0.012,\n"
+    )
+    (folder / "campaign.toml").write_text(
+        f'scene = "{SCENE}"\nmeasurements = "readings.csv"\n'
+        "[parameters.alpha_scat_per_cm]\nmin = 0.002\nmax = 5\n"
+        "[parameters.alpha_abs_per_cm]\nprior = 0.02\nprior_sigma = 0.01\n"
+    )
+    return read_campaign(folder / "campaign.toml")
+
+
+@pytest.fixture(scope="module", params=["fitted", "forward_beam"])
+def of_acceptance(request, with_beam, tmp_path_factory):
+    """Models with more effects, where the acceptance is a fitted parameter, or an effect."""
+    campaign, own = with_beam, ["forward_beam"]
+    if request.param == "fitted":
+        folder = with_beam.path.parent
+        text = with_beam.path.read_text() + "[parameters.acceptance_deg]\nmin = 1\nmax = 30\n"
+        (folder / "fitted.toml").write_text(text)
+        campaign, own = read_campaign(folder / "fitted.toml"), []
+    known = campaign.catalogue
+    effects = [known[name] for name in (*own, "surface_roughness", "crystal_index")]
+    made = ResponseMaker(campaign, Run(2 * LANES, check=False)).make(effects)
+
+    def model(*names):
+        more = campaign.with_effects([*own, *names])
+        return ResponseModel(more, made, more.switched_on)
+
+    return model
+
+
+@pytest.mark.parametrize(
+    ("effect", "size"),
+    [
+        (None, {}),
+        ("surface_roughness", {"roughness_alpha": 0.03}),
+        ("crystal_index", {"n_crystal": 2.06}),
+    ],
+)
+@pytest.mark.parametrize("angle", [1.3, 4.0, 12.0])
+def test_a_fitted_acceptance_acts_as_in_the_scene(with_beam, of_acceptance, effect, size, angle):
+    model = of_acceptance(*[effect] if effect else [])
+    values = {**_AT, **size, "acceptance_deg": angle}
+    theta = np.array([values[p.name] for p in model.free])
+    found = model.predict(theta, check=True)
+    scene = (
+        with_beam.scene
+        if not effect
+        else with_beam.scene.edited(add(effect, with_beam.scene, size))
+    )
+    values.pop("scale")
+    beam = spectrophotometer_of(scene).with_overrides(values)
+    directly = Simulation(beam, check=False).collect(2 * LANES, seed=5)
+    error = math.hypot(found.eta_sigma[2], directly.eta_sigma, found.interpolation_error[2])
+    assert abs(found.eta[2] - directly.eta) < 4.5 * error < 0.03
+    # the bench does not know it, and the scale acts on light only
+    place = [p.name for p in model.free].index("acceptance_deg")
+    assert found.signal_slopes[:2, place] == pytest.approx(0.0, abs=1e-12)
+    assert found.signal_slopes[2, [p.name for p in model.free].index("scale")] == 0.0
+    step = np.zeros(len(theta))
+    step[place] = 0.01
+    upper, lower = (model.predict(theta + sign * step).signal[2] for sign in (1, -1))
+    assert found.signal_slopes[2, place] == pytest.approx(
+        (upper - lower) / 0.02, rel=1e-3, abs=1e-6
+    )
+    many = model.predict_many(np.stack([theta, theta + step]))
+    assert many[0] == pytest.approx(found.signal, rel=1e-9)
