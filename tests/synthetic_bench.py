@@ -43,7 +43,7 @@ _HEIGHT = COLUMNS["crystal_height_mm"]
 _FILLED = (COLUMNS["n_gap"] > 1.0005).astype(float)
 
 
-EFFECTS = catalogue()
+EFFECTS = {name: effect for name, effect in catalogue().items() if not effect.of_beam}
 SCENE = {"n_crystal": 2.01}
 
 
