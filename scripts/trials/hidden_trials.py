@@ -548,7 +548,11 @@ def diagnose_and_repair(
     from mcrim_mitsuba.core.run import Run
     from mcrim_mitsuba.inference.repair import repair
 
-    found = repair(campaign, run=Run(photons, threads=threads))
+    run = Run(photons, threads=threads)
+    found = repair(campaign, run=run)
+    if set_aside := found.diagnosed.diagnosis.set_aside:
+        # larger than usual, as much of what is hidden: somebody looked for it, and it is there
+        found = repair(campaign, effect=set_aside, run=run)
     said = plain(found.diagnosed.diagnosis)
     said["baseline"] |= found.diagnosed.baseline.to_json()
     return said | {
