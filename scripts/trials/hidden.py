@@ -29,7 +29,8 @@ from trials.hidden_trials import EFFECTS, KINDS, TABLES, TOO_SMALL, draw_and_run
 from trials.truth import unfinished
 
 #: Trials of every kind, if not asked otherwise.
-TRIALS = {"single": 64, "none": 60, "pairs": 24, "outsiders": 21, "mimic": 6, "too_small": 6}
+TRIALS = {"single": 64, "none": 60, "pairs": 24, "outsiders": 21, "mimic": 6, "too_small": 6,
+          "beam": 12}  # fmt: skip
 _ORDER = (*EFFECTS, *TOO_SMALL)
 _COLUMNS = (
     ("trial", 13), ("hidden", 44), ("excess", 6), ("verdict", 14), ("first", 22),

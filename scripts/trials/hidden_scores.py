@@ -34,9 +34,9 @@ class Rate(NamedTuple):
 
 def rates(trials: Sequence[dict]) -> list[Rate]:
     """Every point that trials, as `hidden_trials.run_trial` gives them, can answer."""
-    single, none, pairs, outsiders, mimics, too_small = (
+    single, none, pairs, outsiders, mimics, too_small, beam = (
         [t for t in trials if t["kind"] == kind]
-        for kind in ("single", "none", "pairs", "outsiders", "mimic", "too_small")
+        for kind in ("single", "none", "pairs", "outsiders", "mimic", "too_small", "beam")
     )
     right = [t for t in single if t["first"] == t["what"]]
     off = [t for t in right if not _close(t["pulls_before"])]
@@ -79,6 +79,10 @@ def rates(trials: Sequence[dict]) -> list[Rate]:
              lambda t: t["verdict"] == "adequate" or t["what"] in t["leading"]),
         rate("effect too small to see: limit holds the truth",
              [t for t in too_small if t["limits"]], _limit_holds),
+        rate("with a transmittance: haze and roughness told apart", beam, _told_apart, 0.8),
+        rate("  first place right", beam, lambda t: t["first"] == t["what"]),
+        rate(f"  repaired: within {CLOSE:g} sigma", beam, _close_after),
+        rate(f"  unrepaired: within {CLOSE:g} sigma", beam, lambda t: _close(t["pulls_before"])),
     ]  # fmt: skip
     return [each for each in made if each.trials]
 
@@ -94,6 +98,16 @@ def _close(pulls: dict[str, float]) -> bool:
 
 def _close_after(trial: dict) -> bool:
     return _close(trial["pulls_after"])
+
+
+def _told_apart(trial: dict) -> bool:
+    """Whether what is hidden leads, and of haze and roughness of faces the other does not."""
+    rough = trial["what"] == "surface_roughness"
+    others = [
+        name for name in trial["leading"]
+        if (name == "surface_haze" if rough else name.endswith("_roughness"))
+    ]  # fmt: skip
+    return trial["what"] in trial["leading"] and not others
 
 
 def _limit_holds(trial: dict) -> bool:
@@ -135,7 +149,7 @@ def as_markdown(trials: Sequence[dict], order: Sequence[str]) -> str:
     # effects of the catalogue together
     found: dict[str, Counter] = {}
     for trial in trials:
-        name = trial["what"] if trial["kind"] in ("outsiders", "mimic") else trial["kind"]
+        name = trial["what"] if trial["kind"] in ("outsiders", "mimic", "beam") else trial["kind"]
         found.setdefault(name, Counter())[trial["verdict"]] += 1
     words = list(dict.fromkeys(word for counts in found.values() for word in counts))
     shown = [[name, *(str(counts[word] or "") for word in words)] for name, counts in found.items()]

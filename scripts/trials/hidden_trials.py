@@ -8,9 +8,10 @@ pairs      two effects, either of which leaves an excess of 30 at least if fitte
 outsiders  what the catalogue does not have: gel crept up the sides, two rows swapped, a bad reading
 mimic      a black spot on the top face, which the catalogue can mimic
 too_small  effects at the ends of their ranges that cannot reach an excess of 50
+beam       haze or roughness of the faces, in campaigns with a transmittance as well
 
 The expected excess is what hides in a campaign's chi2: noise-free readings fitted with the plain
-bench, which is the tracer's here too.
+bench, which is the tracer's here too. Of a transmittance it holds nothing.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import math
 import tempfile
 import time
 import tomllib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -34,11 +35,17 @@ from shared import SCENE
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.files import plain, write_text
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.tracer import trace
 from trials.hidden_histories import COLUMNS, READINGS, HistoryStore
 from trials.truth import PRIOR_SIGMA_PER_CM, TRUE_ALPHA_SCAT_PER_CM, draw_absorption_and_scale
 
 #: Relative standard error of a reading, the tracer's own apart.
 READING_SIGMA = 0.007
+#: The same of a transmittance, within this half angle of a beam so wide.
+TRANSMITTANCE_SIGMA, ACCEPTANCE_DEG, BEAM_DIAMETER_MM = 0.01, 5.0, 3.0
+#: Photons of the tracer's beam: a quarter of that error at 0.3 of the beam transmitted.
+_BEAM_PHOTONS = 40_000
 #: What turns the scale into a light yield; without an error, which would blur the pulls.
 ENERGY_KEV, DETECTOR_EFFICIENCY = 59.5, 0.127
 #: Sizes of the readings' effects are relative: a background to the smallest reading, a saturation
@@ -54,7 +61,7 @@ _PLAIN_RANGES, _PLAIN_NODES = ((0.05, 4.5), (0.001, 0.12)), (11, 4)
 _EFFECT_RANGES, _EFFECT_NODES = ((0.12, 1.6), (0.001, 0.12)), (6, 3)
 # how far beyond the sizes on offer an effect may go when it is fitted, straight on
 _REACH = 2.5
-KINDS = ("single", "none", "pairs", "outsiders", "mimic", "too_small")
+KINDS = ("single", "none", "pairs", "outsiders", "mimic", "too_small", "beam")
 #: Ways to be an outsider, in turn; the last two spoil readings instead of the bench.
 GEL_CREEP, SWAPPED_ROWS, BAD_READING = "gel_creep", "swapped_rows", "bad_reading"
 OUTSIDERS_IN_TURN = (GEL_CREEP, SWAPPED_ROWS, BAD_READING)
@@ -74,12 +81,13 @@ class HiddenEffect(NamedTuple):
 
 
 TABLES = tomllib.loads(Path(__file__).with_name("hidden.toml").read_text(encoding="utf-8"))
-#: Effects that can reach an excess of 50, those that cannot, and what the catalogue does not have.
-EFFECTS, TOO_SMALL, OUTSIDERS = (
+#: Effects that can reach an excess of 50, those that cannot, those that a transmittance tells
+#: apart, and what the catalogue does not have.
+EFFECTS, TOO_SMALL, BESIDE_BEAM, OUTSIDERS = (
     {name: HiddenEffect(known[0], tuple(known[1:])) for name, known in TABLES[kind].items()}
-    for kind in ("effects", "too_small", "outsiders")
+    for kind in ("effects", "too_small", "beside_beam", "outsiders")
 )
-_ALL = EFFECTS | TOO_SMALL | OUTSIDERS
+_ALL = BESIDE_BEAM | EFFECTS | TOO_SMALL | OUTSIDERS
 
 #: What is hidden: effects and their sizes.
 Hidden = tuple[tuple[str, float | bool], ...]
@@ -88,9 +96,9 @@ Hidden = tuple[tuple[str, float | bool], ...]
 PAIRS: tuple[Hidden, ...] = tuple(tuple(map(tuple, pair)) for pair in TABLES["pairs"])
 
 
-def hidden_alone(effects: Iterable[str]) -> list[Hidden]:
+def hidden_alone(effects: Iterable[str], known: Mapping[str, HiddenEffect] = _ALL) -> list[Hidden]:
     """Every size of effects, one at a time."""
-    return [((name, size),) for name in effects for size in _ALL[name].sizes]
+    return [((name, size),) for name in effects for size in known[name].sizes]
 
 
 @dataclass(frozen=True)
@@ -112,7 +120,7 @@ class Readings:
     """Readings (readings,) as they would be without errors of measurement.
 
     Sigma holds the error of measurement and the tracer's; `light` is the signal without effects
-    of the readings.
+    of the readings. Where there is a transmittance it is the last.
     """
 
     signal: Array
@@ -160,6 +168,19 @@ def readings_of(store: HistoryStore, hidden: Hidden, truth: Truth) -> Readings:
     signal, slope = distort(own, light)
     sigma = np.hypot(READING_SIGMA * signal, slope * light * relative)
     return Readings(signal, sigma, light)
+
+
+def with_transmittance(readings: Readings, hidden: Hidden, truth: Truth, seed: int) -> Readings:
+    """Readings with the transmittance of the same crystal, without error of measurement, last."""
+    beam = Bench(
+        alpha_scat_per_cm=truth.alpha_scat_per_cm, alpha_abs_per_cm=truth.alpha_abs_per_cm,
+        beam_diameter_mm=BEAM_DIAMETER_MM, acceptance_deg=ACCEPTANCE_DEG, **changes_of(hidden),
+    )  # fmt: skip
+    found = trace(beam, _BEAM_PHOTONS, seed)
+    sigma = math.hypot(TRANSMITTANCE_SIGMA * found.eta, found.eta_sigma)
+    return Readings(
+        np.append(readings.signal, found.eta), np.append(readings.sigma, sigma), readings.light
+    )
 
 
 class LogEta:
@@ -218,7 +239,8 @@ class Excess:
             light = np.exp(x[2] + self._plain(x[0], x[1])[0])
             if effect is not None:
                 light = self._with(effect)(light, *x[[0, 1, 3]])
-            pulls = (light - readings.signal) / readings.sigma
+            of_light = slice(len(light))
+            pulls = (light - readings.signal[of_light]) / readings.sigma[of_light]
             return np.append(pulls, (x[1] - truth.alpha_abs_per_cm) / PRIOR_SIGMA_PER_CM)
 
         lows = [math.log(range_per_cm[0]), 0.001, -math.inf]
@@ -268,17 +290,27 @@ def _place(effect: str, size: float) -> float:
 def write_campaign(folder: Path, name: str, signal: Array, sigma: Array, truth: Truth) -> Path:
     """Write what a laboratory would: readings and a campaign; returns the campaign's file.
 
-    Of the truth only the measured absorption is written; signal and sigma are (readings,).
+    Of the truth only the measured absorption is written; signal and sigma are (readings,), or one
+    more with a transmittance.
     """
-    lines = ["# 59.5 keV, photoelectrons per event", "label,signal,sigma," + ",".join(COLUMNS)]
-    for label, s, error, row in zip(labels(), signal, sigma, READINGS, strict=True):
-        lines.append(f"{label},{s:.6g},{error:.4g}," + ",".join(f"{value:g}" for value in row))
+    in_beam = len(signal) > len(READINGS)
+    kinds = ["light,", "transmittance,"] if in_beam else ["", ""]
+    lines = [
+        "# 59.5 keV, photoelectrons per event",
+        f"label,{'kind,' * in_beam}signal,sigma," + ",".join(COLUMNS),
+    ]
+    for label, s, error, row in zip(labels(), signal, sigma, READINGS, strict=not in_beam):
+        values = ",".join(f"{value:g}" for value in row)
+        lines.append(f"{label},{kinds[0]}{s:.6g},{error:.4g},{values}")
+    if in_beam:
+        lines.append(f"beam,{kinds[1]}{signal[-1]:.6g},{sigma[-1]:.4g}" + "," * len(COLUMNS))
     write_text(folder / f"{name}.csv", "\n".join(lines) + "\n")
     campaign = folder / f"{name}.toml"
+    beam = f"[beam]\nbeam_diameter_mm = {BEAM_DIAMETER_MM}\nacceptance_deg = {ACCEPTANCE_DEG}\n\n"
     prior = f"prior = {truth.prior_per_cm:.5f}\nprior_sigma = {PRIOR_SIGMA_PER_CM}\n"
     write_text(
         campaign,
-        f'scene = "{SCENE.as_posix()}"\nmeasurements = "{name}.csv"\n\n'
+        f'scene = "{SCENE.as_posix()}"\nmeasurements = "{name}.csv"\n\n{beam * in_beam}'
         "[parameters.alpha_scat_per_cm]\nstart = 0.5\nmin = 0.001\nmax = 10.0\n\n"
         f"[parameters.alpha_abs_per_cm]\nstart = 0.039\n{prior}\n[light_yield]\n"
         f"energy_keV = {ENERGY_KEV}\ndetector_efficiency = {DETECTOR_EFFICIENCY}\n",
@@ -308,7 +340,7 @@ class Trial:
     It is drawn from its kind, number and seed. Hidden are effects, with their sizes in the
     catalogue's units; spoiled are readings, by their labels; `what` names either, the same for all
     sizes. The excess is that of the noise-free readings' chi2 under the plain bench; signal and
-    sigma are (readings,).
+    sigma are (readings,), the transmittance last where there is one.
     """
 
     kind: str
@@ -343,6 +375,7 @@ class TrialMaker:
             "outsiders": hidden_alone([GEL_CREEP]),
             "mimic": hidden_alone(["black_spot"]),
             "too_small": hidden_alone(TOO_SMALL),
+            "beam": hidden_alone(BESIDE_BEAM, BESIDE_BEAM),
         }
         hidden = [(), *(each for kind in kinds for each in of_kind.get(kind, ()))]
         unlike = dict.fromkeys(tuple(changes_of(each).items()) for each in hidden)
@@ -386,6 +419,12 @@ class TrialMaker:
         hidden = (ends[number % len(ends)],)
         return hidden, (), hidden[0][0], readings_of(self._store, hidden, truth)
 
+    def _beam(self, rng, number: int, truth: Truth):
+        hidden = self._in_turn("beam", hidden_alone(BESIDE_BEAM, BESIDE_BEAM), number)
+        readings = readings_of(self._store, hidden, truth)
+        seed = int(rng.integers(2**31))
+        return hidden, (), hidden[0][0], with_transmittance(readings, hidden, truth, seed)
+
     def _outsiders(self, rng, number: int, truth: Truth):
         what = OUTSIDERS_IN_TURN[number % len(OUTSIDERS_IN_TURN)]
         if what == GEL_CREEP:
@@ -425,7 +464,9 @@ class TrialMaker:
 
     def _noisy(self, rng, kind, number, truth, hidden, spoiled, what, readings) -> Trial:
         """The trial, with errors of measurement; the tracer's are in the readings already."""
-        noise = 1.0 + READING_SIGMA * rng.standard_normal(len(readings.signal))
+        of_readings = np.full(len(readings.signal), READING_SIGMA)
+        of_readings[len(READINGS) :] = TRANSMITTANCE_SIGMA
+        noise = 1.0 + of_readings * rng.standard_normal(len(readings.signal))
         sizes = tuple((name, size_in_units(name, size, readings.light)) for name, size in hidden)
         return Trial(
             kind, number, self._seed, sizes, spoiled, what, truth,
@@ -496,7 +537,11 @@ def diagnose_and_repair(
 ) -> dict:
     """What the package says of a campaign, as `mcrim repair --json` has it; diagnosis_seconds."""
     found = mcrim.repair(campaign, photons=photons, threads=threads)
-    return plain(found.document) | {"diagnosis_seconds": found.diagnosed.provenance.seconds}
+    seconds = found.diagnosed.provenance.seconds
+    if set_aside := found.diagnosed.diagnosis.set_aside:
+        # larger than usual, as much of what is hidden: somebody looked for it, and it is there
+        found = mcrim.repair(campaign, effect=set_aside, photons=photons, threads=threads)
+    return plain(found.document) | {"diagnosis_seconds": seconds}
 
 
 def _pulls(parameters: dict, truth: Truth) -> dict[str, float]:

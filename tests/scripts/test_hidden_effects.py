@@ -11,6 +11,7 @@ from trials import hidden_histories as histories
 from trials import hidden_scores as scores
 from trials import hidden_trials as trials
 
+from mcrim_mitsuba.campaign.campaign import as_campaign
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
@@ -95,6 +96,23 @@ def test_two_effects_are_both_found(run):
     assert found["p_after"] > scores.ACCEPTABLE_P
 
 
+def test_a_transmittance_is_the_last_reading(tmp_path):
+    """That of polished faces has a closed form; the campaign's file says what kind it is."""
+    truth = trials.Truth(0.3, 0.039, 40.0, 0.04)
+    light = np.full(len(histories.READINGS), 10.0)
+    readings = trials.Readings(light, 0.007 * light, light)
+    found = trials.with_transmittance(readings, (), truth, 1)
+    inside, lost = np.exp(-0.339), (1.01 / 3.01) ** 2
+    polished = (1.0 - lost) ** 2 * inside / (1.0 - (lost * inside) ** 2)
+    # little of what is scattered leaves within the acceptance
+    assert found.signal[-1] == pytest.approx(polished, abs=0.01)
+    assert found.sigma[-1] == pytest.approx(trials.TRANSMITTANCE_SIGMA * polished, rel=0.2)
+    written = trials.write_campaign(tmp_path, "beam", found.signal, found.sigma, truth)
+    read = as_campaign(written).measurements.readings
+    assert [one.of_beam for one in read] == [False] * 16 + [True]
+    assert read[-1].signal == pytest.approx(found.signal[-1], rel=1e-5)
+
+
 def a_trial(**changed):
     """A line as `run_trial` makes it: a bubble, found."""
     return {
@@ -118,6 +136,9 @@ def test_rates_and_confusion():
         a_trial(kind="too_small", what="gap_thickness", hidden=[["gap_thickness", 0.5]],
                 verdict="adequate", limits={"gap_thickness": {
                     "parameter": "gap_offset_mm", "lower": None, "upper": 0.4}}),
+        a_trial(kind="beam", what="surface_haze", leading=["surface_haze", "gap_bubble"]),
+        a_trial(kind="beam", what="surface_haze", leading=["surface_haze", "top_roughness"]),
+        a_trial(kind="beam", what="surface_roughness", leading=["surface_haze"]),
     ]  # fmt: skip
     found = {rate.point.strip(): (rate.hits, rate.trials) for rate in scores.rates(lines)}
     assert found["one effect: first place right"] == (1, 2)
@@ -129,6 +150,7 @@ def test_rates_and_confusion():
     assert found["bad reading: named first among the suspects"] == (1, 1)
     assert found["two effects: both found by repair"] == (0, 1)
     assert found["effect too small to see: limit holds the truth"] == (0, 1)
+    assert found["with a transmittance: haze and roughness told apart"] == (1, 3)
     first, matrix = scores.confusion(lines, ["gap_absorption", "gap_bubble"])
     assert first == ["gap_absorption", "gap_bubble"]
     assert matrix == [("gap_bubble", 2, 2, [1, 1])]
