@@ -368,12 +368,13 @@ def _wrong_next(
     name: str, values: Any, scene: SceneFile, parameters: dict[str, CampaignParameter]
 ) -> tuple[str, str] | None:
     """What is wrong with the values of one scene parameter, and how to mend it."""
-    if name not in scene.parameters:
+    own = {**BEAM_PARAMETERS, **scene.parameters}
+    if name not in own:
         return (
             f"{name} is not a parameter of {scene.path.name}",
             did_you_mean(name, [*scene.parameters, NEXT_SIGMA]),
         )
-    if isinstance(scene.parameters[name], (bool, str)):
+    if isinstance(own[name], (bool, str)):
         return f"{name} is not a number", f"remove {name}"
     if name in parameters and not parameters[name].fixed:
         return f"{name} is fitted: a measurement cannot set it", f"remove {name} here"
@@ -387,6 +388,8 @@ def _wrong_next(
             return f"{name} = {value:g}: {wrong[1]}", wrong[2]
         if not math.isfinite(value):
             return f"{name} = {value:g}: not a finite number", "remove it"
+        if (of_beam := refused_of_beam(name, value)) is not None:
+            return of_beam
     return None
 
 

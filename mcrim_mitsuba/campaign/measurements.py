@@ -22,9 +22,9 @@ _HISTOGRAM, _WINDOW = "histogram", ("window_low", "window_high")
 _OPTIONAL = ("use", "group", "group_sigma")
 #: Labels are written into CSV that people open in spreadsheets.
 _FORMULA = re.compile(r"[=@]|[+-][^(|]*[(|]")
-_KIND, LIGHT, TRANSMITTANCE = "kind", "light", "transmittance"
+KIND, LIGHT, TRANSMITTANCE = "kind", "light", "transmittance"
 _SIGNALS = {LIGHT: "light signal", TRANSMITTANCE: TRANSMITTANCE}
-_FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL, _KIND)
+_FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL, KIND)
 _HEADERS = "the header is label,signal,sigma,... or label,histogram,..."
 
 
@@ -153,7 +153,7 @@ def read_table(
         raise InputError(problem, mend, path=path, line=lines[_MOST_ROWS + 1][0])
     header_line, header = lines[0]
     columns = _read_header(header, scene_parameters, path, header_line)
-    if scene_parameters is not None and _KIND in columns:
+    if scene_parameters is not None and KIND in columns:
         scene_parameters = {**BEAM_PARAMETERS, **scene_parameters}
     rows = tuple(
         _Cells(columns, text, path, line).row(scene_parameters) for line, text in lines[1:]
@@ -196,7 +196,7 @@ def _read_header(
         if name in columns[:position]:
             raise refusal("the column is there twice", "keep one", name)
         if scene_parameters is not None:
-            of_beam = BEAM_PARAMETERS if _KIND in columns else ()
+            of_beam = BEAM_PARAMETERS if KIND in columns else ()
             known = [*_FORMAT, *scene_parameters, *of_beam]
             if name not in known:
                 problem = "neither a column of the format nor a parameter of the scene"
@@ -229,10 +229,10 @@ class _Cells(dict[str, str]):
             problem = f"spreadsheets would take {shown(self['label'])} for a formula"
             raise self.refusal("label", problem, "begin the label with a letter")
         signal, sigma, histogram = math.nan, math.nan, self._histogram()
-        kind = self.get(_KIND) or LIGHT
+        kind = self.get(KIND) or LIGHT
         if kind not in (LIGHT, TRANSMITTANCE):
             raise self.refusal(
-                _KIND, f"kind = {shown(kind)} is neither {LIGHT} nor {TRANSMITTANCE}",
+                KIND, f"kind = {shown(kind)} is neither {LIGHT} nor {TRANSMITTANCE}",
                 f"write one of these; an empty cell means {LIGHT}",
             )  # fmt: skip
         if histogram is None:

@@ -83,7 +83,8 @@ def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
 
 def roughen(editor: SceneEditor, side: str) -> None:
     """Give a side of the crystal (``top``, ``bottom`` or the four ``side`` faces) GGX facets."""
-    box = crystal_box(editor)
+    # which may stand in a beam, without a gap
+    box = crystal_box(editor, (WIDTH, HEIGHT))
     names = [side] if side in box else ["right", "left", "back", "front"]
     faces = [face for name in names for face in box[name]]
     copies: dict[Node, str] = {}
@@ -122,19 +123,20 @@ def rough_copy(editor: SceneEditor, bsdf: Node, side: str) -> str:
 # That a face lies where it should is judged at two sets of parameters, so it also follows them.
 
 
-def refuse_without_box(editor: SceneEditor) -> None:
+def refuse_without_box(editor: SceneEditor, sizes: Iterable[str] = _STRETCH) -> None:
     """Refuse a scene that does not name the sizes of a box and of its gap."""
-    for name in _STRETCH:
+    for name in sizes:
         if not isinstance(editor.scene.parameters.get(name), float):
             raise editor.refusal(f"the scene has no parameter {name}", _FORM)
 
 
-def crystal_box(editor: SceneEditor) -> dict[str, list[Node]]:
+def crystal_box(editor: SceneEditor, sizes: Iterable[str] = _STRETCH) -> dict[str, list[Node]]:
     """The crystal's faces: ``top``, ``bottom``, ``right``, ``left``, ``back``, ``front``.
 
     Two of a face where one is a bubble's; chamfers are left out. A crystal that is not a box of
-    rectangles on z = 0 is refused.
+    rectangles on z = 0 is refused, and a scene that does not name these sizes.
     """
+    refuse_without_box(editor, sizes)
     flat = [face for face in editor.crystal_faces if face.type != "chamfers"]
     faces = _sides(editor, flat, "crystal", lambda p: (0.0, float(p[HEIGHT])))
     for face in faces["bottom"]:
@@ -150,6 +152,7 @@ def gap_sides(editor: SceneEditor) -> list[Node]:
     whole = [shape for shape in found if shape.type == "gap_sides"]
     if whole:
         return whole
+    refuse_without_box(editor)
     faces = _sides(
         editor, [shape for shape in found if shape.type != "frame"], "gap",
         lambda p: (-float(p[GAP]), 0.0), ("right", "left", "back", "front"),
@@ -233,7 +236,6 @@ def _sides(
     names: Iterable[str] = tuple(_AXES),
 ) -> dict[str, list[Node]]:
     """Shapes by the side of a box that they cover."""
-    refuse_without_box(editor)
     states = [(z_range(parameters), parameters, at) for parameters, at in _two_states(editor)]
     found: dict[str, list[Node]] = {name: [] for name in names}
     for shape in shapes:
@@ -280,7 +282,7 @@ def _two_states(
     """Parameters and elements of the scene, and the same with everything stretched."""
     own = editor.scene.parameters
     stretched: dict[str, Value] = {
-        name: float(own[name]) * factor for name, factor in _STRETCH.items()
+        name: float(own[name]) * factor for name, factor in _STRETCH.items() if name in own
     }
     with said_by(editor.refusal):
         yield own, editor.resolved({})

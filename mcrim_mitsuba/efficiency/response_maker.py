@@ -193,7 +193,12 @@ class ResponseMaker:
     @property
     def notes(self) -> list[str]:
         """What the user must know of the cache."""
-        return [*self._cache.notes, *dict.fromkeys(self._said)]
+        return list(self._cache.notes)
+
+    @property
+    def said(self) -> list[str]:
+        """How transmittances were found, by a closed form or not."""
+        return list(dict.fromkeys(self._said))
 
     # ---- what the configurations are ---------------------------------------------------------
 
@@ -340,7 +345,7 @@ class ResponseMaker:
         if effect.filled_only and not filled(run.parameters):
             return False
         if effect.of_beam:
-            return run.of_beam
+            return self._at_own_acceptance(run)
         if effect.name in self._further_parameters():
             return effect.name in run.parameters and not (effect.name == LIQUID and run.of_beam)
         if not run.of_beam:
@@ -350,6 +355,10 @@ class ResponseMaker:
         if with_effect is self.campaign.scene:  # which has it, or its parameters
             return any(p.name in before.parameters for p in effect.parameters)
         return before.content_hash != _beam_of(with_effect).content_hash
+
+    def _at_own_acceptance(self, run: _Simulation) -> bool:
+        """Whether it is of a beam with the campaign's acceptance: others say what theirs is."""
+        return run.of_beam and run.parameters[ACCEPTANCE] == self.campaign.values[ACCEPTANCE]
 
     def _with_effect(self, scene: SceneFile, effect: Effect) -> SceneFile:
         """The scene with an effect in it, where it is not there yet."""
@@ -416,7 +425,7 @@ class ResponseMaker:
                     wanted = self._simulation(scene, values, photons, of_beam=run.of_beam).table()
                 for i, angle in enumerate(angles):
                     place = (*node, row) if angle is None else (*node, i, row)
-                    if angle is None or not run.of_beam:
+                    if angle is None or not self._at_own_acceptance(run):
                         pairs[place] = reference, wanted
                     else:
                         pairs[place] = _within(reference, angle), _within(wanted, angle)

@@ -350,7 +350,7 @@ _MOST = 10
 class NextMeasurement:
     """A configuration that would tell leading effects apart."""
 
-    #: Scene parameters.
+    #: Scene parameters; of a transmittance those of its beam, and ``kind``.
     parameters: dict[str, Value]
     #: Pairs of leading effects that it would tell apart.
     separates: tuple[tuple[str, str], ...]
@@ -367,8 +367,8 @@ class MeasurementProposals:
     #: ``predict(effects, theta)`` gives their (m,) signals and (m, free) slopes, of the model with
     #: these effects at these values of its free parameters.
     predict: Callable[[tuple[str, ...], Array], tuple[Array, Array]]
-    #: Of a new reading.
-    relative_sigma: float
+    #: Of a new reading; one, or (m,).
+    relative_sigma: float | Array
 
 
 def next_measurements(

@@ -99,7 +99,8 @@ class PlanCandidate:
 class ExpectedError:
     """Expected relative standard error of a parameter."""
 
-    #: By origin: ``events``, ``mountings``, ``prior of NAME`` and, of the light yield,
+    #: By origin: ``events``, ``mountings``, ``prior of NAME`` (a parameter, or the label of a
+    #: transmittance that was measured) and, of the light yield,
     #: ``detector efficiency`` or what makes its error; they add up in quadrature.
     parts: dict[str, float]
 
@@ -319,7 +320,8 @@ def _with_candidates(campaign: Campaign, configurations: Sequence[dict[str, floa
     """
     measured = campaign.measurements
     labels = {reading.label for reading in measured.readings}
-    typical = float(np.mean([reading.signal for reading in measured.readings]))
+    light = [reading.signal for reading in measured.readings if not reading.of_beam]
+    typical = float(np.mean(light)) if light else 1.0
     added = []
     for place, parameters in enumerate(configurations):
         label = f"candidate {place}"
@@ -407,6 +409,11 @@ class Expectation:
         self._candidates, self._scatter = candidates, conditions.mounting_scatter
         self._names = [known.name for known in model.free]
         self._prior_weight = Likelihood(model).prior_weight
+        # transmittances are not measured again: what they told goes on, like priors
+        told = [i for i, r in enumerate(model.readings) if r.of_beam and r.use]
+        sigmas = np.array([model.readings[i].sigma for i in told])
+        self._transmittances = [model.readings[i].label for i in told]
+        self._beam_slopes = prediction.signal_slopes[told] / sigmas[:, None]
 
     def determined(self, chosen: Sequence[int]) -> bool:
         """Whether these configurations, and the priors, determine all parameters."""
@@ -447,6 +454,8 @@ class Expectation:
         }
         for j in np.flatnonzero(weights):
             parts[PRIOR + self._names[j]] = float(abs(covariance[place, j]) * math.sqrt(weights[j]))
+        for label, slopes in zip(self._transmittances, self._beam_slopes, strict=True):
+            parts[PRIOR + label] = float(abs(covariance[place] @ slopes))
         relative = {origin: part / abs(self._theta[place]) for origin, part in parts.items()}
         known = self._model.campaign.light_yield
         if name == SCALE and known is not None:
@@ -463,11 +472,12 @@ class Expectation:
         response : (free, chosen) float64
             J^T C^-1, as `FrozenStatistic.response`.
         information : (free, free) float64
-            Fisher's, priors included.
+            Fisher's, priors and transmittances included.
         """
         slopes = self._prediction.signal_slopes[self._rows(chosen)]
         weighted = cho_solve(cho_factor(np.diag((relative * self._signal(chosen)) ** 2)), slopes)
-        return weighted.T, slopes.T @ weighted + np.diag(self._prior_weight)
+        known = np.diag(self._prior_weight) + self._beam_slopes.T @ self._beam_slopes
+        return weighted.T, slopes.T @ weighted + known
 
     def _signal(self, chosen: Sequence[int]) -> Array:
         return self._prediction.signal[self._rows(chosen)]

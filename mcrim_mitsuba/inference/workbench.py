@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, cached_property
 from itertools import product
@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 
 from mcrim_mitsuba.campaign.campaign import Campaign
-from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE, Reading
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
@@ -23,12 +23,21 @@ from mcrim_mitsuba.efficiency.responses import Responses
 from mcrim_mitsuba.inference.candidates import MeasurementProposals
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.scene.spectrophotometer import (
+    ACCEPTANCE,
+    BEAM_AXIS,
+    BEAM_PARAMETERS,
+    spectrophotometer_of,
+    too_wide,
+)
 
 #: What may be proposed where a campaign does not say: liquids and apertures with each other, and
 #: other gaps and crystals with each of two liquids.
 USUAL_LIQUIDS, USUAL_APERTURES_MM = (1.0, 1.333, 1.46, 1.515, 1.74), (14.0, 7.0, 4.0)
 USUAL_FURTHER = {"gap_mm": (0.5,), "crystal_height_mm": (20.0, 2.0)}
 
+#: Transmittances, where there is one already: within other angles, and through a long crystal.
+USUAL_ACCEPTANCES_DEG, _LONG = (1.0, 30.0), ("crystal_height_mm", 20.0)
 #: Part of the photons that simulations of proposed measurements get: they decide nothing.
 PROPOSED_PART = 0.25
 #: How far, in its standard errors, a parameter may move when the effects are simulated together
@@ -130,19 +139,43 @@ class Workbench:
 
     def proposals(self) -> MeasurementProposals:
         """What could be measured next; it is simulated when it is asked for."""
-        configurations = self._not_measured()
+        light, beams = self._not_measured()
+        asked = [self._proposed(each) for each in (light, beams) if each]
+
+        def predict(effects: tuple[str, ...], theta: Array) -> tuple[Array, Array]:
+            signals, slopes = zip(*(each(effects, theta) for each in asked), strict=True)
+            return np.concatenate(signals), np.concatenate(slopes)
+
+        sigmas = [self._usual_sigma(of_beam=False)] * len(light)
+        sigmas += [self._usual_sigma(of_beam=True)] * len(beams)
+        return MeasurementProposals([*light, *beams], predict, np.array(sigmas))
+
+    def _usual_sigma(self, *, of_beam: bool) -> float:
+        """Relative error of a proposed reading of a kind."""
+        given = self.campaign.next_measurements.get("sigma_relative")
+        if given is not None and not of_beam:
+            return float(given)
+        rows = self.campaign.measurements.in_use
+        used = [r.sigma / r.signal for r in rows if r.of_beam == of_beam]
+        return float(np.median(used)) if used else _USUAL_SIGMA
+
+    def _proposed(
+        self, configurations: Sequence[Mapping[str, Value]]
+    ) -> Callable[[tuple[str, ...], Array], tuple[Array, Array]]:
+        """See `MeasurementProposals.predict`, of configurations of one kind."""
         readings = tuple(
             Reading(
-                label=", ".join(f"{n} = {v:g}" for n, v in each.items()), signal=1.0, sigma=1.0,
-                parameters=dict(each), use=True, group=None, group_sigma=None, line=0,
+                label=", ".join(f"{n} = {v}" for n, v in each.items()), signal=1.0, sigma=1.0,
+                parameters={n: v for n, v in each.items() if n != KIND},
+                kind=str(each.get(KIND, LIGHT)),
             )
             for each in configurations
         )  # fmt: skip
-        measured = self.campaign.measurements
-        columns = tuple(dict.fromkeys(name for each in configurations for name in each))
-        proposed = replace(
-            self.campaign, measurements=replace(measured, columns=columns, readings=readings)
-        )
+        # no columns: what one proposal changes may be fitted to the others
+        measured = replace(self.campaign.measurements, columns=(), readings=readings)
+        proposed = replace(self.campaign, measurements=measured)
+        if readings[0].of_beam:
+            proposed = replace(proposed, beam={**BEAM_PARAMETERS, **self.campaign.beam})
 
         @cache
         def maker() -> ResponseMaker:
@@ -154,36 +187,38 @@ class Workbench:
             prediction = ResponseModel(campaign, responses, campaign.switched_on).predict(theta)
             return prediction.signal, prediction.signal_slopes
 
-        sigma = self.campaign.next_measurements.get("sigma_relative")
-        if sigma is None:
-            used = [r.sigma / r.signal for r in measured.in_use]
-            sigma = np.median(used) if used else _USUAL_SIGMA
-        return MeasurementProposals(configurations, predict, float(sigma))
+        return predict
 
-    def _not_measured(self) -> list[dict[str, Value]]:
-        """Configurations that the laboratory can build and did not measure."""
-        measured = [reading.parameters for reading in self.campaign.measurements.readings]
-        scene = self.campaign.values
+    def _not_measured(self) -> tuple[list[dict[str, Value]], list[dict[str, Value]]]:
+        """What the laboratory can build and did not measure: of light, and transmittances."""
+        campaign = self.campaign
+        scene: dict[str, Value] = {**BEAM_PARAMETERS, **campaign.values}
 
-        def known(proposal: Mapping[str, Value]) -> bool:
-            return any(
-                all(proposal.get(n, scene[n]) == row.get(n, scene[n]) for n in {*proposal, *row})
+        def new(proposal: Mapping[str, Value]) -> bool:
+            measured = (
+                {KIND: reading.kind, **reading.parameters}
+                for reading in campaign.measurements.readings
+            )
+            own = {KIND: LIGHT, **proposal}
+            return not any(
+                all(own.get(n, scene.get(n)) == row.get(n, scene.get(n)) for n in {*own, *row})
                 for row in measured
             )
 
-        found = [p for p in _buildable(self.campaign) if not known(p)]
+        found = [p for p in _buildable(campaign) if new(p)]
         if len(found) > MOST_PROPOSALS:
             self.notes.append(
                 f"of {len(found)} configurations that could be measured next, {MOST_PROPOSALS} "
                 "were looked at: restrict [next_measurements]"
             )
-        return found[:MOST_PROPOSALS]
+        return found[:MOST_PROPOSALS], [p for p in _beams(campaign) if new(p)][:MOST_PROPOSALS]
 
     def provenance(self) -> Provenance:
         """What was spent so far."""
         from mcrim_mitsuba.transport.variants import versions
 
         of_caches = [note for maker in self._makers for note in maker.notes]
+        of_caches += self.own_maker.said
         return Provenance(
             seed=self.run.seed,
             photons=sum(maker.photons for maker in self._makers),
@@ -229,7 +264,9 @@ def _buildable(campaign: Campaign) -> list[dict[str, Value]]:
     """Configurations that may be proposed, each as what differs from the scene."""
     scene = campaign.scene.parameters
     given = {name: v for name, v in campaign.next_measurements.items() if name in scene}
-    if given:
+    if given or BEAM_PARAMETERS.keys() & campaign.next_measurements.keys():
+        if not given:
+            return []
         return [dict(zip(given, values, strict=True)) for values in product(*given.values())]
     found: list[dict[str, Value]] = []
     if "n_gap" in scene and "aperture_radius_mm" in scene:
@@ -239,3 +276,31 @@ def _buildable(campaign: Campaign) -> list[dict[str, Value]]:
         if name in scene and "n_gap" in scene:
             found += [{"n_gap": n, name: v} for n in (1.0, 1.46) for v in values]
     return found
+
+
+def _beams(campaign: Campaign) -> list[dict[str, Value]]:
+    """Transmittances that may be proposed, each as what tells it from the campaign's own."""
+    allowed = campaign.next_measurements
+    given = {name: values for name, values in allowed.items() if name in BEAM_PARAMETERS}
+    if not given and any(name in campaign.scene.parameters for name in allowed):
+        return []
+    try:
+        spectrophotometer_of(campaign.scene)
+    except InputError:
+        return []  # the scene does not say enough of its crystal
+    own = {**BEAM_PARAMETERS, **campaign.beam}
+    found: list[dict[str, Value]] = []
+    if given:
+        found = [dict(zip(given, values, strict=True)) for values in product(*given.values())]
+    elif not campaign.beam:
+        found = [{ACCEPTANCE: own[ACCEPTANCE]}]
+    else:
+        found = [{ACCEPTANCE: angle} for angle in USUAL_ACCEPTANCES_DEG]
+        other = "x" if own[BEAM_AXIS] == "z" else "z"
+        same = {ACCEPTANCE: own[ACCEPTANCE]}
+        found += [{**same, BEAM_AXIS: other}, {**same, BEAM_AXIS: "z", _LONG[0]: _LONG[1]}]
+    return [
+        {KIND: TRANSMITTANCE, **each}
+        for each in found
+        if too_wide({**campaign.scene.parameters, **own, **each}) is None
+    ]

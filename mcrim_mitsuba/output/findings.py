@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from mcrim_mitsuba.campaign.measurements import KIND, LIGHT
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, unit_of
 from mcrim_mitsuba.core.rounding import (
@@ -32,6 +33,7 @@ from mcrim_mitsuba.inference.plan import (
     Plan,
     Planning,
 )
+from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE, BEAM_AXIS
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.campaign import Campaign
@@ -285,8 +287,16 @@ def limit_text(limit: Limit) -> str:
 
 
 def configuration_text(measurement: NextMeasurement) -> str:
-    """``n_gap = 1.333, aperture_radius_mm = 7``."""
-    return ", ".join(f"{name} = {short_text(v)}" for name, v in measurement.parameters.items())
+    """``n_gap = 1.333, aperture_radius_mm = 7``, or ``transmittance within 5 degrees``."""
+    parameters = dict(measurement.parameters)
+    parts = []
+    if (kind := parameters.pop(KIND, LIGHT)) != LIGHT:
+        along, within = (parameters.pop(name, None) for name in (BEAM_AXIS, ACCEPTANCE))
+        words = [str(kind)]
+        words += [f"along {along}"] if along is not None else []
+        words += [f"within {short_text(within)} degrees"] if within is not None else []
+        parts = [" ".join(words)]
+    return ", ".join([*parts, *(f"{name} = {short_text(v)}" for name, v in parameters.items())])
 
 
 # What a planning found, in sentences.

@@ -23,7 +23,7 @@ from mcrim_mitsuba.reference.geometry import (
     Indices,
     Layout,
     Place,
-    Plane,
+    Plate,
     dot,
 )
 from mcrim_mitsuba.reference.interface import (
@@ -318,7 +318,7 @@ class Flights:
                 self._meet_from_air(flock, met, body, face[met], arrival)
         place[strayed] = Place.LOST
 
-    def _meet_sheet(self, flock: Flock, sheet: Plane, distance: Floats, target: Codes) -> None:
+    def _meet_sheet(self, flock: Flock, sheet: Plate, distance: Floats, target: Codes) -> None:
         """End or reflect photons that meet the sheet above the crystal before any body.
 
         Nothing comes down onto it: light is above it only after having passed it, going up.
@@ -331,7 +331,7 @@ class Flights:
         down = np.repeat([[0.0], [0.0], [-1.0]], who.size, axis=1)
         self._reflect(flock, who, down, self._bench.top_reflectance)
 
-    def _meet_plate(self, flock: Flock, plate: Plane, distance: Floats, target: Codes) -> None:
+    def _meet_plate(self, flock: Flock, plate: Plate, distance: Floats, target: Codes) -> None:
         """Detect or absorb photons that meet the plate in the beam before they meet the crystal.
 
         Nothing comes back onto it: light that has passed it flies on for ever.

@@ -310,7 +310,7 @@ REGIONS = tuple(place for place in Place if place < FIRST_FATE)
 FATES = {place: place.name.lower() for place in Place if place >= FIRST_FATE}
 
 
-class Plane(NamedTuple):
+class Plate(NamedTuple):
     """A black or reflecting rectangle across one of the axes, in mm."""
 
     #: 0, 1 or 2.
@@ -488,9 +488,9 @@ class Layout:
             place[(face == TOP) & in_square] = Place.ABSORBED_SURFACE
 
 
-def _before(axis: int, low: Floats, high: Floats, distance_mm: float) -> Plane:
-    """A plane of a box's size, this far beyond its higher end on an axis."""
+def _before(axis: int, low: Floats, high: Floats, distance_mm: float) -> Plate:
+    """A rectangle of a box's size, this far beyond its higher end on an axis."""
     low, high = low.copy(), high.copy()
     level_mm = float(high[axis, 0]) + distance_mm
     low[axis], high[axis] = -np.inf, np.inf
-    return Plane(axis, level_mm, low, high)
+    return Plate(axis, level_mm, low, high)

@@ -12,6 +12,7 @@ from scipy import stats
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import percent
@@ -23,13 +24,16 @@ from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.inference.plan import (
     EFFICIENCY,
     Conditions,
+    Expectation,
+    PlanCandidate,
     event_sigma,
     measured_conditions,
     plan,
 )
+from mcrim_mitsuba.inference.workbench import Workbench
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
-from mcrim_mitsuba.output.findings import verdict
+from mcrim_mitsuba.output.findings import configuration_text, verdict
 from mcrim_mitsuba.scene.scene_file import read_scene
 
 # a right code fails each statistical test with one in 1000 fresh seeds
@@ -295,3 +299,66 @@ def test_the_scatter_of_a_raw_campaign_is_its_own(article):
     assert found.mounting_scatter == pytest.approx(math.sqrt((0.005 - 0.0009) / 2))
     assert found.intrinsic_spread == 0.08
     assert measured_conditions(article).mounting_scatter == pytest.approx(0.028, rel=0.01)
+
+
+# ---- transmittances ----
+
+
+def test_transmittances_that_were_not_measured_are_proposed(scenes):
+    def proposed(campaign):
+        found = Workbench(campaign, Run()).proposals()
+        beams = [each for each in found.configurations if each.get("kind") == "transmittance"]
+        return beams, np.asarray(found.relative_sigma)[-len(beams) :]
+
+    light = read_campaign(scenes / "camoo4_campaign.toml")
+    assert proposed(light)[0] == [{"kind": "transmittance", "acceptance_deg": 5.0}]
+    three = read_campaign(scenes / "camoo4_three.toml")
+    beams, sigmas = proposed(three)
+    words = [configuration_text(SimpleNamespace(parameters=each)) for each in beams]
+    assert words == [
+        "transmittance within 1 degrees", "transmittance within 30 degrees",
+        "transmittance along z within 5 degrees",
+        "transmittance along z within 5 degrees, crystal_height_mm = 20",
+    ]  # fmt: skip
+    assert sigmas == pytest.approx(0.012 / 0.76)
+    only = replace(three, next_measurements={"n_gap": [1.0, 1.333]})
+    assert Workbench(only, Run()).proposals().configurations == [{"n_gap": 1.333}]
+    angles = replace(three, next_measurements={"acceptance_deg": [2.0, 5.0]})
+    assert Workbench(angles, Run()).proposals().configurations == [
+        {"kind": "transmittance", "acceptance_deg": 2.0}
+    ]
+    literal = replace(light, scene=light.scene.edited(nameless(light.scene)))
+    found = Workbench(literal, Run()).proposals().configurations
+    assert not any("kind" in each for each in found)
+
+
+def nameless(scene):
+    """A scene that does not name the crystal's width."""
+    return scene.path.read_text().replace("crystal_width_mm", "side_mm")
+
+
+def test_a_measured_transmittance_goes_on_into_a_plan(scenes, without_photons):
+    """Its slopes know nothing of the scale, and what it tells narrows what light leaves open."""
+    three = read_campaign(scenes / "camoo4_three.toml")
+    light = [reading for reading in three.measurements.readings if not reading.of_beam]
+    (beam,) = (reading for reading in three.measurements.readings if reading.of_beam)
+    names = ["alpha_scat_per_cm", "scale"]
+    model = SimpleNamespace(
+        free=[CampaignParameter(name, 1.0, 0.0, 100.0) for name in names],
+        readings=(*light, beam), campaign=three,
+    )  # fmt: skip
+    slopes = np.array([[8.0, 0.29], [3.0, 0.52], [-0.7, 0.0], [8.0, 0.29], [3.0, 0.52]])
+    prediction = SimpleNamespace(
+        signal=np.array([14.0, 25.0, 0.76, 14.0, 25.0]), signal_slopes=slopes
+    )
+    candidates = [PlanCandidate({"n_gap": n}, s, 5.0) for n, s in ((1.0, 14.0), (1.46, 25.0))]
+    theta = np.array([0.1, 48.0])
+    found = Expectation(model, theta, prediction, candidates, Conditions())
+    without = Expectation(
+        SimpleNamespace(free=model.free, readings=tuple(light), campaign=three), theta,
+        prediction, candidates, Conditions(),
+    )  # fmt: skip
+    assert found.determined([0]) and not without.determined([0])
+    told, less = (each.errors([0, 1], 4, 1e4)[0] for each in (found, without))
+    assert told.of_plan < less.of_plan
+    assert told.parts["prior of transmittance"] > 0 and told.priors > 0 == less.priors

@@ -64,6 +64,21 @@ def test_effects_of_the_bench_alone_leave_the_beam_as_it_is():
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("name", ["side_roughness", "bottom_roughness", "surface_haze"])
+def test_an_effect_on_the_crystal_can_be_added_to_the_beam_itself(name):
+    bench, beam = read_scene(SCENES / "camoo4.xml"), read_scene(BEAM)
+    added = transmitted(beam.edited(add(name, beam)), 2**16, acceptance_deg=30.0, beam_axis="z")
+    derived = spectrophotometer_of(bench.edited(add(name, bench)))
+    values = {"alpha_scat_per_cm": 0.03, "alpha_abs_per_cm": 0.02}
+    assert added == transmitted(derived, 2**16, acceptance_deg=30.0, beam_axis="z", **values)
+
+
+def test_effects_of_the_bench_cannot_be_added_to_the_beam():
+    beam = read_scene(BEAM)
+    for name in ("top_reflector", "edge_chamfer", "gap_bubble"):
+        assert "the scene has no parameter" in refusal(lambda name=name: add(name, beam))
+
+
 def test_a_hazy_beam_keeps_its_specular_part():
     """What is left is exp(-q^2) at both faces, and exp(-q'^2) for every reflection inside."""
     bench = read_scene(SCENES / "camoo4.xml")
