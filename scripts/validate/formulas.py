@@ -30,6 +30,10 @@ Array = NDArray[np.float64]
 #: Scene of a ball in air, which takes the general path of the transport.
 BALL = Path(__file__).parent / "ball.xml"
 BALL_RADIUS_MM = 5.0
+#: Name of the formula of light that a polished crystal transmits.
+BEAM = "beam"
+#: Half angle that takes next to nothing of what is scattered, degrees.
+_NARROW_DEG = 0.3
 #: Points of one scrambled Sobol sequence, and how many sequences tell the integral's error.
 _POINTS, _SEQUENCES = 2**16, 8
 #: What a mirror image must be worth to be counted.
@@ -43,7 +47,8 @@ class Formula:
     """A bench and what a closed form of `SOURCES` says of it.
 
     `exact` returns the fraction of the light that meets a `fate`, and its numerical error. The
-    parameters differ from those of the scene: the article's bench, or `BALL`.
+    parameters differ from those of the scene: the article's bench, or `BALL`; of the form `BEAM`,
+    the article's crystal in a spectrophotometer.
     """
 
     form: str
@@ -67,7 +72,7 @@ SOURCES = tomllib.loads(Path(__file__).with_name("sources.toml").read_text(encod
 
 def formulas() -> list[Formula]:
     """All benches with a closed form."""
-    return [*_trapped(), *_bare_boxes(), *_black_feet(), *_solid_angles(), *_balls()]
+    return [*_trapped(), *_bare_boxes(), *_black_feet(), *_solid_angles(), *_balls(), *_beams()]
 
 
 def trapped_fraction(n: float, n_gap: float) -> tuple[float, float]:
@@ -175,6 +180,12 @@ def escape_from_ball(n: float, radius_mm: float, alpha_per_cm: float) -> tuple[f
     return quad(integrand, math.sqrt(1 - 1 / n**2), 1.0, epsabs=1e-10)
 
 
+def transmitted_by_slab(n: float, alpha_per_cm: float, path_cm: float) -> tuple[float, float]:
+    """Transmittance of a polished slab at normal incidence; what is scattered is lost."""
+    face, inside = reflectance(1.0, n, 1.0), math.exp(-alpha_per_cm * path_cm)
+    return float((1.0 - face) ** 2 * inside / (1.0 - (face * inside) ** 2)), 0.0
+
+
 def _trapped() -> Iterator[Formula]:
     for n, n_gap in ((2.01, 1.0), (1.85, 1.0), (1.5, 1.0), (2.01, 1.333), (2.01, 1.46),
                      (2.01, 1.515), (2.2, 1.46)):  # fmt: skip
@@ -234,6 +245,17 @@ def _balls() -> Iterator[Formula]:
     for n, alpha in ((1.0, 0.2), (1.0, 2.0), (1.0, 8.0), (1.5, 0.2), (1.9, 0.1), (1.9, 1.0)):
         exact = partial(escape_from_ball, n, BALL_RADIUS_MM, alpha)
         yield Formula("ball", {"n_ball": n, "alpha_abs_per_cm": alpha}, "detected", exact, True)
+
+
+def _beams() -> Iterator[Formula]:
+    for n, height_mm in ((1.5, 10.0), (1.82, 4.0), (2.01, 10.0)):
+        for scattering, absorption in ((0.0, 0.05), (0.1, 0.005), (0.5, 0.2)):
+            values = {
+                "n_crystal": n, "crystal_height_mm": height_mm, "alpha_scat_per_cm": scattering,
+                "alpha_abs_per_cm": absorption, "acceptance_deg": _NARROW_DEG,
+            }  # fmt: skip
+            exact = partial(transmitted_by_slab, n, scattering + absorption, 1.0)
+            yield Formula(BEAM, values, "detected", exact)
 
 
 def _cosines(u: Array, v: Array) -> tuple[Array, Array, Array]:

@@ -163,7 +163,8 @@ def scene_of(case: Case | Formula) -> SceneFile:
     if isinstance(case, Case):
         return case.scene_file()
     if not case.ball:
-        return Case("plain", case.parameters).scene_file()
+        group = "beam" if case.form == formulas.BEAM else "plain"
+        return Case(group, case.parameters).scene_file()
     return read_scene(formulas.BALL, case.parameters)
 
 

@@ -185,6 +185,19 @@ def test_the_program_with_a_bias_is_named(validated):
     assert failed == ["NumPy"]
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--only", "beans", "-o", "v.md"], "no bench is of the kind 'beans'"),
+        (["--only", "beam"], "a part of the benches would overwrite the page of all"),
+    ],
+)
+def test_parts_that_cannot_be_compared(arguments, words, tmp_path, capfd):
+    line = [*arguments, "--units", f"{tmp_path}/u.jsonl"]
+    assert run(command.main, "validate", line) == 2
+    assert words in capfd.readouterr().err
+
+
 def some_units():
     case = benches.Case("plain", {"n_gap": 1.46})
     return [Unit(NUMPY, case, 60_000, seed=3, number=number) for number in range(5)]
