@@ -13,7 +13,7 @@ The path of a campaign, a module per step:
 - `compare`: where a model fails (`compare`, `Comparison`, `find_suspects`, `find_trends`);
 - `explanations`: fits with effects added, and what chance gains; `candidates`: every
   effect as an explanation, limits, what to measure next;
-- `diagnose`: what all this says, and the steps in their order (`diagnose`, `Evidence`);
+- `diagnose`: what all this says, and the steps in their order (`diagnose`, `Judgement`);
 - `repair`: the mended campaign and scene, written.
 
 Besides: `budget` (where errors come from, with what is `neglected`), `plan` (what to measure), and
