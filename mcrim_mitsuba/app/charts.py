@@ -14,8 +14,8 @@ from typing import Any
 from mcrim_mitsuba.app.state import FitStep, Shown
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
-from mcrim_mitsuba.output.figure_style import DARK, GREY, WARM, shortened
-from mcrim_mitsuba.output.findings import together
+from mcrim_mitsuba.output.figure_style import DARK, GREY, WARM, shortened, units_of_signals
+from mcrim_mitsuba.output.findings import signal_text, together
 
 Figure = dict[str, Any]
 
@@ -61,14 +61,18 @@ def readings_chart(
     """
     places = list(range(len(readings)))
     labels = [literal(row.label, 4 * _LABEL_LENGTH) for row in readings]
+    units = units_of_signals([(row.measured, row.of_beam) for row in readings]).tolist()
+    told = [literal(signal_text(row.of_beam, row.measured, row.sigma)) for row in readings]
     traces: list[dict[str, Any]] = [
         {
             "type": "scatter", "mode": "markers", "name": "reading", "x": places,
-            "y": [row.measured for row in readings],
-            "error_y": {"type": "data", "array": [row.sigma for row in readings], "color": _INK},
+            "y": [unit * row.measured for unit, row in zip(units, readings, strict=True)],
+            "error_y": {"type": "data", "color": _INK,
+                        "array": [u * row.sigma for u, row in zip(units, readings, strict=True)]},
             "marker": {"color": [_INK if row.use else "white" for row in readings], "size": 8,
                        "line": {"color": _INK, "width": 1.5}},
-            "text": labels, "hovertemplate": "%{text}: %{y}<extra>reading</extra>",
+            "text": labels, "customdata": told,
+            "hovertemplate": "%{text}: %{customdata}<extra>reading</extra>",
         }
     ]  # fmt: skip
     fits = []
@@ -80,10 +84,11 @@ def readings_chart(
     for name, rows, colour, fill, aside, width in fits:
         traces.append({
             "type": "scatter", "mode": "markers", "name": name, "legendgroup": name,
-            "x": places, "y": [row.model for row in rows],
+            "x": places, "y": [unit * row.model for unit, row in zip(units, rows, strict=True)],
+            "customdata": [signal_text(r.of_beam, r.model, None) for r in rows],
             "marker": {"symbol": "line-ew", "size": width, "color": colour,
                        "line": {"width": 3 if name == "model" else 2, "color": colour}},
-            "text": labels, "hovertemplate": "%{text}: %{y:.4g}<extra>" + name + "</extra>",
+            "text": labels, "hovertemplate": "%{text}: %{customdata}<extra>" + name + "</extra>",
         })  # fmt: skip
         traces.append({
             "type": "bar", "legendgroup": name, "showlegend": False, "yaxis": "y2", "width": 0.28,
@@ -94,9 +99,12 @@ def readings_chart(
         })  # fmt: skip
     longest = max(min(len(row.label), _LABEL_LENGTH) for row in readings)
     extent = _stepped(_LEAST_PULL, [1.1 * abs(pull) for pull in pulls])
-    models = [row.model for _, rows, *_ in fits for row in rows]
-    top = _stepped(1.08 * max(0.0, *(row.measured + row.sigma for row in readings)), models)
-    least = min(row.measured - row.sigma for row in readings)
+    models = [
+        unit * row.model for _, rows, *_ in fits for unit, row in zip(units, rows, strict=True)
+    ]
+    both = list(zip(units, readings, strict=True))
+    top = _stepped(1.08 * max(0.0, *(u * (row.measured + row.sigma) for u, row in both)), models)
+    least = min(u * (row.measured - row.sigma) for u, row in both)
     bottom = -_stepped(-1.08 * min(0.0, least), [-model for model in models])
     layout: dict[str, Any] = {
         **_LAYOUT,
@@ -117,6 +125,18 @@ def readings_chart(
         # measuring the labels in the browser would take longer than drawing them
         "margin": {**_LAYOUT["margin"], "b": 30 + _LABEL_PIXELS * longest},
     }  # fmt: skip
+    of_beam = [unit for unit, row in both if row.of_beam]
+    if of_beam:
+        ends = [100 * end / of_beam[0] for end in (bottom, top)]
+        layout["yaxis3"] = {
+            **_STILL, "overlaying": "y", "side": "right", "range": ends, "showgrid": False,
+            "title": {"text": "transmittance (%)"},
+        }  # fmt: skip
+        layout["margin"] = {**layout["margin"], "r": 60}
+        # an axis without a trace is not drawn
+        traces.append(
+            {"type": "scatter", "x": [0], "y": [None], "yaxis": "y3", "showlegend": False}
+        )
     return {"data": traces, "layout": layout}
 
 

@@ -11,7 +11,7 @@ from dash import dcc, html
 from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.app.state import Control, FitStep, Shown, State
 from mcrim_mitsuba.campaign.measurements import Reading
-from mcrim_mitsuba.core.rounding import number, p_text, pdg
+from mcrim_mitsuba.core.rounding import number, p_text, pdg, probability
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.diagnose import Diagnosed
@@ -19,10 +19,15 @@ from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.output.described import Table
 from mcrim_mitsuba.output.descriptions import limits_table, parameters_table
 from mcrim_mitsuba.output.findings import (
+    averaged_yield,
     configuration_text,
+    gain_text,
     headline,
     leading_candidates,
+    looks,
     plausibility,
+    set_aside_text,
+    signal_text,
     size_text,
     suspicion,
     together,
@@ -90,10 +95,11 @@ def readings_cells(rows: Sequence[FittedRow], shown: bool) -> list[list[str]]:
     The browser writes it into the table by itself: hundreds of components would take too long.
     """
     if not shown:
-        return [[pdg(row.measured, row.sigma), "…", "…", "…"] for row in rows]
+        return [[signal_text(r.of_beam, r.measured, r.sigma), "…", "…", "…"] for r in rows]
     return [
-        [pdg(row.measured, row.sigma), pdg(row.model, row.model_sigma), f"{row.pull:+.2f}",
-         pdg(row.eta, row.eta_sigma)]
+        [signal_text(row.of_beam, row.measured, row.sigma),
+         signal_text(row.of_beam, row.model, row.model_sigma), f"{row.pull:+.2f}",
+         "" if row.of_beam else pdg(row.eta, row.eta_sigma)]
         for row in rows
     ]  # fmt: skip
 
@@ -106,12 +112,19 @@ def diagnosis_panel(found: Diagnosed | None) -> list:
             "The first time takes one to two minutes; what was simulated is kept."
         )]  # fmt: skip
     diagnosis = found.diagnosis
-    parts: list = [html.P(html.Bdi(headline(diagnosis)), className="verdict", id="verdict")]
+    parts: list = []
+    if averaged := averaged_yield(diagnosis):
+        parts.append(html.P(html.Bdi(averaged), className="verdict", id="averaged"))
+    parts.append(html.P(html.Bdi(headline(diagnosis)), className="verdict", id="verdict"))
     parts += [_hint(html.Bdi(suspicion(one))) for one in diagnosis.suspect_readings]
     leading = leading_candidates(diagnosis)
     if diagnosis.candidates:
         ranked = {id(c): c for c in (*leading, *diagnosis.candidates[:_MOST_CANDIDATES])}
-        parts.append(_candidates(ranked.values(), leading))
+        parts.append(_candidates(ranked.values(), leading, diagnosis.probabilities))
+        parts += [_hint(html.Bdi(text)) for text in (set_aside_text(diagnosis),) if text]
+        looking = html.Ul([html.Li(html.Bdi(text)) for text in looks(diagnosis)])
+        if leading:
+            parts.append(_details("How to look for it, without a fit", looking))
     if diagnosis.upper_limits:
         limits = _shown(limits_table(diagnosis))
         parts.append(_details("What the readings allow (95 % confidence)", limits))
@@ -129,11 +142,13 @@ def _hint(text: Any, **options: Any) -> html.P:
     return html.P(text, className="hint", **options)
 
 
-def _details(summary: str, table: html.Table) -> html.Details:
+def _details(summary: str, table: html.Table | html.Ul) -> html.Details:
     return html.Details([html.Summary(summary), html.Div(table, className="scroll")])
 
 
-def _candidates(candidates: Iterable[Candidate], leading: Sequence[Candidate]) -> html.Div:
+def _candidates(
+    candidates: Iterable[Candidate], leading: Sequence[Candidate], known: Mapping[str, float]
+) -> html.Div:
     cells = []
     for place, one in enumerate(candidates):
         aria: dict[str, Any] = {"aria-label": f"add {together(one.effects)} and fit"}
@@ -142,11 +157,18 @@ def _candidates(candidates: Iterable[Candidate], leading: Sequence[Candidate]) -
             className="main" if place == 0 and leading else "", **aria,
         )  # fmt: skip
         cells.append((
-            button, html.Bdi(one.effect), pdg(one.delta_chi2, one.delta_chi2_sigma or None),
-            p_text(one.p_value), size_text(one, ", "), plausibility(one),
+            button, html.Bdi(one.effect), _bar(known.get(one.effect)), size_text(one, ", "),
+            plausibility(one), gain_text(one), p_text(one.p_value),
         ))  # fmt: skip
-    head = ("", "effect", "fall of χ²", "p of the fit", "size", "plausible?")
+    head = ("", "effect", "probability", "size", "plausible?", "fall of χ²", "p of the fit")
     return html.Div(_table(head, cells), className="scroll")
+
+
+def _bar(p: float | None) -> html.Div | str:
+    """A probability with a bar as long."""
+    if p is None:
+        return ""
+    return html.Div([html.Progress(value=f"{p:.4f}", max="1"), f" {probability(p)}"])
 
 
 def fitted_panel(state: State) -> list:

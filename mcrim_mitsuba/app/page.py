@@ -138,7 +138,7 @@ def _shown(session: Session, settings: Settings, settings_number: int) -> dict:
         return {"texts": {"pending": str(error)}}
     nan = float("nan")
     rows = shown.rows if shown else [
-        FittedRow(r.label, r.signal, r.sigma, nan, nan, nan, nan, nan, r.use)
+        FittedRow(r.label, r.signal, r.sigma, nan, nan, nan, nan, nan, r.use, r.kind)
         for r in session.campaign.measurements.readings
     ]  # fmt: skip
     pending = ""

@@ -166,9 +166,11 @@ class Session:
         self._models: dict[tuple[str, ...], tuple[frozenset[str] | None, ResponseModel]] = {}
         #: Of the campaign's own parameters; the scale, where it is free, comes last.
         self.controls = self._own_controls()
-        known = (
-            campaign.scene.parameters, self._bench.own_maker.configurations(), self._largest_signal,
-        )  # fmt: skip
+        readings, own = campaign.measurements.readings, self._bench.own_maker.configurations()
+        # sliders are the bench's
+        of_bench = [v for v, r in zip(own, readings, strict=True) if not r.of_beam]
+        scene = campaign.scene.parameters
+        known = (scene, of_bench or [scene], self._largest_signal)
         #: Effects that can be switched on, with their controls.
         self.effects = {
             name: (effect, tuple(effect_control(one, *known) for one in effect.parameters))

@@ -22,7 +22,7 @@ def pdg(value: float, sigma: float | None) -> str:
         The number.
     sigma : float or None
         Its standard error in the same unit. None or nan: not known, the value alone is
-        given to four digits; 0: exact, the value is not rounded.
+        given to four digits; 0: exact, such as a closed form: the same.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def pdg(value: float, sigma: float | None) -> str:
     if sigma is None or not math.isfinite(sigma) or not math.isfinite(value):
         unknown = sigma is None or math.isnan(sigma)
         return f"{value:.4g}" if unknown else f"{value:.4g} ± {sigma:.2g}"
-    return pdg_parts(value, sigma)
+    return pdg_parts(value, sigma) if sigma else f"{value:.4g}"
 
 
 def pdg_parts(value: float, *sigmas: float) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
-from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.campaign.measurements import LIGHT, TRANSMITTANCE, Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.least_squares import Fit
@@ -66,6 +66,13 @@ class FittedRow:
     eta_sigma: float
     #: Whether the fit used it.
     use: bool
+    #: ``light``, or ``transmittance``: the fraction of a beam, which `eta` is then too.
+    kind: str = LIGHT
+
+    @property
+    def of_beam(self) -> bool:
+        """Whether it is a transmittance."""
+        return self.kind == TRANSMITTANCE
 
 
 def propagated(
@@ -172,6 +179,7 @@ def fitted_rows(
                 eta=float(prediction.eta[i]),
                 eta_sigma=eta_sigma,
                 use=reading.use,
+                kind=reading.kind,
             )
         )
     return tuple(rows)

@@ -104,8 +104,10 @@ def _reading(one: FittedRow) -> tuple[str | Cell, ...]:
     """A reading beside the model, and its pull."""
     return (
         one.label if one.use else f"{one.label} (not used)",
-        measured(one.measured, one.sigma),
-        measured(one.model, one.model_sigma),
+        *(
+            Cell(findings.signal_text(one.of_beam, value, sigma), value, sigma)
+            for value, sigma in ((one.measured, one.sigma), (one.model, one.model_sigma))
+        ),
         shown(one.pull, "+.2f"),
     )
 
@@ -154,6 +156,7 @@ def of_comparison(found: Compared) -> Described:
         table("readings", columns, rows),
         Sentence(findings.quality(comparison), strong=True),
         *([Sentence(f"- {findings.carriers(comparison)}")] if findings.fails(comparison) else []),
+        *(Sentence(f"- {words}") for words in findings.apart(comparison)),
         *_suspects(comparison.suspects),
         *(Sentence(f"- {findings.trend_text(trend)}") for trend in comparison.trends),
         *listed(

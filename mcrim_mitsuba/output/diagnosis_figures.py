@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from typing import Any
 
@@ -19,7 +19,7 @@ from scipy.special import chdtri
 
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.core.rounding import number, p_text
+from mcrim_mitsuba.core.rounding import number, p_text, probability
 from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
@@ -35,7 +35,8 @@ from mcrim_mitsuba.output.findings import (
 
 _PAIRS_SHOWN = 6
 #: Inches: a row, the bars without their names, a character.
-_PER_ROW, _BARS_WIDTH, _LABEL_PER_CHARACTER = 0.34, 4.6, 0.088
+_PER_ROW, _BARS_WIDTHS, _LABEL_PER_CHARACTER = 0.34, (2.4, 3.4), 0.088
+_BARS_WIDTH = sum(_BARS_WIDTHS)
 #: Height of a size's second line in rows.
 _FURTHER_LINE = 0.5
 _OTHERS = "#b9c4d0"
@@ -50,7 +51,7 @@ def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
     leading, statistics = leading_candidates(diagnosis), attrgetter(*_STATISTICS)
     rows = [
         (
-            c.effect, c in leading, *statistics(c), name,
+            c.effect, c in leading, diagnosis.probabilities.get(c.effect), *statistics(c), name,
             *((known.value, known.sigma) if known else (None, None)), c.plausible, c.at_bound,
             (c.light_yield_ph_per_keV or {}).get("value"), " ".join(c.mimics),
         )
@@ -58,8 +59,8 @@ def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
         for name, known in _sizes(c)
     ]  # fmt: skip
     columns = (
-        "effect", "leading", *_STATISTICS, "parameter", "value", "sigma", "plausible", "at_bound",
-        "light_yield_ph_per_keV", "mimics",
+        "effect", "leading", "probability", *_STATISTICS, "parameter", "value", "sigma",
+        "plausible", "at_bound", "light_yield_ph_per_keV", "mimics",
     )  # fmt: skip
     return columns, rows
 
@@ -94,7 +95,10 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     names = [style.shortened(candidate.effect, 46) for candidate in shown]
     room = _LABEL_PER_CHARACTER * max(map(len, names)) + 0.4
     figure = style.canvas(room + _BARS_WIDTH + sum(widths), 1.8 + _PER_ROW * max(heights.sum(), 4))
-    bars, words = figure.subplots(1, 2, sharey=True, width_ratios=(_BARS_WIDTH, sum(widths)))
+    chances, bars, words = figure.subplots(
+        1, 3, sharey=True, width_ratios=(*_BARS_WIDTHS, sum(widths))
+    )
+    _draw_probabilities(chances, places, shown, leading, diagnosis.probabilities)
     for place, candidate in zip(places, shown, strict=True):
         bars.barh(
             place, candidate.delta_chi2, height=0.62, xerr=candidate.delta_chi2_sigma,
@@ -104,14 +108,17 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     threshold = _draw_threshold(bars, heights, diagnosis.baseline.chi2, shown)
     bars.axvline(0, color=style.GREY, lw=0.9)
     if diagnosis.pairs and diagnosis.candidates:
-        for axes in (bars, words):
+        for axes in (chances, bars, words):
             axes.axhline(len(diagnosis.candidates), color=style.GREY, lw=0.9, ls=":")
-    bars.set_yticks(places, names, fontsize=10, parse_math=False)
-    for tick, candidate in zip(bars.get_yticklabels(), shown, strict=True):
+    chances.set_yticks(places, names, fontsize=10, parse_math=False)
+    for tick, candidate in zip(chances.get_yticklabels(), shown, strict=True):
         tick.set_fontweight("bold" if candidate in leading else "normal")
-    bars.set(ylim=(heights.sum() + 0.1, -0.1), xlabel="fall of χ² when the effect is added")
+    chances.set_ylim(heights.sum() + 0.1, -0.1)
+    bars.set_xlabel("fall of χ² when the effect is added")
     style.open_axes(bars, "x")
-    bars.tick_params(axis="y", length=0)
+    for axes in (chances, bars):
+        axes.tick_params(axis="y", length=0)
+    bars.tick_params(axis="y", labelleft=False)
     words.set_axis_off()
     words.set_xlim(0, sum(widths))
     for (title, *column), left in zip(table, np.cumsum([0.1, *widths[:-1]]), strict=True):
@@ -124,6 +131,30 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     style.legend_of(figure, _handles(leading, threshold), "lower left", 2 if brief else 4)
     _title_ranking(figure, diagnosis)
     return style.Drawing(figure, *numbers)
+
+
+def _draw_probabilities(
+    axes: Axes,
+    places: np.ndarray,
+    shown: Sequence[Candidate],
+    leading: Sequence[Candidate],
+    known: Mapping[str, float],
+) -> None:
+    """How likely each is, in words beside its bar."""
+    for place, candidate in zip(places, shown, strict=True):
+        p = known.get(candidate.effect)
+        if p is None:
+            continue
+        colour = style.DARK if candidate in leading else _OTHERS
+        axes.barh(place, 100 * p, height=0.62, color=colour, edgecolor=style.DARK, lw=0.8)
+        axes.annotate(
+            probability(p), (100 * p, place), (4, 0), textcoords="offset points", va="center",
+            fontsize=9.5, weight="bold" if candidate in leading else "normal",
+        )  # fmt: skip
+    axes.set_xlim(0, 135)
+    axes.set_xticks([0, 50, 100])
+    axes.set_xlabel("probability, %")
+    style.open_axes(axes, "x")
 
 
 def _title_ranking(figure: Figure, diagnosis: Diagnosis) -> None:

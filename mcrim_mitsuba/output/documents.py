@@ -66,7 +66,7 @@ def of_repair(found: Repaired) -> Document:
         **_diagnosis(found.diagnosed),
         "effects": found.effects,
         "calibration": found.calibration.to_json(),
-        **attributes(found, campaign="campaign_path", scene="scene_path"),
+        **attributes(found, "undetermined", campaign="campaign_path", scene="scene_path"),
         **_provenance(found.provenance, found.calibration.notes),
     }
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -250,3 +251,29 @@ def ordered(fates: Iterable[str]) -> list[str]:
     places: dict[str, float] = {fate: place for place, fate in enumerate(_KNOWN_FATES)}
     others = places["absorbed_aperture"] - 0.5
     return sorted(set(fates), key=lambda fate: (places.get(fate, others), fate))
+
+
+# Transmittances beside signals of light: a second scale.
+
+
+def units_of_signals(readings: Sequence[tuple[float, bool]]) -> np.ndarray:
+    """(readings,) factors that put readings of two kinds on one axis.
+
+    Signals of light stay as they are; a transmittance of 1 is drawn where the largest of these is.
+
+    Parameters
+    ----------
+    readings : sequence of (float, bool)
+        Signals, and whether they are transmittances.
+    """
+    light = [abs(signal) for signal, of_beam in readings if not of_beam]
+    return np.array([max(light, default=1.0) if of_beam else 1.0 for _, of_beam in readings])
+
+
+def second_scale(axes: Axes, unit: float, *, below: bool = False) -> None:
+    """A scale of transmittances, one of 1 being drawn at `unit`: at the right, or above."""
+    to_and_fro = (lambda y: 100 * y / unit, lambda percent: percent * unit / 100)
+    if below:
+        axes.secondary_xaxis("top", functions=to_and_fro).set_xlabel("transmittance (%)")
+    else:
+        axes.secondary_yaxis("right", functions=to_and_fro).set_ylabel("transmittance (%)")

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.diagnose import Diagnosis
     from mcrim_mitsuba.inference.fit import Calibration
 
+# From here on readings of light and of the beam are said to pull apart, standard errors.
+_PULLS_APART = 2.0
 # Gain in chi2 that is only the solver's precision.
 _NO_GAIN = 0.01
 
@@ -100,6 +102,30 @@ def leading_candidates(diagnosis: Diagnosis) -> list[Candidate]:
     }
     sets = [frozenset(names) for names in diagnosis.leading_sets]
     return [found[names] for names in sets if names in found]
+
+
+def signal_text(of_beam: bool, value: float, sigma: float | None) -> str:
+    """A reading or what predicts it, transmittances in per cent: ``(76.0 ± 1.2) %``."""
+    if not of_beam:
+        return pdg(value, sigma)
+    text = pdg(100 * value, None if sigma is None else 100 * sigma)
+    return f"({text}) %" if "±" in text else f"{text} %"
+
+
+def apart(comparison: Comparison) -> list[str]:
+    """Where light and beam contradict each other, in sentences."""
+    pulls = {
+        row.label: comparison.left_out_pulls.get(row.label, 0.0)
+        for row in comparison.rows
+        if row.of_beam
+    }
+    return [
+        f"the couplings and the beam pull apart: {label} was measured {abs(pull):.1f} standard "
+        f"errors {'above' if pull > 0 else 'below'} what all other readings predict, which ask for "
+        f"{'more' if pull > 0 else 'less'} to be lost in the crystal than the beam loses"
+        for label, pull in pulls.items()
+        if abs(pull) > _PULLS_APART and fails(comparison)
+    ]
 
 
 def averaged_yield(diagnosis: Diagnosis) -> str:

@@ -99,8 +99,9 @@ def _draw_signals(
 ) -> None:
     """Readings with errors, and predictions as dashes."""
     used = np.array([row.use for row in before.rows], bool)
-    measured = np.array([row.measured for row in before.rows])
-    sigma = np.array([row.sigma for row in before.rows])
+    units = style.units_of_signals([(row.measured, row.of_beam) for row in before.rows])
+    measured = units * [row.measured for row in before.rows]
+    sigma = units * [row.sigma for row in before.rows]
     handles: list[Any] = []
     kinds = ((used, "black", "reading with its error"), (~used, "white", "reading not used"))
     for which, face, label in kinds:
@@ -117,13 +118,16 @@ def _draw_signals(
         if fit is None:
             continue
         dash: dict[str, Any] = {"color": colour, "lw": 2, "ls": look}
-        axes.hlines([row.model for row in fit.rows], places - _DASH, places + _DASH, zorder=4,
-                    **dash)  # fmt: skip
+        models = units * [row.model for row in fit.rows]
+        axes.hlines(models, places - _DASH, places + _DASH, zorder=4, **dash)
         handles.append(Line2D([], [], label=label, **dash))
     handles += _mark_suspects(axes, places, before, mended=after is not None)
     axes.set_ylabel("signal (unit of the\nmeasurement file)")
     axes.set_ylim(bottom=min(0.0, 1.1 * float(measured.min(initial=0.0))))
     style.open_axes(axes, "y")
+    of_beam = [row.of_beam for row in before.rows]
+    if any(of_beam):
+        style.second_scale(axes, float(units[of_beam.index(True)]))
     style.legend_above(axes, handles, ncols=3, handlelength=1.8)
 
 

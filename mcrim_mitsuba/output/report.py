@@ -22,7 +22,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import read_text, refuse_outputs, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.core.rounding import number, p_text, pdg, short_text
+from mcrim_mitsuba.core.rounding import number, p_text, pdg, probability, short_text
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.repair import Repaired, repair
@@ -60,7 +60,6 @@ def in_full(text: object) -> Markup:
 # The page: it loads nothing, runs nothing and shows texts of users as texts.
 
 #: Effects that a candidate could be mistaken for; so many are named.
-_MIMICS = 3
 
 
 def render(sections: Sections) -> str:
@@ -74,6 +73,7 @@ def render(sections: Sections) -> str:
     environment.filters |= {
         "said": said, "brief": brief, "in_full": in_full, "p": p_text, "number": number,
         "estimate": findings.estimate_text, "together": findings.together, "value": short_text,
+        "probability": probability,
     }  # fmt: skip
     template = environment.get_template("template.html")
     notes = dict.fromkeys((*sections.calibration.notes, *sections.repaired.provenance.notes))
@@ -92,7 +92,6 @@ def render(sections: Sections) -> str:
         style_hash=digest,
         version=__version__,
         names={"light_yield": LIGHT_YIELD, "scale": SCALE, "alpha_scat": ALPHA_SCAT},
-        mimics_shown=_MIMICS,
         # those on raw data stand beside these
         notes=[note for note in notes if note not in sections.campaign.notes],
     )

@@ -100,11 +100,13 @@ def _draw_readings(measurements: Measurements) -> style.Drawing:
     figure = style.canvas(7.2, height)
     axes = figure.subplots()
     places = np.arange(len(readings))
+    units = style.units_of_signals([(r.signal, r.of_beam) for r in readings])
+    signals, sigmas = units * [r.signal for r in readings], units * [r.sigma for r in readings]
     for used, face in ((True, style.DARK), (False, "white")):
         at = [i for i, reading in enumerate(readings) if reading.use is used]
         if at:
             axes.errorbar(
-                [readings[i].signal for i in at], at, xerr=[readings[i].sigma for i in at],
+                signals[at], at, xerr=sigmas[at],
                 fmt="o", ms=5.5, color=style.DARK, mfc=face, capsize=3, lw=1.4,
                 label="reading with its error" if used else "not used in the fit",
             )  # fmt: skip
@@ -114,6 +116,9 @@ def _draw_readings(measurements: Measurements) -> style.Drawing:
     axes.set(ylim=(len(readings) - 0.5, -0.5), xlim=(0, None))
     axes.set_xlabel("signal (unit of the measurement file)")
     style.open_axes(axes, "both")
+    of_beam = [reading.of_beam for reading in readings]
+    if any(of_beam):
+        style.second_scale(axes, float(units[of_beam.index(True)]), below=True)
     if any(not reading.use for reading in readings):
         style.legend(axes)
     own = ("label", "signal", "sigma", "use", "group", "group_sigma")

@@ -171,7 +171,8 @@ def _couplings(campaign: Campaign) -> list[Reading]:
     """The first reading of every coupling, from the lowest index to the highest."""
     nominal = campaign.scene.parameters.get(_COUPLING)
     first: dict[object, Reading] = {}
-    for reading in campaign.measurements.in_use:
+    light = [reading for reading in campaign.measurements.in_use if not reading.of_beam]
+    for reading in light or campaign.measurements.in_use:
         first.setdefault(reading.parameters.get(_COUPLING, nominal), reading)
     ordered = [first[index] for index in sorted(first, key=lambda i: (i is None, i))]
     if len(ordered) <= MOST_LIGHTS:
@@ -263,7 +264,8 @@ def _pair(campaign: Campaign) -> tuple[Reading, Reading] | None:
     def elsewhere(reading: Reading) -> dict:
         return {**nominal, **reading.parameters, _COUPLING: None}
 
-    pairs = (sorted(p, key=index) for p in itertools.combinations(campaign.measurements.in_use, 2))
+    light = [reading for reading in campaign.measurements.in_use if not reading.of_beam]
+    pairs = (sorted(p, key=index) for p in itertools.combinations(light, 2))
     alike = [(a, b) for a, b in pairs if index(b) > index(a) and elsewhere(a) == elsewhere(b)]
     return max(alike, key=lambda pair: index(pair[1]) - index(pair[0]), default=None)
 

@@ -350,7 +350,7 @@ def _face(group: Sequence[tuple[Surface, Triangles]]) -> BenchPart:
     if surface.kind == DETECTOR:
         says = f"reflects {percent} of the light" if surface.reflectance else "takes all light"
         if surface.acceptance_deg < 90.0:
-            says = f"takes light within {surface.acceptance_deg:.4g}° of its normal"
+            says = f"takes light within {surface.acceptance_deg:.4g}°"
         finish = Finish(GLOSSY, finish.colour)
     elif surface.kind == DIFFUSE:
         says = f"reflects {percent}, diffusely" if surface.reflectance else "black"

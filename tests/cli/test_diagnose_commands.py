@@ -289,8 +289,13 @@ def test_labels_of_figures_do_not_overlap():
     figure = draw_ranking(
         by.diagnosis("ambiguous", candidates=(*by.CANDIDATES * 4, long), pairs=(by.PAIR,) * 3)
     ).figure
-    bars, words = figure.axes
-    texts = [*bars.get_yticklabels(), *words.texts, *figure.legends[0].get_texts()]
+    chances, _, words = figure.axes
+    texts = [
+        *chances.get_yticklabels(),
+        *chances.texts,
+        *words.texts,
+        *figure.legends[0].get_texts(),
+    ]
     assert overlap(texts, figure) == []
     steps = [replace(by.STEPS[1], step=i, added="anisotropic_scattering") for i in range(1, 5)]
     figure = draw_staircase([by.STEPS[0], *steps], by.calibration(by.MENDED, 0.3)).figure
