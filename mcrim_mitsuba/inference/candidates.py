@@ -84,7 +84,7 @@ _FITTED = 5
 # First-order separation up to which a fit is worth its time.
 _WORTH_A_FIT = 80.0
 # Standard errors of plausible sizes beyond which that of a fit says that nothing determines it.
-_UNDETERMINED = 5.0
+UNDETERMINED = 5.0
 # Directions that are alike, for effects too small to be separated from anything.
 _ALIKE = 0.9
 
@@ -216,7 +216,7 @@ def determined_estimates(fit: Fit, evidence: Evidence) -> dict[str, ParameterEst
 def _determined(known: ParameterEstimate, evidence: Evidence, name: str) -> ParameterEstimate:
     """A size with an error that readings and plausible sizes leave, where readings leave none."""
     sigma = evidence.sigma[name]
-    if known.sigma <= _UNDETERMINED * sigma:
+    if known.sigma <= UNDETERMINED * sigma:
         return known
     return replace(
         known, sigma=sigma, lower=known.value - sigma, upper=known.value + sigma,

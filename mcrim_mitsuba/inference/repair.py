@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
@@ -13,6 +13,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.inference.candidates import UNDETERMINED
 from mcrim_mitsuba.inference.diagnose import Diagnosed, RepairStep, diagnose_on
 from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model
@@ -86,6 +87,7 @@ def repair(
         starts = {name: known.value for name, known in steps[-1].parameters.items()}
         try:
             model, calibration = bench.settled_model(effects, starts)
+            calibration = _determined(calibration, steps[-1])
         except UndeterminedError as refusal:
             if effect:
                 raise
@@ -102,6 +104,26 @@ def repair(
         diagnosed, effects, calibration, campaign_path, scene_path, bench.provenance(), bench,
         model, undetermined,
     )  # fmt: skip
+
+
+def _determined(fitted: Calibration, step: RepairStep) -> Calibration:
+    """A fit whose readings leave some parameters open, with the errors of plausible sizes."""
+    known = {
+        name: step.parameters[name]
+        for name, own in fitted.parameters.items()
+        if name in step.parameters and own.sigma > UNDETERMINED * step.parameters[name].sigma
+    }
+    if not known:
+        return fitted
+    parameters = {
+        name: replace(
+            own, sigma=known[name].sigma, contributions=known[name].contributions,
+            lower=own.value - known[name].sigma, upper=own.value + known[name].sigma,
+        ) if name in known else own
+        for name, own in fitted.parameters.items()
+    }  # fmt: skip
+    said = f"the readings do not determine {', '.join(known)}: errors are those of plausible sizes"
+    return replace(fitted, parameters=parameters, notes=(*fitted.notes, said))
 
 
 def _write(
