@@ -17,7 +17,7 @@ import tomlkit
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.entries import FILE_ENTRIES, HISTOGRAMS, RAW_TABLES
-from mcrim_mitsuba.campaign.measurements import Measurements
+from mcrim_mitsuba.campaign.measurements import KIND, Measurements
 from mcrim_mitsuba.campaign.reduction import RawData, ReducedAbsorption, ReducedReading
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import attributes, read_text, write_text
@@ -238,8 +238,12 @@ def _measurements_text(measurements: Measurements, raw: RawData) -> str:
         "signal": [f"{reading.signal:.{_DIGITS}g}" for reading in readings],
         "sigma": [f"{reading.sigma:.{_DIGITS}g}" for reading in readings],
     }
+    if any(reading.of_beam for reading in readings):
+        cells[KIND] = [reading.kind for reading in readings]
     for name in measurements.columns:
-        cells[name] = [value_text(reading.parameters[name]) for reading in readings]
+        # beams leave cells of the bench empty, and light those of the beam
+        known = (reading.parameters.get(name) for reading in readings)
+        cells[name] = ["" if value is None else value_text(value) for value in known]
     if not all(reading.use for reading in readings):
         cells["use"] = [str(int(reading.use)) for reading in readings]
     if any(reading.group is not None for reading in readings):

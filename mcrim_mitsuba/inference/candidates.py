@@ -292,6 +292,10 @@ def _end(fit: Fit, name: str, bound: float, nodes: list[float], height: float) -
     """Where the profile passes a height on the way to a bound; infinite if nowhere."""
     problem, place = fit.problem, fit.problem.index(name)
     best, theta = float(fit.theta[place]), fit.theta.copy()
+    if fit.chi2 >= height:
+        # even the best value is refused: the range ends before the effect is absent, or the
+        # simulation's error is smaller without it
+        return best
     sign = math.copysign(1.0, bound - best)
 
     def internal(value: float) -> float:

@@ -113,9 +113,9 @@ def fitted(model: ResponseModel, found: Calibration) -> Quantities:
 
 
 def _of_eta(model: ResponseModel, eta: Array, batches: Array, slopes: Array) -> Quantities:
-    """Efficiencies, and the ratio of the two where two readings are in use."""
+    """Efficiencies, and the ratio of the two where two readings of light are in use."""
     names = [f"{_ETA}{reading.label}" for reading in model.readings]
-    used = [i for i, reading in enumerate(model.readings) if reading.use]
+    used = [i for i, reading in enumerate(model.readings) if reading.use and not reading.of_beam]
     if len(used) == 2:
         one, two = used
         names.append(f"{names[one]}{_OVER}{names[two]}")

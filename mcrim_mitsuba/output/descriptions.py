@@ -68,7 +68,7 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         *([Sentence(of_detector)] if by_detector else []),
         table(
             "readings", ("reading", "measured", "model", "pull", "eta"),
-            ((*_reading(one), measured(one.eta, one.eta_sigma)) for one in fit.rows),
+            ((*_reading(one), measured(one.eta, one.eta_sigma or None)) for one in fit.rows),
         ),
     ]  # fmt: skip
     if result.spent:

@@ -108,7 +108,7 @@ def signal_text(of_beam: bool, value: float, sigma: float | None) -> str:
     """A reading or what predicts it, transmittances in per cent: ``(76.0 ± 1.2) %``."""
     if not of_beam:
         return pdg(value, sigma)
-    text = pdg(100 * value, None if sigma is None else 100 * sigma)
+    text = pdg(100 * value, 100 * sigma if sigma else None)  # a closed form has no error
     return f"({text}) %" if "±" in text else f"{text} %"
 
 

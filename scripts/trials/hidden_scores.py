@@ -101,13 +101,9 @@ def _close_after(trial: dict) -> bool:
 
 
 def _told_apart(trial: dict) -> bool:
-    """Whether what is hidden leads, and of haze and roughness of faces the other does not."""
-    rough = trial["what"] == "surface_roughness"
-    others = [
-        name for name in trial["leading"]
-        if (name == "surface_haze" if rough else name.endswith("_roughness"))
-    ]  # fmt: skip
-    return trial["what"] in trial["leading"] and not others
+    """Whether what is hidden leads, and of haze and roughness of all faces the other does not."""
+    others = {"surface_haze", "surface_roughness"} - {trial["what"]}
+    return trial["what"] in trial["leading"] and others.isdisjoint(trial["leading"])
 
 
 def _limit_holds(trial: dict) -> bool:

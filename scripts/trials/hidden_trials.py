@@ -420,10 +420,13 @@ class TrialMaker:
         return hidden, (), hidden[0][0], readings_of(self._store, hidden, truth)
 
     def _beam(self, rng, number: int, truth: Truth):
-        hidden = self._in_turn("beam", hidden_alone(BESIDE_BEAM, BESIDE_BEAM), number)
-        readings = readings_of(self._store, hidden, truth)
+        effect = self._in_turn("beam", tuple(BESIDE_BEAM), number)
+        found = self._sized(rng, effect, truth, *EXCESS, BESIDE_BEAM)
+        if found is None:
+            return None
+        hidden, spoiled, what, readings = found
         seed = int(rng.integers(2**31))
-        return hidden, (), hidden[0][0], with_transmittance(readings, hidden, truth, seed)
+        return hidden, spoiled, what, with_transmittance(readings, hidden, truth, seed)
 
     def _outsiders(self, rng, number: int, truth: Truth):
         what = OUTSIDERS_IN_TURN[number % len(OUTSIDERS_IN_TURN)]
@@ -444,10 +447,10 @@ class TrialMaker:
             return None
         return (), tuple(labels()[row] for row in sorted(rows)), what, spoiled
 
-    def _sized(self, rng, effect: str, truth: Truth, least: float, most: float):
+    def _sized(self, rng, effect: str, truth: Truth, least: float, most: float, known=_ALL):
         """One of the sizes whose excess is within bounds, or None."""
         fitting = []
-        for size in _ALL[effect].sizes:
+        for size in known[effect].sizes:
             readings = readings_of(self._store, ((effect, size),), truth)
             if least <= self._excess.plain(readings, truth) <= most:
                 fitting.append((((effect, size),), (), effect, readings))

@@ -331,3 +331,19 @@ def test_bad_raw_data_are_refused_in_one_line(folder, file, old, new, place, say
     path.write_bytes(text.replace(old, new, 1).encode("utf-8"))
     refused = refusal(read_campaign, folder / TOML)
     assert refused.startswith(f"{path}, {place}") and says in refused, refused
+
+
+def test_a_transmittance_beside_histograms_keeps_its_kind(folder, tmp_path):
+    campaign = rows(
+        folder,
+        "label,kind,signal,sigma,histogram,n_gap,acceptance_deg\n"
+        "air,light,,,air_1.csv,1.00,\n"
+        "gel,,,,gel_1.csv,1.46,\n"
+        "t,transmittance,0.76,0.012,,,7\n",
+    )
+    write_plain(campaign, tmp_path / "plain.toml")
+    plain = read_campaign(tmp_path / "plain.toml")
+    assert plain.beam == campaign.beam
+    for raw, read in zip(campaign.measurements.readings, plain.measurements.readings, strict=True):
+        assert (read.kind, read.parameters) == (raw.kind, raw.parameters)
+        assert read.signal == pytest.approx(raw.signal, rel=1e-5)

@@ -137,7 +137,7 @@ def test_rates_and_confusion():
                 verdict="adequate", limits={"gap_thickness": {
                     "parameter": "gap_offset_mm", "lower": None, "upper": 0.4}}),
         a_trial(kind="beam", what="surface_haze", leading=["surface_haze", "gap_bubble"]),
-        a_trial(kind="beam", what="surface_haze", leading=["surface_haze", "top_roughness"]),
+        a_trial(kind="beam", what="surface_haze", leading=["surface_haze", "surface_roughness"]),
         a_trial(kind="beam", what="surface_roughness", leading=["surface_haze"]),
     ]  # fmt: skip
     found = {rate.point.strip(): (rate.hits, rate.trials) for rate in scores.rates(lines)}
