@@ -59,17 +59,12 @@ PILOT_PHOTONS = 65_536
 
 
 class Effort(NamedTuple):
-    """How much time is spent.
+    """How much time is spent."""
 
-    In so many rounds engines take turns, so that all share the machine's moods; a timed run lasts
-    some seconds. The table has a relative precision. Separate points are so many per absorption
-    and coupling, evenly spread over alpha_scat and with its two ends.
-    """
-
-    rounds: int
-    seconds: float
-    precision: float
-    separate: int
+    rounds: int  # in which engines take turns, so that all share the machine's moods
+    seconds: float  # of a timed run
+    precision: float  # of the table, relative
+    separate: int  # points per absorption and coupling, evenly spread over all alpha_scat
 
 
 QUICK = Effort(rounds=1, seconds=0.4, precision=0.01, separate=2)
@@ -85,21 +80,19 @@ class Sample(NamedTuple):
     eta_sigma: float
 
 
+#: ``run(photons, seed)``
 Sampler = Callable[[int, int], Sample]
 
 
 @dataclass
 class Engine:
-    """One way to simulate the bench: ``run(photons, seed)``.
-
-    Photons are those of a timed run. The wall time until the first ones are done is its start-up.
-    """
+    """One way to simulate the bench; `photons` are those of a timed run."""
 
     coupling: str
     name: str
     run: Sampler
     photons: int
-    start_up_s: float
+    start_up_s: float  # wall time until the first photons are done
     samples: list[Sample] = field(default_factory=list)
 
     def told(self) -> dict[str, float]:
@@ -194,11 +187,11 @@ def measure_engines(effort: Effort, report: Callable[..., None]) -> list[Engine]
     # one process per core, ready; an interrupt is for this process to handle
     ignore = (signal.SIGINT, signal.SIG_IGN)
     with multiprocessing.get_context("spawn").Pool(None, signal.signal, ignore) as pool:
-        slow = FIRST_PHOTONS_SLOW
+        fast, slow = FIRST_PHOTONS, FIRST_PHOTONS_SLOW
         makers = {
-            OURS: (_ours, FIRST_PHOTONS),
-            "ours, polarised": (functools.partial(_ours, polarization=True), FIRST_PHOTONS),
-            "ours, records kept": (_ours_recording, FIRST_PHOTONS),
+            OURS: (_ours, fast),
+            "ours, polarised": (functools.partial(_ours, polarization=True), fast),
+            "ours, records kept": (_ours_recording, fast),
             "ours, general path": (functools.partial(_ours, general=True), slow),
             "NumPy tracer": (functools.partial(_numpy, pool=pool), slow),
         }

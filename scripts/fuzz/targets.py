@@ -302,9 +302,12 @@ def _seed(name: str) -> bytes:
     return Path(__file__).with_name("seeds").joinpath(name).read_bytes()
 
 
-_WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
+def _table_of(name: str) -> dict:
+    return tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text(encoding="utf-8"))
+
+
 _XML_WORDS, _TOML_WORDS, _CSV_WORDS, _JSON_WORDS = (
-    (*known["spaced"], *known["words"].split()) for known in _WORDS.values()
+    (*known["spaced"], *known["words"].split()) for known in _table_of("words").values()
 )
 _MEASURED = (SCENES / "camoo4_measured.csv").read_bytes()
 _CAMPAIGN = (SCENES / "camoo4_campaign.toml").read_bytes().replace(b"camoo4.xml", b"bench.xml")
@@ -325,31 +328,20 @@ def _a_chunk() -> bytes:
     return b"".join(bytes(part) for part in parts)
 
 
-def _line(verb: str, *arguments: str) -> bytes:
-    return "\n".join((str(_COMMANDS.index(verb)), *arguments)).encode()
+def _line(text: str, file: str | None = None) -> bytes:
+    verb = next(verb for verb in _COMMANDS if text.startswith(f"{verb} "))
+    arguments = text.removeprefix(verb).split()
+    head = "\n".join((str(_COMMANDS.index(verb)), *arguments)).encode()
+    if file is None:
+        return head
+    place = next(number for number, name in enumerate(_OURS) if name in arguments)
+    return _joined(head, *[b""] * place, (SCENES / file).read_bytes())
 
 
 _COMMAND_LINES = (
-    _joined(_line("lab peak", "in.csv"), b"", b"", (RAW / "air_1.csv").read_bytes()),
-    _joined(_line("lab efficiency", "in.csv", "quantum_efficiency.csv", "--scale-sigma", "5%"),
-            b"", b"", (RAW / "emission.csv").read_bytes()),
-    _joined(_line("lab absorption", "in.csv", "--n", "CaMoO4", "--thickness-mm", "10",
-                  "--emission", "emission.csv"), b"", b"",
-            (RAW / "transmittance_1.csv").read_bytes()),
-    _line("lab absorption", "0.76", "--sigma", "0.005", "--n", "2.01", "--thickness-mm", "10"),
-    _line("lab yield", "--signal", "14.3±0.2", "--eta", "0.25±12%", "--label", "air",
-          "--efficiency", "0.127±10%", "--energy-keV", "59.5", "--json", "-"),
-    _joined(_line("lab relative", "in.toml"), b"", (SCENES / "cawo4_reference.toml").read_bytes()),
-    _line("lab index", "BK7@540nm", "--json", "out.json"),
-    _line("lab index", "CaMoO4", "--emission", "emission.csv"),
-    _line("lab gammas", "CaMoO4", "--energy-keV", "59.5", "--json", "/dev/full"),
-    _line("add", "edge_chamfer", "bench.xml", "-o", "-"),
-    _joined(_line("add", "edge_chamfer", "in.xml", "-o", "out.xml", "-D", "chamfer_mm=0.2"),
-            (SCENES / "camoo4.xml").read_bytes()),
-    _joined(_line("reduce", "in.toml", "--json", "-"), b"", _RAW_TOML),
-    _joined(_line("convert", "in.json", "-o", "out.nc"), b"", b"", b"", _seed("calibrated.json")),
-    _joined(_line("convert", "in.csv", "-o", "out.tex"), b"", b"", _seed("table.csv")),
-)  # fmt: skip
+    *(_line(*line) for line in _table_of("commands")["lines"]),
+    _joined(_line("reduce in.toml --json -"), b"", _RAW_TOML),
+)
 _SCENES = _bytes(*sorted(SCENES.glob("*.xml")))
 _HISTOGRAMS = _bytes(RAW / "air_1.csv", RAW / "gel_1.csv", RAW / "gel_2.csv")
 _SPECTRA = _bytes(RAW / "emission.csv", RAW / "quantum_efficiency.csv", RAW / "transmittance_1.csv")
