@@ -124,7 +124,7 @@ def _ours(coupling: str, *, polarization: bool = False, general: bool = False) -
 
 
 def _ours_recording(coupling: str) -> Sampler:
-    """Photons drawn as in a plain run, with what reweighting needs kept of each."""
+    """As in a plain run, with what reweighting needs kept of each photon."""
     simulation = Simulation(SCENE, {"n_gap": COUPLINGS[coupling]})
     own = simulation.file.parameters
     drawn = ScatteringProposals((own["alpha_scat_per_cm"],), (UNITS,), own["alpha_abs_per_cm"])
@@ -214,30 +214,29 @@ def measure_engines(effort: Effort, report: Callable[..., None]) -> list[Engine]
 
 def _rows(engines: list[Engine]) -> list[dict]:
     """What is told of each."""
-    told = {(engine.coupling, engine.name): engine.told() for engine in engines}
-    return [
-        {"coupling": coupling, "engine": name, **found}
-        | {
-            "ours_faster_by": told[coupling, OURS]["photons_per_s"] / found["photons_per_s"],
-            "ours_sooner_by": found["goal_s"] / told[coupling, OURS]["goal_s"],
-        }
-        for (coupling, name), found in told.items()
-    ]
+    rows = [{"coupling": one.coupling, "engine": one.name, **one.told()} for one in engines]
+    ours = {row["coupling"]: row for row in rows if row["engine"] == OURS}
+    for row in rows:
+        of_ours = ours[row["coupling"]]
+        row["ours_faster_by"] = of_ours["photons_per_s"] / row["photons_per_s"]
+        row["ours_sooner_by"] = row["goal_s"] / of_ours["goal_s"]
+    return rows
+
+
+#: Columns of what is shown of engines: the number's name, and its format.
+_SHOWN = {
+    "photons/s": ("photons_per_s", ",.0f"), "ours is faster by": ("ours_faster_by", ".3g"),
+    "eta": ("eta", ".5f"), "error": ("eta_sigma", ".5f"),
+    "variance/photon": ("variance_per_photon", ".3g"), f"s to {100 * GOAL:g} %": ("goal_s", ".3g"),
+    "ours is sooner by": ("ours_sooner_by", ".3g"), "start-up, s": ("start_up_s", ".2f"),
+}  # fmt: skip
 
 
 def _show_engines(screen: terminal.Screen, rows: list[dict]) -> None:
-    head = ("engine", "photons/s", "ours is faster by", "eta", "error", "variance/photon",
-            f"s to {100 * GOAL:g} %", "ours is sooner by", "start-up, s")  # fmt: skip
-    told = sorted(rows, key=lambda row: list(COUPLINGS).index(row["coupling"]))
-    screen.show(table(f"{SCENE.name}: following photons", head, [
-        (
-            f"{row['coupling']}: {row['engine']}", f"{row['photons_per_s']:,.0f}",
-            f"{row['ours_faster_by']:.3g}", f"{row['eta']:.5f}", f"{row['eta_sigma']:.5f}",
-            f"{row['variance_per_photon']:.3g}", f"{row['goal_s']:.3g}",
-            f"{row['ours_sooner_by']:.3g}", f"{row['start_up_s']:.2f}",
-        )
-        for row in told
-    ]))  # fmt: skip
+    cells = [[f"{row['coupling']}: {row['engine']}",
+              *(format(row[name], form) for name, form in _SHOWN.values())]
+             for row in rows]  # fmt: skip
+    screen.show(table(f"{SCENE.name}: following photons", ["engine", *_SHOWN], cells))
     if not is_installed():
         screen.line("Geant4 is not installed: pip install '.[geant4]' lets it take part")
 

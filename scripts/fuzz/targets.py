@@ -208,6 +208,10 @@ def _typed(data: bytes) -> None:
                 read(text)
 
 
+def _encoded(arrays: dict[str, np.ndarray], metadata: dict) -> bytes:
+    return b"".join(bytes(part) for part in chunk_file.encode("k" * 64, 0, arrays, metadata))
+
+
 def _chunk(data: bytes) -> None:
     """A file of the cache, with a digest that fits in half the inputs; and its key's folder."""
     flags, body = data[:1] or b"\0", data[1:]
@@ -215,8 +219,7 @@ def _chunk(data: bytes) -> None:
         body = body[:16] + hashlib.sha256(body[48:]).digest() + body[48:]
     chunk = chunk_file.decode(np.frombuffer(body, np.uint8), "k" * 64, 0)
     if chunk is not None:
-        parts = chunk_file.encode("k" * 64, 0, chunk.arrays, chunk.metadata)
-        again = b"".join(bytes(part) for part in parts)
+        again = _encoded(chunk.arrays, chunk.metadata)
         assert chunk_file.decode(np.frombuffer(again, np.uint8), "k" * 64, 0) is not None
     folder = Path("cache").absolute()
     cache = RecordCache({"seed": 1}, folder)
@@ -322,10 +325,10 @@ _RAW_TOML = (RAW / "campaign_source_depth.toml").read_bytes().replace(b"../camoo
 _RAW_TOML = _RAW_TOML.replace(b"mountings.csv", b"readings.csv")
 
 
-def _a_chunk() -> bytes:
-    arrays = {"weights": np.linspace(0, 1, 5), "kinds": np.arange(3, dtype=np.uint8)}
-    parts = chunk_file.encode("k" * 64, 0, arrays, {"photons": 5, "names": ["a"]})
-    return b"".join(bytes(part) for part in parts)
+_A_CHUNK = _encoded(
+    {"weights": np.linspace(0, 1, 5), "kinds": np.arange(3, dtype=np.uint8)},
+    {"photons": 5, "names": ["a"]},
+)
 
 
 def _line(text: str, file: str | None = None) -> bytes:
@@ -380,7 +383,7 @@ TARGETS = {
                        (*_TOML_WORDS, "sample", "reference", "shared", "signal", "eta")),
     "typed": Target(_typed, _TYPED,
                     ("log:", ":", ",", "%", "±", "+-", "BK7@", "nm", "=", "n_", "CaMoO4", "e")),
-    "chunk": Target(_chunk, (b"\x03" + _a_chunk(), b"\0" + _a_chunk()),
+    "chunk": Target(_chunk, (b"\x03" + _A_CHUNK, b"\0" + _A_CHUNK),
                     ("|O", "<f8", "<M8", "|V0", "<U9", "length", "dtype", "arrays", "null", "[")),
     "results": Target(
         _results,
