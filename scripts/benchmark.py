@@ -59,17 +59,12 @@ PILOT_PHOTONS = 65_536
 
 
 class Effort(NamedTuple):
-    """How much time is spent.
+    """How much time is spent."""
 
-    In so many rounds engines take turns, so that all share the machine's moods; a timed run lasts
-    some seconds. The table has a relative precision. Separate points are so many per absorption
-    and coupling, evenly spread over alpha_scat and with its two ends.
-    """
-
-    rounds: int
-    seconds: float
-    precision: float
-    separate: int
+    rounds: int  # in which engines take turns, so that all share the machine's moods
+    seconds: float  # of a timed run
+    precision: float  # of the table, relative
+    separate: int  # points per absorption and coupling, evenly spread over all alpha_scat
 
 
 QUICK = Effort(rounds=1, seconds=0.4, precision=0.01, separate=2)
@@ -85,21 +80,19 @@ class Sample(NamedTuple):
     eta_sigma: float
 
 
+#: ``run(photons, seed)``
 Sampler = Callable[[int, int], Sample]
 
 
 @dataclass
 class Engine:
-    """One way to simulate the bench: ``run(photons, seed)``.
-
-    Photons are those of a timed run. The wall time until the first ones are done is its start-up.
-    """
+    """One way to simulate the bench; `photons` are those of a timed run."""
 
     coupling: str
     name: str
     run: Sampler
     photons: int
-    start_up_s: float
+    start_up_s: float  # wall time until the first photons are done
     samples: list[Sample] = field(default_factory=list)
 
     def told(self) -> dict[str, float]:
@@ -131,7 +124,7 @@ def _ours(coupling: str, *, polarization: bool = False, general: bool = False) -
 
 
 def _ours_recording(coupling: str) -> Sampler:
-    """Photons drawn as in a plain run, with what reweighting needs kept of each."""
+    """As in a plain run, with what reweighting needs kept of each photon."""
     simulation = Simulation(SCENE, {"n_gap": COUPLINGS[coupling]})
     own = simulation.file.parameters
     drawn = ScatteringProposals((own["alpha_scat_per_cm"],), (UNITS,), own["alpha_abs_per_cm"])
@@ -194,11 +187,11 @@ def measure_engines(effort: Effort, report: Callable[..., None]) -> list[Engine]
     # one process per core, ready; an interrupt is for this process to handle
     ignore = (signal.SIGINT, signal.SIG_IGN)
     with multiprocessing.get_context("spawn").Pool(None, signal.signal, ignore) as pool:
-        slow = FIRST_PHOTONS_SLOW
+        fast, slow = FIRST_PHOTONS, FIRST_PHOTONS_SLOW
         makers = {
-            OURS: (_ours, FIRST_PHOTONS),
-            "ours, polarised": (functools.partial(_ours, polarization=True), FIRST_PHOTONS),
-            "ours, records kept": (_ours_recording, FIRST_PHOTONS),
+            OURS: (_ours, fast),
+            "ours, polarised": (functools.partial(_ours, polarization=True), fast),
+            "ours, records kept": (_ours_recording, fast),
             "ours, general path": (functools.partial(_ours, general=True), slow),
             "NumPy tracer": (functools.partial(_numpy, pool=pool), slow),
         }
@@ -221,30 +214,29 @@ def measure_engines(effort: Effort, report: Callable[..., None]) -> list[Engine]
 
 def _rows(engines: list[Engine]) -> list[dict]:
     """What is told of each."""
-    told = {(engine.coupling, engine.name): engine.told() for engine in engines}
-    return [
-        {"coupling": coupling, "engine": name, **found}
-        | {
-            "ours_faster_by": told[coupling, OURS]["photons_per_s"] / found["photons_per_s"],
-            "ours_sooner_by": found["goal_s"] / told[coupling, OURS]["goal_s"],
-        }
-        for (coupling, name), found in told.items()
-    ]
+    rows = [{"coupling": one.coupling, "engine": one.name, **one.told()} for one in engines]
+    ours = {row["coupling"]: row for row in rows if row["engine"] == OURS}
+    for row in rows:
+        of_ours = ours[row["coupling"]]
+        row["ours_faster_by"] = of_ours["photons_per_s"] / row["photons_per_s"]
+        row["ours_sooner_by"] = row["goal_s"] / of_ours["goal_s"]
+    return rows
+
+
+#: Columns of what is shown of engines: the number's name, and its format.
+_SHOWN = {
+    "photons/s": ("photons_per_s", ",.0f"), "ours is faster by": ("ours_faster_by", ".3g"),
+    "eta": ("eta", ".5f"), "error": ("eta_sigma", ".5f"),
+    "variance/photon": ("variance_per_photon", ".3g"), f"s to {100 * GOAL:g} %": ("goal_s", ".3g"),
+    "ours is sooner by": ("ours_sooner_by", ".3g"), "start-up, s": ("start_up_s", ".2f"),
+}  # fmt: skip
 
 
 def _show_engines(screen: terminal.Screen, rows: list[dict]) -> None:
-    head = ("engine", "photons/s", "ours is faster by", "eta", "error", "variance/photon",
-            f"s to {100 * GOAL:g} %", "ours is sooner by", "start-up, s")  # fmt: skip
-    told = sorted(rows, key=lambda row: list(COUPLINGS).index(row["coupling"]))
-    screen.show(table(f"{SCENE.name}: following photons", head, [
-        (
-            f"{row['coupling']}: {row['engine']}", f"{row['photons_per_s']:,.0f}",
-            f"{row['ours_faster_by']:.3g}", f"{row['eta']:.5f}", f"{row['eta_sigma']:.5f}",
-            f"{row['variance_per_photon']:.3g}", f"{row['goal_s']:.3g}",
-            f"{row['ours_sooner_by']:.3g}", f"{row['start_up_s']:.2f}",
-        )
-        for row in told
-    ]))  # fmt: skip
+    cells = [[f"{row['coupling']}: {row['engine']}",
+              *(format(row[name], form) for name, form in _SHOWN.values())]
+             for row in rows]  # fmt: skip
+    screen.show(table(f"{SCENE.name}: following photons", ["engine", *_SHOWN], cells))
     if not is_installed():
         screen.line("Geant4 is not installed: pip install '.[geant4]' lets it take part")
 

@@ -87,10 +87,9 @@ def mounting_means(mean: float, sigma: float) -> NDArray[np.float64]:
 def _write_histograms(
     folder: Path, name: str, mean: float, sigma: float, random: np.random.Generator
 ) -> None:
-    for number, (mean_photons, kind) in enumerate(
-        zip(mounting_means(mean, sigma), KINDS[name], strict=True), start=1
-    ):
-        spectrum = PhotonSpectrum(round(float(mean_photons), 3), EVENTS)
+    means = mounting_means(mean, sigma)
+    for number, (mounting, kind) in enumerate(zip(means, KINDS[name], strict=True), start=1):
+        spectrum = PhotonSpectrum(round(float(mounting), 3), EVENTS)
         comments = [
             f"photons per event, CaMoO4, 59.5 keV of Am-241, {name} in the gap, mounting {number}, "
             "10 minutes",
@@ -122,10 +121,8 @@ def _write_emission(path: Path, emission: NDArray[np.float64], random: np.random
     """From a grating spectrometer that scans downwards: tabs, descending wavelengths."""
     counts = 10_000 * emission
     measured = np.maximum(counts + random.normal(0, np.sqrt(counts + 20)), 0)
-    rows = [
-        f"{nm:.1f}\t{value:.1f}\t{0.05 * value + 10:.1f}"
-        for nm, value in zip(EMISSION_NM[::-1], measured[::-1], strict=True)
-    ]
+    rows = [f"{nm:.1f}\t{value:.1f}\t{0.05 * value + 10:.1f}"
+            for nm, value in zip(EMISSION_NM[::-1], measured[::-1], strict=True)]  # fmt: skip
     comments = [
         "emission of CaMoO4 at room temperature, corrected for the spectrometer's response",
         "errors: 5 % of the correction, and the counting",
@@ -154,12 +151,9 @@ def _write_transmittance(
     of_bulk = np.interp(TRANSMITTANCE_NM, KNOTS_NM, internal)
     measured = measured_transmittance(of_bulk, published.N_CRYSTAL.value)
     measured = measured + random.normal(0, TRANSMITTANCE_NOISE, measured.size)
-    rows = [
-        f"{nm:g},{100 * value:.2f}"
-        for nm, value in zip(TRANSMITTANCE_NM[::-1], measured[::-1], strict=True)
-    ]
-    comments = [f"CaMoO4, 10.0 mm, polished, in air; orientation {number}"]
-    _write(path, comments, ["nm,%T", *rows])
+    rows = [f"{nm:g},{100 * value:.2f}"
+            for nm, value in zip(TRANSMITTANCE_NM[::-1], measured[::-1], strict=True)]  # fmt: skip
+    _write(path, [f"CaMoO4, 10.0 mm, polished, in air; orientation {number}"], ["nm,%T", *rows])
 
 
 def _write(

@@ -70,9 +70,9 @@ class NoWork:
 
 @dataclass
 class Timed:
-    """A table that was made by so many workers; 0: this process."""
+    """A table that was made."""
 
-    workers: int
+    workers: int  # 0: this process
     seconds: float
     table: EtaTable
     firsts: list[float] = field(default_factory=list)  # seconds of each worker's first unit
@@ -81,13 +81,12 @@ class Timed:
 
 
 @contextlib.contextmanager
-def empty_cache() -> Iterator[str]:
-    """A cache of its own."""
+def empty_cache() -> Iterator[None]:
     with (
         tempfile.TemporaryDirectory(prefix="mcrim-scaling-") as folder,
         patch.dict(os.environ, {FOLDER_VARIABLE: folder}),
     ):
-        yield folder
+        yield
 
 
 @contextlib.contextmanager
@@ -105,30 +104,24 @@ def cluster_of(workers: int) -> Iterator[tuple[ClusterExecutor, str]]:
         executor.close()
 
 
-def make_table(workers: int, couplings: int) -> Timed:
-    """The workload: two units per coupling, in two stages."""
-    indices = np.linspace(1.2, 1.5, couplings).round(6).tolist()
-    start = time.perf_counter()
-    table = eta_table(
-        SCENE, {"n_gap": indices, ALPHA_ABS: [0.039], ALPHA_SCAT: [0.2, 0.5, 1.0]},
-        run=Run(PHOTONS, threads=1),
-    )  # fmt: skip
-    return Timed(workers, time.perf_counter() - start, table)
-
-
 def timed_table(workers: int, couplings: int) -> Timed:
-    """Make it with so many workers; 0 for this process."""
-    with empty_cache():
-        if not workers:
-            return make_table(0, couplings)
-        from distributed import get_task_stream
+    """The workload, two units per coupling in two stages, by so many workers; 0: this process."""
+    from distributed import get_task_stream
 
-        with cluster_of(workers) as (executor, address):
-            with connect(address) as watcher, get_task_stream(watcher) as stream:
-                with use_executor(executor):
-                    made = make_table(workers, couplings)
+    axes = {"n_gap": np.linspace(1.2, 1.5, couplings).round(6).tolist(), ALPHA_ABS: [0.039],
+            ALPHA_SCAT: [0.2, 0.5, 1.0]}  # fmt: skip
+    with empty_cache(), contextlib.ExitStack() as around:
+        tasks: list[dict] = []
+        if workers:
+            executor, address = around.enter_context(cluster_of(workers))
+            watcher = around.enter_context(connect(address))
+            tasks = around.enter_context(get_task_stream(watcher)).data
+            around.enter_context(use_executor(executor))
+        start = time.perf_counter()
+        table = eta_table(SCENE, axes, run=Run(PHOTONS, threads=1))
+        made = Timed(workers, time.perf_counter() - start, table)
     known = set()
-    for task in sorted(stream.data, key=lambda task: task["startstops"][-1]["stop"]):
+    for task in sorted(tasks, key=lambda task: task["startstops"][-1]["stop"]):
         (seconds,) = (
             s["stop"] - s["start"] for s in task["startstops"] if s["action"] == "compute"
         )

@@ -190,13 +190,12 @@ def record_surface(
     *,
     run: Run,
     alpha_scat_range_per_cm: tuple[float, float] | None = None,
-    what: str = "simulation",
 ) -> tuple[EtaSurface, RecordRun]:
     """One simulation that answers all points.
 
     Parameters
     ----------
-    scene, points, run, alpha_scat_range_per_cm, what
+    scene, points, run, alpha_scat_range_per_cm
         See `SurfaceWish`.
 
     Raises
@@ -204,7 +203,9 @@ def record_surface(
     InputError
         As `RecordRun.extend`, and where `surfaces_answer` says no.
     """
-    return record_surfaces([SurfaceWish(what, scene, points, run, alpha_scat_range_per_cm)])[0]
+    return record_surfaces(
+        [SurfaceWish("simulation", scene, points, run, alpha_scat_range_per_cm)]
+    )[0]
 
 
 def record_surfaces(wishes: Sequence[SurfaceWish]) -> list[tuple[EtaSurface, RecordRun]]:

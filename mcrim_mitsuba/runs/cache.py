@@ -93,10 +93,13 @@ def hashes(files: Iterable[str | Path]) -> list[str]:
 
 
 def source_hash(files: Iterable[Path]) -> str:
-    """SHA-256 (hexadecimal) of Python files; comments, docstrings and layout do not count."""
+    """SHA-256 (hexadecimal) of files; of Python ones no comments, docstrings and layout."""
     documented = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
     digest = hashlib.sha256()
     for file in sorted(files):
+        if file.suffix != ".py":
+            digest.update(file.read_bytes())
+            continue
         tree = ast.parse(file.read_text(encoding="utf-8"))
         for node in ast.walk(tree):
             if isinstance(node, documented) and ast.get_docstring(node, clean=False) is not None:
@@ -108,16 +111,21 @@ def source_hash(files: Iterable[Path]) -> str:
 @functools.cache
 def package_hash() -> str:
     """`source_hash` of this package but its commands."""
-    files = _PACKAGE.rglob("*.py")
+    files = _sources(_PACKAGE)
     return source_hash(f for f in files if "cli" not in f.relative_to(_PACKAGE).parts)
+
+
+def _sources(folder: Path) -> list[Path]:
+    """Code, and tables of what it knows."""
+    return sorted([*folder.rglob("*.py"), *folder.rglob("*.toml")])
 
 
 @functools.cache
 def _content_hash(*rooms: str) -> str:
-    """SHA-256 (hexadecimal) of the code of some rooms."""
+    """SHA-256 (hexadecimal) of the code and tables of some rooms."""
     digest = hashlib.sha256()
     for room in rooms:
-        for file in sorted((_PACKAGE / room).rglob("*.py")):
+        for file in _sources(_PACKAGE / room):
             digest.update(file.relative_to(_PACKAGE).as_posix().encode())
             digest.update(hashlib.sha256(file.read_bytes()).digest())
     return digest.hexdigest()

@@ -208,6 +208,10 @@ def _typed(data: bytes) -> None:
                 read(text)
 
 
+def _encoded(arrays: dict[str, np.ndarray], metadata: dict) -> bytes:
+    return b"".join(bytes(part) for part in chunk_file.encode("k" * 64, 0, arrays, metadata))
+
+
 def _chunk(data: bytes) -> None:
     """A file of the cache, with a digest that fits in half the inputs; and its key's folder."""
     flags, body = data[:1] or b"\0", data[1:]
@@ -215,8 +219,7 @@ def _chunk(data: bytes) -> None:
         body = body[:16] + hashlib.sha256(body[48:]).digest() + body[48:]
     chunk = chunk_file.decode(np.frombuffer(body, np.uint8), "k" * 64, 0)
     if chunk is not None:
-        parts = chunk_file.encode("k" * 64, 0, chunk.arrays, chunk.metadata)
-        again = b"".join(bytes(part) for part in parts)
+        again = _encoded(chunk.arrays, chunk.metadata)
         assert chunk_file.decode(np.frombuffer(again, np.uint8), "k" * 64, 0) is not None
     folder = Path("cache").absolute()
     cache = RecordCache({"seed": 1}, folder)
@@ -302,9 +305,12 @@ def _seed(name: str) -> bytes:
     return Path(__file__).with_name("seeds").joinpath(name).read_bytes()
 
 
-_WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
+def _table_of(name: str) -> dict:
+    return tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text(encoding="utf-8"))
+
+
 _XML_WORDS, _TOML_WORDS, _CSV_WORDS, _JSON_WORDS = (
-    (*known["spaced"], *known["words"].split()) for known in _WORDS.values()
+    (*known["spaced"], *known["words"].split()) for known in _table_of("words").values()
 )
 _MEASURED = (SCENES / "camoo4_measured.csv").read_bytes()
 _CAMPAIGN = (SCENES / "camoo4_campaign.toml").read_bytes().replace(b"camoo4.xml", b"bench.xml")
@@ -319,37 +325,26 @@ _RAW_TOML = (RAW / "campaign_source_depth.toml").read_bytes().replace(b"../camoo
 _RAW_TOML = _RAW_TOML.replace(b"mountings.csv", b"readings.csv")
 
 
-def _a_chunk() -> bytes:
-    arrays = {"weights": np.linspace(0, 1, 5), "kinds": np.arange(3, dtype=np.uint8)}
-    parts = chunk_file.encode("k" * 64, 0, arrays, {"photons": 5, "names": ["a"]})
-    return b"".join(bytes(part) for part in parts)
+_A_CHUNK = _encoded(
+    {"weights": np.linspace(0, 1, 5), "kinds": np.arange(3, dtype=np.uint8)},
+    {"photons": 5, "names": ["a"]},
+)
 
 
-def _line(verb: str, *arguments: str) -> bytes:
-    return "\n".join((str(_COMMANDS.index(verb)), *arguments)).encode()
+def _line(text: str, file: str | None = None) -> bytes:
+    verb = next(verb for verb in _COMMANDS if text.startswith(f"{verb} "))
+    arguments = text.removeprefix(verb).split()
+    head = "\n".join((str(_COMMANDS.index(verb)), *arguments)).encode()
+    if file is None:
+        return head
+    place = next(number for number, name in enumerate(_OURS) if name in arguments)
+    return _joined(head, *[b""] * place, (SCENES / file).read_bytes())
 
 
 _COMMAND_LINES = (
-    _joined(_line("lab peak", "in.csv"), b"", b"", (RAW / "air_1.csv").read_bytes()),
-    _joined(_line("lab efficiency", "in.csv", "quantum_efficiency.csv", "--scale-sigma", "5%"),
-            b"", b"", (RAW / "emission.csv").read_bytes()),
-    _joined(_line("lab absorption", "in.csv", "--n", "CaMoO4", "--thickness-mm", "10",
-                  "--emission", "emission.csv"), b"", b"",
-            (RAW / "transmittance_1.csv").read_bytes()),
-    _line("lab absorption", "0.76", "--sigma", "0.005", "--n", "2.01", "--thickness-mm", "10"),
-    _line("lab yield", "--signal", "14.3±0.2", "--eta", "0.25±12%", "--label", "air",
-          "--efficiency", "0.127±10%", "--energy-keV", "59.5", "--json", "-"),
-    _joined(_line("lab relative", "in.toml"), b"", (SCENES / "cawo4_reference.toml").read_bytes()),
-    _line("lab index", "BK7@540nm", "--json", "out.json"),
-    _line("lab index", "CaMoO4", "--emission", "emission.csv"),
-    _line("lab gammas", "CaMoO4", "--energy-keV", "59.5", "--json", "/dev/full"),
-    _line("add", "edge_chamfer", "bench.xml", "-o", "-"),
-    _joined(_line("add", "edge_chamfer", "in.xml", "-o", "out.xml", "-D", "chamfer_mm=0.2"),
-            (SCENES / "camoo4.xml").read_bytes()),
-    _joined(_line("reduce", "in.toml", "--json", "-"), b"", _RAW_TOML),
-    _joined(_line("convert", "in.json", "-o", "out.nc"), b"", b"", b"", _seed("calibrated.json")),
-    _joined(_line("convert", "in.csv", "-o", "out.tex"), b"", b"", _seed("table.csv")),
-)  # fmt: skip
+    *(_line(*line) for line in _table_of("commands")["lines"]),
+    _joined(_line("reduce in.toml --json -"), b"", _RAW_TOML),
+)
 _SCENES = _bytes(*sorted(SCENES.glob("*.xml")))
 _HISTOGRAMS = _bytes(RAW / "air_1.csv", RAW / "gel_1.csv", RAW / "gel_2.csv")
 _SPECTRA = _bytes(RAW / "emission.csv", RAW / "quantum_efficiency.csv", RAW / "transmittance_1.csv")
@@ -388,7 +383,7 @@ TARGETS = {
                        (*_TOML_WORDS, "sample", "reference", "shared", "signal", "eta")),
     "typed": Target(_typed, _TYPED,
                     ("log:", ":", ",", "%", "±", "+-", "BK7@", "nm", "=", "n_", "CaMoO4", "e")),
-    "chunk": Target(_chunk, (b"\x03" + _a_chunk(), b"\0" + _a_chunk()),
+    "chunk": Target(_chunk, (b"\x03" + _A_CHUNK, b"\0" + _A_CHUNK),
                     ("|O", "<f8", "<M8", "|V0", "<U9", "length", "dtype", "arrays", "null", "[")),
     "results": Target(
         _results,

@@ -66,6 +66,8 @@ FEW_PHOTONS = 100_000
 FEWEST_CAMPAIGNS, FEWEST_REALISATIONS = 20, 20
 #: What is wanted of every parameter: coverage, pull's width, absolute pull's mean at most.
 COVERAGE, WIDTH, BIAS = (0.64, 0.72), (0.93, 1.07), 0.12
+#: Of every fit in the JSON.
+FIT_COLUMNS = ("truth", "value", "sigma", "lower", "upper", "p_value", "realisation")
 #: Least p-value of the Kolmogorov-Smirnov test.
 LEAST_KS_P = 0.001
 
@@ -190,12 +192,6 @@ def draw_realisations(
     ]
 
 
-def fit_uncached(realisation: Realisation) -> list[dict[str, Any] | str]:
-    """`fit_realisation` with records that are made to be used once."""
-    with patch.dict(os.environ, {FOLDER_VARIABLE: "off"}):
-        return fit_realisation(realisation)
-
-
 def fit_realisation(realisation: Realisation) -> list[dict[str, Any] | str]:
     """Simulate the configurations, on one thread, and fit all campaigns.
 
@@ -206,7 +202,8 @@ def fit_realisation(realisation: Realisation) -> list[dict[str, Any] | str]:
     number, ``correlation`` (3 times 3) and ``p_value``.
     """
     try:
-        surfaces = _simulate(realisation)
+        with patch.dict(os.environ, {FOLDER_VARIABLE: "off"}):  # its records are used once
+            surfaces = _simulate(realisation)
     except InputError as error:
         return [str(error)] * len(realisation.campaigns)
 
@@ -398,7 +395,7 @@ class EffortTrials:
         drawn = draw_realisations(*self._drawn, truths, *self._place)
         arguments = {trial: (drawn[trial.number],) for trial in self.trials.missing}
         name = self._drawn[0].name
-        return self.trials.do(fit_uncached, arguments, lambda _, *how: report(name, *how))
+        return self.trials.do(fit_realisation, arguments, lambda _, *how: report(name, *how))
 
     def outcomes(self) -> Outcomes:
         """Of all fits, in the realisations' order."""
@@ -434,19 +431,6 @@ def _shown(judged: Judged, factor: float, digits: int, sign: str = "") -> str:
     value, error = factor * judged.value, factor * judged.error
     mark = "" if judged.within else " (!)"
     return f"{value:{sign}.{digits}f} ± {error:.{digits}f}{mark}"
-
-
-def _as_json(effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], p: float) -> dict:
-    columns = ("truth", "value", "sigma", "lower", "upper", "p_value", "realisation")
-    return {
-        **effort._asdict(),
-        "campaigns": len(outcomes.value),
-        "parameters": [asdict(row) | {"within": row.within} for row in rows],
-        "kolmogorov_smirnov_p": p,
-        "refusals": list(outcomes.refusals),
-        "fits": {"names": list(NAMES)}
-        | {name: getattr(outcomes, name).tolist() for name in columns},
-    }
 
 
 @click.command()
@@ -488,7 +472,13 @@ def main(
         outcomes = one.outcomes()
         rows, p = judge(outcomes), float(kstest(outcomes.p_value, "uniform").pvalue)
         good &= all(row.within for row in rows) and p >= LEAST_KS_P and not outcomes.refusals
-        found.append(_as_json(effort, outcomes, rows, p))
+        found.append(effort._asdict() | {
+            "campaigns": len(outcomes.value),
+            "parameters": [asdict(row) | {"within": row.within} for row in rows],
+            "kolmogorov_smirnov_p": p, "refusals": list(outcomes.refusals),
+            "fits": {"names": list(NAMES)}
+            | {name: getattr(outcomes, name).tolist() for name in FIT_COLUMNS},
+        })  # fmt: skip
         _show(screen, effort, outcomes, rows, p)
     seconds = time.perf_counter() - start
     terminal.write_json(json_file, {"ok": good, "seed": seed, "seconds": seconds, "efforts": found})

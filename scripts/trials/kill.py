@@ -23,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -41,19 +41,17 @@ JOB = ("diagnose", str(SCENES / "camoo4_misfit.toml"), "--photons", "65536")
 PASSING = ("seconds", "photons_per_second", "cached_photons", "cached_units")
 _PASSING_LINE = re.compile(rf'\s*"({"|".join(PASSING)})": [^\[{{]*')
 #: A log's line about a unit.
-_UNIT = re.compile(
-    r"unit .*?(?P<what>begun|made|kept)(, (?P<photons>[\d,]+) photons)?, (?P<id>\S+)$"
-)
+_UNIT = re.compile(r"unit .*?(begun|made|kept)(?:, ([\d,]+) photons)?, (\S+)$")
 #: Seconds between two looks at a job's processor time.
 _LOOK_S = 0.01
 
 
 @dataclass(frozen=True)
 class Log:
-    """What a run's log says of its units; of those that were made, their photons."""
+    """What a run's log says of its units."""
 
     begun: set[str]
-    made: dict[str, int]
+    made: dict[str, int]  # their photons
     kept: set[str]
 
     @classmethod
@@ -63,8 +61,8 @@ class Log:
         text = file.read_text(encoding="utf-8") if file.is_file() else ""
         for line in text.split("\n")[:-1]:
             if unit := _UNIT.search(line):
-                photons = (unit["photons"] or "0").replace(",", "")
-                found[unit["what"]][unit["id"]] = int(photons)
+                what, photons, name = unit.groups("0")
+                found[what][name] = int(photons.replace(",", ""))
         return cls(set(found["begun"]), found["made"], set(found["kept"]))
 
     @property
@@ -95,16 +93,13 @@ class Row:
 
 @dataclass(frozen=True)
 class Ran:
-    """What came of a run; the status is negative: of the signal that killed it.
+    """What came of a run."""
 
-    It stopped so long after the signal; nan without one.
-    """
-
-    status: int
+    status: int  # negative: of the signal that killed it
     said: str
     log: Log
     processor_s: float
-    stopped_s: float
+    stopped_s: float  # after the signal; nan without one
 
 
 class Job:
@@ -187,17 +182,6 @@ def files(cache: Path) -> dict[Path, tuple[int, int]]:
     return {file: (status.st_ino, status.st_mtime_ns) for file, status in statuses}
 
 
-def rows_of(job: Job, kills: int, seed: int, whole: Ran) -> Iterator[Row]:
-    """Rows of separate trials, as they end."""
-    moments = np.random.default_rng(seed).uniform(0.0, whole.processor_s, kills)
-    for trial, moment in enumerate(moments, start=1):
-        cache = job.cache(f"cache-{trial}")
-        killed = job.run(cache, moment)
-        before = files(cache)
-        yield _row(trial, moment, killed, before, job.run(cache), files(cache), whole)
-        shutil.rmtree(cache)
-
-
 def _row(
     trial: int, moment: float, killed: Ran, before: dict, again: Ran, after: dict, whole: Ran
 ) -> Row:
@@ -242,16 +226,21 @@ def main(words, kills, how, processes, seed, json_file) -> int:
     screen = terminal.console(json_file)
     with tempfile.TemporaryDirectory(prefix="mcrim-kill-") as folder:
         job = Job(words, Path(folder), signal.Signals[f"SIG{how}"])
-        cache = job.cache("cache")
         start = time.perf_counter()
-        whole = job.run(cache)
+        whole = job.run(job.cache("cache"))
         seconds, photons = time.perf_counter() - start, sum(whole.log.made.values())
         screen.line(
             f"mcrim {shlex.join(words)}: {seconds:.1f} s uninterrupted ({whole.processor_s:.1f} s "
             f"of processors), {len(whole.log.made)} units, {photons:,} photons"
         )
         rows = []
-        for row in rows_of(job, kills, seed, whole):
+        moments = np.random.default_rng(seed).uniform(0.0, whole.processor_s, kills)
+        for trial, moment in enumerate(moments, start=1):
+            cache = job.cache(f"cache-{trial}")
+            killed = job.run(cache, moment)
+            before = files(cache)
+            row = _row(trial, moment, killed, before, job.run(cache), files(cache), whole)
+            shutil.rmtree(cache)
             rows.append(row)
             screen.line(
                 f"{row.trial:4d}  killed after {row.killed_s:6.1f} s with {row.finished} units "

@@ -19,17 +19,9 @@ from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
 SCENES = Path(__file__).parents[2] / "scenes"
 #: Benches of the space-filling design, and its seed.
 _FILLING, _FILLING_SEED = 40, 1
-#: Values of the design's axes; the coefficients are drawn between their bounds.
-_LEVELS = {
-    "n_gap": (1.0, 1.333, 1.46, 1.515, 1.74),
-    "gap_mm": (0.05, 0.5),
-    "n_crystal": (2.01, 1.85, 1.5, 2.2),
-    "crystal_height_mm": (2.0, 5.0, 10.0, 20.0),
-    "crystal_width_mm": (10.0, 5.0),
-    "aperture_radius_mm": (14.0, 7.0, 4.0),
-}
+#: Between these the design's coefficients are drawn.
 _ALPHA_SCAT, _ALPHA_ABS = (0.03, 2.0), (0.005, 0.2)
-#: Corners of the design, polarised benches, and sizes of every effect.
+#: Axes of the design, its corners, polarised benches, and sizes of every effect.
 _TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 #: Two configurations, and those of effects that need a filled gap.
 _ANY = ({"n_gap": 1.0}, {"n_gap": 1.46, "crystal_height_mm": 5.0, "aperture_radius_mm": 7.0})
@@ -105,15 +97,15 @@ def cases() -> list[Case]:
 
 def filling_design() -> list[dict[str, float]]:
     """A Latin hypercube, optimised for even filling, over all parameters of a plain bench."""
-    axes = len(_LEVELS) + 2
-    design = qmc.LatinHypercube(axes, optimization="random-cd", rng=_FILLING_SEED)
+    levels = _TABLES["levels"]
+    design = qmc.LatinHypercube(len(levels) + 2, optimization="random-cd", rng=_FILLING_SEED)
     benches = []
     for point in design.random(_FILLING):
         bench = {
             name: values[int(place * len(values))]
-            for place, (name, values) in zip(point, _LEVELS.items(), strict=False)
+            for place, (name, values) in zip(point, levels.items(), strict=False)
         }
-        scattering, absorption = point[len(_LEVELS) :]
+        scattering, absorption = point[len(levels) :]
         # many crystals scatter little: even in the square root of the one, the log of the other
         low, high = np.sqrt(_ALPHA_SCAT)
         bench["alpha_scat_per_cm"] = round(float(low + scattering * (high - low)) ** 2, 3)

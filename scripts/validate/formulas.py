@@ -12,9 +12,8 @@ from __future__ import annotations
 import itertools
 import math
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,30 +31,35 @@ BALL = Path(__file__).parent / "ball.xml"
 BALL_RADIUS_MM = 5.0
 #: Name of the formula of light that a polished crystal transmits.
 BEAM = "beam"
-#: Half angle that takes next to nothing of what is scattered, degrees.
-_NARROW_DEG = 0.3
 #: Points of one scrambled Sobol sequence, and how many sequences tell the integral's error.
 _POINTS, _SEQUENCES = 2**16, 8
 #: What a mirror image must be worth to be counted.
 _LEAST_IMAGE = 1e-7
-#: The plate is wider than the crystal by this, because the scene wants a frame around it.
-_FRAME_MM = 1e-3
+#: Widths of the article's crystal, and the thickness of its window.
+_WIDTH_MM, _WINDOW_MM = 10.0, 1.0
+#: Formula in words and its source, by name.
+SOURCES = tomllib.loads(Path(__file__).with_name("sources.toml").read_text(encoding="utf-8"))
 
 
 @dataclass(frozen=True)
 class Formula:
     """A bench and what a closed form of `SOURCES` says of it.
 
-    `exact` returns the fraction of the light that meets a `fate`, and its numerical error. The
-    parameters differ from those of the scene: the article's bench, or `BALL`; of the form `BEAM`,
-    the article's crystal in a spectrophotometer.
+    The parameters differ from those of the scene: the article's bench, or `BALL`; of the form
+    `BEAM`, the article's crystal in a spectrophotometer.
     """
 
     form: str
     parameters: dict[str, float]
     fate: str
-    exact: Callable[[], tuple[float, float]]
-    ball: bool = False
+
+    @property
+    def ball(self) -> bool:
+        return self.form == "ball"
+
+    def exact(self) -> tuple[float, float]:
+        """The fraction of the light that meets the fate, and its numerical error."""
+        return _EXACT[self.form](self.parameters)
 
     @property
     def name(self) -> str:
@@ -66,13 +70,11 @@ class Formula:
     described = name
 
 
-#: Formula in words and its source, by name.
-SOURCES = tomllib.loads(Path(__file__).with_name("sources.toml").read_text(encoding="utf-8"))
-
-
 def formulas() -> list[Formula]:
     """All benches with a closed form."""
-    return [*_trapped(), *_bare_boxes(), *_black_feet(), *_solid_angles(), *_balls(), *_beams()]
+    benches = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+    return [Formula(form, parameters, known["fate"])
+            for form, known in benches.items() for parameters in known["benches"]]  # fmt: skip
 
 
 def trapped_fraction(n: float, n_gap: float) -> tuple[float, float]:
@@ -186,76 +188,24 @@ def transmitted_by_slab(n: float, alpha_per_cm: float, path_cm: float) -> tuple[
     return float((1.0 - face) ** 2 * inside / (1.0 - (face * inside) ** 2)), 0.0
 
 
-def _trapped() -> Iterator[Formula]:
-    for n, n_gap in ((2.01, 1.0), (1.85, 1.0), (1.5, 1.0), (2.01, 1.333), (2.01, 1.46),
-                     (2.01, 1.515), (2.2, 1.46)):  # fmt: skip
-        yield Formula(
-            "trapped light",
-            {"n_crystal": n, "n_gap": n_gap, "alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0},
-            "truncated",
-            partial(trapped_fraction, n, n_gap),
-        )
-
-
-def _bare_boxes() -> Iterator[Formula]:
-    for n, width, height, alpha in (
-        (1.0, 10.0, 10.0, 0.2), (1.0, 10.0, 2.0, 1.5), (1.5, 10.0, 10.0, 0.05),
-        (1.5, 10.0, 5.0, 0.2), (1.85, 10.0, 10.0, 0.02), (1.85, 5.0, 20.0, 0.1),
-        (2.01, 10.0, 10.0, 0.039), (2.01, 10.0, 2.0, 0.1), (2.01, 10.0, 10.0, 1.0),
-    ):  # fmt: skip
-        yield Formula(
-            "absorbed in a bare box",
-            {"n_crystal": n, "n_gap": 1.0, "n_window": 1.0, "crystal_width_mm": width,
-             "crystal_height_mm": height, "alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": alpha},
-            "absorbed_crystal",
-            partial(absorbed_in_bare_box, n, (width, width, height), alpha),
-        )  # fmt: skip
-
-
-def _black_feet() -> Iterator[Formula]:
-    for n, n_foot, height, alpha, gap in (
-        (2.01, 2.01, 10.0, 0.0, 0.05), (1.5, 1.5, 5.0, 0.0, 0.5), (1.85, 1.85, 20.0, 0.1, 0.05),
-        (2.01, 2.01, 2.0, 0.02, 0.5), (2.01, 1.46, 10.0, 0.039, 0.05), (2.01, 1.0, 10.0, 0.1, 0.5),
-        (2.01, 1.74, 5.0, 0.05, 0.5), (1.85, 1.515, 10.0, 0.2, 0.05), (1.5, 1.74, 10.0, 0.1, 0.05),
-        (1.5, 1.333, 3.0, 0.02, 0.5),
-    ):  # fmt: skip
-        yield Formula(
-            "box on a black foot",
-            {"n_crystal": n, "n_gap": n_foot, "n_window": n_foot, "crystal_height_mm": height,
-             "window_width_mm": 10.0 + _FRAME_MM, "gap_mm": gap, "alpha_scat_per_cm": 0.0,
-             "alpha_abs_per_cm": alpha},
-            "detected",
-            partial(detected_at_black_foot, n, n_foot, 10.0, height, gap + 1.0, alpha),
-        )  # fmt: skip
-
-
-def _solid_angles() -> Iterator[Formula]:
-    for height, gap, plate in ((10.0, 0.05, 28.0), (2.0, 0.5, 28.0), (20.0, 0.5, 12.0)):
-        yield Formula(
-            "solid angle",
-            {"n_crystal": 1.0, "n_gap": 1.0, "n_window": 1.0, "crystal_height_mm": height,
-             "gap_mm": gap, "window_width_mm": plate, "aperture_radius_mm": plate,
-             "alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0},
-            "detected",
-            partial(solid_angle_fraction, 10.0, height, gap + 1.0, plate),
-        )  # fmt: skip
-
-
-def _balls() -> Iterator[Formula]:
-    for n, alpha in ((1.0, 0.2), (1.0, 2.0), (1.0, 8.0), (1.5, 0.2), (1.9, 0.1), (1.9, 1.0)):
-        exact = partial(escape_from_ball, n, BALL_RADIUS_MM, alpha)
-        yield Formula("ball", {"n_ball": n, "alpha_abs_per_cm": alpha}, "detected", exact, True)
-
-
-def _beams() -> Iterator[Formula]:
-    for n, height_mm in ((1.5, 10.0), (1.82, 4.0), (2.01, 10.0)):
-        for scattering, absorption in ((0.0, 0.05), (0.1, 0.005), (0.5, 0.2)):
-            values = {
-                "n_crystal": n, "crystal_height_mm": height_mm, "alpha_scat_per_cm": scattering,
-                "alpha_abs_per_cm": absorption, "acceptance_deg": _NARROW_DEG,
-            }  # fmt: skip
-            exact = partial(transmitted_by_slab, n, scattering + absorption, 1.0)
-            yield Formula(BEAM, values, "detected", exact)
+_EXACT: dict[str, Callable[[dict[str, float]], tuple[float, float]]] = {
+    "trapped light": lambda p: trapped_fraction(p["n_crystal"], p["n_gap"]),
+    "absorbed in a bare box": lambda p: absorbed_in_bare_box(
+        p["n_crystal"], (p["crystal_width_mm"], p["crystal_width_mm"], p["crystal_height_mm"]),
+        p["alpha_abs_per_cm"],
+    ),
+    "box on a black foot": lambda p: detected_at_black_foot(
+        p["n_crystal"], p["n_gap"], _WIDTH_MM, p["crystal_height_mm"], p["gap_mm"] + _WINDOW_MM,
+        p["alpha_abs_per_cm"],
+    ),
+    "solid angle": lambda p: solid_angle_fraction(
+        _WIDTH_MM, p["crystal_height_mm"], p["gap_mm"] + _WINDOW_MM, p["window_width_mm"]
+    ),
+    BEAM: lambda p: transmitted_by_slab(
+        p["n_crystal"], p["alpha_scat_per_cm"] + p["alpha_abs_per_cm"], _WIDTH_MM / 10.0
+    ),
+    "ball": lambda p: escape_from_ball(p["n_ball"], BALL_RADIUS_MM, p["alpha_abs_per_cm"]),
+}  # fmt: skip
 
 
 def _cosines(u: Array, v: Array) -> tuple[Array, Array, Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,11 @@ from validate.judging import FALSE_ALARM, POWER, TESTS, Judgement, agree, quanti
 COLUMNS = (
     "program", "group", "bench", "quantity", "mitsuba", "mitsuba_sigma", "other", "other_sigma",
     "z", "mitsuba_photons", "other_photons", "scene_hash",
+)  # fmt: skip
+#: A `Row` in these.
+_cells = attrgetter(
+    "program", "group", "bench", "quantity", "ours", "ours_sigma", "other", "other_sigma", "z",
+    "photons", "other_photons", "scene_hash",
 )  # fmt: skip
 
 
@@ -64,17 +70,14 @@ def write_report(
     """
     picture = page.with_suffix(".png")
     draw(picture, rows, judged)
-    style.write_numbers(picture, COLUMNS, map(_csv_row, rows))
+    style.write_numbers(picture, COLUMNS, map(_cells, rows))
     write_text(page, _page(picture.name, rows, judged, provenance))
 
 
 def verdict(judged: Mapping[str, Judgement]) -> str:
     """One sentence."""
-    failed = [
-        f"{program} ({', '.join(t for t in TESTS if j.p_values[t] < j.level)})"
-        for program, j in judged.items()
-        if not j.agrees
-    ]
+    failed = [f"{program} ({', '.join(t for t in TESTS if j.p_values[t] < j.level)})"
+              for program, j in judged.items() if not j.agrees]  # fmt: skip
     tested = f"right programs pass this with {100 * (1 - FALSE_ALARM):g} % probability"
     if agree(judged):
         return f"Mitsuba agrees with {_listed(list(judged))}: {tested}."
@@ -185,13 +188,6 @@ def _benches(rows: Sequence[Row], program: str) -> list[str]:
     ]  # fmt: skip
     width = len(head) if any(fates.values()) else len(head) - 1
     return markdown(head[:width], [row[:width] for row in found])
-
-
-def _csv_row(row: Row) -> tuple[object, ...]:
-    return (
-        row.program, row.group, row.bench, row.quantity, row.ours, row.ours_sigma, row.other,
-        row.other_sigma, row.z, row.photons, row.other_photons, row.scene_hash,
-    )  # fmt: skip
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -70,12 +70,8 @@ class Unit:
 class Results:
     """Finished units, in a file that is made if it is not there.
 
-    What a kill left unfinished at its end is taken away.
-
-    Raises
-    ------
-    InputError
-        If the file is none of ours, or cannot be read or written.
+    What a kill left unfinished at its end is taken away. Raises InputError if the file is none of
+    ours, or cannot be read or written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -138,10 +134,7 @@ def do_all(
 ) -> None:
     """Do the units that are not done yet, in processes; tell `done` of every unit that is there.
 
-    Raises
-    ------
-    RuntimeError
-        If one cannot be done.
+    Raises RuntimeError if one cannot be done.
     """
     missing: dict[str, Unit] = {}
     for unit in units:
