@@ -56,6 +56,8 @@ def fails(fit: Comparison | Calibration) -> bool:
 def estimate_text(known: ParameterEstimate) -> str:
     """``0.54 ± 0.02``; at a bound, where sigma is no error, ``0.05, at its bound``."""
     if known.at_bound is None:
+        if math.isinf(known.sigma):
+            return f"{known.value:.4g}, not determined"
         return pdg(known.value, known.sigma)
     return f"{known.value:.4g}, at its bound"
 

@@ -236,6 +236,26 @@ def test_what_is_alike_is_said_by_family():
     )
 
 
+def test_transmittances_are_shown_in_per_cent_and_on_a_scale_of_their_own():
+    assert findings.signal_text(True, 0.76, 0.012) == "(76.0 ± 1.2) %"
+    assert findings.signal_text(True, 0.751011743317966, 0.0) == "75.1 %"
+    assert findings.signal_text(False, 24.5, 0.4) == "24.5 ± 0.4"
+    assert findings.estimate_text(by.estimate(0.0, math.inf)) == "0, not determined"
+    first, second, *others = by.rows()
+    beam = replace(second, measured=0.76, sigma=0.01, model=0.7, kind="transmittance")
+    found = replace(by.comparison(), rows=(first, beam, *others))
+    assert findings.apart(found) == [
+        "the couplings and the beam pull apart: " + by.QUOTES + " was measured 3.3 standard errors "
+        "below what all other readings predict, which ask for less to be lost in the crystal than "
+        "the beam loses"
+    ]
+    drawing = draw_comparison(found)
+    drawing.figure.draw_without_rendering()
+    (of_beam,) = drawing.figure.axes[0].child_axes
+    assert of_beam.get_ylabel() == "transmittance (%)"
+    assert by.comparison().p_value is not None and findings.apart(by.comparison()) == []
+
+
 def test_repair_says_where_nothing_was_added(mcrim, campaign, found):
     found["repair"] = Repaired(
         replace(found["diagnose"], diagnosis=by.diagnosis("adequate", repair=by.STEPS[:1])), (),
