@@ -21,9 +21,7 @@ def explanations(sigma):
     signal = bench.signals({**TRUTH, "bubble_fraction": 0.04})
     signal = signal * (1.0 + sigma * rng.standard_normal(len(signal)))
     rows, noise = bench.readings(signal, sigma), bench.simulation_noise(7)
-    return Explanations(
-        lambda added: bench.Model(rows, tuple(added), noise), bench.EFFECTS, bench.SCENE
-    )
+    return Explanations(lambda added: bench.Model(rows, tuple(added), noise), bench.EFFECTS)
 
 
 def log_likelihood(fit, priors):
