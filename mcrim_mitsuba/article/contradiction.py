@@ -29,7 +29,7 @@ from mcrim_mitsuba.scene.shipped import scene_path
 
 CAMPAIGN = "camoo4_three.toml"
 #: Photons of a simulation with an effect, unless told otherwise: the readings' errors are 1.5 %.
-PHOTONS = 131_072
+PHOTONS = 32_768
 #: Explanations that are named.
 _NAMED = 4
 

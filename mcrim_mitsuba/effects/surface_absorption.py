@@ -49,7 +49,7 @@ EFFECT = Effect(
             maximum=0.05,
             start=0.005,
             absent=0.0,
-            plausible=(0.0, 0.02),
+            plausible=(0.0, 0.03),
             nodes=(0.002, 0.005, 0.01, 0.02, 0.035, 0.05),
         ),
     ),

@@ -103,5 +103,5 @@ def test_it_reproduces_the_article_away_from_the_checkout(wheel, unpacked, tmp_p
     assert (done.returncode, done.stderr) == (0, "")
     assert "Light yield of CaMoO4: 7." in done.stdout
     figures = sorted(path.suffix for path in (tmp_path / "mcrim_paper").iterdir())
-    assert figures == [*[".csv"] * 3, *[".pdf"] * 3, *[".png"] * 3]
+    assert figures == [*[".csv"] * 4, *[".pdf"] * 4, *[".png"] * 4]
     assert files_below(package) <= set(wheel.namelist())  # nothing is written where it lies
