@@ -41,6 +41,7 @@ from mcrim_mitsuba.scene.spectrophotometer import (
     BEAM_AXIS,
     BEAM_DIAMETER,
     BEAM_PARAMETERS,
+    GAP_INDEX,
     refused_of_beam,
     spectrophotometer_of,
     too_wide,
@@ -243,7 +244,7 @@ def _read_beam(
     for reading in transmittances:
         for name, value in reading.parameters.items():
             # a row may say that there is air
-            if name not in in_beam or (name == "n_gap" and value != 1.0):
+            if name not in in_beam or (name == GAP_INDEX and value != 1.0):
                 raise measurements.refusal(
                     reading, name, f"{name} = {value_text(value)} of a transmittance, which is "
                     "measured in air without the bench", "empty the cell",

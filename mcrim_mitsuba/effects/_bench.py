@@ -25,6 +25,11 @@ _TOLERANCE_MM = 1e-6
 _FLAT = ("rectangle", "panel")
 _AXES = {"right": (0, 1), "left": (0, -1), "back": (1, 1), "front": (1, -1), "top": (2, 1),
          "bottom": (2, -1)}  # fmt: skip
+#: Of rough faces.
+FACETS = (
+    "B. Walter, S. R. Marschner, H. Li and K. E. Torrance, Eurographics Symposium on Rendering "
+    "2007, 195"
+)
 _FORM = "this effect is written for benches in the form of scenes/camoo4.xml"
 
 
@@ -104,6 +109,16 @@ def roughen(editor: SceneEditor, side: str) -> None:
         # what no face wears any more
         if all(shape in faces or editor.bsdf(shape) is not bsdf for shape in editor.shapes):
             editor.remove(bsdf)
+
+
+def roughness_of(side: str, what: str) -> EffectParameter:
+    """Width of the facets that `roughen` gives a side of the crystal, called `what`."""
+    return EffectParameter(
+        name=f"{side}_roughness_alpha", unit="",
+        meaning=f"Roughness of the crystal's {what} (GGX), the tangent of a typical tilt",
+        minimum=0.0, maximum=0.5, start=0.1, absent=0.0, plausible=(0.0, 0.4),
+        nodes=(0.012, 0.035, 0.08, 0.16, 0.3, 0.5), coordinate="logarithmic", scale=0.03,
+    )  # fmt: skip
 
 
 def rough_copy(editor: SceneEditor, bsdf: Node, side: str) -> str:

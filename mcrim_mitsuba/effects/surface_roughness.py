@@ -1,6 +1,6 @@
 """Effect ``surface_roughness``: the crystal's faces are not perfectly flat."""
 
-from mcrim_mitsuba.effects._bench import polish
+from mcrim_mitsuba.effects._bench import FACETS, polish
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import SceneEditor
 
@@ -26,10 +26,7 @@ EFFECT = Effect(
         "light out after some reflections. Facets are drawn among those that the light sees, and "
         "drawn again where it would end on the wrong side: nothing is lost at the face."
     ),
-    source=(
-        "B. Walter, S. R. Marschner, H. Li and K. E. Torrance, Eurographics Symposium on "
-        "Rendering 2007, 195; E. Heitz and E. d'Eon, Computer Graphics Forum 33 (2014) 103"
-    ),
+    source=f"{FACETS}; E. Heitz and E. d'Eon, Computer Graphics Forum 33 (2014) 103",
     parameters=(
         EffectParameter(
             name="roughness_alpha",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mcrim_mitsuba.effects._bench import roughen
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects._bench import FACETS, roughen, roughness_of
+from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.scene.editor import SceneEditor
 
 
@@ -26,25 +26,8 @@ EFFECT = Effect(
         "normals (GGX, width alpha), as in surface_roughness, and the other faces are "
         "polished."
     ),
-    source=(
-        "B. Walter, S. R. Marschner, H. Li and K. E. Torrance, Eurographics Symposium on "
-        "Rendering 2007, 195"
-    ),
-    parameters=(
-        EffectParameter(
-            name="top_roughness_alpha",
-            unit="",
-            meaning="Roughness of the crystal's top face (GGX), the tangent of a typical tilt",
-            minimum=0.0,
-            maximum=0.5,
-            start=0.1,
-            absent=0.0,
-            plausible=(0.0, 0.4),
-            nodes=(0.012, 0.035, 0.08, 0.16, 0.3, 0.5),
-            coordinate="logarithmic",
-            scale=0.03,
-        ),
-    ),
+    source=FACETS,
+    parameters=(roughness_of("top", "top face"),),
     excludes=("surface_roughness",),
     edit=edit,
 )

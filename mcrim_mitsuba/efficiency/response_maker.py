@@ -42,6 +42,7 @@ from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import (
     ACCEPTANCE,
     BEAM_AXIS,
+    GAP_INDEX,
     scattered_share,
     spectrophotometer_of,
 )
@@ -74,8 +75,6 @@ _FINE, _COARSE = (17, 6), (7, 4)
 #: Scene parameter that is the radius of the hole in a mask, and a radius (in window widths) that
 #: leaves all of a square window open.
 APERTURE, WINDOW, _OPEN = "aperture_radius_mm", "window_width_mm", 0.75
-#: The index beside the crystal's lower face, which is that of air in a beam.
-LIQUID = "n_gap"
 #: Nodes of a fitted acceptance, and where, in degrees, its logarithm takes over from itself.
 _ACCEPTANCE_NODES, _ACCEPTANCE_SCALE_DEG = 7, 2.0
 #: Stands for infinity in a scene.
@@ -219,7 +218,7 @@ class ResponseMaker:
             values |= {n: v for n, v in absent.items() if n in values}
             known = _seen(campaign.scene, reading.of_beam).parameters
             # in the beam there is air where the bench has a liquid
-            values |= {n: known[n] for n in (LIQUID,) if reading.of_beam and n in known}
+            values |= {n: known[n] for n in (GAP_INDEX,) if reading.of_beam and n in known}
             found.append({n: v for n, v in values.items() if n in known})
         return found
 
@@ -291,19 +290,12 @@ class ResponseMaker:
             scene = self._with_effect(scene, effect)
         photons = min(ANCHOR_FACTOR * self._effect_photons, _MOST_PHOTONS)
         readings = self.campaign.measurements.readings
-        named = [
-            {
-                **own,
-                **{
-                    n: v
-                    for n, v in values.items()
-                    if n in _seen(scene, reading.of_beam).parameters
-                    and n not in reading.parameters
-                    and not (n == LIQUID and reading.of_beam)
-                },
-            }
-            for reading, own in zip(readings, self.configurations(), strict=True)
-        ]
+        named = []
+        for reading, own in zip(readings, self.configurations(), strict=True):
+            free = _seen(scene, reading.of_beam).parameters.keys() - reading.parameters.keys()
+            if reading.of_beam:
+                free -= {GAP_INDEX}
+            named.append({**own, **{n: v for n, v in values.items() if n in free}})
         runs = [
             self._simulation(scene, own, photons, of_beam=reading.of_beam).table(coarse=False)
             for reading, own in zip(readings, named, strict=True)
@@ -347,7 +339,7 @@ class ResponseMaker:
         if effect.of_beam:
             return self._at_own_acceptance(run)
         if effect.name in self._further_parameters():
-            return effect.name in run.parameters and not (effect.name == LIQUID and run.of_beam)
+            return effect.name in run.parameters and not (effect.name == GAP_INDEX and run.of_beam)
         if not run.of_beam:
             return True
         # a beam sees what changes in its scene, where only the crystal is left of the bench

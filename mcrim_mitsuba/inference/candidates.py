@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -84,7 +84,7 @@ _FITTED = 5
 # First-order separation up to which a fit is worth its time.
 _WORTH_A_FIT = 80.0
 # Standard errors of plausible sizes beyond which that of a fit says that nothing determines it.
-UNDETERMINED = 5.0
+_UNDETERMINED = 5.0
 # Directions that are alike, for effects too small to be separated from anything.
 _ALIKE = 0.9
 
@@ -207,20 +207,22 @@ def determined_estimates(fit: Fit, evidence: Evidence) -> dict[str, ParameterEst
     """Parameters of a fit; what readings do not determine has the error that evidence leaves."""
     parameters, known = estimates(fit), fit.problem.model.campaign.light_yield
     for name in fit.names:
-        parameters[name] = _determined(parameters[name], evidence, name)
+        sigma = evidence.sigma[name]
+        parameters[name] = determined(parameters[name], sigma, {"plausible": sigma})
     if known is not None and SCALE in fit.names:
         parameters[LIGHT_YIELD] = light_yield(parameters[SCALE], known)
     return parameters
 
 
-def _determined(known: ParameterEstimate, evidence: Evidence, name: str) -> ParameterEstimate:
-    """A size with an error that readings and plausible sizes leave, where readings leave none."""
-    sigma = evidence.sigma[name]
-    if known.sigma <= UNDETERMINED * sigma:
+def determined(
+    known: ParameterEstimate, sigma: float, contributions: Mapping[str, float]
+) -> ParameterEstimate:
+    """A size that readings leave open gets the error that they leave of plausible sizes."""
+    if known.sigma <= _UNDETERMINED * sigma:
         return known
     return replace(
         known, sigma=sigma, lower=known.value - sigma, upper=known.value + sigma,
-        contributions={"plausible": sigma},
+        contributions=dict(contributions),
     )  # fmt: skip
 
 

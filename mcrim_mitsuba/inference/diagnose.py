@@ -501,7 +501,7 @@ def diagnose_models(
     candidates: tuple[Candidate, ...] = ()
     pairs: tuple[Candidate, ...] = ()
     limits = {}
-    weighed = Weighing({}, {}, None)
+    weighed = Weighing({}, None)
     if baseline.ndf <= 0:
         judged = Verdict(
             TOO_FEW_READINGS,

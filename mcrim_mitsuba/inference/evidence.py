@@ -26,7 +26,7 @@ from mcrim_mitsuba.inference.least_squares import Fit, LeastSquaresProblem
 #: The name of the model without further effects.
 NOTHING_MISSING = "none"
 #: Points that an evidence is averaged over; its error is then a few hundredths of its logarithm.
-POINTS = 4096
+_POINTS = 4096
 #: Degrees of freedom of a size's density: tails that let data speak for unusual sizes.
 _TAILS = 3.0
 #: Part of the density inside the plausible range.
@@ -144,14 +144,7 @@ class Evidence:
     effective_points: float
 
 
-def evidence_of(
-    fit: Fit,
-    priors: Mapping[str, PriorDensity],
-    starts: Sequence[Array] = (),
-    *,
-    seed: int = 0,
-    points: int = POINTS,
-) -> Evidence:
+def evidence_of(fit: Fit, priors: Mapping[str, PriorDensity]) -> Evidence:
     """Evidence of the model of a fit.
 
     Parameters
@@ -160,20 +153,13 @@ def evidence_of(
         Its covariance of the readings is taken for all parameters.
     priors : mapping of str to PriorDensity
         One for every free parameter.
-    starts : sequence of (free,) float64
-        Further maxima of the likelihood, to be sampled around too.
-    seed : int
-    points : int
     """
     sampled = _Sampled(fit, [priors[name] for name in fit.names])
-    modes: list[tuple[Array, Array]] = []
-    for theta in (fit.theta, *starts):
-        mode = sampled.maximum(theta)
-        if all(np.linalg.norm(mode[0] - other) > _APART for other, _ in modes):
-            modes.append(mode)
-    rng = np.random.default_rng(seed)
+    modes = [sampled.maximum(fit.theta)]
+    # models are compared: the same points for all
+    rng = np.random.default_rng(0)
     for remaining in reversed(range(_ROUNDS)):
-        z, log_density = _drawn(modes, points if remaining == 0 else points // _ROUNDS, rng)
+        z, log_density = _drawn(modes, _POINTS // _ROUNDS if remaining else _POINTS, rng)
         theta = sampled.values(z)
         log_weight = sampled.log_likelihood(theta) - 0.5 * (z**2).sum(1)
         log_weight -= 0.5 * z.shape[1] * math.log(2.0 * math.pi) + log_density
@@ -189,7 +175,7 @@ def evidence_of(
     effective = 1.0 / float((share**2).sum())
     return Evidence(
         log=log,
-        log_sigma=math.sqrt(max(1.0 / effective - 1.0 / points, 0.0)),
+        log_sigma=math.sqrt(max(1.0 / effective - 1.0 / _POINTS, 0.0)),
         mean=dict(zip(fit.names, mean.tolist(), strict=True)),
         sigma=dict(zip(fit.names, spread.tolist(), strict=True)),
         effective_points=effective,
@@ -314,7 +300,6 @@ class AveragedYield:
 class Weighing:
     """How likely models are beside each other, each a set of effects; none is the empty set."""
 
-    evidences: dict[tuple[str, ...], Evidence]
     #: They sum to 1.
     probabilities: dict[tuple[str, ...], float]
     #: None where nothing turns a fitted scale into a light yield.
@@ -349,4 +334,4 @@ def weigh(
         within = math.hypot(math.sqrt(float(shares @ sigmas**2)), of_detector)
         between = math.sqrt(float(shares @ (values - mean) ** 2))
         light_yield = AveragedYield(mean, math.hypot(within, between), within, between)
-    return Weighing(dict(evidences), probabilities, light_yield)
+    return Weighing(probabilities, light_yield)

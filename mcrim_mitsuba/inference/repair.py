@@ -13,7 +13,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.inference.candidates import UNDETERMINED
+from mcrim_mitsuba.inference.candidates import determined
 from mcrim_mitsuba.inference.diagnose import Diagnosed, RepairStep, diagnose_on
 from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model
@@ -108,21 +108,16 @@ def repair(
 
 def _determined(fitted: Calibration, step: RepairStep) -> Calibration:
     """A fit whose readings leave some parameters open, with the errors of plausible sizes."""
-    known = {
-        name: step.parameters[name]
-        for name, own in fitted.parameters.items()
-        if name in step.parameters and own.sigma > UNDETERMINED * step.parameters[name].sigma
-    }
-    if not known:
+    parameters = dict(fitted.parameters)
+    for name in parameters.keys() & step.parameters.keys():
+        of_step = step.parameters[name]
+        parameters[name] = determined(parameters[name], of_step.sigma, of_step.contributions)
+    left_open = [name for name, own in fitted.parameters.items() if parameters[name] is not own]
+    if not left_open:
         return fitted
-    parameters = {
-        name: replace(
-            own, sigma=known[name].sigma, contributions=known[name].contributions,
-            lower=own.value - known[name].sigma, upper=own.value + known[name].sigma,
-        ) if name in known else own
-        for name, own in fitted.parameters.items()
-    }  # fmt: skip
-    said = f"the readings do not determine {', '.join(known)}: errors are those of plausible sizes"
+    said = (
+        f"the readings do not determine {', '.join(left_open)}: errors are those of plausible sizes"
+    )
     return replace(fitted, parameters=parameters, notes=(*fitted.notes, said))
 
 

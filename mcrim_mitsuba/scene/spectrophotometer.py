@@ -26,7 +26,7 @@ _MEANINGS = {
     ACCEPTANCE: "Largest angle to the beam that the detector takes, degrees",
 }
 #: The bench's index beside the crystal's lower face: in the beam there is air.
-_GAP_INDEX = "n_gap"
+GAP_INDEX = "n_gap"
 _SIZES = ("crystal_width_mm", "crystal_height_mm")
 _PARAMETER = re.compile(r"\$(\w+)")
 _BEAM = f"""<emitter type="collimated_beam">
@@ -122,8 +122,8 @@ def spectrophotometer_of(bench: SceneFile) -> SceneFile:
         assert not isinstance(value, bool)
         editor.declare(name, value, _MEANINGS[name])
     derived = bench.edited(editor.finished(), without=unused)
-    if _GAP_INDEX in derived.parameters:
-        derived = derived.with_overrides({_GAP_INDEX: 1.0})
+    if GAP_INDEX in derived.parameters:
+        derived = derived.with_overrides({GAP_INDEX: 1.0})
     _refuse_liquids(derived, editor)
     return derived
 
@@ -157,7 +157,7 @@ def _refuse_liquids(derived: SceneFile, editor: SceneEditor) -> None:
         if found is not None and is_filled(min(found)):
             raise editor.refusal(
                 f"{shape.get('id')} touches an index of {min(found):g} in the beam, too",
-                f"name the liquid's index as a parameter {_GAP_INDEX}, which is that of air there",
+                f"name the liquid's index as a parameter {GAP_INDEX}, which is that of air there",
             )
 
 
