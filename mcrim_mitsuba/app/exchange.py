@@ -68,11 +68,13 @@ def scene_file(
 
 
 def campaign_archive(
-    campaign: Campaign, effects: Sequence[str], values: Mapping[str, float]
-) -> tuple[str, bytes]:
+    campaign: Campaign, effects: Sequence[str], values: Mapping[str, float],
+    priors: Mapping[str, tuple[float, float]] | None = None,
+) -> tuple[str, bytes]:  # fmt: skip
     """Name and content of a ZIP file with the mended campaign and all that it needs.
 
-    Raw data stay where they are: the campaign has the numbers that they gave.
+    Raw data stay where they are: the campaign has the numbers that they gave. Priors are what a fit
+    with these effects knew of their sizes.
     """
     stem = f"{safe_name(campaign.path.stem, '')}_mended"
     values = rounded(values)
@@ -106,8 +108,8 @@ def campaign_archive(
         fitted = {n: v for n, v in values.items() if n in campaign.parameters}
         added = [p.name for e in effects for p in campaign.catalogue[e].parameters]
         sizes = fitted | {name: values[name] for name in added}
-        everything = [*campaign.effects, *effects]
-        text = campaign_with_effects(moved, target, scene_path, everything, sizes)
+        mended = moved.with_effects(effects).with_priors(priors or {})
+        text = campaign_with_effects(mended, target, scene_path, sizes)
         scene_path.write_text(scene_text(scene), encoding="utf-8", newline="")
         target.write_text(text, encoding="utf-8", newline="")
         archive = io.BytesIO()

@@ -390,15 +390,20 @@ class Session:
         It is the mended ``scene``, simulated as it is; with the ``campaign`` all that it needs; or
         the ``report``.
         """
-        makers = {"scene": exchange.scene_file, "campaign": exchange.campaign_archive}
 
         def work() -> None:
             campaign, effects = self.campaign, settings.effects
-            if what in makers:
-                self._make_ready(effects)
-                file = makers[what](campaign, effects, self._settle_at(settings))
-            else:
+            if what == "report":
                 file = exchange.report_file(campaign, effects, self._run, self._folder)
+            else:
+                self._make_ready(effects)
+                fitted = self.state.settled.get(tuple(sorted(effects)))
+                values = self._settle_at(settings)
+                if what == "scene":
+                    file = exchange.scene_file(campaign, effects, values)
+                else:
+                    priors = fitted.campaign.priors if fitted is not None else {}
+                    file = exchange.campaign_archive(campaign, effects, values, priors)
             self._change(file=file, file_number=self.state.file_number + 1)
 
         return self.jobs.start(f"writing the {what}", work)

@@ -93,13 +93,6 @@ class Campaign:
         return tuple(name for name, known in named.items() if known is None or not known.fixed)
 
     @property
-    def priors(self) -> tuple[str, ...]:
-        """Names of the free parameters that have a prior."""
-        named = {**self.parameters, SCALE: self.scale}
-        known = ((name, named[name]) for name in self.free)
-        return tuple(n for n, each in known if each is not None and each.prior is not None)
-
-    @property
     def notes(self) -> tuple[str, ...]:
         """What the reader must know of the raw data before using the numbers."""
         return () if self.raw is None else self.raw.notes
@@ -116,6 +109,23 @@ class Campaign:
             if name in values and not known.fixed:
                 start = min(max(values[name], known.minimum), known.maximum)
                 parameters[name] = replace(known, start=start)
+        return replace(self, parameters=parameters)
+
+    @property
+    def priors(self) -> dict[str, tuple[float, float]]:
+        """Gaussian knowledge of free parameters from elsewhere: value and standard error."""
+        named = {**self.parameters, SCALE: self.scale}
+        return {
+            name: (known.prior, known.prior_sigma)
+            for name, known in ((name, named[name]) for name in self.free)
+            if known is not None and known.prior is not None and known.prior_sigma is not None
+        }
+
+    def with_priors(self, priors: Mapping[str, tuple[float, float]]) -> Campaign:
+        """The campaign with other `priors` of some parameters."""
+        parameters = dict(self.parameters)
+        for name, (prior, sigma) in priors.items():
+            parameters[name] = replace(parameters[name], prior=prior, prior_sigma=sigma)
         return replace(self, parameters=parameters)
 
     @property

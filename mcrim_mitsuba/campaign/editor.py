@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping
 from pathlib import Path
 from typing import Any
 
@@ -30,30 +30,30 @@ _SHORT_HASH = 12
 
 
 def campaign_with_effects(
-    campaign: Campaign,
-    target: Path,
-    scene: Path,
-    effects: Sequence[str],
-    starts: Mapping[str, float],
+    campaign: Campaign, target: Path, scene: Path, starts: Mapping[str, float]
 ) -> str:
-    """The text of a campaign file with another scene and more effects switched on.
+    """The text of a campaign file with another scene, and with all effects of the campaign.
 
-    `scene` has the effects, all of which are named by `effects`. At `starts` fitted parameters
-    begin; those without a table of their own get one.
+    `scene` has these effects. At `starts` fitted parameters begin; those without a table of their
+    own get one, with what the campaign knows of them beforehand.
     """
     document = _document(campaign, target, scene, campaign.measurements.path)
     # a key that is new goes before the first table, or it would belong to the last one
-    document["effects"] = list(effects)
+    document["effects"] = list(campaign.effects)
     parameters = document.setdefault("parameters", tomlkit.table(is_super_table=True))
     for name, start in starts.items():
         value = float(f"{start:.6g}")
         if name in parameters:
             parameters[name]["start"] = value
-        else:
-            table = tomlkit.table()
-            table.add("start", value)
-            table.add(tomlkit.nl())
-            parameters[name] = table
+            continue
+        table = tomlkit.table()
+        table.add("start", value)
+        if name in campaign.priors:
+            table.add(tomlkit.comment("What is plausible: the readings leave its size open."))
+            for entry, known in zip(("prior", "prior_sigma"), campaign.priors[name], strict=True):
+                table.add(entry, float(f"{known:.6g}"))
+        table.add(tomlkit.nl())
+        parameters[name] = table
     return _text(document, campaign)
 
 

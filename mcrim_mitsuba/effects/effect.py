@@ -109,6 +109,16 @@ class EffectParameter:
             return math.log1p(value / self.scale), 1.0 / (self.scale + value)
         return value, 1.0
 
+    def origin(self, parameters: Mapping[str, Value]) -> float:
+        """What the numbers here count from in a scene.
+
+        Raises
+        ------
+        KeyError
+            If the scene lacks the nominal parameter.
+        """
+        return 0.0 if self.nominal is None else float(parameters[self.nominal])
+
     def range_in(self, parameters: Mapping[str, Value]) -> tuple[float, float, float]:
         """Start, minimum and maximum as the scene's parameter takes them, offsets added.
 
@@ -117,7 +127,7 @@ class EffectParameter:
         KeyError
             If the scene, which is without the effect, lacks the nominal parameter.
         """
-        zero = 0.0 if self.nominal is None else float(parameters[self.nominal])
+        zero = self.origin(parameters)
         # without the noise of binary sums: 2.01 + 0.03 is 2.04
         start, low, high = (
             round(zero + value, 12) for value in (self.start, self.minimum, self.maximum)
@@ -139,7 +149,7 @@ class EffectParameter:
         low, high = self.plausible
         if self.plausible_beside is not None and len(signals):
             low, high = self.plausible_beside(signals)
-        zero = float(parameters[self.nominal]) if self.nominal else 0.0
+        zero = self.origin(parameters)
         return zero + low, zero + high
 
     def comment(self) -> str:

@@ -234,7 +234,7 @@ def budget(
     neglected = work.neglected()
     return Budget(
         calibration=found,
-        main=own.main(campaign.priors),
+        main=own.main(tuple(campaign.priors)),
         contributions=contributions,
         neglected=neglected,
         together=work.together(neglected),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -25,6 +25,7 @@ from mcrim_mitsuba.inference.estimates import (
 from mcrim_mitsuba.inference.evidence import Evidence
 from mcrim_mitsuba.inference.explanations import (
     LEADING,
+    TWO_SIDED,
     Curve,
     Explanations,
     NullDistribution,
@@ -207,23 +208,15 @@ def determined_estimates(fit: Fit, evidence: Evidence) -> dict[str, ParameterEst
     """Parameters of a fit; what readings do not determine has the error that evidence leaves."""
     parameters, known = estimates(fit), fit.problem.model.campaign.light_yield
     for name in fit.names:
-        sigma = evidence.sigma[name]
-        parameters[name] = determined(parameters[name], sigma, {"plausible": sigma})
+        own, sigma = parameters[name], evidence.sigma[name]
+        if own.sigma > _UNDETERMINED * sigma:
+            parameters[name] = replace(
+                own, sigma=sigma, lower=own.value - sigma, upper=own.value + sigma,
+                contributions={"plausible": sigma},
+            )  # fmt: skip
     if known is not None and SCALE in fit.names:
         parameters[LIGHT_YIELD] = light_yield(parameters[SCALE], known)
     return parameters
-
-
-def determined(
-    known: ParameterEstimate, sigma: float, contributions: Mapping[str, float]
-) -> ParameterEstimate:
-    """A size that readings leave open gets the error that they leave of plausible sizes."""
-    if known.sigma <= _UNDETERMINED * sigma:
-        return known
-    return replace(
-        known, sigma=sigma, lower=known.value - sigma, upper=known.value + sigma,
-        contributions=dict(contributions),
-    )  # fmt: skip
 
 
 def _likeness(one: Curve, other: Curve) -> float:
@@ -238,8 +231,8 @@ def _likeness(one: Curve, other: Curve) -> float:
 
 # ---- how large an effect may be where the data are adequate without it ----
 
-# Rise of chi2 at 95 % confidence: one-sided where the effect is absent at a bound, else two-sided.
-_ONE_SIDED, _TWO_SIDED = 2.706, 3.841
+# Rise of chi2 at 95 % confidence where the effect is absent at a bound.
+_ONE_SIDED = 2.706
 # Relative precision of a limit.
 _PRECISION = 2e-3
 
@@ -275,13 +268,13 @@ def upper_limits(explanations: Explanations) -> dict[str, Limit]:
         names = explanations.free_parameters((effect,), effect)
         gain = baseline.chi2 - fit.chi2
         if not names:
-            found[effect] = Limit(None, None, None, None, gain, bool(-gain > _TWO_SIDED))
+            found[effect] = Limit(None, None, None, None, gain, bool(-gain > TWO_SIDED))
         for name in names:
             absent, known = explanations.absent(effect)[name], fit.problem.parameter(name)
             below, above = absent > known.minimum, absent < known.maximum
             # not nested where the range ends before the effect is absent
             height = min(fit.chi2, baseline.chi2)
-            height += _TWO_SIDED if below and above else _ONE_SIDED
+            height += TWO_SIDED if below and above else _ONE_SIDED
             nodes = [node[name] for node in explanations.nodes((effect,), effect)]
             lower = _end(fit, name, known.minimum, nodes, height) if below else None
             upper = _end(fit, name, known.maximum, nodes, height) if above else None

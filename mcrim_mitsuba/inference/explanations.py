@@ -23,8 +23,7 @@ from scipy.special import chdtrc, ndtr
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.inference.estimates import corrected, criterion, error_of_difference
 from mcrim_mitsuba.inference.evidence import (
     Evidence,
@@ -50,6 +49,8 @@ from mcrim_mitsuba.inference.model import Model
 #: Gives the model of the campaign with these effects, besides its own.
 Models = Callable[[tuple[str, ...]], Model]
 
+#: Rise of chi2 to the end of a two-sided interval of 95 %.
+TWO_SIDED = 3.841
 # Most nodes of a single effect's profile; of more than one parameter, a coarser product.
 _MOST_NODES = 27
 # Nodes in standard errors, where the catalogue has none.
@@ -152,7 +153,7 @@ class Explanations:
     def absent(self, effect: str) -> dict[str, float]:
         """The value of each of an effect's parameters at which it is not there."""
         parameters = self.effects[effect].parameters
-        return {p.name: _origin(p, self._scene) + (p.absent or 0.0) for p in parameters}
+        return {p.name: p.origin(self._scene) + (p.absent or 0.0) for p in parameters}
 
     def plausible(self, added: Iterable[str]) -> dict[str, tuple[float, float]]:
         """What a laboratory usually meets of some effects, by parameter."""
@@ -201,7 +202,7 @@ class Explanations:
                 if effect.absent is None or not math.isfinite(effect.absent):
                     found[known.name] = even(*plausible[known.name])
                     continue
-                absent = _origin(effect, self._scene) + effect.absent
+                absent = effect.origin(self._scene) + effect.absent
                 found[known.name] = size(absent, plausible[known.name], low, high)
             elif known.name == SCALE and known.prior is None:
                 found[known.name] = around(self.baseline.values[SCALE])
@@ -215,7 +216,7 @@ class Explanations:
         known = {p.name: p for p in self.effects[effect].parameters}
         axes = []
         for name in names:
-            values = np.array(known[name].nodes, float) + _origin(known[name], self._scene)
+            values = np.array(known[name].nodes, float) + known[name].origin(self._scene)
             if not len(values):
                 values = self._nodes_by_size(effect, name)
             bounds = self.problem(added).parameter(name)
@@ -363,9 +364,21 @@ def plausible_ranges(effects: Iterable[Effect], model: Model) -> dict[str, tuple
     }
 
 
-def _origin(parameter: EffectParameter, scene: Mapping[str, Value]) -> float:
-    """What an effect parameter's numbers count from."""
-    return float(scene[parameter.nominal]) if parameter.nominal else 0.0
+def plausible_priors(effects: Iterable[Effect], model: Model) -> dict[str, tuple[float, float]]:
+    """The same as Gaussian knowledge, value and standard error.
+
+    It lies around the effect's absence, and 95 % of it in what is plausible; around the middle of
+    that where the absence is infinitely far.
+    """
+    effects, found = tuple(effects), {}
+    usual = plausible_ranges(effects, model)
+    for known in (parameter for effect in effects for parameter in effect.parameters):
+        low, high = usual[known.name]
+        middle = 0.5 * (low + high)
+        if known.absent is not None and math.isfinite(known.absent):
+            middle = known.origin(model.campaign.values) + known.absent
+        found[known.name] = (middle, max(high - middle, middle - low) / math.sqrt(TWO_SIDED))
+    return found
 
 
 # ---- explanations in order, and which of them the data cannot tell apart ----

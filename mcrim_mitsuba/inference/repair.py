@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
@@ -13,7 +13,6 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.inference.candidates import determined
 from mcrim_mitsuba.inference.diagnose import Diagnosed, RepairStep, diagnose_on
 from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model
@@ -87,7 +86,6 @@ def repair(
         starts = {name: known.value for name, known in steps[-1].parameters.items()}
         try:
             model, calibration = bench.settled_model(effects, starts)
-            calibration = _determined(calibration, steps[-1])
         except UndeterminedError as refusal:
             if effect:
                 raise
@@ -99,30 +97,16 @@ def repair(
     if effects and output is not None:
         campaign_path = Path(output)
         averaged = diagnosed.diagnosis.light_yield_averaged
-        scene_path = _write(bench.campaign, effects, calibration, campaign_path, averaged)
+        mended = model.campaign
+        scene_path = _write(bench.campaign, mended, calibration, campaign_path, averaged)
     return Repaired(
         diagnosed, effects, calibration, campaign_path, scene_path, bench.provenance(), bench,
         model, undetermined,
     )  # fmt: skip
 
 
-def _determined(fitted: Calibration, step: RepairStep) -> Calibration:
-    """A fit whose readings leave some parameters open, with the errors of plausible sizes."""
-    parameters = dict(fitted.parameters)
-    for name in parameters.keys() & step.parameters.keys():
-        of_step = step.parameters[name]
-        parameters[name] = determined(parameters[name], of_step.sigma, of_step.contributions)
-    left_open = [name for name, own in fitted.parameters.items() if parameters[name] is not own]
-    if not left_open:
-        return fitted
-    said = (
-        f"the readings do not determine {', '.join(left_open)}: errors are those of plausible sizes"
-    )
-    return replace(fitted, parameters=parameters, notes=(*fitted.notes, said))
-
-
 def _write(
-    campaign: Campaign, effects: tuple[str, ...], calibration: Calibration, target: Path,
+    campaign: Campaign, mended: Campaign, calibration: Calibration, target: Path,
     averaged: AveragedYield | None,
 ) -> Path:  # fmt: skip
     """Write scene and campaign; returns the scene's path."""
@@ -130,22 +114,22 @@ def _write(
     if scene_path.resolve() == campaign.scene.path.resolve():
         problem = f"the mended scene would replace {campaign.scene.path}"
         raise InputError(problem, "give -o another name", path=target)
-    scene, text = mended_files(campaign, effects, calibration, target, averaged)
+    scene, text = mended_files(campaign, mended, calibration, target, averaged)
     write_text(str(scene_path), _text_in(scene, target.parent))
     write_text(str(target), text)
     return scene_path
 
 
 def mended_files(
-    campaign: Campaign, effects: Sequence[str], calibration: Calibration, target: Path,
+    campaign: Campaign, mended: Campaign, calibration: Calibration, target: Path,
     averaged: AveragedYield | None = None,
 ) -> tuple[SceneFile, str]:  # fmt: skip
     """The mended scene and the text of the mended campaign; nothing is written.
 
     Parameters
     ----------
-    effects : sequence of str
-        Besides the campaign's own.
+    mended : Campaign
+        The same with more effects switched on, as the fitted model has it.
     calibration : Calibration
         Of the mended campaign: its values are put into both, to six digits.
     target : Path
@@ -154,10 +138,9 @@ def mended_files(
         Over all that the readings allow: a comment tells it.
     """
     fitted = rounded({name: known.value for name, known in calibration.parameters.items()})
-    text = campaign_with_effects(
-        campaign, target, target.with_suffix(".xml"), [*campaign.effects, *effects],
-        {name: fitted[name] for name in calibration.names if name in fitted},
-    )  # fmt: skip
+    effects = mended.effects[len(campaign.effects) :]
+    starts = {name: fitted[name] for name in calibration.names if name in fitted}
+    text = campaign_with_effects(mended, target, target.with_suffix(".xml"), starts)
     return mended_scene(campaign, effects, fitted), _remark(effects, averaged) + text
 
 

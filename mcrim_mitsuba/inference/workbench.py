@@ -15,13 +15,15 @@ from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE, Read
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.rounding import number
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, ResponseMaker
 from mcrim_mitsuba.efficiency.responses import Responses
 from mcrim_mitsuba.inference.candidates import MeasurementProposals
-from mcrim_mitsuba.inference.fit import Calibration, fit_model
+from mcrim_mitsuba.inference.explanations import plausible_priors
+from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.scene.spectrophotometer import (
     ACCEPTANCE,
@@ -43,6 +45,8 @@ PROPOSED_PART = 0.25
 #: How far, in its standard errors, a parameter may move when the effects are simulated together
 #: before they are simulated once more where it went; and how often.
 SETTLED, MOST_ANCHORS = 0.5, 2
+#: Standard errors of what is plausible from which the readings leave a size open.
+OPEN = 2.0
 #: Most configurations that are simulated to see what they would tell.
 MOST_PROPOSALS = 40
 #: Relative error of a proposed reading, where the campaign's readings do not say.
@@ -99,7 +103,9 @@ class Workbench:
         self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
     ) -> ResponseModel:
         """The campaign's model with more effects than its own switched on."""
-        campaign = self.campaign.with_effects(effects).with_starts(starts or {})
+        return self._model(self.campaign.with_effects(effects).with_starts(starts or {}))
+
+    def _model(self, campaign: Campaign) -> ResponseModel:
         return ResponseModel(campaign, self.responses, campaign.switched_on)
 
     def anchored_model(self, effects: Sequence[str], values: Mapping[str, float]) -> ResponseModel:
@@ -107,7 +113,10 @@ class Workbench:
 
         Fits begin there.
         """
-        campaign = self.campaign.with_effects(effects).with_starts(values)
+        return self._anchored(self.campaign.with_effects(effects), values)
+
+    def _anchored(self, campaign: Campaign, values: Mapping[str, float]) -> ResponseModel:
+        campaign = campaign.with_starts(values)
         maker = self.maker(campaign, f"simulation with {' and '.join(campaign.effects)}")
         anchor = maker.anchor(campaign.switched_on, values)
         return ResponseModel(campaign, self.responses, campaign.switched_on, anchor)
@@ -120,17 +129,45 @@ class Workbench:
         Responses add up what effects do one by one, between nodes; where that is not exact, all
         effects are simulated together where the fit ended, and it is repeated from there.
 
+        Where the readings leave the sizes of the added effects open, what is plausible becomes
+        their prior: the model's campaign has it, and a note of the fit tells.
+
         Parameters
         ----------
         starts : mapping of str to float, optional
             Where to begin: responses of an effect may have several minima.
+
+        Raises
+        ------
+        InputError
+            As `fit_model`.
         """
-        if self.own_maker.is_exact(self.campaign.with_effects(effects).switched_on):
-            model = self.model(effects, starts)
+        campaign = self.campaign.with_effects(effects).with_starts(starts or {})
+        added = [self.campaign.catalogue[name] for name in effects]
+        known = plausible_priors(added, self.model())
+        try:
+            model, found = self._settled(campaign)
+            open_sizes = [n for n, (_, s) in known.items() if found.parameters[n].sigma > OPEN * s]
+        except UndeterminedError:
+            if not known:
+                raise
+            open_sizes = list(known)
+        if not open_sizes:
+            return model, found
+        priors = {name: known[name] for name in open_sizes}
+        model, found = self._settled(campaign.with_priors(priors))
+        said = "; ".join(f"{name} {number(at)} ± {number(s)}" for name, (at, s) in priors.items())
+        note = f"the readings leave sizes open, and what is plausible is their prior: {said}"
+        return model, replace(found, notes=(*found.notes, note))
+
+    def _settled(self, campaign: Campaign) -> tuple[ResponseModel, Calibration]:
+        """A campaign's model, simulated where its fit ends, and that fit."""
+        model = self._model(campaign)
+        if self.own_maker.is_exact(campaign.switched_on):
             return model, fit_model(model)
-        found = fit_model(self.model(effects, starts), profile=False)
+        found = fit_model(model, profile=False)
         for _ in range(MOST_ANCHORS):
-            model = self.anchored_model(effects, found.values)
+            model = self._anchored(campaign, found.values)
             before, found = found, fit_model(model, profile=False)
             sigmas = np.array([found.parameters[name].sigma for name in found.names])
             if np.all(np.abs(found.theta - before.theta) / np.maximum(sigmas, 1e-300) < SETTLED):

@@ -186,7 +186,7 @@ def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
     if not repaired.effects:
         return ()
     target = campaign.path.with_name(f"{campaign.path.stem}_mended.toml")
-    scene, text = mended_files(campaign, repaired.effects, repaired.calibration, target)
+    scene, text = mended_files(campaign, repaired.model.campaign, repaired.calibration, target)
     beside = Path(target.with_suffix(".xml").name)
     return (
         source_of("mended campaign", Path(target.name), text.encode()),

@@ -148,9 +148,9 @@ def _campaign_writing(data: bytes) -> None:
     target = Path("next.toml")
     texts = [campaign_with_measurements(read, target, Path("measured.csv"))]
     with contextlib.suppress(InputError):  # these effects do not fit this campaign
-        starts = {n: p.start for n, p in read.with_effects(effects).parameters.items()}
-        added = [*read.effects, *effects]
-        texts.append(campaign_with_effects(read, target, Path("bench.xml"), added, starts))
+        mended = read.with_effects(effects)
+        starts = {n: p.start for n, p in mended.parameters.items()}
+        texts.append(campaign_with_effects(mended, target, Path("bench.xml"), starts))
     for text in texts:
         target.write_text(text)
         again = read_campaign(target)

@@ -92,7 +92,7 @@ def test_campaign_of_the_article(folder):
     assert (absorption.prior, absorption.prior_sigma) == (0.039, 0.012)
     assert read.light_yield == LightYieldInput(59.5, 0.127, 0.0127)
     assert read.free == ("alpha_scat_per_cm", "alpha_abs_per_cm", "scale")
-    assert read.priors == ("alpha_abs_per_cm",)
+    assert tuple(read.priors) == ("alpha_abs_per_cm",)
     assert read.ndf == 0
     assert read.scene.parameters["n_gap"] == 1.0
     assert len(read.measurements.in_use) == 2

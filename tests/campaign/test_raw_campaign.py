@@ -139,7 +139,9 @@ def test_a_campaign_that_goes_on_elsewhere_finds_its_raw_data(folder, tmp_path):
     target.parent.mkdir(parents=True)
     starts = {"alpha_scat_per_cm": 0.6}
     target.write_text(
-        campaign_with_effects(campaign, target, campaign.scene.path, ["polarization"], starts)
+        campaign_with_effects(
+            campaign.with_effects(["polarization"]), target, campaign.scene.path, starts
+        )
     )
     read = read_campaign(target)
     assert read.effects == ("polarization",) and read.parameters["alpha_scat_per_cm"].start == 0.6

@@ -327,9 +327,9 @@ def test_a_campaign_whose_tables_are_scattered_goes_on(scenes, tmp_path):
     path.write_text(
         (scenes / "camoo4_misfit.toml").read_text() + "[parameters.scale]\nstart = 100.0\n"
     )
-    campaign = read_campaign(path)
+    campaign = read_campaign(path).with_effects(["background"])
     starts = {"scale": 50.0, "background": 0.25}
-    text = campaign_with_effects(campaign, target, campaign.scene.path, ["background"], starts)
+    text = campaign_with_effects(campaign, target, campaign.scene.path, starts)
     target.write_text(text)
     read = read_campaign(target)
     assert (read.scale.start, read.parameters["background"].start) == (50.0, 0.25)
@@ -338,7 +338,7 @@ def test_a_campaign_whose_tables_are_scattered_goes_on(scenes, tmp_path):
 def test_a_campaign_in_which_nothing_can_be_put_is_refused(scenes, tmp_path, monkeypatch):
     campaign = read_campaign(scenes / "camoo4_misfit.toml")
     monkeypatch.setattr(tomlkit, "dumps", lambda document: "scene = ")
-    arguments = (campaign, tmp_path / "next.toml", campaign.scene.path, [], {})
+    arguments = (campaign, tmp_path / "next.toml", campaign.scene.path, {})
     assert "laid out so that nothing can be added" in refusal(campaign_with_effects, *arguments)
 
 

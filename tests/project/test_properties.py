@@ -117,13 +117,14 @@ def _is_a_quantity(value):
 @given(st.lists(sizes, min_size=4, max_size=4))
 def test_a_campaign_with_more_effects_is_read_with_their_starts(campaign, folder, starts):
     chosen = ("background", "saturation")
-    known = campaign.with_effects(chosen).parameters
+    mended = campaign.with_effects(chosen)
+    known = mended.parameters
     inside = {
         name: min(max(start, known[name].minimum), known[name].maximum)
         for name, start in zip(known, starts, strict=False)
     }
     target = folder / "next.toml"
-    target.write_text(campaign_with_effects(campaign, target, campaign.scene.path, chosen, inside))
+    target.write_text(campaign_with_effects(mended, target, campaign.scene.path, inside))
     read = read_campaign(target)
     assert read.effects == chosen
     for name, start in inside.items():
