@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
@@ -178,6 +178,12 @@ _COLUMNS = ("log_eta", "deviations")
 _AT_ONCE = 2
 
 
+@cache
+def _libraries() -> ThreadpoolController:
+    """Of this process; to look for them takes milliseconds."""
+    return ThreadpoolController()
+
+
 @dataclass(frozen=True)
 class TableRequest:
     """A table that is wanted of a simulation's photons."""
@@ -242,7 +248,8 @@ class TableUnit(SceneUnit):
             key = request.coarse, request.mask, radius_mm
             groups.setdefault(key, []).append(request)
         # threads of the linear algebra would change digits, and gain nothing
-        with threadpool_limits(1, "blas"), ThreadPoolExecutor(_AT_ONCE) as pool:
+        at_once = min(threads or _AT_ONCE, _AT_ONCE)
+        with _libraries().limit(limits=1, user_api="blas"), ThreadPoolExecutor(at_once) as pool:
             made = pool.map(lambda group: self._tables(records, group), groups.values())
             return {number: content for tables in made for number, content in tables}
 

@@ -38,6 +38,7 @@ from mcrim_mitsuba.efficiency.surface import chebyshev_nodes
 from mcrim_mitsuba.optics.attenuation import measured_transmittance, transmittance
 from mcrim_mitsuba.runs.cache import hashes, record_versions
 from mcrim_mitsuba.runs.executors import Task, current_executor, number_of
+from mcrim_mitsuba.runs.processes import many_units_executor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import (
     ACCEPTANCE,
@@ -479,7 +480,10 @@ class ResponseMaker:
         self._counted |= new
         self.photons += sum(photons for *_, photons in new)
         self.cached_photons += sum(photons for *_, photons in new - missing.keys())
-        groups = [list(group.values()) for group in missing.values()]
+        # the first of every scene before all others: processes compile unlike kernels then
+        first = {of[0]: of for of in reversed(missing)}.values()
+        ordered = sorted(missing, key=lambda of: of not in first)
+        groups = [list(missing[of].values()) for of in ordered]
         tasks = []
         for members in groups:
             of = members[0].simulation
@@ -495,7 +499,8 @@ class ResponseMaker:
             worst = f", errors up to {100 * max(errors):.2g} %" if errors else ""
             self._run.tell(what, done, total, f"{note}{worst}")
 
-        for done in current_executor().do(tasks, threads=self._run.threads, progress=report):
+        executor = many_units_executor(self._run.threads)
+        for done in executor.do(tasks, threads=self._run.threads, progress=report):
             if done.cached and groups[done.index][0].simulation.identity in new:
                 self.cached_photons += done.task.unit.photons
             for each in groups[done.index]:

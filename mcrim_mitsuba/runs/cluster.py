@@ -8,17 +8,15 @@ from __future__ import annotations
 import concurrent.futures
 import logging
 import pickle
-import sys
 import threading
 import uuid
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.cache import other_version, record_versions
-from mcrim_mitsuba.runs.executors import Content, Done, Executor, Task, Track, Unit, keep, kept
+from mcrim_mitsuba.runs.executors import Content, HandingExecutor, Task, Track, Unit, pickled
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -27,8 +25,6 @@ if TYPE_CHECKING:
 ANSWER_S, LOOK_S = 10.0, 1.0
 #: Units that are handed out ahead, per thread of the workers, and at least.
 AHEAD, LEAST_AHEAD = 3, 8
-#: Name of the modules that the user's own effects are.
-_OWN_EFFECTS = "mcrim_effect_"
 _one_at_a_time = threading.Lock()
 
 
@@ -83,7 +79,7 @@ def connect(address: str) -> Client:
     raise InputError(f"no Dask scheduler answers at {address} ({why})", mend)
 
 
-class ClusterExecutor(Executor):
+class ClusterExecutor(HandingExecutor):
     """Hands units to the workers of a Dask cluster (see `connect`), and keeps what comes back."""
 
     def __init__(self, address: str) -> None:
@@ -99,53 +95,23 @@ class ClusterExecutor(Executor):
         """Leave the cluster."""
         self._client.close()
 
-    def do(
-        self, tasks: Sequence[Task], *, progress: Progress | None = None, **_how: Any
-    ) -> Iterator[Done]:
-        """See `Executor.do`; threads are those of the workers."""
-        track, name = Track(tasks, progress), f"mcrim-{uuid.uuid4().hex[:12]}"
-        # what is handed out, what is there ahead of its turn, and how many were begun
-        out: dict[Future, int] = {}
-        there: dict[int, Done] = {}
-        begun = 0
-        try:
-            for wanted in range(len(tasks)):
-                while wanted not in there:
-                    # what is there ahead of its turn takes memory too
-                    workers = _workers(self._client, self._address).values()
-                    ahead = max(LEAST_AHEAD, AHEAD * sum(each["nthreads"] for each in workers))
-                    for index in range(begun, min(len(tasks), wanted + ahead)):
-                        begun, task = index + 1, tasks[index]
-                        chunks = kept(task)
-                        if chunks is not None:
-                            track.done(index, cached=True)
-                            there[index] = Done(index, task, chunks, cached=True)
-                            continue
-                        track.begun(index)
-                        out[self._submit(task.unit, f"{name}-{index}")] = index
-                    for future in [] if wanted in there else self._finished(out, tasks, track):
-                        index = out.pop(future)
-                        chunks = keep(tasks[index], self._result(future, tasks[index]))
-                        track.done(index, cached=False)
-                        there[index] = Done(index, tasks[index], chunks, cached=False)
-                yield there.pop(wanted)
-        finally:
-            if out and self._client.status == "running":
-                self._client.cancel(list(out), force=True)
+    def ahead(self) -> int:
+        workers = _workers(self._client, self._address).values()
+        return max(LEAST_AHEAD, AHEAD * sum(each["nthreads"] for each in workers))
 
-    def _submit(self, unit: Unit, name: str) -> Future:
+    def submit(self, unit: Unit) -> Future:
         import distributed
 
-        pickled, versions = _pickled(unit.portable()), record_versions(unit.variant)
+        sent, versions = pickled(unit.portable()), record_versions(unit.variant)
+        name = f"mcrim-{uuid.uuid4().hex[:16]}"
         try:
-            return self._client.submit(_make_by_value, pickled, versions, key=name, pure=False)
+            return self._client.submit(_make_by_value, sent, versions, key=name, pure=False)
         except distributed.client.ClosedClientError:
             raise _lost(self._address) from None
 
-    def _finished(
+    def finished(
         self, out: Mapping[Future, int], tasks: Sequence[Task], track: Track
     ) -> Iterable[Future]:
-        """Wait for a result; none where there is none for a while."""
         import distributed
 
         try:
@@ -163,7 +129,11 @@ class ClusterExecutor(Executor):
         except (OSError, distributed.client.FuturesCancelledError):
             raise _lost(self._address) from None
 
-    def _result(self, future: Future, task: Task) -> dict[int, Content]:
+    def give_up(self, futures: Sequence[Future]) -> None:
+        if futures and self._client.status == "running":
+            self._client.cancel(futures, force=True)
+
+    def result(self, future: Future, task: Task) -> dict[int, Content]:
         import dask
         import distributed
 
@@ -203,20 +173,6 @@ def _lost(address: str) -> InputError:
     )
 
 
-def _pickled(unit: Unit) -> bytes:
-    """A unit as bytes, with the user's own effects by value: workers do not have their files."""
-    import cloudpickle
-
-    own = [module for name, module in sys.modules.items() if name.startswith(_OWN_EFFECTS)]
-    for module in own:
-        cloudpickle.register_pickle_by_value(module)
-    try:
-        return cloudpickle.dumps(unit, protocol=pickle.HIGHEST_PROTOCOL)
-    finally:
-        for module in own:
-            cloudpickle.unregister_pickle_by_value(module)
-
-
 def _make_by_value(pickled: bytes, versions: dict[str, str]) -> dict[int, Content]:
     """`make_on_worker`; a worker that has no such module says so, where else it would go away."""
     # not as a global: that would be sent by its name in a module
@@ -230,7 +186,7 @@ _make_by_value.__module__ = "__main__"
 
 
 def make_on_worker(pickled: bytes, versions: dict[str, str]) -> dict[int, Content]:
-    """Make a unit that `_pickled` gave, in a worker: Mitsuba is started here.
+    """Make a unit that `pickled` gave, in a worker: Mitsuba is started here.
 
     Raises InputError if the worker has other versions than `record_versions` of whoever wants the
     unit: its digits would be others.

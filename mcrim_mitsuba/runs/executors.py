@@ -7,11 +7,14 @@ import contextvars
 import hashlib
 import json
 import logging
+import pickle
+import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import cloudpickle
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.run import Progress
@@ -174,6 +177,79 @@ class Executor:
         """Make a unit here and now, and keep it."""
         task.unit.check(threads)
         return keep(task, task.unit.make(threads))
+
+
+class HandingExecutor(Executor):
+    """Hands units to others, some ahead of their turn, and keeps what comes back."""
+
+    def do(
+        self, tasks: Sequence[Task], *, progress: Progress | None = None, **_how: Any
+    ) -> Iterator[Done]:
+        """See `Executor.do`; threads are those of whoever does the units."""
+        track = Track(tasks, progress)
+        # what is handed out, what is there ahead of its turn, and how many were begun
+        out: dict[Any, int] = {}
+        there: dict[int, Done] = {}
+        begun = 0
+        try:
+            for wanted in range(len(tasks)):
+                while wanted not in there:
+                    # what is there ahead of its turn takes memory too
+                    for index in range(begun, min(len(tasks), wanted + self.ahead())):
+                        begun, task = index + 1, tasks[index]
+                        chunks = kept(task)
+                        if chunks is not None:
+                            track.done(index, cached=True)
+                            there[index] = Done(index, task, chunks, cached=True)
+                            continue
+                        track.begun(index)
+                        out[self.submit(task.unit)] = index
+                    for future in [] if wanted in there else self.finished(out, tasks, track):
+                        index = out.pop(future)
+                        chunks = keep(tasks[index], self.result(future, tasks[index]))
+                        track.done(index, cached=False)
+                        there[index] = Done(index, tasks[index], chunks, cached=False)
+                yield there.pop(wanted)
+        finally:
+            self.give_up(list(out))
+
+    def ahead(self) -> int:
+        """How many units may be under way, or wait for their turn."""
+        raise NotImplementedError
+
+    def submit(self, unit: Unit) -> Any:
+        """Hand a unit out; gives what stands for its result, hashable."""
+        raise NotImplementedError
+
+    def finished(
+        self, out: Mapping[Any, int], tasks: Sequence[Task], track: Track
+    ) -> Iterable[Any]:
+        """Wait for results; none where there is none for a while."""
+        raise NotImplementedError
+
+    def result(self, future: Any, task: Task) -> dict[int, Content]:
+        """What came back."""
+        raise NotImplementedError
+
+    def give_up(self, futures: Sequence[Any]) -> None:
+        """Nobody wants these any more."""
+        raise NotImplementedError
+
+
+#: Name of the modules that the user's own effects are.
+_OWN_EFFECTS = "mcrim_effect_"
+
+
+def pickled(unit: Unit) -> bytes:
+    """A unit as bytes, with the user's own effects by value: others do not have their modules."""
+    own = [module for name, module in sys.modules.items() if name.startswith(_OWN_EFFECTS)]
+    for module in own:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        return cloudpickle.dumps(unit, protocol=pickle.HIGHEST_PROTOCOL)
+    finally:
+        for module in own:
+            cloudpickle.unregister_pickle_by_value(module)
 
 
 def kept(task: Task) -> dict[int, Chunk] | None:

@@ -15,6 +15,7 @@ from pathlib import Path
 import dask
 import distributed
 import numpy as np
+import psutil
 import pytest
 from places import cases_of
 
@@ -26,12 +27,13 @@ from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.efficiency import simulate as simulating
 from mcrim_mitsuba.efficiency.cells import CellSums
 from mcrim_mitsuba.efficiency.recording import RecordBlock, RecordRun
-from mcrim_mitsuba.runs import array_job
+from mcrim_mitsuba.runs import array_job, processes
 from mcrim_mitsuba.runs import cluster as on_cluster
 from mcrim_mitsuba.runs import scene_units as cut
 from mcrim_mitsuba.runs.array_job import ArrayPart, PartExecutor, UnitFolder
 from mcrim_mitsuba.runs.cache import RecordCache, record_versions
-from mcrim_mitsuba.runs.executors import Executor, Task, use_executor
+from mcrim_mitsuba.runs.executors import Executor, Task, pickled, use_executor
+from mcrim_mitsuba.runs.processes import ProcessExecutor, many_units_executor
 from mcrim_mitsuba.runs.scene_units import PortableScene
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals
@@ -333,10 +335,46 @@ def test_a_unit_needs_no_files_elsewhere(scenes, tmp_path):
 def test_an_own_effect_travels_with_the_unit(scenes, tmp_path):
     effect = catalogue(scenes / "own_effects")["black_spot"]
     file = tmp_path / "effect.pickle"
-    file.write_bytes(on_cluster._pickled(effect))
+    file.write_bytes(pickled(effect))
     code = f"import pickle; print(pickle.load(open({str(file)!r}, 'rb')).name)"
     done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, cwd=tmp_path)
     assert done.stdout.decode().strip() == "black_spot", done.stderr.decode()
+
+
+def test_processes_of_this_machine_give_the_same_digits(scenes, tmp_path, monkeypatch):
+    """Units in the order of the tasks; a process that is killed ends in one line."""
+    monkeypatch.setattr(processes, "FEWEST_PHOTONS", 0)
+    scene = read_scene(scenes / "camoo4.xml")
+    units = [block(scene, first=n) for n in range(processes.FEWEST_UNITS)]
+    here, there = (
+        [done.chunks for done in who.do([Task(unit, cache) for unit in units])]
+        for who, cache in (
+            (Executor(), RecordCache({"x": 1}, tmp_path / "here")),
+            (ProcessExecutor(2), RecordCache({"x": 1}, tmp_path / "there")),
+        )
+    )
+    for ours, theirs in zip(here, there, strict=True):
+        assert ours.keys() == theirs.keys()
+        for number, chunk in ours.items():
+            for name, array in chunk.arrays.items():
+                assert np.array_equal(array, theirs[number].arrays[name])
+    tasks = [Task(unit, RecordCache({"x": 2}, tmp_path / "killed")) for unit in units]
+    waiting = ProcessExecutor(2).do(tasks)
+    next(waiting)
+    for process in psutil.Process().children(recursive=True):
+        if "loky" in " ".join(process.cmdline()) and "tracker" not in " ".join(process.cmdline()):
+            process.kill()
+    with pytest.raises(InputError, match="ended from outside"):
+        list(waiting)
+    # what was finished is kept, and new processes go on
+    assert len(list(ProcessExecutor(2).do(tasks))) == len(units)
+
+
+def test_who_was_named_does_many_small_units_too(tmp_path):
+    assert isinstance(many_units_executor(2), ProcessExecutor)
+    assert type(many_units_executor(1)) is Executor
+    with use_executor(PartExecutor(UnitFolder(tmp_path), ArrayPart(1, 2))) as named:
+        assert many_units_executor(2) is named
 
 
 def test_long_runs_begin_with_the_same_units():
