@@ -18,7 +18,7 @@ from shared import SCENE
 
 from benchmark.scalar import trace_scalar
 from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.geant4 import is_installed, trace_geant4
+from mcrim_mitsuba.reference.geant4 import Geant4Result, is_installed, trace_geant4
 from mcrim_mitsuba.reference.tracer import TracerResult, trace
 from mcrim_mitsuba.transport.collection import Recorder
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals
@@ -167,11 +167,23 @@ def _numpy(coupling: str, *, pool) -> Sampler:
 
 
 def _geant4(coupling: str) -> Sampler:
+    bench = Bench(n_gap=COUPLINGS[coupling])
+
+    def follow(photons: int, seed: int) -> tuple[Geant4Result, float]:
+        """With the processor time of its process, s."""
+        before = os.times()
+        found = trace_geant4(bench, photons, seed)
+        after = os.times()
+        user_s = after.children_user - before.children_user
+        return found, user_s + after.children_system - before.children_system
+
+    # what the process takes before it follows photons
+    _, first_s = follow(1, 0)
+
     def run(photons: int, seed: int) -> Sample:
-        found = trace_geant4(Bench(n_gap=COUPLINGS[coupling]), photons, seed)
-        # of its process only the wall time of the event loop is known: all cores were busy
-        processor_s = found.seconds * _CORES
-        return Sample(found.photons, found.seconds, processor_s, found.eta, found.eta_sigma)
+        found, processor_s = follow(photons, seed)
+        times = found.seconds, processor_s - first_s
+        return Sample(found.photons, *times, found.eta, found.eta_sigma)
 
     return run
 
