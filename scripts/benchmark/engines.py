@@ -1,0 +1,239 @@
+"""The ways to simulate the bench, and how long each takes."""
+
+from __future__ import annotations
+
+import functools
+import multiprocessing
+import os
+import signal
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from shared import SCENE
+
+from benchmark.scalar import trace_scalar
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.geant4 import Geant4Result, is_installed, trace_geant4
+from mcrim_mitsuba.reference.tracer import TracerResult, trace
+from mcrim_mitsuba.transport.collection import Recorder
+from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals
+from mcrim_mitsuba.transport.simulation import Simulation
+
+COUPLINGS = {"air": 1.0, "gel": 1.46}
+OURS = "ours"
+#: Engines of the same model of light as ours: their eta must be the same.
+SAME_MODEL = (SCALAR, UNFOLDING, NUMPY) = (
+    "scalar tracer, C++", "scalar tracer, C++, unfolding", "NumPy tracer",
+)  # fmt: skip
+#: Relative standard error of eta, the time to which is compared.
+GOAL = 0.001
+#: Photons of an engine's first runs, the very first of which compiles its kernels.
+FIRST_PHOTONS, FIRST_PHOTONS_SLOW = 1_000_000, 20_000
+#: Records are kept in memory, from launches of this size.
+MOST_RECORDED_PHOTONS, RECORDED_PER_LAUNCH = 10_000_000, 128 * LANES
+_CORES = os.cpu_count() or 1
+
+
+class Effort(NamedTuple):
+    """How much time is spent."""
+
+    rounds: int  # in which engines take turns, so that all share the machine's moods
+    seconds: float  # of a timed run
+    precision: float  # of the table, relative
+    separate: int  # points per absorption and coupling, evenly spread over all alpha_scat
+
+
+QUICK = Effort(rounds=1, seconds=0.4, precision=0.01, separate=2)
+FULL = Effort(rounds=5, seconds=2.0, precision=0.001, separate=6)
+
+
+class Sample(NamedTuple):
+    """One run: photons, wall and processor time of following them (s), eta and its error."""
+
+    photons: int
+    seconds: float
+    processor_s: float
+    eta: float
+    eta_sigma: float
+
+
+#: ``run(photons, seed)``
+Sampler = Callable[[int, int], Sample]
+
+
+@dataclass
+class Engine:
+    """One way to simulate the bench; `photons` are those of a timed run."""
+
+    coupling: str
+    name: str
+    run: Sampler
+    photons: int
+    start_up_s: float  # wall time until the first photons are done
+    samples: list[Sample] = field(default_factory=list)
+
+    def told(self) -> dict[str, float]:
+        """Of all runs, as the JSON has it.
+
+        The relative variance of eta from one photon is sigma^2 N / eta^2; eta is known to `GOAL`
+        after `goal_s` on all cores of a machine without other work: it comes from processor time.
+        """
+        photons, seconds, processor_s, etas, sigmas = np.array(self.samples).T
+        total = float(photons.sum())
+        idle_rate = float(np.median(photons / processor_s)) * _CORES
+        eta = float(photons @ etas) / total
+        eta_sigma = float(np.linalg.norm(photons * sigmas)) / total
+        variance = (eta_sigma / eta) ** 2 * total
+        return {"photons_per_s": float(np.median(photons / seconds)),
+                "photons_per_idle_s": idle_rate, "eta": eta, "eta_sigma": eta_sigma,
+                "variance_per_photon": variance, "goal_s": variance / GOAL**2 / idle_rate,
+                "start_up_s": self.start_up_s}  # fmt: skip
+
+
+def _ours(coupling: str, *, polarization: bool = False, general: bool = False) -> Sampler:
+    simulation = Simulation(SCENE, {"n_gap": COUPLINGS[coupling], "polarization": polarization})
+
+    def run(photons: int, seed: int) -> Sample:
+        begin = time.process_time()
+        found = simulation.collect(photons, seed=seed, general=general)
+        processor_s = time.process_time() - begin
+        if found.interrupted:
+            raise KeyboardInterrupt
+        return Sample(found.photons, found.seconds, processor_s, found.eta, found.eta_sigma)
+
+    return run
+
+
+def _ours_recording(coupling: str) -> Sampler:
+    """As in a plain run, with what reweighting needs kept of each photon."""
+    simulation = Simulation(SCENE, {"n_gap": COUPLINGS[coupling]})
+    own = simulation.file.parameters
+    drawn = ScatteringProposals((own["alpha_scat_per_cm"],), (UNITS,), own["alpha_abs_per_cm"])
+    recorder = Recorder(simulation)
+
+    def run(photons: int, seed: int) -> Sample:
+        photons = min(photons, MOST_RECORDED_PHOTONS)
+        launches = -(-photons // RECORDED_PER_LAUNCH)
+        size = -(-photons // (launches * LANES)) * LANES
+        begin, processor_begin = time.perf_counter(), time.process_time()
+        kept = [recorder.record(drawn, size, seed=seed, number=n) for n in range(launches)]
+        seconds = time.perf_counter() - begin
+        processor_s = time.process_time() - processor_begin
+        per_batch = sum(np.bincount(part.batch, part.w, part.batches) for part in kept)
+        sigma = per_batch.std(ddof=1) * len(per_batch) ** 0.5 / (launches * size)
+        eta = per_batch.sum() / (launches * size)
+        return Sample(launches * size, seconds, processor_s, eta, sigma)
+
+    return run
+
+
+def _scalar(coupling: str, *, program: Path, unfold: bool = False) -> Sampler:
+    bench = Bench(n_gap=COUPLINGS[coupling])
+
+    def run(photons: int, seed: int) -> Sample:
+        found = trace_scalar(program, bench, photons, seed, unfold=unfold)
+        times = found["seconds"], found["processor_s"]
+        return Sample(photons, *times, found["eta"], found["eta_sigma"])
+
+    return run
+
+
+def trace_timed(bench: Bench, photons: int, seed: int) -> tuple[TracerResult, float]:
+    """The NumPy tracer, and the processor time that it took in this process, s."""
+    begin = time.process_time()
+    found = trace(bench, photons, seed)
+    return found, time.process_time() - begin
+
+
+def _numpy(coupling: str, *, pool) -> Sampler:
+    bench = Bench(n_gap=COUPLINGS[coupling])
+
+    def run(photons: int, seed: int) -> Sample:
+        share = -(-photons // _CORES)
+        jobs = [(bench, share, seed * _CORES + core) for core in range(_CORES)]
+        begin = time.perf_counter()
+        parts, processor_s = zip(*pool.starmap(trace_timed, jobs, chunksize=1), strict=True)
+        seconds = time.perf_counter() - begin
+        sigma = sum(part.eta_sigma**2 for part in parts) ** 0.5 / _CORES
+        eta = statistics.fmean(part.eta for part in parts)
+        return Sample(share * _CORES, seconds, sum(processor_s), eta, sigma)
+
+    return run
+
+
+def _geant4(coupling: str) -> Sampler:
+    bench = Bench(n_gap=COUPLINGS[coupling])
+
+    def follow(photons: int, seed: int) -> tuple[Geant4Result, float]:
+        """With the processor time of its process, s."""
+        before = os.times()
+        found = trace_geant4(bench, photons, seed)
+        after = os.times()
+        user_s = after.children_user - before.children_user
+        return found, user_s + after.children_system - before.children_system
+
+    # what the process takes before it follows photons
+    _, first_s = follow(1, 0)
+
+    def run(photons: int, seed: int) -> Sample:
+        found, processor_s = follow(photons, seed)
+        times = found.seconds, processor_s - first_s
+        return Sample(found.photons, *times, found.eta, found.eta_sigma)
+
+    return run
+
+
+def _prepare(
+    coupling: str, name: str, make: Callable[[str], Sampler], first: int, effort: Effort
+) -> Engine:
+    """Start an engine, and find how many photons a timed run takes."""
+    begin = time.perf_counter()
+    run = make(coupling)
+    run(FIRST_PHOTONS_SLOW, 0)
+    start_up_s = time.perf_counter() - begin
+    sample = run(first, 1)
+    if sample.seconds < effort.seconds / 4.0:
+        sample = run(round(first * effort.seconds / 4.0 / sample.seconds), 1)
+    wanted = sample.photons * effort.seconds / sample.seconds
+    return Engine(coupling, name, run, max(first, round(wanted)), start_up_s)
+
+
+def measure_engines(
+    effort: Effort, report: Callable[..., None], scalar_program: Path | None
+) -> list[Engine]:
+    """Time all engines with both couplings; the scalar tracer takes part if it is compiled."""
+    # one process per core, ready; an interrupt is for this process to handle
+    ignore = (signal.SIGINT, signal.SIG_IGN)
+    with multiprocessing.get_context("spawn").Pool(None, signal.signal, ignore) as pool:
+        fast, slow = FIRST_PHOTONS, FIRST_PHOTONS_SLOW
+        makers = {
+            OURS: (_ours, fast),
+            "ours, polarised": (functools.partial(_ours, polarization=True), fast),
+            "ours, records kept": (_ours_recording, fast),
+            "ours, general path": (functools.partial(_ours, general=True), slow),
+            NUMPY: (functools.partial(_numpy, pool=pool), slow),
+        }
+        if scalar_program is not None:
+            scalar = functools.partial(_scalar, program=scalar_program)
+            makers[SCALAR] = (scalar, fast)
+            makers[UNFOLDING] = (functools.partial(scalar, unfold=True), fast)
+        if is_installed():
+            makers["Geant4"] = (_geant4, slow)
+        pairs = [(coupling, name) for coupling in COUPLINGS for name in makers]
+        engines: list[Engine] = []
+        for number in range(-1, effort.rounds):
+            for place, (coupling, name) in enumerate(pairs):
+                done, steps = (1 + number) * len(pairs) + place, len(pairs) * (1 + effort.rounds)
+                report("transport", done, steps, f"{name}, {coupling}")
+                if number < 0:
+                    engines.append(_prepare(coupling, name, *makers[name], effort))
+                else:
+                    engine = engines[place]
+                    engine.samples.append(engine.run(engine.photons, 2 + number))
+        report("transport", steps, steps)
+    return engines
