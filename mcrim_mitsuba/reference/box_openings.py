@@ -136,7 +136,7 @@ def side_cone(bench: Bench, nodes: Nodes) -> Sides:
 def side_light(bench: Bench, nodes: Nodes) -> Sides | None:
     """Light that leaves through the sides towards +-x and falls into the mask's hole.
 
-    Directions are those in air, by azimuth about the vertical and by its cosine, which has
+    Directions are those in air, by azimuth about the vertical and by the angle to it, which has
     panels: steep light reaches the hole from every height, flat light only from low ones.
     """
     half, radius = bench.crystal_width_mm / 2.0, bench.aperture_radius_mm
@@ -153,18 +153,18 @@ def side_light(bench: Bench, nodes: Nodes) -> Sides | None:
     drops = [(far, gap), (far, gap + height)]
     if not starts_inside:
         drops += [(near, gap), (near, gap + height)]
-    # cosines at which the end of the hole is just reached from the lowest and the highest start
-    cuts_cos = np.sort([*(drop / np.hypot(drop, x) for x, drop in drops), np.ones_like(y)], axis=0)
-    cos_z, w_z = gauss(nodes.foot, cuts_cos[:-1], cuts_cos[1:])
-    shape = cos_z.shape
+    # angles at which the ends of the hole are just reached from the lowest and the highest start
+    cuts_polar = np.sort([np.zeros_like(y), *(np.arctan2(x, drop) for x, drop in drops)], axis=0)
+    polar, w_polar = gauss(nodes.foot, cuts_polar[:-1], cuts_polar[1:])
+    shape = polar.shape
     weight_yf = w_foot.ravel()[:, None] * w_azimuth / bench.crystal_width_mm * 2.0 / math.pi
-    weight = (w_z * weight_yf[:, :, None]).ravel()
+    polar = polar.ravel()
+    cos_z, sine = np.cos(polar), np.sin(polar)
+    weight = (w_polar * weight_yf[:, :, None]).ravel() * sine
     y, azimuth, near, far = (
         np.broadcast_to(x[:, :, None], shape).ravel() for x in (y, azimuth, near, far)
     )
-    cos_z = cos_z.ravel()
-    sine = np.sqrt(1.0 - cos_z**2)
-    slope = cos_z / sine
+    slope = cos_z / np.maximum(sine, 1e-12)  # straight down: Gauss nodes may round to it
     lowest = np.clip(near * slope - gap, 0.0, height)
     highest = np.clip(far * slope - gap, 0.0, height)
     n = bench.n_crystal
@@ -227,10 +227,11 @@ def end_cones(bench: Bench, nodes: Nodes, order: int) -> Ends:
         cos_index, weight = gauss(nodes.cosine, 0.0, math.sqrt(1.0 - (below / index) ** 2))
         sine.append(index * np.sqrt(1.0 - cos_index**2))
         w_sine.append(index**2 * cos_index * weight)
-    azimuth, w_azimuth = gauss(nodes.azimuth, 0.0, math.pi / 2.0)
-    sine, azimuth = (x.ravel() for x in np.meshgrid(np.concatenate(sine), azimuth, indexing="ij"))
+    sine, w_sine, azimuth = _with_azimuths(
+        np.concatenate(sine), np.concatenate(w_sine), n_gap, nodes.azimuth
+    )
     cos = np.sqrt(1.0 - (sine / n) ** 2)
-    weight = 2.0 / math.pi * np.outer(np.concatenate(w_sine), w_azimuth).ravel() / (n * n * cos)
+    weight = 2.0 / math.pi * w_sine / (n * n * cos)
     over_x, over_y = np.cos(azimuth), np.sin(azimuth)
 
     cos_gap, cos_window = _cosine(sine, n_gap), _cosine(sine, n_window)
@@ -297,6 +298,31 @@ def end_cones(bench: Bench, nodes: Nodes, order: int) -> Ends:
         r_crystal + enters**2 * alone / (1.0 - r_crystal * alone),
         signed, own, coupling, enters[:, None] * arrived,
     )  # fmt: skip
+
+
+def _with_azimuths(
+    sine: Floats, weight: Floats, n_gap: float, count: int
+) -> tuple[Floats, Floats, Floats]:
+    """Nodes over the azimuth, 0 to pi/2, for each n sin(theta): sine, weight, azimuth, (n,) each.
+
+    The gap's sides reflect totally what is not steep enough to them, so there are panels where
+    they begin to let light out, like a square root: nodes lie close to their ends.
+    """
+    least = math.sqrt(max(n_gap**2 - 1.0, 0.0))
+    found = []
+    for s, w in zip(sine, weight, strict=True):
+        cuts = np.array([0.0, math.pi / 2.0])
+        nodes = count
+        if 0.0 < least < s:
+            leaking = math.acos(least / s)
+            cuts = np.sort([*cuts, leaking, math.pi / 2.0 - leaking])
+            nodes = (count + 1) // 2
+        t, w_t = gauss(nodes)
+        span = np.diff(cuts)[:, None]
+        azimuth = (cuts[:-1, None] + span * np.sin(0.5 * math.pi * t) ** 2).ravel()
+        w_azimuth = (span * 0.5 * math.pi * np.sin(math.pi * t) * w_t).ravel()
+        found.append(np.stack([np.full_like(azimuth, s), w * w_azimuth, azimuth]))
+    return tuple(np.concatenate(found, axis=1))
 
 
 def _over_edges(

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.box_openings import (
     Ends,
+    Floats,
     Nodes,
     Sides,
     end_cones,
@@ -110,6 +110,26 @@ class _Modes:
             bench, nodes, end_cones(bench, nodes, order), side_cone(bench, nodes),
             side_light(bench, nodes),
         )  # fmt: skip
+
+    def source(self) -> Floats:
+        """Means of the modes over the places where light is born: (N,)."""
+        depth, height = self.bench.source_depth_mm, self.bench.crystal_height_mm
+        across, upwards = self.nodes.across, self.nodes.upwards
+        means = np.zeros((across, across, upwards))
+        means[0, 0, 0] = 1.0
+        if depth < math.inf:
+            _, kz = self.wave_numbers
+            parity = np.where(np.arange(upwards) % 2, -1.0, 1.0)
+            rest = math.exp(-height / depth)
+            means[0, 0] = parity * (1.0 - rest * parity) / ((1.0 + (kz * depth) ** 2) * (1.0 - rest))
+        return means.ravel()
+
+    def fewer(self) -> _Array:
+        """Indices of a part of the modes that is enough for an estimate of the others' share."""
+        across, upwards = self.nodes.across, self.nodes.upwards
+        kept = np.zeros((across, across, upwards), dtype=bool)
+        kept[: across - 1, : across - 1, : math.ceil(0.7 * upwards)] = True
+        return np.flatnonzero(kept.ravel())
 
     def system(self, alpha: float) -> tuple[_Dual, _Dual, _Dual]:
         """K, and the probabilities to be detected and to leave before the first collision.
@@ -320,3 +340,153 @@ def _resonance(gamma: _Dual, k: _Array) -> _Dual:
     """gamma / (gamma^2 + k^2), with k along a new last axis."""
     gamma = gamma[..., None]
     return gamma / (gamma * gamma + k**2)
+
+
+@dataclass(frozen=True, eq=False)
+class BoxEfficiency:
+    """Light collection of one bench at pairs of coefficients; arrays of the pairs' shape."""
+
+    #: 1/cm.
+    alpha_scat_per_cm: Floats
+    alpha_abs_per_cm: Floats
+    #: Probability that emitted light is detected.
+    eta: Floats
+    #: Its derivatives by the two coefficients, in cm; NaN where both are 0: trapped light is freed
+    #: by the least of scattering.
+    eta_by_alpha_scat_cm: Floats
+    eta_by_alpha_abs_cm: Floats
+    #: Estimate of the error of `eta`, absolute, from fewer modes and nodes.
+    error: Floats
+    #: What becomes of emitted light: detected; absorbed_crystal; trapped, for ever, where both
+    #: coefficients are 0; and elsewhere, which left the crystal and is not detected. Each is worked
+    #: out on its own, so that their sum is a check.
+    fates: dict[str, Floats]
+
+
+def solve_box(
+    bench: Bench,
+    alpha_scat_per_cm: ArrayLike | None = None,
+    alpha_abs_per_cm: ArrayLike | None = None,
+) -> BoxEfficiency:
+    """Light collection of a polished box, without statistical noise.
+
+    Method and limits: docs/theory.md, "Without photons".
+
+    Parameters
+    ----------
+    alpha_scat_per_cm, alpha_abs_per_cm : array_like, optional
+        Pairs of coefficients, which broadcast; the bench's own if not given.
+
+    Raises
+    ------
+    InputError
+        If the bench has what the method does not know, or a coefficient is negative.
+    """
+    refuse_other_boxes(bench)
+    scat = bench.alpha_scat_per_cm if alpha_scat_per_cm is None else alpha_scat_per_cm
+    absorb = bench.alpha_abs_per_cm if alpha_abs_per_cm is None else alpha_abs_per_cm
+    scat, absorb = np.broadcast_arrays(np.asarray(scat, float), np.asarray(absorb, float))
+    for name, values in (("alpha_scat_per_cm", scat), ("alpha_abs_per_cm", absorb)):
+        if not (np.isfinite(values).all() and (values >= 0.0).all()):
+            raise InputError(f"{name} has a value that is negative or no number", "give 0 or more")
+    choices = [_nodes(bench, s, a) for s, a in zip(scat.flat, absorb.flat, strict=True)]
+    columns = np.empty((len(_COLUMNS), scat.size))
+    for nodes in set(choices):
+        which = [i for i, choice in enumerate(choices) if choice == nodes]
+        modes, fewer = _Modes.of(bench, nodes), _Modes.of(bench, _coarser(nodes))
+        # nodes matter most where light goes far and where it does not
+        total = (scat + absorb).flat
+        ends = {min(which, key=total.__getitem__), max(which, key=total.__getitem__)}
+        by_nodes = 0.0
+        for i in which:
+            columns[:, i] = _point(modes, scat.flat[i], absorb.flat[i])
+            if i in ends:
+                other = _point(fewer, scat.flat[i], absorb.flat[i])
+                by_nodes = max(by_nodes, abs(columns[0, i] / other[0] - 1.0))
+        columns[3, which] += by_nodes * columns[0, which]
+    shaped = columns.reshape(-1, *scat.shape)
+    eta, by_scat, by_abs, error, absorbed, trapped, left = shaped
+    fates = {
+        "detected": eta, "absorbed_crystal": absorbed, "trapped": trapped, "elsewhere": left - eta,
+    }  # fmt: skip
+    return BoxEfficiency(scat, absorb, eta, by_scat, by_abs, error, fates)
+
+
+_COLUMNS = ("eta", "by scattering", "by absorption", "error", "absorbed", "trapped", "left")
+#: Extinction, per mm, that stands for none: the first flights of trapped light end somewhere.
+_NO_EXTINCTION = 1e-9
+
+
+def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float) -> Nodes:
+    """How many modes and nodes a pair of coefficients takes."""
+    per_mm = (scat_per_cm + abs_per_cm) / MM_PER_CM
+    collides = scat_per_cm / max(scat_per_cm + abs_per_cm, 1e-300)
+    thick, wide = (collides * per_mm * x for x in (bench.crystal_height_mm, bench.crystal_width_mm))
+    upwards = 5 + 2 * min(math.ceil(0.6 * thick), 12)
+    across = min(2 + math.ceil(0.25 * max(wide - 0.5, 0.0)), 7)
+    if bench.source_depth_mm < math.inf:
+        upwards = max(upwards, 16)
+    return Nodes(across, upwards, cosine=12, azimuth=10, foot=7)
+
+
+def _coarser(nodes: Nodes) -> Nodes:
+    return nodes._replace(cosine=9, azimuth=8, foot=5)
+
+
+def _point(modes: _Modes, scat_per_cm: float, abs_per_cm: float) -> tuple[float, ...]:
+    """`_COLUMNS` of one pair."""
+    alpha = max((scat_per_cm + abs_per_cm) / MM_PER_CM, _NO_EXTINCTION)
+    albedo = scat_per_cm / MM_PER_CM / alpha
+    kernel, detected, left = modes.system(alpha)
+    source = modes.source()
+    size = len(source)
+    equations = np.eye(size) - albedo * kernel.value
+    f = np.linalg.solve(equations, detected.value)
+    visits = np.linalg.solve(equations.T, source)
+    eta = source @ f
+    by_alpha = visits @ (detected.slope + albedo * (kernel.slope @ f)) / MM_PER_CM
+    by_albedo = visits @ kernel.value @ f / (alpha * MM_PER_CM)
+    by_scat = by_alpha + (1.0 - albedo) * by_albedo
+    by_abs = by_alpha - albedo * by_albedo
+    absorbed = (1.0 - albedo) * (visits @ kernel.value[:, 0])
+    trapped = 0.0
+    if scat_per_cm + abs_per_cm == 0.0:
+        absorbed, trapped, by_scat, by_abs = 0.0, absorbed, math.nan, math.nan
+    few = modes.fewer()
+    rougher = source[few] @ np.linalg.solve(equations[np.ix_(few, few)], detected.value[few])
+    gone = visits @ left.value
+    error = abs(eta - rougher) + eta * abs(1.0 - gone - absorbed - trapped)
+    return eta, by_scat, by_abs, error, absorbed, trapped, gone
+
+
+_ABSENT = (
+    "polarization", "wrap_reflectance", "scattering_g", "rayleigh_scattering",
+    "scattering_gradient", "roughness_alpha", "top_roughness_alpha", "side_roughness_alpha",
+    "bottom_roughness_alpha", "rms_roughness_nm", "surface_loss", "chamfer_mm", "top_reflectance",
+    "gap_absorption_per_cm", "bubble_fraction", "aperture_at_detector", "detector_reflectance",
+    "radial_falloff", "beam_diameter_mm", "gel_creep_mm", "black_spot_mm",
+)  # fmt: skip
+
+
+def refuse_other_boxes(bench: Bench) -> None:
+    """Refuse what the solver does not know, in one line.
+
+    Raises
+    ------
+    InputError
+        Names the parameter and the mend.
+    """
+    mend = "leave it out, or simulate photons"
+    for name in _ABSENT:
+        if getattr(bench, name):
+            raise InputError(f"the solver without photons knows no {name}", mend)
+    n, n_gap, n_window = bench.n_crystal, bench.gap_index, bench.n_window
+    for name, value, least, why in (
+        ("n_crystal", n, math.sqrt(n_gap**2 + 1.0), "light may leave through bottom and sides"),
+        ("n_window", n_window, math.sqrt(2.0), "light from air may leave the plate's edges"),
+    ):
+        if value < least:
+            raise InputError(
+                f"{name} = {value:g}: below {least:.4g} {why}, which the solver without photons "
+                "does not know", "take a larger one, or simulate photons",
+            )  # fmt: skip
