@@ -283,7 +283,7 @@ def end_cones(bench: Bench, nodes: Nodes, order: int) -> Ends:
 
     landed = lands[:, None] * (crossing * hole_1 - once_1)
     landed = landed - lands[:, None] * _over_edges(bench, sine, over_x, over_y, signed)
-    landed = landed + _leaked(bench, nodes, sine, over_x, over_y, once_1)
+    landed = landed + _leaked(bench, nodes, sine, over_x, over_y, signed)
     arrived = landed * series
     arrived = arrived + r_crystal[:, None] * series * np.einsum("nkl,nl->nk", shuttle, arrived)
 
@@ -343,28 +343,44 @@ def _over_edges(
 
 
 def _leaked(
-    bench: Bench, nodes: Nodes, sine: Floats, over_x: Floats, over_y: Floats, once: _Array
+    bench: Bench, nodes: Nodes, sine: Floats, over_x: Floats, over_y: Floats,
+    signed: NDArray[np.int64],
 ) -> _Array:  # fmt: skip
-    """Components of the light that leaves the gap at its sides and falls into the hole."""
-    half, gap, n_gap = bench.crystal_width_mm / 2.0, bench.gap_thickness_mm, bench.gap_index
+    """Components of the light that leaves the gap at its sides, going down, and is detected."""
+    width, gap, n_gap = bench.crystal_width_mm, bench.gap_thickness_mm, bench.gap_index
+    half = width / 2.0
     chord = math.sqrt(max(bench.aperture_radius_mm**2 - half**2, 0.0))
-    if chord == 0.0 or bench.window_width_mm <= bench.crystal_width_mm:
-        return np.zeros_like(once)
+    found = np.zeros((len(sine), len(signed)), dtype=complex)
+    if chord == 0.0 or bench.window_width_mm <= width:
+        return found
     y, w_y = gauss(nodes.foot, -min(chord, half), min(chord, half))
-    w_y = w_y / w_y.sum()
     cos_gap = _cosine(sine, n_gap)
     # outside, where the components along the side are n_gap times those in the gap
     cos_air = np.minimum(n_gap * cos_gap, 1.0)
-    lands = 1.0 - fresnel(cos_air, 1.0, bench.n_window)
     sine_air = np.sqrt(np.maximum(1.0 - cos_air**2, 1e-30))
+    lands = 1.0 - fresnel(cos_air, 1.0, bench.n_window)
     lands = lands * _detected_below(bench, _cosine(sine_air, bench.n_window))
-    inside = []
-    for over in (over_y, over_x):
-        turned = np.minimum(sine * over / sine_air, 1.0)
-        ahead = np.sqrt(1.0 - turned**2)
-        _, far = landing(bench, y[None, :], ahead[:, None], turned[:, None])
-        height = far * (cos_air / sine_air)[:, None]
-        inside.append(np.minimum(height / gap, 1.0) @ w_y)
-    # both sides leak from strips of their own; the corner, of second order, is shared
-    mean = 0.5 * (inside[0] + inside[1])
-    return (lands * mean)[:, None] * once
+    for ahead, aside, kappa in ((over_x, over_y, signed), (over_y, over_x, signed[:, ::-1])):
+        out, other = (1.0 - fresnel(sine / n_gap * over, n_gap, 1.0) for over in (ahead, aside))
+        turned = np.minimum(sine * aside / sine_air, 1.0)[:, None]
+        _, far = landing(bench, y, np.sqrt(1.0 - turned**2), turned)
+        # depths below the crystal at which it leaves; deeper than `met` it met the other side first
+        tan_gap = sine / n_gap / cos_gap
+        ahead, aside = (tan_gap * ahead)[:, None], (tan_gap * aside)[:, None]
+        highest = np.clip(gap - far * (cos_air / sine_air)[:, None], 0.0, gap)
+        lowest = np.maximum(np.minimum(gap, width / ahead), highest)
+        met = np.clip((y + half) / aside, highest, lowest)
+        k_ahead, k_aside = 2.0 * math.pi / width * kappa.T
+        turn = (ahead * k_ahead + aside * k_aside)[:, None, :]
+
+        def up_to(depth: Floats, turn: Floats = turn) -> _Array:
+            safe = np.where(turn == 0.0, 1.0, 1j * turn)
+            depth = depth[..., None]
+            return np.where(turn == 0.0, depth, np.exp(1j * turn * depth) / safe)
+
+        first = up_to(met) - up_to(highest)
+        second = up_to(lowest) - up_to(met)
+        shares = first + (1.0 - other)[:, None, None] * second
+        shares = (shares * (np.exp(-1j * np.outer(y + half, k_aside)) * w_y[:, None])).sum(axis=1)
+        found += (lands * out)[:, None] * ahead * shares / width**2
+    return found

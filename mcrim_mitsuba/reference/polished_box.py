@@ -423,14 +423,14 @@ def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float) -> Nodes:
     collides = scat_per_cm / max(scat_per_cm + abs_per_cm, 1e-300)
     thick, wide = (collides * per_mm * x for x in (bench.crystal_height_mm, bench.crystal_width_mm))
     upwards = 5 + 2 * min(math.ceil(0.6 * thick), 12)
-    across = min(2 + math.ceil(0.25 * max(wide - 0.5, 0.0)), 7)
+    across = min(2 + math.ceil(0.4 * max(wide - 1.5, 0.0)), 7)
     if bench.source_depth_mm < math.inf:
         upwards = max(upwards, 16)
-    return Nodes(across, upwards, cosine=12, azimuth=10, foot=7)
+    return Nodes(across, upwards, cosine=12, azimuth=10, foot=6)
 
 
 def _coarser(nodes: Nodes) -> Nodes:
-    return nodes._replace(cosine=9, azimuth=8, foot=5)
+    return nodes._replace(cosine=9, azimuth=8, foot=4)
 
 
 def _point(modes: _Modes, scat_per_cm: float, abs_per_cm: float) -> tuple[float, ...]:
