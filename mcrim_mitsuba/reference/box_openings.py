@@ -277,27 +277,70 @@ def end_cones(bench: Bench, nodes: Nodes, order: int) -> Ends:
     )
     diagonal = np.einsum("nkk->nk", shuttle).copy()
     series = 1.0 / (1.0 - r_crystal[:, None] * diagonal)
-    own = r_crystal[:, None] + (enters**2)[:, None] * diagonal * series
     shuttle -= diagonal[:, :, None] * np.eye(len(signed))
     coupling = shuttle * (enters**2)[:, None, None] * series[:, :, None] * series[:, None, :]
 
     landed = lands[:, None] * (crossing * hole_1 - once_1)
     landed = landed - lands[:, None] * _over_edges(bench, sine, over_x, over_y, signed)
-    landed = landed + _leaked(bench, nodes, sine, over_x, over_y, signed)
-    arrived = landed * series
+    leaked = _leaked(bench, nodes, sine, over_x, over_y, signed)
+    arrived = (landed + leaked) * series
     arrived = arrived + r_crystal[:, None] * series * np.einsum("nkl,nl->nk", shuttle, arrived)
+
+    # light that the place does not turn into other waves, through all its crossings of the gap
+    still = len(signed) // 2
+    turns = r_crystal * r_window
+    if whole:
+        kept = [
+            np.prod([_kept(k * shift, out, width) for shift, out in ((shift_x, out_x), (shift_y, out_y))], axis=0)
+            for k in range(2 * _SHUTTLES + 2)
+        ]  # fmt: skip
+        over_edges = _over_edges(bench, sine, over_x, over_y, signed)
+        lands_now = lands * (1.0 - over_edges[:, still].real)
+        lost = 1.0 - kept[1]
+        lands_later = np.where(lost > 0.0, leaked[:, still].real / np.where(lost > 0.0, lost, 1.0), 0.0)
+        terms = [lands_now * kept[2 * j + 1] + lands_later * (kept[2 * j] - kept[2 * j + 1])
+                 for j in range(_SHUTTLES + 1)]  # fmt: skip
+        arrived[:, still] = _sum_of_shuttles(terms, turns)
+        survive = kept[2::2]
+    else:
+        middle = 2 * order
+        mean = hole[middle, middle] - twice[:, middle, middle].real
+        survive = [mean ** (j + 1) for j in range(_SHUTTLES)]
+    back = r_window * enters**2
+
+    def mirrored(phase: _Array) -> _Array:
+        """Reflectance of the bottom for waves of which the gap shifts the phase, (..., n)."""
+        twofold = np.exp(2j * phase)
+        return r_crystal + back * twofold * _sum_of_shuttles(survive, turns * twofold)
 
     numbers = 2.0 * math.pi / width * np.arange(nodes.across)
     along_x = numbers[:, None, None, None] * shift_x
     along_y = (numbers[:, None] * [1.0, -1.0])[..., None] * shift_y
-    middle = 2 * order
-    kept = hole[middle, middle] - twice[:, middle, middle]
-    alone = r_window * kept * np.exp(2j * (along_x + along_y))
     return Ends(
         weight, cos, sine / n * over_x, sine / n * over_y, fresnel(cos, n, 1.0),
-        r_crystal + enters**2 * alone / (1.0 - r_crystal * alone),
-        signed, own, coupling, enters[:, None] * arrived,
+        mirrored(along_x + along_y), signed, mirrored(np.outer(kappa[:, 0], shift_x) + np.outer(kappa[:, 1], shift_y)).T,
+        coupling, enters[:, None] * arrived,
     )  # fmt: skip
+
+
+#: Crossings of the gap, there and back, that are counted one by one.
+_SHUTTLES = 8
+
+
+def _kept(shift: Floats, out: Floats, width: float) -> Floats:
+    """Share of light that a shift along an axis leaves in the gap; ``out`` get through a side."""
+    sides = np.floor(shift / width)
+    return (1.0 - out) ** sides * (1.0 - out * (shift / width - sides))
+
+
+def _sum_of_shuttles(terms: list[Floats], factor: _Array) -> _Array:
+    """Sum of terms[j] factor^j, continued as a geometric series from the last two on."""
+    before, last = terms[-2], terms[-1]
+    ratio = factor * np.where(before > 0.0, last / np.where(before > 0.0, before, 1.0), 0.0)
+    total = last / (1.0 - ratio)
+    for term in reversed(terms[:-1]):
+        total = term + factor * total
+    return total
 
 
 def _with_azimuths(

@@ -426,11 +426,11 @@ def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float) -> Nodes:
     across = min(2 + math.ceil(0.4 * max(wide - 1.5, 0.0)), 7)
     if bench.source_depth_mm < math.inf:
         upwards = max(upwards, 16)
-    return Nodes(across, upwards, cosine=12, azimuth=10, foot=6)
+    return Nodes(across, upwards, cosine=14, azimuth=10, foot=7)
 
 
 def _coarser(nodes: Nodes) -> Nodes:
-    return nodes._replace(cosine=9, azimuth=8, foot=4)
+    return nodes._replace(cosine=11, azimuth=8, foot=5)
 
 
 def _point(modes: _Modes, scat_per_cm: float, abs_per_cm: float) -> tuple[float, ...]:
