@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,7 +40,10 @@ class Nodes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """Directions in the escape cones of bottom and top, (n,) each but for the last three."""
+    """Directions in the escape cones of bottom and top, (n,) each where nothing else is said.
+
+    Those closer to x than to y; the others are their mirror images.
+    """
 
     weight: Floats
     cos: Floats
@@ -85,9 +89,12 @@ def fresnel(cos_in: Floats, n_in: float, n_out: float) -> Floats:
     return 0.5 * (s * s + p * p)
 
 
+_leggauss = lru_cache(np.polynomial.legendre.leggauss)
+
+
 def gauss(count: int, low: Any = 0.0, high: Any = 1.0) -> tuple[Floats, Floats]:
     """Gauss and Legendre's nodes and weights between limits, along a new last axis."""
-    x, w = np.polynomial.legendre.leggauss(count)
+    x, w = _leggauss(count)
     half = 0.5 * (np.asarray(high) - np.asarray(low))[..., None]
     return np.asarray(low)[..., None] + half * (1.0 + x), half * w
 
@@ -346,7 +353,7 @@ def _sum_of_shuttles(terms: list[Floats], factor: _Array) -> _Array:
 def _with_azimuths(
     sine: Floats, weight: Floats, n_gap: float, count: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Nodes over the azimuth, 0 to pi/2, for each n sin(theta): sine, weight, azimuth, (n,) each.
+    """Nodes over the azimuth, 0 to pi/4, for each n sin(theta): sine, weight, azimuth, (n,) each.
 
     The gap's sides reflect totally what is not steep enough to them, so there are panels where
     they begin to let light out, like a square root: nodes lie close to their ends.
@@ -354,13 +361,11 @@ def _with_azimuths(
     least = math.sqrt(max(n_gap**2 - 1.0, 0.0))
     found = []
     for s, w in zip(sine, weight, strict=True):
-        cuts = np.array([0.0, math.pi / 2.0])
-        nodes = count
+        cuts = np.array([0.0, math.pi / 4.0])
         if 0.0 < least < s:
             leaking = math.acos(least / s)
-            cuts = np.sort([*cuts, leaking, math.pi / 2.0 - leaking])
-            nodes = (count + 1) // 2
-        t, w_t = gauss(nodes)
+            cuts = np.insert(cuts, 1, min(leaking, math.pi / 2.0 - leaking))
+        t, w_t = gauss(count)
         span = np.diff(cuts)[:, None]
         azimuth = (cuts[:-1, None] + span * np.sin(0.5 * math.pi * t) ** 2).ravel()
         w_azimuth = (span * 0.5 * math.pi * np.sin(math.pi * t) * w_t).ravel()

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -150,15 +151,16 @@ class _Modes:
         block, coupled, detected, left = self._ends(alpha)
         i, j = np.ogrid[:across, :across]
         for half, part, more in zip(kernel, block.parts, coupled.parts, strict=True):
-            half[i, j, :, i, j, :] += part
-            half += more.reshape(*shape, *shape)
+            half[i, j, :, i, j, :] += part + part.swapaxes(0, 1)
+            half += more + more.transpose(1, 0, 2, 4, 3, 5)
         i, m = np.ogrid[:across, :upwards]
         block, seen, gone = self._sides(alpha)
         for half, part in zip(kernel, block.parts, strict=True):
             half[:, i, m, :, i, m] += part
             half[i, :, m, i, :, m] += part
-        detected = detected + seen + seen.map(lambda x: x.swapaxes(0, 1))
-        left = left + gone + gone.map(lambda x: x.swapaxes(0, 1))
+        detected, left = detected + seen, left + gone
+        detected = detected + detected.map(lambda x: x.swapaxes(0, 1))
+        left = left + left.map(lambda x: x.swapaxes(0, 1))
         size = math.prod(shape)
         return (
             _Dual(*kernel.reshape(2, size, size)),
@@ -178,17 +180,14 @@ class _Modes:
         """What bottom and top do: to K by p, q; to K across p, q; detected; left."""
         ends, height = self.ends, self.bench.crystal_height_mm
         across, upwards = self.nodes.across, self.nodes.upwards
-        kx, kz = self.wave_numbers
+        _, kz = self.wave_numbers
         top, density = ends.reflectance_top, _Dual(alpha, 1.0)
         many = np.where(kz > 0.0, 2.0, 1.0)
         parity = np.where(np.arange(upwards) % 2, -1.0, 1.0)
 
         # one lateral wave at a time: kappa = (p, q) and (p, -q)
-        phase = kx[:, None, None, None] * ends.across_x
-        phase = phase + (kx[:, None] * [1.0, -1.0])[..., None] * ends.across_y
-        phase, mirror = phase.reshape(-1, len(ends.cos)), ends.reflection.reshape(-1, len(ends.cos))
-        gamma = _Dual((alpha - 1j * phase) / ends.cos, 1.0 / ends.cos)
-        e = (gamma * -height).exp()
+        mirror = ends.reflection.reshape(-1, len(ends.cos))
+        gamma, e = _attenuation(alpha, self._phase_by_ends, ends.cos, height)
         wave = _resonance(gamma, kz)
         value = mirror / (1.0 - e * e * (top * mirror))
         block = np.zeros((2, across, across, upwards, upwards))
@@ -209,11 +208,8 @@ class _Modes:
         block *= many[:, None]
 
         # lateral waves that the place at the bottom couples
-        kappa = kx[1] * ends.signed if across > 1 else 0.0 * ends.signed
-        phase = ends.across_x[:, None] * kappa[:, 0] + ends.across_y[:, None] * kappa[:, 1]
         cos, top = ends.cos[:, None], top[:, None]
-        gamma = _Dual((alpha - 1j * phase) / cos, 1.0 / cos)
-        e = (gamma * -height).exp()
+        gamma, e = _attenuation(alpha, self._phase_of_coupled, cos, height)
         again = e * e * top
         repeated = 1.0 / (1.0 - again * ends.own)
         wave = _resonance(gamma, kz)
@@ -276,7 +272,7 @@ class _Modes:
         np.add.at(both, (p, q), once / (many[p] * many[q])[:, None, None, None, None])
         both = both.transpose(3, 4, 5, 0, 1, 2)
         both = both * np.where(np.arange(upwards) > 0, 2.0, 1.0)[:, None, None, None]
-        return both.reshape(across * across * upwards, -1)
+        return both
 
     def _sides(self, alpha: float) -> tuple[_Dual, _Dual, _Dual]:
         """What the two sides across x do: to K by q, r; detected; left."""
@@ -285,7 +281,7 @@ class _Modes:
         kx, _ = self.wave_numbers
         many = np.where(np.arange(across) > 0, 2.0, 1.0)
 
-        gamma, e = self._through_sides(cone, alpha)
+        gamma, e = self._through_sides(cone, self._phase_by_sides, alpha)
         mirror = cone.reflectance
         wave = _resonance(gamma, kx)
         factor = (1.0 - e) / (1.0 - e * mirror) * (2.0 * (mirror - 1.0) * cone.weight / cone.cos)
@@ -307,18 +303,10 @@ class _Modes:
 
     def _falls(self, falling: Sides, alpha: float) -> _Dual:
         """Light that leaves through the sides across x, falls to the window and is detected."""
-        width, height = self.bench.crystal_width_mm, self.bench.crystal_height_mm
         across, upwards = self.nodes.across, self.nodes.upwards
         kx, kz = self.wave_numbers
-        kz_signed = kz[:, None] * [1.0, -1.0]
-        low, high = falling.lowest_mm, falling.highest_mm
-        safe = np.where(kz_signed == 0.0, 1.0, 1j * kz_signed)[..., None]
-        heights = (np.exp(1j * kz_signed[..., None] * high) - np.exp(1j * kz_signed[..., None] * low)) / safe
-        heights = np.where(kz_signed[..., None] == 0.0, high - low, heights)
-        source = np.exp(-1j * kx[:, None] * falling.foot_mm)[:, None, None] * heights
-        source = (source * (falling.weight / (2.0 * height * width))).reshape(-1, len(falling.cos))
-        gamma, e = self._through_sides(falling, alpha)
-        flow = (1.0 - e) / (1.0 - e * falling.reflectance) * source
+        gamma, e = self._through_sides(falling, self._phase_of_falling, alpha)
+        flow = (1.0 - e) / (1.0 - e * falling.reflectance) * self._falling_light
         found = flow[..., None, :] @ _resonance(gamma, kx)
         many, many_z = np.where(kx > 0.0, 2.0, 1.0), np.where(kz > 0.0, 2.0, 1.0)
         return found.map(
@@ -326,20 +314,88 @@ class _Modes:
             * (many[:, None, None] * many[:, None] * many_z)
         )  # fmt: skip
 
-    def _through_sides(self, sides: Sides, alpha: float) -> tuple[_Dual, _Dual]:
-        """Attenuation per mm along x of the waves (q, r) and (q, -r), and over the whole width."""
+    def _through_sides(self, sides: Sides, phase: _Phase, alpha: float) -> tuple[_Dual, _Dual]:
+        """Attenuation per mm along x, and over the width, of the waves (q, r) and (q, -r)."""
+        return _attenuation(alpha, phase, sides.cos, self.bench.crystal_width_mm)
+
+    # Phases do not depend on the coefficients.
+
+    @cached_property
+    def _phase_by_ends(self) -> _Phase:
+        """Of the waves (p, q) and (p, -q), (waves, n)."""
+        ends, (kx, _) = self.ends, self.wave_numbers
+        phase = kx[:, None, None, None] * ends.across_x
+        phase = phase + (kx[:, None] * [1.0, -1.0])[..., None] * ends.across_y
+        phase = phase.reshape(-1, len(ends.cos))
+        return _Phase.of(phase, ends.cos, self.bench.crystal_height_mm)
+
+    @cached_property
+    def _phase_of_coupled(self) -> _Phase:
+        ends, width = self.ends, self.bench.crystal_width_mm
+        kappa = 2.0 * math.pi / width * ends.signed
+        phase = ends.across_x[:, None] * kappa[:, 0] + ends.across_y[:, None] * kappa[:, 1]
+        return _Phase.of(phase, ends.cos[:, None], self.bench.crystal_height_mm)
+
+    @cached_property
+    def _phase_by_sides(self) -> _Phase:
+        return self._phase_across(self.cone)
+
+    @cached_property
+    def _phase_of_falling(self) -> _Phase:
+        assert self.falling is not None
+        return self._phase_across(self.falling)
+
+    def _phase_across(self, sides: Sides) -> _Phase:
         kx, kz = self.wave_numbers
         phase = kx[:, None, None, None] * sides.across_y
         phase = phase + (kz[:, None] * [1.0, -1.0])[..., None] * sides.across_z
-        phase = phase.reshape(-1, len(sides.cos))
-        gamma = _Dual((alpha - 1j * phase) / sides.cos, 1.0 / sides.cos)
-        return gamma, (gamma * -self.bench.crystal_width_mm).exp()
+        return _Phase.of(phase.reshape(-1, len(sides.cos)), sides.cos, self.bench.crystal_width_mm)
+
+    @cached_property
+    def _falling_light(self) -> _Array:
+        """Fourier components over a side of what leaves it, by (q, r) and (q, -r): (waves, n)."""
+        falling = self.falling
+        assert falling is not None
+        width, height = self.bench.crystal_width_mm, self.bench.crystal_height_mm
+        kx, kz = self.wave_numbers
+        low, high = falling.lowest_mm, falling.highest_mm
+        k = (kz[:, None] * [1.0, -1.0])[..., None]
+        waves = (np.exp(1j * k * high) - np.exp(1j * k * low)) / np.where(k == 0.0, 1.0, 1j * k)
+        heights = np.where(k == 0.0, high - low, waves)
+        light = np.exp(-1j * kx[:, None] * falling.foot_mm)[:, None, None] * heights
+        light = light * (falling.weight / (2.0 * height * width))
+        return light.reshape(-1, len(falling.cos))
+
+
+class _Phase(NamedTuple):
+    """Phases of waves along a flight, by mm and by the box's length, both along an axis."""
+
+    per_mm: _Array
+    turn: _Array
+
+    @classmethod
+    def of(cls, across: _Array, cos: Floats, length_mm: float) -> _Phase:
+        per_mm = across / cos
+        return cls(per_mm, np.exp(1j * per_mm * length_mm))
+
+
+def _attenuation(
+    alpha: float, phase: _Phase, cos: Floats, length_mm: float
+) -> tuple[_Dual, _Dual]:
+    """Complex attenuation per mm along an axis, and over a length."""
+    passed = np.exp(-alpha * length_mm / cos) * phase.turn
+    return (
+        _Dual(alpha / cos - 1j * phase.per_mm, 1.0 / cos),
+        _Dual(passed, -length_mm / cos * passed),
+    )
 
 
 def _resonance(gamma: _Dual, k: _Array) -> _Dual:
     """gamma / (gamma^2 + k^2), with k along a new last axis."""
-    gamma = gamma[..., None]
-    return gamma / (gamma * gamma + k**2)
+    g, slope = gamma.value[..., None], np.asarray(gamma.slope)[..., None]
+    squared, k_squared = g * g, k * k
+    inverse = 1.0 / (squared + k_squared)
+    return _Dual(g * inverse, (k_squared - squared) * inverse * inverse * slope)
 
 
 @dataclass(frozen=True, eq=False)
@@ -426,11 +482,11 @@ def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float) -> Nodes:
     across = min(2 + math.ceil(0.4 * max(wide - 1.5, 0.0)), 7)
     if bench.source_depth_mm < math.inf:
         upwards = max(upwards, 16)
-    return Nodes(across, upwards, cosine=14, azimuth=10, foot=7)
+    return Nodes(across, upwards, cosine=14, azimuth=5, foot=7)
 
 
 def _coarser(nodes: Nodes) -> Nodes:
-    return nodes._replace(cosine=11, azimuth=8, foot=5)
+    return nodes._replace(cosine=11, azimuth=4, foot=5)
 
 
 def _point(modes: _Modes, scat_per_cm: float, abs_per_cm: float) -> tuple[float, ...]:
