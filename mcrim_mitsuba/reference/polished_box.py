@@ -219,14 +219,12 @@ class _Modes:
         starts = wave * ((1.0 - e_r * parity) + e_r * top_r * (parity - e_r)) * repeated_r
         weighted = rises * repeated_r * (ends.weight / ends.cos)[:, None, None]
         modes = len(ends.signed)
-        first = weighted.map(lambda x: x.transpose(1, 2, 0))
-        coupling = ends.coupling.transpose(1, 0, 2)  # kappa, n, kappa'
-        parts = []
-        for one, other in ((first.value, starts.value), (first.slope, starts.value), (first.value, starts.slope)):
-            inner = coupling[..., None] * other
-            parts.append(one @ inner.reshape(modes, len(ends.cos), modes * upwards))
-        coupled = _Dual(parts[0], parts[1] + parts[2]) * density
-        coupled = coupled.map(lambda x: self._fold(np.real(x).reshape(modes, upwards, modes, upwards)))
+        # many small products: of large ones BLAS makes several threads, which wait for each other
+        first = weighted.map(lambda x: x.transpose(1, 2, 0)[:, None])
+        second = starts.map(lambda x: x.transpose(1, 0, 2))
+        coupling = ends.coupling.transpose(1, 2, 0)[..., None]  # kappa, kappa', n
+        coupled = first @ _Dual(coupling * second.value, coupling * second.slope) * density
+        coupled = coupled.map(lambda x: self._fold(np.real(x).swapaxes(1, 2)))
         coupled = coupled * (1.0 / (2.0 * height))
 
         # detected, and left through bottom or top
