@@ -229,6 +229,12 @@ def photons(default: str, *, at_most: bool = False, further: str = ""):
     )  # fmt: skip
 
 
+method = click.option(
+    "--method", type=click.Choice(("photons", "modes")), default="photons", show_default=True,
+    help="Follow photons, or solve for a polished box by modes: in milliseconds, without noise.",
+)  # fmt: skip
+
+
 def figure(what: str):
     """``--figure``, for a picture of `what`; its numbers go beside it."""
     return click.option(

@@ -93,13 +93,17 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
 @options.defines
 @options.photons("2e6", at_most=True)
 @options.precision
+@options.method
 @options.figure(
     "where the light arrives on the detector, and at which angle (and which fates light meets, "
     "NAME_fates), from photons of their own, as many but 4e6 at most"
 )
 @options.work
-def simulate(scene, overrides, figure, json_file, work) -> None:
+def simulate(scene, overrides, method, figure, json_file, work) -> None:
     """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
+    if figure and method == "modes":
+        problem = "--figure follows photons, and --method modes none"
+        raise InputError(problem, "leave one of them out")
     if figure:
         showing.refuse_places(json_file, [scene], figure, "fates")
         from mcrim_mitsuba.efficiency.lighting import refuse_curved
@@ -110,7 +114,7 @@ def simulate(scene, overrides, figure, json_file, work) -> None:
     else:
         refuse_outputs({"--json": json_file}, [scene])
     with work.begin() as run:
-        found = mcrim.simulate(mcrim.read_scene(scene, overrides), run=run)
+        found = mcrim.simulate(mcrim.read_scene(scene, overrides), run=run, method=method)
     showing.answer(found, json_file, None if found.interrupted else figure)
 
 
@@ -146,8 +150,9 @@ def axes_options(function):
 @options.defines
 @options.photons("2e6 per coupling", at_most=True, further=_NO_CAP)
 @options.precision
+@options.method
 @options.work
-def table(scene, axes, path, overrides, json_file, work, **own) -> None:
+def table(scene, axes, path, overrides, method, json_file, work, **own) -> None:
     """Table of the light collection efficiency of SCENE, one simulation per coupling."""
     from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
 
@@ -168,7 +173,7 @@ def table(scene, axes, path, overrides, json_file, work, **own) -> None:
     said += [f"{n} {_abbreviated(v)}" for n, v in lists.items() if n not in coefficients.values()]
     screen.print("; ".join(said), markup=False, soft_wrap=True)
     with work.begin() as run:
-        made = mcrim.table(file, run=run, **lists)
+        made = mcrim.table(file, run=run, method=method, **lists)
     if path and path.lower().endswith(".nc"):
         from mcrim_mitsuba.output.result_writing import netcdf_bytes
 

@@ -132,11 +132,11 @@ def eta_table(
         If the scene is not sound or lacks one of the parameters, or a value is out of range.
     """
     file = read_scene(scene)
-    _refuse(file, axes)
-    varied = {name: _as_in(file, name, values) for name, values in axes.items()}
+    refuse_axes(file, axes)
+    varied = {name: values_as_in(file, name, values) for name, values in axes.items()}
     coefficients = (ALPHA_ABS, ALPHA_SCAT)
     outer = {name: values for name, values in varied.items() if name not in coefficients}
-    inner = {name: varied.get(name) or _as_in(file, name, [file.parameters[name]])
+    inner = {name: varied.get(name) or values_as_in(file, name, [file.parameters[name]])
              for name in coefficients}  # fmt: skip
     points: list[Coefficients] = [
         (float(a_s), float(a_a)) for a_a, a_s in itertools.product(*inner.values())
@@ -225,14 +225,20 @@ class _Bench:
             self.notes += [f"{place}: {note}" for note in own.notes]
 
 
-def _as_in(file: SceneFile, name: str, values: Sequence[Value]) -> tuple[Value, ...]:
+def values_as_in(file: SceneFile, name: str, values: Sequence[Value]) -> tuple[Value, ...]:
     """Values of the kind that the scene has: 1 is 1.0, where it has a length."""
     if isinstance(file.parameters[name], float):
         return tuple(v if isinstance(v, str) else float(v) for v in values)
     return tuple(values)
 
 
-def _refuse(file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> None:
+def refuse_axes(file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> None:
+    """Refuse axes that a scene has no parameters for, and values out of range.
+
+    Raises
+    ------
+    InputError
+    """
     for name, values in ({ALPHA_ABS: [0.0], ALPHA_SCAT: [0.0]} | dict(axes)).items():
         if name not in file.parameters:
             usual = name in COLUMNS

@@ -255,13 +255,17 @@ def _names(given: str | Sequence[str]) -> tuple[str, ...]:
 # ---------------------------------------------------------------- of a scene
 
 
-def simulate(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
+def simulate(
+    scene: Scene, *, run: Run | None = None, method: str = "photons", **given: Any
+) -> Answer:
     """Light collection efficiency of one configuration, with every photon's fate.
 
     Parameters
     ----------
     run : Run, optional
         2 million photons, with a precision as many as it takes.
+    method : str
+        ``modes`` follows no photons: a polished box is solved for, without statistical noise.
     **given
         Scene parameters that differ from the file's (``n_gap=1.46``), and fields of the run.
 
@@ -269,20 +273,27 @@ def simulate(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     -------
     Answer
         With the fields of `transport.simulation.SimulationResult`; pictures ``arrival`` and
-        ``fates``, which follow photons of their own.
+        ``fates``, which follow photons of their own (none of the method ``modes``).
 
     Raises
     ------
     InputError
-        If the scene is not sound, or a parameter is wrong.
+        If the scene is not sound, a parameter is wrong, or the method does not know such a bench.
     """
     from mcrim_mitsuba.efficiency.lighting import follow_light
+    from mcrim_mitsuba.efficiency.noise_free import refuse_method, solve_simulation
     from mcrim_mitsuba.efficiency.simulate import collect
     from mcrim_mitsuba.transport.simulation import Simulation
 
     run, parameters = _split(run, given)
+    refuse_method(method, run)
     file = read_scene(scene, parameters)
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
+    if method == "modes":
+        found = solve_simulation(simulation)
+        return Answer(
+            found, scene_descriptions.of_simulation(found), documents.of_simulation(found)
+        )
     found = collect(simulation, run=run)
 
     @functools.cache
@@ -303,7 +314,9 @@ def simulate(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
 MOST_FOR_FIGURES = 4_000_000
 
 
-def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
+def table(
+    scene: Scene, *, run: Run | None = None, method: str = "photons", **given: Any
+) -> Answer:
     """Light collection efficiency over any parameters of a scene.
 
     Values of ``alpha_scat_per_cm`` and ``alpha_abs_per_cm`` are answered by one simulation of each
@@ -313,6 +326,8 @@ def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     ----------
     run : Run, optional
         2 million photons of each configuration, with a precision as many as it takes.
+    method : str
+        ``modes`` follows no photons: polished boxes are solved for, without statistical noise.
     **given
         Axes (``gap_mm=[0.02, 0.05]``), single values of parameters (``n_gap=1.46``), and fields
         of the run.
@@ -325,11 +340,14 @@ def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     Raises
     ------
     InputError
-        If the scene is not sound or lacks one of the parameters, or a value is out of range.
+        If the scene is not sound or lacks one of the parameters, a value is out of range, or the
+        method does not know such a bench.
     """
+    from mcrim_mitsuba.efficiency.noise_free import noise_free_table, refuse_method
     from mcrim_mitsuba.efficiency.table import eta_table
 
     run, parameters = _split(run, given)
+    refuse_method(method, run)
     axes = {
         name: list(values)
         for name, values in parameters.items()
@@ -337,7 +355,7 @@ def table(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     }
     file = read_scene(scene, {n: v for n, v in parameters.items() if n not in axes})
     start = time.perf_counter()
-    made = eta_table(file, axes, run=run)
+    made = (noise_free_table if method == "modes" else eta_table)(file, axes, run=run)
     seconds = time.perf_counter() - start
     return Answer(
         made, scene_descriptions.of_table(made, seconds=seconds),

@@ -35,10 +35,11 @@ def of_simulation(result: SimulationResult) -> Described:
         for fate, part in result.budget.items() if part > 0
     )  # fmt: skip
     found = (
-        f"eta = {pdg(result.eta, result.eta_sigma)}   ({result.photons:,} photons, seed "
-        f"{result.seed}, {result.seconds:.1f} s, {result.photons_per_second / 1e6:.2f} million "
-        f"photons/s, {result.transport})"
-    )
+        f"{result.photons:,} photons, seed {result.seed}, {result.seconds:.1f} s, "
+        f"{result.photons_per_second / 1e6:.2f} million photons/s"
+        if result.photons else f"no photons, {result.seconds:.2f} s"
+    )  # fmt: skip
+    found = f"eta = {pdg(result.eta, result.eta_sigma)}   ({found}, {result.transport})"
     fates = table("where the light ends", ("fate", "fraction", "error"), rows)
     return Described("light collection efficiency", (Sentence(found), fates), notes=result.notes)
 
@@ -56,8 +57,9 @@ def of_table(
         parts = (table("", made.columns, rows),)
     spent = (
         f"{made.eta.size} points{f' written to {written}' if written else ''}: "
-        f"{made.photons:,} photons ({made.cached_photons:,} of the cache), "
-        f"{seconds_text(seconds)}errors up to "
+        + (f"{made.photons:,} photons ({made.cached_photons:,} of the cache), "
+           if made.photons else "no photons, ")
+        + f"{seconds_text(seconds)}errors up to "
         f"{100 * made.largest_relative_sigma:.2g} %"
     )
     return Described("table of the light collection efficiency", parts, spent, made.notes)

@@ -8,28 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 from scipy.special import ndtr
 
-from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.effects.catalogue import add, catalogue
-from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.scene_bench import bench_of
 from mcrim_mitsuba.reference.tracer import trace
-from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
-from mcrim_mitsuba.scene.shipped import scene_path
-from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, spectrophotometer_of
+from mcrim_mitsuba.scene.scene_file import SceneFile
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.reference.tracer import TracerResult
-    from mcrim_mitsuba.transport.scene_model import SceneModel
-    from mcrim_mitsuba.transport.simulation import Simulation, SimulationResult
+    from mcrim_mitsuba.transport.simulation import SimulationResult
 
 #: A fate that fewer photons of the tracer met than this has no normal distribution yet.
 FEWEST_COUNTS = 25
-#: Effects without a parameter, which the tracer switches on by name.
-_SWITCHES = ("rayleigh_scattering", "aperture_at_detector")
 #: False-alarm level of the test of all rows together.
 FAMILY_LEVEL = 0.01
 
@@ -96,12 +88,7 @@ def crosscheck(
     from mcrim_mitsuba.transport.simulation import Simulation
 
     simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
-    with placed(path=simulation.file.path):
-        effects = [e.name for e in catalogue().values() if e.is_in(simulation.file)]
-        switches = {name: True for name in effects if name in _SWITCHES}
-        beam = BEAM_PARAMETERS if _beam_axis(simulation) is not None else {}
-        bench = Bench.from_parameters({**beam, **simulation.file.parameters, **switches})
-    _refuse_other_benches(simulation, effects)
+    bench = bench_of(simulation)
     photons = run.photons_or(1_000_000)
     ours = simulation.collect(
         mitsuba_photons or 4 * photons, seed=run.seed, general=general,
@@ -122,90 +109,6 @@ def crosscheck(
         mitsuba_photons=ours.photons,
         numpy_photons=reference.photons,
     )
-
-
-def _refuse_other_benches(simulation: Simulation, effects: list[str]) -> None:
-    """Refuse a scene that is not the bench which the tracer builds from its parameters.
-
-    The shipped scenes, with effects as `add` puts them there, are what the parameters mean;
-    comparing another scene with the tracer would look like an error of one of the two.
-    """
-    from mcrim_mitsuba.transport.simulation import Simulation
-
-    parameters = simulation.file.parameters
-    name = "camoo4_wrapped.xml" if "wrap_reflectance" in parameters else "camoo4.xml"
-    known = read_scene(scene_path(name))
-    for effect in effects:
-        known = known.edited(add(effect, known))
-    if _beam_axis(simulation) is not None:
-        # an effect on the crystal acts on both
-        name, known = "spectrophotometer.xml", spectrophotometer_of(known)
-    own = {key: value for key, value in parameters.items() if key in known.parameters}
-    meant = Simulation(known, own, variant=simulation.variant, check=False)
-    file, path, line = simulation.file, simulation.file.path, None
-    where = _first_difference(simulation.model, meant.model)
-    if where in [surface.name for surface in simulation.model.surfaces]:
-        path, line = file.place_of_id(where)
-    elif where is None and _emission(simulation) != _emission(meant):
-        where = "its emitter"
-        path, line = file.place_of(next(file.root.iter("emitter")))
-    elif where is None and simulation.polarization != meant.polarization:
-        where = "its polarization"
-    if where is not None:
-        raise InputError(
-            f"the NumPy tracer knows the bench of {name} only, and this scene differs from it at "
-            f"{where}", "cross-check a bench of that form", path=path, line=line,
-        )  # fmt: skip
-
-
-def _emission(simulation: Simulation) -> tuple:
-    """Where light is born: its depth below the top, or the axis and the width of a beam."""
-    crystal = simulation.crystal
-    return crystal.source_depth_mm, _beam_axis(simulation), getattr(crystal, "diameter_mm", None)
-
-
-def _beam_axis(simulation: Simulation) -> int | None:
-    """0, 1 or 2; ``None`` where light is born in the crystal."""
-    return getattr(simulation.crystal, "axis", None)
-
-
-def _first_difference(model: SceneModel, meant: SceneModel) -> str | None:
-    """Name of a surface in which two scenes differ; ``None`` where they are alike."""
-    if model.faces is None:
-        return model.surfaces[model.curved[0]].name
-    own, expected = _described(model), _described(meant)
-    for name in {**expected, **own}:
-        ours, meant_to_be = own.get(name, []), expected.get(name, [])
-        if len(ours) != len(meant_to_be) or any(
-            a[0] != b[0] or not np.allclose(a[1], b[1], atol=1e-4)
-            for a, b in zip(ours, meant_to_be, strict=True)
-        ):
-            return name
-    return None
-
-
-def _described(model: SceneModel) -> dict[str, list[tuple]]:
-    """Faces of every surface: what they are, and their numbers."""
-    from mcrim_mitsuba.transport.scene_model import DETECTOR
-
-    found: dict[str, list[tuple]] = {}
-    for face in model.flat_faces:
-        surface = model.surfaces[face.surface]
-        sides = [model.volumes[i] for i in (surface.interior, surface.exterior)]
-        words = (surface.kind, surface.two_sided, *(v.phase for v in sides))
-        numbers = [
-            *face.corner, *face.edge_u, *face.edge_v, surface.eta, surface.reflectance,
-            min(surface.aperture_radius_mm, 1e6), *surface.aperture_centre_mm,
-            surface.roughness, surface.surface_loss, surface.haze,
-            surface.acceptance_deg,
-            surface.angular_falloff, surface.radial_falloff_per_mm2,
-            *(v.alpha_scat_per_mm for v in sides), *(v.alpha_abs_per_mm for v in sides),
-            *(v.scattering_g for v in sides), *(v.scattering_gradient for v in sides),
-        ]  # fmt: skip
-        # there is one, whatever it is called
-        name = "detector" if surface.kind == DETECTOR else surface.name
-        found.setdefault(name, []).append((words, numbers))
-    return found
 
 
 def _row(

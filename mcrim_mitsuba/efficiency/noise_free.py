@@ -1,0 +1,106 @@
+"""Eta without photons, where the bench is one that `reference.polished_box` solves."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mcrim_mitsuba.core.errors import InputError, placed
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.table import EtaTable, refuse_axes, values_as_in
+from mcrim_mitsuba.reference.polished_box import solve_box
+from mcrim_mitsuba.reference.scene_bench import bench_of
+from mcrim_mitsuba.runs.cache import record_versions
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from mcrim_mitsuba.transport.simulation import SimulationResult
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+#: Ways to eta.
+METHODS = ("photons", "modes")
+#: What the reader must know of eta by modes.
+NOTE = (
+    "no photons were followed: there is no statistical noise, and errors are the method's own "
+    "estimates, from fewer modes and nodes"
+)
+
+
+def refuse_method(method: str, run: Run) -> None:
+    """Refuse a method that there is not, and photons for one that follows none.
+
+    Raises
+    ------
+    InputError
+    """
+    if method not in METHODS:
+        raise InputError(f"there is no method {method}", f"take {' or '.join(METHODS)}")
+    if method == "modes":
+        for name in ("photons", "precision"):
+            if getattr(run, name) is not None:
+                problem = f"the method modes follows no photons, and {name} was given"
+                raise InputError(problem, f"leave {name} out, or take the method photons")
+
+
+def solve_simulation(simulation: Simulation) -> SimulationResult:
+    """Light collection efficiency and fates of a loaded scene, of 0 photons.
+
+    Raises
+    ------
+    InputError
+        If the bench is not one that the solver knows.
+    """
+    start = time.perf_counter()
+    file = simulation.file
+    with placed(path=file.path):
+        found = solve_box(bench_of(simulation))
+    fates = {name: float(part) for name, part in found.fates.items() if part}
+    eta, error = float(found.eta), float(found.error)
+    return SimulationResult(
+        seed=0, photons=0, cached_photons=0, scene_hash=file.content_hash,
+        versions=record_versions(simulation.variant), seconds=time.perf_counter() - start,
+        notes=(NOTE,), requested=0, interrupted=False, eta=eta, eta_sigma=error, budget=fates,
+        budget_sigma=dict.fromkeys(fates, error), parameters=dict(file.parameters),
+        polarization=False, transport="cosine modes",
+    )  # fmt: skip
+
+
+def noise_free_table(
+    scene: str | Path | SceneFile, axes: Mapping[str, Sequence[Value]], *, run: Run = Run()
+) -> EtaTable:
+    """As `efficiency.table.eta_table`, without photons.
+
+    Raises
+    ------
+    InputError
+        If the scene is not sound or lacks one of the parameters, a value is out of range, or a
+        bench is not one that the solver knows.
+    """
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    file = read_scene(scene)
+    refuse_axes(file, axes)
+    varied = {name: values_as_in(file, name, values) for name, values in axes.items()}
+    outer = {name: values for name, values in varied.items() if name not in (ALPHA_SCAT, ALPHA_ABS)}
+    inner = {name: varied[name] for name in (ALPHA_ABS, ALPHA_SCAT) if name in varied}
+    scat, absorb = (
+        np.array(inner.get(name, [file.parameters[name]]), float) for name in (ALPHA_SCAT, ALPHA_ABS)
+    )
+    found = []
+    for values in itertools.product(*outer.values()):
+        own = file.with_overrides(dict(zip(outer, values, strict=True)))
+        simulation = Simulation(own, variant=run.variant, threads=run.threads, check=run.check)
+        with placed(path=file.path):
+            solved = solve_box(bench_of(simulation), scat, absorb[:, None])
+        found.append((solved.eta, solved.error))
+    shape = [len(values) for values in (*outer.values(), *inner.values())]
+    eta, error = (np.array(each).reshape(shape) for each in zip(*found, strict=True))
+    return EtaTable(
+        outer | inner, eta, error, 0, 0, 0, dict(file.parameters), file.content_hash, (NOTE,)
+    )
