@@ -313,8 +313,9 @@ class Session:
 
     def _make_ready(self, effects: Sequence[str]) -> None:
         ready = self.state.ready or frozenset()
-        if missing := [name for name in effects if name not in ready]:
-            self._bench.simulate(sorted({*ready, *missing}))
+        known = self._bench.precise
+        if any(name not in ready or name not in known for name in effects):
+            self._bench.simulate(sorted({*ready, *effects}), look=ready - {*effects})
             self._change(ready=self._bench.simulated)
 
     def fit(self, settings: Settings) -> bool:

@@ -21,7 +21,7 @@ from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
 from mcrim_mitsuba.runs.executors import Content
-from mcrim_mitsuba.runs.scene_units import SceneUnit
+from mcrim_mitsuba.runs.scene_units import PHOTONS_PER_S, SceneUnit
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords, ScatteringProposals
 
@@ -58,6 +58,11 @@ class Grid:
         """In log(alpha_abs + `OFFSET_PER_CM`)."""
         low, high = np.log(np.array(self.alpha_abs_range_per_cm) + self.OFFSET_PER_CM)
         return Lagrange(chebyshev_nodes(low, high, self.counts[1]))
+
+    def coefficients_per_cm(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """alpha_scat (nodes, 1) and alpha_abs (1, nodes)."""
+        alpha_abs = np.exp(self.absorption.nodes) - self.OFFSET_PER_CM
+        return np.exp(self.scattering.nodes)[:, None], alpha_abs[None, :]
 
     def values_at(
         self,
@@ -128,8 +133,8 @@ class Gathering:
             np.exp(np.maximum(row, _LEAST_LOG, out=row), out=row)
         self._absorption = np.empty((grid.counts[1], len(order)), dtype=np.float32)
         w = records.w[order]
-        alpha_abs_per_cm = np.exp(grid.absorption.nodes) - grid.OFFSET_PER_CM
-        for row, alpha in zip(self._absorption, alpha_abs_per_cm, strict=True):
+        _, alpha_abs_per_cm = grid.coefficients_per_cm()
+        for row, alpha in zip(self._absorption, alpha_abs_per_cm[0], strict=True):
             np.multiply(path, np.float32(records.alpha_abs_proposal_per_cm - alpha), out=row)
             np.exp(np.maximum(row, _LEAST_LOG, out=row), out=row)
             row *= w
@@ -227,6 +232,10 @@ class TableUnit(SceneUnit):
     #: The fine one and the coarse one.
     grids: tuple[Grid, Grid]
     requests: tuple[TableRequest, ...]
+
+    @property
+    def expected_s(self) -> float:
+        return self.photons / PHOTONS_PER_S
 
     @property
     def numbers(self) -> tuple[int, ...]:

@@ -3,7 +3,8 @@
 Every configuration is simulated once as it is, with a mask that covers nothing: what its photons
 met answers every smaller aperture, and every effect that only weights photons. Other effects are
 simulated at their nodes. All runs draw the same random numbers, so that what they have in common
-cancels, and batches of one number belong together.
+cancels, and batches of one number belong together. Where the bench as it is needs no photons
+(`without_noise`), they only tell what differs from it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import functools
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
@@ -35,6 +36,12 @@ from mcrim_mitsuba.efficiency.eta_grid import (
 )
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
 from mcrim_mitsuba.efficiency.surface import chebyshev_nodes
+from mcrim_mitsuba.efficiency.without_noise import (
+    SolvedUnit,
+    corrected,
+    difference,
+    solved_of,
+)
 from mcrim_mitsuba.optics.attenuation import measured_transmittance, transmittance
 from mcrim_mitsuba.runs.cache import hashes, record_versions
 from mcrim_mitsuba.runs.executors import Task, current_executor, number_of
@@ -50,8 +57,12 @@ from mcrim_mitsuba.scene.spectrophotometer import (
 from mcrim_mitsuba.transport.launch_plan import LANES, ScatteringProposals
 
 #: Photons of a simulation with an effect in the scene, and how many times as many of a
-#: configuration as it is, which all effects are compared with.
+#: configuration as it is, where it cannot be solved: all effects are compared with it.
 EFFECT_PHOTONS, PLAIN_FACTOR = 16 * LANES, 9
+#: Part of an effect's photons that a first look takes.
+LOOK_PART = 1 / 8
+#: Photons of a configuration as it is that cost more time than to solve it.
+_WORTH_SOLVING = 64 * LANES
 #: The same for all effects at once where a fit ends.
 ANCHOR_FACTOR = 2
 #: Most photons of one simulation: its records are held in memory.
@@ -153,7 +164,7 @@ def _within(wanted: _Wanted, angle_deg: float) -> _Wanted:
 
 
 #: By the place in an effect's response, its nodes and the reading: the table of the bench as it
-#: is, and the one with the effect. Nothing where the effect is not there.
+#: is, from as many photons, and the one with the effect. Nothing where the effect is not there.
 _Pairs = dict[tuple[int, ...], tuple[_Wanted, _Wanted]]
 
 
@@ -161,14 +172,15 @@ class ResponseMaker:
     """Makes the responses of a campaign's readings, effect by effect.
 
     The photons of `run` are those of a simulation with an effect in the scene; those as the bench
-    is get `PLAIN_FACTOR` times as many. Its precision does not matter. `what` is its name in
-    progress.
+    is get `PLAIN_FACTOR` times as many where they cannot be solved. Its precision does not matter.
+    `what` is its name in progress.
     """
 
     def __init__(self, campaign: Campaign, run: Run, what: str = "simulation") -> None:
         self.campaign, self._what = campaign, what
         units = min(max(round(run.photons_or(EFFECT_PHOTONS) / LANES), 1), _MOST_PHOTONS // LANES)
         self._effect_photons = units * LANES
+        self._look_photons = max(round(LOOK_PART * units), 1) * LANES
         self._plain_photons = min(PLAIN_FACTOR * units * LANES, _MOST_PHOTONS)
         self._run = run
         self.grid, self.coarse, self._proposals = _coverage(campaign)
@@ -186,6 +198,9 @@ class ResponseMaker:
                 "versions": record_versions(run.variant),
                 "layout": _LAYOUT,
             }
+        )
+        self._solved_cache = current_executor().cache(
+            {"what": "eta without noise", "versions": record_versions(run.variant)}
         )
         # how transmittances were found
         self._said: list[str] = []
@@ -247,10 +262,11 @@ class ResponseMaker:
 
     # ---- responses ---------------------------------------------------------------------------
 
-    def make(self, effects: Sequence[Effect]) -> Responses:
+    def make(self, effects: Sequence[Effect], look: Collection[str] = ()) -> Responses:
         """Responses of the bench as it is and of effects, those of the readings left out.
 
-        Raises InputError if a scene is not sound, leaks, or cannot take an effect.
+        Effects named by `look` get a part of the photons. Raises InputError if a scene is not
+        sound, leaks, or cannot take an effect.
         """
         scene, readings = self.campaign.scene, self.campaign.measurements.readings
         # one without parameters that the scene has already is in all its simulations
@@ -262,26 +278,70 @@ class ResponseMaker:
         asked += [_as_effect(self.campaign, name) for name in self._further_parameters()]
         plain = [
             self._simulation(
-                scene, values, self._plain_photons, of_beam=reading.of_beam, check=self._run.check
+                scene, values, self._effect_photons, of_beam=reading.of_beam, check=self._run.check
             )
             for reading, values in zip(readings, self.configurations(), strict=True)
         ]
-        fine = [run.table(coarse=False) for run in plain]
+        known = self._known(plain)
+        plain = [
+            run if exact is not None else replace(run, photons=self._plain_photons)
+            for run, exact in zip(plain, known, strict=True)
+        ]
         # where a model may change the acceptance, every effect's response depends on it
         acceptance = next((p for e in asked if e.of_beam for p in e.parameters), None)
-        plans = [self._plan(effect, plain, acceptance) for effect in asked]
+        plans = [
+            self._plan(
+                effect, plain, acceptance,
+                self._look_photons if effect.name in look else self._effect_photons,
+            )
+            for effect in asked
+        ]  # fmt: skip
         of_effects = (each for _, pairs in plans for pair in pairs.values() for each in pair)
-        tables = self._tables([*fine, *of_effects])
-        log_eta, deviations = stack([tables[wanted.number] for wanted in fine])
+        fine, coarse = ([run.table(coarse=each) for run in plain] for each in (False, True))
+        tables = self._tables([*fine, *coarse, *of_effects])
+        found = []
+        for row, exact in enumerate(known):
+            own, of_photons = tables[fine[row].number], tables[coarse[row].number]
+            if exact is not None and plain[row].of_beam:
+                own = self._closed_form(row, plain[row], self.grid) or own
+            elif exact is not None:
+                own = corrected(own, of_photons, exact, (self.grid, self.coarse))
+            found.append(own)
+            known[row] = exact or of_photons
+        log_eta, deviations = stack(found)
         self._refuse_darkness(log_eta, 0)
-        for row, run in enumerate(plain):
-            if run.of_beam and (exact := self._closed_form(run, readings[row].label)) is not None:
-                log_eta[row], deviations[:, row] = exact, 0.0
         responses = {
-            effect.name: self._response(effect, axes, pairs, tables)
+            effect.name: self._response(effect, axes, pairs, tables, plain, known)
             for effect, (axes, pairs) in zip(asked, plans, strict=True)
         }
         return Responses(self.grid, self.coarse, log_eta, deviations, responses, self.photons)
+
+    def _known(self, plain: Sequence[_Simulation]) -> list[EtaGrid | None]:
+        """Coarse tables of the configurations as they are, of those that need no photons."""
+        light = [row for row, run in enumerate(plain) if not run.of_beam]
+        if self._plain_photons < _WORTH_SOLVING:
+            light = []
+        tasks = [
+            Task(
+                SolvedUnit(
+                    f"{self._what}, without photons", run.base.with_overrides(run.overrides), 0,
+                    self._run.variant, not run.check, run.radius_mm, self.coarse,
+                ),
+                self._solved_cache,
+            )
+            for run in (plain[row] for row in light)
+        ]  # fmt: skip
+        known: list[EtaGrid | None] = [None] * len(plain)
+        # all parts of an array job need them to know what to simulate
+        executor = many_units_executor(self._run.threads)
+        done = executor.do(tasks, threads=self._run.threads, by_all=True)
+        for row, each in zip(light, done, strict=True):
+            (chunk,) = each.chunks.values()
+            known[row] = solved_of(chunk.arrays, self.coarse)
+        for row, run in enumerate(plain):
+            if run.of_beam:
+                known[row] = self._closed_form(row, run, self.coarse)
+        return known
 
     def anchor(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Anchor:
         """All effects at once, simulated at values of the free parameters, the scale left out."""
@@ -296,7 +356,9 @@ class ResponseMaker:
             free = _seen(scene, reading.of_beam).parameters.keys() - reading.parameters.keys()
             if reading.of_beam:
                 free -= {GAP_INDEX}
-            named.append({**own, **{n: v for n, v in values.items() if n in free}})
+            named.append(
+                {**self._left(scene, own), **{n: v for n, v in values.items() if n in free}}
+            )
         runs = [
             self._simulation(scene, own, photons, of_beam=reading.of_beam).table(coarse=False)
             for reading, own in zip(readings, named, strict=True)
@@ -333,6 +395,10 @@ class ResponseMaker:
             self._open_mask or effect.mask_column == "mask_radius_mm"
         )
 
+    def takes_photons(self, effect: Effect) -> bool:
+        """Whether an effect's response has simulations of its own."""
+        return effect.reading is None and (not self._weighs(effect) or effect.proposal is not None)
+
     def _is_seen(self, effect: Effect, with_effect: SceneFile, run: _Simulation) -> bool:
         """Whether a reading can see an effect at all."""
         if effect.filled_only and not filled(run.parameters):
@@ -360,15 +426,26 @@ class ResponseMaker:
             return scene
         return scene.edited(add(effect, scene))
 
+    def _left(self, scene: SceneFile, values: Mapping[str, Value]) -> dict[str, Value]:
+        """A configuration's values without those that an effect in the scene sets itself."""
+        own = self.campaign.scene.parameters
+        return {
+            name: value
+            for name, value in values.items()
+            if name not in own or scene.parameters.get(name) == own[name]
+        }
+
     def _plan(
         self,
         effect: Effect,
         plain: Sequence[_Simulation],
         acceptance: EffectParameter | None,
+        photons: int,
     ) -> tuple[tuple[Axis, ...], _Pairs]:
         """Nodes of an effect, and the tables that its response is made of.
 
-        The nodes of `acceptance` come last, if a beam sees the effect.
+        The nodes of `acceptance` come last, if a beam sees the effect. `photons` are those of a
+        simulation with the effect.
         """
         scene = self.campaign.scene
         benches = [{**self.campaign.values, **run.parameters} for run in plain]
@@ -396,10 +473,12 @@ class ResponseMaker:
             own, reference = run, run.table()
             if weighs and effect.proposal is not None:
                 values = {**run.parameters, **effect.proposal}
-                own = self._simulation(scene, values, self._effect_photons, of_beam=run.of_beam)
+                own = self._simulation(scene, values, photons, of_beam=run.of_beam)
                 # its own run without the effect: what is common to both cancels
                 absent = {p.name: p.absent for p in effect.parameters if p.absent is not None}
                 reference = own.table(effect=effect, values=absent)
+            elif not weighs:
+                reference = replace(run, photons=photons, check=False).table()
             if effect.of_beam:  # it weighs all that leaves the crystal
                 own = replace(run, radius_mm=_HALF_SPACE_DEG)
             for node in nodes:
@@ -413,8 +492,7 @@ class ResponseMaker:
                 if weighs:
                     wanted = own.table(effect=effect, values=there)
                 else:
-                    values = {**run.parameters, **there}
-                    photons = self._effect_photons
+                    values = {**self._left(scene, run.parameters), **there}
                     wanted = self._simulation(scene, values, photons, of_beam=run.of_beam).table()
                 for i, angle in enumerate(angles):
                     place = (*node, row) if angle is None else (*node, i, row)
@@ -425,23 +503,31 @@ class ResponseMaker:
         return axes if further is None else (*axes, further), pairs
 
     def _response(
-        self, effect: Effect, axes: tuple[Axis, ...], pairs: _Pairs, tables: Mapping[int, EtaGrid]
-    ) -> EffectResponse:
+        self, effect: Effect, axes: tuple[Axis, ...], pairs: _Pairs,
+        tables: Mapping[int, EtaGrid], plain: Sequence[_Simulation],
+        known: Sequence[EtaGrid | None],
+    ) -> EffectResponse:  # fmt: skip
         """An effect's tables over those of the bench as it is."""
         readings = len(self.campaign.measurements.readings)
         shape = (*(len(axis.values) for axis in axes), readings, *self.coarse.counts)
         log_ratio = np.zeros(shape)
         deviations = np.zeros((BATCHES, *shape), dtype=np.float32)
         for place, (reference, wanted) in pairs.items():
-            before, table = tables[reference.number], tables[wanted.number]
-            log_ratio[place] = table.log_eta - before.log_eta
+            before, row = tables[reference.number], place[-1]
+            better = known[row]
+            # of a beam within another angle nothing better is known
+            if better is None or reference.request.radius_mm != plain[row].radius_mm:
+                better = before
+            made = difference(tables[wanted.number], before, better)
+            log_ratio[place] = made.log_eta
             of_batches: Any = (slice(None), *place)
-            deviations[of_batches] = table.deviations - before.deviations
+            deviations[of_batches] = made.deviations
         self._refuse_darkness(log_ratio, len(axes), f" with {effect.name}")
         return EffectResponse(axes, log_ratio, deviations)
 
-    def _closed_form(self, run: _Simulation, label: str) -> NDArray[np.float64] | None:
-        """(scattering nodes, absorption nodes) log transmittance where its closed form holds."""
+    def _closed_form(self, row: int, run: _Simulation, grid: Grid) -> EtaGrid | None:
+        """The transmittance of a reading where its closed form holds."""
+        label = self.campaign.measurements.readings[row].label
         assert run.radius_mm is not None  # of every beam
         scene = run.base.with_overrides(run.overrides)
         share = scattered_share(scene, run.radius_mm)
@@ -451,10 +537,10 @@ class ResponseMaker:
         self._said.append(f"{label}: the closed form, the crystal being polished as it is")
         axis = str(scene.parameters[BEAM_AXIS])
         length = float(scene.parameters[f"crystal_{'height' if axis == 'z' else 'width'}_mm"])
-        scat, absorption = self.grid.scattering.nodes, self.grid.absorption.nodes
-        alpha = np.exp(scat)[:, None] + (np.exp(absorption) - self.grid.OFFSET_PER_CM)
-        internal = transmittance(alpha, length)
-        return np.log(measured_transmittance(internal, float(scene.parameters["n_crystal"])))
+        alpha_scat, alpha_abs = grid.coefficients_per_cm()
+        internal = transmittance(alpha_scat + alpha_abs, length)
+        log_t = np.log(measured_transmittance(internal, float(scene.parameters["n_crystal"])))
+        return EtaGrid(log_t, np.zeros((BATCHES, *log_t.shape), dtype=np.float32))
 
     def _refuse_darkness(self, log_eta: NDArray[np.float64], axis: int, beyond: str = "") -> None:
         """Refuse tables without light; `axis` is that of the readings."""

@@ -46,8 +46,12 @@ from mcrim_mitsuba.inference.explanations import (
 )
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.least_squares import Fit
+from mcrim_mitsuba.inference.race import Memory, contenders
 from mcrim_mitsuba.inference.workbench import Workbench
 
+#: How often a diagnosis is made anew because it rests on what was not simulated in full, and the
+#: probability from which an effect counts as one that it rests on.
+_MOST_ROUNDS, _LIKELY = 3, 0.01
 #: The verdicts of a diagnosis.
 TOO_FEW_READINGS = "too_few_readings"
 ADEQUATE = "adequate"
@@ -431,16 +435,38 @@ def diagnose_on(
         bench.notes.append(f"probabilities are among those tried, {', '.join(tried)}")
     elif without:
         bench.notes.append(f"left out of the diagnosis: {', '.join(dict.fromkeys(without))}")
-    bench.simulate(tuple(bench.candidates))
-    found = diagnose_models(
-        bench.model,
-        bench.candidates,
-        proposals=bench.proposals(),
-        adding=tuple(dict.fromkeys(adding)),
-        seed=bench.run.seed,
-        progress=lambda words: bench.run.tell(words, 1, 1),
-    )
+    names = tuple(bench.candidates)
+    memory = Memory(bench, names)
+    precise = memory.read()
+    if precise is None:
+        bench.simulate(names, look=set(names) - {*adding})
+        bench.run.tell("looking for what deserves more photons", 1, 1)
+        precise = contenders(bench.model, bench.candidates)
+    for _ in range(_MOST_ROUNDS):
+        bench.simulate(names, look=set(names) - {*precise, *adding})
+        found = diagnose_models(
+            bench.model,
+            bench.candidates,
+            proposals=bench.proposals(),
+            adding=tuple(dict.fromkeys(adding)),
+            seed=bench.run.seed,
+            progress=lambda words: bench.run.tell(words, 1, 1),
+        )
+        if bench.precise >= (named := _rests_on(found)):
+            break
+        precise |= named
+    memory.write(precise)
     return Diagnosed(fit_model(bench.model(), profile=False), found, bench.provenance())
+
+
+def _rests_on(found: Diagnosis) -> set[str]:
+    """Effects that a diagnosis names or counts with."""
+    if found.verdict == ADEQUATE:
+        return set()
+    likely = {key for key, p in found.probabilities.items() if p > _LIKELY} - {NOTHING_MISSING}
+    counted = {name for key in likely for name in key.split(" + ")}
+    added = {name for step in found.repair for name in step.effects}
+    return {*found.leading, *found.set_aside, *counted, *added}
 
 
 def _tried(

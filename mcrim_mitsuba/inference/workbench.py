@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, cached_property
 from itertools import product
@@ -77,16 +77,23 @@ class Workbench:
         self.candidates: dict[str, Effect] = {}
         #: What was simulated; `simulate` comes first.
         self.responses: Responses
+        #: Effects whose simulations had all photons.
+        self.precise: set[str] = set()
 
-    def simulate(self, effects: Sequence[str] = ()) -> None:
+    def simulate(self, effects: Sequence[str] = (), look: Collection[str] = ()) -> None:
         """Make the responses, with those of some effects besides the campaign's own.
 
-        What was simulated before is not simulated again.
+        What was simulated before is not simulated again. Effects named by `look` get a first look
+        with a part of the photons, if they had no more before.
         """
         catalogue = self.campaign.catalogue
-        self.responses = self.own_maker.make(
-            [catalogue[name] for name in (*self.campaign.effects, *effects)]
-        )
+        made = [catalogue[name] for name in (*self.campaign.effects, *effects)]
+        self.precise |= {
+            each.name
+            for each in made
+            if each.name not in look or not self.own_maker.takes_photons(each)
+        }
+        self.responses = self.own_maker.make(made, set(look) - self.precise)
 
     @property
     def simulated(self) -> frozenset[str]:

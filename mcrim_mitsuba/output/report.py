@@ -191,7 +191,8 @@ def _mended_with(repaired: Repaired, effects: tuple[str, ...]) -> Repaired:
         ),
         None,
     )
-    bench.simulate(tuple(dict.fromkeys((*bench.candidates, *effects))))
+    everything = tuple(dict.fromkeys((*bench.candidates, *effects)))
+    bench.simulate(everything, look=set(everything) - {*effects})
     model, calibration = bench.settled_model(effects, starts)
     return replace(
         repaired, effects=effects, calibration=calibration, model=model,

@@ -35,7 +35,9 @@ _LIMIT_MB = 200
 _PACKAGE = Path(__file__).parents[1]
 #: Rooms that turn a scene and a seed into what units make. What `scene` makes of a file is hashed
 #: itself.
-_RECORD_ROOMS = ("core", "optics", "effects", "transport", "runs", "efficiency")
+_RECORD_ROOMS = (
+    "core", "optics", "effects", "transport", "runs", "reference", "efficiency",
+)  # fmt: skip
 
 
 def record_versions(variant: str) -> dict[str, str]:
@@ -54,7 +56,7 @@ def record_versions(variant: str) -> dict[str, str]:
     return software_versions(variant) | {
         "variant": variant,
         "machine": platform.machine(),
-        "source_hash": _content_hash(*_RECORD_ROOMS),
+        "source_hash": rooms_hash(*_RECORD_ROOMS),
     }
 
 
@@ -121,7 +123,7 @@ def _sources(folder: Path) -> list[Path]:
 
 
 @functools.cache
-def _content_hash(*rooms: str) -> str:
+def rooms_hash(*rooms: str) -> str:
     """SHA-256 (hexadecimal) of the code and tables of some rooms."""
     digest = hashlib.sha256()
     for room in rooms:

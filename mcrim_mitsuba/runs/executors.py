@@ -44,6 +44,10 @@ class Unit(Protocol):
         """That it follows."""
 
     @property
+    def expected_s(self) -> float:
+        """Processor time that it takes, roughly."""
+
+    @property
     def variant(self) -> str:
         """Of Mitsuba."""
 

@@ -35,8 +35,8 @@ from mcrim_mitsuba.runs.executors import (
 
 #: Units that are handed out ahead, per process.
 AHEAD = 4
-#: From how many photons on, in several units, it is worth while to start processes.
-FEWEST_PHOTONS, FEWEST_UNITS = 20_000_000, 8
+#: From how much processor time on, in several units, it is worth while to start processes.
+LEAST_S, FEWEST_UNITS = 5.0, 8
 #: Seconds that processes wait for more units, and after which one is looked after.
 IDLE_S, LOOK_S = 60.0, 1.0
 
@@ -65,8 +65,8 @@ class ProcessExecutor(HandingExecutor):
         progress: Progress | None = None, **how: Any,
     ) -> Iterator[Done]:  # fmt: skip
         """See `Executor.do`; a little work is done here."""
-        missing = [task.unit.photons for task in tasks if kept(task) is None]
-        if len(missing) < FEWEST_UNITS or sum(missing) < FEWEST_PHOTONS:
+        missing = [task.unit.expected_s for task in tasks if kept(task) is None]
+        if len(missing) < FEWEST_UNITS or sum(missing) < LEAST_S:
             return Executor.do(self, tasks, threads=threads, progress=progress, **how)
         return super().do(tasks, progress=progress)
 

@@ -114,6 +114,17 @@ def test_effects_together_are_simulated_together(campaign, made):
     assert abs(summed[1, 0] - gel) > 0.01 * gel
 
 
+def test_an_effect_that_a_switch_of_the_scene_is_acts(campaign):
+    """The configuration's own value of the switch once won: the light stayed unpolarised."""
+    effect = campaign.catalogue["polarization"]
+    maker = ResponseMaker(campaign, Run(LANES, check=False))
+    (response,) = maker.make([effect]).effects.values()
+    assert (abs(response.log_ratio) > 0).all()
+    values = {"alpha_scat_per_cm": 0.5, "alpha_abs_per_cm": 0.039}
+    without, with_it = (maker.anchor(effects, values).log_eta for effects in ([], [effect]))
+    assert (without != with_it).all()
+
+
 def test_few_photons_are_not_the_usual_number(campaign):
     """A share that rounds to none is the least that records can have."""
     reflected = campaign.with_effects(["top_reflector"])

@@ -343,7 +343,7 @@ def test_an_own_effect_travels_with_the_unit(scenes, tmp_path):
 
 def test_processes_of_this_machine_give_the_same_digits(scenes, tmp_path, monkeypatch):
     """Units in the order of the tasks; a process that is killed ends in one line."""
-    monkeypatch.setattr(processes, "FEWEST_PHOTONS", 0)
+    monkeypatch.setattr(processes, "LEAST_S", 0.0)
     scene = read_scene(scenes / "camoo4.xml")
     units = [block(scene, first=n) for n in range(processes.FEWEST_UNITS)]
     here, there = (

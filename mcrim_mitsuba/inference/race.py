@@ -1,0 +1,79 @@
+"""Which effects deserve more photons: after a first look at all, those that may explain the misfit.
+
+Most effects are hopeless, and a few photons tell: the best of them misses the readings by far more
+than the simulation's error. What the others are compared by, and what a diagnosis then rests on, is
+simulated in full before anything is said of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import asdict
+
+from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, error_of_difference
+from mcrim_mitsuba.inference.explanations import Explanations, Models
+from mcrim_mitsuba.inference.workbench import Workbench
+from mcrim_mitsuba.runs.cache import RecordCache, record_versions, rooms_hash
+from mcrim_mitsuba.runs.executors import current_executor, number_of
+
+#: How far behind the best in chi2 a contender may be, and what it must gain over the bench as it
+#: is, if the bench describes the readings; standard errors of the simulation are added to both.
+BEHIND, LEAST_GAIN, ERRORS = 20.0, 6.0, 3.0
+#: Pairs whose members are contenders where no effect alone explains the readings.
+MOST_PAIRS = 4
+
+
+def contenders(models: Models, effects: Mapping[str, Effect]) -> set[str]:
+    """Effects that may explain the readings, after a first look at all of them.
+
+    Parameters and errors as for `diagnose.diagnose_models`.
+    """
+    explanations = Explanations(models, effects)
+    fits, baseline = explanations.singles(), explanations.baseline
+    if baseline.ndf <= 0 or not fits:
+        return set()
+    best = min(fits.values(), key=lambda fit: fit.chi2)
+    found = {
+        name
+        for name, fit in fits.items()
+        if fit.chi2 - ERRORS * error_of_difference(fit, best) < best.chi2 + BEHIND
+    }
+    if baseline.p_value is None or baseline.p_value >= ACCEPTABLE_P:
+        found = {
+            name
+            for name in found
+            if baseline.chi2 - fits[name].chi2
+            > LEAST_GAIN - ERRORS * error_of_difference(fits[name], baseline)
+        }
+    if best.p_value is not None and best.p_value < ACCEPTABLE_P:
+        found |= {name for pair in explanations.ranked_pairs()[:MOST_PAIRS] for name in pair}
+    return found
+
+
+class Memory:
+    """What a race ended with, kept where simulations are kept: to run it again takes seconds."""
+
+    def __init__(self, bench: Workbench, tried: Iterable[str]) -> None:
+        campaign, run = bench.campaign, bench.run
+        self._cache: RecordCache = current_executor().cache(
+            {
+                "what": "race",
+                "versions": record_versions(run.variant),
+                "code": rooms_hash("campaign", "inference"),
+            }
+        )
+        self._number = number_of(
+            campaign.scene.content_hash, [asdict(each) for each in campaign.measurements.readings],
+            repr(campaign.parameters), repr(campaign.scale), campaign.beam, campaign.effects,
+            list(tried), run.photons, run.seed,
+        )  # fmt: skip
+
+    def read(self) -> set[str] | None:
+        """Effects that were simulated in full; None where the race was never run."""
+        kept = self._cache.read(self._number)
+        return None if kept is None else set(map(str, kept.metadata["precise"]))
+
+    def write(self, precise: Collection[str]) -> None:
+        """Keep it for the next time."""
+        self._cache.write(self._number, {}, {"precise": sorted(precise)})
