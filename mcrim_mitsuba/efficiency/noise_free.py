@@ -90,7 +90,8 @@ def noise_free_table(
     outer = {name: values for name, values in varied.items() if name not in (ALPHA_SCAT, ALPHA_ABS)}
     inner = {name: varied[name] for name in (ALPHA_ABS, ALPHA_SCAT) if name in varied}
     scat, absorb = (
-        np.array(inner.get(name, [file.parameters[name]]), float) for name in (ALPHA_SCAT, ALPHA_ABS)
+        np.array(inner.get(name, [file.parameters[name]]), float)
+        for name in (ALPHA_SCAT, ALPHA_ABS)
     )
     found = []
     for values in itertools.product(*outer.values()):

@@ -314,9 +314,7 @@ def simulate(
 MOST_FOR_FIGURES = 4_000_000
 
 
-def table(
-    scene: Scene, *, run: Run | None = None, method: str = "photons", **given: Any
-) -> Answer:
+def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **given: Any) -> Answer:
     """Light collection efficiency over any parameters of a scene.
 
     Values of ``alpha_scat_per_cm`` and ``alpha_abs_per_cm`` are answered by one simulation of each

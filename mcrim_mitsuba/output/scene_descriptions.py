@@ -57,8 +57,11 @@ def of_table(
         parts = (table("", made.columns, rows),)
     spent = (
         f"{made.eta.size} points{f' written to {written}' if written else ''}: "
-        + (f"{made.photons:,} photons ({made.cached_photons:,} of the cache), "
-           if made.photons else "no photons, ")
+        + (
+            f"{made.photons:,} photons ({made.cached_photons:,} of the cache), "
+            if made.photons
+            else "no photons, "
+        )
         + f"{seconds_text(seconds)}errors up to "
         f"{100 * made.largest_relative_sigma:.2g} %"
     )

@@ -36,6 +36,8 @@ class Nodes(NamedTuple):
     #: Gauss nodes by panel along a side's foot, in azimuth and in cosine, for light on its way
     #: through air to the window.
     foot: int
+    #: Highest p that the place at the bottom couples; less than `across`.
+    coupled: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,11 +181,16 @@ def side_light(bench: Bench, nodes: Nodes) -> Sides | None:
     across_y, across_z = sine * np.sin(azimuth) / n, cos_z / n
     cos = np.sqrt(1.0 - across_y**2 - across_z**2)
     reflectance = fresnel(cos, n, 1.0)
-    weight *= out / (n * n * cos) * (1.0 - reflectance) * (1.0 - fresnel(cos_z, 1.0, bench.n_window))
+    weight *= (
+        out / (n * n * cos) * (1.0 - reflectance) * (1.0 - fresnel(cos_z, 1.0, bench.n_window))
+    )
     weight *= _detected_below(bench, _cosine(sine, bench.n_window))
     seen = (highest > lowest) & (weight > 0.0)
     return Sides(
-        *(x[seen] for x in (weight, cos, across_y, across_z, reflectance, y + half, lowest, highest))
+        *(
+            x[seen]
+            for x in (weight, cos, across_y, across_z, reflectance, y + half, lowest, highest)
+        )
     )
 
 
@@ -220,12 +227,13 @@ def _hole(bench: Bench, order: int) -> _Array:
     return 4.0 / area * np.outer(sign, sign) * (along_x @ (dy * np.cos(k * y)).T)
 
 
-def end_cones(bench: Bench, nodes: Nodes, order: int) -> Ends:
+def end_cones(bench: Bench, nodes: Nodes) -> Ends:
     """Directions that leave through bottom or top; what the gap, the window and the mask do.
 
-    What depends on the place at the bottom (light that leaves the gap at its sides, the mask's
-    hole, the plate's edges) is exact in first order; ``order`` is the highest p that it couples.
+    What turns waves into others (light that leaves the gap at its sides, the mask's hole) is exact
+    in first order.
     """
+    order = nodes.coupled
     n, n_gap, n_window = bench.n_crystal, bench.gap_index, bench.n_window
     width, gap = bench.crystal_width_mm, bench.gap_thickness_mm
     critical = sorted({1.0, n_gap, *([n_window] if 1.0 < n_window < n_gap else [])})
@@ -304,7 +312,9 @@ def end_cones(bench: Bench, nodes: Nodes, order: int) -> Ends:
         over_edges = _over_edges(bench, sine, over_x, over_y, signed)
         lands_now = lands * (1.0 - over_edges[:, still].real)
         lost = 1.0 - kept[1]
-        lands_later = np.where(lost > 0.0, leaked[:, still].real / np.where(lost > 0.0, lost, 1.0), 0.0)
+        lands_later = np.where(
+            lost > 0.0, leaked[:, still].real / np.where(lost > 0.0, lost, 1.0), 0.0
+        )
         terms = [lands_now * kept[2 * j + 1] + lands_later * (kept[2 * j] - kept[2 * j + 1])
                  for j in range(_SHUTTLES + 1)]  # fmt: skip
         arrived[:, still] = _sum_of_shuttles(terms, turns)
@@ -363,8 +373,8 @@ def _with_azimuths(
     for s, w in zip(sine, weight, strict=True):
         cuts = np.array([0.0, math.pi / 4.0])
         if 0.0 < least < s:
-            leaking = math.acos(least / s)
-            cuts = np.insert(cuts, 1, min(leaking, math.pi / 2.0 - leaking))
+            begins = math.acos(least / s)
+            cuts = np.insert(cuts, 1, min(begins, math.pi / 2.0 - begins))
         t, w_t = gauss(count)
         span = np.diff(cuts)[:, None]
         azimuth = (cuts[:-1, None] + span * np.sin(0.5 * math.pi * t) ** 2).ravel()
@@ -373,10 +383,23 @@ def _with_azimuths(
     return tuple(np.concatenate(found, axis=1))
 
 
+#: Light in the plate that is closer to grazing than this cosine is little.
+_GRAZING = 0.2
+
+
+def edges_in_reach(bench: Bench) -> bool:
+    """Whether light from the bottom gets through the plate's edges, but for what is grazing."""
+    n_window = bench.n_window
+    sine = min(bench.gap_index, n_window * math.sqrt(1.0 - _GRAZING**2))
+    reach = bench.window_thickness_mm * sine / math.sqrt(n_window**2 - sine**2)
+    margin = (bench.window_width_mm - bench.crystal_width_mm) / 2.0
+    return sine > math.sqrt(n_window**2 - 1.0) and reach > margin
+
+
 def _over_edges(
     bench: Bench, sine: Floats, over_x: Floats, over_y: Floats, signed: NDArray[np.int64]
 ) -> _Array:  # fmt: skip
-    """Components of the share of light in the plate that its edges let out."""
+    """Components of the share of light in the plate, grazing, that its edges let out."""
     width, n_window = bench.crystal_width_mm, bench.n_window
     margin = (bench.window_width_mm - width) / 2.0
     cos_window = np.maximum(_cosine(sine, n_window), 1e-9)

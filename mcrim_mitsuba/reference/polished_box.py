@@ -18,6 +18,7 @@ from mcrim_mitsuba.reference.box_openings import (
     Floats,
     Nodes,
     Sides,
+    edges_in_reach,
     end_cones,
     side_cone,
     side_light,
@@ -51,9 +52,7 @@ class _Dual:
     def __mul__(self, other: Any) -> _Dual:
         if not isinstance(other, _Dual):
             return _Dual(self.value * other, self.slope * other)
-        return _Dual(
-            self.value * other.value, self.slope * other.value + self.value * other.slope
-        )
+        return _Dual(self.value * other.value, self.slope * other.value + self.value * other.slope)
 
     def __truediv__(self, other: _Dual) -> _Dual:
         quotient = self.value / other.value
@@ -106,11 +105,8 @@ class _Modes:
 
     @classmethod
     def of(cls, bench: Bench, nodes: Nodes) -> _Modes:
-        order = min(nodes.across - 1, 1)
-        return cls(
-            bench, nodes, end_cones(bench, nodes, order), side_cone(bench, nodes),
-            side_light(bench, nodes),
-        )  # fmt: skip
+        ends, cone = end_cones(bench, nodes), side_cone(bench, nodes)
+        return cls(bench, nodes, ends, cone, side_light(bench, nodes))
 
     def source(self) -> Floats:
         """Means of the modes over the places where light is born: (N,)."""
@@ -122,7 +118,9 @@ class _Modes:
             _, kz = self.wave_numbers
             parity = np.where(np.arange(upwards) % 2, -1.0, 1.0)
             rest = math.exp(-height / depth)
-            means[0, 0] = parity * (1.0 - rest * parity) / ((1.0 + (kz * depth) ** 2) * (1.0 - rest))
+            means[0, 0] = (
+                parity * (1.0 - rest * parity) / ((1.0 + (kz * depth) ** 2) * (1.0 - rest))
+            )
         return means.ravel()
 
     def fewer(self) -> _Array:
@@ -377,9 +375,7 @@ class _Phase(NamedTuple):
         return cls(per_mm, np.exp(1j * per_mm * length_mm))
 
 
-def _attenuation(
-    alpha: float, phase: _Phase, cos: Floats, length_mm: float
-) -> tuple[_Dual, _Dual]:
+def _attenuation(alpha: float, phase: _Phase, cos: Floats, length_mm: float) -> tuple[_Dual, _Dual]:
     """Complex attenuation per mm along an axis, and over a length."""
     passed = np.exp(-alpha * length_mm / cos) * phase.turn
     return (
@@ -457,7 +453,8 @@ def solve_box(
             if i in ends:
                 other = _point(fewer, scat.flat[i], absorb.flat[i])
                 by_nodes = max(by_nodes, abs(columns[0, i] / other[0] - 1.0))
-        columns[3, which] += by_nodes * columns[0, which]
+        relative = by_nodes + _SECOND_ORDER * (bench.gap_thickness_mm / bench.crystal_width_mm) ** 2
+        columns[3, which] += relative * columns[0, which]
     shaped = columns.reshape(-1, *scat.shape)
     eta, by_scat, by_abs, error, absorbed, trapped, left = shaped
     fates = {
@@ -467,6 +464,9 @@ def solve_box(
 
 
 _COLUMNS = ("eta", "by scattering", "by absorption", "error", "absorbed", "trapped", "left")
+#: What light that leaves a gap of a crystal's width at its sides, and what is worked out for it in
+#: first order only, changes of eta: from 100 million photons at gaps of 0.5 and 2 mm.
+_SECOND_ORDER = 0.01
 #: Extinction, per mm, that stands for none: the first flights of trapped light end somewhere.
 _NO_EXTINCTION = 1e-9
 
@@ -480,11 +480,18 @@ def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float) -> Nodes:
     across = min(2 + math.ceil(0.4 * max(wide - 1.5, 0.0)), 7)
     if bench.source_depth_mm < math.inf:
         upwards = max(upwards, 16)
+    if _covers_corners(bench):
+        return Nodes(max(across, 3), upwards, cosine=14, azimuth=5, foot=7, coupled=2)
     return Nodes(across, upwards, cosine=14, azimuth=5, foot=7)
 
 
+def _covers_corners(bench: Bench) -> bool:
+    """Whether the mask reaches under the crystal."""
+    return bench.aperture_radius_mm < bench.crystal_width_mm / math.sqrt(2.0)
+
+
 def _coarser(nodes: Nodes) -> Nodes:
-    return nodes._replace(cosine=11, azimuth=4, foot=5)
+    return nodes._replace(cosine=11, azimuth=4, foot=5, coupled=1)
 
 
 def _point(modes: _Modes, scat_per_cm: float, abs_per_cm: float) -> tuple[float, ...]:
@@ -535,6 +542,19 @@ def refuse_other_boxes(bench: Bench) -> None:
         if getattr(bench, name):
             raise InputError(f"the solver without photons knows no {name}", mend)
     n, n_gap, n_window = bench.n_crystal, bench.gap_index, bench.n_window
+    if edges_in_reach(bench):
+        raise InputError(
+            f"window_width_mm = {bench.window_width_mm:g}: light leaves through the plate's edges, "
+            "which the solver without photons does not know",
+            "take a wider or thinner plate, or simulate photons",
+        )  # fmt: skip
+    half, radius = bench.crystal_width_mm / 2.0, bench.aperture_radius_mm
+    least = math.sqrt(2.0) * half if n_gap > n_window else half
+    if radius < least:
+        raise InputError(
+            f"aperture_radius_mm = {radius:g}: the mask lies under much of the crystal, which the "
+            "solver without photons does not know", f"take {least:.4g} or more, or simulate photons",
+        )  # fmt: skip
     for name, value, least, why in (
         ("n_crystal", n, math.sqrt(n_gap**2 + 1.0), "light may leave through bottom and sides"),
         ("n_window", n_window, math.sqrt(2.0), "light from air may leave the plate's edges"),
