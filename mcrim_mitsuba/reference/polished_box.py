@@ -455,7 +455,7 @@ def solve_box(
                 other = _point(fewer, scat.flat[i], absorb.flat[i])
                 by_nodes = max(by_nodes, abs(columns[0, i] / other[0] - 1.0))
         relative = (
-            _LEAST_ERROR
+            (_LEAST_ERROR_OF_CUT_HOLES if _is_cut(bench) else _LEAST_ERROR)
             + 3.0 * by_nodes
             + _SECOND_ORDER * (bench.gap_thickness_mm / bench.crystal_width_mm) ** 2
         )
@@ -473,7 +473,7 @@ _COLUMNS = ("eta", "by scattering", "by absorption", "error", "absorbed", "trapp
 #: first order only, changes of eta: from 100 million photons at gaps of 0.5 and 2 mm.
 _SECOND_ORDER = 0.01
 #: Relative; fewer nodes may agree by chance, as they did to this on some of 200 random benches.
-_LEAST_ERROR = 4e-5
+_LEAST_ERROR, _LEAST_ERROR_OF_CUT_HOLES = 4e-5, 2e-4
 #: Extinction, per mm, that stands for none: the first flights of trapped light end somewhere.
 _NO_EXTINCTION = 1e-9
 
@@ -487,8 +487,7 @@ def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float) -> Nodes:
     across = min(2 + math.ceil(0.4 * max(wide - 1.5, 0.0)), 7)
     if bench.source_depth_mm < math.inf:
         upwards = max(upwards, 16)
-    # where the plate's corners cut the hole, what falls into it has kinks
-    foot = 7 if bench.aperture_radius_mm <= bench.window_width_mm / 2.0 else 10
+    foot = 10 if _is_cut(bench) else 7
     cosine = 14 if bench.gap_index <= bench.n_window else 18
     if _covers_corners(bench):
         return Nodes(max(across, 3), upwards, cosine, azimuth=5, foot=foot, coupled=2)
@@ -498,6 +497,11 @@ def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float) -> Nodes:
 def _covers_corners(bench: Bench) -> bool:
     """Whether the mask reaches under the crystal."""
     return bench.aperture_radius_mm < bench.crystal_width_mm / math.sqrt(2.0)
+
+
+def _is_cut(bench: Bench) -> bool:
+    """Whether crystal or plate cut the mask's hole: what falls into it has kinks then."""
+    return _covers_corners(bench) or bench.aperture_radius_mm > bench.window_width_mm / 2.0
 
 
 def _coarser(nodes: Nodes) -> Nodes:
