@@ -98,24 +98,29 @@ def of_installation(found: Mapping[str, object]) -> Described:
 
 
 def of_crosscheck(found: Crosscheck) -> Described:
-    """Every fate from both programs, and whether they agree."""
+    """Every fate from the programs, and whether they agree."""
     from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL
 
     columns = ("quantity", "Mitsuba", Column("error", "Mitsuba_sigma"), "NumPy",
                Column("error", "NumPy_sigma"), "z")  # fmt: skip
+    is_solved = any(one.modes is not None for one in found.rows)
+    if is_solved:
+        columns += ("modes", Column("error", "modes_sigma"), Column("z", "modes_z"))
     rows = (
         row(
             one.quantity,
             *(shown(value, ".6f")
               for value in (one.mitsuba, one.mitsuba_sigma, one.numpy, one.numpy_sigma)),
             Cell("too few" if one.z is None else f"{one.z:+.2f}", one.z),
+            *((shown(one.modes, ".6f"), shown(one.modes_sigma, ".6f"), shown(one.modes_z, "+.2f"))
+              if is_solved else ()),
         )
         for one in found.rows
     )  # fmt: skip
     agreement = (
-        f"the two {'agree' if found.agrees else 'DISAGREE'}: family-wise p = "
-        f"{found.family_p_value:.3g}, tested at {FAMILY_LEVEL:g}; {found.mitsuba_photons:,} and "
-        f"{found.numpy_photons:,} photons"
+        f"the {'three' if is_solved else 'two'} {'agree' if found.agrees else 'DISAGREE'}: "
+        f"family-wise p = {found.family_p_value:.3g}, tested at {FAMILY_LEVEL:g}; "
+        f"{found.mitsuba_photons:,} and {found.numpy_photons:,} photons"
     )
     parts = (table("", columns, rows), Sentence(agreement))
     return Described("Mitsuba beside the NumPy tracer", parts)

@@ -3,7 +3,7 @@
 Nothing here depends on the crystal's coefficients, so a table over them needs this once. By the
 mirror symmetry of box and bench a direction is given by its three positive cosines, and a place on
 a face by its periodic coordinate, which grows along the flight from 0 at one wall to the crystal's
-width at the other. Functions of it have Fourier components with wave numbers kappa = 2 pi p / width.
+width at the other. Functions of it have Fourier components, of wave numbers 2 pi p / width.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ class Nodes(NamedTuple):
     #: Gauss nodes by panel along a side's foot, in azimuth and in cosine, for light on its way
     #: through air to the window.
     foot: int
+    #: Highest p that the place at the bottom couples; less than `across`.
+    coupled: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +52,8 @@ class Ends:
     across_x: Floats
     across_y: Floats
     reflectance_top: Floats
-    #: (across, across, 2, n) complex: what arrives at the bottom as exp(i kappa X) leaves it upwards
-    #: as this times the same, the gap's shuttles included; for kappa of p, q and of p, -q.
+    #: (across, across, 2, n) complex: what arrives at the bottom as exp(i kappa X) leaves it as
+    #: this times the same, the gap's shuttles included; for kappa of p, q and of p, -q.
     reflection: _Array
     #: (m, 2) int: the p of kappa_x and kappa_y, negative ones too, that what depends on the place
     #: at the bottom couples.
@@ -66,18 +68,23 @@ class Ends:
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """Directions in the escape cone of a side that looks along x, (n,) each."""
+    """Directions in the escape cone of a side that looks along x, (n,) float64 each."""
 
     weight: Floats
     cos: Floats
     across_y: Floats
     across_z: Floats
     reflectance: Floats
-    #: For light that falls from the side to the window, else None: where it starts, from the wall,
-    #: and from which heights, in mm; ``weight`` includes its probability to be detected then.
-    foot_mm: Floats | None = None
-    lowest_mm: Floats | None = None
-    highest_mm: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FallingLight(Sides):
+    """Those of light that falls from a side to the window and is detected, with its probability."""
+
+    #: Where along the side it starts, from the wall, and from which heights.
+    foot_mm: Floats
+    lowest_mm: Floats
+    highest_mm: Floats
 
 
 def fresnel(cos_in: Floats, n_in: float, n_out: float) -> Floats:
@@ -140,7 +147,7 @@ def side_cone(bench: Bench, nodes: Nodes) -> Sides:
     return Sides(weight, cos, *across, fresnel(cos, n, 1.0))
 
 
-def side_light(bench: Bench, nodes: Nodes) -> Sides | None:
+def side_light(bench: Bench, nodes: Nodes) -> FallingLight | None:
     """Light that leaves through the sides towards +-x and falls into the mask's hole.
 
     Directions are those in air, by azimuth about the vertical and by the angle to it, which has
@@ -162,29 +169,29 @@ def side_light(bench: Bench, nodes: Nodes) -> Sides | None:
         drops += [(near, gap), (near, gap + height)]
     # angles at which the ends of the hole are just reached from the lowest and the highest start
     cuts_polar = np.sort([np.zeros_like(y), *(np.arctan2(x, drop) for x, drop in drops)], axis=0)
-    polar, w_polar = gauss(nodes.foot, cuts_polar[:-1], cuts_polar[1:])
-    shape = polar.shape
+    angles, w_polar = gauss(nodes.foot, cuts_polar[:-1], cuts_polar[1:])
+    shape = angles.shape
     weight_yf = w_foot.ravel()[:, None] * w_azimuth / bench.crystal_width_mm * 2.0 / math.pi
-    polar = polar.ravel()
+    polar = angles.ravel()
     cos_z, sine = np.cos(polar), np.sin(polar)
     weight = (w_polar * weight_yf[:, :, None]).ravel() * sine
-    y, azimuth, near, far = (
-        np.broadcast_to(x[:, :, None], shape).ravel() for x in (y, azimuth, near, far)
+    start, turned, near, far = (
+        np.broadcast_to(x[:, :, None], shape).reshape(-1) for x in (y, azimuth, near, far)
     )
     slope = cos_z / np.maximum(sine, 1e-12)  # straight down: Gauss nodes may round to it
     lowest = np.clip(near * slope - gap, 0.0, height)
     highest = np.clip(far * slope - gap, 0.0, height)
     n = bench.n_crystal
-    out = sine * np.cos(azimuth)
-    across_y, across_z = sine * np.sin(azimuth) / n, cos_z / n
+    out = sine * np.cos(turned)
+    across_y, across_z = sine * np.sin(turned) / n, cos_z / n
     cos = np.sqrt(1.0 - across_y**2 - across_z**2)
     reflectance = fresnel(cos, n, 1.0)
-    weight *= out / (n * n * cos) * (1.0 - reflectance) * (1.0 - fresnel(cos_z, 1.0, bench.n_window))
+    weight *= out / (n * n * cos) * (1.0 - reflectance)
+    weight *= 1.0 - fresnel(cos_z, 1.0, bench.n_window)
     weight *= _detected_below(bench, _cosine(sine, bench.n_window))
     seen = (highest > lowest) & (weight > 0.0)
-    return Sides(
-        *(x[seen] for x in (weight, cos, across_y, across_z, reflectance, y + half, lowest, highest))
-    )
+    found = weight, cos, across_y, across_z, reflectance, start + half, lowest, highest
+    return FallingLight(*(x[seen] for x in found))
 
 
 def _strip(orders: NDArray[np.int64], width: Floats, period: float) -> _Array:
@@ -220,22 +227,23 @@ def _hole(bench: Bench, order: int) -> _Array:
     return 4.0 / area * np.outer(sign, sign) * (along_x @ (dy * np.cos(k * y)).T)
 
 
-def end_cones(bench: Bench, nodes: Nodes, order: int) -> Ends:
+def end_cones(bench: Bench, nodes: Nodes) -> Ends:
     """Directions that leave through bottom or top; what the gap, the window and the mask do.
 
-    What depends on the place at the bottom (light that leaves the gap at its sides, the mask's
-    hole, the plate's edges) is exact in first order; ``order`` is the highest p that it couples.
+    What turns waves into others (light that leaves the gap at its sides, the mask's hole) is exact
+    in first order.
     """
+    order = nodes.coupled
     n, n_gap, n_window = bench.n_crystal, bench.gap_index, bench.n_window
     width, gap = bench.crystal_width_mm, bench.gap_thickness_mm
     critical = sorted({1.0, n_gap, *([n_window] if 1.0 < n_window < n_gap else [])})
-    sine, w_sine = [], []
+    panels, w_panels = [], []
     for below, index in zip([0.0, *critical], critical, strict=False):
         cos_index, weight = gauss(nodes.cosine, 0.0, math.sqrt(1.0 - (below / index) ** 2))
-        sine.append(index * np.sqrt(1.0 - cos_index**2))
-        w_sine.append(index**2 * cos_index * weight)
+        panels.append(index * np.sqrt(1.0 - cos_index**2))
+        w_panels.append(index**2 * cos_index * weight)
     sine, w_sine, azimuth = _with_azimuths(
-        np.concatenate(sine), np.concatenate(w_sine), n_gap, nodes.azimuth
+        np.concatenate(panels), np.concatenate(w_panels), n_gap, nodes.azimuth
     )
     cos = np.sqrt(1.0 - (sine / n) ** 2)
     weight = 2.0 / math.pi * w_sine / (n * n * cos)
@@ -298,13 +306,15 @@ def end_cones(bench: Bench, nodes: Nodes, order: int) -> Ends:
     turns = r_crystal * r_window
     if whole:
         kept = [
-            np.prod([_kept(k * shift, out, width) for shift, out in ((shift_x, out_x), (shift_y, out_y))], axis=0)
+            _kept(k * shift_x, out_x, width) * _kept(k * shift_y, out_y, width)
             for k in range(2 * _SHUTTLES + 2)
-        ]  # fmt: skip
+        ]
         over_edges = _over_edges(bench, sine, over_x, over_y, signed)
         lands_now = lands * (1.0 - over_edges[:, still].real)
         lost = 1.0 - kept[1]
-        lands_later = np.where(lost > 0.0, leaked[:, still].real / np.where(lost > 0.0, lost, 1.0), 0.0)
+        lands_later = np.where(
+            lost > 0.0, leaked[:, still].real / np.where(lost > 0.0, lost, 1.0), 0.0
+        )
         terms = [lands_now * kept[2 * j + 1] + lands_later * (kept[2 * j] - kept[2 * j + 1])
                  for j in range(_SHUTTLES + 1)]  # fmt: skip
         arrived[:, still] = _sum_of_shuttles(terms, turns)
@@ -325,7 +335,7 @@ def end_cones(bench: Bench, nodes: Nodes, order: int) -> Ends:
     along_y = (numbers[:, None] * [1.0, -1.0])[..., None] * shift_y
     return Ends(
         weight, cos, sine / n * over_x, sine / n * over_y, fresnel(cos, n, 1.0),
-        mirrored(along_x + along_y), signed, mirrored(np.outer(kappa[:, 0], shift_x) + np.outer(kappa[:, 1], shift_y)).T,
+        mirrored(along_x + along_y), signed, mirrored(kappa @ np.stack((shift_x, shift_y))).T,
         coupling, enters[:, None] * arrived,
     )  # fmt: skip
 
@@ -363,8 +373,8 @@ def _with_azimuths(
     for s, w in zip(sine, weight, strict=True):
         cuts = np.array([0.0, math.pi / 4.0])
         if 0.0 < least < s:
-            leaking = math.acos(least / s)
-            cuts = np.insert(cuts, 1, min(leaking, math.pi / 2.0 - leaking))
+            begins = math.acos(least / s)
+            cuts = np.insert(cuts, 1, min(begins, math.pi / 2.0 - begins))
         t, w_t = gauss(count)
         span = np.diff(cuts)[:, None]
         azimuth = (cuts[:-1, None] + span * np.sin(0.5 * math.pi * t) ** 2).ravel()
@@ -373,10 +383,23 @@ def _with_azimuths(
     return tuple(np.concatenate(found, axis=1))
 
 
+#: Light in the plate that is closer to grazing than this cosine is little.
+_GRAZING = 0.2
+
+
+def edges_in_reach(bench: Bench) -> bool:
+    """Whether light from the bottom gets through the plate's edges, but for what is grazing."""
+    n_window = bench.n_window
+    sine = min(bench.gap_index, n_window * math.sqrt(1.0 - _GRAZING**2))
+    reach = bench.window_thickness_mm * sine / math.sqrt(n_window**2 - sine**2)
+    margin = (bench.window_width_mm - bench.crystal_width_mm) / 2.0
+    return sine > math.sqrt(n_window**2 - 1.0) and reach > margin
+
+
 def _over_edges(
     bench: Bench, sine: Floats, over_x: Floats, over_y: Floats, signed: NDArray[np.int64]
 ) -> _Array:  # fmt: skip
-    """Components of the share of light in the plate that its edges let out."""
+    """Components of the share of light in the plate, grazing, that its edges let out."""
     width, n_window = bench.crystal_width_mm, bench.n_window
     margin = (bench.window_width_mm - width) / 2.0
     cos_window = np.maximum(_cosine(sine, n_window), 1e-9)

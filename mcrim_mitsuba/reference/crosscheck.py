@@ -1,4 +1,4 @@
-"""Mitsuba against the independent NumPy tracer, on one scene, fate by fate."""
+"""Mitsuba against the independent NumPy tracer, and where it can the solver without photons."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING
 
 from scipy.special import ndtr
 
+from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.polished_box import BoxEfficiency, solve_box
 from mcrim_mitsuba.reference.scene_bench import bench_of
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -28,7 +31,7 @@ FAMILY_LEVEL = 0.01
 
 @dataclass(frozen=True)
 class CrosscheckRow:
-    """One quantity from both programs."""
+    """One quantity from the programs."""
 
     #: ``eta`` or a fate; fractions of the emitted energy.
     quantity: str
@@ -38,6 +41,11 @@ class CrosscheckRow:
     numpy_sigma: float
     #: Difference over its standard error; ``None`` where too few photons met the fate.
     z: float | None
+    #: From the solver without photons, its error, and Mitsuba's difference to it over the standard
+    #: error; ``None`` where it does not know the bench or the fate.
+    modes: float | None = None
+    modes_sigma: float | None = None
+    modes_z: float | None = None
 
 
 @dataclass(frozen=True)
@@ -66,6 +74,9 @@ def crosscheck(
     run: Run = Run(),
 ) -> Crosscheck:
     """Run a scene in Mitsuba and in the NumPy tracer and compare every fate.
+
+    Where the bench is a polished box, eta and the absorbed part are compared with the solver
+    without photons too.
 
     Parameters
     ----------
@@ -98,11 +109,12 @@ def crosscheck(
         bench, photons, run.seed, max_depth=simulation.depth_limit,
         progress=lambda done: run.tell("NumPy", done, photons),
     )  # fmt: skip
-    rows = [_row("eta", "detected", ours, reference)]
+    solved = _solved(bench)
+    rows = [_row("eta", "detected", ours, reference, solved)]
     for name in {**ours.budget, **reference.budget}:
         if name != "detected" and (ours.budget.get(name, 0.0) or reference.counts.get(name, 0)):
-            rows.append(_row(name, name, ours, reference))
-    scores = [abs(row.z) for row in rows if row.z is not None]
+            rows.append(_row(name, name, ours, reference, solved))
+    scores = [abs(z) for row in rows for z in (row.z, row.modes_z) if z is not None]
     return Crosscheck(
         rows=tuple(rows),
         family_p_value=min(1.0, len(scores) * 2.0 * float(ndtr(-max(scores)))),
@@ -111,11 +123,29 @@ def crosscheck(
     )
 
 
+def _solved(bench: Bench) -> BoxEfficiency | None:
+    """The solver's answer, where it knows such a bench and light is not trapped for ever."""
+    try:
+        solved = solve_box(bench)
+    except InputError:
+        return None
+    return None if solved.fates["trapped"] else solved
+
+
+#: Fates that all programs call the same.
+_SOLVED_FATES = ("detected", "absorbed_crystal")
+
+
 def _row(
-    quantity: str, fate: str, ours: SimulationResult, reference: TracerResult
-) -> CrosscheckRow:
+    quantity: str, fate: str, ours: SimulationResult, reference: TracerResult,
+    solved: BoxEfficiency | None,
+) -> CrosscheckRow:  # fmt: skip
     a, sigma_a = ours.budget.get(fate, 0.0), ours.budget_sigma.get(fate, 1.0 / ours.photons)
     b, sigma_b = reference.budget.get(fate, 0.0), reference.budget_sigma.get(fate, 0.0)
     few = max(a * reference.photons, reference.counts.get(fate, 0)) < FEWEST_COUNTS
     z = None if few else (a - b) / math.hypot(sigma_a, sigma_b)
-    return CrosscheckRow(quantity, a, sigma_a, b, sigma_b, z)
+    if solved is None or fate not in _SOLVED_FATES:
+        return CrosscheckRow(quantity, a, sigma_a, b, sigma_b, z)
+    c, sigma_c = float(solved.fates[fate]), float(solved.error)
+    modes_z = None if few else (a - c) / math.hypot(sigma_a, sigma_c)
+    return CrosscheckRow(quantity, a, sigma_a, b, sigma_b, z, c, sigma_c, modes_z)

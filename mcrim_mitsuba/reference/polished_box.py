@@ -15,9 +15,11 @@ from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.box_openings import (
     Ends,
+    FallingLight,
     Floats,
     Nodes,
     Sides,
+    edges_in_reach,
     end_cones,
     side_cone,
     side_light,
@@ -51,9 +53,7 @@ class _Dual:
     def __mul__(self, other: Any) -> _Dual:
         if not isinstance(other, _Dual):
             return _Dual(self.value * other, self.slope * other)
-        return _Dual(
-            self.value * other.value, self.slope * other.value + self.value * other.slope
-        )
+        return _Dual(self.value * other.value, self.slope * other.value + self.value * other.slope)
 
     def __truediv__(self, other: _Dual) -> _Dual:
         quotient = self.value / other.value
@@ -102,15 +102,12 @@ class _Modes:
     nodes: Nodes
     ends: Ends
     cone: Sides
-    falling: Sides | None
+    falling: FallingLight | None
 
     @classmethod
     def of(cls, bench: Bench, nodes: Nodes) -> _Modes:
-        order = min(nodes.across - 1, 1)
-        return cls(
-            bench, nodes, end_cones(bench, nodes, order), side_cone(bench, nodes),
-            side_light(bench, nodes),
-        )  # fmt: skip
+        ends, cone = end_cones(bench, nodes), side_cone(bench, nodes)
+        return cls(bench, nodes, ends, cone, side_light(bench, nodes))
 
     def source(self) -> Floats:
         """Means of the modes over the places where light is born: (N,)."""
@@ -122,7 +119,9 @@ class _Modes:
             _, kz = self.wave_numbers
             parity = np.where(np.arange(upwards) % 2, -1.0, 1.0)
             rest = math.exp(-height / depth)
-            means[0, 0] = parity * (1.0 - rest * parity) / ((1.0 + (kz * depth) ** 2) * (1.0 - rest))
+            means[0, 0] = (
+                parity * (1.0 - rest * parity) / ((1.0 + (kz * depth) ** 2) * (1.0 - rest))
+            )
         return means.ravel()
 
     def fewer(self) -> _Array:
@@ -299,7 +298,7 @@ class _Modes:
             detected = self._falls(self.falling, alpha)
         return block, detected, _Dual(*left)
 
-    def _falls(self, falling: Sides, alpha: float) -> _Dual:
+    def _falls(self, falling: FallingLight, alpha: float) -> _Dual:
         """Light that leaves through the sides across x, falls to the window and is detected."""
         across, upwards = self.nodes.across, self.nodes.upwards
         kx, kz = self.wave_numbers
@@ -377,9 +376,7 @@ class _Phase(NamedTuple):
         return cls(per_mm, np.exp(1j * per_mm * length_mm))
 
 
-def _attenuation(
-    alpha: float, phase: _Phase, cos: Floats, length_mm: float
-) -> tuple[_Dual, _Dual]:
+def _attenuation(alpha: float, phase: _Phase, cos: Floats, length_mm: float) -> tuple[_Dual, _Dual]:
     """Complex attenuation per mm along an axis, and over a length."""
     passed = np.exp(-alpha * length_mm / cos) * phase.turn
     return (
@@ -457,7 +454,12 @@ def solve_box(
             if i in ends:
                 other = _point(fewer, scat.flat[i], absorb.flat[i])
                 by_nodes = max(by_nodes, abs(columns[0, i] / other[0] - 1.0))
-        columns[3, which] += by_nodes * columns[0, which]
+        relative = (
+            (_LEAST_ERROR_OF_CUT_HOLES if _is_cut(bench) else _LEAST_ERROR)
+            + 3.0 * by_nodes
+            + _SECOND_ORDER * (bench.gap_thickness_mm / bench.crystal_width_mm) ** 2
+        )
+        columns[3, which] += relative * columns[0, which]
     shaped = columns.reshape(-1, *scat.shape)
     eta, by_scat, by_abs, error, absorbed, trapped, left = shaped
     fates = {
@@ -467,6 +469,11 @@ def solve_box(
 
 
 _COLUMNS = ("eta", "by scattering", "by absorption", "error", "absorbed", "trapped", "left")
+#: What light that leaves a gap of a crystal's width at its sides, and what is worked out for it in
+#: first order only, changes of eta: from 100 million photons at gaps of 0.5 and 2 mm.
+_SECOND_ORDER = 0.01
+#: Relative; fewer nodes may agree by chance, as they did to this on some of 200 random benches.
+_LEAST_ERROR, _LEAST_ERROR_OF_CUT_HOLES = 4e-5, 2e-4
 #: Extinction, per mm, that stands for none: the first flights of trapped light end somewhere.
 _NO_EXTINCTION = 1e-9
 
@@ -480,11 +487,25 @@ def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float) -> Nodes:
     across = min(2 + math.ceil(0.4 * max(wide - 1.5, 0.0)), 7)
     if bench.source_depth_mm < math.inf:
         upwards = max(upwards, 16)
-    return Nodes(across, upwards, cosine=14, azimuth=5, foot=7)
+    foot = 10 if _is_cut(bench) else 7
+    cosine = 14 if bench.gap_index <= bench.n_window else 18
+    if _covers_corners(bench):
+        return Nodes(max(across, 3), upwards, cosine, azimuth=5, foot=foot, coupled=2)
+    return Nodes(across, upwards, cosine, azimuth=5, foot=foot)
+
+
+def _covers_corners(bench: Bench) -> bool:
+    """Whether the mask reaches under the crystal."""
+    return bench.aperture_radius_mm < bench.crystal_width_mm / math.sqrt(2.0)
+
+
+def _is_cut(bench: Bench) -> bool:
+    """Whether crystal or plate cut the mask's hole: what falls into it has kinks then."""
+    return _covers_corners(bench) or bench.aperture_radius_mm > bench.window_width_mm / 2.0
 
 
 def _coarser(nodes: Nodes) -> Nodes:
-    return nodes._replace(cosine=11, azimuth=4, foot=5)
+    return nodes._replace(cosine=nodes.cosine - 3, azimuth=4, foot=nodes.foot - 3, coupled=1)
 
 
 def _point(modes: _Modes, scat_per_cm: float, abs_per_cm: float) -> tuple[float, ...]:
@@ -510,7 +531,7 @@ def _point(modes: _Modes, scat_per_cm: float, abs_per_cm: float) -> tuple[float,
     rougher = source[few] @ np.linalg.solve(equations[np.ix_(few, few)], detected.value[few])
     gone = visits @ left.value
     error = abs(eta - rougher) + eta * abs(1.0 - gone - absorbed - trapped)
-    return eta, by_scat, by_abs, error, absorbed, trapped, gone
+    return tuple(map(float, (eta, by_scat, by_abs, error, absorbed, trapped, gone)))
 
 
 _ABSENT = (
@@ -535,6 +556,20 @@ def refuse_other_boxes(bench: Bench) -> None:
         if getattr(bench, name):
             raise InputError(f"the solver without photons knows no {name}", mend)
     n, n_gap, n_window = bench.n_crystal, bench.gap_index, bench.n_window
+    if edges_in_reach(bench):
+        raise InputError(
+            f"window_width_mm = {bench.window_width_mm:g}: light leaves through the plate's edges, "
+            "which the solver without photons does not know",
+            "take a wider or thinner plate, or simulate photons",
+        )  # fmt: skip
+    half, radius = bench.crystal_width_mm / 2.0, bench.aperture_radius_mm
+    least = math.sqrt(2.0) * half if n_gap > n_window else half
+    if radius < least:
+        raise InputError(
+            f"aperture_radius_mm = {radius:g}: the mask lies under much of the crystal, which "
+            "the solver without photons does not know",
+            f"take {least:.4g} or more, or simulate photons",
+        )  # fmt: skip
     for name, value, least, why in (
         ("n_crystal", n, math.sqrt(n_gap**2 + 1.0), "light may leave through bottom and sides"),
         ("n_window", n_window, math.sqrt(2.0), "light from air may leave the plate's edges"),

@@ -68,8 +68,8 @@ def _refuse_other_benches(simulation: Simulation, effects: list[str]) -> None:
         where = "its polarization"
     if where is not None:
         raise InputError(
-            f"the independent programs know the bench of {name} only, and this scene differs from it at "
-            f"{where}", "take a bench of that form", path=path, line=line,
+            f"the independent programs know the bench of {name} only, and this scene differs from "
+            f"it at {where}", "take a bench of that form", path=path, line=line,
         )  # fmt: skip
 
 

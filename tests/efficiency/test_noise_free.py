@@ -1,0 +1,54 @@
+"""The method `modes` of simulate and table: the solver on scenes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.polished_box import solve_box
+
+SCENE = "scenes/camoo4.xml"
+
+
+def test_a_scene_is_solved_as_its_bench():
+    found = mcrim.simulate(SCENE, method="modes", n_gap=1.46, gap_mm=0.1)
+    assert found.eta == float(solve_box(Bench(n_gap=1.46, gap_mm=0.1)).eta)
+    assert (found.photons, found.eta_sigma > 0.0) == (0, True)
+    assert "no statistical noise" in str(found)
+    assert sum(found.budget.values()) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_table_lies_over_its_axes():
+    made = mcrim.table(
+        SCENE, method="modes", gap_mm=[0.02, 0.05], alpha_scat_per_cm=[0.1, 0.5, 1.0],
+        alpha_abs_per_cm=[0.01, 0.1],
+    ).found  # fmt: skip
+    assert made.eta.shape == (2, 2, 3)
+    assert list(made.axes) == ["gap_mm", "alpha_abs_per_cm", "alpha_scat_per_cm"]
+    own = solve_box(Bench(gap_mm=0.02), 0.5, 0.1)
+    assert made.eta[0, 1, 1] == pytest.approx(float(own.eta), rel=1e-12)
+    assert (np.diff(made.eta, axis=1) < 0.0).all()
+    assert len(made.rows) == 12
+
+
+def test_one_point_is_a_table_too():
+    made = mcrim.table(SCENE, method="modes", n_gap=[1.0]).found
+    assert made.eta.shape == (1,)
+    assert made.eta[0] == pytest.approx(float(solve_box(Bench()).eta), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"photons": 100}, "follows no photons, and photons was given"),
+        ({"precision": 0.01}, "follows no photons, and precision was given"),
+        ({"polarization": True}, "knows no polarization"),
+        ({"method": "magic"}, "there is no method magic; take photons or modes"),
+    ],
+)
+def test_what_does_not_fit_is_refused(given, said):
+    with pytest.raises(InputError, match=said):
+        mcrim.simulate(SCENE, **{"method": "modes", **given})
