@@ -4,7 +4,7 @@ Every configuration is simulated once as it is, with a mask that covers nothing:
 met answers every smaller aperture, and every effect that only weights photons. Other effects are
 simulated at their nodes. All runs draw the same random numbers, so that what they have in common
 cancels, and batches of one number belong together. Where the bench as it is needs no photons
-(`without_noise`), they only tell what differs from it.
+(`control_variates`), they only tell what differs from it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from mcrim_mitsuba.efficiency.eta_grid import (
 )
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
 from mcrim_mitsuba.efficiency.surface import chebyshev_nodes
-from mcrim_mitsuba.efficiency.without_noise import (
+from mcrim_mitsuba.efficiency.control_variates import (
     SolvedUnit,
     corrected,
     difference,
