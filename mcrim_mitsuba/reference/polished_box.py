@@ -456,7 +456,7 @@ def solve_box(
                 by_nodes = max(by_nodes, abs(columns[0, i] / other[0] - 1.0))
         relative = (
             (_LEAST_ERROR_OF_CUT_HOLES if _is_cut(bench) else _LEAST_ERROR)
-            + 3.0 * by_nodes
+            + by_nodes
             + _SECOND_ORDER * (bench.gap_thickness_mm / bench.crystal_width_mm) ** 2
         )
         columns[3, which] += relative * columns[0, which]
@@ -505,7 +505,7 @@ def _is_cut(bench: Bench) -> bool:
 
 
 def _coarser(nodes: Nodes) -> Nodes:
-    return nodes._replace(cosine=nodes.cosine - 3, azimuth=4, foot=nodes.foot - 3, coupled=1)
+    return nodes._replace(cosine=nodes.cosine - 3, azimuth=4, foot=nodes.foot - 2, coupled=1)
 
 
 def _point(modes: _Modes, scat_per_cm: float, abs_per_cm: float) -> tuple[float, ...]:
