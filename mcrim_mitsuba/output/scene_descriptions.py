@@ -101,8 +101,10 @@ def of_crosscheck(found: Crosscheck) -> Described:
     """Every fate from the programs, and whether they agree."""
     from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL
 
-    columns = ("quantity", "Mitsuba", Column("error", "Mitsuba_sigma"), "NumPy",
-               Column("error", "NumPy_sigma"), "z")  # fmt: skip
+    columns: tuple[str | Column, ...] = (
+        "quantity", "Mitsuba", Column("error", "Mitsuba_sigma"), "NumPy",
+        Column("error", "NumPy_sigma"), "z",
+    )  # fmt: skip
     is_solved = any(one.modes is not None for one in found.rows)
     if is_solved:
         columns += ("modes", Column("error", "modes_sigma"), Column("z", "modes_z"))

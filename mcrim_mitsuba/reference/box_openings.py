@@ -41,7 +41,7 @@ class Nodes(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Ends:
+class EndCones:
     """Directions in the escape cones of bottom and top, (n,) each where nothing else is said.
 
     Those closer to x than to y; the others are their mirror images.
@@ -67,7 +67,7 @@ class Ends:
 
 
 @dataclass(frozen=True, eq=False)
-class Sides:
+class SideCone:
     """Directions in the escape cone of a side that looks along x, (n,) float64 each."""
 
     weight: Floats
@@ -78,7 +78,7 @@ class Sides:
 
 
 @dataclass(frozen=True, eq=False)
-class FallingLight(Sides):
+class FallingLight(SideCone):
     """Those of light that falls from a side to the window and is detected, with its probability."""
 
     #: Where along the side it starts, from the wall, and from which heights.
@@ -134,7 +134,7 @@ def landing(bench: Bench, y: Floats, cos: Floats, sin: Floats) -> tuple[Floats, 
     return np.clip(middle - root, 0.0, far), far
 
 
-def side_cone(bench: Bench, nodes: Nodes) -> Sides:
+def side_cone(bench: Bench, nodes: Nodes) -> SideCone:
     """Directions that leave through the sides towards +-x."""
     n = bench.n_crystal
     out, w_out = gauss(nodes.cosine)
@@ -144,7 +144,7 @@ def side_cone(bench: Bench, nodes: Nodes) -> Sides:
     cos = np.sqrt(1.0 - sine**2)
     weight = 2.0 / math.pi * np.outer(w_out, w_azimuth).ravel() * out / (n * n * cos)
     across = sine * np.cos(azimuth), sine * np.sin(azimuth)
-    return Sides(weight, cos, *across, fresnel(cos, n, 1.0))
+    return SideCone(weight, cos, *across, fresnel(cos, n, 1.0))
 
 
 def side_light(bench: Bench, nodes: Nodes) -> FallingLight | None:
@@ -227,7 +227,7 @@ def _hole(bench: Bench, order: int) -> _Array:
     return 4.0 / area * np.outer(sign, sign) * (along_x @ (dy * np.cos(k * y)).T)
 
 
-def end_cones(bench: Bench, nodes: Nodes) -> Ends:
+def end_cones(bench: Bench, nodes: Nodes) -> EndCones:
     """Directions that leave through bottom or top; what the gap, the window and the mask do.
 
     What turns waves into others (light that leaves the gap at its sides, the mask's hole) is exact
@@ -333,7 +333,7 @@ def end_cones(bench: Bench, nodes: Nodes) -> Ends:
     numbers = 2.0 * math.pi / width * np.arange(nodes.across)
     along_x = numbers[:, None, None, None] * shift_x
     along_y = (numbers[:, None] * [1.0, -1.0])[..., None] * shift_y
-    return Ends(
+    return EndCones(
         weight, cos, sine / n * over_x, sine / n * over_y, fresnel(cos, n, 1.0),
         mirrored(along_x + along_y), signed, mirrored(kappa @ np.stack((shift_x, shift_y))).T,
         coupling, enters[:, None] * arrived,

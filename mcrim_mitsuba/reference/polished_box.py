@@ -14,11 +14,11 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.box_openings import (
-    Ends,
+    EndCones,
     FallingLight,
     Floats,
     Nodes,
-    Sides,
+    SideCone,
     edges_in_reach,
     end_cones,
     side_cone,
@@ -100,8 +100,8 @@ class _Modes:
 
     bench: Bench
     nodes: Nodes
-    ends: Ends
-    cone: Sides
+    ends: EndCones
+    cone: SideCone
     falling: FallingLight | None
 
     @classmethod
@@ -311,7 +311,7 @@ class _Modes:
             * (many[:, None, None] * many[:, None] * many_z)
         )  # fmt: skip
 
-    def _through_sides(self, sides: Sides, phase: _Phase, alpha: float) -> tuple[_Dual, _Dual]:
+    def _through_sides(self, sides: SideCone, phase: _Phase, alpha: float) -> tuple[_Dual, _Dual]:
         """Attenuation per mm along x, and over the width, of the waves (q, r) and (q, -r)."""
         return _attenuation(alpha, phase, sides.cos, self.bench.crystal_width_mm)
 
@@ -342,7 +342,7 @@ class _Modes:
         assert self.falling is not None
         return self._phase_across(self.falling)
 
-    def _phase_across(self, sides: Sides) -> _Phase:
+    def _phase_across(self, sides: SideCone) -> _Phase:
         kx, kz = self.wave_numbers
         phase = kx[:, None, None, None] * sides.across_y
         phase = phase + (kz[:, None] * [1.0, -1.0])[..., None] * sides.across_z
@@ -456,7 +456,7 @@ def solve_box(
                 by_nodes = max(by_nodes, abs(columns[0, i] / other[0] - 1.0))
         relative = (
             (_LEAST_ERROR_OF_CUT_HOLES if _is_cut(bench) else _LEAST_ERROR)
-            + 3.0 * by_nodes
+            + by_nodes
             + _SECOND_ORDER * (bench.gap_thickness_mm / bench.crystal_width_mm) ** 2
         )
         columns[3, which] += relative * columns[0, which]
@@ -505,7 +505,7 @@ def _is_cut(bench: Bench) -> bool:
 
 
 def _coarser(nodes: Nodes) -> Nodes:
-    return nodes._replace(cosine=nodes.cosine - 3, azimuth=4, foot=nodes.foot - 3, coupled=1)
+    return nodes._replace(cosine=nodes.cosine - 3, azimuth=4, foot=nodes.foot - 2, coupled=1)
 
 
 def _point(modes: _Modes, scat_per_cm: float, abs_per_cm: float) -> tuple[float, ...]:
