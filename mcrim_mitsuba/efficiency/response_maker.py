@@ -26,6 +26,12 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter, filled
 from mcrim_mitsuba.effects.forward_beam import EFFECT as FORWARD_BEAM
+from mcrim_mitsuba.efficiency.control_variates import (
+    SolvedUnit,
+    corrected,
+    difference,
+    solved_of,
+)
 from mcrim_mitsuba.efficiency.eta_grid import (
     BATCHES,
     EtaGrid,
@@ -36,12 +42,6 @@ from mcrim_mitsuba.efficiency.eta_grid import (
 )
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
 from mcrim_mitsuba.efficiency.surface import chebyshev_nodes
-from mcrim_mitsuba.efficiency.control_variates import (
-    SolvedUnit,
-    corrected,
-    difference,
-    solved_of,
-)
 from mcrim_mitsuba.optics.attenuation import measured_transmittance, transmittance
 from mcrim_mitsuba.runs.cache import hashes, record_versions
 from mcrim_mitsuba.runs.executors import Task, current_executor, number_of
