@@ -17,23 +17,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, Grid
+from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, Grid, one_thread
 from mcrim_mitsuba.reference.polished_box import solve_box
 from mcrim_mitsuba.reference.scene_bench import bench_of
-from mcrim_mitsuba.runs.executors import Content, number_of
+from mcrim_mitsuba.runs.executors import Content
 from mcrim_mitsuba.runs.scene_units import SceneUnit
 
 #: Processor time of a grid's solution.
-_EXPECTED_S = 0.4
+_EXPECTED_S = 0.5
 
 
 @dataclass(frozen=True)
 class SolvedUnit(SceneUnit):
-    """Eta of one configuration at all nodes of a grid, without photons."""
+    """Eta of one configuration at the nodes of a grid, without photons."""
 
     #: Of the mask; None: the scene's.
     radius_mm: float | None
     grid: Grid
+    #: Of its chunk.
+    number: int
 
     @property
     def photons(self) -> int:
@@ -45,8 +47,7 @@ class SolvedUnit(SceneUnit):
 
     @property
     def numbers(self) -> tuple[int]:
-        grid = self.grid.alpha_scat_range_per_cm, self.grid.alpha_abs_range_per_cm, self.grid.counts
-        return (number_of(self.scene.content_hash, self.radius_mm, *grid),)
+        return (self.number,)
 
     def make(self, threads: int | None) -> dict[int, Content]:
         """log(eta) at the nodes; nothing but why not, where the scene is no such box."""
@@ -54,40 +55,29 @@ class SolvedUnit(SceneUnit):
             bench = bench_of(self.loaded(threads))
             if self.radius_mm is not None:
                 bench = replace(bench, aperture_radius_mm=self.radius_mm)
-            eta = solve_box(bench, *self.grid.coefficients_per_cm()).eta
+            # its matrices are small: threads would wait for each other
+            with one_thread():
+                eta = solve_box(bench, *self.grid.coefficients_per_cm()).eta
         except InputError as refusal:
-            return {self.numbers[0]: ({}, {"refused": refusal.problem})}
-        return {self.numbers[0]: ({"log_eta": np.log(eta).ravel()}, {})}
+            return {self.number: ({}, {"refused": refusal.problem})}
+        return {self.number: ({"log_eta": np.log(eta).ravel()}, {})}
 
 
-def solved_of(arrays: Mapping[str, NDArray[Any]], grid: Grid) -> EtaGrid | None:
-    """What `SolvedUnit` made, without errors; None where it was refused."""
+def solved_grid(grid: Grid) -> Grid:
+    """The nodes that are solved: polynomials through them are right to 4e-4 on all of a grid."""
+    return replace(grid, counts=(grid.counts[0], grid.counts[1] + 1))
+
+
+def solved_table(arrays: Mapping[str, NDArray[Any]], solved: Grid, grid: Grid) -> EtaGrid | None:
+    """What `SolvedUnit` made, on another grid and without errors; None where it was refused."""
     if "log_eta" not in arrays:
         return None
-    none = np.zeros((BATCHES, *grid.counts), dtype=np.float32)
-    return EtaGrid(arrays["log_eta"].reshape(grid.counts), none)
-
-
-def corrected(fine: EtaGrid, coarse: EtaGrid, known: EtaGrid, grids: tuple[Grid, Grid]) -> EtaGrid:
-    """A fine table of photons, without the error that the coarse one of the same photons shows.
-
-    Parameters
-    ----------
-    known : EtaGrid
-        What the coarse one should be.
-    grids : tuple of Grid
-        The fine and the coarse one.
-    """
     scattering, absorption = (
-        getattr(grids[1], axis).weights_at(getattr(grids[0], axis).nodes)
+        getattr(solved, axis).weights_at(getattr(grid, axis).nodes)
         for axis in ("scattering", "absorption")
     )
-    off = coarse.log_eta - known.log_eta
-    batches = coarse.deviations - known.deviations
-    return EtaGrid(
-        fine.log_eta - scattering @ off @ absorption.T,
-        (fine.deviations - scattering @ batches @ absorption.T).astype(np.float32),
-    )
+    log_eta = scattering @ arrays["log_eta"].reshape(solved.counts) @ absorption.T
+    return EtaGrid(log_eta, np.zeros((BATCHES, *grid.counts), dtype=np.float32))
 
 
 def difference(changed: EtaGrid, plain: EtaGrid, known: EtaGrid) -> EtaGrid:

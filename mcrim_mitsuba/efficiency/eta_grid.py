@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import TYPE_CHECKING
@@ -21,8 +22,7 @@ from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
 from mcrim_mitsuba.runs.executors import Content
-from mcrim_mitsuba.runs.scene_units import PHOTONS_PER_S, SceneUnit
-from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.runs.scene_units import PHOTONS_PER_S, PortableScene, SceneUnit
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords, ScatteringProposals
 
 if TYPE_CHECKING:
@@ -64,26 +64,17 @@ class Grid:
         alpha_abs = np.exp(self.absorption.nodes) - self.OFFSET_PER_CM
         return np.exp(self.scattering.nodes)[:, None], alpha_abs[None, :]
 
-    def values_at(
-        self,
-        table: NDArray[np.float64],
-        alpha_scat_per_cm: NDArray[np.float64],
-        alpha_abs_per_cm: NDArray[np.float64],
-        weights: NDArray[np.float64] | None = None,
+    def weights_at(
+        self, alpha_scat_per_cm: NDArray[np.float64], alpha_abs_per_cm: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """(points,) values of a table at (points,) coefficients, or at one for all.
+        """(points, nodes) weights of a table's values, flattened, at (points,) coefficients.
 
-        With (points, nodes) weights the table is one of (nodes, ..., scattering nodes, absorption
-        nodes).
+        One coefficient may stand for all points.
         """
         scattering = self.scattering.weights_at(np.log(alpha_scat_per_cm))
         absorption = self.absorption.weights_at(np.log(alpha_abs_per_cm + self.OFFSET_PER_CM))
-        if weights is None:
-            return ((scattering @ table) * absorption).sum(1)
-        both = (scattering[:, :, None] * absorption[:, None, :]).reshape(
-            max(len(scattering), len(absorption)), -1
-        )
-        return ((weights @ table.reshape(weights.shape[1], -1)) * both).sum(1)
+        both = scattering[:, :, None] * absorption[:, None, :]
+        return both.reshape(len(both), -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,8 +176,13 @@ _AT_ONCE = 2
 
 @cache
 def _libraries() -> ThreadpoolController:
-    """Of this process; to look for them takes milliseconds."""
+    # of this process; to look for them takes milliseconds
     return ThreadpoolController()
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """While it lasts, linear algebra has one thread: more would change digits, and gain nothing."""
+    return _libraries().limit(limits=1, user_api="blas")
 
 
 @dataclass(frozen=True)
@@ -256,9 +252,8 @@ class TableUnit(SceneUnit):
             radius_mm = None if request.of_beam else request.radius_mm
             key = request.coarse, request.mask, radius_mm
             groups.setdefault(key, []).append(request)
-        # threads of the linear algebra would change digits, and gain nothing
         at_once = min(threads or _AT_ONCE, _AT_ONCE)
-        with _libraries().limit(limits=1, user_api="blas"), ThreadPoolExecutor(at_once) as pool:
+        with one_thread(), ThreadPoolExecutor(at_once) as pool:
             made = pool.map(lambda group: self._tables(records, group), groups.values())
             return {number: content for tables in made for number, content in tables}
 
@@ -267,7 +262,7 @@ class TableUnit(SceneUnit):
         try:
             return super().loaded(threads, check=check)
         except InputError as error:
-            if not isinstance(self.scene, SceneFile) or self.scene.unwritten_text is None:
+            if isinstance(self.scene, PortableScene) or self.own_scene.unwritten_text is None:
                 raise
             # its lines are those of a text that nobody has seen
             raise InputError(

@@ -28,9 +28,9 @@ from mcrim_mitsuba.effects.effect import Effect, EffectParameter, filled
 from mcrim_mitsuba.effects.forward_beam import EFFECT as FORWARD_BEAM
 from mcrim_mitsuba.efficiency.control_variates import (
     SolvedUnit,
-    corrected,
     difference,
-    solved_of,
+    solved_grid,
+    solved_table,
 )
 from mcrim_mitsuba.efficiency.eta_grid import (
     BATCHES,
@@ -46,7 +46,7 @@ from mcrim_mitsuba.optics.attenuation import measured_transmittance, transmittan
 from mcrim_mitsuba.runs.cache import hashes, record_versions
 from mcrim_mitsuba.runs.executors import Task, current_executor, number_of
 from mcrim_mitsuba.runs.processes import many_units_executor
-from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.scene_file import SceneFile, ScenePlan
 from mcrim_mitsuba.scene.spectrophotometer import (
     ACCEPTANCE,
     BEAM_AXIS,
@@ -290,57 +290,60 @@ class ResponseMaker:
         # where a model may change the acceptance, every effect's response depends on it
         acceptance = next((p for e in asked if e.of_beam for p in e.parameters), None)
         plans = [
-            self._plan(
-                effect, plain, acceptance,
-                self._look_photons if effect.name in look else self._effect_photons,
-            )
-            for effect in asked
-        ]  # fmt: skip
+            self._plan(effect, plain, acceptance, is_look=effect.name in look) for effect in asked
+        ]
         of_effects = (each for _, pairs in plans for pair in pairs.values() for each in pair)
-        fine, coarse = ([run.table(coarse=each) for run in plain] for each in (False, True))
-        tables = self._tables([*fine, *coarse, *of_effects])
-        found = []
-        for row, exact in enumerate(known):
-            own, of_photons = tables[fine[row].number], tables[coarse[row].number]
-            if exact is not None and plain[row].of_beam:
-                own = self._closed_form(row, plain[row], self.grid) or own
-            elif exact is not None:
-                own = corrected(own, of_photons, exact, (self.grid, self.coarse))
-            found.append(own)
-            known[row] = exact or of_photons
-        log_eta, deviations = stack(found)
+        of_photons = {
+            row: (run.table(coarse=False), run.table())
+            for row, run in enumerate(plain)
+            if known[row] is None
+        }
+        wanted = (each for pair in of_photons.values() for each in pair)
+        tables = self._tables([*wanted, *of_effects])
+        benches = [
+            exact or (tables[of_photons[row][0].number], tables[of_photons[row][1].number])
+            for row, exact in enumerate(known)
+        ]
+        log_eta, deviations = stack([fine for fine, _ in benches])
+        coarse = [each for _, each in benches]
         self._refuse_darkness(log_eta, 0)
         responses = {
-            effect.name: self._response(effect, axes, pairs, tables, plain, known)
+            effect.name: self._response(effect, axes, pairs, tables, plain, coarse)
             for effect, (axes, pairs) in zip(asked, plans, strict=True)
         }
         return Responses(self.grid, self.coarse, log_eta, deviations, responses, self.photons)
 
-    def _known(self, plain: Sequence[_Simulation]) -> list[EtaGrid | None]:
-        """Coarse tables of the configurations as they are, of those that need no photons."""
+    def _known(self, plain: Sequence[_Simulation]) -> list[tuple[EtaGrid, EtaGrid] | None]:
+        """Fine and coarse tables of the configurations as they are that need no photons."""
+        grids, solved = (self.grid, self.coarse), solved_grid(self.coarse)
         light = [row for row, run in enumerate(plain) if not run.of_beam]
         if self._plain_photons < _WORTH_SOLVING:
             light = []
         tasks = [
             Task(
                 SolvedUnit(
-                    f"{self._what}, without photons", run.base.with_overrides(run.overrides), 0,
-                    self._run.variant, not run.check, run.radius_mm, self.coarse,
+                    f"{self._what}, without photons", ScenePlan(run.base, run.overrides), 0,
+                    self._run.variant, not run.check, run.radius_mm, solved,
+                    number_of(run.identity[:2], run.radius_mm, asdict(solved)),
                 ),
                 self._solved_cache,
             )
             for run in (plain[row] for row in light)
         ]  # fmt: skip
-        known: list[EtaGrid | None] = [None] * len(plain)
         # all parts of an array job need them to know what to simulate
         executor = many_units_executor(self._run.threads)
-        done = executor.do(tasks, threads=self._run.threads, by_all=True)
-        for row, each in zip(light, done, strict=True):
+        made = executor.do(tasks, threads=self._run.threads, by_all=True)
+        found: dict[int, list[EtaGrid | None]] = {}
+        for row, each in zip(light, made, strict=True):
             (chunk,) = each.chunks.values()
-            known[row] = solved_of(chunk.arrays, self.coarse)
+            found[row] = [solved_table(chunk.arrays, solved, grid) for grid in grids]
         for row, run in enumerate(plain):
             if run.of_beam:
-                known[row] = self._closed_form(row, run, self.coarse)
+                found[row] = [self._closed_form(row, run, grid) for grid in grids]
+        known: list[tuple[EtaGrid, EtaGrid] | None] = []
+        for row in range(len(plain)):
+            fine, coarse = found.get(row, (None, None))
+            known.append(None if fine is None or coarse is None else (fine, coarse))
         return known
 
     def anchor(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Anchor:
@@ -440,19 +443,21 @@ class ResponseMaker:
         effect: Effect,
         plain: Sequence[_Simulation],
         acceptance: EffectParameter | None,
-        photons: int,
+        *,
+        is_look: bool,
     ) -> tuple[tuple[Axis, ...], _Pairs]:
         """Nodes of an effect, and the tables that its response is made of.
 
-        The nodes of `acceptance` come last, if a beam sees the effect. `photons` are those of a
-        simulation with the effect.
+        The nodes of `acceptance` come last, if a beam sees the effect.
         """
+        photons = self._look_photons if is_look else self._effect_photons
         scene = self.campaign.scene
         benches = [{**self.campaign.values, **run.parameters} for run in plain]
-        axes = tuple(
-            _axis(parameter, self.campaign.values, benches) for parameter in effect.parameters
-        )
         weighs = self._weighs(effect)
+        few = is_look and self.takes_photons(effect)
+        axes = tuple(
+            _axis(parameter, self.campaign.values, benches, few) for parameter in effect.parameters
+        )
         with_effect = scene
         if effect.edit is not None and (not weighs or any(run.of_beam for run in plain)):
             with_effect = self._with_effect(scene, effect)
@@ -505,7 +510,7 @@ class ResponseMaker:
     def _response(
         self, effect: Effect, axes: tuple[Axis, ...], pairs: _Pairs,
         tables: Mapping[int, EtaGrid], plain: Sequence[_Simulation],
-        known: Sequence[EtaGrid | None],
+        known: Sequence[EtaGrid],
     ) -> EffectResponse:  # fmt: skip
         """An effect's tables over those of the bench as it is."""
         readings = len(self.campaign.measurements.readings)
@@ -516,7 +521,7 @@ class ResponseMaker:
             before, row = tables[reference.number], place[-1]
             better = known[row]
             # of a beam within another angle nothing better is known
-            if better is None or reference.request.radius_mm != plain[row].radius_mm:
+            if reference.request.radius_mm != plain[row].radius_mm:
                 better = before
             made = difference(tables[wanted.number], before, better)
             log_ratio[place] = made.log_eta
@@ -574,7 +579,7 @@ class ResponseMaker:
         for members in groups:
             of = members[0].simulation
             unit = TableUnit(
-                self._what, of.base.with_overrides(of.overrides), self._run.seed, self._run.variant,
+                self._what, ScenePlan(of.base, of.overrides), self._run.seed, self._run.variant,
                 not any(each.simulation.check for each in members), self._proposals, of.photons,
                 (self.grid, self.coarse), tuple(each.request for each in members),
             )  # fmt: skip
@@ -616,11 +621,17 @@ def _axis(
     parameter: EffectParameter,
     own: Mapping[str, Value],
     configurations: Sequence[Mapping[str, Value]],
+    few: bool = False,
 ) -> Axis:
-    """Nodes of a parameter, drawn in where a configuration's bench does not take all of them."""
+    """Nodes of a parameter, drawn in where a configuration's bench does not take all of them.
+
+    For a first look every other one is enough, where they lie on one side of the absence.
+    """
     nominal = float(own[parameter.nominal]) if parameter.nominal else 0.0
     absent = [] if parameter.absent is None else [0.0 if parameter.nominal else parameter.absent]
     nodes = list(parameter.nodes)
+    if few and len(nodes) > 2 and parameter.absent is not None and min(nodes) > parameter.absent:
+        nodes = nodes[::-1][::2][::-1]
     if parameter.limits is not None:
         lows, highs = zip(*(parameter.limits(values) for values in configurations), strict=True)
         low, high = max(lows), min(highs)

@@ -388,17 +388,26 @@ class ResponseModel:
         values: dict[str, Array] = {n: np.array([v]) for n, v in self._held.items()}
         values |= {p.name: thetas[:, i] for i, p in enumerate(self.free)}
         columns = (self.coefficients(values, name) for name in (ALPHA_SCAT, ALPHA_ABS))
-        responses = [
-            (response, response.weights_at([values[axis.name] for axis in response.axes]))
-            for response in self.switched_on
-        ]
+        pairs = [tuple(map(np.atleast_1d, pair)) for pair in zip(*columns, strict=True)]
+        # most readings are of one crystal, with the same coefficients
+        alike: dict[tuple[bytes, bytes], list[int]] = {}
+        for row, (a_s, a_a) in enumerate(pairs):
+            alike.setdefault((a_s.tobytes(), a_a.tobytes()), []).append(row)
         log_eta = np.empty((len(thetas), len(self.readings)))
-        for i, pair in enumerate(zip(*columns, strict=True)):
-            a_s, a_a = map(np.atleast_1d, pair)
-            log_eta[:, i] = self.responses.grid.values_at(self.responses.log_eta[i], a_s, a_a)
-            for response, weights in responses:
-                table = response.log_ratio[..., i, :, :]
-                log_eta[:, i] += self.responses.coarse.values_at(table, a_s, a_a, weights)
+        for rows in alike.values():
+            fine, coarse = (
+                grid.weights_at(*pairs[rows[0]])
+                for grid in (self.responses.grid, self.responses.coarse)
+            )
+            found = fine @ self.responses.log_eta[rows].reshape(len(rows), -1).T
+            for response in self.switched_on:
+                weights = response.weights_at([values[axis.name] for axis in response.axes])
+                tables = response.log_ratio[..., rows, :, :].reshape(
+                    weights.shape[1], len(rows), -1
+                )
+                for weight, table in zip(weights.T, tables, strict=True):
+                    found = found + weight[:, None] * (coarse @ table.T)
+            log_eta[:, rows] = found
         if self._shift is not None:
             log_eta += self._shift
         signal = np.where(self._of_light, values[SCALE][:, None], 1.0) * np.exp(log_eta)

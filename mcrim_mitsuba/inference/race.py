@@ -17,9 +17,10 @@ from mcrim_mitsuba.inference.workbench import Workbench
 from mcrim_mitsuba.runs.cache import RecordCache, record_versions, rooms_hash
 from mcrim_mitsuba.runs.executors import current_executor, number_of
 
-#: How far behind the best in chi2 a contender may be, and what it must gain over the bench as it
-#: is, if the bench describes the readings; standard errors of the simulation are added to both.
-BEHIND, LEAST_GAIN, ERRORS = 20.0, 6.0, 3.0
+#: How far behind the best in chi2 a contender may be, absolute and in parts of what the best gains:
+#: a first look has few nodes. What it must gain over the bench as it is, if this describes the
+#: readings. Standard errors of the simulation are added to both.
+BEHIND, PART_BEHIND, LEAST_GAIN, ERRORS = 20.0, 0.1, 6.0, 2.0
 #: Pairs whose members are contenders where no effect alone explains the readings.
 MOST_PAIRS = 4
 
@@ -34,10 +35,11 @@ def contenders(models: Models, effects: Mapping[str, Effect]) -> set[str]:
     if baseline.ndf <= 0 or not fits:
         return set()
     best = min(fits.values(), key=lambda fit: fit.chi2)
+    highest = best.chi2 + BEHIND + PART_BEHIND * (baseline.chi2 - best.chi2)
     found = {
         name
         for name, fit in fits.items()
-        if fit.chi2 - ERRORS * error_of_difference(fit, best) < best.chi2 + BEHIND
+        if fit.chi2 - ERRORS * error_of_difference(fit, best) < highest
     }
     if baseline.p_value is None or baseline.p_value >= ACCEPTABLE_P:
         found = {

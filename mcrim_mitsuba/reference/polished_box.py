@@ -478,6 +478,10 @@ _LEAST_ERROR, _LEAST_ERROR_OF_CUT_HOLES = 4e-5, 2e-4
 _NO_EXTINCTION = 1e-9
 
 
+#: Radius of a mask, in widths of the crystal, that covers no more than the tips of its corners.
+_TIPS = 0.68
+
+
 def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float) -> Nodes:
     """How many modes and nodes a pair of coefficients takes."""
     per_mm = (scat_per_cm + abs_per_cm) / MM_PER_CM
@@ -489,6 +493,9 @@ def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float) -> Nodes:
         upwards = max(upwards, 16)
     foot = 10 if _is_cut(bench) else 7
     cosine = 14 if bench.gap_index <= bench.n_window else 18
+    if _covers_corners(bench) and bench.aperture_radius_mm >= _TIPS * bench.crystal_width_mm:
+        # under the tips of the corners alone the mask couples no further waves
+        return Nodes(max(across, 3), upwards, cosine, azimuth=5, foot=8)
     if _covers_corners(bench):
         return Nodes(max(across, 3), upwards, cosine, azimuth=5, foot=foot, coupled=2)
     return Nodes(across, upwards, cosine, azimuth=5, foot=foot)

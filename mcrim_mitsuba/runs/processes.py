@@ -74,9 +74,7 @@ class ProcessExecutor(HandingExecutor):
         return AHEAD * self._processes
 
     def submit(self, unit: Unit) -> Future[dict[int, Content]]:
-        self._pool = loky.get_reusable_executor(
-            self._processes, timeout=IDLE_S, initializer=_leave_interrupts
-        )
+        self._pool = loky.get_reusable_executor(self._processes, timeout=IDLE_S, initializer=_begin)
         return self._pool.submit(_make, pickled(unit))
 
     def finished(
@@ -97,9 +95,11 @@ class ProcessExecutor(HandingExecutor):
             self._pool.shutdown(wait=False, kill_workers=True)
 
 
-def _leave_interrupts() -> None:
-    """An interrupt is the parent's to answer."""
+def _begin() -> None:
+    """An interrupt is the parent's to answer; the records of a large unit are no leak of memory."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # else loky starts a process anew when one has grown
+    loky.process_executor._USE_PSUTIL = False
 
 
 def _make(sent: bytes) -> dict[int, Content]:

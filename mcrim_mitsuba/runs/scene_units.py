@@ -15,7 +15,7 @@ from lxml import etree
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.runs.executors import number_of
-from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from mcrim_mitsuba.scene.scene_file import SceneFile, ScenePlan, read_scene
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ class SceneUnit:
     """What all units have in common that simulate a scene; see `runs.executors.Unit`."""
 
     what: str
-    scene: SceneFile | PortableScene
+    scene: SceneFile | ScenePlan | PortableScene
     seed: int
     variant: str
     #: Whether the scene is known to be sound, or need not be.
@@ -133,8 +133,14 @@ class SceneUnit:
             _loaded.move_to_end(key)
             use_variant(self.variant, threads)
             return _loaded[key]
-        file = self.scene.unpacked() if isinstance(self.scene, PortableScene) else self.scene
+        file = self.scene.unpacked() if isinstance(self.scene, PortableScene) else self.own_scene
         return _keep(key, Simulation(file, variant=self.variant, threads=threads, check=check))
+
+    @property
+    def own_scene(self) -> SceneFile:
+        """The scene, of a unit that is not portable."""
+        assert not isinstance(self.scene, PortableScene)
+        return self.scene.file if isinstance(self.scene, ScenePlan) else self.scene
 
     def check(self, threads: int | None) -> None:
         """Refuse a scene that is not sound, by an InputError."""
@@ -143,8 +149,7 @@ class SceneUnit:
 
     def portable(self) -> Self:
         """The same unit without a need of files on this machine."""
-        assert isinstance(self.scene, SceneFile)
-        return replace(self, scene=PortableScene.of(self.scene))
+        return replace(self, scene=PortableScene.of(self.own_scene))
 
 
 @dataclass(frozen=True)

@@ -185,6 +185,34 @@ class SceneFile:
             raise InputError(problem, "name another file", path=path, line=line) from None
 
 
+@dataclass(frozen=True, eq=False)
+class ScenePlan:
+    """A scene with more parameters changed, put together when somebody needs it."""
+
+    base: SceneFile
+    overrides: Mapping[str, Value]
+
+    @functools.cached_property
+    def file(self) -> SceneFile:
+        """The scene; errors as `SceneFile.with_overrides`."""
+        return self.base.with_overrides(self.overrides)
+
+    @property
+    def path(self) -> Path:
+        """Of the file that was read."""
+        return self.base.path
+
+    @property
+    def content_hash(self) -> str:
+        """Of the scene."""
+        return self.file.content_hash
+
+    def __reduce__(self) -> tuple[Callable[..., SceneFile], tuple[Any, ...]]:
+        # whoever it is sent to needs the scene itself
+        make, (path, overrides, *known) = self.base.__reduce__()
+        return make, (path, {**overrides, **self.overrides}, *known)
+
+
 def read_scene(
     path: str | Path | SceneFile, overrides: Mapping[str, Value] | None = None
 ) -> SceneFile:
