@@ -20,11 +20,24 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.output.described import table
 from mcrim_mitsuba.reference.geant4 import is_installed, refuse_bench
+from mcrim_mitsuba.reference.polished_box import solve_box
 from validate.benches import Case, cases
 from validate.formulas import Formula, formulas
 from validate.judging import Judgement, agree, judge
 from validate.report import SUMMARY_HEAD, Row, summary, verdict, write_report
-from validate.units import BLOCK, FORMULA, GEANT4, MITSUBA, NUMPY, Results, Unit, code, do, do_all
+from validate.units import (
+    BLOCK,
+    FORMULA,
+    GEANT4,
+    MITSUBA,
+    NUMPY,
+    SOLVER,
+    Results,
+    Unit,
+    code,
+    do,
+    do_all,
+)
 
 PAGE = Path(__file__).parents[2] / "docs" / "validation.md"
 #: Of Mitsuba's eta: its photons are cheap.
@@ -55,7 +68,10 @@ PHASE = "its polarisation leaves out the phase of total reflection: another mode
 @click.option("--log", metavar="FILE", help="Append the progress to this file.")
 @options.json_output
 def main(precision, seed, processes, page, only, units_file, log, json_file) -> int:
-    """Compare Mitsuba with closed forms, the NumPy tracer and Geant4 (if it is installed)."""
+    """Compare Mitsuba with closed forms, the solver without photons, the NumPy tracer and Geant4.
+
+    Geant4 is left out where it is not installed.
+    """
     refuse_outputs({"--output": page, "--json": json_file}, suffixes={"--output": (".md",)})
     screen = terminal.console(json_file)
     results = Results(Path(units_file))
@@ -151,6 +167,7 @@ class Comparison:
     def rows(self) -> list[Row]:
         """All comparisons; everything must be done."""
         found = [self._closed_row(case) for case in self._closed]
+        found += [row for case in self._benches for row in self._solved_row(case)]
         return found + [row for pair in self._pairs() for row in self._rows_of(*pair)]
 
     def _pairs(self) -> list[tuple[str, Case]]:
@@ -210,6 +227,24 @@ class Comparison:
             ours["budget"][case.fate], ours["sigma"][case.fate], exact["value"], exact["sigma"],
             ours["photons"], 0, ours["scene_hash"], True,
         )  # fmt: skip
+
+    def _solved_row(self, case: Case) -> list[Row]:
+        """Of a plain bench that can be solved without photons: its eta."""
+        if case.group != "plain":
+            return []
+        try:
+            exact = solve_box(case.bench())
+        except InputError as error:
+            self.refused.append((SOLVER, case.name, error.problem))
+            return []
+        ours = self.results[self._ours[case.name]]
+        eta, sigma = ours["budget"]["detected"], ours["sigma"]["detected"]
+        return [
+            Row(
+                SOLVER, case.group, case.name, "eta", eta, sigma, float(exact.eta),
+                float(exact.error), ours["photons"], 0, ours["scene_hash"], True,
+            )
+        ]  # fmt: skip
 
     def _rows_of(self, program: str, case: Case) -> list[Row]:
         ours = self.results[self._ours[case.name]]

@@ -31,6 +31,8 @@ from validate.benches import Case
 from validate.formulas import Formula
 
 MITSUBA, FORMULA, NUMPY, GEANT4 = "Mitsuba", "closed form", "NumPy", "Geant4"
+#: Worked out when the rows are: it takes milliseconds.
+SOLVER = "solver"
 #: Photons of one unit: some seconds of one core.
 BLOCK = {NUMPY: 250_000, GEANT4: 100_000}
 #: Free flights after which a photon is given up. Light that is trapped for ever ends so.
