@@ -49,9 +49,8 @@ from mcrim_mitsuba.inference.least_squares import Fit
 from mcrim_mitsuba.inference.race import Memory, contenders
 from mcrim_mitsuba.inference.workbench import Workbench
 
-#: How often a diagnosis is made anew because it rests on what was not simulated in full, and the
-#: probability from which an effect counts as one that it rests on.
-_MOST_ROUNDS, _LIKELY = 3, 0.01
+#: Probability from which an effect counts as one that a diagnosis rests on.
+_LIKELY = 0.01
 #: The verdicts of a diagnosis.
 TOO_FEW_READINGS = "too_few_readings"
 ADEQUATE = "adequate"
@@ -442,7 +441,8 @@ def diagnose_on(
         bench.simulate(names, look=set(names) - {*adding})
         bench.run.tell("looking for what deserves more photons", 1, 1)
         precise = contenders(bench.model, bench.candidates)
-    for _ in range(_MOST_ROUNDS):
+    first = frozenset(precise)
+    while True:
         bench.simulate(names, look=set(names) - {*precise, *adding})
         found = diagnose_models(
             bench.model,
@@ -454,7 +454,8 @@ def diagnose_on(
         )
         if bench.precise >= (named := _rests_on(found)):
             break
-        precise |= named
+        # where chance favours one first look after the other, none is hopeless
+        precise |= named if precise <= first else set(names)
     memory.write(precise)
     return Diagnosed(fit_model(bench.model(), profile=False), found, bench.provenance())
 
