@@ -267,7 +267,7 @@ campaign = click.argument("campaign", type=click.Path(path_type=str))
 
 #: How ``--photons`` is explained where effects are tried: the default, and what it counts.
 PHOTONS = "2.6e5 of each simulation with an effect in the scene"
-FURTHER_PHOTONS = "Configurations as they are get nine times as many."
+FURTHER_PHOTONS = "Configurations as they are get nine times as many, if they cannot be solved."
 effect_photons = photons(PHOTONS, further=FURTHER_PHOTONS)
 
 
