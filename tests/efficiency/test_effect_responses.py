@@ -13,10 +13,14 @@ from places import SCENES, tables_of
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.efficiency.control_variates import difference
+from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid
 from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR, ResponseMaker
 from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.repair import repair
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.polished_box import solve_box
 from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
 from mcrim_mitsuba.transport.launch_plan import LANES
 from mcrim_mitsuba.transport.simulation import Simulation
@@ -112,6 +116,44 @@ def test_effects_together_are_simulated_together(campaign, made):
     # and the sum alone is not it: the test would notice an anchor that does nothing
     gel = directly(campaign, sizes, 1, seed=12)[0]
     assert abs(summed[1, 0] - gel) > 0.01 * gel
+
+
+def test_the_bench_as_it_is_needs_no_photons(campaign):
+    """Between the nodes it is what the solver has there."""
+    maker = ResponseMaker(campaign, Run(8 * LANES, check=False))
+    responses = maker.make([])
+    assert responses.photons == 0 and not responses.deviations.any()
+    model = ResponseModel(campaign, responses, [])
+    values = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 1.0}
+    eta = model.predict(np.array([values[p.name] for p in model.free])).eta
+    for row, reading in enumerate(campaign.measurements.readings):
+        solved = solve_box(Bench(**reading.parameters)).eta
+        assert eta[row] == pytest.approx(solved, rel=5e-4)
+    # few photons cost less time than the solution
+    assert ResponseMaker(campaign, Run(LANES, check=False)).make([]).photons > 0
+
+
+def test_what_plain_photons_are_off_by_is_taken_away():
+    """A hundred simulations whose error is mostly that of the plain bench, and others'."""
+    rng, shape, true = np.random.default_rng(5), (BATCHES, 2, 2), 0.3
+    known = EtaGrid(np.full(shape[1:], -1.0), np.zeros(shape))
+    found = {0.9: [], 0.0: []}
+    for like, each in found.items():
+        for _ in range(100):
+            plain = 0.02 * rng.standard_normal(shape)
+            other = like * plain + 0.004 * rng.standard_normal(shape)
+            tables = (
+                EtaGrid(level + batches.mean(axis=0), batches - batches.mean(axis=0))
+                for level, batches in ((-1.0 + true, other), (-1.0, plain))
+            )
+            made = difference(*tables, known)
+            each.append((made.log_eta[0, 0], made.deviations[:, 0, 0].std(ddof=1)))
+        value, spread = np.array(each).T
+        error = spread / math.sqrt(BATCHES)
+        # unbiased, its error right and that of what differs alone; limits at 1e-4 two-sided
+        assert abs((value - true).mean()) < 3.9 * 0.004 / math.sqrt(BATCHES * 100)
+        assert 0.7 < value.std(ddof=1) / error.mean() < 1.35
+        assert error.mean() < 1.2 * 0.004 / math.sqrt(BATCHES)
 
 
 def test_an_effect_that_a_switch_of_the_scene_is_acts(campaign):

@@ -25,6 +25,7 @@ from mcrim_mitsuba.inference.least_squares import (
     settle,
 )
 from mcrim_mitsuba.inference.likelihood import Likelihood, find_minima
+from mcrim_mitsuba.inference.race import contenders
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 #: A part of the catalogue, where all of it would only take longer.
@@ -165,6 +166,21 @@ def test_a_hidden_effect_is_found_and_repaired(one_hidden):
     truth = TRUTH["scale"] / 6.0
     light = after.light_yield_ph_per_keV
     assert abs(light["value"] - truth) < 3.0 * light["sigma"]
+
+
+def test_a_race_keeps_what_may_explain_the_readings():
+    """What is hidden goes on, and few others; where nothing is missing hardly any does."""
+    for hidden, size in (
+        ("gap_bubble", 0.3),
+        ("surface_absorption", 0.03),
+        ("detector_radius", 0.4),
+    ):
+        (name,) = (parameter.name for parameter in SOME[hidden].parameters)
+        going_on = contenders(campaign(7, {name: size}, (hidden,)), SOME)
+        assert hidden in going_on and len(going_on) <= 3
+    kept = [len(contenders(campaign(seed), SOME)) for seed in range(12)]
+    # nine effects, each of which gains 6 with a probability of about 1 %
+    assert stats.binom.sf(sum(kept) - 1, 12 * len(SOME), 0.02) > FALSE_ALARM
 
 
 def test_two_hidden_effects_are_found_together():
