@@ -257,6 +257,9 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
     except click.UsageError as error:
         return _say_usage(name, error)
     except (click.Abort, KeyboardInterrupt) as error:
+        # who is impatient interrupts what ends already
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
         # click makes an Abort of what was raised
         how_far = str(error.__cause__ or error) or "interrupted before there was a result"
         return _say(name, how_far, INTERRUPTED)
