@@ -5,6 +5,7 @@ Comparisons of independent simulations: z < 4.5 fails a right code in fewer than
 """
 
 import math
+import tomllib
 
 import numpy as np
 import pytest
@@ -18,7 +19,8 @@ from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid
 from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR, ResponseMaker
 from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.model import ResponseModel
-from mcrim_mitsuba.inference.repair import repair
+from mcrim_mitsuba.inference.repair import mended_files, repair
+from mcrim_mitsuba.inference.workbench import Workbench
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.polished_box import solve_box
 from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
@@ -154,6 +156,25 @@ def test_what_plain_photons_are_off_by_is_taken_away():
         assert abs((value - true).mean()) < 3.9 * 0.004 / math.sqrt(BATCHES * 100)
         assert 0.7 < value.std(ddof=1) / error.mean() < 1.35
         assert error.mean() < 1.2 * 0.004 / math.sqrt(BATCHES)
+
+
+def test_sizes_that_the_readings_leave_open_get_what_is_plausible(tmp_path):
+    """Three readings and one prior for four parameters: once nothing was written."""
+    three = read_campaign(SCENES / "camoo4_three.toml")
+    bench = Workbench(three, Run(LANES, check=False))
+    bench.simulate(("top_roughness",))
+    model, fit = bench.settled_model(("top_roughness",))
+    # 95 % of what is plausible, up to 0.4
+    assert model.campaign.priors["top_roughness_alpha"] == (
+        0.0,
+        pytest.approx(0.4 / 1.96, rel=1e-4),
+    )
+    assert fit.ndf == 1 and fit.chi2 < 3.0
+    assert any("top_roughness_alpha 0 ± 0.204" in note for note in fit.notes)
+    scene, text = mended_files(three, model.campaign, fit, tmp_path / "mended.toml")
+    written = tomllib.loads(text)["parameters"]["top_roughness_alpha"]
+    assert (written["prior"], written["prior_sigma"]) == (0.0, 0.204098)
+    assert scene.parameters["top_roughness_alpha"] == written["start"]
 
 
 def test_an_effect_that_a_switch_of_the_scene_is_acts(campaign):

@@ -32,7 +32,7 @@ def run(store, shared_cache, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(FOLDER_VARIABLE, str(shared_cache))
         yield lambda kind, number, only=(): trials.run_trial(
-            trials.TrialMaker(store, SEED, only).draw(kind, number), folder, photons=SIMULATED
+            trials.TrialMaker(store, SEED, only).draw(kind, number), folder, 1, SIMULATED
         )
 
 
