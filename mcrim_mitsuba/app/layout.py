@@ -109,7 +109,7 @@ def diagnosis_panel(found: Diagnosed | None) -> list:
     if found is None:
         return [_hint(
             "The campaign as it came is fitted with each effect of the catalogue in turn. "
-            "The first time takes one to two minutes; what was simulated is kept."
+            "The first time takes about a minute; what was simulated is kept."
         )]  # fmt: skip
     diagnosis = found.diagnosis
     parts: list = []

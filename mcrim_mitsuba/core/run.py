@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from mcrim_mitsuba.core.errors import InputError
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 DEFAULT_VARIANT = "llvm_ad_rgb"
 #: That any run may be asked for.
@@ -94,3 +100,21 @@ def refuse_arguments(photons: float, seed: int) -> None:
         raise InputError(f"the number of photons is {photons}", "give a whole number, 1 to 1e13")
     if seed < 0:
         raise InputError(f"the seed is {seed}", "give 0 or a positive integer")
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """While it lasts, linear algebra has one thread; a decorator of functions, too.
+
+    Small matrices gain nothing by more, which wait for each other, and digits would change.
+    """
+    with _libraries().limit(limits=1, user_api="blas"):
+        yield
+
+
+@functools.cache
+def _libraries() -> ThreadpoolController:
+    # of this process; to look for them takes milliseconds
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()

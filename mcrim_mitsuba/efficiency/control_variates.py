@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, Grid, one_thread
+from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, Grid
 from mcrim_mitsuba.reference.polished_box import solve_box
 from mcrim_mitsuba.reference.scene_bench import bench_of
 from mcrim_mitsuba.runs.executors import Content
@@ -55,9 +55,7 @@ class SolvedUnit(SceneUnit):
             bench = bench_of(self.loaded(threads))
             if self.radius_mm is not None:
                 bench = replace(bench, aperture_radius_mm=self.radius_mm)
-            # its matrices are small: threads would wait for each other
-            with one_thread():
-                eta = solve_box(bench, *self.grid.coefficients_per_cm()).eta
+            eta = solve_box(bench, *self.grid.coefficients_per_cm()).eta
         except InputError as refusal:
             return {self.number: ({}, {"refused": refusal.problem})}
         return {self.number: ({"log_eta": np.log(eta).ravel()}, {})}

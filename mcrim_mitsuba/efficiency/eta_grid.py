@@ -8,17 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import ThreadpoolController
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.run import one_thread
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
 from mcrim_mitsuba.runs.executors import Content
@@ -172,17 +171,6 @@ MASK, ANGLE = "mask_radius_mm", "arrival_angle_deg"
 _COLUMNS = ("log_eta", "deviations")
 #: Tables that are made at once.
 _AT_ONCE = 2
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    # of this process; to look for them takes milliseconds
-    return ThreadpoolController()
-
-
-def one_thread() -> AbstractContextManager[object]:
-    """While it lasts, linear algebra has one thread: more would change digits, and gain nothing."""
-    return _libraries().limit(limits=1, user_api="blas")
 
 
 @dataclass(frozen=True)

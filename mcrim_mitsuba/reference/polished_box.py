@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
+from mcrim_mitsuba.core.run import one_thread
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.box_openings import (
     EndCones,
@@ -39,9 +40,6 @@ class _Dual:
     def __add__(self, other: Any) -> _Dual:
         other = _dual(other)
         return _Dual(self.value + other.value, self.slope + other.slope)
-
-    def __neg__(self) -> _Dual:
-        return _Dual(-self.value, -self.slope)
 
     def __sub__(self, other: Any) -> _Dual:
         other = _dual(other)
@@ -75,10 +73,6 @@ class _Dual:
     def __rtruediv__(self, other: Any) -> _Dual:
         quotient = other / self.value
         return _Dual(quotient, -quotient / self.value * self.slope)
-
-    def exp(self) -> _Dual:
-        value = np.exp(self.value)
-        return _Dual(value, value * self.slope)
 
     @property
     def parts(self) -> tuple[_Array, _Array]:
@@ -240,14 +234,11 @@ class _Modes:
         through = ends.coupling[:, :, middle] + ends.own * still
         leaving = still - through + e[:, middle : middle + 1] * (through * passed)
         weight = ends.weight / (2.0 * height)
-        found = []
-        for source in (ends.detection, leaving):
-            arrived = rises * value_at_bottom(source)[..., None]
-            found.append(arrived)
-        found[1] = found[1] + half_wave * (passed * still)[..., None] * parity
+        seen, gone = (rises * value_at_bottom(x)[..., None] for x in (ends.detection, leaving))
+        gone = gone + half_wave * (passed * still)[..., None] * parity
         detected, left = (
             (x * weight[:, None, None]).map(lambda y: self._unfold(np.real(y).sum(axis=0)) * many)
-            for x in found
+            for x in (seen, gone)
         )
         return _Dual(*block), coupled, detected, left
 
@@ -414,6 +405,7 @@ class BoxEfficiency:
     fates: dict[str, Floats]
 
 
+@one_thread()
 def solve_box(
     bench: Bench,
     alpha_scat_per_cm: ArrayLike | None = None,
@@ -476,8 +468,6 @@ _SECOND_ORDER = 0.01
 _LEAST_ERROR, _LEAST_ERROR_OF_CUT_HOLES = 4e-5, 2e-4
 #: Extinction, per mm, that stands for none: the first flights of trapped light end somewhere.
 _NO_EXTINCTION = 1e-9
-
-
 #: Radius of a mask, in widths of the crystal, that covers no more than the tips of its corners.
 _TIPS = 0.68
 
@@ -491,14 +481,14 @@ def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float) -> Nodes:
     across = min(2 + math.ceil(0.4 * max(wide - 1.5, 0.0)), 7)
     if bench.source_depth_mm < math.inf:
         upwards = max(upwards, 16)
-    foot = 10 if _is_cut(bench) else 7
+    foot, coupled = (10 if _is_cut(bench) else 7), 1
     cosine = 14 if bench.gap_index <= bench.n_window else 18
-    if _covers_corners(bench) and bench.aperture_radius_mm >= _TIPS * bench.crystal_width_mm:
-        # under the tips of the corners alone the mask couples no further waves
-        return Nodes(max(across, 3), upwards, cosine, azimuth=5, foot=8)
     if _covers_corners(bench):
-        return Nodes(max(across, 3), upwards, cosine, azimuth=5, foot=foot, coupled=2)
-    return Nodes(across, upwards, cosine, azimuth=5, foot=foot)
+        across = max(across, 3)
+        # under the tips of the corners alone the mask couples no further waves
+        tips = bench.aperture_radius_mm >= _TIPS * bench.crystal_width_mm
+        foot, coupled = (8, 1) if tips else (foot, 2)
+    return Nodes(across, upwards, cosine, azimuth=5, foot=foot, coupled=coupled)
 
 
 def _covers_corners(bench: Bench) -> bool:

@@ -29,7 +29,6 @@ from mcrim_mitsuba.runs.executors import (
     Track,
     Unit,
     current_executor,
-    kept,
     pickled,
 )
 
@@ -65,8 +64,7 @@ class ProcessExecutor(HandingExecutor):
         progress: Progress | None = None, **how: Any,
     ) -> Iterator[Done]:  # fmt: skip
         """See `Executor.do`; a little work is done here."""
-        missing = [task.unit.expected_s for task in tasks if kept(task) is None]
-        if len(missing) < FEWEST_UNITS or sum(missing) < LEAST_S:
+        if len(tasks) < FEWEST_UNITS or sum(task.unit.expected_s for task in tasks) < LEAST_S:
             return Executor.do(self, tasks, threads=threads, progress=progress, **how)
         return super().do(tasks, progress=progress)
 
