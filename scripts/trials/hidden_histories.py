@@ -92,9 +92,13 @@ class Run:
 
     @property
     def key(self) -> str:
-        """SHA-256 of all this and of the tracer's source."""
-        named = [asdict(self), ABSORPTION_PER_CM, _APERTURES, tracer_hash()]
-        return hashlib.sha256(json.dumps(named).encode()).hexdigest()[:24]
+        """Digest of all this and of the tracer's source."""
+        return _digest(asdict(self), ABSORPTION_PER_CM, _APERTURES, tracer_hash())
+
+    def seeds(self) -> list[int]:
+        """Of each proposal; another tracer is given the same, so that its campaigns are."""
+        own = np.random.SeedSequence(int(_digest(asdict(self)), 16))
+        return [int(x >> 1) for x in own.generate_state(len(self.proposals_per_cm), np.uint64)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,8 +216,7 @@ class HistoryStore:
     ) -> Array:
         """(readings, alpha_scat, alpha_abs) logarithms of the efficiencies; kept in a file too."""
         axes = [axis.tolist() for axis in (alpha_scat_per_cm, alpha_abs_per_cm)]
-        named = json.dumps([[run.key for run in self.runs(changes)], *axes])
-        file = self.folder / f"table-{hashlib.sha256(named.encode()).hexdigest()[:24]}.npz"
+        file = self.folder / f"table-{_digest([run.key for run in self.runs(changes)], *axes)}.npz"
         kept = _read(file, ("log_eta",))
         if kept is not None:
             return kept["log_eta"]
@@ -245,13 +248,11 @@ _ARRAYS = ("detected", "hole", "scatterings", "path_cm")
 
 def trace_to_file(file: Path, run: Run) -> int:
     """Trace a run and write its file; returns the photons traced."""
-    seeds = np.random.SeedSequence([run.seed, int(run.key, 16)])
-    seeds = seeds.generate_state(len(run.proposals_per_cm), np.uint64)
     columns: dict[str, list[NDArray]] = {}
-    for proposal, seed in zip(run.proposals_per_cm, seeds, strict=True):
+    for proposal, seed in zip(run.proposals_per_cm, run.seeds(), strict=True):
         bench = Bench(aperture_radius_mm=_OPEN_MM, alpha_scat_per_cm=proposal,
                       alpha_abs_per_cm=ABSORPTION_PER_CM, **dict(run.bench))  # fmt: skip
-        found = trace(bench, run.photons, int(seed >> np.uint64(1)), histories=True).histories
+        found = trace(bench, run.photons, seed, histories=True).histories
         hole = np.searchsorted(_APERTURES, found.mask_radius_mm).astype(np.uint8)
         kept = hole < len(_APERTURES)
         for name, part in {
@@ -283,6 +284,10 @@ def _read(file: Path, needed: Sequence[str]) -> dict[str, NDArray] | None:
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
         return None
     return arrays if set(needed) <= set(arrays) else None
+
+
+def _digest(*named: object) -> str:
+    return hashlib.sha256(json.dumps(named).encode()).hexdigest()[:24]
 
 
 @cache
