@@ -231,7 +231,8 @@ def photons(default: str, *, at_most: bool = False, further: str = ""):
 
 method = click.option(
     "--method", type=click.Choice(("photons", "modes")), default="photons", show_default=True,
-    help="Follow photons, or solve for a polished box by modes: in milliseconds, without noise.",
+    help="Follow photons, or solve for a polished box by modes: in milliseconds, without noise, "
+    "to --precision or as well as it can be.",
 )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
@@ -41,15 +42,15 @@ def refuse_method(method: str, run: Run) -> None:
     """
     if method not in METHODS:
         raise InputError(f"there is no method {method}", f"take {' or '.join(METHODS)}")
-    if method == "modes":
-        for name in ("photons", "precision"):
-            if getattr(run, name) is not None:
-                problem = f"the method modes follows no photons, and {name} was given"
-                raise InputError(problem, f"leave {name} out, or take the method photons")
+    if method == "modes" and run.photons is not None:
+        problem = "the method modes follows no photons, and photons was given"
+        raise InputError(problem, "leave photons out, or take the method photons")
 
 
-def solve_simulation(simulation: Simulation) -> SimulationResult:
+def solve_simulation(simulation: Simulation, precision: float | None = None) -> SimulationResult:
     """Light collection efficiency and fates of a loaded scene, of 0 photons.
+
+    Where a relative error of eta is enough, as ``precision`` says, it takes less time.
 
     Raises
     ------
@@ -59,13 +60,14 @@ def solve_simulation(simulation: Simulation) -> SimulationResult:
     start = time.perf_counter()
     file = simulation.file
     with placed(path=file.path):
-        found = solve_box(bench_of(simulation))
+        found = solve_box(bench_of(simulation), precision=precision)
+    notes = _notes(found.eta, found.error, precision)
     fates = {name: float(part) for name, part in found.fates.items() if part}
     eta, error = float(found.eta), float(found.error)
     return SimulationResult(
         seed=0, photons=0, cached_photons=0, scene_hash=file.content_hash,
         versions=record_versions(simulation.variant), seconds=time.perf_counter() - start,
-        notes=(NOTE,), requested=0, interrupted=False, eta=eta, eta_sigma=error, budget=fates,
+        notes=notes, requested=0, interrupted=False, eta=eta, eta_sigma=error, budget=fates,
         budget_sigma=dict.fromkeys(fates, error), parameters=dict(file.parameters),
         polarization=False, transport="cosine modes",
     )  # fmt: skip
@@ -98,10 +100,29 @@ def noise_free_table(
         own = file.with_overrides(dict(zip(outer, values, strict=True)))
         simulation = Simulation(own, variant=run.variant, threads=run.threads, check=run.check)
         with placed(path=file.path):
-            solved = solve_box(bench_of(simulation), scat, absorb[:, None])
+            solved = solve_box(bench_of(simulation), scat, absorb[:, None], precision=run.precision)
         found.append((solved.eta, solved.error))
     shape = [len(values) for values in (*outer.values(), *inner.values())]
     eta, error = (np.array(each).reshape(shape) for each in zip(*found, strict=True))
     return EtaTable(
-        outer | inner, eta, error, 0, 0, 0, dict(file.parameters), file.content_hash, (NOTE,)
+        outer | inner,
+        eta,
+        error,
+        0,
+        0,
+        0,
+        dict(file.parameters),
+        file.content_hash,
+        _notes(eta, error, run.precision),
+    )
+
+
+def _notes(eta: ArrayLike, error: ArrayLike, precision: float | None) -> tuple[str, ...]:
+    """What is to be said of errors, and where they are larger than was asked for."""
+    largest = float(np.max(np.divide(error, eta)))
+    if precision is None or largest <= precision:
+        return (NOTE,)
+    return NOTE, (
+        f"the precision asked for is {100 * precision:g} %; this method comes to "
+        f"{100 * largest:.2g} % here"
     )

@@ -265,7 +265,8 @@ def simulate(
     run : Run, optional
         2 million photons, with a precision as many as it takes.
     method : str
-        ``modes`` follows no photons: a polished box is solved for, without statistical noise.
+        ``modes`` follows no photons: a polished box is solved for, without statistical noise, as
+        well as it can be or, sooner, to the run's precision.
     **given
         Scene parameters that differ from the file's (``n_gap=1.46``), and fields of the run.
 
@@ -290,7 +291,7 @@ def simulate(
     file = read_scene(scene, parameters)
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
     if method == "modes":
-        found = solve_simulation(simulation)
+        found = solve_simulation(simulation, run.precision)
         return Answer(
             found, scene_descriptions.of_simulation(found), documents.of_simulation(found)
         )
@@ -325,7 +326,8 @@ def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **gi
     run : Run, optional
         2 million photons of each configuration, with a precision as many as it takes.
     method : str
-        ``modes`` follows no photons: polished boxes are solved for, without statistical noise.
+        ``modes`` follows no photons: polished boxes are solved for, without statistical noise, as
+        well as they can be or, sooner, to the run's precision.
     **given
         Axes (``gap_mm=[0.02, 0.05]``), single values of parameters (``n_gap=1.46``), and fields
         of the run.

@@ -4,11 +4,15 @@ Nothing here depends on the crystal's coefficients, so a table over them needs t
 mirror symmetry of box and bench a direction is given by its three positive cosines, and a place on
 a face by its periodic coordinate, which grows along the flight from 0 at one wall to the crystal's
 width at the other. Functions of it have Fourier components, of wave numbers 2 pi p / width.
+
+Two rules of quadrature go side by side, so that what the second and coarser gives tells the error
+of the first at the cost of its nodes alone: nodes of both are in one array, the first rule's first.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -30,9 +34,11 @@ class Nodes(NamedTuple):
     across: int
     #: cos(pi r z / height) with r below this.
     upwards: int
-    #: Gauss nodes by panel in the cosine towards an opening, and in the azimuth about it.
+    #: Gauss nodes by panel in the cosine towards an opening, and in the azimuth about it, for the
+    #: ends and for the sides.
     cosine: int
-    azimuth: int
+    around_ends: int
+    around_sides: int
     #: Gauss nodes by panel along a side's foot, in azimuth and in cosine, for light on its way
     #: through air to the window.
     foot: int
@@ -40,38 +46,108 @@ class Nodes(NamedTuple):
     coupled: int = 1
 
 
+Rules = tuple[Nodes, Nodes]
+
+
 @dataclass(frozen=True, eq=False)
-class EndCones:
-    """Directions in the escape cones of bottom and top, (n,) each where nothing else is said.
+class Waves:
+    """Plane waves across the box, one of each pair of opposite ones, (m,), by (p, |q|)."""
+
+    #: (m, 2) int: p and q, wave numbers in 2 pi / width; the first is (0, 0).
+    signed: NDArray[np.int64]
+    #: (m,) float64: how many waves each stands for, itself and its opposite.
+    stands_for: Floats
+    #: (groups,) int: where waves begin that have the next p and |q|; (groups, 2) int: these.
+    begins: NDArray[np.int64]
+    folded: NDArray[np.int64]
+
+    @classmethod
+    def up_to(cls, order: int) -> Waves:
+        """All with p and q up to an order."""
+        return _waves(order)
+
+    #: (groups,) float64: how many waves have these, of either sign.
+    of_each_fold: Floats
+
+    def places(self, across: int) -> NDArray[np.int64]:
+        """Where the groups are among all p and q below a number, (groups,)."""
+        return self.folded @ [across, 1]
+
+    def sums(self, waves: _Array, axis: int) -> _Array:
+        """Sums over the waves of each group."""
+        return np.add.reduceat(waves, self.begins, axis=axis)
+
+    def means(self, waves: _Array) -> _Array:
+        """Means over each group and the opposite waves, whose values are alike; axis 1."""
+        sums = self.sums(waves * self.stands_for[:, None, None], axis=1)
+        return sums / self.of_each_fold[:, None, None]
+
+
+@lru_cache
+def _waves(order: int) -> Waves:
+    pairs = [(p, q) for p in range(order + 1) for size in range(order + 1)
+             for q in ((size,) if 0 in (p, size) else (size, -size))]  # fmt: skip
+    signed = np.array(pairs)
+    folded, begins = np.unique(np.abs(signed), axis=0, return_index=True)
+    stands_for = np.where(signed.any(axis=1), 2.0, 1.0)
+    return Waves(signed, stands_for, begins, folded, np.add.reduceat(stands_for, begins))
+
+
+def with_opposite(x: _Array) -> _Array:
+    """Of half the waves, along the last axis, and then of their opposites."""
+    return np.concatenate((x, x[..., 1:].conj()), axis=-1)
+
+
+def _slices(first: int) -> tuple[slice, slice]:
+    return slice(0, first), slice(first, None)
+
+
+@dataclass(frozen=True, eq=False)
+class Openings:
+    """Directions that leave through a face, nodes of both rules one after the other, (n,) each."""
+
+    #: How many nodes are the first rule's.
+    first: int
+    #: Of a quadrature over the directions.
+    weight: Floats
+    #: Direction cosine inside the crystal, towards the face.
+    cos: Floats
+
+    @property
+    def rules(self) -> tuple[slice, slice]:
+        """The nodes of each rule."""
+        return _slices(self.first)
+
+
+@dataclass(frozen=True, eq=False)
+class EndCones(Openings):
+    """Directions in the escape cones of bottom and top.
 
     Those closer to x than to y; the others are their mirror images.
     """
 
-    weight: Floats
-    cos: Floats
     across_x: Floats
     across_y: Floats
     reflectance_top: Floats
-    #: (across, across, 2, n) complex: what arrives at the bottom as exp(i kappa X) leaves it as
-    #: this times the same, the gap's shuttles included; for kappa of p, q and of p, -q.
-    reflection: _Array
-    #: (m, 2) int: the p of kappa_x and kappa_y, negative ones too, that what depends on the place
-    #: at the bottom couples.
-    signed: NDArray[np.int64]
-    #: (n, m) complex: the same reflection for these.
+    #: All up to the modes' highest.
+    waves: Waves
+    #: (waves, n) complex: what arrives at the bottom as exp(i kappa X) leaves it as this times the
+    #: same, the gap's shuttles included.
     own: _Array
-    #: (n, m, m) complex: what arrives as exp(i kappa' X) and leaves as exp(i kappa X).
+    #: Those that the place at the bottom couples, m, and where they are among `waves`.
+    coupled: Waves
+    among_waves: Any
+    #: (m, n, 2 m - 1) complex: what arrives as exp(i kappa' X), opposite waves too, and leaves as
+    #: exp(i kappa X).
     coupling: _Array
-    #: (n, m) complex: probability that light arriving at the bottom is detected, by kappa.
+    #: (m, n) complex: probability that light arriving at the bottom is detected.
     detection: _Array
 
 
 @dataclass(frozen=True, eq=False)
-class SideCone:
-    """Directions in the escape cone of a side that looks along x, (n,) float64 each."""
+class SideCone(Openings):
+    """Directions in the escape cone of a side that looks along x."""
 
-    weight: Floats
-    cos: Floats
     across_y: Floats
     across_z: Floats
     reflectance: Floats
@@ -85,6 +161,12 @@ class FallingLight(SideCone):
     foot_mm: Floats
     lowest_mm: Floats
     highest_mm: Floats
+
+
+def _by_rules(make: Callable[..., tuple[Floats, ...]], *rules: Any) -> tuple[int, list[Floats]]:
+    """Nodes of both rules, one after the other, and how many are the first's."""
+    first, second = (make(rule) for rule in rules)
+    return len(first[0]), [np.concatenate(pair) for pair in zip(first, second, strict=True)]
 
 
 def fresnel(cos_in: Floats, n_in: float, n_out: float) -> Floats:
@@ -134,20 +216,29 @@ def landing(bench: Bench, y: Floats, cos: Floats, sin: Floats) -> tuple[Floats, 
     return np.clip(middle - root, 0.0, far), far
 
 
-def side_cone(bench: Bench, nodes: Nodes) -> SideCone:
+def side_cone(bench: Bench, rules: Rules) -> SideCone:
     """Directions that leave through the sides towards +-x."""
     n = bench.n_crystal
-    out, w_out = gauss(nodes.cosine)
-    azimuth, w_azimuth = gauss(nodes.azimuth, 0.0, math.pi / 2.0)
-    out, azimuth = (x.ravel() for x in np.meshgrid(out, azimuth, indexing="ij"))
+
+    def nodes_of(rule: Nodes) -> tuple[Floats, ...]:
+        out, w_out = gauss(rule.cosine)
+        azimuth, w_azimuth = gauss(rule.around_sides, 0.0, math.pi / 2.0)
+        shape = len(out), len(azimuth)
+        return (
+            np.broadcast_to(out[:, None], shape).ravel(),
+            np.broadcast_to(azimuth, shape).ravel(),
+            (w_out[:, None] * w_azimuth).ravel(),
+        )
+
+    first, (out, azimuth, weight) = _by_rules(nodes_of, *rules)
     sine = np.sqrt(1.0 - out**2) / n
     cos = np.sqrt(1.0 - sine**2)
-    weight = 2.0 / math.pi * np.outer(w_out, w_azimuth).ravel() * out / (n * n * cos)
+    weight = 2.0 / math.pi * weight * out / (n * n * cos)
     across = sine * np.cos(azimuth), sine * np.sin(azimuth)
-    return SideCone(weight, cos, *across, fresnel(cos, n, 1.0))
+    return SideCone(first, weight, cos, *across, fresnel(cos, n, 1.0))
 
 
-def side_light(bench: Bench, nodes: Nodes) -> FallingLight | None:
+def side_light(bench: Bench, rules: Rules) -> FallingLight | None:
     """Light that leaves through the sides towards +-x and falls into the mask's hole.
 
     Directions are those in air, by azimuth about the vertical and by the angle to it, which has
@@ -156,28 +247,28 @@ def side_light(bench: Bench, nodes: Nodes) -> FallingLight | None:
     half, radius = bench.crystal_width_mm / 2.0, bench.aperture_radius_mm
     if radius <= half or bench.window_width_mm <= bench.crystal_width_mm:
         return None
+    gap, height = bench.gap_thickness_mm, bench.crystal_height_mm
     chord = math.sqrt(radius**2 - half**2)
     starts_inside = chord >= half
     cuts = [-half, half] if starts_inside else [-half, -chord, chord, half]
-    foot, w_foot = gauss(nodes.foot, np.array(cuts[:-1]), np.array(cuts[1:]))
-    azimuth, w_azimuth = gauss(nodes.foot + 2, 0.0, math.pi / 2.0)
-    y, azimuth = np.meshgrid(foot.ravel(), azimuth, indexing="ij")
-    near, far = landing(bench, y, np.cos(azimuth), np.sin(azimuth))
-    gap, height = bench.gap_thickness_mm, bench.crystal_height_mm
-    drops = [(far, gap), (far, gap + height)]
-    if not starts_inside:
-        drops += [(near, gap), (near, gap + height)]
-    # angles at which the ends of the hole are just reached from the lowest and the highest start
-    cuts_polar = np.sort([np.zeros_like(y), *(np.arctan2(x, drop) for x, drop in drops)], axis=0)
-    angles, w_polar = gauss(nodes.foot, cuts_polar[:-1], cuts_polar[1:])
-    shape = angles.shape
-    weight_yf = w_foot.ravel()[:, None] * w_azimuth / bench.crystal_width_mm * 2.0 / math.pi
-    polar = angles.ravel()
+
+    def nodes_of(rule: Nodes) -> tuple[Floats, ...]:
+        foot, w_foot = gauss(rule.foot, np.array(cuts[:-1]), np.array(cuts[1:]))
+        turned, w_turned = gauss(rule.foot + 2, 0.0, math.pi / 2.0)
+        y, turned = foot.reshape(-1, 1), turned[None, :]
+        near, far = landing(bench, y, np.cos(turned), np.sin(turned))
+        # angles at which the ends of the hole are just reached from the lowest and highest start
+        ends = np.stack((far,) if starts_inside else (far, near))[..., None]
+        reached = np.arctan2(ends, [gap, gap + height])
+        reached = np.sort(np.moveaxis(reached, 0, -2).reshape(*far.shape, -1), axis=-1)
+        below = np.concatenate((np.zeros_like(far)[..., None], reached[..., :-1]), axis=-1)
+        polar, w_polar = gauss(rule.foot, below, reached)
+        weight = w_polar * (w_foot.reshape(-1, 1) * w_turned)[..., None, None]
+        of_each = (x[..., None, None] for x in np.broadcast_arrays(y, turned, near, far))
+        return tuple(x.ravel() for x in np.broadcast_arrays(weight, polar, *of_each))
+
+    first, (weight, polar, start, turned, near, far) = _by_rules(nodes_of, *rules)
     cos_z, sine = np.cos(polar), np.sin(polar)
-    weight = (w_polar * weight_yf[:, :, None]).ravel() * sine
-    start, turned, near, far = (
-        np.broadcast_to(x[:, :, None], shape).reshape(-1) for x in (y, azimuth, near, far)
-    )
     slope = cos_z / np.maximum(sine, 1e-12)  # straight down: Gauss nodes may round to it
     lowest = np.clip(near * slope - gap, 0.0, height)
     highest = np.clip(far * slope - gap, 0.0, height)
@@ -186,12 +277,13 @@ def side_light(bench: Bench, nodes: Nodes) -> FallingLight | None:
     across_y, across_z = sine * np.sin(turned) / n, cos_z / n
     cos = np.sqrt(1.0 - across_y**2 - across_z**2)
     reflectance = fresnel(cos, n, 1.0)
-    weight *= out / (n * n * cos) * (1.0 - reflectance)
+    weight = weight * (2.0 / math.pi / bench.crystal_width_mm) * sine
+    weight = weight * (out / (n * n * cos) * (1.0 - reflectance))
     weight *= 1.0 - fresnel(cos_z, 1.0, bench.n_window)
     weight *= _detected_below(bench, _cosine(sine, bench.n_window))
     seen = (highest > lowest) & (weight > 0.0)
     found = weight, cos, across_y, across_z, reflectance, start + half, lowest, highest
-    return FallingLight(*(x[seen] for x in found))
+    return FallingLight(int(seen[:first].sum()), *(x[seen] for x in found))
 
 
 def _strip(orders: NDArray[np.int64], width: Floats, period: float) -> _Array:
@@ -227,44 +319,40 @@ def _hole(bench: Bench, order: int) -> _Array:
     return 4.0 / area * np.outer(sign, sign) * (along_x @ (dy * np.cos(k * y)).T)
 
 
-def end_cones(bench: Bench, nodes: Nodes) -> EndCones:
+def end_cones(bench: Bench, rules: Rules) -> EndCones:
     """Directions that leave through bottom or top; what the gap, the window and the mask do.
 
     What turns waves into others (light that leaves the gap at its sides, the mask's hole) is exact
     in first order.
     """
-    order = nodes.coupled
+    order = rules[0].coupled
     n, n_gap, n_window = bench.n_crystal, bench.gap_index, bench.n_window
     width, gap = bench.crystal_width_mm, bench.gap_thickness_mm
-    critical = sorted({1.0, n_gap, *([n_window] if 1.0 < n_window < n_gap else [])})
-    panels, w_panels = [], []
-    for below, index in zip([0.0, *critical], critical, strict=False):
-        cos_index, weight = gauss(nodes.cosine, 0.0, math.sqrt(1.0 - (below / index) ** 2))
-        panels.append(index * np.sqrt(1.0 - cos_index**2))
-        w_panels.append(index**2 * cos_index * weight)
-    sine, w_sine, azimuth = _with_azimuths(
-        np.concatenate(panels), np.concatenate(w_panels), n_gap, nodes.azimuth
-    )
+    first, (sine, weight, azimuth) = _by_rules(lambda rule: _towards_ends(bench, rule), *rules)
     cos = np.sqrt(1.0 - (sine / n) ** 2)
-    weight = 2.0 / math.pi * w_sine / (n * n * cos)
+    weight = 2.0 / math.pi * weight / (n * n * cos)
     over_x, over_y = np.cos(azimuth), np.sin(azimuth)
 
     cos_gap, cos_window = _cosine(sine, n_gap), _cosine(sine, n_window)
     r_crystal, r_window = fresnel(cos, n, n_gap), fresnel(cos_gap, n_gap, n_window)
     enters, lands = 1.0 - r_crystal, (1.0 - r_window) * _detected_below(bench, cos_window)
-    orders = np.arange(-order, order + 1)
-    signed = np.stack(np.meshgrid(orders, orders, indexing="ij"), axis=-1).reshape(-1, 2)
-    step = signed[:, None, :] - signed[None, :, :]  # kappa - kappa'
+    waves, coupled = Waves.up_to(rules[0].across - 1), Waves.up_to(order)
+    among = np.flatnonzero((np.abs(waves.signed) <= order).all(axis=1))
+    signed = coupled.signed
+    every = np.concatenate((signed, -signed[1:]))
+    step = signed[:, None, :] - every[None, :, :]  # kappa - kappa'
+    at_step = step[..., 0] + 2 * order, step[..., 1] + 2 * order
+    at_wave = signed[:, 0] + 2 * order, signed[:, 1] + 2 * order
     wide = np.arange(-2 * order, 2 * order + 1)
     hole = _hole(bench, 2 * order)
-    hole_1 = hole[signed[:, 0] + 2 * order, signed[:, 1] + 2 * order]
-    hole_2 = hole[step[..., 0] + 2 * order, step[..., 1] + 2 * order]
+    hole_1, hole_2 = hole[at_wave], hole[at_step]
 
     # one crossing of the gap: how far, and which light its sides let out
     tan_gap = sine / n_gap / cos_gap
     shift_x, shift_y = gap * tan_gap * over_x, gap * tan_gap * over_y
     kappa = 2.0 * math.pi / width * signed
     crossing = np.exp(1j * (shift_x[:, None] * kappa[:, 0] + shift_y[:, None] * kappa[:, 1]))
+    every_crossing = with_opposite(crossing)
     chord = math.sqrt(max(bench.aperture_radius_mm**2 - width**2 / 4.0, 0.0))
     chord = min(chord, width / 2.0)
     kc = np.where(wide == 0, 1.0, wide) * 2.0 * math.pi / width
@@ -284,59 +372,57 @@ def end_cones(bench: Bench, nodes: Nodes) -> EndCones:
         return share
 
     once, twice = let_out(1), let_out(2)
-    once_1 = once[:, signed[:, 0] + 2 * order, signed[:, 1] + 2 * order]
-    twice_2 = twice[:, step[..., 0] + 2 * order, step[..., 1] + 2 * order]
-    # down, off the window and up again
+    # down, off the window and up again: (n, m, 2 m - 1)
     shuttle = r_window[:, None, None] * (
-        crossing[:, :, None] * hole_2 * crossing[:, None, :] - twice_2 * (crossing**2)[:, None, :]
+        crossing[:, :, None] * hole_2 * every_crossing[:, None, :]
+        - twice[:, *at_step] * (every_crossing**2)[:, None, :]
     )
-    diagonal = np.einsum("nkk->nk", shuttle).copy()
+    here = np.arange(len(signed))
+    diagonal = shuttle[:, here, here].copy()
     series = 1.0 / (1.0 - r_crystal[:, None] * diagonal)
-    shuttle -= diagonal[:, :, None] * np.eye(len(signed))
-    coupling = shuttle * (enters**2)[:, None, None] * series[:, :, None] * series[:, None, :]
+    shuttle[:, here, here] = 0.0
+    for highest, rule in zip([r.coupled for r in rules], _slices(first), strict=True):
+        # the coarser rule may couple fewer waves
+        beyond = np.abs(every).max(axis=1) > highest
+        shuttle[rule, :, beyond] = 0.0
+        shuttle[rule, beyond[: len(signed)]] = 0.0
+    every_series = with_opposite(series)
+    coupling = shuttle * ((enters**2)[:, None] * series)[:, :, None] * every_series[:, None, :]
 
-    landed = lands[:, None] * (crossing * hole_1 - once_1)
-    landed = landed - lands[:, None] * _over_edges(bench, sine, over_x, over_y, signed)
-    leaked = _leaked(bench, nodes, sine, over_x, over_y, signed)
+    over_edges = _over_edges(bench, sine, over_x, over_y, signed)
+    landed = lands[:, None] * (crossing * hole_1 - once[:, *at_wave] - over_edges)
+    leaked = _leaked(bench, rules, first, sine, over_x, over_y, signed)
     arrived = (landed + leaked) * series
-    arrived = arrived + r_crystal[:, None] * series * np.einsum("nkl,nl->nk", shuttle, arrived)
+    more = (shuttle @ with_opposite(arrived)[:, :, None])[..., 0]
+    arrived = arrived + r_crystal[:, None] * series * more
 
     # light that the place does not turn into other waves, through all its crossings of the gap
-    still = len(signed) // 2
     turns = r_crystal * r_window
     if whole:
-        kept = [
-            _kept(k * shift_x, out_x, width) * _kept(k * shift_y, out_y, width)
-            for k in range(2 * _SHUTTLES + 2)
-        ]
-        over_edges = _over_edges(bench, sine, over_x, over_y, signed)
-        lands_now = lands * (1.0 - over_edges[:, still].real)
+        crossings = np.arange(2 * _SHUTTLES + 2)[:, None]
+        kept = _kept(crossings * shift_x, out_x, width) * _kept(crossings * shift_y, out_y, width)
+        lands_now = lands * (1.0 - over_edges[:, 0].real)
         lost = 1.0 - kept[1]
-        lands_later = np.where(
-            lost > 0.0, leaked[:, still].real / np.where(lost > 0.0, lost, 1.0), 0.0
-        )
-        terms = [lands_now * kept[2 * j + 1] + lands_later * (kept[2 * j] - kept[2 * j + 1])
-                 for j in range(_SHUTTLES + 1)]  # fmt: skip
-        arrived[:, still] = _sum_of_shuttles(terms, turns)
+        lands_later = np.where(lost > 0.0, leaked[:, 0].real / np.where(lost > 0.0, lost, 1.0), 0.0)
+        later, sooner = kept[1::2], kept[0::2]
+        terms = lands_now * later + lands_later * (sooner - later)
+        arrived[:, 0] = _sum_of_shuttles(terms, turns)
         survive = kept[2::2]
     else:
         middle = 2 * order
         mean = hole[middle, middle] - twice[:, middle, middle].real
-        survive = [mean ** (j + 1) for j in range(_SHUTTLES)]
-    back = r_window * enters**2
+        survive = mean ** np.arange(1, _SHUTTLES + 1)[:, None]
+    for highest, rule in zip([r.coupled for r in rules], _slices(first), strict=True):
+        arrived[rule, np.abs(signed).max(axis=1) > highest] = 0.0
 
-    def mirrored(phase: _Array) -> _Array:
-        """Reflectance of the bottom for waves of which the gap shifts the phase, (..., n)."""
-        twofold = np.exp(2j * phase)
-        return r_crystal + back * twofold * _sum_of_shuttles(survive, turns * twofold)
-
-    numbers = 2.0 * math.pi / width * np.arange(nodes.across)
-    along_x = numbers[:, None, None, None] * shift_x
-    along_y = (numbers[:, None] * [1.0, -1.0])[..., None] * shift_y
+    # the same for every wave, of which the gap shifts the phase
+    numbers = 2.0 * math.pi / width * waves.signed
+    twofold = np.exp(2j * (numbers @ np.stack((shift_x, shift_y))))
+    own = r_crystal + r_window * enters**2 * twofold * _sum_of_shuttles(survive, turns * twofold)
     return EndCones(
-        weight, cos, sine / n * over_x, sine / n * over_y, fresnel(cos, n, 1.0),
-        mirrored(along_x + along_y), signed, mirrored(kappa @ np.stack((shift_x, shift_y))).T,
-        coupling, enters[:, None] * arrived,
+        first, weight, cos, sine / n * over_x, sine / n * over_y, fresnel(cos, n, 1.0), waves, own,
+        coupled, slice(None) if len(among) == len(waves.signed) else among,
+        np.ascontiguousarray(coupling.transpose(1, 0, 2)), (enters[:, None] * arrived).T,
     )  # fmt: skip
 
 
@@ -350,37 +436,44 @@ def _kept(shift: Floats, out: Floats, width: float) -> Floats:
     return (1.0 - out) ** sides * (1.0 - out * (shift / width - sides))
 
 
-def _sum_of_shuttles(terms: list[Floats], factor: _Array) -> _Array:
+def _sum_of_shuttles(terms: Floats, factor: _Array) -> _Array:
     """Sum of terms[j] factor^j, continued as a geometric series from the last two on."""
     before, last = terms[-2], terms[-1]
     ratio = factor * np.where(before > 0.0, last / np.where(before > 0.0, before, 1.0), 0.0)
     total = last / (1.0 - ratio)
-    for term in reversed(terms[:-1]):
+    for term in terms[-2::-1]:
         total = term + factor * total
     return total
 
 
-def _with_azimuths(
-    sine: Floats, weight: Floats, n_gap: float, count: int
-) -> tuple[Floats, Floats, Floats]:
-    """Nodes over the azimuth, 0 to pi/4, for each n sin(theta): sine, weight, azimuth, (n,) each.
+def _towards_ends(bench: Bench, rule: Nodes) -> tuple[Floats, Floats, Floats]:
+    """n sin(theta), its weight and the azimuth, 0 to pi/4, of light that leaves at an end: (n,).
 
     The gap's sides reflect totally what is not steep enough to them, so there are panels where
-    they begin to let light out, like a square root: nodes lie close to their ends.
+    they begin to let light out, like a square root: nodes lie close to there.
     """
-    least = math.sqrt(max(n_gap**2 - 1.0, 0.0))
-    found = []
-    for s, w in zip(sine, weight, strict=True):
-        cuts = np.array([0.0, math.pi / 4.0])
-        if 0.0 < least < s:
-            begins = math.acos(least / s)
-            cuts = np.insert(cuts, 1, min(begins, math.pi / 2.0 - begins))
-        t, w_t = gauss(count)
-        span = np.diff(cuts)[:, None]
-        azimuth = (cuts[:-1, None] + span * np.sin(0.5 * math.pi * t) ** 2).ravel()
-        w_azimuth = (span * 0.5 * math.pi * np.sin(math.pi * t) * w_t).ravel()
-        found.append(np.stack([np.full_like(azimuth, s), w * w_azimuth, azimuth]))
-    return tuple(np.concatenate(found, axis=1))
+    n_gap, n_window = bench.gap_index, bench.n_window
+    critical = sorted({1.0, n_gap, *([n_window] if 1.0 < n_window < n_gap else [])})
+    index = np.array(critical)[:, None]
+    below = np.array([0.0, *critical[:-1]])
+    cos_index, weight = gauss(rule.cosine, 0.0, np.sqrt(1.0 - (below / critical) ** 2))
+    sine, weight = index * np.sqrt(1.0 - cos_index**2), index**2 * cos_index * weight
+
+    sine, weight = sine.ravel(), weight.ravel()
+
+    t, w_t = gauss(rule.around_ends)
+    begins = np.arccos(np.minimum(math.sqrt(max(n_gap**2 - 1.0, 0.0)) / sine, 1.0))
+    begins = np.minimum(begins, math.pi / 2.0 - begins)
+    panels = []
+    for end in (np.zeros_like(sine), np.full_like(sine, math.pi / 4.0)):
+        (those,) = np.nonzero(begins != end)
+        span = (end - begins)[those, None]
+        nodes = sine[those, None], weight[those, None], begins[those, None] + span * t * t
+        panels.append((nodes[0], nodes[1] * abs(span) * 2.0 * t * w_t, nodes[2]))
+    return tuple(
+        np.concatenate([np.broadcast_to(x, (len(x), len(t))).ravel() for x in part])
+        for part in zip(*panels, strict=True)
+    )
 
 
 #: Light in the plate that is closer to grazing than this cosine is little.
@@ -414,7 +507,7 @@ def _over_edges(
 
 
 def _leaked(
-    bench: Bench, nodes: Nodes, sine: Floats, over_x: Floats, over_y: Floats,
+    bench: Bench, rules: Rules, first: int, sine: Floats, over_x: Floats, over_y: Floats,
     signed: NDArray[np.int64],
 ) -> _Array:  # fmt: skip
     """Components of the light that leaves the gap at its sides, going down, and is detected."""
@@ -424,7 +517,11 @@ def _leaked(
     found = np.zeros((len(sine), len(signed)), dtype=complex)
     if chord == 0.0 or bench.window_width_mm <= width:
         return found
-    y, w_y = gauss(nodes.foot, -min(chord, half), min(chord, half))
+    # the coarser rule has fewer nodes: the others of its directions weigh nothing
+    y, w_y = np.zeros((2, len(sine), rules[0].foot))
+    for rule, those in zip(rules, _slices(first), strict=True):
+        nodes = gauss(rule.foot, -min(chord, half), min(chord, half))
+        y[those, : rule.foot], w_y[those, : rule.foot] = nodes
     cos_gap = _cosine(sine, n_gap)
     # outside, where the components along the side are n_gap times those in the gap
     cos_air = np.minimum(n_gap * cos_gap, 1.0)
@@ -449,9 +546,10 @@ def _leaked(
             depth = depth[..., None]
             return np.where(turn == 0.0, depth, np.exp(1j * turn * depth) / safe)
 
-        first = up_to(met) - up_to(highest)
-        second = up_to(lowest) - up_to(met)
-        shares = first + (1.0 - other)[:, None, None] * second
-        shares = (shares * (np.exp(-1j * np.outer(y + half, k_aside)) * w_y[:, None])).sum(axis=1)
+        until_met = up_to(met)
+        shares = until_met - up_to(highest)
+        shares += (1.0 - other)[:, None, None] * (up_to(lowest) - until_met)
+        start = np.exp(-1j * (y + half)[..., None] * k_aside)
+        shares = (shares * (start * w_y[..., None])).sum(axis=1)
         found += (lands * out)[:, None] * ahead * shares / width**2
     return found

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
 from mcrim_mitsuba.core.errors import InputError
@@ -19,6 +20,7 @@ from mcrim_mitsuba.reference.box_openings import (
     FallingLight,
     Floats,
     Nodes,
+    Rules,
     SideCone,
     edges_in_reach,
     end_cones,
@@ -29,63 +31,15 @@ from mcrim_mitsuba.reference.box_openings import (
 _Array = NDArray[Any]
 
 
-class _Dual:
-    """An array and its derivative by alpha, the crystal's extinction per mm."""
+class _Systems(NamedTuple):
+    """What the openings add to K, and the probabilities to be detected and to leave uncollided.
 
-    __array_ufunc__ = None  # NumPy leaves array * dual to us
+    (rules, alphas, N, N), (rules, alphas, N) and (rules, alphas, N) for N modes by p, q, r.
+    """
 
-    def __init__(self, value: Any, slope: Any = 0.0) -> None:
-        self.value, self.slope = np.asarray(value), slope
-
-    def __add__(self, other: Any) -> _Dual:
-        other = _dual(other)
-        return _Dual(self.value + other.value, self.slope + other.slope)
-
-    def __sub__(self, other: Any) -> _Dual:
-        other = _dual(other)
-        return _Dual(self.value - other.value, self.slope - other.slope)
-
-    def __rsub__(self, other: Any) -> _Dual:
-        return _Dual(other - self.value, -self.slope)
-
-    def __mul__(self, other: Any) -> _Dual:
-        if not isinstance(other, _Dual):
-            return _Dual(self.value * other, self.slope * other)
-        return _Dual(self.value * other.value, self.slope * other.value + self.value * other.slope)
-
-    def __truediv__(self, other: _Dual) -> _Dual:
-        quotient = self.value / other.value
-        return _Dual(quotient, (self.slope - quotient * other.slope) / other.value)
-
-    def __matmul__(self, other: Any) -> _Dual:
-        other = _dual(other)
-        slope = self.slope @ other.value
-        if np.ndim(other.slope):
-            slope = slope + self.value @ other.slope
-        return _Dual(self.value @ other.value, slope)
-
-    __radd__, __rmul__ = __add__, __mul__
-
-    def __getitem__(self, key: Any) -> _Dual:
-        slope = np.broadcast_to(self.slope, np.shape(self.value))
-        return _Dual(self.value[key], slope[key])
-
-    def __rtruediv__(self, other: Any) -> _Dual:
-        quotient = other / self.value
-        return _Dual(quotient, -quotient / self.value * self.slope)
-
-    @property
-    def parts(self) -> tuple[_Array, _Array]:
-        """The value and its derivative."""
-        return self.value, self.slope
-
-    def map(self, linear: Any) -> _Dual:
-        """A linear operation, such as a transposition or a sum, on both."""
-        return _Dual(linear(self.value), linear(self.slope))
-
-
-def _dual(x: Any) -> _Dual:
-    return x if isinstance(x, _Dual) else _Dual(x)
+    kernel: Floats
+    detected: Floats
+    left: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,25 +47,33 @@ class _Modes:
     """The box's modes and what of the bench they need, for one choice of nodes."""
 
     bench: Bench
-    nodes: Nodes
+    rules: Rules
     ends: EndCones
     cone: SideCone
     falling: FallingLight | None
 
     @classmethod
-    def of(cls, bench: Bench, nodes: Nodes) -> _Modes:
-        ends, cone = end_cones(bench, nodes), side_cone(bench, nodes)
-        return cls(bench, nodes, ends, cone, side_light(bench, nodes))
+    def of(cls, bench: Bench, rules: Rules) -> _Modes:
+        ends, cone = end_cones(bench, rules), side_cone(bench, rules)
+        return cls(bench, rules, ends, cone, side_light(bench, rules))
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """How many p, q and r there are."""
+        across = self.rules[0].across
+        return across, across, self.rules[0].upwards
+
+    @property
+    def size(self) -> int:
+        return math.prod(self.shape)
 
     def source(self) -> Floats:
         """Means of the modes over the places where light is born: (N,)."""
         depth, height = self.bench.source_depth_mm, self.bench.crystal_height_mm
-        across, upwards = self.nodes.across, self.nodes.upwards
-        means = np.zeros((across, across, upwards))
+        means = np.zeros(self.shape)
         means[0, 0, 0] = 1.0
         if depth < math.inf:
-            _, kz = self.wave_numbers
-            parity = np.where(np.arange(upwards) % 2, -1.0, 1.0)
+            kz, parity, _ = self._upwards
             rest = math.exp(-height / depth)
             means[0, 0] = (
                 parity * (1.0 - rest * parity) / ((1.0 + (kz * depth) ** 2) * (1.0 - rest))
@@ -120,209 +82,166 @@ class _Modes:
 
     def fewer(self) -> _Array:
         """Indices of a part of the modes that is enough for an estimate of the others' share."""
-        across, upwards = self.nodes.across, self.nodes.upwards
-        kept = np.zeros((across, across, upwards), dtype=bool)
-        kept[: across - 1, : across - 1, : math.ceil(0.7 * upwards)] = True
+        across, _, upwards = self.shape
+        kept = np.zeros(self.shape, dtype=bool)
+        fewer = max(across - 1, 1)
+        kept[:fewer, :fewer, : min(math.ceil(0.7 * upwards), upwards - 1)] = True
         return np.flatnonzero(kept.ravel())
 
-    def system(self, alpha: float) -> tuple[_Dual, _Dual, _Dual]:
-        """K, and the probabilities to be detected and to leave before the first collision.
-
-        (N, N), (N,) and (N,) for N modes in the order of p, q, r; alpha is per mm.
-        """
-        across, upwards = self.nodes.across, self.nodes.upwards
-        shape = (across, across, upwards)
-        kx, kz = self.wave_numbers
-        k = np.sqrt(kx[:, None, None] ** 2 + kx[:, None] ** 2 + kz**2)
-        k[0, 0, 0] = 1.0
+    def closed(self, alpha: Floats) -> tuple[Floats, Floats]:
+        """K, which is diagonal, where every face reflects all, and its slope: (alphas, N) each."""
+        kx, (kz, *_) = self._across[0], self._upwards
+        k = np.sqrt(kx[:, None, None] ** 2 + kx[:, None] ** 2 + kz**2).ravel()
+        k[0], alpha = 1.0, alpha[:, None]
         arc = np.arctan(k / alpha) / k
-        kernel = np.zeros((2, *shape, *shape))
-        i, j, m = np.ogrid[:across, :across, :upwards]
-        kernel[:, i, j, m, i, j, m] = (alpha * arc, arc - alpha / (alpha**2 + k**2))
-        kernel[:, 0, 0, 0, 0, 0, 0] = (1.0, 0.0)
+        value, slope = alpha * arc, arc - alpha / (alpha * alpha + k * k)
+        value[:, 0], slope[:, 0] = 1.0, 0.0
+        return value, slope
 
-        block, coupled, detected, left = self._ends(alpha)
-        i, j = np.ogrid[:across, :across]
-        for half, part, more in zip(kernel, block.parts, coupled.parts, strict=True):
-            half[i, j, :, i, j, :] += part + part.swapaxes(0, 1)
-            half += more + more.transpose(1, 0, 2, 4, 3, 5)
-        i, m = np.ogrid[:across, :upwards]
-        block, seen, gone = self._sides(alpha)
-        for half, part in zip(kernel, block.parts, strict=True):
-            half[:, i, m, :, i, m] += part
-            half[i, :, m, i, :, m] += part
-        detected, left = detected + seen, left + gone
-        detected = detected + detected.map(lambda x: x.swapaxes(0, 1))
-        left = left + left.map(lambda x: x.swapaxes(0, 1))
-        size = math.prod(shape)
-        return (
-            _Dual(*kernel.reshape(2, size, size)),
-            detected.map(lambda x: x.reshape(size)),
-            left.map(lambda x: x.reshape(size)),
-        )
+    def systems(self, alpha: Floats) -> _Systems:
+        """At values of the extinction per mm, (alphas,)."""
+        shape = 2, len(alpha), *self.shape
+        kernel = np.zeros((*shape, *self.shape))
+        detected, left = np.zeros((2, *shape))
+        self._add_ends(alpha, kernel, detected, left)
+        self._add_sides(alpha, kernel, left)
+        if self.falling is not None:
+            self._add_falling(self.falling, alpha, detected)
+        # what one direction across does, the other does
+        kernel = kernel + kernel.transpose(0, 1, 3, 2, 4, 6, 5, 7)
+        detected, left = (x + x.swapaxes(2, 3) for x in (detected, left))
+        size = self.size
+        return _Systems(
+            kernel.reshape(*shape[:2], size, size),
+            detected.reshape(*shape[:2], size), left.reshape(*shape[:2], size),
+        )  # fmt: skip
 
     @property
-    def wave_numbers(self) -> tuple[_Array, _Array]:
-        """Across and upwards, per mm."""
-        return (
-            2.0 * math.pi / self.bench.crystal_width_mm * np.arange(self.nodes.across),
-            math.pi / self.bench.crystal_height_mm * np.arange(self.nodes.upwards),
-        )
+    def _across(self) -> tuple[_Array, _Array]:
+        """Wave numbers per mm, and how many terms a cosine has."""
+        p = np.arange(self.shape[0])
+        return 2.0 * math.pi / self.bench.crystal_width_mm * p, np.where(p > 0, 2.0, 1.0)
 
-    def _ends(self, alpha: float) -> tuple[_Dual, _Dual, _Dual, _Dual]:
-        """What bottom and top do: to K by p, q; to K across p, q; detected; left."""
+    @property
+    def _upwards(self) -> tuple[_Array, _Array, _Array]:
+        """The same upwards, and in between the sign at the top."""
+        r = np.arange(self.shape[2])
+        kz = math.pi / self.bench.crystal_height_mm * r
+        return kz, np.where(r % 2, -1.0, 1.0), np.where(r > 0, 2.0, 1.0)
+
+    def _add_ends(self, alpha: Floats, kernel: _Array, detected: _Array, left: _Array) -> None:
+        """What bottom and top do, in directions closer to x than to y.
+
+        Arrays are by alphas, waves, nodes, and modes r or their signs at the top.
+        """
         ends, height = self.ends, self.bench.crystal_height_mm
-        across, upwards = self.nodes.across, self.nodes.upwards
-        _, kz = self.wave_numbers
-        top, density = ends.reflectance_top, _Dual(alpha, 1.0)
-        many = np.where(kz > 0.0, 2.0, 1.0)
-        parity = np.where(np.arange(upwards) % 2, -1.0, 1.0)
-
-        # one lateral wave at a time: kappa = (p, q) and (p, -q)
-        mirror = ends.reflection.reshape(-1, len(ends.cos))
+        (across, _, upwards), (kz, parity, many) = self.shape, self._upwards
+        kernel = kernel.reshape(2, len(alpha), across**2, upwards, across**2, upwards)
+        top, odd, sign = ends.reflectance_top[:, None], np.arange(upwards) % 2, _BOTH_SIGNS
         gamma, e = _attenuation(alpha, self._phase_by_ends, ends.cos, height)
-        wave = _resonance(gamma, kz)
-        value = mirror / (1.0 - e * e * (top * mirror))
-        block = np.zeros((2, across, across, upwards, upwards))
-        for c in (1.0, -1.0):
-            start = (1.0 - e * c) + e * top * (c - e)
-            bottom = value * start - 1.0
-            above = top * (c - e) - c + top * e * value * start
-            right = wave[..., parity == c].map(lambda x: x.swapaxes(-1, -2))
-            for c_1 in (1.0, -1.0):
-                factor = (1.0 - e * c_1) * (above * c_1 + bottom) * (ends.weight / ends.cos)
-                product = right * factor[:, None, :]
-                rows, columns = np.flatnonzero(parity == c_1), np.flatnonzero(parity == c)
-                matrix = product @ wave[..., parity == c_1]
-                matrix = (matrix * density).map(lambda x: np.real(x).swapaxes(-1, -2))
-                for half, part in zip(block, matrix.parts, strict=True):
-                    folded = part.reshape(across, across, 2, len(rows), len(columns)).mean(axis=2)
-                    half[..., rows[:, None], columns] = folded / (2.0 * height)
-        block *= many[:, None]
-
-        # lateral waves that the place at the bottom couples
-        cos, top = ends.cos[:, None], top[:, None]
-        gamma, e = _attenuation(alpha, self._phase_of_coupled, cos, height)
-        again = e * e * top
-        repeated = 1.0 / (1.0 - again * ends.own)
-        wave = _resonance(gamma, kz)
-        e_r, repeated_r, top_r = e[..., None], repeated[..., None], top[..., None]
-        half_wave = wave * (1.0 - e_r * parity)
-        rises = half_wave * (e_r * top_r * parity + 1.0)
-        starts = wave * ((1.0 - e_r * parity) + e_r * top_r * (parity - e_r)) * repeated_r
-        weighted = rises * repeated_r * (ends.weight / ends.cos)[:, None, None]
-        modes = len(ends.signed)
-        # many small products: of large ones BLAS makes several threads, which wait for each other
-        first = weighted.map(lambda x: x.transpose(1, 2, 0)[:, None])
-        second = starts.map(lambda x: x.transpose(1, 0, 2))
-        coupling = ends.coupling.transpose(1, 2, 0)[..., None]  # kappa, kappa', n
-        coupled = first @ _Dual(coupling * second.value, coupling * second.slope) * density
-        coupled = coupled.map(lambda x: self._fold(np.real(x).swapaxes(1, 2)))
-        coupled = coupled * (1.0 / (2.0 * height))
-
-        # detected, and left through bottom or top
-        def value_at_bottom(source: Any) -> _Dual:
-            alone = repeated * source
-            reached = again * alone
-            more = _Dual(*(np.einsum("nkl,nl->nk", ends.coupling, x) for x in reached.parts))
-            return alone + repeated * more
-
-        middle = modes // 2
-        still = np.zeros((1, modes))
-        still[0, middle] = 1.0
-        passed = 1.0 - top
-        through = ends.coupling[:, :, middle] + ends.own * still
-        leaving = still - through + e[:, middle : middle + 1] * (through * passed)
+        resonance, e = _resonance(gamma, kz), e[..., None]
+        crossed = 1.0 - e * sign
+        part = resonance * crossed[..., odd]
+        repeated = 1.0 / (1.0 - e * e * (top * ends.own[..., None]))
+        start = (crossed + e * top * (sign - e)) * repeated
         weight = ends.weight / (2.0 * height)
-        seen, gone = (rises * value_at_bottom(x)[..., None] for x in (ends.detection, leaving))
-        gone = gone + half_wave * (passed * still)[..., None] * parity
-        detected, left = (
-            (x * weight[:, None, None]).map(lambda y: self._unfold(np.real(y).sum(axis=0)) * many)
-            for x in (seen, gone)
-        )
-        return _Dual(*block), coupled, detected, left
+        resonance *= alpha[:, None, None, None] * (weight / ends.cos)[:, None]
 
-    def _unfold(self, waves: _Array) -> _Array:
-        """Sums over the signs of kappa: from (m, r) to (p, q, r)."""
-        folded = np.zeros((self.nodes.across, self.nodes.across, waves.shape[-1]))
-        np.add.at(folded, tuple(np.abs(self.ends.signed).T), waves)
-        return folded
+        # every wave by itself: what bottom and top send back, instead of all that arrives
+        bottom = ends.own[..., None] * start - 1.0
+        above = top * e * bottom - sign * (1.0 - top)
+        back = np.stack((bottom[..., odd], above[..., odd]), axis=-2) * resonance[..., None, :]
+        out = np.stack((part, part * parity), axis=-2)
+        itself = np.einsum("xapmpn->xapmn", kernel)
+        for half, product in zip(itself, _over_nodes(out, back, ends.rules), strict=True):
+            half[:, ends.waves.places(across)] += ends.waves.means(product) * many[:, None]
 
-    def _fold(self, waves: _Array) -> _Array:
-        """The same on both sides of a matrix, whose columns become means: (N, N)."""
-        across, upwards = self.nodes.across, self.nodes.upwards
-        many = np.where(np.arange(across) > 0, 2.0, 1.0)
-        p, q = np.abs(self.ends.signed).T
-        once = np.zeros((across, across, upwards, *waves.shape[2:]))
-        np.add.at(once, (p, q), waves)
-        once = once.transpose(3, 4, 0, 1, 2)
-        both = np.zeros((across, across, upwards, across, across, upwards))
-        np.add.at(both, (p, q), once / (many[p] * many[q])[:, None, None, None, None])
-        both = both.transpose(3, 4, 5, 0, 1, 2)
-        both = both * np.where(np.arange(upwards) > 0, 2.0, 1.0)[:, None, None, None]
-        return both
+        # light that the place at the bottom turns into other waves, or lets out
+        coupled, here = ends.coupled, ends.among_waves
+        e, repeated, m = e[:, here], repeated[:, here], len(ends.coupled.signed)
+        rises = part[:, here] * (e * top * parity + 1.0) * repeated
+        starts = np.swapaxes(resonance[:, here] * start[:, here][..., odd], 1, 2)[:, None]
+        turned = ends.coupling[..., :m, None] * starts
+        turned[..., 1:, :] += ends.coupling[..., m:, None] * starts[..., 1:, :].conj()
+        turned = coupled.sums(turned, axis=3) / coupled.of_each_fold[:, None]
+        e, again = e[..., 0], (e * e * top * repeated)[..., 0]
+        straight, passed = (coupled.stands_for == 1.0)[:, None], 1.0 - ends.reflectance_top
+        through = ends.coupling[:, :, 0] + ends.own[here] * straight
+        leaving = straight - through + e[:, :1] * (through * passed)
+        flows = np.empty((*rises.shape[:3], 2), dtype=complex)
+        for column, source in enumerate((ends.detection, leaving)):
+            reached = again * source
+            reached = np.concatenate((reached, reached[:, 1:].conj()), axis=1)
+            more = np.einsum("knl,aln->akn", ends.coupling, reached)
+            flows[..., column] = weight * (source + more)
+        columns = np.concatenate((turned.reshape(*turned.shape[:3], -1), flows), axis=-1)
+        upward = part[:, :1] * (weight * passed)[:, None] * parity
+        upward = [upward[:, 0, rule].real.sum(axis=1) for rule in ends.rules]
+        products = _over_nodes(rises, columns, ends.rules)
+        places = coupled.places(across)
+        detected, left = (x.reshape(2, len(alpha), across**2, upwards) for x in (detected, left))
+        for rule, product in enumerate(products):
+            product *= coupled.stands_for[:, None, None]
+            product = coupled.sums(product, axis=1) * many[:, None]
+            block = product[..., :-2].reshape(len(alpha), len(places), upwards, -1, upwards)
+            kernel[rule][:, places[:, None], :, places] += block.transpose(1, 3, 0, 2, 4)
+            detected[rule][:, places] += product[..., -2]
+            left[rule][:, places] += product[..., -1]
+            left[rule][:, 0] += upward[rule] * many
 
-    def _sides(self, alpha: float) -> tuple[_Dual, _Dual, _Dual]:
-        """What the two sides across x do: to K by q, r; detected; left."""
+    def _add_sides(self, alpha: Floats, kernel: _Array, left: _Array) -> None:
+        """What the two sides across x do."""
         cone, width = self.cone, self.bench.crystal_width_mm
-        across, upwards = self.nodes.across, self.nodes.upwards
-        kx, _ = self.wave_numbers
-        many = np.where(np.arange(across) > 0, 2.0, 1.0)
+        kx, many = self._across
+        gamma, e = _attenuation(alpha, self._phase_by_sides, cone.cos, width)
+        mirror, wave = cone.reflectance, _resonance(gamma, kx)
+        factor = (1.0 - e) / (1.0 - e * mirror) * (1.0 - mirror)
+        changed = factor * (alpha[:, None, None] * (cone.weight / cone.cos / -width))
+        both = np.einsum("xaijmkjm->xajmik", kernel)
+        flow = wave[:, 0] * (factor[:, 0] * (cone.weight / width))[..., None]
+        products = _over_nodes(wave, wave * changed[..., None], cone.rules)
+        for rule, product in enumerate(products):
+            both[rule] += self._by_signs(product) * many[:, None]
+            left[rule, :, :, 0, 0] += flow[:, cone.rules[rule]].real.sum(axis=1) * many
 
-        gamma, e = self._through_sides(cone, self._phase_by_sides, alpha)
-        mirror = cone.reflectance
-        wave = _resonance(gamma, kx)
-        factor = (1.0 - e) / (1.0 - e * mirror) * (2.0 * (mirror - 1.0) * cone.weight / cone.cos)
-        turned = wave.map(lambda x: x.swapaxes(-1, -2))
-        block = (turned * factor[:, None, :]) @ wave * _Dual(alpha, 1.0)
-        block = block.map(
-            lambda x: np.real(x).reshape(across, upwards, 2, across, across).mean(axis=2)
-            * many[:, None] / (2.0 * width)
-        )  # fmt: skip
-
-        value = (1.0 - e[0]) / (1.0 - e[0] * mirror) * ((1.0 - mirror) * cone.weight / width)
-        left = np.zeros((2, across, across, upwards))
-        flow = (wave[0] * value[:, None]).map(lambda x: np.real(x).sum(axis=0) * many)
-        left[:, :, 0, 0] = flow.parts
-        detected = _Dual(*np.zeros_like(left))
-        if self.falling is not None:
-            detected = self._falls(self.falling, alpha)
-        return block, detected, _Dual(*left)
-
-    def _falls(self, falling: FallingLight, alpha: float) -> _Dual:
+    def _add_falling(self, falling: FallingLight, alpha: Floats, detected: _Array) -> None:
         """Light that leaves through the sides across x, falls to the window and is detected."""
-        across, upwards = self.nodes.across, self.nodes.upwards
-        kx, kz = self.wave_numbers
-        gamma, e = self._through_sides(falling, self._phase_of_falling, alpha)
+        (kx, many), (*_, many_z) = self._across, self._upwards
+        width = self.bench.crystal_width_mm
+        gamma, e = _attenuation(alpha, self._phase_of_falling, falling.cos, width)
         flow = (1.0 - e) / (1.0 - e * falling.reflectance) * self._falling_light
-        found = flow[..., None, :] @ _resonance(gamma, kx)
-        many, many_z = np.where(kx > 0.0, 2.0, 1.0), np.where(kz > 0.0, 2.0, 1.0)
-        return found.map(
-            lambda x: np.real(x).reshape(across, upwards, 2, across).mean(axis=2).transpose(2, 0, 1)
-            * (many[:, None, None] * many[:, None] * many_z)
-        )  # fmt: skip
+        flow *= gamma
+        gamma *= gamma
+        for p, k in enumerate(kx):
+            found = (flow / (gamma + k * k)).real
+            for rule, those in enumerate(falling.rules):
+                by_wave = self._by_signs(found[..., those].sum(axis=-1))
+                detected[rule][:, p] += by_wave * (many[p] * many[:, None] * many_z)
 
-    def _through_sides(self, sides: SideCone, phase: _Phase, alpha: float) -> tuple[_Dual, _Dual]:
-        """Attenuation per mm along x, and over the width, of the waves (q, r) and (q, -r)."""
-        return _attenuation(alpha, phase, sides.cos, self.bench.crystal_width_mm)
+    # Waves (q, r) along a side, and those (q, -r) that are not their opposites.
+
+    def _along_sides(self, by_q: _Array, by_r: _Array) -> _Array:
+        """Phases, (waves, n), of what they are by q and by r, (q, n) and (r, n)."""
+        turned = by_q[1:, None] - by_r[1:]
+        both = by_q[:, None] + by_r, turned
+        return np.concatenate([x.reshape(-1, x.shape[-1]) for x in both])
+
+    def _by_signs(self, waves: _Array) -> _Array:
+        """The mean of both signs of r: from (alphas, waves, ...) to (alphas, q, r, ...)."""
+        _, across, upwards = self.shape
+        size, rest = across * upwards, waves.shape[2:]
+        mean = waves[:, :size].reshape(-1, across, upwards, *rest)
+        opposite = waves[:, size:].reshape(len(waves), across - 1, upwards - 1, *rest)
+        mean[:, 1:, 1:] = 0.5 * (mean[:, 1:, 1:] + opposite)
+        return mean
 
     # Phases do not depend on the coefficients.
 
     @cached_property
     def _phase_by_ends(self) -> _Phase:
-        """Of the waves (p, q) and (p, -q), (waves, n)."""
-        ends, (kx, _) = self.ends, self.wave_numbers
-        phase = kx[:, None, None, None] * ends.across_x
-        phase = phase + (kx[:, None] * [1.0, -1.0])[..., None] * ends.across_y
-        phase = phase.reshape(-1, len(ends.cos))
+        ends, kx = self.ends, 2.0 * math.pi / self.bench.crystal_width_mm
+        phase = (kx * ends.waves.signed) @ np.stack((ends.across_x, ends.across_y))
         return _Phase.of(phase, ends.cos, self.bench.crystal_height_mm)
-
-    @cached_property
-    def _phase_of_coupled(self) -> _Phase:
-        ends, width = self.ends, self.bench.crystal_width_mm
-        kappa = 2.0 * math.pi / width * ends.signed
-        phase = ends.across_x[:, None] * kappa[:, 0] + ends.across_y[:, None] * kappa[:, 1]
-        return _Phase.of(phase, ends.cos[:, None], self.bench.crystal_height_mm)
 
     @cached_property
     def _phase_by_sides(self) -> _Phase:
@@ -334,25 +253,28 @@ class _Modes:
         return self._phase_across(self.falling)
 
     def _phase_across(self, sides: SideCone) -> _Phase:
-        kx, kz = self.wave_numbers
-        phase = kx[:, None, None, None] * sides.across_y
-        phase = phase + (kz[:, None] * [1.0, -1.0])[..., None] * sides.across_z
-        return _Phase.of(phase.reshape(-1, len(sides.cos)), sides.cos, self.bench.crystal_width_mm)
+        by_q = self._across[0][:, None] * sides.across_y
+        by_r = self._upwards[0][:, None] * sides.across_z
+        phase = self._along_sides(by_q, by_r)
+        return _Phase.of(phase, sides.cos, self.bench.crystal_width_mm)
 
     @cached_property
     def _falling_light(self) -> _Array:
-        """Fourier components over a side of what leaves it, by (q, r) and (q, -r): (waves, n)."""
+        """Fourier components over a side of what leaves it: (waves, n)."""
         falling = self.falling
         assert falling is not None
-        width, height = self.bench.crystal_width_mm, self.bench.crystal_height_mm
-        kx, kz = self.wave_numbers
-        low, high = falling.lowest_mm, falling.highest_mm
-        k = (kz[:, None] * [1.0, -1.0])[..., None]
-        waves = (np.exp(1j * k * high) - np.exp(1j * k * low)) / np.where(k == 0.0, 1.0, 1j * k)
-        heights = np.where(k == 0.0, high - low, waves)
-        light = np.exp(-1j * kx[:, None] * falling.foot_mm)[:, None, None] * heights
-        light = light * (falling.weight / (2.0 * height * width))
-        return light.reshape(-1, len(falling.cos))
+        low, high, kz = falling.lowest_mm, falling.highest_mm, self._upwards[0][1:, None]
+        heights = np.empty((len(kz) + 1, len(low)), dtype=complex)
+        heights[0] = high - low
+        heights[1:] = (np.exp(1j * kz * high) - np.exp(1j * kz * low)) / (1j * kz)
+        area = self.bench.crystal_height_mm * self.bench.crystal_width_mm
+        heights *= falling.weight / (2.0 * area)
+        foot = np.exp(-1j * self._across[0][:, None] * falling.foot_mm)
+        both = foot[:, None] * heights, foot[1:, None] * heights[1:].conj()
+        return np.concatenate([x.reshape(-1, x.shape[-1]) for x in both])
+
+
+_BOTH_SIGNS = np.array([1.0, -1.0])
 
 
 class _Phase(NamedTuple):
@@ -364,24 +286,32 @@ class _Phase(NamedTuple):
     @classmethod
     def of(cls, across: _Array, cos: Floats, length_mm: float) -> _Phase:
         per_mm = across / cos
-        return cls(per_mm, np.exp(1j * per_mm * length_mm))
+        return cls(per_mm, np.exp(1j * length_mm * per_mm))
 
 
-def _attenuation(alpha: float, phase: _Phase, cos: Floats, length_mm: float) -> tuple[_Dual, _Dual]:
-    """Complex attenuation per mm along an axis, and over a length."""
-    passed = np.exp(-alpha * length_mm / cos) * phase.turn
-    return (
-        _Dual(alpha / cos - 1j * phase.per_mm, 1.0 / cos),
-        _Dual(passed, -length_mm / cos * passed),
-    )
+def _attenuation(
+    alpha: Floats, phase: _Phase, cos: Floats, length_mm: float
+) -> tuple[_Array, _Array]:  # fmt: skip
+    """Complex attenuation per mm along an axis, and over a length: (alphas, waves, n) each."""
+    per_mm = (alpha[:, None] / cos)[:, None]
+    return per_mm - 1j * phase.per_mm, np.exp(-length_mm * per_mm) * phase.turn
 
 
-def _resonance(gamma: _Dual, k: _Array) -> _Dual:
+def _resonance(gamma: _Array, k: _Array) -> _Array:
     """gamma / (gamma^2 + k^2), with k along a new last axis."""
-    g, slope = gamma.value[..., None], np.asarray(gamma.slope)[..., None]
-    squared, k_squared = g * g, k * k
-    inverse = 1.0 / (squared + k_squared)
-    return _Dual(g * inverse, (k_squared - squared) * inverse * inverse * slope)
+    gamma = gamma[..., None]
+    return gamma / (gamma * gamma + k * k)
+
+
+def _over_nodes(left: _Array, right: _Array, rules: tuple[slice, slice]) -> list[Floats]:
+    """Products of matrices, summed over each rule's nodes, which are the third axis."""
+    found = []
+    for rule in rules:
+        rows, columns = (
+            x[:, :, rule].reshape(*x.shape[:2], -1, x.shape[-1]) for x in (left, right)
+        )
+        found.append((rows.swapaxes(-1, -2) @ columns).real)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -410,6 +340,8 @@ def solve_box(
     bench: Bench,
     alpha_scat_per_cm: ArrayLike | None = None,
     alpha_abs_per_cm: ArrayLike | None = None,
+    *,
+    precision: float | None = None,
 ) -> BoxEfficiency:
     """Light collection of a polished box, without statistical noise.
 
@@ -419,6 +351,9 @@ def solve_box(
     ----------
     alpha_scat_per_cm, alpha_abs_per_cm : array_like, optional
         Pairs of coefficients, which broadcast; the bench's own if not given.
+    precision : float, optional
+        Relative error of eta that is enough: where fewer nodes are estimated to reach it, they do
+        the work. None: as good as it gets.
 
     Raises
     ------
@@ -432,26 +367,18 @@ def solve_box(
     for name, values in (("alpha_scat_per_cm", scat), ("alpha_abs_per_cm", absorb)):
         if not (np.isfinite(values).all() and (values >= 0.0).all()):
             raise InputError(f"{name} has a value that is negative or no number", "give 0 or more")
-    choices = [_nodes(bench, s, a) for s, a in zip(scat.flat, absorb.flat, strict=True)]
+    pairs = np.stack((scat.ravel(), absorb.ravel()))
     columns = np.empty((len(_COLUMNS), scat.size))
-    for nodes in set(choices):
-        which = [i for i, choice in enumerate(choices) if choice == nodes]
-        modes, fewer = _Modes.of(bench, nodes), _Modes.of(bench, _coarser(nodes))
-        # nodes matter most where light goes far and where it does not
-        total = (scat + absorb).flat
-        ends = {min(which, key=total.__getitem__), max(which, key=total.__getitem__)}
-        by_nodes = 0.0
-        for i in which:
-            columns[:, i] = _point(modes, scat.flat[i], absorb.flat[i])
-            if i in ends:
-                other = _point(fewer, scat.flat[i], absorb.flat[i])
-                by_nodes = max(by_nodes, abs(columns[0, i] / other[0] - 1.0))
-        relative = (
-            (_LEAST_ERROR_OF_CUT_HOLES if _is_cut(bench) else _LEAST_ERROR)
-            + by_nodes
-            + _SECOND_ORDER * (bench.gap_thickness_mm / bench.crystal_width_mm) ** 2
-        )
-        columns[3, which] += relative * columns[0, which]
+    wanting = np.arange(scat.size)
+    for rough in (True, False) if precision is not None and precision >= _ROUGH else (False,):
+        choices = [_nodes(bench, *pair, rough=rough) for pair in pairs[:, wanting].T]
+        for rules in set(choices):
+            which = wanting[[choice == rules for choice in choices]]
+            columns[:, which] = _points(_Modes.of(bench, rules), *pairs[:, which], rough)
+        if rough:
+            wanting = wanting[columns[3, wanting] > precision * columns[0, wanting]]
+        if not wanting.size:
+            break
     shaped = columns.reshape(-1, *scat.shape)
     eta, by_scat, by_abs, error, absorbed, trapped, left = shaped
     fates = {
@@ -466,18 +393,23 @@ _COLUMNS = ("eta", "by scattering", "by absorption", "error", "absorbed", "trapp
 _SECOND_ORDER = 0.01
 #: Relative; fewer nodes may agree by chance, as they did to this on some of 200 random benches.
 _LEAST_ERROR, _LEAST_ERROR_OF_CUT_HOLES = 4e-5, 2e-4
+#: Relative error from which on few nodes are tried, and how much larger their least error is.
+_ROUGH, _LEAST_ERROR_OF_FEW = 4e-4, 2e-4
 #: Extinction, per mm, that stands for none: the first flights of trapped light end somewhere.
 _NO_EXTINCTION = 1e-9
+#: Thickness of a gap, in widths of the crystal, whose sides let out too little to couple waves,
+#: where there is no scattering that has many.
+_THIN = 0.02
 #: Radius of a mask, in widths of the crystal, that covers no more than the tips of its corners.
 _TIPS = 0.68
 
 
-def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float) -> Nodes:
-    """How many modes and nodes a pair of coefficients takes."""
+def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float, *, rough: bool = False) -> Rules:
+    """How many modes and nodes a pair of coefficients takes, and the coarser rule beside it."""
     per_mm = (scat_per_cm + abs_per_cm) / MM_PER_CM
     collides = scat_per_cm / max(scat_per_cm + abs_per_cm, 1e-300)
     thick, wide = (collides * per_mm * x for x in (bench.crystal_height_mm, bench.crystal_width_mm))
-    upwards = 5 + 2 * min(math.ceil(0.6 * thick), 12)
+    upwards = (3 if rough else 5) + 2 * min(math.ceil(0.6 * thick), 12)
     across = min(2 + math.ceil(0.4 * max(wide - 1.5, 0.0)), 7)
     if bench.source_depth_mm < math.inf:
         upwards = max(upwards, 16)
@@ -488,7 +420,16 @@ def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float) -> Nodes:
         # under the tips of the corners alone the mask couples no further waves
         tips = bench.aperture_radius_mm >= _TIPS * bench.crystal_width_mm
         foot, coupled = (8, 1) if tips else (foot, 2)
-    return Nodes(across, upwards, cosine, azimuth=5, foot=foot, coupled=coupled)
+    elif bench.gap_thickness_mm * (1.0 + wide) < _THIN * bench.crystal_width_mm:
+        coupled = 0
+    if rough:
+        if coupled == 0 and wide < 1.0:
+            across = 1
+        fine = Nodes(across, upwards, 6, 2, 3, 5, coupled)
+        return fine, fine._replace(cosine=5, around_ends=1, around_sides=2, foot=4)
+    fine = Nodes(across, upwards, cosine, 5, 5, foot, coupled)
+    coarser = fine._replace(cosine=cosine - 3, around_ends=4, around_sides=4, foot=foot - 2)
+    return fine, coarser._replace(coupled=min(coupled, 1))
 
 
 def _covers_corners(bench: Bench) -> bool:
@@ -501,34 +442,116 @@ def _is_cut(bench: Bench) -> bool:
     return _covers_corners(bench) or bench.aperture_radius_mm > bench.window_width_mm / 2.0
 
 
-def _coarser(nodes: Nodes) -> Nodes:
-    return nodes._replace(cosine=nodes.cosine - 3, azimuth=4, foot=nodes.foot - 2, coupled=1)
+#: Numbers of a matrix of all modes, times points, that are worked on at once.
+_AT_ONCE = 1_000_000
+#: Half the range of log(alpha), at least, over which the equations are interpolated, and how well.
+_LEAST_RANGE, _INTERPOLATED = 3e-4, 1e-7
 
 
-def _point(modes: _Modes, scat_per_cm: float, abs_per_cm: float) -> tuple[float, ...]:
-    """`_COLUMNS` of one pair."""
-    alpha = max((scat_per_cm + abs_per_cm) / MM_PER_CM, _NO_EXTINCTION)
+def _extinctions(alpha: Floats) -> list[tuple[_Array, Floats]]:
+    """Where the equations are worked out: indices of some of the alphas, and log(alpha) of nodes.
+
+    In log(alpha) they are analytic at a distance of up to pi/2 from the real axis, so a
+    polynomial through Chebyshev's nodes converges as fast as the ellipse is wide in between.
+    """
+    log_alpha = np.log(alpha)
+
+    def nodes_over(low: float, high: float) -> Floats:
+        half = max(0.5 * (high - low), _LEAST_RANGE)
+        width = 0.5 * math.pi / half
+        count = math.ceil(-math.log(_INTERPOLATED) / math.asinh(width))
+        count = max(count, 2)
+        angles = math.pi * (np.arange(count) + 0.5) / count
+        return 0.5 * (low + high) + half * np.cos(angles)
+
+    found, clear = [], alpha <= _NO_EXTINCTION
+    for those in (np.flatnonzero(clear), np.flatnonzero(~clear)):
+        if not those.size:
+            continue
+        different = np.unique(log_alpha[those])
+        nodes = nodes_over(different[0], different[-1])
+        if len(nodes) <= 2 * len(different):
+            found.append((those, nodes))
+        else:
+            alike = ((x, those[log_alpha[those] == x]) for x in different)
+            found += [(same, nodes_over(x, x)) for x, same in alike]
+    return found
+
+
+def _weights(nodes: Floats, at: Floats) -> tuple[Floats, Floats]:
+    """Of the values at Chebyshev's nodes in the polynomial through them, and in its slope."""
+    count = len(nodes)
+    angles = math.pi * (np.arange(count) + 0.5) / count
+    middle, half = 0.5 * (nodes[0] + nodes[-1]), 0.5 * (nodes[0] - nodes[-1]) / math.cos(angles[0])
+    order = np.arange(count)
+    coefficients = np.cos(order[:, None] * angles) * np.where(order > 0, 2.0, 1.0)[:, None] / count
+    slopes = chebyshev.chebder(coefficients) / half
+    x = (at - middle) / half
+    values = chebyshev.chebvander(x, count - 1) @ coefficients
+    return values, chebyshev.chebvander(x, count - 2) @ slopes
+
+
+def _points(modes: _Modes, scat_per_cm: Floats, abs_per_cm: Floats, rough: bool) -> Floats:
+    """`_COLUMNS` of pairs."""
+    bench = modes.bench
+    alpha = np.maximum((scat_per_cm + abs_per_cm) / MM_PER_CM, _NO_EXTINCTION)
     albedo = scat_per_cm / MM_PER_CM / alpha
-    kernel, detected, left = modes.system(alpha)
+    columns = np.empty((len(_COLUMNS), len(alpha)))
+    least = _LEAST_ERROR_OF_CUT_HOLES if _is_cut(bench) else _LEAST_ERROR
+    least += _LEAST_ERROR_OF_FEW if rough else 0.0
+    least += _SECOND_ORDER * (bench.gap_thickness_mm / bench.crystal_width_mm) ** 2
+    for those, nodes in _extinctions(alpha):
+        length = max(1, _AT_ONCE // (modes.size * len(modes.ends.cos)))
+        parts = [modes.systems(np.exp(nodes[i : i + length])) for i in range(0, len(nodes), length)]
+        systems = _Systems(*(np.concatenate(x, axis=1) for x in zip(*parts, strict=True)))
+        length = max(1, _AT_ONCE // modes.size**2)
+        for first in range(0, len(those), length):
+            some = those[first : first + length]
+            columns[:, some] = _solved(modes, systems, nodes, alpha[some], albedo[some])
+    columns[3] += least * columns[0]
+    return columns
+
+
+def _solved(
+    modes: _Modes, systems: _Systems, nodes: Floats, alpha: Floats, albedo: Floats
+) -> Floats:  # fmt: skip
+    """`_COLUMNS` of pairs, by interpolation between systems at nodes of log(alpha)."""
+    values, slopes = _weights(nodes, np.log(alpha))
+    slopes /= alpha[:, None]
+    kernel, detected = (np.tensordot(values, x, (1, 1)) for x in systems[:2])
+    left = values @ systems.left[0]
+    kernel_slope = np.tensordot(slopes, systems.kernel[0], 1)
+    detected_slope = slopes @ systems.detected[0]
+    diagonal = np.arange(modes.size)
+    closed, closed_slope = modes.closed(alpha)
+    kernel[..., diagonal, diagonal] += closed[:, None]
+    kernel_slope[:, diagonal, diagonal] += closed_slope
+
     source = modes.source()
-    size = len(source)
-    equations = np.eye(size) - albedo * kernel.value
-    f = np.linalg.solve(equations, detected.value)
-    visits = np.linalg.solve(equations.T, source)
-    eta = source @ f
-    by_alpha = visits @ (detected.slope + albedo * (kernel.slope @ f)) / MM_PER_CM
-    by_albedo = visits @ kernel.value @ f / (alpha * MM_PER_CM)
-    by_scat = by_alpha + (1.0 - albedo) * by_albedo
-    by_abs = by_alpha - albedo * by_albedo
-    absorbed = (1.0 - albedo) * (visits @ kernel.value[:, 0])
-    trapped = 0.0
-    if scat_per_cm + abs_per_cm == 0.0:
-        absorbed, trapped, by_scat, by_abs = 0.0, absorbed, math.nan, math.nan
+    equations = np.eye(modes.size) - albedo[:, None, None, None] * kernel
+    f, coarser = np.moveaxis(np.linalg.solve(equations, detected[..., None])[..., 0], 1, 0)
+    equations, kernel, detected = equations[:, 0], kernel[:, 0], detected[:, 0]
+    visits = np.linalg.solve(equations.swapaxes(1, 2), source[:, None])
+    visits = visits[..., 0]
+    eta = f @ source
+    changed = (kernel_slope @ f[..., None])[..., 0]
+    by_alpha = (visits * (detected_slope + albedo[:, None] * changed)).sum(axis=1) / MM_PER_CM
+    by_albedo = (visits * (kernel @ f[..., None])[..., 0]).sum(axis=1) / (alpha * MM_PER_CM)
+    by_scat, by_abs = by_alpha + (1.0 - albedo) * by_albedo, by_alpha - albedo * by_albedo
+    absorbed = (1.0 - albedo) * (visits * kernel[:, :, 0]).sum(axis=1)
+    clear = alpha <= _NO_EXTINCTION
+    trapped = np.where(clear, absorbed, 0.0)
+    absorbed = absorbed - trapped
+    by_scat[clear] = by_abs[clear] = math.nan
     few = modes.fewer()
-    rougher = source[few] @ np.linalg.solve(equations[np.ix_(few, few)], detected.value[few])
-    gone = visits @ left.value
-    error = abs(eta - rougher) + eta * abs(1.0 - gone - absorbed - trapped)
-    return tuple(map(float, (eta, by_scat, by_abs, error, absorbed, trapped, gone)))
+    rougher = np.linalg.solve(equations[:, few[:, None], few], detected[:, few, None])[..., 0]
+    gone = (visits * left).sum(axis=1)
+    error = (
+        abs(eta - rougher @ source[few])
+        + abs(eta - coarser @ source)
+        + eta * abs(1.0 - gone - absorbed - trapped)
+    )
+    return np.stack((eta, by_scat, by_abs, error, absorbed, trapped, gone))
 
 
 _ABSENT = (

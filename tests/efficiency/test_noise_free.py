@@ -40,11 +40,25 @@ def test_one_point_is_a_table_too():
     assert made.eta[0] == pytest.approx(float(solve_box(Bench()).eta), rel=1e-12)
 
 
+def test_a_precision_is_enough_or_is_said_to_be_too_much():
+    found = mcrim.simulate(SCENE, method="modes", precision=1e-3)
+    exact = mcrim.simulate(SCENE, method="modes")
+    assert exact.eta_sigma < found.eta_sigma < 1e-3 * found.eta
+    assert abs(found.eta - exact.eta) < found.eta_sigma
+    assert "comes to" not in str(found)
+    # a bench that few nodes do not do: it gets all
+    made = mcrim.table(
+        SCENE, method="modes", n_gap=[1.0, 1.74], n_crystal=2.2, precision=5e-4
+    ).found  # fmt: skip
+    assert (made.eta_sigma < 5e-4 * made.eta).all()
+    too_much = mcrim.simulate(SCENE, method="modes", precision=1e-6)
+    assert "the precision asked for is 0.0001 %; this method comes to 0.00" in str(too_much)
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
         ({"photons": 100}, "follows no photons, and photons was given"),
-        ({"precision": 0.01}, "follows no photons, and precision was given"),
         ({"polarization": True}, "knows no polarization"),
         ({"method": "magic"}, "there is no method magic; take photons or modes"),
     ],

@@ -13,7 +13,7 @@ from scipy.integrate import quad
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.box_openings import fresnel
-from mcrim_mitsuba.reference.polished_box import _Modes, _nodes, _point, solve_box
+from mcrim_mitsuba.reference.polished_box import _Modes, _nodes, _points, solve_box
 
 GEL = Bench(n_gap=1.46)
 THIN_GAP = 1e-9
@@ -101,15 +101,15 @@ def test_a_clear_cube_in_air_traps_what_no_cone_takes():
 def test_one_mode_by_hand():
     # light that forgets its place at every collision: eta is a geometric series
     bench = Bench()
-    nodes = _nodes(bench, 0.54, 0.039)._replace(across=1, upwards=1, coupled=0)
-    modes = _Modes.of(bench, nodes)
-    kernel, detected, _ = modes.system(0.0579)
-    by_hand = detected.value[0] / (1.0 - 0.54 / 0.579 * kernel.value[0, 0])
+    nodes = _nodes(bench, 0.54, 0.039)[0]._replace(across=1, upwards=1, coupled=0)
+    modes = _Modes.of(bench, (nodes, nodes))
+    found = modes.systems(np.array([0.0579]))
+    kernel, detected, left = (float(x[0, 0].item()) for x in found)
+    kernel += 1.0  # of one mode: total reflection by all faces keeps everything
+    by_hand = detected / (1.0 - 0.54 / 0.579 * kernel)
     assert by_hand == pytest.approx(float(solve_box(bench).eta), rel=0.02)
-    # total reflection by all faces keeps everything
-    assert kernel.value[0, 0] < 1.0
-    left = modes.system(0.0579)[2].value[0]
-    assert 1.0 - kernel.value[0, 0] == pytest.approx(float(left), abs=1e-4)
+    assert kernel < 1.0
+    assert 1.0 - kernel == pytest.approx(left, abs=1e-4)
 
 
 def test_strong_scattering_lets_less_and_less_out():
@@ -144,13 +144,34 @@ def test_derivatives_are_those_of_differences(bench):
     ],
 )  # fmt: skip
 def test_error_holds_against_twice_the_modes_and_nodes(bench):
-    found = solve_box(bench)
     coefficients = bench.alpha_scat_per_cm, bench.alpha_abs_per_cm
-    few = _nodes(bench, *coefficients)
+    few, coarser = _nodes(bench, *coefficients)
     more = few._replace(
-        across=2 * few.across, upwards=2 * few.upwards, cosine=28, azimuth=10, foot=14
+        across=2 * few.across,
+        upwards=2 * few.upwards,
+        cosine=28,
+        around_ends=8,
+        around_sides=10,
+        foot=14,
+        coupled=max(few.coupled, 1),
     )
-    assert abs(_point(_Modes.of(bench, more), *coefficients)[0] - found.eta) <= found.error
+    better = _points(_Modes.of(bench, (more, coarser)), *np.array([coefficients]).T, rough=False)
+    for precision in (None, 1e-3):
+        found = solve_box(bench, precision=precision)
+        assert abs(better[0] - found.eta) <= found.error
+    assert found.error <= 1e-3 * found.eta
+
+
+@pytest.mark.parametrize("bench", [Bench(), GEL])
+def test_a_table_is_its_points(bench):
+    scat, absorb = np.geomspace(0.02, 6.0, 9), np.array([[0.0], [0.01], [0.3], [1.0]])
+    table = solve_box(bench, scat, absorb)
+    for i, j in itertools.product((0, 2, 5, 8), range(4)):
+        point = solve_box(bench, scat[i], absorb[j, 0])
+        assert table.eta[j, i] == pytest.approx(float(point.eta), rel=1e-6)
+        for slope in ("eta_by_alpha_scat_cm", "eta_by_alpha_abs_cm"):
+            expected = float(getattr(point, slope))
+            assert getattr(table, slope)[j, i] == pytest.approx(expected, rel=1e-4, abs=1e-6)
 
 
 #: What photons gave: ``mcrim simulate scenes/camoo4.xml --seed SEED``. All together: the family of
