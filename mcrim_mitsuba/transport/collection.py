@@ -89,7 +89,7 @@ class Launcher:
         Parameters
         ----------
         photons : int
-            With several proposals a multiple of `launch_plan.LANES`.
+            With several proposals a multiple of the lanes, see `launch_plan.plan_lanes`.
         proposals : ScatteringProposals, optional
             In place of the scene's own coefficients of the crystal.
         may_leak : bool
@@ -172,9 +172,9 @@ class Recorder:
         Parameters
         ----------
         proposals : ScatteringProposals
-            With shares in units of 1 / `launch_plan.UNITS`.
+            With shares as for `launch_plan.plan_lanes`.
         photons : int
-            A multiple of `launch_plan.LANES`.
+            A multiple of the lanes.
         columns : sequence of str
             What ``further`` of the records holds, see `record_store.RecordStore`; where the
             crystal scatters unevenly, it always holds ``scattering_path_cm``.

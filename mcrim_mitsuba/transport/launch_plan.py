@@ -65,19 +65,23 @@ class LanePlan:
 def plan_lanes(photons: int, units: Sequence[int] = (UNITS,)) -> LanePlan:
     """Share photons out among lanes, batches and proposals.
 
-    With more than one proposal their number is a multiple of `LANES`, so that all lanes follow as
-    many; `units` are the proposals' shares in units of 1 / `UNITS`, 0 or more.
+    `units` are the proposals' shares, 0 or more, in units of 1 / their sum. This is `UNITS`, or a
+    part of it for few photons: there are then as many times fewer lanes. With more than one
+    proposal the photons are a multiple of the lanes, so that all follow as many.
 
     Raises
     ------
     ValueError
-        If the shares do not sum to the whole, or if the photons cannot be shared out so.
+        If the shares do not sum to the whole or a part, or if the photons cannot be shared out so.
     """
-    if sum(units) != UNITS or min(units) < 0:
-        raise ValueError(f"shares {tuple(units)} do not sum to {UNITS}, or one is negative")
-    if len(units) > 1 and photons % LANES:
-        raise ValueError(f"{photons} photons of several proposals: not a multiple of {LANES}")
-    lane = np.arange(min(LANES, photons))
+    whole = sum(units)
+    if min(units) < 0 or whole <= 0 or UNITS % whole:
+        problem = f"do not sum to {UNITS} or a part of it, or one is negative"
+        raise ValueError(f"shares {tuple(units)} {problem}")
+    lanes = BATCHES * whole
+    if len(units) > 1 and photons % lanes:
+        raise ValueError(f"{photons} photons of several proposals: not a multiple of {lanes}")
+    lane = np.arange(min(lanes, photons))
     base, extra = divmod(photons, len(lane))
     unit = lane // BATCHES
     # Spread over the lanes, so that every processor gets its part of each proposal's long paths.

@@ -68,12 +68,12 @@ def test_damaged_histories_are_traced_again(store):
 
 
 def test_a_strong_effect_is_found_and_mended(run):
-    found = run("single", 0, ("detector_radius",))
+    found = run("single", 0, ("surface_absorption",))
     assert found["expected_excess"] > trials.EXCESS[0]
-    assert found["first"] == "detector_radius"
-    assert "detector_radius" in found["leading"]
+    assert found["first"] == "surface_absorption"
+    assert "surface_absorption" in found["leading"]
     assert found["verdict"] in ("missing_effect", "ambiguous")
-    assert found["added"] == ["detector_radius"]
+    assert found["added"] == ["surface_absorption"]
     assert found["p_before"] < 1e-4 < scores.ACCEPTABLE_P < found["p_after"]
     assert max(map(abs, found["pulls_after"].values())) < 3.0
 
@@ -91,7 +91,7 @@ def test_a_bad_reading_is_named_before_physics_is_blamed(run):
 
 
 def test_two_effects_are_both_found(run):
-    found = run("pairs", 2)
+    found = run("pairs", 6)
     assert {effect for effect, _ in found["hidden"]} == set(found["added"])
     assert found["p_after"] > scores.ACCEPTABLE_P
 

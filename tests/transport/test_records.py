@@ -210,14 +210,16 @@ def test_births_are_uniform_and_even(bench):
     assert np.abs(np.corrcoef(first) - np.eye(len(GENERATORS))).max() < 4.5 / np.sqrt(BATCHES)
 
 
-def test_plan_gives_every_batch_the_same_photons_of_every_proposal():
-    plan = plan_lanes(4 * LANES, (5, 0, 40, 19))
+@pytest.mark.parametrize("shares", [(5, 0, 40, 19), (1, 0, 10, 5)])
+def test_plan_gives_every_batch_the_same_photons_of_every_proposal(shares):
+    plan, times = plan_lanes(4 * LANES, shares), 4 * UNITS // sum(shares)
+    assert plan.lanes == BATCHES * sum(shares) and (plan.photons == times).all()
     table = np.zeros((BATCHES, 4))
     np.add.at(table, (plan.batch, plan.proposal), plan.photons)
-    assert np.all(table == table[0]) and table[0].tolist() == [20, 0, 160, 76]
+    assert np.all(table == table[0]) and table[0].tolist() == [times * each for each in shares]
     for proposal in (0, 2, 3):
         mine = (plan.proposal == proposal) & (plan.batch == 7)
-        numbers = plan.rank[mine][:, None] + plan.stride[mine][:, None] * np.arange(4)
+        numbers = plan.rank[mine][:, None] + plan.stride[mine][:, None] * np.arange(times)
         assert sorted(numbers.ravel()) == list(range(numbers.size))
     with pytest.raises(ValueError, match="do not sum"):
         plan_lanes(LANES, (5, 5))
