@@ -68,13 +68,15 @@ def refuse_places(
         Before any work is done.
     """
     from mcrim_mitsuba.core.files import refuse_outputs
-    from mcrim_mitsuba.output.figure_style import SUFFIXES, numbers_beside
 
     places: dict[str, str | None] = {"--json": json_file}
     suffixes: dict[str, tuple[str, ...]] = {}
     for option, (path, wanted) in (written or {}).items():
         places[option], suffixes[option] = path, wanted
     if figure is not None:
+        # what draws takes a quarter of a second to load
+        from mcrim_mitsuba.output.figure_style import SUFFIXES, numbers_beside
+
         pictures = {"--figure": figure}
         for ordinal, ending in zip(_ORDINALS, endings, strict=False):
             pictures[f"the {ordinal} picture of --figure"] = further_picture(figure, ending)

@@ -103,6 +103,12 @@ _CLOSED_FORM_SHARE = 1e-3
 _SCENE_NODES = 5
 
 
+#: Of a simulation: scene, what differs from it, photons.
+_Identity = tuple[str, str, int]
+#: What the bench as it is rests on; all effects at once where a fit ended follow it.
+_PLAIN = ""
+
+
 @dataclass(frozen=True)
 class _Simulation:
     """One simulation, as one reading sees it."""
@@ -120,7 +126,7 @@ class _Simulation:
     of_beam: bool = False
 
     @functools.cached_property
-    def identity(self) -> tuple[str, str, int]:
+    def identity(self) -> _Identity:
         """What tells simulations apart; one may serve several masks."""
         overrides = json.dumps(self.overrides, sort_keys=True)
         return self.base.content_hash, overrides, self.photons
@@ -185,11 +191,11 @@ class ResponseMaker:
         self._plain_photons = min(PLAIN_FACTOR * units * LANES, _MOST_PHOTONS)
         self._run = run
         self.grid, self.coarse, self._proposals = _coverage(campaign)
-        #: That the tables rest on, and those of them that the cache had.
-        self.photons = self.cached_photons = 0
         self._open_mask = _has_open_mask(campaign.scene)
         self._made: dict[int, EtaGrid] = {}
-        self._counted: set[tuple[str, str, int]] = set()
+        # simulations that responses rest on, by effect, and those that the cache had
+        self._rests_on: dict[str, set[_Identity]] = {}
+        self._seen: dict[_Identity, bool] = {}
         self._cache = current_executor().cache(
             {
                 "what": "eta tables",
@@ -205,6 +211,17 @@ class ResponseMaker:
         )
         # how transmittances were found
         self._said: list[str] = []
+
+    @property
+    def photons(self) -> int:
+        """That responses rest on: not those of a first look where there was a second one."""
+        return sum(photons for *_, photons in set[_Identity]().union(*self._rests_on.values()))
+
+    @property
+    def cached_photons(self) -> int:
+        """Those of them that the cache had."""
+        used = set[_Identity]().union(*self._rests_on.values())
+        return sum(identity[2] for identity in used if self._seen[identity])
 
     @property
     def notes(self) -> list[str]:
@@ -299,8 +316,11 @@ class ResponseMaker:
             for row, run in enumerate(plain)
             if known[row] is None
         }
-        wanted = (each for pair in of_photons.values() for each in pair)
+        wanted = [each for pair in of_photons.values() for each in pair]
         tables = self._tables([*wanted, *of_effects])
+        self._rest_on(_PLAIN, wanted)
+        for effect, (_, pairs) in zip(asked, plans, strict=True):
+            self._rest_on(effect.name, [each for pair in pairs.values() for each in pair])
         benches = [
             exact or (tables[of_photons[row][0].number], tables[of_photons[row][1].number])
             for row, exact in enumerate(known)
@@ -368,6 +388,7 @@ class ResponseMaker:
             for reading, own in zip(readings, named, strict=True)
         ]
         tables = self._tables(runs)
+        self._rest_on(" ".join((_PLAIN, *(effect.name for effect in effects))), runs)
         log_eta, deviations = stack([tables[wanted.number] for wanted in runs])
         scattering, absorption = (
             [float(own[name]) for own in named] for name in (ALPHA_SCAT, ALPHA_ABS)
@@ -560,6 +581,10 @@ class ResponseMaker:
 
     # ---- simulation --------------------------------------------------------------------------
 
+    def _rest_on(self, what: str, wanted: Sequence[_Wanted]) -> None:
+        """Keep what something rests on, in place of what it rested on before."""
+        self._rests_on[what] = {each.simulation.identity for each in wanted}
+
     def _tables(self, wanted: Sequence[_Wanted]) -> Mapping[int, EtaGrid]:
         """The wanted tables by number; those of one simulation are made together."""
         # what the cache has is asked for too: parts of an array job must see the same units
@@ -567,11 +592,6 @@ class ResponseMaker:
         for each in wanted:
             if each.number not in self._made:
                 missing.setdefault(each.simulation.identity, {})[each.number] = each
-        # results rest on a simulation once, however often it is looked at
-        new = {each.simulation.identity for each in wanted} - self._counted
-        self._counted |= new
-        self.photons += sum(photons for *_, photons in new)
-        self.cached_photons += sum(photons for *_, photons in new - missing.keys())
         # the first of every scene before all others: processes compile unlike kernels then
         first = {of[0]: of for of in reversed(missing)}.values()
         ordered = sorted(missing, key=lambda of: of not in first)
@@ -593,8 +613,7 @@ class ResponseMaker:
 
         executor = many_units_executor(self._run.threads)
         for done in executor.do(tasks, threads=self._run.threads, progress=report):
-            if done.cached and groups[done.index][0].simulation.identity in new:
-                self.cached_photons += done.task.unit.photons
+            self._seen.setdefault(groups[done.index][0].simulation.identity, done.cached)
             for each in groups[done.index]:
                 grid = self.coarse if each.request.coarse else self.grid
                 table = table_of(done.chunks[each.number].arrays, grid)

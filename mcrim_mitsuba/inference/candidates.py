@@ -80,10 +80,9 @@ class Candidate:
     look: str = ""
 
 
-# Candidates whose mimics are found by fits; the others' to first order.
-_FITTED = 5
-# First-order separation up to which a fit is worth its time.
-_WORTH_A_FIT = 80.0
+# How far behind the best a candidate's mimics are found by fits, the others' to first order; and
+# the first-order separation up to which a fit is worth its time.
+_WITHIN_REACH, _WORTH_A_FIT = 30.0, 80.0
 # Standard errors of plausible sizes beyond which that of a fit says that nothing determines it.
 _UNDETERMINED = 5.0
 # Directions that are alike, for effects too small to be separated from anything.
@@ -100,14 +99,14 @@ class CandidateMaker:
     def singles(self, ranking: Ranking) -> tuple[Candidate, ...]:
         """All effects alone, the best first."""
         made = []
-        for place, effects in enumerate(ranking.order):
+        for effects in ranking.order:
             candidate, (effect,) = self._candidate(effects, ranking), effects
             made.append(
                 replace(
                     candidate,
                     p_gain=self._null.p_gain(effect, candidate.delta_chi2),
                     p_global=self._null.p_global(candidate.delta_chi2),
-                    mimics=self._mimics(effect, exact=place < _FITTED),
+                    mimics=self._mimics(effect, exact=candidate.behind < _WITHIN_REACH),
                 )
             )
         return tuple(made)

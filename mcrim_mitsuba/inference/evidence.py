@@ -26,7 +26,8 @@ from mcrim_mitsuba.inference.least_squares import Fit, LeastSquaresProblem
 #: The name of the model without further effects.
 NOTHING_MISSING = "none"
 #: Points that an evidence is averaged over; its error is then a few hundredths of its logarithm.
-_POINTS = 4096
+#: A hopeless model's is known well enough by few.
+_POINTS, _FEW_POINTS = 4096, 512
 #: Degrees of freedom of a size's density: tails that let data speak for unusual sizes.
 _TAILS = 3.0
 #: Part of the density inside the plausible range.
@@ -144,7 +145,9 @@ class Evidence:
     effective_points: float
 
 
-def evidence_of(fit: Fit, priors: Mapping[str, PriorDensity]) -> Evidence:
+def evidence_of(
+    fit: Fit, priors: Mapping[str, PriorDensity], *, hopeless: bool = False
+) -> Evidence:
     """Evidence of the model of a fit.
 
     Parameters
@@ -153,13 +156,16 @@ def evidence_of(fit: Fit, priors: Mapping[str, PriorDensity]) -> Evidence:
         Its covariance of the readings is taken for all parameters.
     priors : mapping of str to PriorDensity
         One for every free parameter.
+    hopeless : bool
+        Whether no more than its order of magnitude matters.
     """
     sampled = _Sampled(fit, [priors[name] for name in fit.names])
     modes = [sampled.maximum(fit.theta)]
     # models are compared: the same points for all
     rng = np.random.default_rng(0)
-    for remaining in reversed(range(_ROUNDS)):
-        z, log_density = _drawn(modes, _POINTS // _ROUNDS if remaining else _POINTS, rng)
+    points = _FEW_POINTS if hopeless else _POINTS
+    for remaining in reversed(range(1 if hopeless else _ROUNDS)):
+        z, log_density = _drawn(modes, points // _ROUNDS if remaining else points, rng)
         theta = sampled.values(z)
         log_weight = sampled.log_likelihood(theta) - 0.5 * (z**2).sum(1)
         log_weight -= 0.5 * z.shape[1] * math.log(2.0 * math.pi) + log_density
@@ -175,7 +181,7 @@ def evidence_of(fit: Fit, priors: Mapping[str, PriorDensity]) -> Evidence:
     effective = 1.0 / float((share**2).sum())
     return Evidence(
         log=log,
-        log_sigma=math.sqrt(max(1.0 / effective - 1.0 / _POINTS, 0.0)),
+        log_sigma=math.sqrt(max(1.0 / effective - 1.0 / points, 0.0)),
         mean=dict(zip(fit.names, mean.tolist(), strict=True)),
         sigma=dict(zip(fit.names, spread.tolist(), strict=True)),
         effective_points=effective,

@@ -182,11 +182,15 @@ class Explanations:
         """What effects are relatives of; of several families all, joined by ``+``."""
         return " + ".join(dict.fromkeys(self.effects[name].family for name in added))
 
-    def evidence(self, added: Iterable[str]) -> Evidence:
-        """Of the campaign with these effects, their sizes being plausible ones."""
+    def evidence(self, added: Iterable[str], *, hopeless: bool = False) -> Evidence:
+        """Of the campaign with these effects, their sizes being plausible ones.
+
+        A hopeless one is known to its order of magnitude, if not better from before.
+        """
         key = tuple(sorted(added))
         if key not in self._evidences:
-            self._evidences[key] = evidence_of(self.fit(key), self.priors(key))
+            fit = self.fit(key)
+            self._evidences[key] = evidence_of(fit, self.priors(key), hopeless=hopeless)
         return self._evidences[key]
 
     def priors(self, added: Iterable[str]) -> dict[str, PriorDensity]:
@@ -386,6 +390,9 @@ def plausible_priors(effects: Iterable[Effect], model: Model) -> dict[str, tuple
 #: Explanations this close to the best in twice the logarithm of their evidence lead together with
 #: it; twice the simulation's error of their difference in chi2 is added.
 LEADING = 6.0
+#: Deviance above that of the best from which an explanation has no share in anything: what the best
+#: loses by its prior is less.
+_HOPELESS = 50.0
 
 
 class Ranking:
@@ -393,7 +400,11 @@ class Ranking:
 
     def __init__(self, explanations: Explanations, sets: Iterable[tuple[str, ...]]) -> None:
         self._fits = {key: explanations.fit(key) for key in sets}
-        self._scores = {key: -2.0 * explanations.evidence(key).log for key in self._fits}
+        best = min((fit.deviance for fit in self._fits.values()), default=0.0)
+        self._scores = {
+            key: -2.0 * explanations.evidence(key, hopeless=fit.deviance > best + _HOPELESS).log
+            for key, fit in self._fits.items()
+        }
         self.order = tuple(sorted(self._scores, key=lambda key: self._scores[key]))
 
     @property

@@ -16,8 +16,6 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
-import loky
-
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.executors import (
@@ -72,6 +70,8 @@ class ProcessExecutor(HandingExecutor):
         return AHEAD * self._processes
 
     def submit(self, unit: Unit) -> Future[dict[int, Content]]:
+        import loky  # slow, and of no use where nothing is missing
+
         self._pool = loky.get_reusable_executor(self._processes, timeout=IDLE_S, initializer=_begin)
         return self._pool.submit(_make, pickled(unit))
 
@@ -95,6 +95,8 @@ class ProcessExecutor(HandingExecutor):
 
 def _begin() -> None:
     """An interrupt is the parent's to answer; the records of a large unit are no leak of memory."""
+    import loky
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # else loky starts a process anew when one has grown
     loky.process_executor._USE_PSUTIL = False
