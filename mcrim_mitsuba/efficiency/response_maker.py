@@ -286,7 +286,7 @@ class ResponseMaker:
         Effects named by `look` get a part of the photons. Raises InputError if a scene is not
         sound, leaks, or cannot take an effect.
         """
-        scene, readings = self.campaign.scene, self.campaign.measurements.readings
+        scene = self.campaign.scene
         # one without parameters that the scene has already is in all its simulations
         asked = [
             effect
@@ -294,13 +294,7 @@ class ResponseMaker:
             if effect.reading is None and (effect.parameters or not effect.is_in(scene))
         ]
         asked += [_as_effect(self.campaign, name) for name in self._further_parameters()]
-        plain = [
-            self._simulation(
-                scene, values, self._effect_photons, of_beam=reading.of_beam, check=self._run.check
-            )
-            for reading, values in zip(readings, self.configurations(), strict=True)
-        ]
-        known = self._known(plain)
+        plain, known = self._plain, self._known
         plain = [
             run if exact is not None else replace(run, photons=self._plain_photons)
             for run, exact in zip(plain, known, strict=True)
@@ -334,8 +328,27 @@ class ResponseMaker:
         }
         return Responses(self.grid, self.coarse, log_eta, deviations, responses, self.photons)
 
-    def _known(self, plain: Sequence[_Simulation]) -> list[tuple[EtaGrid, EtaGrid] | None]:
+    @property
+    def is_solved(self) -> bool:
+        """Whether no configuration as it is needs photons, and no parameter is fitted that does."""
+        further = self.campaign.effects or self._further_parameters()
+        return not further and all(exact is not None for exact in self._known)
+
+    @functools.cached_property
+    def _plain(self) -> list[_Simulation]:
+        """The configurations as they are, with the photons of a simulation with an effect."""
+        readings, scene = self.campaign.measurements.readings, self.campaign.scene
+        return [
+            self._simulation(
+                scene, values, self._effect_photons, of_beam=reading.of_beam, check=self._run.check
+            )
+            for reading, values in zip(readings, self.configurations(), strict=True)
+        ]
+
+    @functools.cached_property
+    def _known(self) -> list[tuple[EtaGrid, EtaGrid] | None]:
         """Fine and coarse tables of the configurations as they are that need no photons."""
+        plain = self._plain
         grids, solved = (self.grid, self.coarse), solved_grid(self.coarse)
         light = [row for row, run in enumerate(plain) if not run.of_beam]
         if self._plain_photons < _WORTH_SOLVING:

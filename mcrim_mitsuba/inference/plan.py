@@ -24,7 +24,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.inference.calibrate import calibrate
+from mcrim_mitsuba.inference.calibrate import calibrate_without_noise
 from mcrim_mitsuba.inference.estimates import ParameterEstimate
 from mcrim_mitsuba.inference.likelihood import Likelihood, undetermined
 from mcrim_mitsuba.inference.model import CampaignModel, Prediction, ResponseModel
@@ -235,7 +235,7 @@ def plan(
     conditions : Conditions, optional
         Without it scatter and spread are the raw campaign's own, if it has histograms.
     run : Run
-        As for `calibrate`; its precision is 0.1 %.
+        As for `calibrate`; its precision is 0.1 %. Benches that can be solved take no photons.
 
     Raises
     ------
@@ -248,7 +248,7 @@ def plan(
     if SCALE not in campaign.free:
         problem = "the scale is held, so that there is no light yield to plan for"
         raise InputError(problem, "plan with a campaign that fits it", path=campaign.path)
-    result = calibrate(
+    result = calibrate_without_noise(
         _with_candidates(campaign, configurations), run=replace(run, precision=_PRECISION)
     )
     found, model = result.calibration, result.model
