@@ -153,14 +153,23 @@ class SideCone(Openings):
     reflectance: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class FallingLight(SideCone):
-    """Those of light that falls from a side to the window and is detected, with its probability."""
+class Starts(NamedTuple):
+    """Where light starts at a side that falls into the mask's hole, for one rule."""
 
-    #: Where along the side it starts, from the wall, and from which heights.
+    #: (azimuths, starts): where along the side, from the wall, and from which heights.
     foot_mm: Floats
     lowest_mm: Floats
     highest_mm: Floats
+    #: (azimuths, starts, angles): how much it counts for the directions of its azimuth.
+    share: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class FallingLight(SideCone):
+    """Directions of light that falls from a side to the window and is detected."""
+
+    #: Of each rule, whose directions are by azimuth and angle.
+    starts: tuple[Starts, Starts]
 
 
 def _by_rules(make: Callable[..., tuple[Floats, ...]], *rules: Any) -> tuple[int, list[Floats]]:
@@ -223,12 +232,8 @@ def side_cone(bench: Bench, rules: Rules) -> SideCone:
     def nodes_of(rule: Nodes) -> tuple[Floats, ...]:
         out, w_out = gauss(rule.cosine)
         azimuth, w_azimuth = gauss(rule.around_sides, 0.0, math.pi / 2.0)
-        shape = len(out), len(azimuth)
-        return (
-            np.broadcast_to(out[:, None], shape).ravel(),
-            np.broadcast_to(azimuth, shape).ravel(),
-            (w_out[:, None] * w_azimuth).ravel(),
-        )
+        weight = w_out[:, None] * w_azimuth
+        return np.repeat(out, len(azimuth)), np.tile(azimuth, len(out)), weight.ravel()
 
     first, (out, azimuth, weight) = _by_rules(nodes_of, *rules)
     sine = np.sqrt(1.0 - out**2) / n
@@ -241,8 +246,10 @@ def side_cone(bench: Bench, rules: Rules) -> SideCone:
 def side_light(bench: Bench, rules: Rules) -> FallingLight | None:
     """Light that leaves through the sides towards +-x and falls into the mask's hole.
 
-    Directions are those in air, by azimuth about the vertical and by the angle to it, which has
-    panels: steep light reaches the hole from every height, flat light only from low ones.
+    Directions are those in air, by azimuth about the vertical and by the angle to it. Where light
+    of a direction starts has kinks in the angle, since steep light reaches the hole from every
+    height and flat light only from low ones, and is integrated in panels; what becomes of the
+    direction has none, so that few angles, and polynomials through them, are enough.
     """
     half, radius = bench.crystal_width_mm / 2.0, bench.aperture_radius_mm
     if radius <= half or bench.window_width_mm <= bench.crystal_width_mm:
@@ -251,28 +258,36 @@ def side_light(bench: Bench, rules: Rules) -> FallingLight | None:
     chord = math.sqrt(radius**2 - half**2)
     starts_inside = chord >= half
     cuts = [-half, half] if starts_inside else [-half, -chord, chord, half]
+    starts = []
 
     def nodes_of(rule: Nodes) -> tuple[Floats, ...]:
         foot, w_foot = gauss(rule.foot, np.array(cuts[:-1]), np.array(cuts[1:]))
         turned, w_turned = gauss(rule.foot + 2, 0.0, math.pi / 2.0)
-        y, turned = foot.reshape(-1, 1), turned[None, :]
-        near, far = landing(bench, y, np.cos(turned), np.sin(turned))
+        y, w_y = foot.ravel(), w_foot.ravel()[:, None, None]
+        near, far = landing(bench, y, np.cos(turned)[:, None], np.sin(turned)[:, None])
         # angles at which the ends of the hole are just reached from the lowest and highest start
-        ends = np.stack((far,) if starts_inside else (far, near))[..., None]
-        reached = np.arctan2(ends, [gap, gap + height])
-        reached = np.sort(np.moveaxis(reached, 0, -2).reshape(*far.shape, -1), axis=-1)
+        ends = (far,) if starts_inside else (far, near)
+        reached = np.arctan2(np.stack(ends, axis=-1)[..., None], [gap, gap + height])
+        reached = np.sort(reached.reshape(*far.shape, -1), axis=-1)
         below = np.concatenate((np.zeros_like(far)[..., None], reached[..., :-1]), axis=-1)
-        polar, w_polar = gauss(rule.foot, below, reached)
-        weight = w_polar * (w_foot.reshape(-1, 1) * w_turned)[..., None, None]
-        of_each = (x[..., None, None] for x in np.broadcast_arrays(y, turned, near, far))
-        return tuple(x.ravel() for x in np.broadcast_arrays(weight, polar, *of_each))
+        angle, w_angle = gauss(rule.foot, below, reached)
+        slope = 1.0 / np.tan(np.maximum(angle, 1e-12))  # Gauss nodes may round to straight down
+        lowest, highest = (
+            np.clip(x[..., None, None] * slope - gap, 0.0, height) for x in (near, far)
+        )
+        largest = reached.max(axis=(1, 2), keepdims=True)[..., None]
+        angles = rule.foot + _ANGLES + rule.upwards // 4
+        polar = largest[:, 0, 0] * _chebyshev(angles)[0]
+        shares = _through_nodes(angles, angle / largest)
+        shares *= (w_angle * w_y)[..., None]
+        y = np.broadcast_to((y + half)[:, None, None], angle.shape)
+        rows = len(turned)
+        at = (x.reshape(rows, -1) for x in (y, lowest, highest))
+        starts.append(Starts(*at, shares.reshape(rows, -1, angles)))
+        return np.repeat(turned, angles), np.repeat(w_turned, angles), polar.ravel()
 
-    first, (weight, polar, start, turned, near, far) = _by_rules(nodes_of, *rules)
-    cos_z, sine = np.cos(polar), np.sin(polar)
-    slope = cos_z / np.maximum(sine, 1e-12)  # straight down: Gauss nodes may round to it
-    lowest = np.clip(near * slope - gap, 0.0, height)
-    highest = np.clip(far * slope - gap, 0.0, height)
-    n = bench.n_crystal
+    first, (turned, weight, polar) = _by_rules(nodes_of, *rules)
+    n, cos_z, sine = bench.n_crystal, np.cos(polar), np.sin(polar)
     out = sine * np.cos(turned)
     across_y, across_z = sine * np.sin(turned) / n, cos_z / n
     cos = np.sqrt(1.0 - across_y**2 - across_z**2)
@@ -281,9 +296,27 @@ def side_light(bench: Bench, rules: Rules) -> FallingLight | None:
     weight = weight * (out / (n * n * cos) * (1.0 - reflectance))
     weight *= 1.0 - fresnel(cos_z, 1.0, bench.n_window)
     weight *= _detected_below(bench, _cosine(sine, bench.n_window))
-    seen = (highest > lowest) & (weight > 0.0)
-    found = weight, cos, across_y, across_z, reflectance, start + half, lowest, highest
-    return FallingLight(int(seen[:first].sum()), *(x[seen] for x in found))
+    found = weight, cos, across_y, across_z, reflectance
+    return FallingLight(first, *found, tuple(starts))
+
+
+#: Angles of falling light, more than nodes of its foot's panels.
+_ANGLES = 5
+
+
+@lru_cache
+def _chebyshev(count: int) -> tuple[Floats, Floats]:
+    """Chebyshev's nodes from 0 to 1, and the cosines' shares in the polynomials through them."""
+    angles = math.pi * (np.arange(count) + 0.5) / count
+    order = np.arange(count)[:, None]
+    shares = np.cos(order * angles) * np.where(order > 0, 2.0, 1.0) / count
+    return 0.5 * (1.0 + np.cos(angles)), shares
+
+
+def _through_nodes(count: int, x: Floats) -> Floats:
+    """Polynomials that are 1 at one of Chebyshev's nodes and 0 at the others: (..., count)."""
+    angles = np.arccos(np.clip(2.0 * x - 1.0, -1.0, 1.0))
+    return np.cos(angles[..., None] * np.arange(count)) @ _chebyshev(count)[1]
 
 
 def _strip(orders: NDArray[np.int64], width: Floats, period: float) -> _Array:
@@ -328,7 +361,9 @@ def end_cones(bench: Bench, rules: Rules) -> EndCones:
     order = rules[0].coupled
     n, n_gap, n_window = bench.n_crystal, bench.gap_index, bench.n_window
     width, gap = bench.crystal_width_mm, bench.gap_thickness_mm
-    first, (sine, weight, azimuth) = _by_rules(lambda rule: _towards_ends(bench, rule), *rules)
+    first, (sine, weight, azimuth) = _by_rules(
+        lambda rule: _towards_ends(n_gap, n_window, rule), *rules
+    )
     cos = np.sqrt(1.0 - (sine / n) ** 2)
     weight = 2.0 / math.pi * weight / (n * n * cos)
     over_x, over_y = np.cos(azimuth), np.sin(azimuth)
@@ -446,13 +481,13 @@ def _sum_of_shuttles(terms: Floats, factor: _Array) -> _Array:
     return total
 
 
-def _towards_ends(bench: Bench, rule: Nodes) -> tuple[Floats, Floats, Floats]:
+@lru_cache
+def _towards_ends(n_gap: float, n_window: float, rule: Nodes) -> tuple[Floats, Floats, Floats]:
     """n sin(theta), its weight and the azimuth, 0 to pi/4, of light that leaves at an end: (n,).
 
     The gap's sides reflect totally what is not steep enough to them, so there are panels where
     they begin to let light out, like a square root: nodes lie close to there.
     """
-    n_gap, n_window = bench.gap_index, bench.n_window
     critical = sorted({1.0, n_gap, *([n_window] if 1.0 < n_window < n_gap else [])})
     index = np.array(critical)[:, None]
     below = np.array([0.0, *critical[:-1]])

@@ -263,15 +263,19 @@ class _Modes:
         """Fourier components over a side of what leaves it: (waves, n)."""
         falling = self.falling
         assert falling is not None
-        low, high, kz = falling.lowest_mm, falling.highest_mm, self._upwards[0][1:, None]
-        heights = np.empty((len(kz) + 1, len(low)), dtype=complex)
-        heights[0] = high - low
-        heights[1:] = (np.exp(1j * kz * high) - np.exp(1j * kz * low)) / (1j * kz)
-        area = self.bench.crystal_height_mm * self.bench.crystal_width_mm
-        heights *= falling.weight / (2.0 * area)
-        foot = np.exp(-1j * self._across[0][:, None] * falling.foot_mm)
-        both = foot[:, None] * heights, foot[1:, None] * heights[1:].conj()
-        return np.concatenate([x.reshape(-1, x.shape[-1]) for x in both])
+        width, height = self.bench.crystal_width_mm, self.bench.crystal_height_mm
+        kx, kz = self._across[0], self._upwards[0][1:, None]
+        found = []
+        for starts in falling.starts:
+            low, high = starts.lowest_mm[:, None], starts.highest_mm[:, None]
+            waves = (np.exp(1j * kz * high) - np.exp(1j * kz * low)) / (1j * kz)
+            heights = np.concatenate((high - low, waves), axis=1)
+            foot = np.exp(-1j * kx[:, None] * starts.foot_mm[:, None])
+            both = foot[:, :, None] * heights[:, None], foot[:, 1:, None] * waves.conj()[:, None]
+            rows, _, columns = foot.shape
+            light = np.concatenate([x.reshape(rows, -1, columns) for x in both], axis=1)
+            found.append(np.swapaxes(light @ starts.share, 0, 1).reshape(light.shape[1], -1))
+        return np.concatenate(found, axis=1) * (falling.weight / (2.0 * height * width))
 
 
 _BOTH_SIGNS = np.array([1.0, -1.0])
@@ -444,11 +448,13 @@ def _is_cut(bench: Bench) -> bool:
 
 #: Numbers of a matrix of all modes, times points, that are worked on at once.
 _AT_ONCE = 1_000_000
-#: Half the range of log(alpha), at least, over which the equations are interpolated, and how well.
-_LEAST_RANGE, _INTERPOLATED = 3e-4, 1e-7
+#: Half the range of log(alpha), at least, over which the equations are interpolated.
+_LEAST_RANGE = 3e-4
+#: How well they are interpolated, and where few nodes are enough.
+_INTERPOLATED, _INTERPOLATED_ROUGHLY = 1e-7, 1e-5
 
 
-def _extinctions(alpha: Floats) -> list[tuple[_Array, Floats]]:
+def _extinctions(alpha: Floats, within: float) -> list[tuple[_Array, Floats]]:
     """Where the equations are worked out: indices of some of the alphas, and log(alpha) of nodes.
 
     In log(alpha) they are analytic at a distance of up to pi/2 from the real axis, so a
@@ -459,8 +465,7 @@ def _extinctions(alpha: Floats) -> list[tuple[_Array, Floats]]:
     def nodes_over(low: float, high: float) -> Floats:
         half = max(0.5 * (high - low), _LEAST_RANGE)
         width = 0.5 * math.pi / half
-        count = math.ceil(-math.log(_INTERPOLATED) / math.asinh(width))
-        count = max(count, 2)
+        count = max(math.ceil(-math.log(within) / math.asinh(width)), 2)
         angles = math.pi * (np.arange(count) + 0.5) / count
         return 0.5 * (low + high) + half * np.cos(angles)
 
@@ -500,7 +505,8 @@ def _points(modes: _Modes, scat_per_cm: Floats, abs_per_cm: Floats, rough: bool)
     least = _LEAST_ERROR_OF_CUT_HOLES if _is_cut(bench) else _LEAST_ERROR
     least += _LEAST_ERROR_OF_FEW if rough else 0.0
     least += _SECOND_ORDER * (bench.gap_thickness_mm / bench.crystal_width_mm) ** 2
-    for those, nodes in _extinctions(alpha):
+    within = _INTERPOLATED_ROUGHLY if rough else _INTERPOLATED
+    for those, nodes in _extinctions(alpha, within):
         length = max(1, _AT_ONCE // (modes.size * len(modes.ends.cos)))
         parts = [modes.systems(np.exp(nodes[i : i + length])) for i in range(0, len(nodes), length)]
         systems = _Systems(*(np.concatenate(x, axis=1) for x in zip(*parts, strict=True)))
@@ -518,25 +524,24 @@ def _solved(
     """`_COLUMNS` of pairs, by interpolation between systems at nodes of log(alpha)."""
     values, slopes = _weights(nodes, np.log(alpha))
     slopes /= alpha[:, None]
-    kernel, detected = (np.tensordot(values, x, (1, 1)) for x in systems[:2])
-    left = values @ systems.left[0]
-    kernel_slope = np.tensordot(slopes, systems.kernel[0], 1)
-    detected_slope = slopes @ systems.detected[0]
-    diagonal = np.arange(modes.size)
+    size = modes.size
+    kernel = (values @ systems.kernel.reshape(2, len(nodes), -1)).reshape(2, -1, size, size)
+    slope = (slopes @ systems.kernel[0].reshape(len(nodes), -1)).reshape(-1, size, size)
+    detected, slope_of_detected = values @ systems.detected, slopes @ systems.detected[0]
+    diagonal = np.arange(size)
     closed, closed_slope = modes.closed(alpha)
-    kernel[..., diagonal, diagonal] += closed[:, None]
-    kernel_slope[:, diagonal, diagonal] += closed_slope
+    kernel[..., diagonal, diagonal] += closed
+    slope[:, diagonal, diagonal] += closed_slope
 
     source = modes.source()
-    equations = np.eye(modes.size) - albedo[:, None, None, None] * kernel
-    f, coarser = np.moveaxis(np.linalg.solve(equations, detected[..., None])[..., 0], 1, 0)
-    equations, kernel, detected = equations[:, 0], kernel[:, 0], detected[:, 0]
-    visits = np.linalg.solve(equations.swapaxes(1, 2), source[:, None])
-    visits = visits[..., 0]
-    eta = f @ source
-    changed = (kernel_slope @ f[..., None])[..., 0]
-    by_alpha = (visits * (detected_slope + albedo[:, None] * changed)).sum(axis=1) / MM_PER_CM
-    by_albedo = (visits * (kernel @ f[..., None])[..., 0]).sum(axis=1) / (alpha * MM_PER_CM)
+    equations = np.eye(size) - albedo[:, None, None] * kernel
+    f, coarser = np.linalg.solve(equations, detected[..., None])
+    equations, kernel, detected = equations[0], kernel[0], detected[0]
+    visits = np.linalg.solve(equations.swapaxes(1, 2), source[:, None])[..., 0]
+    eta = f[..., 0] @ source
+    by_alpha = (visits * (slope_of_detected + albedo[:, None] * (slope @ f)[..., 0])).sum(axis=1)
+    by_albedo = (visits * (kernel @ f)[..., 0]).sum(axis=1) / (alpha * MM_PER_CM)
+    by_alpha /= MM_PER_CM
     by_scat, by_abs = by_alpha + (1.0 - albedo) * by_albedo, by_alpha - albedo * by_albedo
     absorbed = (1.0 - albedo) * (visits * kernel[:, :, 0]).sum(axis=1)
     clear = alpha <= _NO_EXTINCTION
@@ -545,10 +550,10 @@ def _solved(
     by_scat[clear] = by_abs[clear] = math.nan
     few = modes.fewer()
     rougher = np.linalg.solve(equations[:, few[:, None], few], detected[:, few, None])[..., 0]
-    gone = (visits * left).sum(axis=1)
+    gone = (visits * (values @ systems.left[0])).sum(axis=1)
     error = (
         abs(eta - rougher @ source[few])
-        + abs(eta - coarser @ source)
+        + abs(eta - coarser[..., 0] @ source)
         + eta * abs(1.0 - gone - absorbed - trapped)
     )
     return np.stack((eta, by_scat, by_abs, error, absorbed, trapped, gone))
