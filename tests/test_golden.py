@@ -5,8 +5,9 @@
     MCRIM_GOLDEN=renew python -m pytest tests/test_golden.py [-k CASE]    # store anew, on purpose
 
 Nothing of the package is imported: `python -m mcrim_mitsuba` runs as a user's command does, in a
-folder and with a cache that only its case has. What differs from run to run (seconds, versions,
-dates, folders) is left out by `plain`; nothing else is.
+folder and with a cache that only its case has, in a process that runs one case after the other.
+`project/test_wheel.py` runs those that are marked `wheel`. What differs from run to run (seconds,
+versions, dates, folders) is left out by `plain`; nothing else is.
 
 To the last digit, results hold on one kind of processor with the same versions of all libraries.
 Elsewhere a rounding sends a photon another way now and then: texts, files, structure and status
@@ -24,7 +25,8 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -92,21 +94,43 @@ def tolerance_of(name: str) -> Tolerance:
     return replace(SIMULATED, relative=case.get("relative", SIMULATED.relative))
 
 
-def run_case(name: str, folder: Path) -> dict:
+#: Commands of a case, the folder to run them in, its cache: what each showed, and its status.
+Process = Callable[[list[str], Path, Path], list[dict]]
+
+
+@contextmanager
+def process(*options: str, **environment: str) -> Iterator[Process]:
+    """A process of its own for cases, with options of Python."""
+    with subprocess.Popen(
+        [sys.executable, *options, HERE / "commands.py"], text=True,
+        env=os.environ | {"COLUMNS": "100"} | environment,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+    ) as started:  # fmt: skip
+
+        def answers(commands: list[str], folder: Path, cache: Path) -> list[dict]:
+            words = [shlex.split(command) for command in commands]
+            case = {"folder": str(folder), "cache": str(cache), "commands": words}
+            print(json.dumps(case), file=started.stdin, flush=True)
+            return json.loads(started.stdout.readline())
+
+        yield answers
+
+
+@pytest.fixture(scope="module")
+def ours() -> Iterator[Process]:
+    with process() as answers:
+        yield answers
+
+
+def run_case(name: str, folder: Path, answers: Process) -> dict:
     """What the commands of a case show and write."""
     case = CASES[name]
     shutil.copytree(HERE.parents[1] / "scenes", folder)
     shutil.copytree(HERE / "inputs", folder, dirs_exist_ok=True)
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    asked, answered = folder.with_name("asked.json"), folder.with_name("answered.json")
-    asked.write_text(json.dumps([shlex.split(command) for command in case["run"]]))
-    subprocess.run(
-        [sys.executable, HERE / "commands.py", asked, answered], cwd=folder, check=True,
-        timeout=600,
-        env=os.environ | {"MCRIM_CACHE": str(folder.with_name("cache")), "COLUMNS": "100"},
-    )  # fmt: skip
+    answered = answers(case["run"], folder, folder.with_name("cache"))
     runs = []
-    for command, shown in zip(case["run"], json.loads(answered.read_text()), strict=True):
+    for command, shown in zip(case["run"], answered, strict=True):
         left_out = case.get("left_out", [])
         texts = {k: plain(shown[k], folder) for k in ("stdout", "stderr") if k not in left_out}
         runs.append({"command": command, "status": shown["status"]} | texts)
@@ -200,9 +224,8 @@ def _last_digit(number: str) -> float:
     return 10.0 ** (int(power or 0) - decimals) if decimals or power else 0.0
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_commands_give_what_they_gave(name, tmp_path):
-    found = run_case(name, tmp_path / "bench")
+def hold(name: str, found: dict) -> None:
+    """Compare what a case gave with what is stored, or store it."""
     place = HERE / f"{name}.json"
     if MODE == "renew":
         place.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n")
@@ -212,6 +235,11 @@ def test_commands_give_what_they_gave(name, tmp_path):
         assert found == stored
         return
     assert not list(differences(stored, found, tolerance_of(name)))
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if "wheel" not in CASES[name]])
+def test_commands_give_what_they_gave(name, tmp_path, ours):
+    hold(name, run_case(name, tmp_path / "bench", ours))
 
 
 def test_no_result_is_left_of_a_case_that_is_gone():

@@ -1,11 +1,11 @@
-"""Runs `python -m mcrim_mitsuba` for several commands in one process: importing takes a second.
+"""Runs `python -m mcrim_mitsuba` for many commands in one process: importing takes a second.
 
-    python commands.py CASE.json SHOWN.json
-
-CASE.json lists the commands' arguments; SHOWN.json gets what each showed, and its exit status.
+Each line of standard input is one case as JSON: the `folder` and the `cache` to work with, and
+the `commands`, lists of arguments. Answered is a line of what each showed, and its exit status.
 """
 
 import contextlib
+import faulthandler
 import json
 import os
 import runpy
@@ -13,7 +13,6 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Iterator
-from pathlib import Path
 
 
 @contextlib.contextmanager
@@ -49,5 +48,12 @@ def run(arguments: list[str]) -> dict:
 
 
 if __name__ == "__main__":
-    asked, answered = map(Path, sys.argv[1:])
-    answered.write_text(json.dumps([run(arguments) for arguments in json.loads(asked.read_text())]))
+    cases, answers, complaints = (open(os.dup(file), mode) for file, mode in enumerate("rww"))
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)  # what is asked is not for the commands
+    for line in cases:
+        case = json.loads(line)
+        os.chdir(case["folder"])
+        os.environ["MCRIM_CACHE"] = case["cache"]
+        faulthandler.dump_traceback_later(600, exit=True, file=complaints)
+        print(json.dumps([run(words) for words in case["commands"]]), file=answers, flush=True)
+        faulthandler.cancel_dump_traceback_later()

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 from places import ROOT
-
-PHOTONS = "200000"
+from test_golden import hold, process, run_case
 
 
 @pytest.fixture(scope="module")
@@ -33,14 +32,6 @@ def unpacked(wheel, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("another") / "folder with blanks, ünïcode"
     wheel.extractall(folder)
     return folder
-
-
-def away(unpacked, folder, *arguments):
-    """Run Python on the unpacked wheel, which comes before the editable install of the tests."""
-    return subprocess.run(
-        [sys.executable, "-P", *arguments], cwd=folder, text=True, capture_output=True,
-        env=os.environ | {"PYTHONPATH": str(unpacked)},
-    )  # fmt: skip
 
 
 def files_below(folder: Path) -> set[str]:
@@ -91,7 +82,11 @@ print(mcrim_mitsuba.__file__, mcrim_mitsuba.__version__, scene_path("camoo4.xml"
 def test_it_reproduces_the_article_away_from_the_checkout(wheel, unpacked, tmp_path):
     package = unpacked / "mcrim_mitsuba"
     version = Parser().parsestr(metadata(wheel, "METADATA"))["Version"]
-    found = away(unpacked, tmp_path, "-c", WHERE)
+    # before the editable install of the tests
+    found = subprocess.run(
+        [sys.executable, "-P", "-c", WHERE], cwd=tmp_path, text=True, capture_output=True,
+        env=os.environ | {"PYTHONPATH": str(unpacked)},
+    )  # fmt: skip
     assert found.stdout.splitlines() == [
         str(package / "__init__.py"), version, str(package / "scenes/camoo4.xml"),
     ], found.stderr  # fmt: skip
@@ -99,9 +94,6 @@ def test_it_reproduces_the_article_away_from_the_checkout(wheel, unpacked, tmp_p
         name.replace("scenes", "bench", 1) for name in files_below(ROOT / "scenes")
     }
     # -O: no `assert` of the package is more than an assertion
-    done = away(unpacked, tmp_path, "-O", "-m", "mcrim_mitsuba", "paper", "--photons", PHOTONS)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "Light yield of CaMoO4: 7." in done.stdout
-    figures = sorted(path.suffix for path in (tmp_path / "mcrim_paper").iterdir())
-    assert figures == [*[".csv"] * 4, *[".pdf"] * 4, *[".png"] * 4]
+    with process("-P", "-O", PYTHONPATH=str(unpacked)) as answers:
+        hold("paper", run_case("paper", tmp_path / "article", answers))
     assert files_below(package) <= set(wheel.namelist())  # nothing is written where it lies
