@@ -322,6 +322,8 @@ def _through_nodes(count: int, x: Floats) -> Floats:
 def _strip(orders: NDArray[np.int64], width: Floats, period: float) -> _Array:
     """Fourier components, (n, orders), of a strip of a width in mm that ends at the far wall."""
     share = (width / period)[:, None]
+    if not orders.any():
+        return np.broadcast_to(share, (len(share), len(orders)))
     order = np.where(orders == 0, 1, orders)
     phase = 2j * math.pi * order
     return np.where(orders == 0, share, (np.exp(phase * share) - 1.0) / phase)
@@ -532,6 +534,8 @@ def _over_edges(
     margin = (bench.window_width_mm - width) / 2.0
     cos_window = np.maximum(_cosine(sine, n_window), 1e-9)
     reach = bench.window_thickness_mm * sine / n_window / cos_window
+    if np.max(reach * over_x, initial=0.0) <= margin:  # and over_y is less
+        return np.zeros((len(sine), len(signed)))
     out_x = 1.0 - fresnel(sine / n_window * over_x, n_window, 1.0)
     out_y = 1.0 - fresnel(sine / n_window * over_y, n_window, 1.0)
     along_x = np.clip(reach * over_x - margin, 0.0, width)
@@ -577,13 +581,15 @@ def _leaked(
         turn = (ahead * k_ahead + aside * k_aside)[:, None, :]
 
         def up_to(depth: Floats, turn: Floats = turn) -> _Array:
-            safe = np.where(turn == 0.0, 1.0, 1j * turn)
             depth = depth[..., None]
+            if turn.shape[-1] == 1:  # without waves
+                return depth
+            safe = np.where(turn == 0.0, 1.0, 1j * turn)
             return np.where(turn == 0.0, depth, np.exp(1j * turn * depth) / safe)
 
         until_met = up_to(met)
         shares = until_met - up_to(highest)
-        shares += (1.0 - other)[:, None, None] * (up_to(lowest) - until_met)
+        shares = shares + (1.0 - other)[:, None, None] * (up_to(lowest) - until_met)
         start = np.exp(-1j * (y + half)[..., None] * k_aside)
         shares = (shares * (start * w_y[..., None])).sum(axis=1)
         found += (lands * out)[:, None] * ahead * shares / width**2

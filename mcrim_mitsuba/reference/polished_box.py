@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,7 +53,9 @@ class _Modes:
     falling: FallingLight | None
 
     @classmethod
+    @lru_cache(maxsize=16)
     def of(cls, bench: Bench, rules: Rules) -> _Modes:
+        """Those of a bench, whose coefficients do not matter: what is made is kept."""
         ends, cone = end_cones(bench, rules), side_cone(bench, rules)
         return cls(bench, rules, ends, cone, side_light(bench, rules))
 
@@ -372,13 +374,16 @@ def solve_box(
         if not (np.isfinite(values).all() and (values >= 0.0).all()):
             raise InputError(f"{name} has a value that is negative or no number", "give 0 or more")
     pairs = np.stack((scat.ravel(), absorb.ravel()))
+    shape = replace(bench, alpha_scat_per_cm=0.0, alpha_abs_per_cm=0.0)
     columns = np.empty((len(_COLUMNS), scat.size))
     wanting = np.arange(scat.size)
-    for rough in (True, False) if precision is not None and precision >= _ROUGH else (False,):
+    thick = bench.gap_thickness_mm > _THICK * bench.crystal_width_mm
+    few_first = precision is not None and precision >= _ROUGH and not thick
+    for rough in (True, False) if few_first else (False,):
         choices = [_nodes(bench, *pair, rough=rough) for pair in pairs[:, wanting].T]
         for rules in set(choices):
             which = wanting[[choice == rules for choice in choices]]
-            columns[:, which] = _points(_Modes.of(bench, rules), *pairs[:, which], rough)
+            columns[:, which] = _points(_Modes.of(shape, rules), *pairs[:, which], rough)
         if rough:
             wanting = wanting[columns[3, wanting] > precision * columns[0, wanting]]
         if not wanting.size:
@@ -399,6 +404,8 @@ _SECOND_ORDER = 0.01
 _LEAST_ERROR, _LEAST_ERROR_OF_CUT_HOLES = 4e-5, 2e-4
 #: Relative error from which on few nodes are tried, and how much larger their least error is.
 _ROUGH, _LEAST_ERROR_OF_FEW = 4e-4, 2e-4
+#: Thickness of a gap, in widths of the crystal, whose sides let out too much for few nodes.
+_THICK = 0.06
 #: Extinction, per mm, that stands for none: the first flights of trapped light end somewhere.
 _NO_EXTINCTION = 1e-9
 #: Thickness of a gap, in widths of the crystal, whose sides let out too little to couple waves,
@@ -413,26 +420,26 @@ def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float, *, rough: bool =
     per_mm = (scat_per_cm + abs_per_cm) / MM_PER_CM
     collides = scat_per_cm / max(scat_per_cm + abs_per_cm, 1e-300)
     thick, wide = (collides * per_mm * x for x in (bench.crystal_height_mm, bench.crystal_width_mm))
-    upwards = (3 if rough else 5) + 2 * min(math.ceil(0.6 * thick), 12)
+    upwards = 3 + 2 * min(round(0.6 * thick) if rough else 1 + math.ceil(0.6 * thick), 13)
     across = min(2 + math.ceil(0.4 * max(wide - 1.5, 0.0)), 7)
     if bench.source_depth_mm < math.inf:
         upwards = max(upwards, 16)
-    foot, coupled = (10 if _is_cut(bench) else 7), 1
+    foot, coupled = (12 if _is_cut(bench) else 9), 1
     cosine = 14 if bench.gap_index <= bench.n_window else 18
     if _covers_corners(bench):
         across = max(across, 3)
         # under the tips of the corners alone the mask couples no further waves
         tips = bench.aperture_radius_mm >= _TIPS * bench.crystal_width_mm
-        foot, coupled = (8, 1) if tips else (foot, 2)
+        foot, coupled = (10, 1) if tips else (foot, 2)
     elif bench.gap_thickness_mm * (1.0 + wide) < _THIN * bench.crystal_width_mm:
         coupled = 0
     if rough:
         if coupled == 0 and wide < 1.0:
             across = 1
-        fine = Nodes(across, upwards, 6, 2, 3, 5, coupled)
-        return fine, fine._replace(cosine=5, around_ends=1, around_sides=2, foot=4)
+        fine = Nodes(across, upwards, 6, 2, 3, 6, coupled)
+        return fine, fine._replace(cosine=4, around_ends=1, around_sides=2, foot=4)
     fine = Nodes(across, upwards, cosine, 5, 5, foot, coupled)
-    coarser = fine._replace(cosine=cosine - 3, around_ends=4, around_sides=4, foot=foot - 2)
+    coarser = fine._replace(cosine=cosine - 3, around_ends=4, around_sides=4, foot=foot - 3)
     return fine, coarser._replace(coupled=min(coupled, 1))
 
 

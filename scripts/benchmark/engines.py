@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import functools
+import itertools
+import math
 import multiprocessing
 import os
 import signal
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,8 +19,10 @@ import numpy as np
 from shared import SCENE
 
 from benchmark.scalar import trace_scalar
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.geant4 import Geant4Result, is_installed, trace_geant4
+from mcrim_mitsuba.reference.polished_box import solve_box
 from mcrim_mitsuba.reference.tracer import TracerResult, trace
 from mcrim_mitsuba.transport.collection import Recorder
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals
@@ -27,9 +31,14 @@ from mcrim_mitsuba.transport.simulation import Simulation
 COUPLINGS = {"air": 1.0, "gel": 1.46}
 OURS = "ours"
 #: Engines of the same model of light as ours: their eta must be the same.
-SAME_MODEL = (SCALAR, UNFOLDING, NUMPY) = (
+SAME_MODEL = (SCALAR, UNFOLDING, NUMPY, NEW_BENCH, KNOWN_BENCH, IN_TABLE) = (
     "scalar tracer, C++", "scalar tracer, C++, unfolding", "NumPy tracer",
+    "modes, of a new bench", "modes, of a known bench", "modes, in a table",
 )  # fmt: skip
+#: Those that follow no photons.
+MODES = (NEW_BENCH, KNOWN_BENCH, IN_TABLE)
+#: The table's coefficients.
+ALPHA_SCAT_PER_CM, ALPHA_ABS_PER_CM = np.geomspace(0.02, 3.0, 40), (0.014, 0.039, 0.072)
 #: Relative standard error of eta, the time to which is compared.
 GOAL = 0.001
 #: Photons of an engine's first runs, the very first of which compiles its kernels.
@@ -77,7 +86,7 @@ class Engine:
     start_up_s: float  # wall time until the first photons are done
     samples: list[Sample] = field(default_factory=list)
 
-    def told(self) -> dict[str, float]:
+    def told(self) -> dict[str, float | None]:
         """Of all runs, as the JSON has it.
 
         The relative variance of eta from one photon is sigma^2 N / eta^2; eta is known to `GOAL`
@@ -93,6 +102,55 @@ class Engine:
                 "photons_per_idle_s": idle_rate, "eta": eta, "eta_sigma": eta_sigma,
                 "variance_per_photon": variance, "goal_s": variance / GOAL**2 / idle_rate,
                 "start_up_s": self.start_up_s}  # fmt: skip
+
+
+class NoPhotons(Engine):
+    """The solver: its photons are points, each to `GOAL` or better by its own estimate."""
+
+    def told(self) -> dict[str, float | None]:
+        """As of others, with None for what is of photons; its error is no statistical one."""
+        points, _, processor_s, etas, errors = np.array(self.samples).T
+        return {"photons_per_s": None, "photons_per_idle_s": None, "eta": float(etas[0]),
+                "eta_sigma": float(errors[0]), "variance_per_photon": None,
+                "goal_s": float(np.median(processor_s / points)) / _CORES,
+                "start_up_s": self.start_up_s}  # fmt: skip
+
+
+def _modes(coupling: str, name: str) -> Sampler:
+    """A known bench is one of which other coefficients were asked for before."""
+    bench, numbers = Bench(n_gap=COUPLINGS[coupling]), itertools.count(1)
+    coefficients = {}
+    if name == IN_TABLE:
+        coefficients = {
+            ALPHA_SCAT: ALPHA_SCAT_PER_CM, ALPHA_ABS: np.array(ALPHA_ABS_PER_CM)[:, None]
+        }  # fmt: skip
+
+    def run(times: int, seed: int) -> Sample:
+        begin, processor_begin = time.perf_counter(), time.process_time()
+        for _ in range(times):
+            own = bench
+            if name == NEW_BENCH:  # none is quite as another was
+                own = replace(bench, gap_mm=bench.gap_mm * (1.0 + 1e-9 * next(numbers)))
+            found = solve_box(own, **coefficients, precision=GOAL)
+        processor_s = time.process_time() - processor_begin
+        seconds = time.perf_counter() - begin
+        if (found.error > GOAL * found.eta).any():
+            raise RuntimeError(f"modes, {coupling}: no {100 * GOAL:g} % at some points")
+        own = solve_box(bench, precision=GOAL)
+        points = times * found.eta.size
+        return Sample(points, seconds, processor_s, float(own.eta), float(own.error))
+
+    return run
+
+
+def _prepare_modes(coupling: str, name: str, effort: Effort) -> Engine:
+    """As `_prepare`, of the solver."""
+    run = _modes(coupling, name)
+    begin = time.perf_counter()
+    run(1, 0)
+    start_up_s = time.perf_counter() - begin
+    times = math.ceil(0.5 * effort.seconds / run(3, 0).seconds * 3)
+    return NoPhotons(coupling, name, run, times, start_up_s)
 
 
 def _ours(coupling: str, *, polarization: bool = False, general: bool = False) -> Sampler:
@@ -224,13 +282,16 @@ def measure_engines(
             makers[UNFOLDING] = (functools.partial(scalar, unfold=True), fast)
         if is_installed():
             makers["Geant4"] = (_geant4, slow)
-        pairs = [(coupling, name) for coupling in COUPLINGS for name in makers]
+        names = [*makers, *MODES]
+        pairs = [(coupling, name) for coupling in COUPLINGS for name in names]
         engines: list[Engine] = []
         for number in range(-1, effort.rounds):
             for place, (coupling, name) in enumerate(pairs):
                 done, steps = (1 + number) * len(pairs) + place, len(pairs) * (1 + effort.rounds)
                 report("transport", done, steps, f"{name}, {coupling}")
-                if number < 0:
+                if number < 0 and name not in makers:
+                    engines.append(_prepare_modes(coupling, name, effort))
+                elif number < 0:
                     engines.append(_prepare(coupling, name, *makers[name], effort))
                 else:
                     engine = engines[place]
