@@ -55,8 +55,8 @@ ETA_REFERENCE = {
 
 @pytest.fixture(scope="module")
 def result():
-    """With two explanations of the transmittance: the golden results have all."""
-    few = partial(contradiction.diagnose, only=("top_roughness", "edge_chamfer"))
+    """With one explanation of the transmittance: the golden results have all."""
+    few = partial(contradiction.diagnose, only=("top_roughness",))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(contradiction, "diagnose", few)
         return reproduce_article(run=Run(1_000_000, seed=2))
