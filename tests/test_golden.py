@@ -6,7 +6,7 @@
 
 Nothing of the package is imported: `python -m mcrim_mitsuba` runs as a user's command does, in a
 folder and with a cache that only its case has, in a process that runs one case after the other.
-`project/test_wheel.py` runs those that are marked `wheel`. What differs from run to run (seconds,
+`project/test_wheel.py` runs and renews those marked `wheel`. What differs from run to run (seconds,
 versions, dates, folders) is left out by `plain`; nothing else is.
 
 To the last digit, results hold on one kind of processor with the same versions of all libraries.
