@@ -71,7 +71,7 @@ class Waves:
 
     def places(self, across: int) -> NDArray[np.int64]:
         """Where the groups are among all p and q below a number, (groups,)."""
-        return self.folded @ [across, 1]
+        return self.folded @ np.array([across, 1])
 
     def sums(self, waves: _Array, axis: int) -> _Array:
         """Sums over the waves of each group."""
@@ -282,8 +282,12 @@ def side_light(bench: Bench, rules: Rules) -> FallingLight | None:
         shares *= (w_angle * w_y)[..., None]
         y = np.broadcast_to((y + half)[:, None, None], angle.shape)
         rows = len(turned)
-        at = (x.reshape(rows, -1) for x in (y, lowest, highest))
-        starts.append(Starts(*at, shares.reshape(rows, -1, angles)))
+        starts.append(
+            Starts(
+                y.reshape(rows, -1), lowest.reshape(rows, -1), highest.reshape(rows, -1),
+                shares.reshape(rows, -1, angles),
+            )
+        )  # fmt: skip
         return np.repeat(turned, angles), np.repeat(w_turned, angles), polar.ravel()
 
     first, (turned, weight, polar) = _by_rules(nodes_of, *rules)
@@ -297,7 +301,7 @@ def side_light(bench: Bench, rules: Rules) -> FallingLight | None:
     weight *= 1.0 - fresnel(cos_z, 1.0, bench.n_window)
     weight *= _detected_below(bench, _cosine(sine, bench.n_window))
     found = weight, cos, across_y, across_z, reflectance
-    return FallingLight(first, *found, tuple(starts))
+    return FallingLight(first, *found, (starts[0], starts[1]))
 
 
 #: Angles of falling light, more than nodes of its foot's panels.
@@ -354,6 +358,36 @@ def _hole(bench: Bench, order: int) -> _Array:
     return 4.0 / area * np.outer(sign, sign) * (along_x @ (dy * np.cos(k * y)).T)
 
 
+def _lost_beside_hole(
+    bench: Bench, orders: NDArray[np.int64], shift_x: Floats, shift_y: Floats,
+    out_x: Floats, out_y: Floats,
+) -> _Array:  # fmt: skip
+    """What leaves the gap at its sides instead of landing in a hole under the crystal alone.
+
+    Fourier components, (n, orders, orders), over the places where it would land: in the hole, and
+    nearer to a wall than one crossing goes.
+    """
+    half, radius = bench.crystal_width_mm / 2.0, bench.aperture_radius_mm
+    k = math.pi / half * orders
+    safe, sign = np.where(k == 0.0, 1.0, k), (-1.0) ** np.abs(orders)
+    found = np.zeros((len(shift_x), len(orders), len(orders)), dtype=complex)
+    for ahead, out, swapped in ((shift_x, out_x, False), (shift_y, out_y, True)):
+        those = np.flatnonzero((ahead > half - radius) & (out > 0.0))
+        end = np.arccos(np.clip((half - ahead[those]) / radius, -1.0, 1.0))
+        angle, weight = gauss(12 + 2 * len(orders), 0.0, end)
+        from_middle, chord = -radius * np.cos(angle)[..., None], radius * np.sin(angle)[..., None]
+        along = np.exp(-1j * k * from_middle) * chord * (weight * out[those, None])[..., None]
+        across = np.where(k == 0.0, 2.0 * chord, 2.0 * np.sin(k * chord) / safe)
+        if swapped:  # but for what has left in the other direction
+            limit = np.clip((shift_x[those] - half)[:, None, None], -chord, chord)
+            ended = np.exp(-1j * k * limit) - np.exp(1j * k * chord)
+            gone = np.where(k == 0.0, limit + chord, ended / (-1j * safe))
+            across = across - out_x[those, None, None] * gone
+            along, across = across, along
+        found[those] += along.swapaxes(1, 2) @ across
+    return found * sign[:, None] * sign / (2.0 * half) ** 2
+
+
 def end_cones(bench: Bench, rules: Rules) -> EndCones:
     """Directions that leave through bottom or top; what the gap, the window and the mask do.
 
@@ -408,15 +442,25 @@ def end_cones(bench: Bench, rules: Rules) -> EndCones:
             share = share - by_x[:, :, None] * by_y[:, None, :]
         return share
 
-    once, twice = let_out(1), let_out(2)
     # down, off the window and up again: (n, m, 2 m - 1)
-    shuttle = r_window[:, None, None] * (
-        crossing[:, :, None] * hole_2 * every_crossing[:, None, :]
-        - twice[:, *at_step] * (every_crossing**2)[:, None, :]
-    )
+    there_and_back = crossing[:, :, None] * every_crossing[:, None, :]
+    small = bench.aperture_radius_mm < width / 2.0
+    if small:
+        lost = _lost_beside_hole(bench, wide, shift_x, shift_y, out_x, out_y)
+        once = lost[:, *at_wave] * crossing
+        twice = 2.0 * lost.real[:, *at_step] * there_and_back
+    else:
+        once = let_out(1)[:, *at_wave]
+        twice = let_out(2)[:, *at_step] * (every_crossing**2)[:, None, :]
+    shuttle = r_window[:, None, None] * (hole_2 * there_and_back - twice)
     here = np.arange(len(signed))
     diagonal = shuttle[:, here, here].copy()
-    series = 1.0 / (1.0 - r_crystal[:, None] * diagonal)
+    # light in a small hole is still in it when it comes back, but for what crosses its edge
+    across_edge = np.minimum(np.hypot(shift_x, shift_y) / bench.aperture_radius_mm, 1.0)
+    across_edge = np.arcsin(across_edge) + across_edge * np.sqrt(1.0 - across_edge**2)
+    within = 1.0 - 2.0 / math.pi * across_edge
+    again = (r_window * within)[:, None] * crossing if small else diagonal
+    series = 1.0 / (1.0 - r_crystal[:, None] * again)
     shuttle[:, here, here] = 0.0
     for highest, rule in zip([r.coupled for r in rules], _slices(first), strict=True):
         # the coarser rule may couple fewer waves
@@ -424,14 +468,19 @@ def end_cones(bench: Bench, rules: Rules) -> EndCones:
         shuttle[rule, :, beyond] = 0.0
         shuttle[rule, beyond[: len(signed)]] = 0.0
     every_series = with_opposite(series)
-    coupling = shuttle * ((enters**2)[:, None] * series)[:, :, None] * every_series[:, None, :]
+    if small:
+        repeated = 0.5 * (series[:, :, None] + every_series[:, None, :])
+    else:
+        repeated = series[:, :, None] * every_series[:, None, :]
+    coupling = shuttle * (enters**2)[:, None, None] * repeated
 
     over_edges = _over_edges(bench, sine, over_x, over_y, signed)
-    landed = lands[:, None] * (crossing * hole_1 - once[:, *at_wave] - over_edges)
+    landed = lands[:, None] * (crossing * hole_1 - once - over_edges)
     leaked = _leaked(bench, rules, first, sine, over_x, over_y, signed)
     arrived = (landed + leaked) * series
-    more = (shuttle @ with_opposite(arrived)[:, :, None])[..., 0]
-    arrived = arrived + r_crystal[:, None] * series * more
+    if not small:
+        more = (shuttle @ with_opposite(arrived)[:, :, None])[..., 0]
+        arrived = arrived + r_crystal[:, None] * series * more
 
     # light that the place does not turn into other waves, through all its crossings of the gap
     turns = r_crystal * r_window
@@ -446,9 +495,9 @@ def end_cones(bench: Bench, rules: Rules) -> EndCones:
         arrived[:, 0] = _sum_of_shuttles(terms, turns)
         survive = kept[2::2]
     else:
-        middle = 2 * order
-        mean = hole[middle, middle] - twice[:, middle, middle].real
-        survive = mean ** np.arange(1, _SHUTTLES + 1)[:, None]
+        mean = hole[2 * order, 2 * order] - twice[:, 0, 0].real
+        order_of_return = np.arange(_SHUTTLES)[:, None]
+        survive = mean * (within if small else mean) ** order_of_return
     for highest, rule in zip([r.coupled for r in rules], _slices(first), strict=True):
         arrived[rule, np.abs(signed).max(axis=1) > highest] = 0.0
 
@@ -507,10 +556,12 @@ def _towards_ends(n_gap: float, n_window: float, rule: Nodes) -> tuple[Floats, F
         span = (end - begins)[those, None]
         nodes = sine[those, None], weight[those, None], begins[those, None] + span * t * t
         panels.append((nodes[0], nodes[1] * abs(span) * 2.0 * t * w_t, nodes[2]))
-    return tuple(
+    found = (
         np.concatenate([np.broadcast_to(x, (len(x), len(t))).ravel() for x in part])
         for part in zip(*panels, strict=True)
     )
+    sine, weight, azimuth = found
+    return sine, weight, azimuth
 
 
 #: Light in the plate that is closer to grazing than this cosine is little.
@@ -531,6 +582,8 @@ def _over_edges(
 ) -> _Array:  # fmt: skip
     """Components of the share of light in the plate, grazing, that its edges let out."""
     width, n_window = bench.crystal_width_mm, bench.n_window
+    if bench.aperture_radius_mm < width / 2.0:  # it enters far from them
+        return np.zeros((len(sine), len(signed)))
     margin = (bench.window_width_mm - width) / 2.0
     cos_window = np.maximum(_cosine(sine, n_window), 1e-9)
     reach = bench.window_thickness_mm * sine / n_window / cos_window

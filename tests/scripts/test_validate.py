@@ -186,18 +186,18 @@ def test_right_programs_pass_and_refused_benches_are_named(validated):
 
 def test_plain_benches_are_compared_with_the_solver():
     """Mitsuba's eta, off by two of its errors, beside that without noise; other benches say why."""
-    plain, masked = (benches.Case("plain", each) for each in ({}, {"aperture_radius_mm": 3.0}))
+    plain, chamfered = (benches.Case("plain", each) for each in ({}, {"chamfer_mm": 0.2}))
 
     class Ours:
         def __getitem__(self, unit):
             return {"photons": 10**6, "budget": {"detected": 0.25194 * 1.002},
                     "sigma": {"detected": 0.25194 * 0.001}, "scene_hash": ""}  # fmt: skip
 
-    compared = command.Comparison(0.01, 0, [plain, masked], [], Ours())
-    (row,) = (row for case in (plain, masked) for row in compared._solved_row(case))
+    compared = command.Comparison(0.01, 0, [plain, chamfered], [], Ours())
+    (row,) = (row for case in (plain, chamfered) for row in compared._solved_row(case))
     assert row.program == SOLVER and row.z == pytest.approx(2.0, abs=0.15)
     ((bench, why),) = ((b, why) for program, b, why in compared.refused if program == SOLVER)
-    assert bench == masked.name and "mask" in why
+    assert bench == chamfered.name and "chamfer" in why
 
 
 def test_the_program_with_a_bias_is_named(validated):
