@@ -86,6 +86,14 @@ def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
     editor.insert_last(bsdf, f'<float name="{name}" value="{value}"/>')
 
 
+def birth_weight(depths_mm: np.ndarray, length_mm: float, depth_mm: float) -> np.ndarray:
+    """Density of births at depths behind a face, exp(-t/depth) up to a length, over an even one."""
+    lengths = length_mm / depth_mm
+    if lengths < 1e-9:
+        return np.ones(len(depths_mm))
+    return lengths / -np.expm1(-lengths) * np.exp(-depths_mm.astype(np.float64) / depth_mm)
+
+
 def roughen(editor: SceneEditor, side: str) -> None:
     """Give a side of the crystal (``top``, ``bottom`` or the four ``side`` faces) GGX facets."""
     # which may stand in a beam, without a gap

@@ -28,6 +28,7 @@ BUILT_IN = (
     "rayleigh_scattering",
     "scattering_gradient",
     "source_depth",
+    "side_source",
     "surface_roughness",
     "surface_haze",
     "top_roughness",

@@ -22,7 +22,7 @@ COLLAR_WIDTH_MM = 1.0
 #: Axes that a beam may fly along.
 BEAM_AXES = ("x", "y", "z")
 
-_MAY_BE_INFINITE = ("source_depth_mm",)
+_MAY_BE_INFINITE = ("source_depth_mm", "side_depth_mm")
 # lowest value of lengths and of coefficients; all others are indices
 _LOWEST_BY_UNIT = {"mm": math.ulp(0.0), "cm": 0.0}
 # lowest and highest value of what the name does not tell
@@ -31,6 +31,7 @@ _RANGES = {
     "scattering_g": (-0.99, 0.99),
     "scattering_gradient": (-1.0, 1.0),
     "source_depth_mm": (math.ulp(0.0), math.inf),
+    "side_depth_mm": (math.ulp(0.0), math.inf),
     "roughness_alpha": (0.0, 1.0),
     "top_roughness_alpha": (0.0, 1.0),
     "side_roughness_alpha": (0.0, 1.0),
@@ -100,9 +101,10 @@ class Bench:
     #: q, from -1 to 1: the scattering coefficient is that given, times
     #: 1 + q (2 z / height - 1).
     scattering_gradient: float = 0.0
-    #: Emission falls off below the top face as exp(-depth / source_depth_mm);
-    #: infinity for uniform emission.
+    #: Emission falls off below the top face as exp(-depth / source_depth_mm), or from the face at
+    #: x = -width/2 as exp(-distance / side_depth_mm); infinity for uniform emission.
     source_depth_mm: float = math.inf
+    side_depth_mm: float = math.inf
     #: GGX parameter of the crystal's faces, chamfers included, from 0
     #: (polished) to 1.
     roughness_alpha: float = 0.0
@@ -191,6 +193,9 @@ class Bench:
                 "roughness_alpha", "where all faces are rough",
                 "top_roughness_alpha", "side_roughness_alpha", "bottom_roughness_alpha",
             )  # fmt: skip
+        if max(self.source_depth_mm, self.side_depth_mm) < math.inf:
+            both = "source_depth_mm and side_depth_mm exclude each other"
+            raise InputError(f"{both}: gammas come from one side", "leave one of them out")
         if self.beam_diameter_mm is not None:
             self._require_beam()
         if self.gel_creep_mm:

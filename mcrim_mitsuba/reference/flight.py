@@ -110,15 +110,21 @@ def birth_positions(
 def _in_box(bench: Bench, rng: np.random.Generator, count: int) -> Floats:
     width, height = bench.crystal_width_mm, bench.crystal_height_mm
     position = rng.random((3, count))
+    if bench.side_depth_mm < math.inf:
+        position[0] = _depths(position[0], bench.side_depth_mm, width) / width
     position[:2] = (position[:2] - 0.5) * width
-    depth_mm = bench.source_depth_mm
-    if math.isinf(depth_mm):
+    if math.isinf(bench.source_depth_mm):
         position[2] *= height
     else:
-        # the inverse of the distribution function of exp(-t/depth) on 0 < t < height
-        below_top = -depth_mm * np.log1p(position[2] * math.expm1(-height / depth_mm))
-        position[2] = np.clip(height - below_top, 0.0, height)
+        position[2] = height - _depths(position[2], bench.source_depth_mm, height)
     return position
+
+
+def _depths(uniform: Floats, depth_mm: float, length_mm: float) -> Floats:
+    """Depths t with a density exp(-t/depth) on 0 < t < length, from uniforms: mm."""
+    # the inverse of the distribution function
+    below = -depth_mm * np.log1p(uniform * math.expm1(-length_mm / depth_mm))
+    return np.clip(below, 0.0, length_mm)
 
 
 def henyey_greenstein_cosine(rng: np.random.Generator, count: int, g: float) -> Floats:

@@ -549,7 +549,8 @@ def refuse_other_boxes(bench: Bench) -> None:
         Names the parameter and the mend.
     """
     mend = "leave it out, or simulate photons"
-    for name in _ABSENT:
+    # modes that are odd in x would be needed for a source at a side
+    for name in (*_ABSENT, *(["side_depth_mm"] if bench.side_depth_mm < math.inf else [])):
         if getattr(bench, name):
             raise InputError(f"the solver without photons knows no {name}", mend)
     n, n_gap, n_window = bench.n_crystal, bench.gap_index, bench.n_window

@@ -74,9 +74,10 @@ def _refuse_other_benches(simulation: Simulation, effects: list[str]) -> None:
 
 
 def _emission(simulation: Simulation) -> tuple:
-    """Where light is born: its depth below the top, or the axis and the width of a beam."""
+    """Where light is born: its depth below a face, or the axis and the width of a beam."""
     crystal = simulation.crystal
-    return crystal.source_depth_mm, _beam_axis(simulation), getattr(crystal, "diameter_mm", None)
+    beam = _beam_axis(simulation), getattr(crystal, "diameter_mm", None)
+    return crystal.source_depth_mm, crystal.side_depth_mm, *beam
 
 
 def _beam_axis(simulation: Simulation) -> int | None:

@@ -258,6 +258,8 @@ def _emission(crystal: CrystalVolume) -> str:
     where = "uniformly"
     if np.isfinite(crystal.source_depth_mm):
         where = f"falling to 1/e every {crystal.source_depth_mm:g} mm below its top"
+    if np.isfinite(crystal.side_depth_mm):
+        where = f"falling to 1/e every {crystal.side_depth_mm:g} mm from its side of the lowest x"
     return f"photons are born in it, {where} and in all directions"
 
 

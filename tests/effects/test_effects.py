@@ -25,6 +25,7 @@ EDITS = [name for name, effect in KNOWN.items() if effect.edit is not None]
 #: Effects that change the same parts of a scene.
 NEIGHBOURS = [
     ("anisotropic_scattering", "rayleigh_scattering", "scattering_gradient"),
+    ("source_depth", "side_source"),
     ("surface_roughness", "surface_absorption", "gap_index", "gap_bubble", "edge_chamfer",
      "aperture_at_detector"),
     ("surface_haze", "top_roughness", "side_roughness", "bottom_roughness", "surface_absorption",
@@ -33,7 +34,10 @@ NEIGHBOURS = [
     ("detector_reflection", "detector_angle", "detector_radius", "aperture_at_detector",
      "gap_thickness"),
 ]  # fmt: skip
-EXCLUDED = {frozenset(("anisotropic_scattering", "rayleigh_scattering"))}
+EXCLUDED = {
+    frozenset(("anisotropic_scattering", "rayleigh_scattering")),
+    frozenset(("source_depth", "side_source")),
+}
 
 #: Lines of scenes/camoo4.xml that an effect may take away or change; all other effects only add.
 MASK = r'aperture|"radius"|<bsdf type="dielectric">|_ior|</bsdf>|[Mm]ask|photodetector'
@@ -72,7 +76,7 @@ def added(scene, *names):
 
 def test_every_effect_of_the_definitions_is_there():
     assert list(KNOWN) == list(BUILT_IN)
-    assert len(KNOWN) == 25
+    assert len(KNOWN) == 26
     for name, effect in KNOWN.items():
         assert effect.name == name
         assert (
@@ -84,7 +88,8 @@ def test_every_effect_of_the_definitions_is_there():
     ranges = {p.name: (p.minimum, p.maximum) for e in KNOWN.values() for p in e.parameters}
     assert ranges == {
         "scattering_g": (-0.5, 0.95), "scattering_gradient": (-1, 1),
-        "source_depth_mm": (0.2, 100), "roughness_alpha": (0, 0.3), "surface_loss": (0, 0.05),
+        "source_depth_mm": (0.2, 100), "side_depth_mm": (0.2, 100),
+        "roughness_alpha": (0, 0.3), "surface_loss": (0, 0.05),
         "rms_roughness_nm": (0, 30), "top_roughness_alpha": (0, 0.5),
         "side_roughness_alpha": (0, 0.5), "bottom_roughness_alpha": (0, 0.5),
         "n_crystal": (-0.1, 0.1), "gap_index_offset": (-0.1, 0.1), "gap_offset_mm": (-0.04, 0.5),
@@ -262,7 +267,9 @@ def test_mitsuba_loads_a_text_that_was_never_written(scenes):
     assert simulation.file.parameters["top_reflectance"] == 0.9
 
 
-PARAMETERS = {"crystal_height_mm": 10.0, "n_gap": 1.46, "aperture_radius_mm": 7.0}
+PARAMETERS = {
+    "crystal_height_mm": 10.0, "crystal_width_mm": 10.0, "n_gap": 1.46, "aperture_radius_mm": 7.0,
+}  # fmt: skip
 
 
 def factor(name, values, parameters=PARAMETERS, **columns):
@@ -279,6 +286,10 @@ def test_weights_are_ratios_of_densities():
             math.exp(-depths[2000] / depth), rel=1e-4
         )
     assert np.all(factor("source_depth", {"source_depth_mm": math.inf}, birth_depth_mm=[0, 9]) == 1)
+    from_side = factor("side_source", {"side_depth_mm": 2.0}, birth_side_mm=depths)
+    assert np.all(
+        from_side == factor("source_depth", {"source_depth_mm": 2.0}, birth_depth_mm=depths)
+    )
     gap, air = {"gap_absorption_per_cm": 2.0}, {**PARAMETERS, "n_gap": 1.0}
     assert factor("gap_absorption", gap, air, path_gap_cm=[0.5]) == pytest.approx([1])
     for name, values, columns, expected in (

@@ -156,10 +156,13 @@ def test_histories_predict_other_scattering_with_a_gradient(gap):
 
 
 @pytest.mark.parametrize("depth", [0.2, 3.0, 100.0, 1e9, math.inf])
-def test_births_below_the_top(depth):
-    bench = Bench(source_depth_mm=depth)
-    z = birth_positions(bench, None, np.random.default_rng(9), 100_000)[2]
-    assert z.min() >= 0 and z.max() <= 10
+@pytest.mark.parametrize("name", ["source_depth_mm", "side_depth_mm"])
+def test_births_near_the_top_or_a_side(name, depth):
+    bench = Bench(crystal_width_mm=10.0, **{name: depth})
+    x, y, z = birth_positions(bench, None, np.random.default_rng(9), 100_000)
+    assert z.min() >= 0 and z.max() <= 10 and np.abs([x, y]).max() <= 5
+    z, evenly = (z, x) if name == "source_depth_mm" else (5 - x, 5 + z - 10)
+    assert_mean(evenly, 0.0)
     # mean of the exponential cut off at the crystal's height
     expected = 5.0 if depth > 1e6 else depth - 10 / math.expm1(10 / depth)
     assert_mean(10 - z, expected)
@@ -492,7 +495,8 @@ def test_histories_of_an_open_mask_predict_every_aperture(gap, at_detector):
 
 EFFECTS = {
     "scattering_g": 0.8, "rayleigh_scattering": True, "scattering_gradient": -1.0,
-    "source_depth_mm": 0.5, "roughness_alpha": 0.3, "surface_loss": 0.05, "n_crystal": 1.91,
+    "source_depth_mm": 0.5, "side_depth_mm": 0.5, "roughness_alpha": 0.3, "surface_loss": 0.05,
+    "n_crystal": 1.91,
     "gap_index_offset": 0.1, "gap_offset_mm": -0.04, "gap_absorption_per_cm": 20.0,
     "bubble_fraction": 0.4, "top_reflectance": 0.95, "detector_reflectance": 0.5,
     "angular_falloff": 1.0, "radial_falloff": 1.0, "aperture_at_detector": True, "chamfer_mm": 0.7,
@@ -502,7 +506,8 @@ EFFECTS = {
 @pytest.mark.parametrize("polarization", [False, True])
 @pytest.mark.parametrize("gap", [{}, GEL], ids=["air", "gel"])
 def test_nothing_is_ever_lost(gap, polarization):
-    everything = {name: size for name, size in EFFECTS.items() if name != "rayleigh_scattering"}
+    excluded = ("rayleigh_scattering", "side_depth_mm")
+    everything = {name: size for name, size in EFFECTS.items() if name not in excluded}
     alone = [{name: size} for name, size in EFFECTS.items()]
     for number, effect in enumerate([*alone, everything]):
         bench = Bench(**gap, **effect, polarization=polarization)

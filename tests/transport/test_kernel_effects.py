@@ -258,20 +258,23 @@ def test_both_paths_agree_on_rough_lossy_crystals_and_choosy_detectors(bench, po
 
 
 @pytest.mark.parametrize("depth", [0.2, 3.0, 1e9])
-def test_births_fall_with_depth(bench, depth):
+@pytest.mark.parametrize("side", [False, True], ids=["top", "side"])
+def test_births_fall_with_depth(bench, depth, side):
     """Kolmogorov and Smirnov at 1e-4, sampled directly and by rejection."""
     use_variant()
-    crystal = bench("depth", {"source_depth_mm": depth}).crystal
+    crystal = bench(*(("side", {"side_depth_mm": depth}) if side else
+                      ("depth", {"source_depth_mm": depth}))).crystal  # fmt: skip
     rng = lane_generators(50_000, 13)
     for point in (
         crystal.from_uniforms(*(rng.next_float32() for _ in range(3))),
         crystal.sample(rng, 50_000),
     ):
-        below = 10 - np.array(point.z, dtype=float)
+        x, y, z = (np.array(c, dtype=float) for c in (point.x + 5, point.y + 5, point.z))
+        below, *evenly = (x, y, z) if side else (10 - z, x, y)
         assert 0 <= below.min() and below.max() <= 10
         assert kstest(np.expm1(-below / depth) / np.expm1(-10 / depth), "uniform").pvalue > 1e-4
-        for across in (point.x, point.y):
-            assert kstest(np.array(across, dtype=float) / 10 + 0.5, "uniform").pvalue > 1e-4
+        for across in evenly:
+            assert kstest(across / 10, "uniform").pvalue > 1e-4
 
 
 # ---- one run's records against another run ------------------------------------------------------
@@ -285,7 +288,7 @@ def unmasked(bench):
 
 
 def test_records_of_the_plain_bench_answer_for_effects(bench, unmasked):
-    """Nine effects by reweighting one run, each against a run that has it in the scene."""
+    """Ten effects by reweighting one run, each against a run that has it in the scene."""
     more = {name: np.asarray(column, dtype=float) for name, column in unmasked.further.items()}
     masked = more["mask_radius_mm"] <= 14
     radius2 = np.square(more["arrival_radius_mm"] / 14)
@@ -294,6 +297,7 @@ def test_records_of_the_plain_bench_answer_for_effects(bench, unmasked):
         "rayleigh": (masked * np.exp(more["log_rayleigh"]), {}),
         "loss": (masked * 0.97 ** more["reflections"], {}),
         "depth": (masked * 5 / -np.expm1(-5) * np.exp(-more["birth_depth_mm"] / 2), {}),
+        "side": (masked * 5 / -np.expm1(-5) * np.exp(-more["birth_side_mm"] / 2), {}),
         "gap": (masked * np.exp(-10 * more["path_gap_cm"]), {}),
         "masked_detector": (more["arrival_radius_mm"] <= 7, {"aperture_radius_mm": 7}),
     }
@@ -390,6 +394,7 @@ def test_photons_that_do_the_same_have_the_same_numbers(bench):
     ("effects", "name", "value", "message"),
     [
         ("depth", "source_depth_mm", -1, "source_depth_mm is -1; give a positive number"),
+        ("side", "side_depth_mm", 0, "side_depth_mm is 0; give a positive number"),
         ("polish", "roughness_alpha", -0.1, "roughness_alpha is -0.1; give 0 to 1"),
         ("polish", "surface_loss", 1.5, "surface_loss is 1.5; give 0 to 1"),
         ("detector", "detector_reflectance", 1.2, "reflectance is 1.2; give 0 to 1"),
