@@ -49,6 +49,8 @@ BUILT_IN = (
     "forward_beam",
     "background",
     "saturation",
+    "gain_drift",
+    "sample_scale",
 )
 #: Entry points of installed distributions: an `Effect` each, or a module with `EFFECT`.
 ENTRY_POINTS = "mcrim_mitsuba.effects"

@@ -14,7 +14,7 @@ from refusals import refusal
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.catalogue import BUILT_IN, _entry_points, add, catalogue
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter, Rows
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -76,7 +76,7 @@ def added(scene, *names):
 
 def test_every_effect_of_the_definitions_is_there():
     assert list(KNOWN) == list(BUILT_IN)
-    assert len(KNOWN) == 26
+    assert len(KNOWN) == 28
     for name, effect in KNOWN.items():
         assert effect.name == name
         assert (
@@ -98,6 +98,7 @@ def test_every_effect_of_the_definitions_is_there():
         "angular_falloff": (0, 1), "radial_falloff": (0, 1), "chamfer_mm": (0, 1),
         "acceptance_deg": (-89, 89),
         "background": (-math.inf, math.inf), "saturation": (0, 0.05),
+        "gain_drift": (-0.1, 0.1), "sample_scale": (-0.2, 0.2),
     }  # fmt: skip
 
 
@@ -306,16 +307,33 @@ def test_weights_are_ratios_of_densities():
         assert factor(name, values, **columns) == pytest.approx(expected), name
 
 
-@pytest.mark.parametrize("name", ["background", "saturation"])
+@pytest.mark.parametrize("name", [name for name in KNOWN if KNOWN[name].reading])
 def test_readings_and_their_slopes(name):
-    signals, value, step = np.array([0.5, 20.0]), 0.01, 1e-6
-    reading, by_signal, by_value = KNOWN[name].reading(signals, value)
-    assert KNOWN[name].reading(signals, 0.0)[0] == pytest.approx(signals)
-    up, down = (KNOWN[name].reading(signals + s, value)[0] for s in (step, -step))
+    signals, value, step = np.array([0.5, 20.0, 3.0]), 0.01, 1e-6
+    rows = Rows(np.array([-0.5, 0.0, 0.5]), np.array([False, True, True]))
+
+    def read(signals, value):
+        return KNOWN[name].reading(signals, value, rows)
+
+    reading, by_signal, by_value = read(signals, value)
+    assert read(signals, 0.0)[0] == pytest.approx(signals)
+    up, down = (read(signals + s, value)[0] for s in (step, -step))
     assert by_signal == pytest.approx((up - down) / (2 * step), rel=1e-6)
-    up, down = (KNOWN[name].reading(signals, value + s)[0] for s in (step, -step))
+    up, down = (read(signals, value + s)[0] for s in (step, -step))
     assert by_value == pytest.approx((up - down) / (2 * step), rel=1e-6)
-    assert reading.shape == signals.shape
+    # several sizes at once, as predictions of many points take them
+    both = read(np.stack([signals, signals]), np.array([[value], [0.0]]))[0]
+    assert both == pytest.approx(np.stack([reading, signals]))
+
+
+def test_what_drifts_and_what_another_crystal_reads():
+    signals = np.array([10.0, 10.0, 10.0])
+    rows = Rows(np.array([-0.5, 0.0, 0.5]), np.array([False, True, True]))
+    assert KNOWN["gain_drift"].reading(signals, 0.1, rows)[0] == pytest.approx([9.5, 10.0, 10.5])
+    assert KNOWN["sample_scale"].reading(signals, 0.1, rows)[0] == pytest.approx([10.0, 11, 11])
+    # the yield comes first; what drifts is what is read in the end
+    last = sorted((e for e in KNOWN.values() if e.reading), key=lambda e: e.order)
+    assert [e.name for e in last] == ["sample_scale", "saturation", "background", "gain_drift"]
 
 
 OWN = """from mcrim_mitsuba.effects import Effect, EffectParameter
