@@ -12,12 +12,13 @@ from lxml import etree
 from mcrim_mitsuba.core.errors import said_by
 from mcrim_mitsuba.core.numbers import Value, parse_number
 from mcrim_mitsuba.effects.effect import EffectParameter
-from mcrim_mitsuba.scene.editor import Node, SceneEditor
+from mcrim_mitsuba.scene.editor import INTERFACES, Node, SceneEditor
 
+#: Of the light in vacuum, where a scene names it.
+WAVELENGTH = "wavelength_nm"
 _INDICES = ("int_ior", "ext_ior")
 _FURTHER = (
-    "int_offset", "ext_offset", "roughness_alpha", "surface_loss", "rms_roughness_nm",
-    "wavelength_nm",
+    "int_offset", "ext_offset", "roughness_alpha", "surface_loss", "rms_roughness_nm", WAVELENGTH,
 )  # fmt: skip
 WIDTH, HEIGHT, GAP = "crystal_width_mm", "crystal_height_mm", "gap_mm"
 _STRETCH = {WIDTH: 1.1, HEIGHT: 1.3, GAP: 1.7}
@@ -50,19 +51,78 @@ def set_phase(editor: SceneEditor, xml: str) -> None:
 
 def set_detector(editor: SceneEditor, name: str, value: str) -> None:
     """Put ``<float>`` into every ``photodetector``, or refuse one that has it."""
-    for detector in editor.detectors:
-        known = detector.named(name)
+    set_part(editor, editor.detectors, name, f'<float name="{name}" value="{value}"/>')
+
+
+def set_part(editor: SceneEditor, bsdfs: Iterable[Node], name: str, xml: str) -> None:
+    """Put a property of a name into detectors or masks, or refuse one that has it."""
+    for bsdf in bsdfs:
+        known = bsdf.named(name)
         if known is not None:
-            problem = f"the detector has its {name} already"
+            what = "detector" if bsdf in editor.detectors else "mask"
+            problem = f"the {what} has its {name} already"
             raise editor.refusal(problem, "change this number instead", known)
-        editor.insert_last(detector, f'<float name="{name}" value="{value}"/>')
+        numbers = [part for part in bsdf.elements if "name" in part.attributes]
+        if numbers:
+            editor.insert_after(numbers[-1], xml)
+        else:
+            editor.insert_first(bsdf, xml)
 
 
-def falloff(name: str, meaning: str) -> EffectParameter:
-    """How far a detector's sensitivity falls: 1 - this times what `meaning` says."""
+def masks_of(editor: SceneEditor) -> list[Node]:
+    """The masks of a scene, which must have one."""
+    if not editor.masks:
+        raise editor.refusal("the scene has no mask", "let the window wear an aperture")
+    return editor.masks
+
+
+def sends_back(editor: SceneEditor) -> None:
+    """Let what the text calls a black detector be called so no longer."""
+    for shape in editor.shapes:
+        if any(part in editor.detectors for part in shape.walk()):
+            editor.reword(shape, "window, black", "window")
+
+
+def index_before(editor: SceneEditor, detector: Node) -> str:
+    """Index of the medium before a detector, as an interface of that medium writes it."""
+    faces = [shape for shape in editor.shapes if detector in _within(editor, shape)]
+    media = {medium for face in faces for medium in editor.media(face)} - {None}
+    for shape in editor.shapes:
+        for index, medium in zip(_INDICES, editor.media(shape), strict=True):
+            for bsdf in _within(editor, shape) if medium in media else ():
+                known = bsdf.named(index) if bsdf.type in INTERFACES else None
+                if known is not None:
+                    return known.attributes["value"]
+    problem = "no interface says the index of what is before the detector"
+    raise editor.refusal(problem, "name the window's medium on its faces", detector)
+
+
+def _within(editor: SceneEditor, node: Node) -> list[Node]:
+    """The bsdfs that a shape, or a bsdf, wears, those within them too."""
+    worn = editor.targets(node, "bsdf")
+    return [each for bsdf in worn for each in (bsdf, *_within(editor, bsdf))]
+
+
+def hits_weight(hits: np.ndarray, reflectance: float, simulated_at: float) -> np.ndarray:
+    """Weight of photons that a detector sent back so often, and then detected.
+
+    They were drawn with the reflectance `simulated_at`.
+    """
+    each = (reflectance / simulated_at) ** hits.astype(np.float64)
+    return (1.0 - reflectance) / (1.0 - simulated_at) * each
+
+
+def falloff(
+    name: str, meaning: str, least: float = 0.0, nodes: tuple[float, ...] = ()
+) -> EffectParameter:
+    """How far a detector's sensitivity falls: 1 - this times what `meaning` says.
+
+    From `least` on, where it rises, with `nodes` below 0.
+    """
     return EffectParameter(
-        name=name, unit="", meaning=f"Detection falls as 1 - this {meaning}", minimum=0.0,
-        maximum=1.0, start=0.2, absent=0.0, plausible=(0.0, 0.6), nodes=(0.15, 0.3, 0.5, 0.75, 1.0),
+        name=name, unit="", meaning=f"Detection falls as 1 - this {meaning}", minimum=least,
+        maximum=1.0, start=0.2, absent=0.0, plausible=(0.6 * least, 0.6),
+        nodes=(*nodes, 0.15, 0.3, 0.5, 0.75, 1.0),
     )  # fmt: skip
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.optics.thin_film import cathode_index
 
 #: A gap is filled where its nominal index is above this.
 FILLED_ABOVE = 1.0005
@@ -46,8 +47,12 @@ _RANGES = {
     "gap_index_offset": (-math.inf, math.inf),
     "bubble_fraction": (0.0, 0.99),
     "detector_reflectance": (0.0, 1.0),
-    "angular_falloff": (0.0, 1.0),
+    "cathode_nm": (0.0, 200.0),
+    "detector_specular": (0.0, 1.0),
+    "angular_falloff": (-1.0, 1.0),
     "radial_falloff": (0.0, 1.0),
+    "mask_offset_mm": (-math.inf, math.inf),
+    "housing_reflectance": (0.0, 1.0),
     "gel_creep_mm": (0.0, math.inf),
     "black_spot_mm": (0.0, math.inf),
 }
@@ -138,10 +143,20 @@ class Bench:
     #: Probability that the detector sends light back into the plate, by the
     #: cosine law.
     detector_reflectance: float = 0.0
-    #: Other light is detected with probability 1 - angular (1 - cos theta)
-    #: times 1 - radial (r / 14 mm)^2, else absorbed.
+    #: Of other light the probability of a mirror's reflection, as by a metal.
+    detector_specular: float = 0.0
+    #: Thickness of the photocathode, a film of K-Cs-Sb between the plate and vacuum, that the
+    #: detector is: other light is reflected, absorbed, which is detected, or lost beyond it. 0 or
+    #: None for a plain detector.
+    cathode_nm: float | None = None
+    #: Other light is detected with probability 1 - angular (1 - cos theta), over 1 - angular if
+    #: that is negative, times 1 - radial (r / 14 mm)^2, else absorbed.
     angular_falloff: float = 0.0
     radial_falloff: float = 0.0
+    #: Shift along x of the axis that r and the mask's hole are about.
+    mask_offset_mm: float = 0.0
+    #: Reflectance of the mask's upper side, by the cosine law.
+    housing_reflectance: float = 0.0
     #: With a diameter, the crystal is not on the bench but alone in air, in a beam of parallel
     #: light from outside, through its middle, along +``beam_axis``. Behind the face where the beam
     #: leaves a black plate of the face's size, `PLATE_DISTANCE_MM` away, detects light within an
@@ -157,13 +172,13 @@ class Bench:
     black_spot_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            name, value = field.name, getattr(self, field.name)
-            if isinstance(field.default, bool):
+        for each in fields(self):
+            name, value = each.name, getattr(self, each.name)
+            if isinstance(each.default, bool):
                 _require(isinstance(value, bool), name, value, "true or false")
-            elif isinstance(field.default, str):
+            elif isinstance(each.default, str):
                 _require(value in BEAM_AXES, name, value, " or ".join(BEAM_AXES))
-            elif value is None and field.default is None:
+            elif value is None and each.default is None:
                 continue
             else:
                 unit = name.rpartition("_")[2]
@@ -198,6 +213,12 @@ class Bench:
             raise InputError(f"{both}: gammas come from one side", "leave one of them out")
         if self.beam_diameter_mm is not None:
             self._require_beam()
+        if self.cathode_nm:
+            self._refuse_beside(
+                "cathode_nm", "where the detector is a film",
+                "detector_reflectance", "detector_specular", "angular_falloff",
+            )  # fmt: skip
+            cathode_index(self.wavelength_nm)
         if self.gel_creep_mm:
             self._refuse_beside(
                 "gel_creep_mm", "where gel creeps up the crystal",
@@ -222,7 +243,8 @@ class Bench:
         self._refuse_beside(
             "beam_diameter_mm", "in a beam",
             "wrap_reflectance", "top_reflectance", "bubble_fraction", "aperture_at_detector",
-            "detector_reflectance", "angular_falloff", "radial_falloff", "gel_creep_mm",
+            "detector_reflectance", "detector_specular", "cathode_nm", "angular_falloff",
+            "radial_falloff", "mask_offset_mm", "housing_reflectance", "gel_creep_mm",
         )  # fmt: skip
 
     def _refuse_beside(self, there: str, where: str, *others: str) -> None:
@@ -281,7 +303,7 @@ class Bench:
             For a name that is not an attribute: silently leaving a parameter
             out would make the comparison meaningless.
         """
-        known = {field.name for field in fields(cls)}
+        known = {each.name for each in fields(cls)}
         unknown = sorted(set(parameters) - known)
         if unknown:
             problem = f"the NumPy tracer cannot express {', '.join(unknown)}"
@@ -340,6 +362,8 @@ class FateCounts:
     seed: int
     #: Photons by fate; the values add up to ``photons``.
     counts: dict[str, int]
+    #: Part that the detector detects of what arrives head-on; it was calibrated so.
+    head_on: float = field(default=1.0, kw_only=True)
 
     @property
     def budget(self) -> dict[str, float]:
@@ -362,10 +386,10 @@ class FateCounts:
 
     @property
     def eta(self) -> float:
-        """Light collection efficiency: detected over emitted."""
-        return self.budget["detected"]
+        """Light collection efficiency: detected over emitted, relative to light head-on."""
+        return self.budget["detected"] / self.head_on
 
     @property
     def eta_sigma(self) -> float:
         """Standard deviation of `eta`."""
-        return self.budget_sigma["detected"]
+        return self.budget_sigma["detected"] / self.head_on

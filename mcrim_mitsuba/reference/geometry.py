@@ -386,8 +386,10 @@ class Layout:
         low, high = np.array([[-half], [-half], [0.0]]), np.array([[half], [half], [height]])
         #: The axis that detectors are across.
         self.detector_axis = BEAM_AXES.index(bench.beam_axis) if in_beam else 2
-        #: A point on the axis of the detector, (3, 1), mm.
-        self.detector_centre = (low + high) / 2.0 if in_beam else np.zeros((3, 1))
+        #: A point on the axis of the detector, and of the mask, (3, 1), mm.
+        self.detector_centre = (low + high) / 2.0
+        if not in_beam:
+            self.detector_centre = np.array([[bench.mask_offset_mm], [0.0], [0.0]])
         #: The reflecting sheet above the crystal, or the plate that detects a beam.
         self.sheet = _before(2, low, high, TOP_FILM_MM) if bench.top_reflectance else None
         self.plate = _before(self.detector_axis, low, high, PLATE_DISTANCE_MM) if in_beam else None
@@ -477,7 +479,7 @@ class Layout:
     def _end_on_mask(self, place: Codes, body: Place, face: Indices, position: Floats) -> None:
         """Let light end where a face carries the mask at this point."""
         if body in self._masked_face:
-            radius_squared = position[0] ** 2 + position[1] ** 2
+            radius_squared = (position[0] - self.detector_centre[0]) ** 2 + position[1] ** 2
             masked = self.on_mask_plane(body, face) & (radius_squared > self._aperture_squared)
             place[masked] = Place.ABSORBED_APERTURE
 

@@ -536,7 +536,8 @@ _ABSENT = (
     "scattering_gradient", "roughness_alpha", "top_roughness_alpha", "side_roughness_alpha",
     "bottom_roughness_alpha", "rms_roughness_nm", "surface_loss", "chamfer_mm", "top_reflectance",
     "gap_absorption_per_cm", "bubble_fraction", "aperture_at_detector", "detector_reflectance",
-    "radial_falloff", "beam_diameter_mm", "gel_creep_mm", "black_spot_mm",
+    "detector_specular", "cathode_nm", "radial_falloff", "mask_offset_mm", "housing_reflectance",
+    "beam_diameter_mm", "gel_creep_mm", "black_spot_mm",
 )  # fmt: skip
 
 

@@ -221,17 +221,22 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
         if surface.aperture_radius_mm < np.inf:
             sentences.append(
                 f"{surface.name} wears a black mask with a hole of radius "
-                f"{surface.aperture_radius_mm:g} mm"
+                f"{surface.aperture_radius_mm:g} mm{_off_axis(surface)}"
             )
+        if surface.mask_reflectance > 0:
+            percent = 100 * surface.mask_reflectance
+            sentences.append(f"the mask of {surface.name} reflects {percent:g} % diffusely upwards")
         if surface.reflectance > 0:
             sentences.append(f"{surface.name} reflects {100 * surface.reflectance:g} % diffusely")
+        if surface.film is not None:
+            sentences.append(_film(surface))
         if surface.plugin:
             sentences.append(f"{surface.name} does what Mitsuba's {surface.plugin} does")
     imperfect: dict[str, list[str]] = {}
     for surface in model.surfaces:
         for name, factor, says in _IMPERFECTIONS:
-            if (value := getattr(surface, name)) > 0:
-                imperfect.setdefault(says.format(factor * value), []).append(surface.name)
+            if (value := factor * getattr(surface, name)) > 0:
+                imperfect.setdefault(says.format(value), []).append(surface.name)
     sentences += [f"{what}: {', '.join(names)}" for what, names in imperfect.items()]
     sentences.append(
         "Fresnel reflection follows each photon's polarisation"
@@ -270,6 +275,22 @@ def _detector(surface: Surface) -> str:
     return f"{surface.name} within {surface.acceptance_deg:.4g} degrees of its normal"
 
 
+def _off_axis(surface: Surface) -> str:
+    """Where the hole of a mask is that is not about x = y = 0."""
+    x, y = surface.axis_mm
+    return f" about x = {x:g}, y = {y:g} mm" if x or y else ""
+
+
+def _film(surface: Surface) -> str:
+    """What a photocathode does."""
+    assert surface.film is not None
+    oblique = surface.film.absorptance(0.5) / surface.film.head_on
+    return (
+        f"{surface.name} is a photocathode: it absorbs {100 * surface.film.head_on:.4g} % of light "
+        f"head-on, which counts 1, and at 60 degrees {oblique:.3g} times as much"
+    )
+
+
 def _scattering(volume: Volume) -> str:
     """How a volume scatters, where it is not evenly."""
     phases = {"hg": f"Henyey-Greenstein with g = {volume.scattering_g:g}", "rayleigh": "Rayleigh"}
@@ -284,7 +305,9 @@ _IMPERFECTIONS = (
     ("roughness", 1, "rough (GGX, alpha = {:g})"),
     ("hazy_part", 100, "hazy ({:.3g} % of what is reflected inwards head-on is scattered)"),
     ("surface_loss", 100, "{:g} % of what is reflected inwards is lost"),
+    ("specular", 100, "{:g} % is reflected as by a mirror"),
     ("angular_falloff", 100, "detection falls by {:g} % towards grazing incidence"),
+    ("angular_falloff", -100, "detection rises by {:g} % towards grazing incidence"),
     ("radial_falloff_per_mm2", 100,
      "detection falls by {:.3g} % of (r / mm)^2 away from the axis"),
 )  # fmt: skip

@@ -140,6 +140,8 @@ class GeneralPath:
         )  # fmt: skip
         if outcome.from_reflector is not None:
             through.from_reflector = through.from_detector = mi.Mask(False)
+        if outcome.from_mask is not None:
+            through.from_mask = mi.Mask(False)
         if outcome.mask_radius2_mm2 is not None:
             through.mask_radius2_mm2 = mi.Float(0.0)
         outcome = dr.select(passes, through, outcome)

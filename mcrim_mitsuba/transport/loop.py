@@ -294,7 +294,8 @@ class Loop:
         if path.surfaces_may_absorb:
             # as in volumes; of a `survive` that was no death there the rest is even again
             whole = at_surface & ~by_weight & (survive >= kept * outcome.weight)
-            fate = dr.select(whole & (fate == physics.ALIVE), mi.UInt32(physics.SURFACE), fate)
+            whole &= (fate == physics.ALIVE) | (fate == physics.DETECTED)
+            fate = dr.select(whole, mi.UInt32(physics.SURFACE), fate)
             factor = dr.select(by_weight, outcome.weight, dr.maximum(outcome.weight, 1.0))
             dimmed = dr.select(at_surface, w * factor, w)
         steps = p.steps + 1
@@ -303,7 +304,9 @@ class Loop:
         ended = fate != physics.ALIVE
 
         # ---------------- counts
-        fates = {code: total + dr.select(fate == code, w, 0.0) for code, total in p.fates.items()}
+        fates = {
+            code: total + dr.select(fate == code, dimmed, 0.0) for code, total in p.fates.items()
+        }
         if path.surfaces_may_absorb:
             fates[physics.SURFACE] += w - dimmed
         w = dimmed

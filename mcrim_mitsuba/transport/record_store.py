@@ -46,10 +46,6 @@ def _cm(value):
     return value / MM_PER_CM
 
 
-def _radius(point):
-    return dr.sqrt(dr.square(point.x) + dr.square(point.y))
-
-
 def _scattered(step: Step, mine):
     return step.scatters & ~step.dies & mine
 
@@ -92,6 +88,8 @@ COLUMNS = {
     # times that a diffuse reflector, or a detector, sent the photon back
     "reflector_hits": Recorded(np.uint8, _at_surface(lambda found, mine: found.from_reflector)),
     "detector_hits": Recorded(np.uint8, _at_surface(lambda found, mine: found.from_detector)),
+    # times that the upper side of a mask did
+    "mask_hits": Recorded(np.uint8, _at_surface(lambda found, mine: found.from_mask)),
     MASK_RADIUS: Recorded(
         np.float32, lambda step, mine: step.outcome.mask_radius2_mm2, kept=dr.sqrt
     ),
@@ -106,8 +104,10 @@ COLUMNS = {
     "birth_side_mm": Recorded(np.float16, arrival=lambda step, birth: birth().x),
     # to the normal of the detector
     "arrival_cosine": Recorded(np.float16, arrival=lambda step, birth: step.outcome.cosine),
-    # from the axis x = y = 0
-    "arrival_radius_mm": Recorded(np.float16, arrival=lambda step, birth: _radius(step.position)),
+    # from the detector's axis
+    "arrival_radius_mm": Recorded(
+        np.float16, arrival=lambda step, birth: dr.sqrt(step.outcome.from_axis2_mm2)
+    ),
     **{
         name: Recorded(np.float32, arrival=lambda step, birth, axis=axis: step.position[axis])
         for axis, name in enumerate(ARRIVAL_PLACE)
@@ -156,6 +156,7 @@ class RecordStore:
         self._columns = _OF_ALL | {name: known[name] for name in columns}
         self._source, self._photons = emitter.volume, photons
         self._left_front_top = opaque_vector([*emitter.lower[:2], emitter.upper[2]])
+        self._head_on = emitter.model.head_on
         # Only the first table is read where nothing was written: its weight says so.
         self.tables = [dr.zeros(mi.Float, 4 * photons)]
         self.tables += [
@@ -228,6 +229,8 @@ class RecordStore:
                 most = int(np.iinfo(column.kind).max)
                 value = dr.minimum(dr.reinterpret_array(mi.UInt32, value), most)
             found[name] = column.kept(value)
+        if self._head_on != 1.0:
+            found["w"] /= self._head_on
         dr.eval(found)
         kinds = {"batch": np.uint8} | {name: c.kind for name, c in self._columns.items()}
         return {name: np.asarray(column).astype(kinds[name]) for name, column in found.items()}

@@ -15,6 +15,7 @@ import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
+from mcrim_mitsuba.optics.thin_film import ThinFilm
 
 #: Index of the volume outside everything: a face without a medium on a side touches it.
 OUTSIDE = 0
@@ -67,7 +68,10 @@ class Surface:
     two_sided: bool = False
     #: The hole of a mask on the face; the radius is infinite where there is none.
     aperture_radius_mm: float = np.inf
-    aperture_centre_mm: tuple[float, float] = (0.0, 0.0)
+    #: x and y of the axis of the mask, or of a detector.
+    axis_mm: tuple[float, float] = (0.0, 0.0)
+    #: Part that the mask's upper side reflects diffusely.
+    mask_reflectance: float = 0.0
     #: GGX alpha of a dielectric's microfacets.
     roughness: float = 0.0
     #: Part of the light reflected back into the interior that a dielectric's surface takes.
@@ -76,7 +80,10 @@ class Surface:
     haze: float = 0.0
     #: Cosine of the largest angle to the normal that a detector accepts.
     least_cosine: float = 0.0
-    #: a and b of a detector's acceptance (1 - a (1 - cos)) (1 - b r^2).
+    #: Part of the light that a detector reflects specularly, or the photocathode that it is.
+    specular: float = 0.0
+    film: ThinFilm | None = None
+    #: a and b of a detector's acceptance (1 - a (1 - cos)) (1 - b r^2), over 1 - a if a < 0.
     angular_falloff: float = 0.0
     radial_falloff_per_mm2: float = 0.0
     #: Of a surface of kind `OTHER`: Mitsuba's name for its BSDF.
@@ -86,6 +93,15 @@ class Surface:
     def acceptance_deg(self) -> float:
         """Largest angle to the normal that a detector accepts; 90 where it accepts all."""
         return round(math.degrees(math.acos(self.least_cosine)), 6)
+
+    @property
+    def head_on(self) -> float:
+        """Part that a detector detects of what arrives head-on on its axis and is not sent back.
+
+        Of a photocathode, of all that arrives. It was calibrated so.
+        """
+        of_film = 1.0 if self.film is None else self.film.head_on
+        return of_film / (1.0 - min(self.angular_falloff, 0.0))
 
     @property
     def hazy_part(self) -> float:
@@ -157,6 +173,11 @@ class SceneModel:
         """All faces of a scene of flat faces; ``None`` where a surface is curved."""
         return None if self.curved else self.flat_faces
 
+    @property
+    def head_on(self) -> float:
+        """What its detectors, all alike, detect of light that arrives head-on."""
+        return next((s.head_on for s in self.surfaces if s.kind == DETECTOR), 1.0)
+
     def bordering(self, volume: int) -> list[int]:
         """Indices of the surfaces that border a volume."""
         return [i for i, surface in enumerate(self.surfaces) if volume in surface.sides]
@@ -210,6 +231,9 @@ def read_scene_model(scene) -> SceneModel:
         if own is None:
             curved.append(number)
         faces.extend(own or [])
+    if len({(s.film, s.head_on) for s in surfaces if s.kind == DETECTOR}) > 1:
+        problem = "the detectors differ in what they take of light that arrives head-on"
+        raise InputError(problem, "let all have the same cathode_nm and angular_falloff")
     box = scene.bbox()
     size = float(max(np.abs(np.array(box.min)).max(), np.abs(np.array(box.max)).max()))
     return SceneModel(
@@ -261,12 +285,19 @@ def surface_properties(bsdf) -> dict:
         inner = surface_properties(bsdf.interface)
         if "aperture_radius_mm" in inner:
             raise InputError("an aperture lies in an aperture", "keep the narrower one")
-        return inner | {"aperture_radius_mm": bsdf.radius, "aperture_centre_mm": bsdf.centre}
+        return inner | {
+            "aperture_radius_mm": bsdf.radius,
+            "axis_mm": bsdf.centre,
+            "mask_reflectance": bsdf.reflectance,
+        }
     name = bsdf.class_name()
     if getattr(bsdf, "detects_light", False):
         return {
             "kind": DETECTOR,
+            "axis_mm": bsdf.centre,
             "reflectance": bsdf.reflectance,
+            "specular": bsdf.specular,
+            "film": bsdf.film,
             "angular_falloff": bsdf.angular_falloff,
             "radial_falloff_per_mm2": bsdf.radial_falloff_per_mm2,
             "least_cosine": math.cos(math.radians(min(bsdf.acceptance_deg, 90.0))),

@@ -76,7 +76,7 @@ def added(scene, *names):
 
 def test_every_effect_of_the_definitions_is_there():
     assert list(KNOWN) == list(BUILT_IN)
-    assert len(KNOWN) == 28
+    assert len(KNOWN) == 32
     for name, effect in KNOWN.items():
         assert effect.name == name
         assert (
@@ -95,7 +95,9 @@ def test_every_effect_of_the_definitions_is_there():
         "n_crystal": (-0.1, 0.1), "gap_index_offset": (-0.1, 0.1), "gap_offset_mm": (-0.04, 0.5),
         "gap_absorption_per_cm": (0, 20), "bubble_fraction": (0, 0.6),
         "top_reflectance": (0, 0.99), "detector_reflectance": (0, 0.5),
-        "angular_falloff": (0, 1), "radial_falloff": (0, 1), "chamfer_mm": (0, 1),
+        "cathode_nm": (10, 35), "detector_specular": (0, 0.5), "mask_offset_mm": (0, 6),
+        "housing_reflectance": (0, 0.2),
+        "angular_falloff": (-1, 1), "radial_falloff": (0, 1), "chamfer_mm": (0, 1),
         "acceptance_deg": (-89, 89),
         "background": (-math.inf, math.inf), "saturation": (0, 0.05),
         "gain_drift": (-0.1, 0.1), "sample_scale": (-0.2, 0.2),
@@ -297,6 +299,9 @@ def test_weights_are_ratios_of_densities():
         ("surface_absorption", {"surface_loss": 0.1}, {"reflections": [0, 2]}, [1, 0.81]),
         ("gap_absorption", gap, {"path_gap_cm": [0.5]}, [math.exp(-1)]),
         ("detector_angle", {"angular_falloff": 0.4}, {"arrival_cosine": [1, 0.5]}, [1, 0.8]),
+        ("detector_angle", {"angular_falloff": -1}, {"arrival_cosine": [1, 0.5]}, [1, 1.5]),
+        ("detector_specular", {"detector_specular": 0.25}, {"detector_hits": [0, 2]}, [1.5, 0.375]),
+        ("housing_reflection", {"housing_reflectance": 0.1}, {"mask_hits": [0, 2]}, [1, 0.25]),
         ("detector_radius", {"radial_falloff": 1}, {"arrival_radius_mm": [7, 19]}, [0.75, 0]),
         ("top_reflector", {"top_reflectance": 0.0}, {"reflector_hits": [0, 1]}, [1, 0]),
         ("detector_reflection", {"detector_reflectance": 0.25}, {"detector_hits": [0, 2]},
