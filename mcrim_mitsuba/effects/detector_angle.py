@@ -38,10 +38,12 @@ EFFECT = Effect(
     source="D. Motta and S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217",
     parameters=(
         falloff(
-            "angular_falloff", "(1 - cos theta), theta inside the window", -1.0,
-            (-1.0, -0.7, -0.35),
+            "angular_falloff",
+            "(1 - cos theta), theta inside the window",
+            least=-1.0,
+            nodes=(-1.0, -0.7, -0.35),
         ),
-    ),  # fmt: skip
+    ),
     excludes=("photocathode_film",),
     edit=edit,
     columns=("arrival_cosine",),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mcrim_mitsuba.effects._bench import WAVELENGTH, index_before, set_detector, sends_back
+from mcrim_mitsuba.effects._bench import WAVELENGTH, index_before, sends_back, set_detector
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import SceneEditor
 

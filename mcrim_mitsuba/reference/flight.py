@@ -566,7 +566,7 @@ class Flights:
     def _mirror(
         self, flock: Flock, who: Indices, across_wave: Complexes, along_wave: Complexes
     ) -> None:
-        """Send photons back up at the detector, with these amplitudes of s and p polarised light."""
+        """Send photons back up at the detector, with amplitudes of s and p polarised light."""
         photons = flock.photons
         before = photons.direction[:, who]
         photons.direction[2, who] *= -1.0

@@ -335,7 +335,7 @@ class AbsorbingFilm(NamedTuple):
     """
 
     #: n + ik
-    index: complex
+    film_index: complex
     #: Of the glass.
     n_window: float
     #: Thickness over the wavelength in vacuum.
@@ -352,13 +352,13 @@ class AbsorbingFilm(NamedTuple):
 
     def _solved(self, cos_in: Floats) -> tuple[Complexes, Floats]:
         sine = self.n_window * np.sqrt(1.0 - np.square(cos_in))
-        cosines = [np.sqrt(1.0 - (sine / n) ** 2 + 0j) for n in (self.index, 1.0)]
-        delta = 2.0 * np.pi * self.wavelengths * self.index * cosines[0]
+        cosines = [np.sqrt(1.0 - (sine / n) ** 2 + 0j) for n in (self.film_index, 1.0)]
+        delta = 2.0 * np.pi * self.wavelengths * self.film_index * cosines[0]
         reflected, transmitted = [], []
         for power in (1, -1):
             of_glass = self.n_window * cos_in**power
             of_film, of_vacuum = (
-                n * cosine**power for n, cosine in zip((self.index, 1.0), cosines, strict=True)
+                n * cosine**power for n, cosine in zip((self.film_index, 1.0), cosines, strict=True)
             )
             b = np.cos(delta) - 1j * np.sin(delta) * of_vacuum / of_film
             c = of_vacuum * np.cos(delta) - 1j * np.sin(delta) * of_film

@@ -133,8 +133,9 @@ def trace(
     if progress is not None:
         progress(photons)
     fates = {name: int(counts[place]) for place, name in FATES.items()}
-    found = _histories(detected) if histories else None
-    return TracerResult(photons, seed, fates, found, head_on=head_on(bench))
+    return TracerResult(
+        photons, seed, fates, _histories(detected) if histories else None, head_on=head_on(bench)
+    )
 
 
 def _histories(detected: list[Floats]) -> DetectedHistories:

@@ -36,8 +36,8 @@ class SimulationResult(Provenance):
     requested: int
     interrupted: bool
     #: Energy that reaches the detector over energy emitted, and its standard error. Where the
-    #: detector detects a part only of light that arrives head-on, with which it was calibrated, what
-    #: is detected over that part: eta is then not the fate ``detected``, and may exceed 1.
+    #: detector detects a part only of light that arrives head-on, with which it was calibrated,
+    #: what is detected over that part: eta is then not the fate ``detected``, and may exceed 1.
     eta: float
     eta_sigma: float
     #: Fraction of the energy per fate (they sum to 1) and its standard error: ``detected``,

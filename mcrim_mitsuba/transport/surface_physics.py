@@ -67,9 +67,7 @@ class SurfaceTables:
         self._masks_reflect = any(s.mask_reflectance for s in surfaces)
         # all detectors are alike
         self._film = next((FilmTerms.of(s.film) for s in surfaces if s.film is not None), None)
-        self.may_absorb = (
-            self._lossy or self._choosy or self._selective or self._film is not None
-        )
+        self.may_absorb = self._lossy or self._choosy or self._selective or self._film is not None
         self._diffuse = any(
             s.kind == DIFFUSE or (s.kind == DETECTOR and s.reflectance) for s in surfaces
         )
@@ -240,7 +238,7 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
     fate = dr.select(detector, mi.UInt32(DETECTED), mi.UInt32(ALIVE))
     from_reflector = from_detector = None
     # part of the choices that a detector has taken to send light back
-    returned_part = 0.0
+    returned_part: Any = 0.0
     if row.reflectance is not None:
         diffuse = row.kind == DIFFUSE
         kept = (choice < row.reflectance) & (row.two_sided | ~leaving)
