@@ -17,8 +17,8 @@ FILLED_ABOVE = 1.0005
 TOP_FILM_MM = 0.01
 #: Distance of the plate that detects a beam from where the beam leaves the crystal.
 PLATE_DISTANCE_MM = 0.005
-#: Width of the collar of liquid around the foot of a crystal.
-COLLAR_WIDTH_MM = 1.0
+#: Width of the narrow collar of liquid around the foot of a crystal.
+NARROW_COLLAR_WIDTH_MM = 1.0
 
 #: Axes that a beam may fly along.
 BEAM_AXES = ("x", "y", "z")
@@ -46,6 +46,7 @@ _RANGES = {
     "gap_offset_mm": (-math.inf, math.inf),
     "gap_index_offset": (-math.inf, math.inf),
     "bubble_fraction": (0.0, 0.99),
+    "collar_mm": (0.0, math.inf),
     "detector_reflectance": (0.0, 1.0),
     "cathode_nm": (0.0, 200.0),
     "detector_specular": (0.0, 1.0),
@@ -53,7 +54,7 @@ _RANGES = {
     "radial_falloff": (0.0, 1.0),
     "mask_offset_mm": (-math.inf, math.inf),
     "housing_reflectance": (0.0, 1.0),
-    "gel_creep_mm": (0.0, math.inf),
+    "narrow_collar_mm": (0.0, math.inf),
     "black_spot_mm": (0.0, math.inf),
 }
 
@@ -138,6 +139,10 @@ class Bench:
     gap_index_offset: float = 0.0
     gap_absorption_per_cm: float = 0.0
     bubble_fraction: float = 0.0
+    #: Only where the gap is filled: up to this height the four side faces border the liquid, in
+    #: which light that leaves there goes straight on, to the plate's entrance face or away. Light
+    #: from the air finds them dry.
+    collar_mm: float = 0.0
     #: The mask lies on the plate's back face instead.
     aperture_at_detector: bool = False
     #: Probability that the detector sends light back into the plate, by the
@@ -166,8 +171,8 @@ class Bench:
     acceptance_deg: float = 90.0
     #: What follows has no place in the catalogue of effects: diagnoses are tried on it.
     #: Where the gap is filled, its liquid stands up to this height around the crystal's four
-    #: sides, as a collar of `COLLAR_WIDTH_MM` on the window.
-    gel_creep_mm: float = 0.0
+    #: sides, with an outer wall and a top towards air: a collar `NARROW_COLLAR_WIDTH_MM` wide.
+    narrow_collar_mm: float = 0.0
     #: Width of a black square on the middle of the top face; it absorbs what hits it.
     black_spot_mm: float = 0.0
 
@@ -189,7 +194,7 @@ class Bench:
     def _require_compatible(self) -> None:
         """Refuse values that do not fit each other."""
         width, height, room = self.crystal_width_mm, self.crystal_height_mm, self.window_width_mm
-        half = min(width, height) / 2.0
+        half, wet = min(width, height) / 2.0, self.narrow_collar_mm
         for name, fits, expected in (
             ("window_width_mm", room >= width, f"at least crystal_width_mm = {width}"),
             ("gap_offset_mm", self.gap_thickness_mm > 0.0, f"more than -gap_mm = -{self.gap_mm}"),
@@ -197,10 +202,9 @@ class Bench:
              f"an offset that leaves an index of at least 1 (n_gap = {self.n_gap})"),
             ("chamfer_mm", self.chamfer_mm < half,
              f"less than half of the crystal's width and height, {half:g} mm"),
-            ("gel_creep_mm", self.gel_creep_mm < height,
-             f"less than crystal_height_mm = {height}"),
-            ("window_width_mm", not self.gel_creep_mm or room >= width + 2.0 * COLLAR_WIDTH_MM,
-             f"room for a collar of {COLLAR_WIDTH_MM:g} mm around the crystal"),
+            ("narrow_collar_mm", wet < height, f"less than crystal_height_mm = {height}"),
+            ("window_width_mm", not wet or room >= width + 2.0 * NARROW_COLLAR_WIDTH_MM,
+             f"room for a collar of {NARROW_COLLAR_WIDTH_MM:g} mm around the crystal"),
         ):  # fmt: skip
             _require(fits, name, getattr(self, name), expected)
         if self.roughness_alpha:
@@ -219,10 +223,15 @@ class Bench:
                 "detector_reflectance", "detector_specular", "angular_falloff",
             )  # fmt: skip
             cathode_index(self.wavelength_nm)
-        if self.gel_creep_mm:
+        if self.narrow_collar_mm:
             self._refuse_beside(
-                "gel_creep_mm", "where gel creeps up the crystal",
-                "chamfer_mm", "bubble_fraction", "wrap_reflectance",
+                "narrow_collar_mm", "where gel stands around the crystal",
+                "chamfer_mm", "bubble_fraction", "wrap_reflectance", "collar_mm",
+            )  # fmt: skip
+        if self.collar_mm:
+            self._refuse_beside(
+                "collar_mm", "where gel creeps up the crystal",
+                "wrap_reflectance", "gap_absorption_per_cm",
             )  # fmt: skip
         if self.rayleigh_scattering and self.scattering_g:
             both = "rayleigh_scattering and scattering_g exclude each other"
@@ -244,7 +253,8 @@ class Bench:
             "beam_diameter_mm", "in a beam",
             "wrap_reflectance", "top_reflectance", "bubble_fraction", "aperture_at_detector",
             "detector_reflectance", "detector_specular", "cathode_nm", "angular_falloff",
-            "radial_falloff", "mask_offset_mm", "housing_reflectance", "gel_creep_mm",
+            "radial_falloff", "mask_offset_mm", "housing_reflectance", "collar_mm",
+            "narrow_collar_mm",
         )  # fmt: skip
 
     def _refuse_beside(self, there: str, where: str, *others: str) -> None:
@@ -289,9 +299,14 @@ class Bench:
         return (bubble - 0.5) * self.crystal_width_mm
 
     @property
-    def collar_height_mm(self) -> float:
-        """How far the liquid stands up around the crystal; 0 where it does not."""
-        return self.gel_creep_mm if self.is_filled else 0.0
+    def wet_height_mm(self) -> float:
+        """How far up the crystal's sides border liquid of no end; 0 where they do not."""
+        return self.collar_mm if self.is_filled else 0.0
+
+    @property
+    def narrow_collar_height_mm(self) -> float:
+        """How far the narrow collar stands up around the crystal; 0 where it does not."""
+        return self.narrow_collar_mm if self.is_filled else 0.0
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, Any]) -> Bench:

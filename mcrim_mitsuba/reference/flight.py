@@ -16,6 +16,7 @@ from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.geometry import (
     BOTTOM,
     FIRST_FATE,
+    TOP,
     Codes,
     Complexes,
     Flags,
@@ -287,6 +288,8 @@ class Flights:
             self._fly_outside(flock)
         elif region == Place.FILM:
             self._fly_in_film(flock)
+        elif region == Place.LIQUID:
+            self._fly_in_liquid(flock)
         else:
             self._fly_in_body(flock)
         return flock.place
@@ -391,6 +394,14 @@ class Flights:
         accepted = photons.direction[plate.axis, who] >= least_cosine
         place[who] = np.where(accepted, Place.DETECTED, Place.ABSORBED_SURFACE)
 
+    def _fly_in_liquid(self, flock: Flock) -> None:
+        """Flights in the liquid that has no end: to the window's plane, or away."""
+        _, photons, place = flock
+        place[:] = Place.ESCAPED
+        who, arrival = self._layout.through_liquid(photons.position, photons.direction)
+        top = np.full(who.size, TOP, dtype=np.intp)
+        self._meet_from_air(flock, who, Place.WINDOW, top, arrival)
+
     def _fly_in_film(self, flock: Flock) -> None:
         """Flights between crystal and wrap: to the crystal, to the wrap, or out by the rim."""
         _, photons, place = flock
@@ -443,7 +454,7 @@ class Flights:
     def _meet_from_air(
         self, flock: Flock, who: Indices, body: Place, face: Indices, arrival: Floats
     ) -> None:
-        """Let photons outside of a body meet its face."""
+        """Let photons outside of a body, in air or in liquid without end, meet its face."""
         position, normal = self._layout.bodies[body].snap(arrival, face)
         ahead = self._layout.within(body, face, position)
         self._meet(flock, who, body, face, position, -normal, ahead)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.reference.bench import (
     BEAM_AXES,
-    COLLAR_WIDTH_MM,
+    NARROW_COLLAR_WIDTH_MM,
     PLATE_DISTANCE_MM,
     TOP_FILM_MM,
     Bench,
@@ -293,16 +293,17 @@ class Place(IntEnum):
     WINDOW = 2
     FILM = 3  # the air between crystal and wrap
     OUTSIDE = 4  # the open air, an air bubble in the gap included
-    DETECTED = 5
-    ABSORBED_CRYSTAL = 6
-    ABSORBED_GAP = 7
-    ABSORBED_WINDOW = 8
-    ABSORBED_APERTURE = 9
-    ABSORBED_REFLECTOR = 10
-    ABSORBED_SURFACE = 11  # of the crystal or of the detector
-    ESCAPED = 12
-    TRUNCATED = 13
-    LOST = 14  # numerically out of its region: must never happen
+    LIQUID = 5  # that has crept up the crystal, for light that has left into it
+    DETECTED = 6
+    ABSORBED_CRYSTAL = 7
+    ABSORBED_GAP = 8
+    ABSORBED_WINDOW = 9
+    ABSORBED_APERTURE = 10
+    ABSORBED_REFLECTOR = 11
+    ABSORBED_SURFACE = 12  # of the crystal or of the detector
+    ESCAPED = 13
+    TRUNCATED = 14
+    LOST = 15  # numerically out of its region: must never happen
 
 
 FIRST_FATE = Place.DETECTED
@@ -344,9 +345,9 @@ class Layout:
     def __init__(self, bench: Bench) -> None:
         half, height = bench.crystal_width_mm / 2.0, bench.crystal_height_mm
         entrance = -bench.gap_thickness_mm
-        chamfer, collar = bench.chamfer_mm, bench.collar_height_mm
+        chamfer, collar = bench.chamfer_mm, bench.narrow_collar_height_mm
         crystal = chamfered_box(half, height, chamfer) if chamfer else box(half, 0.0, height)
-        gap = box(half + COLLAR_WIDTH_MM, entrance, collar)
+        gap = box(half + NARROW_COLLAR_WIDTH_MM, entrance, collar)
         if not collar:
             gap = Box((bench.gap_left_mm, -half, entrance), (half, half, 0.0))
         half_window, back = bench.window_width_mm / 2.0, entrance - bench.window_thickness_mm
@@ -374,13 +375,14 @@ class Layout:
         gap_absorption = bench.gap_absorption_per_cm if bench.is_filled else 0.0
         absorption = bench.alpha_abs_per_cm / MM_PER_CM
         scattering = bench.alpha_scat_per_cm / MM_PER_CM
-        #: By region, and so their indices, (5,) float64.
+        #: By region, and so their indices, (6,) float64.
         self.media = (
             Medium(bench.n_crystal, absorption, scattering, bench.scattering_gradient, height),
             Medium(bench.gap_index, gap_absorption / MM_PER_CM),
             Medium(bench.n_window, bench.window_absorption_per_cm / MM_PER_CM),
             air,
             air,
+            Medium(bench.gap_index),
         )
         self.index = np.array([medium.index for medium in self.media])
         low, high = np.array([[-half], [-half], [0.0]]), np.array([[half], [half], [height]])
@@ -398,8 +400,10 @@ class Layout:
         self.is_rough = bool(self._face_roughness.any())
         self._half_footprint_mm = half
         self._half_bottom = half - chamfer
-        self._collar_mm, self._half_spot = collar, bench.black_spot_mm / 2.0
-        self._half_gap = half + COLLAR_WIDTH_MM if collar else half
+        self._entrance_mm, self._half_window = entrance, half_window
+        self._collar_mm, self._wet_mm = collar, bench.wet_height_mm
+        self._half_spot = bench.black_spot_mm / 2.0
+        self._half_gap = half + NARROW_COLLAR_WIDTH_MM if collar else half
         self._gap_left = -self._half_gap if collar else bench.gap_left_mm
         self._has_bubble = self._gap_left > -half
         self._aperture_squared = bench.aperture_radius_mm**2
@@ -430,6 +434,8 @@ class Layout:
                 place[(face == BOTTOM) & (position[0] < self._gap_left)] = Place.OUTSIDE
             if self._collar_mm:
                 place[(face != BOTTOM) & (position[2] < self._collar_mm)] = Place.GAP
+            if self._wet_mm:
+                place[(face < BOTTOM) & (position[2] < self._wet_mm)] = Place.LIQUID
             self._end_on_spot(place, face, position)
             return place
         if body == Place.WINDOW:
@@ -457,6 +463,17 @@ class Layout:
             if body == Place.CRYSTAL:
                 self._end_on_spot(place, face, position)
         return place
+
+    def through_liquid(self, position: Floats, direction: Floats) -> tuple[Indices, Floats]:
+        """Which light that flies in the endless liquid falls on the plate's entrance face, where.
+
+        Their indices, and the places: (3, m), mm. All other light meets nothing.
+        """
+        speed, way = -direction[2], position[2] - self._entrance_mm
+        falling = np.flatnonzero((speed > 0.0) & (way > 0.0))
+        arrival = position[:, falling] + way[falling] / speed[falling] * direction[:, falling]
+        inside = np.maximum(np.abs(arrival[0]), np.abs(arrival[1])) <= self._half_window
+        return falling[inside], arrival[:, inside]
 
     def of_crystal(self, body: Place, ahead: Codes) -> Flags:
         """True where what light meets on a body, with this ahead, is a face of the crystal."""

@@ -212,6 +212,8 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
             )
         else:
             text += ", clear"
+        if volume.endless:
+            text += "; light that enters it goes straight on, to what it meets from outside"
         if number == crystal.volume:
             text += f"; {_emission(crystal)}"
         sentences.append(text)

@@ -100,7 +100,8 @@ def _find_convex_solids(model: SceneModel) -> list[Solid]:
                 for plane in planes
                 for face in plane.faces
                 for side in _sides(model, face)
-                if side not in found
+                # no light comes back from a liquid without end
+                if side not in found and side != model.endless
             }
             for number, planes in found.items()
         }

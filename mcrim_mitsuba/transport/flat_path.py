@@ -18,7 +18,7 @@ import numpy as np
 
 from mcrim_mitsuba.transport import surface_physics
 from mcrim_mitsuba.transport.convex import NO_FACE, ConvexBody, Ray, Solid, convex_solids, slack_of
-from mcrim_mitsuba.transport.scene_model import OTHER, SceneModel, opaque, opaque_vector
+from mcrim_mitsuba.transport.scene_model import OTHER, OUTSIDE, SceneModel, opaque, opaque_vector
 
 #: More faces than this, or planes of convex volumes, and a tree is faster.
 MOST_FACES = 64
@@ -32,6 +32,9 @@ def suits(model: SceneModel) -> bool:
         return False
     solids = convex_solids(model)
     alone = _standing_alone(model, solids)
+    sides = [model.surfaces[model.flat_faces[number].surface].sides for number in alone]
+    if any(model.endless in pair for pair in sides if model.endless is not None):
+        return False
     return len(alone) + sum(len(solid.planes) for solid in solids) <= MOST_FACES
 
 
@@ -115,7 +118,11 @@ class FlatPath:
             for number in _standing_alone(model, solids)
         ]
         surfaces = [model.surfaces[face.surface] for face in faces]
-        self._tables = surface_physics.SurfaceTables(surfaces, [face.normal for face in faces])
+        normals = [face.normal for face in faces]
+        if model.endless is not None:
+            surfaces += [model.open_to(surface) for surface in surfaces]
+            normals += normals
+        self._tables = surface_physics.SurfaceTables(surfaces, normals)
         self.surfaces_may_absorb = self._tables.may_absorb
         self.surfaces_scatter = self._tables.may_scatter
 
@@ -181,6 +188,9 @@ class FlatPath:
         best, which = mi.Float(dr.inf), mi.UInt32(NO_FACE)
         behind = self._number(-100.0 * self._slack_mm)
         here = [volume == number for number in range(len(self.model.volumes))]
+        endless = self.model.endless
+        if endless is not None:
+            here[OUTSIDE] |= here[endless]
         ray = Ray(ray_o, ray_d)
         for body in self._bodies:
             best, which = body.meet(ray, best, which, here)
@@ -202,6 +212,9 @@ class FlatPath:
             hit = ahead & shape.inside(ray, t) & (t < best) & (last_face != number)
             best = dr.select(hit, t, best)
             which = dr.select(hit, number, which)
+        if endless is not None:
+            others = here[endless] & (which != NO_FACE)
+            which = dr.select(others, which + len(self.model.flat_faces), which)
         return dr.maximum(best, 0.0), which
 
     @staticmethod

@@ -16,7 +16,7 @@ import mitsuba as mi
 
 from mcrim_mitsuba.transport import surface_physics
 from mcrim_mitsuba.transport.flat_path import MOST_FACES, NO_FACE, FlatPath
-from mcrim_mitsuba.transport.scene_model import OTHER, SceneModel, surface_numbers
+from mcrim_mitsuba.transport.scene_model import OTHER, OUTSIDE, SceneModel, opaque, surface_numbers
 
 #: Distance in mm, over (1 + largest coordinate in mm), at which a new ray starts off a traced
 #: surface: some thirty roundings. Mitsuba's own is 47 times larger: inside a curved surface it
@@ -80,11 +80,18 @@ class GeneralPath:
             self._flat = FlatPath(replace(model, flat_faces=faces, curved=()), polarization)
             self._scene = _scene_of([model.shapes[number] for number in self.traced])
         # rows of the flat faces first, then one for each surface
-        self._first_surface = len(faces)
-        self._tables = surface_physics.SurfaceTables(
-            [surfaces[face.surface] for face in faces] + list(surfaces),
-            [face.normal for face in faces] + [(0.0, 0.0, 0.0)] * len(surfaces),
-        )
+        rows = [surfaces[face.surface] for face in faces]
+        normals = [face.normal for face in faces]
+        if model.endless is not None:
+            rows, normals = rows + [model.open_to(s) for s in rows], normals + normals
+        self._first_surface = len(rows)
+        rows += surfaces
+        if model.endless is not None:
+            rows += [model.open_to(s) for s in surfaces]
+            ends = [[side in s.sides for s in surfaces] for side in (OUTSIDE, model.endless)]
+            self._ends = [opaque(each, mi.Bool) for each in ends]
+        normals += [(0.0, 0.0, 0.0)] * (len(rows) - len(normals))
+        self._tables = surface_physics.SurfaceTables(rows, normals)
         self._surface_number = surface_numbers(model)
         self._asks_bsdfs = any(surfaces[number].kind == OTHER for number in self.traced)
         self.surfaces_may_absorb = self._asks_bsdfs or self._tables.may_absorb
@@ -118,7 +125,14 @@ class GeneralPath:
         traced = active & met.found.is_valid()
         flags = mi.RayFlags.ShadingFrame if self._asks_bsdfs else mi.RayFlags.Minimal
         si = met.found.compute_surface_interaction(met.ray, flags, traced)
-        number = self._first_surface + self._surface_number(met.found.shape, traced)
+        surface = self._surface_number(met.found.shape, traced)
+        number = self._first_surface + surface
+        if self.model.endless is not None:
+            # outside and the endless volume are in one place: the face names one of them
+            to_air, to_liquid = (dr.gather(mi.Bool, each, surface, traced) for each in self._ends)
+            others = (met.volume == self.model.endless) & to_air
+            others |= (met.volume == OUTSIDE) & to_liquid
+            number = dr.select(others, number + len(self.model.surfaces), number)
         row = self._tables.at(dr.select(traced, number, met.face), active)
         normal, point = mi.Vector3f(si.n), mi.Point3f(si.p)
         if self._flat is not None:

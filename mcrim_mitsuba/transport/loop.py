@@ -287,6 +287,8 @@ class Loop:
         # ---------------- fate: what became of the photon, and whether it is over
         fate = dr.select(at_surface, outcome.fate, mi.UInt32(physics.ALIVE))
         outside = p.volume == OUTSIDE
+        if path.model.endless is not None:
+            outside |= inside[path.model.endless]
         leaves = dr.select(outside, mi.UInt32(physics.ESCAPED), mi.UInt32(physics.LOST))
         fate = dr.select(nowhere, leaves, fate)
         fate = dr.select(dies, mi.UInt32(physics.VOLUME), fate)

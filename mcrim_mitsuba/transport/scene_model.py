@@ -5,8 +5,9 @@ Everything is read from the loaded scene, never from our own idea of the bench.
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -47,6 +48,8 @@ class Volume:
     #: q of the scattering coefficient alpha (1 + q u); u runs from -1 at the bottom of the
     #: volume to 1 at its top, of the shapes that border it.
     scattering_gradient: float = 0.0
+    #: Whether it is nowhere but for light that has entered it, which goes on as outside.
+    endless: bool = False
 
 
 @dataclass(frozen=True)
@@ -168,6 +171,39 @@ class SceneModel:
     #: Largest distance of any point of the scene from the origin.
     size_mm: float
 
+    @functools.cached_property
+    def endless(self) -> int | None:
+        """Index of the volume that is endless; ``None`` where there is none."""
+        return next((i for i, volume in enumerate(self.volumes) if volume.endless), None)
+
+    def open_to(self, surface: Surface) -> Surface:
+        """A face as light meets it that is in the endless volume, or outside of a wetted face.
+
+        Either is the other's neighbour then: its index and its number take the place of what the
+        face names.
+        """
+        assert self.endless is not None
+        other = {OUTSIDE: self.endless, self.endless: OUTSIDE}
+        inner, outer = (other.get(side, side) for side in surface.sides)
+        ratio = self._endless_index ** (
+            (surface.interior == OUTSIDE) + (surface.exterior == self.endless)
+            - (surface.interior == self.endless) - (surface.exterior == OUTSIDE)
+        )  # fmt: skip
+        eta = surface.eta * ratio if surface.kind == DIELECTRIC else surface.eta
+        return replace(surface, interior=inner, exterior=outer, eta=eta)
+
+    @functools.cached_property
+    def _endless_index(self) -> float:
+        """Index of the endless volume, that outside being 1: from faces of what borders both."""
+        known = [s for s in self.surfaces if s.kind == DIELECTRIC]
+        wet = {s.interior: s.eta for s in known if s.exterior == self.endless}
+        dry = {s.interior: s.eta for s in known if s.exterior == OUTSIDE}
+        for volume in wet.keys() & dry.keys():
+            return dry[volume] / wet[volume]
+        name = self.volumes[self.endless or OUTSIDE].name
+        problem = f"the index of {name!r} is not known: no volume borders both it and air"
+        raise InputError(problem, "let faces of one volume have either in front of them")
+
     @property
     def faces(self) -> tuple[FlatFace, ...] | None:
         """All faces of a scene of flat faces; ``None`` where a surface is curved."""
@@ -219,6 +255,8 @@ def read_scene_model(scene) -> SceneModel:
             if medium.id() not in [v.name for v in volumes]:
                 volumes.append(_volume(medium))
     names = [v.name for v in volumes]
+    if sum(v.endless for v in volumes) > 1:
+        raise InputError("two media are endless", "light outside is in one liquid at most")
     surfaces, faces, curved = [], [], []
     for number, shape in enumerate(shapes):
         inner, outer = (OUTSIDE if m is None else names.index(m.id()) for m in _media(shape))
@@ -252,6 +290,7 @@ def _volume(medium) -> Volume:
     if hasattr(medium, "alpha_scat_per_cm"):
         scat, absorption = medium.alpha_scat_per_cm, medium.alpha_abs_per_cm
         scattering["scattering_gradient"] = medium.scattering_gradient
+        scattering["endless"] = medium.endless
         return Volume(medium.id(), scat / MM_PER_CM, absorption / MM_PER_CM, **scattering)
     parameters = mi.traverse(medium)
     try:

@@ -52,7 +52,7 @@ _SHARE = {14.0: 1, 7.0: 2, 4.0: 4}
 #: Factor on the photons of the plain bench, which many trials share.
 PLAIN_FACTOR = 6
 #: Parameters that mean nothing where the gap is not filled.
-FILLED_ONLY = ("gap_index_offset", "gap_absorption_per_cm", "bubble_fraction", "gel_creep_mm")
+FILLED_ONLY = ("gap_index_offset", "gap_absorption_per_cm", "bubble_fraction", "narrow_collar_mm")
 #: Radius that leaves the whole plate free, mm.
 _OPEN_MM = 21.0
 _APERTURES = tuple(sorted({reading[1] for reading in READINGS}))

@@ -1,7 +1,7 @@
 """Chamfers, bubbles, thicker gaps and reflectors: shapes that change the bench's geometry.
 
-Statistical tests use fixed seeds. The file makes 18 comparisons at z < 3.7: a correct program would
-fail it with a probability of at most 0.4 %.
+Statistical tests use fixed seeds. The file makes 21 comparisons at z < 3.7: a correct program would
+fail it with a probability of at most 0.5 %.
 """
 
 import functools
@@ -16,7 +16,10 @@ from places import SCENES, cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.optics.fresnel import reflectance
 from mcrim_mitsuba.output.cross_section import cross_section
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.bulk import lane_generators
 from mcrim_mitsuba.transport.convex import convex_solids
@@ -32,6 +35,7 @@ EFFECTS = {
     "bubble": ("gap_bubble", {"bubble_fraction": 0.3}),
     "thickness": ("gap_thickness", {"gap_offset_mm": 0.1}),
     "reflector": ("top_reflector", {"top_reflectance": 0.9}),
+    "creep": ("gel_creep", {"collar_mm": 1.2}),
 }
 
 
@@ -143,6 +147,7 @@ def test_nonsense_is_refused_in_one_line(write, tmp_path, shape, words):
         (("chamfer", "bubble", "thickness", "reflector"), {}),
         (("chamfer", "bubble"), {"bubble_fraction": 0.02, "chamfer_mm": 1.0}),
         (("chamfer",), {"crystal_height_mm": 2, "chamfer_mm": 0.01}),
+        (("creep", "chamfer"), {"crystal_height_mm": 2}),
     ],
 )
 def test_scenes_with_effects_are_sound(write, effects, overrides, n_gap):
@@ -210,9 +215,9 @@ def test_the_cross_section_shows_chamfers_bubble_and_thickness(write):
     expected = {"crystal": 100 - 2 * 0.4**2, "gap": 7 * 0.15, "window": 28}
     assert areas == pytest.approx(expected, rel=3e-5)
     lengths = {}
-    for trace in cut.traces:
-        name = simulation.model.surfaces[trace.surface].name
-        length = np.linalg.norm(np.diff(trace.points, axis=0), axis=1).sum()
+    for line in cut.traces:
+        name = simulation.model.surfaces[line.surface].name
+        length = np.linalg.norm(np.diff(line.points, axis=0), axis=1).sum()
         lengths[name] = lengths.get(name, 0.0) + length
     assert lengths["crystal_chamfers"] == pytest.approx(4 * 0.4 * np.sqrt(2), abs=2e-3)
     assert lengths["top_reflector"] == pytest.approx(10, abs=1e-3)
@@ -222,9 +227,9 @@ def test_the_cross_section_shows_chamfers_bubble_and_thickness(write):
 @pytest.mark.parametrize("general", [False, True], ids=["fast", "general"])
 def test_effects_of_no_size_are_the_plain_bench(write, general):
     """The same random numbers, the same faces: the same photons to the last digit."""
-    absent = {"chamfer_mm": 0, "bubble_fraction": 0, "gap_offset_mm": 0, "n_gap": 1.46}
-    with_effects = loaded(write("chamfer", "bubble", "thickness"), **absent)
-    assert len(with_effects.model.surfaces) == len(with_effects.model.scene.shapes()) - 4
+    absent = {"chamfer_mm": 0, "bubble_fraction": 0, "gap_offset_mm": 0, "collar_mm": 0}
+    with_effects = loaded(write("chamfer", "bubble", "thickness", "creep"), n_gap=1.46, **absent)
+    assert len(with_effects.model.surfaces) == len(with_effects.model.scene.shapes()) - 8
     options = {"seed": 1, "general": general}
     there = with_effects.collect(30_000, **options)
     plain = loaded(write(), n_gap=1.46).collect(30_000, **options)
@@ -249,8 +254,9 @@ def test_a_thicker_gap_is_a_thicker_gap(write):
         (("chamfer",), {}),
         (("chamfer", "bubble", "thickness", "reflector"), {"n_gap": 1.46}),
         (("bubble",), {"n_gap": 1.515, "aperture_radius_mm": 5}),
+        (("chamfer", "creep"), {"n_gap": 1.46, "aperture_radius_mm": 8, "polarization": True}),
     ],
-    ids=["chamfer", "all", "bubble"],
+    ids=["chamfer", "all", "bubble", "creep"],
 )
 def test_both_paths_follow_light_alike(write, effects, overrides):
     """Mitsuba asks faces for their bounds, the fast path planes: what comes out agrees."""
@@ -262,6 +268,35 @@ def test_both_paths_follow_light_alike(write, effects, overrides):
     assert traced.budget["lost"] < 1e-5
     assert sum(fraction > 1e-3 for fraction in fast.budget.values()) in (4, 5, 6)
     assert_same_fates(fast, traced, z_max=Z, rare=1e-3)
+
+
+@pytest.mark.parametrize("index", [1.0, 1.5])
+def test_light_goes_straight_from_wet_sides_to_the_hole(write, index):
+    """Crystal, liquid and window of one index: below wet sides nothing bends light but the top.
+
+    In air the sides are dry, and most light stays.
+    """
+    numbers = {"n_crystal": 1.5, "n_window": 1.5, "n_gap": index, "collar_mm": 10.0,
+               "aperture_radius_mm": 7.0, "gap_mm": 0.02, "alpha_scat_per_cm": 0.0,
+               "alpha_abs_per_cm": 1.0}  # fmt: skip
+    rng, count = np.random.default_rng(8), 400_000
+    start = rng.random((3, count)) * 10.0 - [[5.0], [5.0], [0.0]]
+    way = rng.standard_normal((3, count))
+    way /= np.linalg.norm(way, axis=0)
+    to_side = ((np.sign(way[:2]) * 5.0 - start[:2]) / way[:2]).min(axis=0)
+    up = way[2] > 0
+    to_end = np.where(up, 20.0 - start[2], start[2]) / np.abs(way[2])
+    within = np.minimum(to_side, to_end)
+    hits_top = up & (to_side > (10.0 - start[2]) / way[2])
+    falls = np.where(up, np.where(hits_top, reflectance(np.abs(way[2]), 1.5, 1.0), 0.0), 1.0)
+    at = start[:2] + (to_end + 0.02 / np.abs(way[2])) * way[:2]
+    expected = falls * np.exp(-within / 10.0) * (np.hypot(*at) < 7.0)
+    sigma = expected.std() / np.sqrt(count)
+    ours = loaded(write("creep"), **numbers).collect(400_000, seed=9)
+    other = trace(Bench(**numbers), 100_000, 10)
+    for found in (ours, other):
+        z = (found.eta - expected.mean()) / np.hypot(found.eta_sigma, sigma)
+        assert abs(z) < Z if index == 1.5 else z < -30
 
 
 def test_births_fill_a_chamfered_crystal_evenly(write):

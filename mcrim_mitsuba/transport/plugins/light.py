@@ -33,6 +33,10 @@ class BulkMedium(mi.Medium):
     ``index`` : float, optional
         Index of refraction of what may fill the volume; where it is that of air (up to
         1.0005) nothing does, and the volume neither scatters nor absorbs.
+    ``endless`` : boolean, default false
+        A clear liquid without end, which light enters through faces that name it as exterior and
+        which is nowhere else: there light goes on as it would in the air outside, but what it
+        meets borders the liquid.
     nested ``phase``
         Phase function of the scattering, ``isotropic``, ``hg`` or ``rayleigh``; isotropic when
         absent.
@@ -43,6 +47,11 @@ class BulkMedium(mi.Medium):
         self.alpha_scat_per_cm = float(props.get("alpha_scat_per_cm", 0.0))
         self.alpha_abs_per_cm = float(props.get("alpha_abs_per_cm", 0.0))
         self.scattering_gradient = number(props, "scattering_gradient", 0.0, low=-1.0)
+        self.endless = bool(props.get("endless", False))
+        if self.endless and (self.alpha_scat_per_cm or self.alpha_abs_per_cm):
+            raise ValueError(
+                "an endless medium neither scatters nor absorbs: take its numbers away"
+            )
         if "index" in props and not is_filled(float(props["index"])):
             self.alpha_scat_per_cm = self.alpha_abs_per_cm = 0.0
         self.m_is_homogeneous = True

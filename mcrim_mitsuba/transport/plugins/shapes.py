@@ -91,7 +91,7 @@ def cut_fraction(props) -> float:
     return cut if filled else 0.0
 
 
-KEEP = ("beyond", "before")
+KEEP = ("beyond", "before", "above", "below")
 
 
 class PanelShape(Polygons):
@@ -105,10 +105,15 @@ class PanelShape(Polygons):
         What is cut off from each of the four edges, in the scene's millimetres.
     ``cut`` : float f, default 0
         The line x = -W/2 + f W cuts the panel in two; W is its full width along its own x axis.
+    ``level`` : float
+        In place of ``cut``, of an upright panel: a horizontal line this far above its lower edge,
+        in the scene's millimetres, cuts it in two.
     ``keep`` : string, default ``beyond``
-        Which part stays: ``beyond`` the line (greater x) or ``before`` it.
+        Which part stays: ``beyond`` the line (greater x) or ``before`` it; ``above`` or ``below``
+        a level.
     ``index`` : float, optional
-        Index of what lies beyond the line; where it is that of air, nothing is cut (f = 0).
+        Index of what lies beyond the line, or below the level; where it is that of air, nothing is
+        cut (f = 0, level 0).
     """
 
     def polygons(self, props, to_world):
@@ -124,11 +129,33 @@ class PanelShape(Polygons):
                 f"a panel's trim ({trim:g}) must be positive or 0, and less than half of its "
                 f"width and height ({width:g} x {depth:g})"
             )
-        low, high = trim / width, 1.0 - trim / width
-        low, high = (max(low, cut), high) if keep == "beyond" else (low, min(high, cut))
-        corners = 2.0 * rectangle((low, high), (trim / depth, 1.0 - trim / depth))
-        corners = corners - (1.0, 1.0, 0.0)
-        return [corners] if is_there(low, high, 1.0) else []
+        parts = [[trim / size, 1.0 - trim / size] for size in (width, depth)]
+        # part of a width that is cut off at its lower end, of which axis, and which part stays
+        axis, upper = 0, keep in ("beyond", "above")
+        if ("level" in props) != (keep in ("above", "below")):
+            raise ValueError(f"a panel's keep is {keep!r}: above or below, and only of a level")
+        if "level" in props:
+            axis, cut, upwards = _level_fraction(props, to_world)
+            upper = upper == upwards
+        low, high = parts[axis]
+        parts[axis] = [max(low, cut), high] if upper else [low, min(high, cut)]
+        corners = 2.0 * rectangle(*parts) - (1.0, 1.0, 0.0)
+        return [corners] if is_there(*parts[axis], 1.0) else []
+
+
+def _level_fraction(props, to_world: np.ndarray) -> tuple[int, float, bool]:
+    """Where a level cuts an upright panel: its own axis, the part of it, whether that goes up."""
+    level, rises = float(props["level"]), to_world[2, :2]
+    axis = int(np.argmax(np.abs(rises)))
+    height = 2.0 * abs(float(rises[axis]))
+    if not height > 0.0:
+        raise ValueError("a panel with a level stands upright: this one lies flat")
+    if not level >= 0.0:
+        raise ValueError(f"a panel's level is {level:g}; give 0 or more")
+    wet = "index" not in props or is_filled(float(props["index"]))
+    part = min(level / height, 1.0) if wet else 0.0
+    upwards = bool(rises[axis] > 0.0)
+    return axis, part if upwards else 1.0 - part, upwards
 
 
 class Frame(Polygons):
