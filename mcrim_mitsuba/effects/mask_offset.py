@@ -39,7 +39,9 @@ EFFECT = Effect(
             start=1.0,
             absent=0.0,
             plausible=(0.0, 3.0),
-            nodes=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
+            nodes=(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0),
+            # where the hole begins to cut the crystal's foot
+            kinked=True,
         ),
     ),
     edit=edit,

@@ -50,7 +50,7 @@ EFFECT = Effect(
             # no thickness makes of a film the ideal absorber
             absent=None,
             plausible=(10.0, 30.0),
-            nodes=(10.0, 12.5, 17.0, 23.0, 30.0, 35.0),
+            nodes=(10.0, 13.0, 18.0, 24.0, 30.0, 35.0),
         ),
     ),
     excludes=("detector_reflection", "detector_specular", "detector_angle"),
