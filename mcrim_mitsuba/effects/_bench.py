@@ -23,6 +23,8 @@ _FURTHER = (
 WIDTH, HEIGHT, GAP = "crystal_width_mm", "crystal_height_mm", "gap_mm"
 _STRETCH = {WIDTH: 1.1, HEIGHT: 1.3, GAP: 1.7}
 _TOLERANCE_MM = 1e-6
+#: Tells a part of the gap whether it is filled.
+GAP_INDEX = '<float name="index" value="$n_gap"/>'
 _FLAT = ("rectangle", "panel")
 _AXES = {"right": (0, 1), "left": (0, -1), "back": (1, 1), "front": (1, -1), "top": (2, 1),
          "bottom": (2, -1)}  # fmt: skip
@@ -232,6 +234,7 @@ def crystal_box(editor: SceneEditor, sizes: Iterable[str] = _STRETCH) -> dict[st
 def gap_sides(editor: SceneEditor) -> list[Node]:
     """The four sides of the gap, which must be rectangles, or the one shape that is all four."""
     found = [s for s in editor.shapes if editor.media(s) == (editor.gap, None)]
+    found = [shape for shape in found if shape.type != "round_wall"]
     whole = [shape for shape in found if shape.type == "gap_sides"]
     if whole:
         return whole
@@ -264,6 +267,8 @@ def window_under_gap(editor: SceneEditor) -> Node:
 
 def change_gap_sides(editor: SceneEditor, numbers: str) -> None:
     """Give the gap's sides further ``<float .../>``; four rectangles become one shape for that."""
+    for wall in editor.all("shape", "round_wall"):
+        add_numbers(editor, wall, numbers)
     first, *others = gap_sides(editor)
     if first.type == "gap_sides":
         add_numbers(editor, first, numbers)
@@ -297,6 +302,45 @@ def make_panel(editor: SceneEditor, face: Node, numbers: str) -> None:
     if face.type != "panel":
         editor.set_attribute(face, "type", "panel")
     add_numbers(editor, face, numbers)
+
+
+def part_gap(editor: SceneEditor, cut: str, liquid: str, air: str) -> None:
+    """Part the faces above and below the gap where a bubble of air is in it.
+
+    `cut` is the number that tells a ``panel`` where, `liquid` and `air` which part each keeps.
+    """
+    if "n_gap" not in editor.scene.parameters:
+        raise editor.refusal("the scene has no parameter n_gap", "write the gap's index as one")
+    box = crystal_box(editor)
+    (bottom,) = box["bottom"]
+    under = window_under_gap(editor)
+    sides = [face for name, faces in box.items() if name != "bottom" for face in faces]
+    to_air = worn_towards_air(editor, sides, "the crystal's other faces")
+    own = editor.bsdf(bottom)
+    if own is not None and own.attributes.get("id", "").endswith("_bottom"):
+        # what is rough under the liquid is rough under the bubble
+        smooth = editor.by_id[to_air.split('"')[1]]
+        to_air = f'<ref id="{rough_copy(editor, smooth, "bottom")}"/>'
+    beside = [s for s in editor.shapes if s.type == "frame" and editor.window in editor.media(s)]
+    window_to_air = worn_towards_air(editor, beside, "the window's entrance face")
+    for face, name, bsdf, interior in (
+        (bottom, "crystal_bottom_bubble", to_air, editor.crystal),
+        (under, "window_under_bubble", window_to_air, editor.window),
+    ):
+        editor.refuse_id(name)
+        numbers = [cut, '<string name="keep" value="{}"/>', GAP_INDEX]
+        make_panel(editor, face, "\n".join(numbers).format(liquid))
+        trim, transform = face.named("trim"), face.named("to_world")
+        assert transform is not None  # `crystal_box` and `window_under_gap` found its corners by it
+        parts = [
+            *([editor.source(trim)] if trim is not None else []),
+            *(number.format(air) for number in numbers),
+            editor.source(transform),
+            bsdf,
+            f'<ref name="interior" id="{interior.attributes["id"]}"/>',
+        ]
+        xml = element(f'shape type="panel" id="{name}"', parts)
+        editor.insert_after(face, f"<!-- the part of it that lies on the air bubble -->\n{xml}")
 
 
 def worn_towards_air(editor: SceneEditor, shapes: list[Node], what: str) -> str:

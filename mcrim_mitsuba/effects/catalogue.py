@@ -40,6 +40,7 @@ BUILT_IN = (
     "gap_thickness",
     "gap_absorption",
     "gap_bubble",
+    "gap_bubble_round",
     "gel_creep",
     "top_reflector",
     "photocathode_film",

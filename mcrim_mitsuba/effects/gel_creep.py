@@ -1,12 +1,11 @@
 """Effect ``gel_creep``: gel stands up around the foot of the crystal."""
 
-from mcrim_mitsuba.effects._bench import crystal_box, element, make_panel
+from mcrim_mitsuba.effects._bench import GAP_INDEX, crystal_box, element, make_panel
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import Node, SceneEditor
 
 _LIQUID, _WET = "liquid", "crystal_to_liquid"
 _LEVEL = '<float name="level" value="$collar_mm"/>\n<string name="keep" value="{}"/>\n{}'
-_INDEX = '<float name="index" value="$n_gap"/>'
 _ROUGH = "roughness_alpha"
 
 
@@ -53,12 +52,12 @@ def _split(editor: SceneEditor, face: Node, wet: str) -> None:
     """Leave the wet part out of a side and make it a face of its own, towards the liquid."""
     name = f"{face.attributes['id']}_wet"
     editor.refuse_id(name)
-    make_panel(editor, face, _LEVEL.format("above", _INDEX))
+    make_panel(editor, face, _LEVEL.format("above", GAP_INDEX))
     trim, transform = face.named("trim"), face.named("to_world")
     assert transform is not None  # `crystal_box` found its corners by it
     parts = [
         *([editor.source(trim)] if trim is not None else []),
-        *_LEVEL.format("below", _INDEX).split("\n"),
+        *_LEVEL.format("below", GAP_INDEX).split("\n"),
         editor.source(transform),
         f'<ref id="{wet}"/>',
         f'<ref name="interior" id="{editor.crystal.attributes["id"]}"/>',

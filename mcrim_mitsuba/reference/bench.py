@@ -46,6 +46,7 @@ _RANGES = {
     "gap_offset_mm": (-math.inf, math.inf),
     "gap_index_offset": (-math.inf, math.inf),
     "bubble_fraction": (0.0, 0.99),
+    "bubble_area_fraction": (0.0, 0.78),
     "collar_mm": (0.0, math.inf),
     "detector_reflectance": (0.0, 1.0),
     "cathode_nm": (0.0, 200.0),
@@ -139,6 +140,9 @@ class Bench:
     gap_index_offset: float = 0.0
     gap_absorption_per_cm: float = 0.0
     bubble_fraction: float = 0.0
+    #: Only where the gap is filled: the part of the footprint's area that a disc of air in its
+    #: middle takes.
+    bubble_area_fraction: float = 0.0
     #: Only where the gap is filled: up to this height the four side faces border the liquid, in
     #: which light that leaves there goes straight on, to the plate's entrance face or away. Light
     #: from the air finds them dry.
@@ -226,7 +230,12 @@ class Bench:
         if self.narrow_collar_mm:
             self._refuse_beside(
                 "narrow_collar_mm", "where gel stands around the crystal",
-                "chamfer_mm", "bubble_fraction", "wrap_reflectance", "collar_mm",
+                "chamfer_mm", "bubble_fraction", "bubble_area_fraction", "wrap_reflectance",
+                "collar_mm",
+            )  # fmt: skip
+        if self.bubble_area_fraction:
+            self._refuse_beside(
+                "bubble_area_fraction", "where a round bubble is", "bubble_fraction", "chamfer_mm",
             )  # fmt: skip
         if self.collar_mm:
             self._refuse_beside(
@@ -251,10 +260,10 @@ class Bench:
         _require(beam < narrowest, "beam_diameter_mm", beam, expected)
         self._refuse_beside(
             "beam_diameter_mm", "in a beam",
-            "wrap_reflectance", "top_reflectance", "bubble_fraction", "aperture_at_detector",
-            "detector_reflectance", "detector_specular", "cathode_nm", "angular_falloff",
-            "radial_falloff", "mask_offset_mm", "housing_reflectance", "collar_mm",
-            "narrow_collar_mm",
+            "wrap_reflectance", "top_reflectance", "bubble_fraction", "bubble_area_fraction",
+            "aperture_at_detector", "detector_reflectance", "detector_specular", "cathode_nm",
+            "angular_falloff", "radial_falloff", "mask_offset_mm", "housing_reflectance",
+            "collar_mm", "narrow_collar_mm",
         )  # fmt: skip
 
     def _refuse_beside(self, there: str, where: str, *others: str) -> None:
@@ -297,6 +306,12 @@ class Bench:
         """The x at which the gap begins: the bubble's end, or the crystal's side."""
         bubble = self.bubble_fraction if self.is_filled else 0.0
         return (bubble - 0.5) * self.crystal_width_mm
+
+    @property
+    def bubble_radius_mm(self) -> float:
+        """Of the round bubble; 0 where there is none."""
+        share = self.bubble_area_fraction if self.is_filled else 0.0
+        return math.sqrt(share / math.pi) * self.crystal_width_mm
 
     @property
     def wet_height_mm(self) -> float:

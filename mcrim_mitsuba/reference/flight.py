@@ -295,17 +295,18 @@ class Flights:
         return flock.place
 
     def _fly_in_body(self, flock: Flock) -> None:
-        """Flights in crystal, gap or window: to a face, or to a scattering or absorption."""
+        """Flights in crystal, gap, bubble or window: to a face, a scattering or absorption."""
         region, photons, place = flock
         body, medium = self._layout.bodies[region], self._layout.media[region]
         position, direction = photons.position, photons.direction
         distance, face, strayed = body.exit(position, direction)
-        meets_crystal = None
+        meets_other = None
         if region in self._layout.seen_from:
-            # the liquid stands around the crystal
-            to_crystal, _, crystal_face, inside = self._nearest_body(flock)
-            meets_crystal = to_crystal < distance
-            np.minimum(distance, to_crystal, out=distance)
+            # the liquid stands around the crystal or a bubble
+            (other,) = self._layout.seen_from[region]
+            to_other, _, other_face, inside = self._nearest_body(flock)
+            meets_other = to_other < distance
+            np.minimum(distance, to_other, out=distance)
             strayed |= inside
         if medium.extinction_per_mm > 0.0:
             free_path = medium.free_path(self._rng, position, direction)
@@ -320,10 +321,10 @@ class Flights:
         position += distance * direction
 
         self._collide(flock, np.flatnonzero(~arrives))
-        if meets_crystal is not None:
-            met = np.flatnonzero(arrives & meets_crystal)
-            self._meet_from_air(flock, met, Place.CRYSTAL, crystal_face[met], position[:, met])
-            arrives &= ~meets_crystal
+        if meets_other is not None:
+            met = np.flatnonzero(arrives & meets_other)
+            self._meet_from_air(flock, met, other, other_face[met], position[:, met])
+            arrives &= ~meets_other
         at_face = np.flatnonzero(arrives)
         face = face[at_face]
         arrival, normal = body.snap(position.take(at_face, axis=1), face)

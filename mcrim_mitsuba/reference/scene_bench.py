@@ -117,7 +117,8 @@ def _described(model: SceneModel) -> dict[str, list[tuple]]:
         sides = [model.volumes[i] for i in (surface.interior, surface.exterior)]
         words = (surface.kind, surface.two_sided, *(v.phase for v in sides))
         numbers = [
-            *face.corner, *face.edge_u, *face.edge_v, surface.eta, surface.reflectance,
+            *face.corner, *face.edge_u, *face.edge_v,
+            0.0 if face.circle is None else face.circle.radius_mm, surface.eta, surface.reflectance,
             min(surface.aperture_radius_mm, 1e6), *surface.axis_mm,
             surface.roughness, surface.surface_loss, surface.haze,
             surface.acceptance_deg,

@@ -158,7 +158,8 @@ def _overlap(first: FlatFace, second: FlatFace) -> bool:
     a, b = (g.ravel()[:, None] for g in np.meshgrid(grid, grid))
     for one, other in ((first, second), (second, first)):
         u, v = (a * (1 - b), b) if one.triangle else (a, b)
-        if (other.margin(one.corner + u * one.edge_u + v * one.edge_v) > 1e-6).any():
+        points = one.corner + u * one.edge_u + v * one.edge_v
+        if (np.minimum(one.margin(points), other.margin(points)) > 1e-6).any():
             return True
     return False
 

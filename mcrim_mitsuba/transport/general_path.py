@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from mcrim_mitsuba.transport import surface_physics
-from mcrim_mitsuba.transport.flat_path import MOST_FACES, NO_FACE, FlatPath
+from mcrim_mitsuba.transport.flat_path import MOST_FACES, NO_FACE, FlatPath, rows_of
 from mcrim_mitsuba.transport.scene_model import OTHER, OUTSIDE, SceneModel, opaque, surface_numbers
 
 #: Distance in mm, over (1 + largest coordinate in mm), at which a new ray starts off a traced
@@ -73,24 +74,23 @@ class GeneralPath:
         if not self.traced:
             flat, self.traced = (), tuple(range(len(surfaces)))
         faces = tuple(face for face in model.flat_faces if face.surface in flat)
+        walls = tuple(wall for wall in model.walls if wall.surface in flat)
         self._flat = None
         self._scene = model.scene
         if faces:
             self.name = "flat faces in registers, other shapes by Mitsuba's ray_intersect"
-            self._flat = FlatPath(replace(model, flat_faces=faces, curved=()), polarization)
+            registers = replace(model, flat_faces=faces, walls=walls, curved=())
+            self._flat = FlatPath(registers, polarization)
             self._scene = _scene_of([model.shapes[number] for number in self.traced])
         # rows of the flat faces first, then one for each surface
-        rows = [surfaces[face.surface] for face in faces]
-        normals = [face.normal for face in faces]
-        if model.endless is not None:
-            rows, normals = rows + [model.open_to(s) for s in rows], normals + normals
+        rows, normals = rows_of(replace(model, flat_faces=faces, walls=walls))
         self._first_surface = len(rows)
         rows += surfaces
         if model.endless is not None:
             rows += [model.open_to(s) for s in surfaces]
             ends = [[side in s.sides for s in surfaces] for side in (OUTSIDE, model.endless)]
             self._ends = [opaque(each, mi.Bool) for each in ends]
-        normals += [(0.0, 0.0, 0.0)] * (len(rows) - len(normals))
+        normals += [np.zeros(3)] * (len(rows) - len(normals))
         self._tables = surface_physics.SurfaceTables(rows, normals)
         self._surface_number = surface_numbers(model)
         self._asks_bsdfs = any(surfaces[number].kind == OTHER for number in self.traced)
@@ -136,6 +136,7 @@ class GeneralPath:
         row = self._tables.at(dr.select(traced, number, met.face), active)
         normal, point = mi.Vector3f(si.n), mi.Point3f(si.p)
         if self._flat is not None:
+            self._flat.turn_normals(row, met.face, position)
             normal = dr.select(traced, normal, row.normal)
             point = dr.select(traced, point, position)
         row.normal = normal
@@ -192,7 +193,8 @@ class GeneralPath:
 
 def _surfaces_for_registers(model: SceneModel) -> set[int]:
     """Flat surfaces with BSDFs known here; those of fewest faces where there are too many."""
-    known = (f.surface for f in model.flat_faces if model.surfaces[f.surface].kind != OTHER)
+    all_known = (*model.flat_faces, *model.walls)
+    known = (each.surface for each in all_known if model.surfaces[each.surface].kind != OTHER)
     fewest_first = sorted(Counter(known).items(), key=lambda item: item[1])
     totals = itertools.accumulate(faces for _, faces in fewest_first)
     pairs = zip(fewest_first, totals, strict=True)

@@ -118,6 +118,39 @@ class Surface:
 
 
 @dataclass(frozen=True)
+class Circle:
+    """A circle about a vertical axis, within a horizontal face."""
+
+    x_mm: float
+    y_mm: float
+    radius_mm: float
+    #: Whether the face is what lies inside; else that is missing of it.
+    inside: bool = True
+
+    @property
+    def area(self) -> float:
+        """In mm2."""
+        return math.pi * self.radius_mm**2
+
+    def margin(self, points: np.ndarray) -> np.ndarray:
+        """How far on the face's side of it points, shape (n, 3), lie, in radii."""
+        away = np.hypot(points[:, 0] - self.x_mm, points[:, 1] - self.y_mm) / self.radius_mm
+        return 1.0 - away if self.inside else away - 1.0
+
+
+@dataclass(frozen=True)
+class RoundWall:
+    """An upright cylinder's mantle, without its ends."""
+
+    circle: Circle
+    #: Lower and upper end.
+    low_mm: float
+    high_mm: float
+    #: Its interior is what lies around it: normals point to the axis.
+    surface: int
+
+
+@dataclass(frozen=True)
 class FlatFace:
     """A parallelogram or triangle: ``corner + a * edge_u + b * edge_v``.
 
@@ -131,6 +164,8 @@ class FlatFace:
     normal: np.ndarray
     triangle: bool
     surface: int
+    #: What of it is left, where only a part is.
+    circle: Circle | None = None
 
     @property
     def corners(self) -> np.ndarray:
@@ -142,6 +177,13 @@ class FlatFace:
     @property
     def area(self) -> float:
         """In mm2."""
+        if self.circle is not None and self.circle.inside:
+            return self.circle.area
+        return self.filled_area - (self.circle.area if self.circle is not None else 0.0)
+
+    @property
+    def filled_area(self) -> float:
+        """In mm2, without the hole in it."""
         whole = float(np.linalg.norm(cross(self.edge_u, self.edge_v)))
         return whole / (1 + self.triangle)
 
@@ -149,7 +191,8 @@ class FlatFace:
         """How far inside points of its plane, shape (n, 3), lie, in parts of its edges."""
         dual = np.linalg.inv(np.column_stack([self.edge_u, self.edge_v, self.normal]))
         a, b = dual[:2] @ (points - self.corner).T
-        return np.minimum(np.minimum(a, b), 1 - a - b if self.triangle else 1 - np.maximum(a, b))
+        inside = np.minimum(np.minimum(a, b), 1 - a - b if self.triangle else 1 - np.maximum(a, b))
+        return inside if self.circle is None else np.minimum(inside, self.circle.margin(points))
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,10 +209,12 @@ class SceneModel:
     surfaces: tuple[Surface, ...]
     #: Faces of all surfaces that are flat.
     flat_faces: tuple[FlatFace, ...]
-    #: Indices of the surfaces that are not.
+    #: Indices of the surfaces that are not, and are no walls either.
     curved: tuple[int, ...]
     #: Largest distance of any point of the scene from the origin.
     size_mm: float
+    #: Surfaces that are upright round walls.
+    walls: tuple[RoundWall, ...] = ()
 
     @functools.cached_property
     def endless(self) -> int | None:
@@ -206,7 +251,7 @@ class SceneModel:
 
     @property
     def faces(self) -> tuple[FlatFace, ...] | None:
-        """All faces of a scene of flat faces; ``None`` where a surface is curved."""
+        """All faces of a scene of flat faces, round walls apart; ``None`` where one is curved."""
         return None if self.curved else self.flat_faces
 
     @property
@@ -257,7 +302,7 @@ def read_scene_model(scene) -> SceneModel:
     names = [v.name for v in volumes]
     if sum(v.endless for v in volumes) > 1:
         raise InputError("two media are endless", "light outside is in one liquid at most")
-    surfaces, faces, curved = [], [], []
+    surfaces, faces, curved, walls = [], [], [], []
     for number, shape in enumerate(shapes):
         inner, outer = (OUTSIDE if m is None else names.index(m.id()) for m in _media(shape))
         try:
@@ -266,7 +311,10 @@ def read_scene_model(scene) -> SceneModel:
         except InputError as error:
             raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
         surfaces.append(Surface(shape.id(), inner, outer, **properties))
-        if own is None:
+        wall = getattr(shape, "wall", None)
+        if wall is not None:
+            walls.append(replace(wall, surface=number))
+        elif own is None:
             curved.append(number)
         faces.extend(own or [])
     if len({(s.film, s.head_on) for s in surfaces if s.kind == DETECTOR}) > 1:
@@ -275,8 +323,9 @@ def read_scene_model(scene) -> SceneModel:
     box = scene.bbox()
     size = float(max(np.abs(np.array(box.min)).max(), np.abs(np.array(box.max)).max()))
     return SceneModel(
-        scene, shapes, tuple(volumes), tuple(surfaces), tuple(faces), tuple(curved), size
-    )
+        scene, shapes, tuple(volumes), tuple(surfaces), tuple(faces), tuple(curved), size,
+        tuple(walls),
+    )  # fmt: skip
 
 
 def _media(shape) -> tuple:
@@ -418,6 +467,11 @@ def _flat_faces(shape, number: int) -> list[FlatFace] | None:
         if shape.has_flipped_normals():
             half_u, half_v = half_v, half_u
         return [_face(centre - half_u - half_v, 2 * half_u, 2 * half_v, False, number)]
+    if getattr(shape, "wall", None) is not None:
+        return None
+    if getattr(shape, "round_face", None) is not None:
+        corner, along, across, circle = shape.round_face
+        return [replace(_face(corner, along, across, False, number), circle=circle)]
     if shape.is_mesh():
         return _mesh_faces(shape, number)
     return None

@@ -32,6 +32,8 @@ NEIGHBOURS = [
      "gap_bubble"),
     ("gel_creep", "gap_bubble", "gap_index", "edge_chamfer", "side_roughness", "bottom_roughness",
      "surface_haze", "gap_absorption"),
+    ("gap_bubble_round", "gap_bubble", "edge_chamfer", "gap_thickness", "gel_creep", "gap_index",
+     "bottom_roughness", "surface_absorption", "aperture_at_detector"),
     ("gel_creep", "surface_roughness", "surface_absorption", "gap_thickness"),
     ("gap_thickness", "gap_bubble", "edge_chamfer", "top_reflector", "gap_absorption"),
     ("detector_reflection", "detector_angle", "detector_radius", "aperture_at_detector",
@@ -41,6 +43,8 @@ EXCLUDED = {
     frozenset(("anisotropic_scattering", "rayleigh_scattering")),
     frozenset(("source_depth", "side_source")),
     frozenset(("gap_absorption", "gel_creep")),
+    frozenset(("gap_bubble", "gap_bubble_round")),
+    frozenset(("edge_chamfer", "gap_bubble_round")),
 }
 
 #: Lines of scenes/camoo4.xml that an effect may take away or change; all other effects only add.
@@ -80,7 +84,7 @@ def added(scene, *names):
 
 def test_every_effect_of_the_definitions_is_there():
     assert list(KNOWN) == list(BUILT_IN)
-    assert len(KNOWN) == 33
+    assert len(KNOWN) == 34
     for name, effect in KNOWN.items():
         assert effect.name == name
         assert (
@@ -98,6 +102,7 @@ def test_every_effect_of_the_definitions_is_there():
         "side_roughness_alpha": (0, 0.5), "bottom_roughness_alpha": (0, 0.5),
         "n_crystal": (-0.1, 0.1), "gap_index_offset": (-0.1, 0.1), "gap_offset_mm": (-0.04, 0.5),
         "gap_absorption_per_cm": (0, 20), "bubble_fraction": (0, 0.6), "collar_mm": (0, 3),
+        "bubble_area_fraction": (0, 0.6),
         "top_reflectance": (0, 0.99), "detector_reflectance": (0, 0.5),
         "cathode_nm": (10, 35), "detector_specular": (0, 0.5), "mask_offset_mm": (0, 6),
         "housing_reflectance": (0, 0.2),

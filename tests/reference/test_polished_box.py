@@ -208,6 +208,7 @@ def test_photons_agree(changed, eta, sigma, photons, seed):
         ({"aperture_at_detector": True}, "aperture_at_detector"),
         ({"narrow_collar_mm": 1.0}, "narrow_collar_mm"),
         ({"collar_mm": 1.0}, "collar_mm"),
+        ({"bubble_area_fraction": 0.1}, "bubble_area_fraction"),
         ({"side_depth_mm": 2.0}, "side_depth_mm"),
         ({"black_spot_mm": 1.0}, "black_spot_mm"),
         ({"beam_diameter_mm": 2.0}, "beam_diameter_mm"),

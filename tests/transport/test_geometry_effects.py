@@ -1,6 +1,6 @@
 """Chamfers, bubbles, thicker gaps and reflectors: shapes that change the bench's geometry.
 
-Statistical tests use fixed seeds. The file makes 21 comparisons at z < 3.7: a correct program would
+Statistical tests use fixed seeds. The file makes 24 comparisons at z < 3.7: a correct program would
 fail it with a probability of at most 0.5 %.
 """
 
@@ -36,6 +36,7 @@ EFFECTS = {
     "thickness": ("gap_thickness", {"gap_offset_mm": 0.1}),
     "reflector": ("top_reflector", {"top_reflectance": 0.9}),
     "creep": ("gel_creep", {"collar_mm": 1.2}),
+    "round": ("gap_bubble_round", {"bubble_area_fraction": 0.3}),
 }
 
 
@@ -122,6 +123,62 @@ def test_a_bubble_takes_its_part_of_the_gap(write, fraction, leg, left_out):
         assert content == pytest.approx(10 * wide * 0.25, rel=1e-5)
         assert area == pytest.approx(20 * wide + 2 * (10 + wide) * 0.25, rel=1e-5)
         assert np.abs(closing).max() < 1e-4
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.6])
+def test_a_round_bubble_takes_its_part_of_the_gap(write, share):
+    model = loaded(
+        write("round", "thickness"), n_gap=1.46, bubble_area_fraction=share, gap_offset_mm=0.2
+    ).model
+    areas = {"crystal_bottom_bubble": 0.0, "window_under_bubble": 0.0}
+    for face in model.faces:
+        name = model.surfaces[face.surface].name
+        areas[name] = areas.get(name, 0.0) + face.area
+    for whole, part in (("crystal_bottom", "crystal_bottom_bubble"),
+                        ("window_under_gap", "window_under_bubble")):  # fmt: skip
+        assert areas[part] == pytest.approx(100.0 * share, rel=1e-5)
+        assert areas[whole] == pytest.approx(100.0 * (1.0 - share), rel=1e-5)
+    assert len(model.walls) == (share > 0.0)
+    for wall in model.walls:
+        assert wall.circle.area == pytest.approx(100.0 * share)
+        assert (wall.low_mm, wall.high_mm) == (pytest.approx(-0.25), 0.0)
+        # what is drawn, and what Mitsuba itself intersects, has the same area
+        shape = model.shapes[wall.surface]
+        assert shape.surface_area()[0] == pytest.approx(
+            2 * np.sqrt(np.pi * 100 * share) * 0.25, rel=2e-3
+        )
+    assert len(convex_solids(model)) == 3
+    assert check_scene(write("round", "thickness"), {"bubble_area_fraction": share, "n_gap": 1.46},
+                       light=False).ok  # fmt: skip
+
+
+def test_a_round_bubble_passes_what_a_film_of_air_does(write):
+    """Crystal, liquid and window of one index, which absorb within a millimetre.
+
+    What arrives has come straight down, or by the sides, which the mask lets nothing else pass.
+    """
+    numbers = {"n_crystal": 1.5, "n_window": 1.5, "n_gap": 1.5, "bubble_area_fraction": 0.3,
+               "aperture_radius_mm": 4.9, "gap_mm": 0.01, "alpha_scat_per_cm": 0.0,
+               "alpha_abs_per_cm": 8.0, "crystal_height_mm": 12.0}  # fmt: skip
+    rng, count = np.random.default_rng(11), 2_000_000
+    start = rng.random((3, count)) * [[10.0], [10.0], [12.0]] - [[5.0], [5.0], [0.0]]
+    way = rng.standard_normal((3, count))
+    way /= np.linalg.norm(way, axis=0)
+    way[2] = -np.abs(way[2])
+    length = -start[2] / way[2]
+    straight = start[:2] + length * way[:2]
+    bounces = np.abs(np.floor(straight / 10.0 + 0.5))
+    kept = np.prod(reflectance(np.abs(way[:2]), 1.5, 1.0) ** bounces, axis=0)
+    at = np.abs((straight + 5.0) % 20.0 - 10.0) - 5.0
+    mirrored = reflectance(-way[2], 1.5, 1.0)
+    in_bubble = np.hypot(*at) < np.sqrt(0.3 * 100.0 / np.pi)
+    passed = np.where(in_bubble, (1.0 - mirrored) / (1.0 + mirrored), 1.0)
+    expected = 0.5 * kept * passed * np.exp(-0.8 * length) * (np.hypot(*at) < 4.9)
+    sigma = expected.std() / np.sqrt(count)
+    ours = loaded(write("round"), **numbers).collect(10**6, seed=12)
+    other = trace(Bench(**numbers), 200_000, 13)
+    for found in (ours, other):
+        assert abs(found.eta - expected.mean()) < Z * np.hypot(found.eta_sigma, sigma)
 
 
 def test_in_air_there_is_no_bubble(write):
@@ -227,6 +284,7 @@ def test_the_cross_section_shows_chamfers_bubble_and_thickness(write):
 @pytest.mark.parametrize("general", [False, True], ids=["fast", "general"])
 def test_effects_of_no_size_are_the_plain_bench(write, general):
     """The same random numbers, the same faces: the same photons to the last digit."""
+    round_one = loaded(write("round"), n_gap=1.46, bubble_area_fraction=0.0)
     absent = {"chamfer_mm": 0, "bubble_fraction": 0, "gap_offset_mm": 0, "collar_mm": 0}
     with_effects = loaded(write("chamfer", "bubble", "thickness", "creep"), n_gap=1.46, **absent)
     assert len(with_effects.model.surfaces) == len(with_effects.model.scene.shapes()) - 8
@@ -234,6 +292,8 @@ def test_effects_of_no_size_are_the_plain_bench(write, general):
     there = with_effects.collect(30_000, **options)
     plain = loaded(write(), n_gap=1.46).collect(30_000, **options)
     assert there.transport == plain.transport
+    assert there.budget == pytest.approx(plain.budget, abs=1e-3 if general else 0)
+    there = round_one.collect(30_000, **options)
     assert there.budget == pytest.approx(plain.budget, abs=1e-3 if general else 0)
 
 
@@ -255,8 +315,9 @@ def test_a_thicker_gap_is_a_thicker_gap(write):
         (("chamfer", "bubble", "thickness", "reflector"), {"n_gap": 1.46}),
         (("bubble",), {"n_gap": 1.515, "aperture_radius_mm": 5}),
         (("chamfer", "creep"), {"n_gap": 1.46, "aperture_radius_mm": 8, "polarization": True}),
+        (("round", "creep", "thickness"), {"n_gap": 1.333, "gap_mm": 0.4, "aperture_radius_mm": 4}),
     ],
-    ids=["chamfer", "all", "bubble", "creep"],
+    ids=["chamfer", "all", "bubble", "creep", "round"],
 )
 def test_both_paths_follow_light_alike(write, effects, overrides):
     """Mitsuba asks faces for their bounds, the fast path planes: what comes out agrees."""
