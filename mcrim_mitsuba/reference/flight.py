@@ -231,6 +231,11 @@ class Flights:
         self._bench, self._rng, self._records = bench, rng, records
         self._layout = Layout(bench)
         self._film = photocathode_of(bench)
+        #: Whether the detector does anything but detect.
+        self._decides = self._film is not None or any(
+            (bench.detector_reflectance, bench.detector_specular, bench.angular_falloff,
+             bench.radial_falloff)
+        )  # fmt: skip
 
     def births(self, count: int) -> PhotonArrays:
         """Photons at their `birthplace`, unpolarised: isotropic in the crystal, or a beam."""
@@ -538,25 +543,25 @@ class Flights:
         It reflects diffusely before anything else is decided, then as a mirror, and refuses last.
         """
         bench, (_, photons, place) = self._bench, flock
-        if bench.detector_reflectance:
-            diffuse = self._rng.random(who.size) < bench.detector_reflectance
-            self._send_up(flock, who[diffuse])
-            who = who[~diffuse]
+        if not self._decides:
+            return
+        # drawn for all and first, although decided last
+        accepted = acceptance(bench, photons.position[:, who], photons.direction[:, who])
+        refused = self._rng.random(who.size) >= accepted
+        diffuse = self._rng.random(who.size) < bench.detector_reflectance
+        self._send_up(flock, who[diffuse])
+        place[who[refused & ~diffuse]] = Place.ABSORBED_SURFACE
         if self._film is not None:
-            who = self._meet_film(flock, who, self._film)
+            self._meet_film(flock, who[~diffuse], self._film)
         elif bench.detector_specular:
-            mirrored = self._rng.random(who.size) < bench.detector_specular
+            who = who[~diffuse]
+            who = who[self._rng.random(who.size) < bench.detector_specular]
             # a metal turns the component across the plane of incidence round
-            minus, plus = np.full(mirrored.sum(), -1.0 + 0j), np.full(mirrored.sum(), 1.0 + 0j)
-            self._mirror(flock, who[mirrored], minus, plus)
-            who = who[~mirrored]
-        if bench.angular_falloff or bench.radial_falloff:
-            accepted = acceptance(bench, photons.position[:, who], photons.direction[:, who])
-            refused = self._rng.random(who.size) >= accepted
-            place[who[refused]] = Place.ABSORBED_SURFACE
+            ones = np.ones(who.size, dtype=np.complex128)
+            self._mirror(flock, who, -ones, ones)
 
-    def _meet_film(self, flock: Flock, who: Indices, film: AbsorbingFilm) -> Indices:
-        """Reflect photons off the photocathode, or lose them behind it; those that it absorbs."""
+    def _meet_film(self, flock: Flock, who: Indices, film: AbsorbingFilm) -> None:
+        """Reflect photons off the photocathode, or lose them behind it; it absorbs the others."""
         photons, place = flock.photons, flock.place
         cosine = np.abs(photons.direction[2, who])
         waves = film.amplitudes(cosine)
@@ -573,7 +578,6 @@ class Flights:
         through = ~mirrored & (chance < below + (shares * transmitted).sum(axis=0))
         self._mirror(flock, who[mirrored], *waves[:, mirrored])
         place[who[through]] = Place.ABSORBED_SURFACE
-        return who[~mirrored & ~through]
 
     def _mirror(
         self, flock: Flock, who: Indices, across_wave: Complexes, along_wave: Complexes
