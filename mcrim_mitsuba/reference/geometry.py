@@ -214,16 +214,16 @@ def chamfered_box(half_width: float, height: float, leg: float) -> HalfSpaceBody
     return HalfSpaceBody(np.array(normals), np.array(offsets))
 
 
-class Cylinder:
-    """An upright cylinder about the z axis, answering as `HalfSpaceBody` does.
+class Cylinder(HalfSpaceBody):
+    """An upright cylinder about the z axis, which answers for itself.
 
     Its faces are `WALL`, `BOTTOM` and `TOP`.
     """
 
     def __init__(self, radius: float, z_low: float, z_high: float) -> None:
+        # it has no planes, but ends
+        super().__init__(np.zeros((TOP + 1, 3)), np.zeros(TOP + 1))
         self._radius, self._levels = radius, np.array([z_low, z_high])
-        #: As of `HalfSpaceBody`; nothing asks for their values.
-        self.offsets = np.zeros(TOP + 1)
 
     def exit(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
         """As `HalfSpaceBody.exit`."""
@@ -261,6 +261,10 @@ class Cylinder:
         snapped[:2, wall] = self._radius * normal[:2, wall]
         snapped[2, end] = self._levels[face[end] - BOTTOM]
         return snapped, normal
+
+    def contains(self, position: Floats) -> Flags:
+        """As `HalfSpaceBody.contains`."""
+        return self._holds(position, 0.0)
 
     def _quadratic(self, position: Floats, direction: Floats) -> tuple[Floats, Floats, Floats]:
         """a, b and c of a t^2 + 2 b t + c = 0, where a ray meets the mantle."""
@@ -418,7 +422,7 @@ class Layout:
         in_beam = bench.beam_diameter_mm is not None
         #: Crystal, gap, window and, for a wrapped crystal, the film's box, which contains it. In a
         #: beam there is the crystal only.
-        self.bodies: dict[Place, HalfSpaceBody | Cylinder] = {Place.CRYSTAL: crystal}
+        self.bodies: dict[Place, HalfSpaceBody] = {Place.CRYSTAL: crystal}
         if not in_beam:
             self.bodies |= {Place.GAP: gap, Place.WINDOW: window}
         wrapped = bench.wrap_reflectance is not None

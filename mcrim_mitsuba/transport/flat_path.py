@@ -306,7 +306,8 @@ def rows_of(model: SceneModel) -> tuple[list[Surface], list[np.ndarray]]:
 
     Where a volume is endless, all once more as light in it meets them.
     """
-    surfaces = [model.surfaces[each.surface] for each in (*model.flat_faces, *model.walls)]
+    numbers = [face.surface for face in model.flat_faces]
+    surfaces = [model.surfaces[i] for i in (*numbers, *(wall.surface for wall in model.walls))]
     normals = [face.normal for face in model.flat_faces] + [np.zeros(3)] * len(model.walls)
     if model.endless is None:
         return surfaces, normals

@@ -193,8 +193,9 @@ class GeneralPath:
 
 def _surfaces_for_registers(model: SceneModel) -> set[int]:
     """Flat surfaces with BSDFs known here; those of fewest faces where there are too many."""
-    all_known = (*model.flat_faces, *model.walls)
-    known = (each.surface for each in all_known if model.surfaces[each.surface].kind != OTHER)
+    numbers = [face.surface for face in model.flat_faces]
+    numbers += [wall.surface for wall in model.walls]
+    known = (number for number in numbers if model.surfaces[number].kind != OTHER)
     fewest_first = sorted(Counter(known).items(), key=lambda item: item[1])
     totals = itertools.accumulate(faces for _, faces in fewest_first)
     pairs = zip(fewest_first, totals, strict=True)

@@ -212,9 +212,9 @@ def problems_of_volumes(
     """
     said = []
     for surface, face in zip(model.surfaces, interfaces, strict=True):
-        sides = (surface.exterior, face.n_exterior), (surface.interior, face.n_interior)
+        named = (surface.exterior, face.n_exterior), (surface.interior, face.n_interior)
         # a volume without end lies where outside does, whatever the index there
-        ends = [(0, None) if side == model.endless else (side, n) for side, n in sides]
+        ends = [(0, None) if side == model.endless else (side, n) for side, n in named]
         said.append([part for pair in zip(*ends, strict=True) for part in pair])
     # volumes are small integers, exact as floats; an index that is not named is nan
     near, far, n_near, n_far = np.array(said, dtype=float).T[:, crossings.surface]

@@ -169,7 +169,7 @@ class PanelShape(Polygons):
             raise ValueError(f"a panel's keep is {keep!r}: outside or inside, and only of a disc")
         if "disc" in props:
             return self._round(_disc_radius(props, width), keep == "inside", trim, to_world)
-        parts = [[trim / size, 1.0 - trim / size] for size in (width, depth)]
+        parts = [(trim / size, 1.0 - trim / size) for size in (width, depth)]
         # part of a width that is cut off at its lower end, of which axis, and which part stays
         axis, upper = 0, keep in ("beyond", "above")
         if ("level" in props) != (keep in ("above", "below")):
@@ -178,9 +178,10 @@ class PanelShape(Polygons):
             axis, cut, upwards = _level_fraction(props, to_world)
             upper = upper == upwards
         low, high = parts[axis]
-        parts[axis] = [max(low, cut), high] if upper else [low, min(high, cut)]
-        corners = 2.0 * rectangle(*parts) - (1.0, 1.0, 0.0)
-        return [corners] if is_there(*parts[axis], 1.0) else []
+        low, high = (max(low, cut), high) if upper else (low, min(high, cut))
+        parts[axis] = low, high
+        corners = 2.0 * rectangle(parts[0], parts[1]) - (1.0, 1.0, 0.0)
+        return [corners] if is_there(low, high, 1.0) else []
 
     def _round(self, radius: float, inside: bool, trim: float, to_world: np.ndarray) -> Sequence:
         """The disc, or what is left around it."""
