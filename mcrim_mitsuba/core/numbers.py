@@ -131,8 +131,10 @@ MEANINGFUL = {
     "gap_index_offset": (-0.5, 0.5),
     "gap_offset_mm": (-LONGEST_GAP_MM, LONGEST_GAP_MM),
     "bubble_fraction": (0.0, 1.0),
-    "angular_falloff": (0.0, 1.0),
+    "angular_falloff": (-1.0, 1.0),
     "radial_falloff": (0.0, 1.0),
+    "detector_specular": (0.0, 1.0),
+    "housing_reflectance": (0.0, 1.0),
 }
 
 

@@ -6,12 +6,13 @@ several effects need of a bench is in `_bench`, the room's own.
 """
 
 from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add, catalogue, effect_of
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter, filled
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter, Rows, filled
 
 __all__ = [
     "BrokenEffectError",
     "Effect",
     "EffectParameter",
+    "Rows",
     "add",
     "catalogue",
     "effect_of",

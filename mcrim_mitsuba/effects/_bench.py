@@ -12,16 +12,19 @@ from lxml import etree
 from mcrim_mitsuba.core.errors import said_by
 from mcrim_mitsuba.core.numbers import Value, parse_number
 from mcrim_mitsuba.effects.effect import EffectParameter
-from mcrim_mitsuba.scene.editor import Node, SceneEditor
+from mcrim_mitsuba.scene.editor import INTERFACES, Node, SceneEditor
 
+#: Of the light in vacuum, where a scene names it.
+WAVELENGTH = "wavelength_nm"
 _INDICES = ("int_ior", "ext_ior")
 _FURTHER = (
-    "int_offset", "ext_offset", "roughness_alpha", "surface_loss", "rms_roughness_nm",
-    "wavelength_nm",
+    "int_offset", "ext_offset", "roughness_alpha", "surface_loss", "rms_roughness_nm", WAVELENGTH,
 )  # fmt: skip
 WIDTH, HEIGHT, GAP = "crystal_width_mm", "crystal_height_mm", "gap_mm"
 _STRETCH = {WIDTH: 1.1, HEIGHT: 1.3, GAP: 1.7}
 _TOLERANCE_MM = 1e-6
+#: Tells a part of the gap whether it is filled.
+GAP_INDEX = '<float name="index" value="$n_gap"/>'
 _FLAT = ("rectangle", "panel")
 _AXES = {"right": (0, 1), "left": (0, -1), "back": (1, 1), "front": (1, -1), "top": (2, 1),
          "bottom": (2, -1)}  # fmt: skip
@@ -50,19 +53,78 @@ def set_phase(editor: SceneEditor, xml: str) -> None:
 
 def set_detector(editor: SceneEditor, name: str, value: str) -> None:
     """Put ``<float>`` into every ``photodetector``, or refuse one that has it."""
-    for detector in editor.detectors:
-        known = detector.named(name)
+    set_part(editor, editor.detectors, name, f'<float name="{name}" value="{value}"/>')
+
+
+def set_part(editor: SceneEditor, bsdfs: Iterable[Node], name: str, xml: str) -> None:
+    """Put a property of a name into detectors or masks, or refuse one that has it."""
+    for bsdf in bsdfs:
+        known = bsdf.named(name)
         if known is not None:
-            problem = f"the detector has its {name} already"
+            what = "detector" if bsdf in editor.detectors else "mask"
+            problem = f"the {what} has its {name} already"
             raise editor.refusal(problem, "change this number instead", known)
-        editor.insert_last(detector, f'<float name="{name}" value="{value}"/>')
+        numbers = [part for part in bsdf.elements if "name" in part.attributes]
+        if numbers:
+            editor.insert_after(numbers[-1], xml)
+        else:
+            editor.insert_first(bsdf, xml)
 
 
-def falloff(name: str, meaning: str) -> EffectParameter:
-    """How far a detector's sensitivity falls: 1 - this times what `meaning` says."""
+def masks_of(editor: SceneEditor) -> list[Node]:
+    """The masks of a scene, which must have one."""
+    if not editor.masks:
+        raise editor.refusal("the scene has no mask", "let the window wear an aperture")
+    return editor.masks
+
+
+def sends_back(editor: SceneEditor) -> None:
+    """Let what the text calls a black detector be called so no longer."""
+    for shape in editor.shapes:
+        if any(part in editor.detectors for part in shape.walk()):
+            editor.reword(shape, "window, black", "window")
+
+
+def index_before(editor: SceneEditor, detector: Node) -> str:
+    """Index of the medium before a detector, as an interface of that medium writes it."""
+    faces = [shape for shape in editor.shapes if detector in _within(editor, shape)]
+    media = {medium for face in faces for medium in editor.media(face)} - {None}
+    for shape in editor.shapes:
+        for index, medium in zip(_INDICES, editor.media(shape), strict=True):
+            for bsdf in _within(editor, shape) if medium in media else ():
+                known = bsdf.named(index) if bsdf.type in INTERFACES else None
+                if known is not None:
+                    return known.attributes["value"]
+    problem = "no interface says the index of what is before the detector"
+    raise editor.refusal(problem, "name the window's medium on its faces", detector)
+
+
+def _within(editor: SceneEditor, node: Node) -> list[Node]:
+    """The bsdfs that a shape, or a bsdf, wears, those within them too."""
+    worn = editor.targets(node, "bsdf")
+    return [each for bsdf in worn for each in (bsdf, *_within(editor, bsdf))]
+
+
+def hits_weight(hits: np.ndarray, reflectance: float, simulated_at: float) -> np.ndarray:
+    """Weight of photons that a detector sent back so often, and then detected.
+
+    They were drawn with the reflectance `simulated_at`.
+    """
+    each = (reflectance / simulated_at) ** hits.astype(np.float64)
+    return (1.0 - reflectance) / (1.0 - simulated_at) * each
+
+
+def falloff(
+    name: str, meaning: str, least: float = 0.0, nodes: tuple[float, ...] = ()
+) -> EffectParameter:
+    """How far a detector's sensitivity falls: 1 - this times what `meaning` says.
+
+    From `least` on, where it rises, with `nodes` below 0.
+    """
     return EffectParameter(
-        name=name, unit="", meaning=f"Detection falls as 1 - this {meaning}", minimum=0.0,
-        maximum=1.0, start=0.2, absent=0.0, plausible=(0.0, 0.6), nodes=(0.15, 0.3, 0.5, 0.75, 1.0),
+        name=name, unit="", meaning=f"Detection falls as 1 - this {meaning}", minimum=least,
+        maximum=1.0, start=0.2, absent=0.0, plausible=(0.6 * least, 0.6),
+        nodes=(*nodes, 0.15, 0.3, 0.5, 0.75, 1.0),
     )  # fmt: skip
 
 
@@ -84,6 +146,14 @@ def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
     if bsdf.type == "dielectric":
         editor.set_attribute(bsdf, "type", "polish")
     editor.insert_last(bsdf, f'<float name="{name}" value="{value}"/>')
+
+
+def birth_weight(depths_mm: np.ndarray, length_mm: float, depth_mm: float) -> np.ndarray:
+    """Density of births at depths behind a face, exp(-t/depth) up to a length, over an even one."""
+    lengths = length_mm / depth_mm
+    if lengths < 1e-9:
+        return np.ones(len(depths_mm))
+    return lengths / -np.expm1(-lengths) * np.exp(-depths_mm.astype(np.float64) / depth_mm)
 
 
 def roughen(editor: SceneEditor, side: str) -> None:
@@ -164,6 +234,7 @@ def crystal_box(editor: SceneEditor, sizes: Iterable[str] = _STRETCH) -> dict[st
 def gap_sides(editor: SceneEditor) -> list[Node]:
     """The four sides of the gap, which must be rectangles, or the one shape that is all four."""
     found = [s for s in editor.shapes if editor.media(s) == (editor.gap, None)]
+    found = [shape for shape in found if shape.type != "round_wall"]
     whole = [shape for shape in found if shape.type == "gap_sides"]
     if whole:
         return whole
@@ -196,6 +267,8 @@ def window_under_gap(editor: SceneEditor) -> Node:
 
 def change_gap_sides(editor: SceneEditor, numbers: str) -> None:
     """Give the gap's sides further ``<float .../>``; four rectangles become one shape for that."""
+    for wall in editor.all("shape", "round_wall"):
+        add_numbers(editor, wall, numbers)
     first, *others = gap_sides(editor)
     if first.type == "gap_sides":
         add_numbers(editor, first, numbers)
@@ -229,6 +302,45 @@ def make_panel(editor: SceneEditor, face: Node, numbers: str) -> None:
     if face.type != "panel":
         editor.set_attribute(face, "type", "panel")
     add_numbers(editor, face, numbers)
+
+
+def part_gap(editor: SceneEditor, cut: str, liquid: str, air: str) -> None:
+    """Part the faces above and below the gap where a bubble of air is in it.
+
+    `cut` is the number that tells a ``panel`` where, `liquid` and `air` which part each keeps.
+    """
+    if "n_gap" not in editor.scene.parameters:
+        raise editor.refusal("the scene has no parameter n_gap", "write the gap's index as one")
+    box = crystal_box(editor)
+    (bottom,) = box["bottom"]
+    under = window_under_gap(editor)
+    sides = [face for name, faces in box.items() if name != "bottom" for face in faces]
+    to_air = worn_towards_air(editor, sides, "the crystal's other faces")
+    own = editor.bsdf(bottom)
+    if own is not None and own.attributes.get("id", "").endswith("_bottom"):
+        # what is rough under the liquid is rough under the bubble
+        smooth = editor.by_id[to_air.split('"')[1]]
+        to_air = f'<ref id="{rough_copy(editor, smooth, "bottom")}"/>'
+    beside = [s for s in editor.shapes if s.type == "frame" and editor.window in editor.media(s)]
+    window_to_air = worn_towards_air(editor, beside, "the window's entrance face")
+    for face, name, bsdf, interior in (
+        (bottom, "crystal_bottom_bubble", to_air, editor.crystal),
+        (under, "window_under_bubble", window_to_air, editor.window),
+    ):
+        editor.refuse_id(name)
+        numbers = [cut, '<string name="keep" value="{}"/>', GAP_INDEX]
+        make_panel(editor, face, "\n".join(numbers).format(liquid))
+        trim, transform = face.named("trim"), face.named("to_world")
+        assert transform is not None  # `crystal_box` and `window_under_gap` found its corners by it
+        parts = [
+            *([editor.source(trim)] if trim is not None else []),
+            *(number.format(air) for number in numbers),
+            editor.source(transform),
+            bsdf,
+            f'<ref name="interior" id="{interior.attributes["id"]}"/>',
+        ]
+        xml = element(f'shape type="panel" id="{name}"', parts)
+        editor.insert_after(face, f"<!-- the part of it that lies on the air bubble -->\n{xml}")
 
 
 def worn_towards_air(editor: SceneEditor, shapes: list[Node], what: str) -> str:

@@ -4,10 +4,12 @@ import math
 
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter, Rows
 
 
-def reading(signals: np.ndarray, value: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def reading(
+    signals: np.ndarray, value: float, rows: Rows
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """reading = signal + background."""
     ones = np.ones_like(signals)
     return signals + value, ones, ones

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mcrim_mitsuba.effects._bench import set_detector
+from mcrim_mitsuba.effects._bench import hits_weight, sends_back, set_detector
 from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
 from mcrim_mitsuba.scene.editor import SceneEditor
 
@@ -12,16 +12,12 @@ _SIMULATED_AT = 0.5
 def edit(editor: SceneEditor) -> None:
     """Let the detector send light back into the window."""
     set_detector(editor, "reflectance", "$detector_reflectance")
-    for shape in editor.shapes:
-        if any(part in editor.detectors for part in shape.walk()):
-            editor.reword(shape, "window, black", "window")
+    sends_back(editor)
 
 
 def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
     """(1 - rho) rho^m over the same at 0.5: m reflections off it, then detection."""
-    hits = columns["detector_hits"].astype(np.float64)
-    reflectance = values["detector_reflectance"]
-    return (1.0 - reflectance) / (1.0 - _SIMULATED_AT) * (reflectance / _SIMULATED_AT) ** hits
+    return hits_weight(columns["detector_hits"], values["detector_reflectance"], _SIMULATED_AT)
 
 
 EFFECT = Effect(
@@ -52,6 +48,7 @@ EFFECT = Effect(
             nodes=(0.05, 0.1, 0.2, 0.3, 0.4, 0.5),
         ),
     ),
+    excludes=("photocathode_film",),
     edit=edit,
     columns=("detector_hits",),
     weight=weight,

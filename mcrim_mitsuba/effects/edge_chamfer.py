@@ -84,5 +84,6 @@ EFFECT = Effect(
             limits=limits,
         ),
     ),
+    excludes=("gap_bubble_round",),
     edit=edit,
 )

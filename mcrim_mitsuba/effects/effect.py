@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -21,7 +22,20 @@ Columns = Mapping[str, np.ndarray]
 Values = Mapping[str, float]
 Parameters = Mapping[str, Value]
 Weight = Callable[[Columns, Values, Parameters], np.ndarray]
-Reading = Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What effects of the readings may know of these besides their signals, all float64 or bool."""
+
+    #: (readings,) float64: When each was read, from -1/2, the first row of the file, to 1/2, the
+    #: last. Rows of light count, used or not; what will be measured next comes with the last one.
+    position: np.ndarray
+    #: (readings,) bool: Whether its crystal is another piece: its size is not the scene's.
+    other_sample: np.ndarray
+
+
+Reading = Callable[[np.ndarray, float, Rows], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 def filled(parameters: Mapping[str, Value]) -> bool:
@@ -208,8 +222,9 @@ class Effect:
     proposal: Mapping[str, float] | None = None
     #: The radius that a smaller aperture cuts at.
     mask_column: str = "mask_radius_mm"
-    #: ``reading(signals, value)`` -> reading, d reading / d signal, d reading / d value, all
-    #: of the signals' shape.
+    #: ``reading(signals, value, rows)`` -> reading, d reading / d signal, d reading / d value, all
+    #: of the signals' shape, whose last axis is that of the rows. It acts on light, never on
+    #: transmittances.
     reading: Reading | None = None
     #: Of several effects on the readings, that of the lower number acts first.
     order: int = 0
@@ -243,5 +258,7 @@ class Effect:
                 raise ValueError(f"{self.name}: parameters must be a tuple of EffectParameter")
         if self.reading is not None and len(self.parameters) != 1:
             raise ValueError(f"{self.name}: an effect of the readings has one parameter")
+        if self.reading is not None and len(inspect.signature(self.reading).parameters) != 3:
+            raise ValueError(f"{self.name}: its reading must take signals, value and rows")
         if self.proposal is not None and set(self.proposal) != {p.name for p in self.parameters}:
             raise ValueError(f"{self.name}: proposal must give each of its parameters a value")

@@ -59,6 +59,7 @@ EFFECT = Effect(
             nodes=(0.5, 1.5, 3.5, 7.0, 11.0, 16.0, 20.0),
         ),
     ),
+    excludes=("gel_creep",),
     filled_only=True,
     edit=edit,
     columns=("path_gap_cm",),

@@ -2,10 +2,12 @@
 
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter, Rows
 
 
-def reading(signals: np.ndarray, value: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def reading(
+    signals: np.ndarray, value: float, rows: Rows
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """reading = signal / (1 + k signal)."""
     damped = 1.0 + value * signals
     return signals / damped, damped**-2.0, -((signals / damped) ** 2)

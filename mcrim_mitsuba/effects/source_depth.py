@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from mcrim_mitsuba.effects._bench import birth_weight
 from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
 from mcrim_mitsuba.scene.editor import SceneEditor
 
@@ -15,11 +16,7 @@ def edit(editor: SceneEditor) -> None:
 def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
     """Density exp(-t/d) / (d (1 - exp(-H/d))) at the depth t below the top, over 1/H."""
     height_mm, depth_mm = float(parameters["crystal_height_mm"]), values["source_depth_mm"]
-    heights = height_mm / depth_mm
-    if heights < 1e-9:
-        return np.ones(len(columns["birth_depth_mm"]))
-    births = columns["birth_depth_mm"].astype(np.float64)
-    return heights / -np.expm1(-heights) * np.exp(-births / depth_mm)
+    return birth_weight(columns["birth_depth_mm"], height_mm, depth_mm)
 
 
 EFFECT = Effect(
@@ -53,6 +50,7 @@ EFFECT = Effect(
             scale=2.0,
         ),
     ),
+    excludes=("side_source",),
     needs=("crystal_height_mm",),
     edit=edit,
     columns=("birth_depth_mm",),

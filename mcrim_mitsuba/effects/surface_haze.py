@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from mcrim_mitsuba.effects._bench import polish
+from mcrim_mitsuba.effects._bench import WAVELENGTH, polish
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import SceneEditor
-
-_WAVELENGTH = "wavelength_nm"
 
 
 def edit(editor: SceneEditor) -> None:
     """Give all faces of the crystal a fine roughness, at the scene's wavelength if it has one."""
     for bsdf in editor.crystal_polish:
         polish(editor, bsdf, "rms_roughness_nm", "$rms_roughness_nm")
-        if _WAVELENGTH in editor.scene.parameters:
-            polish(editor, bsdf, _WAVELENGTH, f"${_WAVELENGTH}")
+        if WAVELENGTH in editor.scene.parameters:
+            polish(editor, bsdf, WAVELENGTH, f"${WAVELENGTH}")
 
 
 EFFECT = Effect(

@@ -87,7 +87,7 @@ _LEAST_REACH, _LEAST_ABSORPTION_PER_CM, _MOST_ABSORPTION_PER_CM = 3.0, 1e-3, 2.0
 _FINE, _COARSE = (17, 6), (7, 4)
 #: Scene parameter that is the radius of the hole in a mask, and a radius (in window widths) that
 #: leaves all of a square window open.
-APERTURE, WINDOW, _OPEN = "aperture_radius_mm", "window_width_mm", 0.75
+APERTURE, WINDOW, _OPEN = "aperture_radius_mm", "window_width_mm", 2.0
 #: Nodes of a fitted acceptance, and where, in degrees, its logarithm takes over from itself.
 _ACCEPTANCE_NODES, _ACCEPTANCE_SCALE_DEG = 7, 2.0
 #: Stands for infinity in a scene.
@@ -272,7 +272,7 @@ class ResponseMaker:
         if of_beam:
             radius = float(named[ACCEPTANCE])
             named[ACCEPTANCE] = _HALF_SPACE_DEG
-        elif self._open_mask:
+        elif self._open_mask and _has_open_mask(scene):
             radius = float(named[APERTURE])
             named[APERTURE] = _OPEN * float(named[WINDOW])
         overrides = {n: v for n, v in named.items() if n in scene.parameters}
@@ -753,9 +753,16 @@ def _coverage(campaign: Campaign) -> tuple[Grid, Grid, ScatteringProposals]:
     return Grid(scattering, (low, high), fine), Grid(scattering, (low, high), coarse), proposals
 
 
+@functools.lru_cache(maxsize=64)
 def _has_open_mask(scene: SceneFile) -> bool:
-    """Whether the scene's aperture parameter is the radius of masks on a square window, only."""
+    """Whether the scene's aperture parameter is the radius of masks on a square window, only.
+
+    Of black ones: light that others reflect goes on.
+    """
     if APERTURE not in scene.parameters or WINDOW not in scene.parameters:
+        return False
+    masks = (bsdf for bsdf in scene.root.iter("bsdf") if bsdf.get("type") == "aperture")
+    if any(part.get("name") == "reflectance" for mask in masks for part in mask):
         return False
     wider = scene.with_overrides({APERTURE: _OPEN * float(scene.parameters[WINDOW])})
     for before, after in zip(scene.root.iter(), wider.root.iter(), strict=True):

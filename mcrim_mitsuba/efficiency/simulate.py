@@ -120,7 +120,8 @@ def _collect_in_units(
             "layout": _LAYOUT,
         }
     )
-    tally, launches, cached, path, interrupted = FateTally(), 0, 0, "", False
+    tally = FateTally(head_on=simulation.model.head_on)
+    launches, cached, path, interrupted = 0, 0, "", False
     start, seconds = time.perf_counter(), 0.0
     try:
         while tally.photons < photons and not tally.reaches(precision):

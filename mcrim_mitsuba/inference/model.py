@@ -21,7 +21,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
-from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.effects.effect import Effect, Rows
 from mcrim_mitsuba.efficiency.responses import Anchor, Point, Responses, covariance_of
 from mcrim_mitsuba.efficiency.surface import (
     EfficiencySurface,
@@ -279,6 +279,24 @@ def _surface(
 # ---- with effects, from responses ----
 
 
+#: Scene parameters that tell crystals apart.
+_CRYSTAL_SIZES = ("crystal_width_mm", "crystal_height_mm")
+
+
+def _rows(campaign: Campaign) -> Rows:
+    """What effects of the readings know of a campaign's rows."""
+    readings, scene = campaign.measurements.readings, campaign.scene.parameters
+    # what is only proposed has no line
+    read = [i for i, each in enumerate(readings) if each.line and not each.of_beam]
+    position = np.full(len(readings), 0.5)
+    position[read] = np.linspace(-0.5, 0.5, len(read)) if len(read) > 1 else 0.0
+    others = [
+        any(n in each.parameters and each.parameters[n] != scene.get(n) for n in _CRYSTAL_SIZES)
+        for each in readings
+    ]
+    return Rows(position, np.array(others, dtype=bool))
+
+
 class ResponseModel:
     """Predicts a campaign's readings with some effects switched on; see `Model`.
 
@@ -304,6 +322,7 @@ class ResponseModel:
         self.readings = campaign.measurements.readings
         self.responses, self.anchor = responses, anchor
         self._of_light = np.array([not reading.of_beam for reading in self.readings])
+        self._measured = _rows(campaign)
         # name of the one parameter, and what it does to signals
         self._of_readings = [
             (effect.parameters[0].name, effect.reading)
@@ -361,7 +380,7 @@ class ResponseModel:
         if SCALE in place:
             signal_slopes[:, place[SCALE]] = np.where(light, eta, 0.0)
         for name, reading in self._of_readings:
-            read, by_signal, by_value = reading(signal, values[name])
+            read, by_signal, by_value = reading(signal, values[name], self._measured)
             signal = np.where(light, read, signal)
             by_signal = np.where(light, by_signal, 1.0)
             per_eta = per_eta * by_signal
@@ -414,7 +433,8 @@ class ResponseModel:
         for name, reading in self._of_readings:
             # formulas of effects take numbers, and as well a column of them
             size: Any = values[name][:, None]
-            signal = np.where(self._of_light, reading(signal, size)[0], signal)
+            read = reading(signal, size, self._measured)[0]
+            signal = np.where(self._of_light, read, signal)
         return signal
 
     def eta_batches(self, theta: Array) -> Array:

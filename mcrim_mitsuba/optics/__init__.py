@@ -1,6 +1,7 @@
 """Closed forms that need no renderer.
 
-`fresnel`, `attenuation` and `absorption` (what a polished slab's transmittance says of its
-absorption), `dispersion`, `materials` (the catalogue, with sources), `emission_band` (an index over
-all of a scintillator's light), `spectrum` and `spectrum_file`, and `gammas` (where they stop).
+`fresnel`, `thin_film` (a photocathode), `attenuation` and `absorption` (what a polished slab's
+transmittance says of its absorption), `dispersion`, `materials` (the catalogue, with sources),
+`emission_band` (an index over all of a scintillator's light), `spectrum` and `spectrum_file`, and
+`gammas` (where they stop).
 """

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.optics.thin_film import cathode_index
 
 #: A gap is filled where its nominal index is above this.
 FILLED_ABOVE = 1.0005
@@ -16,13 +17,13 @@ FILLED_ABOVE = 1.0005
 TOP_FILM_MM = 0.01
 #: Distance of the plate that detects a beam from where the beam leaves the crystal.
 PLATE_DISTANCE_MM = 0.005
-#: Width of the collar of liquid around the foot of a crystal.
-COLLAR_WIDTH_MM = 1.0
+#: Width of the narrow collar of liquid around the foot of a crystal.
+NARROW_COLLAR_WIDTH_MM = 1.0
 
 #: Axes that a beam may fly along.
 BEAM_AXES = ("x", "y", "z")
 
-_MAY_BE_INFINITE = ("source_depth_mm",)
+_MAY_BE_INFINITE = ("source_depth_mm", "side_depth_mm")
 # lowest value of lengths and of coefficients; all others are indices
 _LOWEST_BY_UNIT = {"mm": math.ulp(0.0), "cm": 0.0}
 # lowest and highest value of what the name does not tell
@@ -31,6 +32,7 @@ _RANGES = {
     "scattering_g": (-0.99, 0.99),
     "scattering_gradient": (-1.0, 1.0),
     "source_depth_mm": (math.ulp(0.0), math.inf),
+    "side_depth_mm": (math.ulp(0.0), math.inf),
     "roughness_alpha": (0.0, 1.0),
     "top_roughness_alpha": (0.0, 1.0),
     "side_roughness_alpha": (0.0, 1.0),
@@ -44,10 +46,16 @@ _RANGES = {
     "gap_offset_mm": (-math.inf, math.inf),
     "gap_index_offset": (-math.inf, math.inf),
     "bubble_fraction": (0.0, 0.99),
+    "bubble_area_fraction": (0.0, 0.78),
+    "collar_mm": (0.0, math.inf),
     "detector_reflectance": (0.0, 1.0),
-    "angular_falloff": (0.0, 1.0),
+    "cathode_nm": (0.0, 200.0),
+    "detector_specular": (0.0, 1.0),
+    "angular_falloff": (-1.0, 1.0),
     "radial_falloff": (0.0, 1.0),
-    "gel_creep_mm": (0.0, math.inf),
+    "mask_offset_mm": (-math.inf, math.inf),
+    "housing_reflectance": (0.0, 1.0),
+    "narrow_collar_mm": (0.0, math.inf),
     "black_spot_mm": (0.0, math.inf),
 }
 
@@ -100,9 +108,10 @@ class Bench:
     #: q, from -1 to 1: the scattering coefficient is that given, times
     #: 1 + q (2 z / height - 1).
     scattering_gradient: float = 0.0
-    #: Emission falls off below the top face as exp(-depth / source_depth_mm);
-    #: infinity for uniform emission.
+    #: Emission falls off below the top face as exp(-depth / source_depth_mm), or from the face at
+    #: x = -width/2 as exp(-distance / side_depth_mm); infinity for uniform emission.
     source_depth_mm: float = math.inf
+    side_depth_mm: float = math.inf
     #: GGX parameter of the crystal's faces, chamfers included, from 0
     #: (polished) to 1.
     roughness_alpha: float = 0.0
@@ -131,15 +140,32 @@ class Bench:
     gap_index_offset: float = 0.0
     gap_absorption_per_cm: float = 0.0
     bubble_fraction: float = 0.0
+    #: Only where the gap is filled: the part of the footprint's area that a disc of air in its
+    #: middle takes.
+    bubble_area_fraction: float = 0.0
+    #: Only where the gap is filled: up to this height the four side faces border the liquid, in
+    #: which light that leaves there goes straight on, to the plate's entrance face or away. Light
+    #: from the air finds them dry.
+    collar_mm: float = 0.0
     #: The mask lies on the plate's back face instead.
     aperture_at_detector: bool = False
     #: Probability that the detector sends light back into the plate, by the
     #: cosine law.
     detector_reflectance: float = 0.0
-    #: Other light is detected with probability 1 - angular (1 - cos theta)
-    #: times 1 - radial (r / 14 mm)^2, else absorbed.
+    #: Of other light the probability of a mirror's reflection, as by a metal.
+    detector_specular: float = 0.0
+    #: Thickness of the photocathode, a film of K-Cs-Sb between the plate and vacuum, that the
+    #: detector is: other light is reflected, absorbed, which is detected, or lost beyond it. 0 or
+    #: None for a plain detector.
+    cathode_nm: float | None = None
+    #: Other light is detected with probability 1 - angular (1 - cos theta), over 1 - angular if
+    #: that is negative, times 1 - radial (r / 14 mm)^2, else absorbed.
     angular_falloff: float = 0.0
     radial_falloff: float = 0.0
+    #: Shift along x of the axis that r and the mask's hole are about.
+    mask_offset_mm: float = 0.0
+    #: Reflectance of the mask's upper side, by the cosine law.
+    housing_reflectance: float = 0.0
     #: With a diameter, the crystal is not on the bench but alone in air, in a beam of parallel
     #: light from outside, through its middle, along +``beam_axis``. Behind the face where the beam
     #: leaves a black plate of the face's size, `PLATE_DISTANCE_MM` away, detects light within an
@@ -149,19 +175,19 @@ class Bench:
     acceptance_deg: float = 90.0
     #: What follows has no place in the catalogue of effects: diagnoses are tried on it.
     #: Where the gap is filled, its liquid stands up to this height around the crystal's four
-    #: sides, as a collar of `COLLAR_WIDTH_MM` on the window.
-    gel_creep_mm: float = 0.0
+    #: sides, with an outer wall and a top towards air: a collar `NARROW_COLLAR_WIDTH_MM` wide.
+    narrow_collar_mm: float = 0.0
     #: Width of a black square on the middle of the top face; it absorbs what hits it.
     black_spot_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            name, value = field.name, getattr(self, field.name)
-            if isinstance(field.default, bool):
+        for each in fields(self):
+            name, value = each.name, getattr(self, each.name)
+            if isinstance(each.default, bool):
                 _require(isinstance(value, bool), name, value, "true or false")
-            elif isinstance(field.default, str):
+            elif isinstance(each.default, str):
                 _require(value in BEAM_AXES, name, value, " or ".join(BEAM_AXES))
-            elif value is None and field.default is None:
+            elif value is None and each.default is None:
                 continue
             else:
                 unit = name.rpartition("_")[2]
@@ -172,7 +198,7 @@ class Bench:
     def _require_compatible(self) -> None:
         """Refuse values that do not fit each other."""
         width, height, room = self.crystal_width_mm, self.crystal_height_mm, self.window_width_mm
-        half = min(width, height) / 2.0
+        half, wet = min(width, height) / 2.0, self.narrow_collar_mm
         for name, fits, expected in (
             ("window_width_mm", room >= width, f"at least crystal_width_mm = {width}"),
             ("gap_offset_mm", self.gap_thickness_mm > 0.0, f"more than -gap_mm = -{self.gap_mm}"),
@@ -180,10 +206,9 @@ class Bench:
              f"an offset that leaves an index of at least 1 (n_gap = {self.n_gap})"),
             ("chamfer_mm", self.chamfer_mm < half,
              f"less than half of the crystal's width and height, {half:g} mm"),
-            ("gel_creep_mm", self.gel_creep_mm < height,
-             f"less than crystal_height_mm = {height}"),
-            ("window_width_mm", not self.gel_creep_mm or room >= width + 2.0 * COLLAR_WIDTH_MM,
-             f"room for a collar of {COLLAR_WIDTH_MM:g} mm around the crystal"),
+            ("narrow_collar_mm", wet < height, f"less than crystal_height_mm = {height}"),
+            ("window_width_mm", not wet or room >= width + 2.0 * NARROW_COLLAR_WIDTH_MM,
+             f"room for a collar of {NARROW_COLLAR_WIDTH_MM:g} mm around the crystal"),
         ):  # fmt: skip
             _require(fits, name, getattr(self, name), expected)
         if self.roughness_alpha:
@@ -191,12 +216,31 @@ class Bench:
                 "roughness_alpha", "where all faces are rough",
                 "top_roughness_alpha", "side_roughness_alpha", "bottom_roughness_alpha",
             )  # fmt: skip
+        if max(self.source_depth_mm, self.side_depth_mm) < math.inf:
+            both = "source_depth_mm and side_depth_mm exclude each other"
+            raise InputError(f"{both}: gammas come from one side", "leave one of them out")
         if self.beam_diameter_mm is not None:
             self._require_beam()
-        if self.gel_creep_mm:
+        if self.cathode_nm:
             self._refuse_beside(
-                "gel_creep_mm", "where gel creeps up the crystal",
-                "chamfer_mm", "bubble_fraction", "wrap_reflectance",
+                "cathode_nm", "where the detector is a film",
+                "detector_reflectance", "detector_specular", "angular_falloff",
+            )  # fmt: skip
+            cathode_index(self.wavelength_nm)
+        if self.narrow_collar_mm:
+            self._refuse_beside(
+                "narrow_collar_mm", "where gel stands around the crystal",
+                "chamfer_mm", "bubble_fraction", "bubble_area_fraction", "wrap_reflectance",
+                "collar_mm",
+            )  # fmt: skip
+        if self.bubble_area_fraction:
+            self._refuse_beside(
+                "bubble_area_fraction", "where a round bubble is", "bubble_fraction", "chamfer_mm",
+            )  # fmt: skip
+        if self.collar_mm:
+            self._refuse_beside(
+                "collar_mm", "where gel creeps up the crystal",
+                "wrap_reflectance", "gap_absorption_per_cm",
             )  # fmt: skip
         if self.rayleigh_scattering and self.scattering_g:
             both = "rayleigh_scattering and scattering_g exclude each other"
@@ -216,8 +260,10 @@ class Bench:
         _require(beam < narrowest, "beam_diameter_mm", beam, expected)
         self._refuse_beside(
             "beam_diameter_mm", "in a beam",
-            "wrap_reflectance", "top_reflectance", "bubble_fraction", "aperture_at_detector",
-            "detector_reflectance", "angular_falloff", "radial_falloff", "gel_creep_mm",
+            "wrap_reflectance", "top_reflectance", "bubble_fraction", "bubble_area_fraction",
+            "aperture_at_detector", "detector_reflectance", "detector_specular", "cathode_nm",
+            "angular_falloff", "radial_falloff", "mask_offset_mm", "housing_reflectance",
+            "collar_mm", "narrow_collar_mm",
         )  # fmt: skip
 
     def _refuse_beside(self, there: str, where: str, *others: str) -> None:
@@ -262,9 +308,20 @@ class Bench:
         return (bubble - 0.5) * self.crystal_width_mm
 
     @property
-    def collar_height_mm(self) -> float:
-        """How far the liquid stands up around the crystal; 0 where it does not."""
-        return self.gel_creep_mm if self.is_filled else 0.0
+    def bubble_radius_mm(self) -> float:
+        """Of the round bubble; 0 where there is none."""
+        share = self.bubble_area_fraction if self.is_filled else 0.0
+        return math.sqrt(share / math.pi) * self.crystal_width_mm
+
+    @property
+    def wet_height_mm(self) -> float:
+        """How far up the crystal's sides border liquid of no end; 0 where they do not."""
+        return self.collar_mm if self.is_filled else 0.0
+
+    @property
+    def narrow_collar_height_mm(self) -> float:
+        """How far the narrow collar stands up around the crystal; 0 where it does not."""
+        return self.narrow_collar_mm if self.is_filled else 0.0
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, Any]) -> Bench:
@@ -276,7 +333,7 @@ class Bench:
             For a name that is not an attribute: silently leaving a parameter
             out would make the comparison meaningless.
         """
-        known = {field.name for field in fields(cls)}
+        known = {each.name for each in fields(cls)}
         unknown = sorted(set(parameters) - known)
         if unknown:
             problem = f"the NumPy tracer cannot express {', '.join(unknown)}"
@@ -335,6 +392,8 @@ class FateCounts:
     seed: int
     #: Photons by fate; the values add up to ``photons``.
     counts: dict[str, int]
+    #: Part that the detector detects of what arrives head-on; it was calibrated so.
+    head_on: float = field(default=1.0, kw_only=True)
 
     @property
     def budget(self) -> dict[str, float]:
@@ -357,10 +416,10 @@ class FateCounts:
 
     @property
     def eta(self) -> float:
-        """Light collection efficiency: detected over emitted."""
-        return self.budget["detected"]
+        """Light collection efficiency: detected over emitted, relative to light head-on."""
+        return self.budget["detected"] / self.head_on
 
     @property
     def eta_sigma(self) -> float:
         """Standard deviation of `eta`."""
-        return self.budget_sigma["detected"]
+        return self.budget_sigma["detected"] / self.head_on

@@ -140,8 +140,12 @@ def _row(
     quantity: str, fate: str, ours: SimulationResult, reference: TracerResult,
     solved: BoxEfficiency | None,
 ) -> CrosscheckRow:  # fmt: skip
-    a, sigma_a = ours.budget.get(fate, 0.0), ours.budget_sigma.get(fate, 1.0 / ours.photons)
-    b, sigma_b = reference.budget.get(fate, 0.0), reference.budget_sigma.get(fate, 0.0)
+    if quantity == "eta":
+        a, sigma_a = ours.eta, ours.eta_sigma
+        b, sigma_b = reference.eta, reference.eta_sigma
+    else:
+        a, sigma_a = ours.budget.get(fate, 0.0), ours.budget_sigma.get(fate, 1.0 / ours.photons)
+        b, sigma_b = reference.budget.get(fate, 0.0), reference.budget_sigma.get(fate, 0.0)
     few = max(a * reference.photons, reference.counts.get(fate, 0)) < FEWEST_COUNTS
     z = None if few else (a - b) / math.hypot(sigma_a, sigma_b)
     if solved is None or fate not in _SOLVED_FATES:

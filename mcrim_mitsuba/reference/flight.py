@@ -11,10 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mcrim_mitsuba.optics.thin_film import cathode_index
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.geometry import (
     BOTTOM,
     FIRST_FATE,
+    TOP,
     Codes,
     Complexes,
     Flags,
@@ -27,6 +29,7 @@ from mcrim_mitsuba.reference.geometry import (
     dot,
 )
 from mcrim_mitsuba.reference.interface import (
+    AbsorbingFilm,
     about,
     cross,
     cross_rough,
@@ -110,15 +113,21 @@ def birth_positions(
 def _in_box(bench: Bench, rng: np.random.Generator, count: int) -> Floats:
     width, height = bench.crystal_width_mm, bench.crystal_height_mm
     position = rng.random((3, count))
+    if bench.side_depth_mm < math.inf:
+        position[0] = _depths(position[0], bench.side_depth_mm, width) / width
     position[:2] = (position[:2] - 0.5) * width
-    depth_mm = bench.source_depth_mm
-    if math.isinf(depth_mm):
+    if math.isinf(bench.source_depth_mm):
         position[2] *= height
     else:
-        # the inverse of the distribution function of exp(-t/depth) on 0 < t < height
-        below_top = -depth_mm * np.log1p(position[2] * math.expm1(-height / depth_mm))
-        position[2] = np.clip(height - below_top, 0.0, height)
+        position[2] = height - _depths(position[2], bench.source_depth_mm, height)
     return position
+
+
+def _depths(uniform: Floats, depth_mm: float, length_mm: float) -> Floats:
+    """Depths t with a density exp(-t/depth) on 0 < t < length, from uniforms: mm."""
+    # the inverse of the distribution function
+    below = -depth_mm * np.log1p(uniform * math.expm1(-length_mm / depth_mm))
+    return np.clip(below, 0.0, length_mm)
 
 
 def henyey_greenstein_cosine(rng: np.random.Generator, count: int, g: float) -> Floats:
@@ -153,9 +162,47 @@ def acceptance(bench: Bench, position: Floats, direction: Floats) -> Floats:
     It arrives at (3, n) positions in mm, with (3, n) directions in the plate.
     """
     by_angle = 1.0 - bench.angular_falloff * (1.0 - np.abs(direction[2]))
-    reach = (position[0] ** 2 + position[1] ** 2) / FALLOFF_RADIUS_MM**2
+    by_angle /= max(1.0, 1.0 - bench.angular_falloff)
+    from_axis = position[0] - bench.mask_offset_mm
+    reach = (from_axis**2 + position[1] ** 2) / FALLOFF_RADIUS_MM**2
     by_radius = 1.0 - bench.radial_falloff * reach
     return np.clip(by_angle, 0.0, 1.0) * np.clip(by_radius, 0.0, 1.0)
+
+
+def photocathode_of(bench: Bench) -> AbsorbingFilm | None:
+    """The film that the detector is; none where there is no thickness."""
+    if not bench.cathode_nm:
+        return None
+    return AbsorbingFilm(
+        cathode_index(bench.wavelength_nm), bench.n_window, bench.cathode_nm / bench.wavelength_nm
+    )
+
+
+def head_on(bench: Bench) -> float:
+    """Part that the detector detects of light which arrives head-on, with which it was calibrated.
+
+    Light that plain reflection sends back does not count.
+    """
+    film = photocathode_of(bench)
+    if film is None:
+        return 1.0 / max(1.0, 1.0 - bench.angular_falloff)
+    reflected, transmitted = film.powers(np.ones(1))
+    return float(1.0 - (reflected + transmitted).mean())
+
+
+def _frame(direction: Floats) -> tuple[Floats, Floats]:
+    """Unit vectors across the planes of incidence on the detector, and in them: (3, n) each.
+
+    Both are perpendicular to (3, n) directions of flight downwards.
+    """
+    x, y, z = direction
+    flat = np.hypot(x, y)
+    head_on = flat == 0.0
+    cosine, sine = (np.where(head_on, at, c / np.where(head_on, 1.0, flat))
+                    for at, c in ((1.0, x), (0.0, y)))  # fmt: skip
+    across = np.stack((-sine, cosine, np.zeros_like(x)))
+    along = np.stack((z * cosine, z * sine, -flat))
+    return across, along
 
 
 # One straight flight of each photon: the analog random walk itself.
@@ -183,6 +230,12 @@ class Flights:
     def __init__(self, bench: Bench, rng: np.random.Generator, records: bool) -> None:
         self._bench, self._rng, self._records = bench, rng, records
         self._layout = Layout(bench)
+        self._film = photocathode_of(bench)
+        #: Whether the detector does anything but detect.
+        self._decides = self._film is not None or any(
+            (bench.detector_reflectance, bench.detector_specular, bench.angular_falloff,
+             bench.radial_falloff)
+        )  # fmt: skip
 
     def births(self, count: int) -> PhotonArrays:
         """Photons at their `birthplace`, unpolarised: isotropic in the crystal, or a beam."""
@@ -240,22 +293,25 @@ class Flights:
             self._fly_outside(flock)
         elif region == Place.FILM:
             self._fly_in_film(flock)
+        elif region == Place.LIQUID:
+            self._fly_in_liquid(flock)
         else:
             self._fly_in_body(flock)
         return flock.place
 
     def _fly_in_body(self, flock: Flock) -> None:
-        """Flights in crystal, gap or window: to a face, or to a scattering or absorption."""
+        """Flights in crystal, gap, bubble or window: to a face, a scattering or absorption."""
         region, photons, place = flock
         body, medium = self._layout.bodies[region], self._layout.media[region]
         position, direction = photons.position, photons.direction
         distance, face, strayed = body.exit(position, direction)
-        meets_crystal = None
+        meets_other = None
         if region in self._layout.seen_from:
-            # the liquid stands around the crystal
-            to_crystal, _, crystal_face, inside = self._nearest_body(flock)
-            meets_crystal = to_crystal < distance
-            np.minimum(distance, to_crystal, out=distance)
+            # the liquid stands around the crystal or a bubble
+            (other,) = self._layout.seen_from[region]
+            to_other, _, other_face, inside = self._nearest_body(flock)
+            meets_other = to_other < distance
+            np.minimum(distance, to_other, out=distance)
             strayed |= inside
         if medium.extinction_per_mm > 0.0:
             free_path = medium.free_path(self._rng, position, direction)
@@ -270,10 +326,10 @@ class Flights:
         position += distance * direction
 
         self._collide(flock, np.flatnonzero(~arrives))
-        if meets_crystal is not None:
-            met = np.flatnonzero(arrives & meets_crystal)
-            self._meet_from_air(flock, met, Place.CRYSTAL, crystal_face[met], position[:, met])
-            arrives &= ~meets_crystal
+        if meets_other is not None:
+            met = np.flatnonzero(arrives & meets_other)
+            self._meet_from_air(flock, met, other, other_face[met], position[:, met])
+            arrives &= ~meets_other
         at_face = np.flatnonzero(arrives)
         face = face[at_face]
         arrival, normal = body.snap(position.take(at_face, axis=1), face)
@@ -344,6 +400,14 @@ class Flights:
         accepted = photons.direction[plate.axis, who] >= least_cosine
         place[who] = np.where(accepted, Place.DETECTED, Place.ABSORBED_SURFACE)
 
+    def _fly_in_liquid(self, flock: Flock) -> None:
+        """Flights in the liquid that has no end: to the window's plane, or away."""
+        _, photons, place = flock
+        place[:] = Place.ESCAPED
+        who, arrival = self._layout.through_liquid(photons.position, photons.direction)
+        top = np.full(who.size, TOP, dtype=np.intp)
+        self._meet_from_air(flock, who, Place.WINDOW, top, arrival)
+
     def _fly_in_film(self, flock: Flock) -> None:
         """Flights between crystal and wrap: to the crystal, to the wrap, or out by the rim."""
         _, photons, place = flock
@@ -396,7 +460,7 @@ class Flights:
     def _meet_from_air(
         self, flock: Flock, who: Indices, body: Place, face: Indices, arrival: Floats
     ) -> None:
-        """Let photons outside of a body meet its face."""
+        """Let photons outside of a body, in air or in liquid without end, meet its face."""
         position, normal = self._layout.bodies[body].snap(arrival, face)
         ahead = self._layout.within(body, face, position)
         self._meet(flock, who, body, face, position, -normal, ahead)
@@ -418,6 +482,8 @@ class Flights:
         place[who] = ahead
         if ahead.max(initial=0) >= FIRST_FATE:
             self._arrive(flock, who[ahead == Place.DETECTED])
+            if self._bench.housing_reflectance:
+                self._meet_mask(flock, who[ahead == Place.ABSORBED_APERTURE])
             optical = np.flatnonzero(ahead < FIRST_FATE)
             who, ahead, normal = who[optical], ahead[optical], normal[:, optical]
             face = face[optical]
@@ -474,25 +540,81 @@ class Flights:
     def _arrive(self, flock: Flock, who: Indices) -> None:
         """Let the detector send back, refuse or detect light that has reached it.
 
-        What is sent back, diffusely, overrules what is refused: reflection is decided first.
+        It reflects diffusely before anything else is decided, then as a mirror, and refuses last.
         """
         bench, (_, photons, place) = self._bench, flock
-        if not (bench.detector_reflectance or bench.angular_falloff or bench.radial_falloff):
+        if not self._decides:
             return
+        # drawn for all and first, although decided last
         accepted = acceptance(bench, photons.position[:, who], photons.direction[:, who])
         refused = self._rng.random(who.size) >= accepted
-        place[who[refused]] = Place.ABSORBED_SURFACE
-        who = who[self._rng.random(who.size) < bench.detector_reflectance]
-        place[who] = Place.WINDOW
+        diffuse = self._rng.random(who.size) < bench.detector_reflectance
+        self._send_up(flock, who[diffuse])
+        place[who[refused & ~diffuse]] = Place.ABSORBED_SURFACE
+        if self._film is not None:
+            self._meet_film(flock, who[~diffuse], self._film)
+        elif bench.detector_specular:
+            who = who[~diffuse]
+            who = who[self._rng.random(who.size) < bench.detector_specular]
+            # a metal turns the component across the plane of incidence round
+            ones = np.ones(who.size, dtype=np.complex128)
+            self._mirror(flock, who, -ones, ones)
+
+    def _meet_film(self, flock: Flock, who: Indices, film: AbsorbingFilm) -> None:
+        """Reflect photons off the photocathode, or lose them behind it; it absorbs the others."""
+        photons, place = flock.photons, flock.place
+        cosine = np.abs(photons.direction[2, who])
+        waves = film.amplitudes(cosine)
+        reflected, transmitted = film.powers(cosine)
+        if photons.field is None:
+            shares = np.full((2, who.size), 0.5)
+        else:
+            across, along = _frame(photons.direction[:, who])
+            field = photons.field[:, who]
+            shares = np.abs(np.stack((dot(across, field), dot(along, field)))) ** 2
+        chance = self._rng.random(who.size)
+        below = (shares * reflected).sum(axis=0)
+        mirrored = chance < below
+        through = ~mirrored & (chance < below + (shares * transmitted).sum(axis=0))
+        self._mirror(flock, who[mirrored], *waves[:, mirrored])
+        place[who[through]] = Place.ABSORBED_SURFACE
+
+    def _mirror(
+        self, flock: Flock, who: Indices, across_wave: Complexes, along_wave: Complexes
+    ) -> None:
+        """Send photons back up at the detector, with amplitudes of s and p polarised light."""
+        photons = flock.photons
+        before = photons.direction[:, who]
+        photons.direction[2, who] *= -1.0
+        flock.place[who] = Place.WINDOW
+        if photons.field is not None:
+            across, along = _frame(before)
+            field = photons.field[:, who]
+            after = across_wave * dot(across, field) * across
+            # the p component turns with the ray
+            turned = np.stack((-along[0], -along[1], along[2]))
+            after = after + along_wave * dot(along, field) * turned
+            photons.field[:, who] = after / np.sqrt(np.sum(np.abs(after) ** 2, axis=0))
+
+    def _meet_mask(self, flock: Flock, who: Indices) -> None:
+        """Send part of the photons that come down to the mask up again, by the cosine law."""
+        above = flock.photons.direction[2, who] < 0.0
+        who = who[above & (self._rng.random(who.size) < self._bench.housing_reflectance)]
+        self._send_up(flock, who, flock.region)
+
+    def _send_up(self, flock: Flock, who: Indices, region: Place = Place.WINDOW) -> None:
+        """Launch photons diffusely upwards, in a region."""
+        flock.place[who] = region
         up = np.repeat([[0.0], [0.0], [1.0]], who.size, axis=1)
-        self._launch(photons, who, lambertian(self._rng, up))
+        self._launch(flock.photons, who, lambertian(self._rng, up))
 
     def _note_mask_radius(
         self, photons: PhotonArrays, who: Indices, body: Place, face: Indices, position: Floats
     ) -> None:
         """Keep how far from the axis the photons have met the mask's plane."""
         there = np.flatnonzero(self._layout.on_mask_plane(body, face))
-        radius = np.hypot(position[0, there], position[1, there])
+        axis = self._layout.detector_centre
+        radius = np.hypot(position[0, there] - axis[0], position[1, there])
         assert photons.record is not None  # as `_meet` has seen
         row, who = photons.record[Record.MASK_RADIUS], who[there]
         row[who] = np.maximum(row[who], radius)

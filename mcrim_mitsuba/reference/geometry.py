@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.reference.bench import (
     BEAM_AXES,
-    COLLAR_WIDTH_MM,
+    NARROW_COLLAR_WIDTH_MM,
     PLATE_DISTANCE_MM,
     TOP_FILM_MM,
     Bench,
@@ -36,6 +36,8 @@ _PARALLEL = 1e-300
 
 # faces of `Box`, in the order of its half-spaces
 BOTTOM, TOP = 4, 5
+#: Of `Cylinder`, beside these.
+WALL = 0
 # the face towards lower x, y and z; the opposite one has the next number
 _FIRST_FACES = np.array([[0], [2], [4]])
 
@@ -212,6 +214,70 @@ def chamfered_box(half_width: float, height: float, leg: float) -> HalfSpaceBody
     return HalfSpaceBody(np.array(normals), np.array(offsets))
 
 
+class Cylinder(HalfSpaceBody):
+    """An upright cylinder about the z axis, which answers for itself.
+
+    Its faces are `WALL`, `BOTTOM` and `TOP`.
+    """
+
+    def __init__(self, radius: float, z_low: float, z_high: float) -> None:
+        # it has no planes, but ends
+        super().__init__(np.zeros((TOP + 1, 3)), np.zeros(TOP + 1))
+        self._radius, self._levels = radius, np.array([z_low, z_high])
+
+    def exit(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
+        """As `HalfSpaceBody.exit`."""
+        a, b, c = self._quadratic(position, direction)
+        ahead = np.where(direction[2] > 0.0, *self._levels[::-1, None])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+            # of the two forms of the larger root that which does not cancel
+            to_wall = np.where(b > 0.0, -c / (b + root), (root - b) / a)
+            to_end = (ahead - position[2]) / direction[2]
+        to_wall[np.isnan(to_wall)], to_end[np.isnan(to_end)] = np.inf, np.inf
+        distance = np.maximum(np.minimum(to_wall, to_end), 0.0)
+        face = np.where(to_wall < to_end, WALL, np.where(direction[2] > 0.0, TOP, BOTTOM))
+        return distance, face, ~self._holds(position, TOLERANCE_MM)
+
+    def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
+        """As `HalfSpaceBody.entry`, for what comes through the wall."""
+        a, b, c = self._quadratic(position, direction)
+        root2 = b * b - a * c
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = c / (np.sqrt(np.maximum(root2, 0.0)) - b)
+            height = position[2] + distance * direction[2]
+        met = (root2 > 0.0) & (b < 0.0) & (distance > -TOLERANCE_MM)
+        met &= (height >= self._levels[0]) & (height <= self._levels[1])
+        distance = np.where(met, np.maximum(distance, 0.0), np.inf)
+        face = np.full(distance.size, WALL, dtype=np.intp)
+        return distance, face, self._holds(position, -TOLERANCE_MM)
+
+    def snap(self, position: Floats, face: Indices) -> tuple[Floats, Floats]:
+        """As `HalfSpaceBody.snap`."""
+        snapped, normal = position.copy(), np.zeros_like(position)
+        wall, end = face == WALL, face != WALL
+        normal[:2, wall] = position[:2, wall] / np.hypot(*position[:2, wall])
+        normal[2, end] = np.where(face[end] == TOP, 1.0, -1.0)
+        snapped[:2, wall] = self._radius * normal[:2, wall]
+        snapped[2, end] = self._levels[face[end] - BOTTOM]
+        return snapped, normal
+
+    def contains(self, position: Floats) -> Flags:
+        """As `HalfSpaceBody.contains`."""
+        return self._holds(position, 0.0)
+
+    def _quadratic(self, position: Floats, direction: Floats) -> tuple[Floats, Floats, Floats]:
+        """a, b and c of a t^2 + 2 b t + c = 0, where a ray meets the mantle."""
+        (x, y), (u, v) = position[:2], direction[:2]
+        return u * u + v * v, x * u + y * v, x * x + y * y - self._radius**2
+
+    def _holds(self, position: Floats, margin: float) -> Flags:
+        """True where a point is inside by more than -``margin``."""
+        low, high = self._levels
+        inside = (position[2] >= low - margin) & (position[2] <= high + margin)
+        return inside & (np.hypot(position[0], position[1]) <= self._radius + margin)
+
+
 def dot(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
     """Scalar products of the columns of two (3, n) arrays: (n,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -292,17 +358,19 @@ class Place(IntEnum):
     GAP = 1
     WINDOW = 2
     FILM = 3  # the air between crystal and wrap
-    OUTSIDE = 4  # the open air, an air bubble in the gap included
-    DETECTED = 5
-    ABSORBED_CRYSTAL = 6
-    ABSORBED_GAP = 7
-    ABSORBED_WINDOW = 8
-    ABSORBED_APERTURE = 9
-    ABSORBED_REFLECTOR = 10
-    ABSORBED_SURFACE = 11  # of the crystal or of the detector
-    ESCAPED = 12
-    TRUNCATED = 13
-    LOST = 14  # numerically out of its region: must never happen
+    OUTSIDE = 4  # the open air, an air bubble at the gap's side included
+    LIQUID = 5  # that has crept up the crystal, for light that has left into it
+    BUBBLE = 6  # a round one in the gap, of air
+    DETECTED = 7
+    ABSORBED_CRYSTAL = 8
+    ABSORBED_GAP = 9
+    ABSORBED_WINDOW = 10
+    ABSORBED_APERTURE = 11
+    ABSORBED_REFLECTOR = 12
+    ABSORBED_SURFACE = 13  # of the crystal or of the detector
+    ESCAPED = 14
+    TRUNCATED = 15
+    LOST = 16  # numerically out of its region: must never happen
 
 
 FIRST_FATE = Place.DETECTED
@@ -344,9 +412,9 @@ class Layout:
     def __init__(self, bench: Bench) -> None:
         half, height = bench.crystal_width_mm / 2.0, bench.crystal_height_mm
         entrance = -bench.gap_thickness_mm
-        chamfer, collar = bench.chamfer_mm, bench.collar_height_mm
+        chamfer, collar = bench.chamfer_mm, bench.narrow_collar_height_mm
         crystal = chamfered_box(half, height, chamfer) if chamfer else box(half, 0.0, height)
-        gap = box(half + COLLAR_WIDTH_MM, entrance, collar)
+        gap = box(half + NARROW_COLLAR_WIDTH_MM, entrance, collar)
         if not collar:
             gap = Box((bench.gap_left_mm, -half, entrance), (half, half, 0.0))
         half_window, back = bench.window_width_mm / 2.0, entrance - bench.window_thickness_mm
@@ -360,7 +428,7 @@ class Layout:
         wrapped = bench.wrap_reflectance is not None
         around_crystal = Place.FILM if wrapped else Place.OUTSIDE
         #: For the two regions of air, outside and film, and for a gap whose liquid stands around
-        #: the crystal: the bodies that light can meet there.
+        #: the crystal or a bubble: the bodies that light can meet there.
         self.seen_from: dict[Place, tuple[Place, ...]] = {Place.OUTSIDE: tuple(self.bodies)}
         if wrapped:
             film = bench.film_mm
@@ -369,25 +437,33 @@ class Layout:
             self.seen_from[Place.FILM] = (Place.CRYSTAL,)
         if collar:
             self.seen_from[Place.GAP] = (Place.CRYSTAL,)
+        self._bubble_mm = bench.bubble_radius_mm
+        if self._bubble_mm:
+            self.bodies[Place.BUBBLE] = Cylinder(self._bubble_mm, entrance, 0.0)
+            self.seen_from[Place.GAP] = (Place.BUBBLE,)
 
         air = Medium(1.0)
         gap_absorption = bench.gap_absorption_per_cm if bench.is_filled else 0.0
         absorption = bench.alpha_abs_per_cm / MM_PER_CM
         scattering = bench.alpha_scat_per_cm / MM_PER_CM
-        #: By region, and so their indices, (5,) float64.
+        #: By region, and so their indices, (7,) float64.
         self.media = (
             Medium(bench.n_crystal, absorption, scattering, bench.scattering_gradient, height),
             Medium(bench.gap_index, gap_absorption / MM_PER_CM),
             Medium(bench.n_window, bench.window_absorption_per_cm / MM_PER_CM),
             air,
             air,
+            Medium(bench.gap_index),
+            air,
         )
         self.index = np.array([medium.index for medium in self.media])
         low, high = np.array([[-half], [-half], [0.0]]), np.array([[half], [half], [height]])
         #: The axis that detectors are across.
         self.detector_axis = BEAM_AXES.index(bench.beam_axis) if in_beam else 2
-        #: A point on the axis of the detector, (3, 1), mm.
-        self.detector_centre = (low + high) / 2.0 if in_beam else np.zeros((3, 1))
+        #: A point on the axis of the detector, and of the mask, (3, 1), mm.
+        self.detector_centre = (low + high) / 2.0
+        if not in_beam:
+            self.detector_centre = np.array([[bench.mask_offset_mm], [0.0], [0.0]])
         #: The reflecting sheet above the crystal, or the plate that detects a beam.
         self.sheet = _before(2, low, high, TOP_FILM_MM) if bench.top_reflectance else None
         self.plate = _before(self.detector_axis, low, high, PLATE_DISTANCE_MM) if in_beam else None
@@ -396,8 +472,10 @@ class Layout:
         self.is_rough = bool(self._face_roughness.any())
         self._half_footprint_mm = half
         self._half_bottom = half - chamfer
-        self._collar_mm, self._half_spot = collar, bench.black_spot_mm / 2.0
-        self._half_gap = half + COLLAR_WIDTH_MM if collar else half
+        self._entrance_mm, self._half_window = entrance, half_window
+        self._collar_mm, self._wet_mm = collar, bench.wet_height_mm
+        self._half_spot = bench.black_spot_mm / 2.0
+        self._half_gap = half + NARROW_COLLAR_WIDTH_MM if collar else half
         self._gap_left = -self._half_gap if collar else bench.gap_left_mm
         self._has_bubble = self._gap_left > -half
         self._aperture_squared = bench.aperture_radius_mm**2
@@ -405,10 +483,10 @@ class Layout:
         if bench.aperture_at_detector:
             self._masked_face = {Place.WINDOW: BOTTOM}
         elif not in_beam:
-            self._masked_face = {Place.GAP: BOTTOM, Place.WINDOW: TOP}
+            self._masked_face = {Place.GAP: BOTTOM, Place.BUBBLE: BOTTOM, Place.WINDOW: TOP}
         # the neighbour through each face, where one neighbour is all there is
         faces = len(self.bodies[Place.CRYSTAL].offsets)
-        self._neighbour = np.full((3, faces), Place.OUTSIDE, dtype=np.int8)
+        self._neighbour = np.full((len(REGIONS), faces), Place.OUTSIDE, dtype=np.int8)
         self._neighbour[Place.CRYSTAL] = around_crystal
         if not in_beam:
             self._neighbour[Place.CRYSTAL, BOTTOM] = Place.GAP
@@ -416,24 +494,35 @@ class Layout:
         self._neighbour[Place.GAP, TOP] = Place.OUTSIDE if collar else Place.CRYSTAL
         self._neighbour[Place.GAP, BOTTOM] = Place.WINDOW
         self._neighbour[Place.WINDOW, BOTTOM] = Place.DETECTED
+        for face, place in ((WALL, Place.GAP), (BOTTOM, Place.WINDOW), (TOP, Place.CRYSTAL)):
+            self._neighbour[Place.BUBBLE, face] = place
 
     def behind(self, body: Place, face: Indices, position: Floats) -> Codes:
-        """What light from within crystal, gap or window finds behind a face, at points on it.
+        """What light from within crystal, gap, bubble or window finds behind a face, at a point.
 
         `Place` codes, (n,) int8: a region, or the fate of light that ends there.
         """
         place = self._neighbour[body].take(face)
+        if self._bubble_mm and body in (Place.CRYSTAL, Place.WINDOW):
+            towards_gap = face == (BOTTOM if body == Place.CRYSTAL else TOP)
+            under_bubble = towards_gap & (np.hypot(position[0], position[1]) < self._bubble_mm)
         if body == Place.CRYSTAL:
             if self._has_bubble:
                 place[(face == BOTTOM) & (position[0] < self._gap_left)] = Place.OUTSIDE
             if self._collar_mm:
                 place[(face != BOTTOM) & (position[2] < self._collar_mm)] = Place.GAP
+            if self._wet_mm:
+                place[(face < BOTTOM) & (position[2] < self._wet_mm)] = Place.LIQUID
+            if self._bubble_mm:
+                place[under_bubble] = Place.BUBBLE
             self._end_on_spot(place, face, position)
             return place
         if body == Place.WINDOW:
             under_gap = np.maximum(position[0], np.abs(position[1])) <= self._half_gap
             under_gap &= position[0] >= self._gap_left
             place[(face == TOP) & under_gap] = Place.GAP
+            if self._bubble_mm:
+                place[under_bubble] = Place.BUBBLE
         elif self._half_bottom < self._half_footprint_mm:
             on_rim = np.maximum(np.abs(position[0]), np.abs(position[1])) > self._half_bottom
             place[(face == TOP) & on_rim] = Place.OUTSIDE
@@ -456,6 +545,17 @@ class Layout:
                 self._end_on_spot(place, face, position)
         return place
 
+    def through_liquid(self, position: Floats, direction: Floats) -> tuple[Indices, Floats]:
+        """Which light that flies in the endless liquid falls on the plate's entrance face, where.
+
+        Their indices, and the places: (3, m), mm. All other light meets nothing.
+        """
+        speed, way = -direction[2], position[2] - self._entrance_mm
+        falling = np.flatnonzero((speed > 0.0) & (way > 0.0))
+        arrival = position[:, falling] + way[falling] / speed[falling] * direction[:, falling]
+        inside = np.maximum(np.abs(arrival[0]), np.abs(arrival[1])) <= self._half_window
+        return falling[inside], arrival[:, inside]
+
     def of_crystal(self, body: Place, ahead: Codes) -> Flags:
         """True where what light meets on a body, with this ahead, is a face of the crystal."""
         if body == Place.CRYSTAL:
@@ -477,7 +577,7 @@ class Layout:
     def _end_on_mask(self, place: Codes, body: Place, face: Indices, position: Floats) -> None:
         """Let light end where a face carries the mask at this point."""
         if body in self._masked_face:
-            radius_squared = position[0] ** 2 + position[1] ** 2
+            radius_squared = (position[0] - self.detector_centre[0]) ** 2 + position[1] ** 2
             masked = self.on_mask_plane(body, face) & (radius_squared > self._aperture_squared)
             place[masked] = Place.ABSORBED_APERTURE
 

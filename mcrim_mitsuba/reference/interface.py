@@ -319,3 +319,52 @@ def scatter_by_haze(
     scattered = -np.expm1(-np.square(2.0 * np.pi * rms_per_wavelength * path))
     who = np.flatnonzero(rng.random(cos_in.shape) < scattered)
     return who, lambertian(rng, np.where(transmitted[who], 1.0, -1.0) * normal[:, who])
+
+
+# A film thinner than a wavelength that absorbs, between glass and vacuum.
+
+
+class AbsorbingFilm(NamedTuple):
+    """A photocathode, by the characteristic matrix of its layer.
+
+    F. Abelès, Annales de Physique 12 (1950) 596; in the form of H. A. Macleod, Thin-Film Optical
+    Filters, chapter 2: with the admittance eta of a medium, which is n cos(theta) for s and
+    n / cos(theta) for p polarised light, the film's phase delta = 2 pi n cos(theta) d / lambda and
+    vacuum behind it, B = cos(delta) + eta_v / eta_f (-i sin(delta)) and
+    C = -i eta_f sin(delta) + eta_v cos(delta), for the time dependence exp(-i omega t).
+    """
+
+    #: n + ik
+    film_index: complex
+    #: Of the glass.
+    n_window: float
+    #: Thickness over the wavelength in vacuum.
+    wavelengths: float
+
+    def amplitudes(self, cos_in: Floats) -> Complexes:
+        """Reflected s and p amplitudes, (2, n), in the frames of `amplitudes`."""
+        return self._solved(cos_in)[0]
+
+    def powers(self, cos_in: Floats) -> tuple[Floats, Floats]:
+        """Reflectances and transmittances of s and p polarised light, (2, n) each."""
+        reflected, transmitted = self._solved(cos_in)
+        return np.abs(reflected) ** 2, transmitted
+
+    def _solved(self, cos_in: Floats) -> tuple[Complexes, Floats]:
+        sine = self.n_window * np.sqrt(1.0 - np.square(cos_in))
+        cosines = [np.sqrt(1.0 - (sine / n) ** 2 + 0j) for n in (self.film_index, 1.0)]
+        delta = 2.0 * np.pi * self.wavelengths * self.film_index * cosines[0]
+        reflected, transmitted = [], []
+        for power in (1, -1):
+            of_glass = self.n_window * cos_in**power
+            of_film, of_vacuum = (
+                n * cosine**power for n, cosine in zip((self.film_index, 1.0), cosines, strict=True)
+            )
+            b = np.cos(delta) - 1j * np.sin(delta) * of_vacuum / of_film
+            c = of_vacuum * np.cos(delta) - 1j * np.sin(delta) * of_film
+            r = (of_glass * b - c) / (of_glass * b + c)
+            # tangential components of p polarised light turn round in reflection
+            reflected.append(r * power)
+            entering = 4.0 * of_glass * of_vacuum.real / np.abs(of_glass * b + c) ** 2
+            transmitted.append(entering)
+        return np.array(reflected), np.array(transmitted)

@@ -577,8 +577,10 @@ _ABSENT = (
     "polarization", "wrap_reflectance", "scattering_g", "rayleigh_scattering",
     "scattering_gradient", "roughness_alpha", "top_roughness_alpha", "side_roughness_alpha",
     "bottom_roughness_alpha", "rms_roughness_nm", "surface_loss", "chamfer_mm", "top_reflectance",
-    "gap_absorption_per_cm", "bubble_fraction", "aperture_at_detector", "detector_reflectance",
-    "radial_falloff", "beam_diameter_mm", "gel_creep_mm", "black_spot_mm",
+    "gap_absorption_per_cm", "bubble_fraction", "bubble_area_fraction", "collar_mm",
+    "aperture_at_detector", "detector_reflectance", "detector_specular", "cathode_nm",
+    "radial_falloff", "mask_offset_mm", "housing_reflectance", "beam_diameter_mm",
+    "narrow_collar_mm", "black_spot_mm",
 )  # fmt: skip
 
 
@@ -591,7 +593,8 @@ def refuse_other_boxes(bench: Bench) -> None:
         Names the parameter and the mend.
     """
     mend = "leave it out, or simulate photons"
-    for name in _ABSENT:
+    # modes that are odd in x would be needed for a source at a side
+    for name in (*_ABSENT, *(["side_depth_mm"] if bench.side_depth_mm < math.inf else [])):
         if getattr(bench, name):
             raise InputError(f"the solver without photons knows no {name}", mend)
     n, n_gap, n_window = bench.n_crystal, bench.gap_index, bench.n_window

@@ -14,6 +14,7 @@ from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, spectrophotometer_of
 
 if TYPE_CHECKING:
+    from mcrim_mitsuba.optics.thin_film import ThinFilm
     from mcrim_mitsuba.transport.scene_model import SceneModel
     from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -74,9 +75,10 @@ def _refuse_other_benches(simulation: Simulation, effects: list[str]) -> None:
 
 
 def _emission(simulation: Simulation) -> tuple:
-    """Where light is born: its depth below the top, or the axis and the width of a beam."""
+    """Where light is born: its depth below a face, or the axis and the width of a beam."""
     crystal = simulation.crystal
-    return crystal.source_depth_mm, _beam_axis(simulation), getattr(crystal, "diameter_mm", None)
+    beam = _beam_axis(simulation), getattr(crystal, "diameter_mm", None)
+    return crystal.source_depth_mm, crystal.side_depth_mm, *beam
 
 
 def _beam_axis(simulation: Simulation) -> int | None:
@@ -99,6 +101,12 @@ def _first_difference(model: SceneModel, meant: SceneModel) -> str | None:
     return None
 
 
+def _film_numbers(film: ThinFilm | None) -> tuple[float, ...]:
+    if film is None:
+        return (0.0,) * 4
+    return film.index.real, film.index.imag, film.wavelengths, film.window_index
+
+
 def _described(model: SceneModel) -> dict[str, list[tuple]]:
     """Faces of every surface: what they are, and their numbers."""
     from mcrim_mitsuba.transport.scene_model import DETECTOR
@@ -109,11 +117,13 @@ def _described(model: SceneModel) -> dict[str, list[tuple]]:
         sides = [model.volumes[i] for i in (surface.interior, surface.exterior)]
         words = (surface.kind, surface.two_sided, *(v.phase for v in sides))
         numbers = [
-            *face.corner, *face.edge_u, *face.edge_v, surface.eta, surface.reflectance,
-            min(surface.aperture_radius_mm, 1e6), *surface.aperture_centre_mm,
+            *face.corner, *face.edge_u, *face.edge_v,
+            0.0 if face.circle is None else face.circle.radius_mm, surface.eta, surface.reflectance,
+            min(surface.aperture_radius_mm, 1e6), *surface.axis_mm,
             surface.roughness, surface.surface_loss, surface.haze,
             surface.acceptance_deg,
-            surface.angular_falloff, surface.radial_falloff_per_mm2,
+            surface.specular, surface.angular_falloff, surface.radial_falloff_per_mm2,
+            surface.mask_reflectance, *_film_numbers(surface.film),
             *(v.alpha_scat_per_mm for v in sides), *(v.alpha_abs_per_mm for v in sides),
             *(v.scattering_g for v in sides), *(v.scattering_gradient for v in sides),
         ]  # fmt: skip

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.reference.bench import Bench, FateCounts, whole_number
-from mcrim_mitsuba.reference.flight import Flights, PhotonArrays, Record
+from mcrim_mitsuba.reference.flight import Flights, PhotonArrays, Record, head_on
 from mcrim_mitsuba.reference.geometry import FATES, FIRST_FATE, REGIONS, Floats, Place
 
 
@@ -133,7 +133,9 @@ def trace(
     if progress is not None:
         progress(photons)
     fates = {name: int(counts[place]) for place, name in FATES.items()}
-    return TracerResult(photons, seed, fates, _histories(detected) if histories else None)
+    return TracerResult(
+        photons, seed, fates, _histories(detected) if histories else None, head_on=head_on(bench)
+    )
 
 
 def _histories(detected: list[Floats]) -> DetectedHistories:

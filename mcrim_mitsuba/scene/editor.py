@@ -215,7 +215,9 @@ class SceneEditor:
     @functools.cached_property
     def gap(self) -> Node:
         """The medium that touches the crystal."""
-        found = self._beside(self.crystal_faces, self.crystal)
+        # crept up beside the crystal, the gap's liquid is a medium of its own
+        beside = self._beside(self.crystal_faces, self.crystal)
+        found = [medium for medium in beside if medium.named("endless") is None]
         if len(found) != 1 or found[0].type != "bulk":
             said = f"{len(found)} media of type bulk touch the crystal"
             mend = "name the gap's medium as exterior of the crystal's bottom face"

@@ -129,7 +129,7 @@ def masks_of(model: SceneModel, plane: DetectorPlane) -> tuple[tuple[float, floa
     if abs(plane.normal[2]) < 1.0 - 1e-6:
         return ()
     holes = {
-        (*s.aperture_centre_mm, s.aperture_radius_mm)
+        (*s.axis_mm, s.aperture_radius_mm)
         for s in model.surfaces
         if np.isfinite(s.aperture_radius_mm)
     }

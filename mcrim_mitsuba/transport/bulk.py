@@ -144,8 +144,9 @@ class CrystalVolume:
     ----------
     volume : int
         Index of the medium among ``model.volumes``.
-    source_depth_mm : float
-        Births fall with the depth below the top as exp(-depth / this); infinite: evenly.
+    source_depth_mm, side_depth_mm : float
+        Births fall with the depth below the top, or with the distance from the side of the lowest
+        x, as exp(-depth / this); infinite: evenly. One of the two at most is finite.
 
     Attributes
     ----------
@@ -161,23 +162,29 @@ class CrystalVolume:
 
     aim: np.ndarray | None = None
 
-    def __init__(self, model: SceneModel, volume: int, source_depth_mm: float = np.inf) -> None:
+    def __init__(
+        self, model: SceneModel, volume: int, source_depth_mm: float = np.inf,
+        side_depth_mm: float = np.inf,
+    ) -> None:  # fmt: skip
         self.model = model
         self.volume = self.birth_volume = volume
-        self.source_depth_mm = source_depth_mm
+        self.source_depth_mm, self.side_depth_mm = source_depth_mm, side_depth_mm
+        # the axis along which births fall, and whether from its high end
+        self._axis, self._from_high = (0, False) if side_depth_mm < np.inf else (2, True)
         owned = model.bordering(volume)
         self.lower, self.upper = model.bounds(volume)
-        # the height in depths, which is all that the distribution of depths needs
-        steepness = float(self.upper[2] - self.lower[2]) / source_depth_mm
+        # the height, or width, in depths, which is all that the distribution of depths needs
+        length_mm = float(self.upper[self._axis] - self.lower[self._axis])
+        steepness = length_mm / min(source_depth_mm, side_depth_mm)
         self._steepness = steepness if steepness > EVEN_BELOW else 0.0
         if self._steepness:
-            self._height_in_depths = opaque([steepness])
+            self._length_in_depths = opaque([steepness])
             self._born_above = opaque([-np.expm1(-steepness)])
         self.frame = self._solid = None
         if model.faces is not None:
             self.frame = _parallelepiped([f for f in model.faces if f.surface in owned])
         if self.frame is not None and self._steepness:
-            self.frame = _upright(self.frame)
+            self.frame = _along(self._axis, self.frame)
         if model.faces is not None and self.frame is None:
             self._solid = next((s for s in convex_solids(model) if s.volume == volume), None)
         if self.frame is not None:
@@ -197,20 +204,20 @@ class CrystalVolume:
         """A birth (Point3f, mm) in a parallelepiped from three uniforms (Float)."""
         u, v, w = self._edges
         if self._steepness and self.frame is not None:
-            c = self._depth(c) if self.frame[3][2] < 0.0 else self._risen(c)
+            c = self._share(c, self._from_high == bool(self.frame[3][self._axis] > 0.0))
         return mi.Point3f(self._corner) + u * a + v * b + w * c
 
-    def _risen(self, uniform):
-        """Height of a birth over that of the volume, from a uniform."""
-        return 1.0 - self._depth(1.0 - uniform) if self._steepness else uniform
+    def _share(self, uniform, from_high: bool):
+        """Where a birth lies along the volume, from 0 to 1, from a uniform."""
+        return 1.0 - self._depth(1.0 - uniform) if from_high else self._depth(uniform)
 
     def _depth(self, uniform):
-        """Depth of a birth below the top, over the volume's height, from a uniform."""
+        """Depth of a birth, over the volume's height or width, from a uniform."""
         # -log1p(-x) / steepness, written so that small x are right as well (W. Kahan)
         x = uniform * self._born_above
         rest = 1.0 - x
         minus_log = dr.select(rest == 1.0, x, -dr.log(rest) * x / (1.0 - rest))
-        return dr.clip(minus_log / self._height_in_depths, LEAST_DEPTH, 1.0)
+        return dr.clip(minus_log / self._length_in_depths, LEAST_DEPTH, 1.0)
 
     def sample(self, rng, count: int):
         """`count` births (Point3f, mm) in any closed solid, by rejection.
@@ -221,11 +228,10 @@ class CrystalVolume:
         inside = self._sees_itself() if self._solid is None else self._solid.test()
 
         def body(point, searching, rng, rounds):
-            candidate = mi.Point3f(
-                dr.fma(extent.x, rng.next_float32(), lower.x),
-                dr.fma(extent.y, rng.next_float32(), lower.y),
-                dr.fma(extent.z, self._risen(rng.next_float32()), lower.z),
-            )
+            shares = [rng.next_float32() for _ in range(3)]
+            if self._steepness:
+                shares[self._axis] = self._share(shares[self._axis], self._from_high)
+            candidate = dr.fma(extent, mi.Point3f(*shares), lower)
             point = dr.select(searching, candidate, point)
             rounds += 1
             searching = searching & ~inside(point) & (rounds < MOST_ROUNDS)
@@ -325,14 +331,14 @@ class CollimatedBeam(CrystalVolume):
         return mi.Point3f(self._begin + one * (radius * cosine) + other * (radius * sine))
 
 
-def _upright(frame):
-    """The same parallelepiped with its one edge that is not horizontal last.
+def _along(axis: int, frame):
+    """The same parallelepiped with its one edge that is not across an axis last.
 
     ``None`` where there is more than one such edge.
     """
     corner, *edges = frame
-    edges.sort(key=lambda edge: abs(edge[2]))
-    return None if abs(edges[1][2]) > 1e-6 * np.abs(edges).max() else (corner, *edges)
+    edges.sort(key=lambda edge: abs(edge[axis]))
+    return None if abs(edges[1][axis]) > 1e-6 * np.abs(edges).max() else (corner, *edges)
 
 
 def _parallelepiped(faces):

@@ -158,7 +158,8 @@ def _overlap(first: FlatFace, second: FlatFace) -> bool:
     a, b = (g.ravel()[:, None] for g in np.meshgrid(grid, grid))
     for one, other in ((first, second), (second, first)):
         u, v = (a * (1 - b), b) if one.triangle else (a, b)
-        if (other.margin(one.corner + u * one.edge_u + v * one.edge_v) > 1e-6).any():
+        points = one.corner + u * one.edge_u + v * one.edge_v
+        if (np.minimum(one.margin(points), other.margin(points)) > 1e-6).any():
             return True
     return False
 
@@ -212,6 +213,8 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
             )
         else:
             text += ", clear"
+        if volume.endless:
+            text += "; light that enters it goes straight on, to what it meets from outside"
         if number == crystal.volume:
             text += f"; {_emission(crystal)}"
         sentences.append(text)
@@ -221,17 +224,22 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
         if surface.aperture_radius_mm < np.inf:
             sentences.append(
                 f"{surface.name} wears a black mask with a hole of radius "
-                f"{surface.aperture_radius_mm:g} mm"
+                f"{surface.aperture_radius_mm:g} mm{_off_axis(surface)}"
             )
+        if surface.mask_reflectance > 0:
+            percent = 100 * surface.mask_reflectance
+            sentences.append(f"the mask of {surface.name} reflects {percent:g} % diffusely upwards")
         if surface.reflectance > 0:
             sentences.append(f"{surface.name} reflects {100 * surface.reflectance:g} % diffusely")
+        if surface.film is not None:
+            sentences.append(_film(surface))
         if surface.plugin:
             sentences.append(f"{surface.name} does what Mitsuba's {surface.plugin} does")
     imperfect: dict[str, list[str]] = {}
     for surface in model.surfaces:
         for name, factor, says in _IMPERFECTIONS:
-            if (value := getattr(surface, name)) > 0:
-                imperfect.setdefault(says.format(factor * value), []).append(surface.name)
+            if (value := factor * getattr(surface, name)) > 0:
+                imperfect.setdefault(says.format(value), []).append(surface.name)
     sentences += [f"{what}: {', '.join(names)}" for what, names in imperfect.items()]
     sentences.append(
         "Fresnel reflection follows each photon's polarisation"
@@ -258,6 +266,8 @@ def _emission(crystal: CrystalVolume) -> str:
     where = "uniformly"
     if np.isfinite(crystal.source_depth_mm):
         where = f"falling to 1/e every {crystal.source_depth_mm:g} mm below its top"
+    if np.isfinite(crystal.side_depth_mm):
+        where = f"falling to 1/e every {crystal.side_depth_mm:g} mm from its side of the lowest x"
     return f"photons are born in it, {where} and in all directions"
 
 
@@ -266,6 +276,22 @@ def _detector(surface: Surface) -> str:
     if surface.acceptance_deg == 90.0:
         return surface.name
     return f"{surface.name} within {surface.acceptance_deg:.4g} degrees of its normal"
+
+
+def _off_axis(surface: Surface) -> str:
+    """Where the hole of a mask is that is not about x = y = 0."""
+    x, y = surface.axis_mm
+    return f" about x = {x:g}, y = {y:g} mm" if x or y else ""
+
+
+def _film(surface: Surface) -> str:
+    """What a photocathode does."""
+    assert surface.film is not None
+    oblique = surface.film.absorptance(0.5) / surface.film.head_on
+    return (
+        f"{surface.name} is a photocathode: it absorbs {100 * surface.film.head_on:.4g} % of light "
+        f"head-on, which counts 1, and at 60 degrees {oblique:.3g} times as much"
+    )
 
 
 def _scattering(volume: Volume) -> str:
@@ -282,7 +308,9 @@ _IMPERFECTIONS = (
     ("roughness", 1, "rough (GGX, alpha = {:g})"),
     ("hazy_part", 100, "hazy ({:.3g} % of what is reflected inwards head-on is scattered)"),
     ("surface_loss", 100, "{:g} % of what is reflected inwards is lost"),
+    ("specular", 100, "{:g} % is reflected as by a mirror"),
     ("angular_falloff", 100, "detection falls by {:g} % towards grazing incidence"),
+    ("angular_falloff", -100, "detection rises by {:g} % towards grazing incidence"),
     ("radial_falloff_per_mm2", 100,
      "detection falls by {:.3g} % of (r / mm)^2 away from the axis"),
 )  # fmt: skip

@@ -68,7 +68,7 @@ class Launcher:
     def __init__(self, crystal: CrystalVolume, polarization: bool, general: bool = False) -> None:
         self._crystal = crystal
         self.path = choose_path(crystal.model, polarization, general)
-        self.tally = FateTally()
+        self.tally = FateTally(head_on=crystal.model.head_on)
 
     @property
     def size(self) -> int:

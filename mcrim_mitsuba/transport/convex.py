@@ -100,7 +100,8 @@ def _find_convex_solids(model: SceneModel) -> list[Solid]:
                 for plane in planes
                 for face in plane.faces
                 for side in _sides(model, face)
-                if side not in found
+                # no light comes back from a liquid without end
+                if side not in found and side != model.endless
             }
             for number, planes in found.items()
         }
@@ -125,6 +126,8 @@ def _planes(model: SceneModel, volume: int, axes: list[np.ndarray]) -> list[Plan
     `axes` are those known so far; new ones are added.
     """
     slack, area = slack_of(model), 0.0
+    # what stands in it is tested for itself: it leaves a hole in what encloses it
+    stands_in = any(volume in model.surfaces[wall.surface].sides for wall in model.walls)
     planes: list[Plane] = []
     own_corners: list[np.ndarray] = []
     for number, face in enumerate(model.flat_faces):
@@ -134,7 +137,7 @@ def _planes(model: SceneModel, volume: int, axes: list[np.ndarray]) -> list[Plan
         outwards = face.normal if interior == volume else -face.normal
         own = face.corners
         own_corners.append(own)
-        area += face.area
+        area += face.filled_area if stands_in else face.area
         axis = _axis(face.normal, own, axes, slack / 2)
         levels, high = own @ axis, bool(axis @ outwards > 0)
         offset, side = float(levels.min() + levels.max()) / 2, (tuple(axis.tolist()), high)

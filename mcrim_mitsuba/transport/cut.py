@@ -176,7 +176,7 @@ def masked(model: SceneModel, cut: CrossSection) -> list[Trace]:
     parts = []
     for trace in cut.traces:
         face, line = model.surfaces[trace.surface], trace.points[trace.points[:, 0].argsort()]
-        (x, y), radius = face.aperture_centre_mm, face.aperture_radius_mm
+        (x, y), radius = face.axis_mm, face.aperture_radius_mm
         if np.isfinite(radius):
             # rounding must not leave a speck beside a hole as wide as the face
             half = np.sqrt(max(radius**2 - (cut.y_mm - y) ** 2, 0.0)) + FINEST * model.size_mm

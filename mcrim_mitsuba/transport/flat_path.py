@@ -18,7 +18,15 @@ import numpy as np
 
 from mcrim_mitsuba.transport import surface_physics
 from mcrim_mitsuba.transport.convex import NO_FACE, ConvexBody, Ray, Solid, convex_solids, slack_of
-from mcrim_mitsuba.transport.scene_model import OTHER, SceneModel, opaque, opaque_vector
+from mcrim_mitsuba.transport.scene_model import (
+    OTHER,
+    OUTSIDE,
+    Circle,
+    SceneModel,
+    Surface,
+    opaque,
+    opaque_vector,
+)
 
 #: More faces than this, or planes of convex volumes, and a tree is faster.
 MOST_FACES = 64
@@ -32,7 +40,11 @@ def suits(model: SceneModel) -> bool:
         return False
     solids = convex_solids(model)
     alone = _standing_alone(model, solids)
-    return len(alone) + sum(len(solid.planes) for solid in solids) <= MOST_FACES
+    sides = [model.surfaces[model.flat_faces[number].surface].sides for number in alone]
+    if any(model.endless in pair for pair in sides if model.endless is not None):
+        return False
+    tests = len(alone) + len(model.walls) + sum(len(solid.planes) for solid in solids)
+    return tests <= MOST_FACES
 
 
 @dataclass(frozen=True)
@@ -44,6 +56,8 @@ class _Rectangle:
     plane: Any
     middle: dict[int, Any]
     half: dict[int, Any]
+    #: What of it is left.
+    circle: _Disc | None = None
 
     def inside(self, ray, t):
         """Whether a point of the ray, which lies in the plane, lies on the face."""
@@ -53,7 +67,42 @@ class _Rectangle:
             if i in self.middle:
                 along -= self.middle[i]
             inside &= dr.abs(along) <= half
+        if self.circle is not None:
+            inside &= self.circle.holds(dr.fma(ray.direction, t, ray.origin))
         return inside
+
+
+class _Disc:
+    """A circle in the kernel; `number` makes its numbers."""
+
+    def __init__(self, circle: Circle, number) -> None:
+        self._x, self._y = number(circle.x_mm), number(circle.y_mm)
+        self._radius2 = number(circle.radius_mm**2)
+        self._inside = circle.inside
+
+    def away(self, point):
+        """From its axis (Vector2f, mm)."""
+        return mi.Vector2f(point.x - self._x, point.y - self._y)
+
+    def holds(self, point):
+        """Whether a point of the face's plane (Point3f, mm) lies on the face."""
+        inside = dr.squared_norm(self.away(point)) <= self._radius2
+        return inside if self._inside else ~inside
+
+    def meet(self, ray, outwards):
+        """Distance (mm) at which a ray meets the upright wall on it; negative where it does not.
+
+        Light that flies `outwards` (Mask) is within the wall, all other light around it.
+        """
+        away, along = self.away(ray.origin), mi.Vector2f(ray.direction.x, ray.direction.y)
+        a, b = dr.squared_norm(along), dr.dot(away, along)
+        c = dr.squared_norm(away) - self._radius2
+        root2 = dr.fma(b, b, -a * c)
+        # the roots of a quadratic without cancellation: -q / a and -c / q
+        q = b + dr.mulsign(dr.safe_sqrt(root2), b)
+        inner = dr.select(b > 0.0, -c, -q) / dr.select(b > 0.0, q, a)
+        outer = dr.select(b < 0.0, -c / q, -dr.inf)
+        return dr.select(root2 > 0.0, dr.select(outwards, inner, outer), -dr.inf)
 
 
 @dataclass(frozen=True)
@@ -114,8 +163,12 @@ class FlatPath:
             (number, model.surfaces[faces[number].surface].sides, self._shape(faces[number]))
             for number in _standing_alone(model, solids)
         ]
-        surfaces = [model.surfaces[face.surface] for face in faces]
-        self._tables = surface_physics.SurfaceTables(surfaces, [face.normal for face in faces])
+        # round walls, whose normals depend on the place, are numbered behind the flat faces
+        self._walls = [
+            (wall, model.surfaces[wall.surface].sides, _Disc(wall.circle, self._number))
+            for wall in model.walls
+        ]
+        self._tables = surface_physics.SurfaceTables(*rows_of(model))
         self.surfaces_may_absorb = self._tables.may_absorb
         self.surfaces_scatter = self._tables.may_scatter
 
@@ -145,6 +198,7 @@ class FlatPath:
             # most faces of a bench are centred on an axis: nothing to subtract there
             middle={i: self._number(middle[i]) for i in others if abs(middle[i]) > self._slack_mm},
             half={i: self._number(half[i] + self._slack_mm) for i in others},
+            circle=None if face.circle is None else _Disc(face.circle, self._number),
         )
 
     def _oblique(self, face) -> _Oblique:
@@ -181,6 +235,9 @@ class FlatPath:
         best, which = mi.Float(dr.inf), mi.UInt32(NO_FACE)
         behind = self._number(-100.0 * self._slack_mm)
         here = [volume == number for number in range(len(self.model.volumes))]
+        endless = self.model.endless
+        if endless is not None:
+            here[OUTSIDE] |= here[endless]
         ray = Ray(ray_o, ray_d)
         for body in self._bodies:
             best, which = body.meet(ray, best, which, here)
@@ -202,6 +259,19 @@ class FlatPath:
             hit = ahead & shape.inside(ray, t) & (t < best) & (last_face != number)
             best = dr.select(hit, t, best)
             which = dr.select(hit, number, which)
+        for number, (wall, (around, within), disc) in enumerate(self._walls):
+            t = disc.meet(ray, here[within])
+            z = dr.fma(t, ray_d.z, ray_o.z)
+            index = mi.UInt32(len(self.model.flat_faces) + number)
+            # light around it that is on it flies away from it
+            hit = here[within] | (here[around] & (last_face != index))
+            hit &= (t > behind) & (t < best)
+            hit &= (z >= self._number(wall.low_mm)) & (z <= self._number(wall.high_mm))
+            best = dr.select(hit, t, best)
+            which = dr.select(hit, index, which)
+        if endless is not None:
+            others = here[endless] & (which != NO_FACE)
+            which = dr.select(others, which + self._count, which)
         return dr.maximum(best, 0.0), which
 
     @staticmethod
@@ -212,7 +282,36 @@ class FlatPath:
     def interact(self, position, direction, field, face, uniforms, rng, active):
         """What happens at the face: see `surface_physics.interact`."""
         row = self._tables.at(face, active)
+        self.turn_normals(row, face, position)
         return surface_physics.interact(row, position, direction, field, uniforms, rng, active)
+
+    def turn_normals(self, row, face, position) -> None:
+        """Give rows of round walls their normals at the places where light meets them."""
+        if self.model.endless is not None:
+            face = dr.select(face >= self._count, face - self._count, face)
+        for number, (_, _, disc) in enumerate(self._walls):
+            away = disc.away(position)
+            inwards = -dr.normalize(mi.Vector3f(away.x, away.y, 0.0))
+            mine = face == len(self.model.flat_faces) + number
+            row.normal = dr.select(mine, inwards, row.normal)
+
+    @property
+    def _count(self) -> int:
+        """Of faces and walls."""
+        return len(self.model.flat_faces) + len(self.model.walls)
+
+
+def rows_of(model: SceneModel) -> tuple[list[Surface], list[np.ndarray]]:
+    """Surface and normal of every flat face and then of every wall, as the tables have them.
+
+    Where a volume is endless, all once more as light in it meets them.
+    """
+    numbers = [face.surface for face in model.flat_faces]
+    surfaces = [model.surfaces[i] for i in (*numbers, *(wall.surface for wall in model.walls))]
+    normals = [face.normal for face in model.flat_faces] + [np.zeros(3)] * len(model.walls)
+    if model.endless is None:
+        return surfaces, normals
+    return surfaces + [model.open_to(surface) for surface in surfaces], normals * 2
 
 
 def _standing_alone(model: SceneModel, solids: list[Solid]) -> list[int]:

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from mcrim_mitsuba.transport import surface_physics
-from mcrim_mitsuba.transport.flat_path import MOST_FACES, NO_FACE, FlatPath
-from mcrim_mitsuba.transport.scene_model import OTHER, SceneModel, surface_numbers
+from mcrim_mitsuba.transport.flat_path import MOST_FACES, NO_FACE, FlatPath, rows_of
+from mcrim_mitsuba.transport.scene_model import OTHER, OUTSIDE, SceneModel, opaque, surface_numbers
 
 #: Distance in mm, over (1 + largest coordinate in mm), at which a new ray starts off a traced
 #: surface: some thirty roundings. Mitsuba's own is 47 times larger: inside a curved surface it
@@ -73,18 +74,24 @@ class GeneralPath:
         if not self.traced:
             flat, self.traced = (), tuple(range(len(surfaces)))
         faces = tuple(face for face in model.flat_faces if face.surface in flat)
+        walls = tuple(wall for wall in model.walls if wall.surface in flat)
         self._flat = None
         self._scene = model.scene
         if faces:
             self.name = "flat faces in registers, other shapes by Mitsuba's ray_intersect"
-            self._flat = FlatPath(replace(model, flat_faces=faces, curved=()), polarization)
+            registers = replace(model, flat_faces=faces, walls=walls, curved=())
+            self._flat = FlatPath(registers, polarization)
             self._scene = _scene_of([model.shapes[number] for number in self.traced])
         # rows of the flat faces first, then one for each surface
-        self._first_surface = len(faces)
-        self._tables = surface_physics.SurfaceTables(
-            [surfaces[face.surface] for face in faces] + list(surfaces),
-            [face.normal for face in faces] + [(0.0, 0.0, 0.0)] * len(surfaces),
-        )
+        rows, normals = rows_of(replace(model, flat_faces=faces, walls=walls))
+        self._first_surface = len(rows)
+        rows += surfaces
+        if model.endless is not None:
+            rows += [model.open_to(s) for s in surfaces]
+            ends = [[side in s.sides for s in surfaces] for side in (OUTSIDE, model.endless)]
+            self._ends = [opaque(each, mi.Bool) for each in ends]
+        normals += [np.zeros(3)] * (len(rows) - len(normals))
+        self._tables = surface_physics.SurfaceTables(rows, normals)
         self._surface_number = surface_numbers(model)
         self._asks_bsdfs = any(surfaces[number].kind == OTHER for number in self.traced)
         self.surfaces_may_absorb = self._asks_bsdfs or self._tables.may_absorb
@@ -118,10 +125,18 @@ class GeneralPath:
         traced = active & met.found.is_valid()
         flags = mi.RayFlags.ShadingFrame if self._asks_bsdfs else mi.RayFlags.Minimal
         si = met.found.compute_surface_interaction(met.ray, flags, traced)
-        number = self._first_surface + self._surface_number(met.found.shape, traced)
+        surface = self._surface_number(met.found.shape, traced)
+        number = self._first_surface + surface
+        if self.model.endless is not None:
+            # outside and the endless volume are in one place: the face names one of them
+            to_air, to_liquid = (dr.gather(mi.Bool, each, surface, traced) for each in self._ends)
+            others = (met.volume == self.model.endless) & to_air
+            others |= (met.volume == OUTSIDE) & to_liquid
+            number = dr.select(others, number + len(self.model.surfaces), number)
         row = self._tables.at(dr.select(traced, number, met.face), active)
         normal, point = mi.Vector3f(si.n), mi.Point3f(si.p)
         if self._flat is not None:
+            self._flat.turn_normals(row, met.face, position)
             normal = dr.select(traced, normal, row.normal)
             point = dr.select(traced, point, position)
         row.normal = normal
@@ -140,6 +155,8 @@ class GeneralPath:
         )  # fmt: skip
         if outcome.from_reflector is not None:
             through.from_reflector = through.from_detector = mi.Mask(False)
+        if outcome.from_mask is not None:
+            through.from_mask = mi.Mask(False)
         if outcome.mask_radius2_mm2 is not None:
             through.mask_radius2_mm2 = mi.Float(0.0)
         outcome = dr.select(passes, through, outcome)
@@ -176,7 +193,9 @@ class GeneralPath:
 
 def _surfaces_for_registers(model: SceneModel) -> set[int]:
     """Flat surfaces with BSDFs known here; those of fewest faces where there are too many."""
-    known = (f.surface for f in model.flat_faces if model.surfaces[f.surface].kind != OTHER)
+    numbers = [face.surface for face in model.flat_faces]
+    numbers += [wall.surface for wall in model.walls]
+    known = (number for number in numbers if model.surfaces[number].kind != OTHER)
     fewest_first = sorted(Counter(known).items(), key=lambda item: item[1])
     totals = itertools.accumulate(faces for _, faces in fewest_first)
     pairs = zip(fewest_first, totals, strict=True)

@@ -113,6 +113,8 @@ class FateTally:
     sums: dict[str, float] = field(default_factory=dict)
     #: Sum over batches of (weight in the batch)^2 / (photons of the batch).
     squares: dict[str, float] = field(default_factory=dict)
+    #: What the detector detects of light that arrives head-on, with which it was calibrated.
+    head_on: float = 1.0
 
     def add(self, photons_per_batch: np.ndarray, weights: dict[str, np.ndarray]) -> None:
         """Take in one launch: photons (int) and weights per fate (float64) of its batches."""
@@ -158,13 +160,13 @@ class FateTally:
 
     @property
     def eta(self) -> float:
-        """Light collection efficiency."""
-        return self.fraction("detected")
+        """Light collection efficiency: what is detected, over what is of light head-on."""
+        return self.fraction("detected") / self.head_on
 
     @property
     def eta_sigma(self) -> float:
         """Its standard error."""
-        return self.sigma("detected")
+        return self.sigma("detected") / self.head_on
 
     def reaches(self, precision: float | None) -> bool:
         """Whether eta is known to a relative standard error; none is never reached."""
@@ -207,7 +209,8 @@ class PhotonRecords:
     #: (detected,) float32: Path in the crystal.
     path_cm: NDArray[np.float32]
     #: (detected,) float32: Weight at detection at the proposals' absorption: an unbiased estimate
-    #: of exp(-alpha_abs_proposal_per_cm path_cm), times whatever else dims the photon.
+    #: of exp(-alpha_abs_proposal_per_cm path_cm), times whatever else dims the photon, times what
+    #: the detector detects of it over what it does of light that arrives head-on.
     w: NDArray[np.float32]
     #: (detected,) uint8: Which of the `batches` the photon was emitted in. Batches are independent
     #: of each other and have the same numbers of photons from every proposal; within a batch

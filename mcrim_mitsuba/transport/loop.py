@@ -287,6 +287,8 @@ class Loop:
         # ---------------- fate: what became of the photon, and whether it is over
         fate = dr.select(at_surface, outcome.fate, mi.UInt32(physics.ALIVE))
         outside = p.volume == OUTSIDE
+        if path.model.endless is not None:
+            outside |= inside[path.model.endless]
         leaves = dr.select(outside, mi.UInt32(physics.ESCAPED), mi.UInt32(physics.LOST))
         fate = dr.select(nowhere, leaves, fate)
         fate = dr.select(dies, mi.UInt32(physics.VOLUME), fate)
@@ -294,7 +296,8 @@ class Loop:
         if path.surfaces_may_absorb:
             # as in volumes; of a `survive` that was no death there the rest is even again
             whole = at_surface & ~by_weight & (survive >= kept * outcome.weight)
-            fate = dr.select(whole & (fate == physics.ALIVE), mi.UInt32(physics.SURFACE), fate)
+            whole &= (fate == physics.ALIVE) | (fate == physics.DETECTED)
+            fate = dr.select(whole, mi.UInt32(physics.SURFACE), fate)
             factor = dr.select(by_weight, outcome.weight, dr.maximum(outcome.weight, 1.0))
             dimmed = dr.select(at_surface, w * factor, w)
         steps = p.steps + 1
@@ -303,7 +306,9 @@ class Loop:
         ended = fate != physics.ALIVE
 
         # ---------------- counts
-        fates = {code: total + dr.select(fate == code, w, 0.0) for code, total in p.fates.items()}
+        fates = {
+            code: total + dr.select(fate == code, dimmed, 0.0) for code, total in p.fates.items()
+        }
         if path.surfaces_may_absorb:
             fates[physics.SURFACE] += w - dimmed
         w = dimmed

@@ -38,6 +38,8 @@ def surface_triangles(model: SceneModel) -> tuple[Triangles, ...]:
     """
     flat: dict[int, list[np.ndarray]] = {}
     for face in model.flat_faces:
+        if face.circle is not None:
+            continue
         around = face.corners
         own = [around[[0, i, i + 1]] for i in range(1, len(around) - 1)]
         flat.setdefault(face.surface, []).extend(own)

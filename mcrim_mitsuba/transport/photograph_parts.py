@@ -273,7 +273,7 @@ class PhotographedBench:
             mask = self._mask(surface, shape)
             if mask:
                 level = round(float(shape.corners[:, :, 2].mean()) / (1e-4 * self._model.size_mm))
-                hole = (surface.aperture_radius_mm, surface.aperture_centre_mm, level)
+                hole = (surface.aperture_radius_mm, surface.axis_mm, level)
                 masks.setdefault(hole, []).extend(mask)
             if surface.kind != DIELECTRIC:
                 key = (surface.kind, surface.reflectance, surface.plugin, *surface.sides)
@@ -330,9 +330,7 @@ class PhotographedBench:
         """The mask on a face, on both sides of it; nothing where there is none."""
         if not np.isfinite(surface.aperture_radius_mm):
             return []
-        flat = _outside_circle(
-            shape.corners, surface.aperture_centre_mm, surface.aperture_radius_mm
-        )
+        flat = _outside_circle(shape.corners, surface.axis_mm, surface.aperture_radius_mm)
         above = np.array([0.0, 0.0, _ABOVE * (1.0 + self._model.size_mm)])
         both = Triangles(np.concatenate([flat + above, flat - above]))
         return [Body(both, Finish(GLOSSY, BLACK))] if len(flat) else []

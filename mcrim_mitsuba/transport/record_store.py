@@ -13,7 +13,7 @@ import numpy as np
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.transport.launch_plan import LanePlan
-from mcrim_mitsuba.transport.scene_model import OUTSIDE, opaque
+from mcrim_mitsuba.transport.scene_model import OUTSIDE, opaque, opaque_vector
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.bulk import CrystalVolume
@@ -31,7 +31,7 @@ class Recorded:
     #: step and whether the flight is in the crystal (Mask).
     adds: Callable[..., Any] | None = None
     #: What an arrival tells (Float), from the last step and a function of no arguments for the
-    #: depth of birth (mm).
+    #: place of birth (Point3f, mm), seen from the crystal's left, front and top downwards.
     arrival: Callable[..., Any] | None = None
     #: What is kept, from the value of the kernel.
     kept: Callable[..., Any] = lambda value: value
@@ -44,10 +44,6 @@ class Recorded:
 
 def _cm(value):
     return value / MM_PER_CM
-
-
-def _radius(point):
-    return dr.sqrt(dr.square(point.x) + dr.square(point.y))
 
 
 def _scattered(step: Step, mine):
@@ -72,7 +68,7 @@ def _at_surface(event: Callable[..., Any]) -> Callable[..., Any]:
 
 #: Of all records: the weight at the proposal's absorption, scatterings in the crystal, path in it.
 _OF_ALL = {
-    "w": Recorded(np.float32, arrival=lambda step, depth: step.w),
+    "w": Recorded(np.float32, arrival=lambda step, birth: step.w),
     "k": Recorded(np.uint16, _scattered),
     "path_cm": Recorded(
         np.float32, lambda step, mine: dr.select(mine, step.distance, 0.0), kept=_cm
@@ -92,6 +88,8 @@ COLUMNS = {
     # times that a diffuse reflector, or a detector, sent the photon back
     "reflector_hits": Recorded(np.uint8, _at_surface(lambda found, mine: found.from_reflector)),
     "detector_hits": Recorded(np.uint8, _at_surface(lambda found, mine: found.from_detector)),
+    # times that the upper side of a mask did
+    "mask_hits": Recorded(np.uint8, _at_surface(lambda found, mine: found.from_mask)),
     MASK_RADIUS: Recorded(
         np.float32, lambda step, mine: step.outcome.mask_radius2_mm2, kept=dr.sqrt
     ),
@@ -101,17 +99,21 @@ COLUMNS = {
     # sum of log(3/4 (1 + cos^2)) over scatterings in the crystal
     "log_rayleigh": Recorded(np.float32, _log_rayleigh),
     # below the top of the crystal
-    "birth_depth_mm": Recorded(np.float16, arrival=lambda step, depth: depth()),
+    "birth_depth_mm": Recorded(np.float16, arrival=lambda step, birth: birth().z),
+    # from the crystal's side of the lowest x
+    "birth_side_mm": Recorded(np.float16, arrival=lambda step, birth: birth().x),
     # to the normal of the detector
-    "arrival_cosine": Recorded(np.float16, arrival=lambda step, depth: step.outcome.cosine),
-    # from the axis x = y = 0
-    "arrival_radius_mm": Recorded(np.float16, arrival=lambda step, depth: _radius(step.position)),
+    "arrival_cosine": Recorded(np.float16, arrival=lambda step, birth: step.outcome.cosine),
+    # from the detector's axis
+    "arrival_radius_mm": Recorded(
+        np.float16, arrival=lambda step, birth: dr.sqrt(step.outcome.from_axis2_mm2)
+    ),
     **{
-        name: Recorded(np.float32, arrival=lambda step, depth, axis=axis: step.position[axis])
+        name: Recorded(np.float32, arrival=lambda step, birth, axis=axis: step.position[axis])
         for axis, name in enumerate(ARRIVAL_PLACE)
     },
     "arrival_angle_deg": Recorded(
-        np.float32, arrival=lambda step, depth: dr.rad2deg(dr.safe_acos(step.outcome.cosine))
+        np.float32, arrival=lambda step, birth: dr.rad2deg(dr.safe_acos(step.outcome.cosine))
     ),
 }  # fmt: skip
 
@@ -153,7 +155,8 @@ class RecordStore:
             columns = (*columns, SCATTERING_PATH)
         self._columns = _OF_ALL | {name: known[name] for name in columns}
         self._source, self._photons = emitter.volume, photons
-        self._top_mm = opaque([float(emitter.upper[2])])
+        self._left_front_top = opaque_vector([*emitter.lower[:2], emitter.upper[2]])
+        self._head_on = emitter.model.head_on
         # Only the first table is read where nothing was written: its weight says so.
         self.tables = [dr.zeros(mi.Float, 4 * photons)]
         self.tables += [
@@ -188,8 +191,13 @@ class RecordStore:
 
         `birth` is a function that gives the birthplace (Point3f, mm).
         """
+
+        def place():
+            away = birth() - self._left_front_top
+            return mi.Point3f(away.x, away.y, -away.z)
+
         row = [
-            column.arrival(step, lambda: self._top_mm - birth().z)
+            column.arrival(step, place)
             if column.arrival
             else dr.reinterpret_array(mi.Float, history[name])
             for name, column in self._columns.items()
@@ -221,6 +229,8 @@ class RecordStore:
                 most = int(np.iinfo(column.kind).max)
                 value = dr.minimum(dr.reinterpret_array(mi.UInt32, value), most)
             found[name] = column.kept(value)
+        if self._head_on != 1.0:
+            found["w"] /= self._head_on
         dr.eval(found)
         kinds = {"batch": np.uint8} | {name: c.kind for name, c in self._columns.items()}
         return {name: np.asarray(column).astype(kinds[name]) for name, column in found.items()}

@@ -5,8 +5,9 @@ Everything is read from the loaded scene, never from our own idea of the bench.
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -15,6 +16,7 @@ import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
+from mcrim_mitsuba.optics.thin_film import ThinFilm
 
 #: Index of the volume outside everything: a face without a medium on a side touches it.
 OUTSIDE = 0
@@ -46,6 +48,8 @@ class Volume:
     #: q of the scattering coefficient alpha (1 + q u); u runs from -1 at the bottom of the
     #: volume to 1 at its top, of the shapes that border it.
     scattering_gradient: float = 0.0
+    #: Whether it is nowhere but for light that has entered it, which goes on as outside.
+    endless: bool = False
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,10 @@ class Surface:
     two_sided: bool = False
     #: The hole of a mask on the face; the radius is infinite where there is none.
     aperture_radius_mm: float = np.inf
-    aperture_centre_mm: tuple[float, float] = (0.0, 0.0)
+    #: x and y of the axis of the mask, or of a detector.
+    axis_mm: tuple[float, float] = (0.0, 0.0)
+    #: Part that the mask's upper side reflects diffusely.
+    mask_reflectance: float = 0.0
     #: GGX alpha of a dielectric's microfacets.
     roughness: float = 0.0
     #: Part of the light reflected back into the interior that a dielectric's surface takes.
@@ -76,7 +83,10 @@ class Surface:
     haze: float = 0.0
     #: Cosine of the largest angle to the normal that a detector accepts.
     least_cosine: float = 0.0
-    #: a and b of a detector's acceptance (1 - a (1 - cos)) (1 - b r^2).
+    #: Part of the light that a detector reflects specularly, or the photocathode that it is.
+    specular: float = 0.0
+    film: ThinFilm | None = None
+    #: a and b of a detector's acceptance (1 - a (1 - cos)) (1 - b r^2), over 1 - a if a < 0.
     angular_falloff: float = 0.0
     radial_falloff_per_mm2: float = 0.0
     #: Of a surface of kind `OTHER`: Mitsuba's name for its BSDF.
@@ -88,6 +98,15 @@ class Surface:
         return round(math.degrees(math.acos(self.least_cosine)), 6)
 
     @property
+    def head_on(self) -> float:
+        """Part that a detector detects of what arrives head-on on its axis and is not sent back.
+
+        Of a photocathode, of all that arrives. It was calibrated so.
+        """
+        of_film = 1.0 if self.film is None else self.film.head_on
+        return of_film / (1.0 - min(self.angular_falloff, 0.0))
+
+    @property
     def hazy_part(self) -> float:
         """Part that fine roughness scatters of what is reflected inwards at normal incidence."""
         return -math.expm1(-4.0 * self.haze**2)
@@ -96,6 +115,39 @@ class Surface:
     def sides(self) -> tuple[int, int]:
         """The interior and the exterior volume."""
         return self.interior, self.exterior
+
+
+@dataclass(frozen=True)
+class Circle:
+    """A circle about a vertical axis, within a horizontal face."""
+
+    x_mm: float
+    y_mm: float
+    radius_mm: float
+    #: Whether the face is what lies inside; else that is missing of it.
+    inside: bool = True
+
+    @property
+    def area(self) -> float:
+        """In mm2."""
+        return math.pi * self.radius_mm**2
+
+    def margin(self, points: np.ndarray) -> np.ndarray:
+        """How far on the face's side of it points, shape (n, 3), lie, in radii."""
+        away = np.hypot(points[:, 0] - self.x_mm, points[:, 1] - self.y_mm) / self.radius_mm
+        return 1.0 - away if self.inside else away - 1.0
+
+
+@dataclass(frozen=True)
+class RoundWall:
+    """An upright cylinder's mantle, without its ends."""
+
+    circle: Circle
+    #: Lower and upper end.
+    low_mm: float
+    high_mm: float
+    #: Its interior is what lies around it: normals point to the axis.
+    surface: int
 
 
 @dataclass(frozen=True)
@@ -112,6 +164,8 @@ class FlatFace:
     normal: np.ndarray
     triangle: bool
     surface: int
+    #: What of it is left, where only a part is.
+    circle: Circle | None = None
 
     @property
     def corners(self) -> np.ndarray:
@@ -123,6 +177,13 @@ class FlatFace:
     @property
     def area(self) -> float:
         """In mm2."""
+        if self.circle is not None and self.circle.inside:
+            return self.circle.area
+        return self.filled_area - (self.circle.area if self.circle is not None else 0.0)
+
+    @property
+    def filled_area(self) -> float:
+        """In mm2, without the hole in it."""
         whole = float(np.linalg.norm(cross(self.edge_u, self.edge_v)))
         return whole / (1 + self.triangle)
 
@@ -130,7 +191,8 @@ class FlatFace:
         """How far inside points of its plane, shape (n, 3), lie, in parts of its edges."""
         dual = np.linalg.inv(np.column_stack([self.edge_u, self.edge_v, self.normal]))
         a, b = dual[:2] @ (points - self.corner).T
-        return np.minimum(np.minimum(a, b), 1 - a - b if self.triangle else 1 - np.maximum(a, b))
+        inside = np.minimum(np.minimum(a, b), 1 - a - b if self.triangle else 1 - np.maximum(a, b))
+        return inside if self.circle is None else np.minimum(inside, self.circle.margin(points))
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,15 +209,55 @@ class SceneModel:
     surfaces: tuple[Surface, ...]
     #: Faces of all surfaces that are flat.
     flat_faces: tuple[FlatFace, ...]
-    #: Indices of the surfaces that are not.
+    #: Indices of the surfaces that are not, and are no walls either.
     curved: tuple[int, ...]
     #: Largest distance of any point of the scene from the origin.
     size_mm: float
+    #: Surfaces that are upright round walls.
+    walls: tuple[RoundWall, ...] = ()
+
+    @functools.cached_property
+    def endless(self) -> int | None:
+        """Index of the volume that is endless; ``None`` where there is none."""
+        return next((i for i, volume in enumerate(self.volumes) if volume.endless), None)
+
+    def open_to(self, surface: Surface) -> Surface:
+        """A face as light meets it that is in the endless volume, or outside of a wetted face.
+
+        Either is the other's neighbour then: its index and its number take the place of what the
+        face names.
+        """
+        assert self.endless is not None
+        other = {OUTSIDE: self.endless, self.endless: OUTSIDE}
+        inner, outer = (other.get(side, side) for side in surface.sides)
+        ratio = self._endless_index ** (
+            (surface.interior == OUTSIDE) + (surface.exterior == self.endless)
+            - (surface.interior == self.endless) - (surface.exterior == OUTSIDE)
+        )  # fmt: skip
+        eta = surface.eta * ratio if surface.kind == DIELECTRIC else surface.eta
+        return replace(surface, interior=inner, exterior=outer, eta=eta)
+
+    @functools.cached_property
+    def _endless_index(self) -> float:
+        """Index of the endless volume, that outside being 1: from faces of what borders both."""
+        known = [s for s in self.surfaces if s.kind == DIELECTRIC]
+        wet = {s.interior: s.eta for s in known if s.exterior == self.endless}
+        dry = {s.interior: s.eta for s in known if s.exterior == OUTSIDE}
+        for volume in wet.keys() & dry.keys():
+            return dry[volume] / wet[volume]
+        name = self.volumes[self.endless or OUTSIDE].name
+        problem = f"the index of {name!r} is not known: no volume borders both it and air"
+        raise InputError(problem, "let faces of one volume have either in front of them")
 
     @property
     def faces(self) -> tuple[FlatFace, ...] | None:
-        """All faces of a scene of flat faces; ``None`` where a surface is curved."""
+        """All faces of a scene of flat faces, round walls apart; ``None`` where one is curved."""
         return None if self.curved else self.flat_faces
+
+    @property
+    def head_on(self) -> float:
+        """What its detectors, all alike, detect of light that arrives head-on."""
+        return next((s.head_on for s in self.surfaces if s.kind == DETECTOR), 1.0)
 
     def bordering(self, volume: int) -> list[int]:
         """Indices of the surfaces that border a volume."""
@@ -198,7 +300,9 @@ def read_scene_model(scene) -> SceneModel:
             if medium.id() not in [v.name for v in volumes]:
                 volumes.append(_volume(medium))
     names = [v.name for v in volumes]
-    surfaces, faces, curved = [], [], []
+    if sum(v.endless for v in volumes) > 1:
+        raise InputError("two media are endless", "light outside is in one liquid at most")
+    surfaces, faces, curved, walls = [], [], [], []
     for number, shape in enumerate(shapes):
         inner, outer = (OUTSIDE if m is None else names.index(m.id()) for m in _media(shape))
         try:
@@ -207,14 +311,21 @@ def read_scene_model(scene) -> SceneModel:
         except InputError as error:
             raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
         surfaces.append(Surface(shape.id(), inner, outer, **properties))
-        if own is None:
+        wall = getattr(shape, "wall", None)
+        if wall is not None:
+            walls.append(replace(wall, surface=number))
+        elif own is None:
             curved.append(number)
         faces.extend(own or [])
+    if len({(s.film, s.head_on) for s in surfaces if s.kind == DETECTOR}) > 1:
+        problem = "the detectors differ in what they take of light that arrives head-on"
+        raise InputError(problem, "let all have the same cathode_nm and angular_falloff")
     box = scene.bbox()
     size = float(max(np.abs(np.array(box.min)).max(), np.abs(np.array(box.max)).max()))
     return SceneModel(
-        scene, shapes, tuple(volumes), tuple(surfaces), tuple(faces), tuple(curved), size
-    )
+        scene, shapes, tuple(volumes), tuple(surfaces), tuple(faces), tuple(curved), size,
+        tuple(walls),
+    )  # fmt: skip
 
 
 def _media(shape) -> tuple:
@@ -228,6 +339,7 @@ def _volume(medium) -> Volume:
     if hasattr(medium, "alpha_scat_per_cm"):
         scat, absorption = medium.alpha_scat_per_cm, medium.alpha_abs_per_cm
         scattering["scattering_gradient"] = medium.scattering_gradient
+        scattering["endless"] = medium.endless
         return Volume(medium.id(), scat / MM_PER_CM, absorption / MM_PER_CM, **scattering)
     parameters = mi.traverse(medium)
     try:
@@ -261,12 +373,19 @@ def surface_properties(bsdf) -> dict:
         inner = surface_properties(bsdf.interface)
         if "aperture_radius_mm" in inner:
             raise InputError("an aperture lies in an aperture", "keep the narrower one")
-        return inner | {"aperture_radius_mm": bsdf.radius, "aperture_centre_mm": bsdf.centre}
+        return inner | {
+            "aperture_radius_mm": bsdf.radius,
+            "axis_mm": bsdf.centre,
+            "mask_reflectance": bsdf.reflectance,
+        }
     name = bsdf.class_name()
     if getattr(bsdf, "detects_light", False):
         return {
             "kind": DETECTOR,
+            "axis_mm": bsdf.centre,
             "reflectance": bsdf.reflectance,
+            "specular": bsdf.specular,
+            "film": bsdf.film,
             "angular_falloff": bsdf.angular_falloff,
             "radial_falloff_per_mm2": bsdf.radial_falloff_per_mm2,
             "least_cosine": math.cos(math.radians(min(bsdf.acceptance_deg, 90.0))),
@@ -348,6 +467,11 @@ def _flat_faces(shape, number: int) -> list[FlatFace] | None:
         if shape.has_flipped_normals():
             half_u, half_v = half_v, half_u
         return [_face(centre - half_u - half_v, 2 * half_u, 2 * half_v, False, number)]
+    if getattr(shape, "wall", None) is not None:
+        return None
+    if getattr(shape, "round_face", None) is not None:
+        corner, along, across, circle = shape.round_face
+        return [replace(_face(corner, along, across, False, number), circle=circle)]
     if shape.is_mesh():
         return _mesh_faces(shape, number)
     return None

@@ -35,7 +35,9 @@ class SimulationResult(Provenance):
 
     requested: int
     interrupted: bool
-    #: Energy that reaches the detector over energy emitted, and its standard error.
+    #: Energy that reaches the detector over energy emitted, and its standard error. Where the
+    #: detector detects a part only of light that arrives head-on, with which it was calibrated,
+    #: what is detected over that part: eta is then not the fate ``detected``, and may exceed 1.
     eta: float
     eta_sigma: float
     #: Fraction of the energy per fate (they sum to 1) and its standard error: ``detected``,
@@ -213,6 +215,8 @@ class Simulation:
             f"{max_depth} flights and was cut off; eta could be up to that "
             "much higher (max_depth of the integrator sets the limit)": truncated > 0,
             f"{100 * lost:.2g} % of the light was lost by rounding at the edges of faces": lost > 0,
+            f"the detector detects {100 * tally.head_on:.4g} % of light that arrives head-on, and "
+            "eta counts relative to that; the fate detected does not": tally.head_on != 1.0,
             f"the wanted precision of {100 * (precision or 0):g} % was not reached with "
             f"{tally.photons:,} photons": missed,
         }

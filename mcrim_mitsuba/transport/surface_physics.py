@@ -11,12 +11,14 @@ A rough face is one of GGX microfacets (B. Walter et al., EGSR 2007), drawn by t
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
+from mcrim_mitsuba.optics.thin_film import ThinFilm
 from mcrim_mitsuba.transport.scene_model import DETECTOR, DIELECTRIC, DIFFUSE, opaque
 
 # Fates of a photon at a surface or in flight; absorption in volumes is counted apart.
@@ -55,27 +57,32 @@ class SurfaceTables:
 
     def __init__(self, surfaces, normals) -> None:
         self._has_masks = any(s.aperture_radius_mm < float("inf") for s in surfaces)
-        self._off_axis = any(s.aperture_centre_mm != (0.0, 0.0) for s in surfaces)
+        self._off_axis = any(s.axis_mm != (0.0, 0.0) for s in surfaces)
         self._rough = any(s.roughness for s in surfaces)
         self._lossy = any(s.surface_loss for s in surfaces)
         self._choosy = any(s.angular_falloff or s.radial_falloff_per_mm2 for s in surfaces)
         self._hazy = any(s.haze for s in surfaces)
         self._selective = any(s.least_cosine > STRAIGHT_ACROSS for s in surfaces)
-        self.may_absorb = self._lossy or self._choosy or self._selective
-        self.may_scatter = any(
+        self._mirrors = any(s.specular for s in surfaces)
+        self._masks_reflect = any(s.mask_reflectance for s in surfaces)
+        # all detectors are alike
+        self._film = next((FilmTerms.of(s.film) for s in surfaces if s.film is not None), None)
+        self.may_absorb = self._lossy or self._choosy or self._selective or self._film is not None
+        self._diffuse = any(
             s.kind == DIFFUSE or (s.kind == DETECTOR and s.reflectance) for s in surfaces
         )
+        self.may_scatter = self._diffuse or self._masks_reflect
         # small integers are exact in single precision
         self._shape, self._sides, self._special, self._quality, self._further = (
             opaque([float(value) for row in rows for value in row])
             for rows in (
                 [(*n, s.eta) for n, s in zip(normals, surfaces, strict=True)],
                 [(s.kind, *s.sides, min(s.aperture_radius_mm, NO_MASK)) for s in surfaces],
-                [(*s.aperture_centre_mm, s.reflectance, s.two_sided or s.kind == DETECTOR)
+                [(*s.axis_mm, s.reflectance, s.two_sided or s.kind == DETECTOR)
                  for s in surfaces],
                 [(s.roughness, s.surface_loss, s.angular_falloff, s.radial_falloff_per_mm2)
                  for s in surfaces],
-                [(s.haze, s.least_cosine) for s in surfaces],
+                [(s.haze, s.least_cosine, s.specular, s.mask_reflectance) for s in surfaces],
             )
         )  # fmt: skip
 
@@ -88,14 +95,17 @@ class SurfaceTables:
         )
         if self._has_masks:
             found.radius = radius
-        if self.may_scatter or self._off_axis:
+        if self._diffuse or self._off_axis:
             found.x, found.y, *returns = dr.gather(mi.Vector4f, self._special, row, active)
-            if self.may_scatter:
+            if self._diffuse:
                 found.reflectance, found.two_sided = returns[0], returns[1] > 0.5
-        if self._hazy or self._selective:
-            haze, least_cosine = dr.gather(mi.Vector2f, self._further, row, active)
-            found.haze = haze if self._hazy else None
-            found.least_cosine = least_cosine if self._selective else None
+        if self._hazy or self._selective or self._mirrors or self._masks_reflect:
+            further = dr.gather(mi.Vector4f, self._further, row, active)
+            found.haze = further[0] if self._hazy else None
+            found.least_cosine = further[1] if self._selective else None
+            found.specular = further[2] if self._mirrors else None
+            found.mask_reflectance = further[3] if self._masks_reflect else None
+        found.film = self._film
         if self._rough or self._lossy or self._choosy:
             roughness, loss, *falloffs = dr.gather(mi.Vector4f, self._quality, row, active)
             found.roughness = roughness if self._rough else None
@@ -116,7 +126,7 @@ class SurfaceRow:
     normal: Any
     reflectance: Any = None
     two_sided: Any = None
-    #: Of the hole of a mask, whose axis goes through x and y.
+    #: Of the hole of a mask. The axis of the mask, or of a detector, goes through x and y.
     radius: Any = None
     x: Any = 0.0
     y: Any = 0.0
@@ -126,6 +136,10 @@ class SurfaceRow:
     radial_falloff: Any = None
     haze: Any = None
     least_cosine: Any = None
+    specular: Any = None
+    mask_reflectance: Any = None
+    #: `FilmTerms` of the detectors, the same for all rows.
+    film: Any = None
 
 
 @dataclass
@@ -138,7 +152,8 @@ class Outcome:
     field: Any
     #: UInt32: `ALIVE`, or why it ended.
     fate: Any
-    #: Factor on the weight; 1 where the photon ends, below 1 only at surfaces that lose energy.
+    #: Factor on the weight, below 1 only at surfaces that lose energy. Of photons that end it is 1,
+    #: but for what a photocathode detects.
     weight: Any
     #: Whether it went through the surface.
     crossed: Any
@@ -153,9 +168,13 @@ class Outcome:
     #: Whether a diffuse reflector or a detector sent it back; ``None`` where none ever does.
     from_reflector: Any = None
     from_detector: Any = None
+    #: Whether the upper side of a mask did; ``None`` where none ever does.
+    from_mask: Any = None
     #: Square of the distance from the axis of the mask that the face wears; 0 if it wears none,
     #: ``None`` if no face of the scene does.
     mask_radius2_mm2: Any = None
+    #: The same from the axis of a mask or a detector.
+    from_axis2_mm2: Any = None
 
 
 @dataclass
@@ -218,6 +237,8 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
     detector = row.kind == DETECTOR
     fate = dr.select(detector, mi.UInt32(DETECTED), mi.UInt32(ALIVE))
     from_reflector = from_detector = None
+    # part of the choices that a detector has taken to send light back
+    returned_part: Any = 0.0
     if row.reflectance is not None:
         diffuse = row.kind == DIFFUSE
         kept = (choice < row.reflectance) & (row.two_sided | ~leaving)
@@ -232,13 +253,31 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
         if field is not None:
             fresh = unpolarised_field(scattered, dr.two_pi * uniforms[3])
             new_field = dr.select(returned, fresh, new_field)
+        returned_part = row.reflectance
+    detected_part = None
+    if row.film is not None or row.specular is not None:
+        mirror = _mirror_of(row, direction, field, facing, cos_i)
+        mirrored_part = dr.lerp(returned_part, 1.0, mirror.reflectance)
+        mirrored = (fate == DETECTED) & (choice < mirrored_part)
+        fate = dr.select(mirrored, mi.UInt32(ALIVE), fate)
+        from_detector = mirrored if from_detector is None else from_detector | mirrored
+        from_reflector = mi.Mask(False) if from_reflector is None else from_reflector
+        reflection = dr.fma(facing, 2.0 * cos_i, direction)
+        new_direction = dr.select(mirrored, dr.normalize(reflection), new_direction)
+        crossed &= ~mirrored
+        if field is not None:
+            after = _field_of(mirror.waves, mirror.across, new_direction)
+            new_field = dr.select(mirrored, after, new_field)
+        returned_part, detected_part = mirrored_part, mirror.detected_part
+    from_axis = dr.square(position.x - row.x) + dr.square(position.y - row.y)
     if row.angular_falloff is not None:
-        radius2 = dr.square(position.x) + dr.square(position.y)
-        accepted = dr.clip(dr.fma(-row.angular_falloff, 1.0 - cos_i, 1.0), 0.0, 1.0)
-        accepted *= dr.clip(dr.fma(-row.radial_falloff, radius2, 1.0), 0.0, 1.0)
-        if row.reflectance is not None:
+        # negative: over the largest that it may be
+        accepted = dr.clip(dr.fma(-row.angular_falloff, 1.0 - cos_i, 1.0), 0.0, 2.0)
+        accepted /= 1.0 - dr.minimum(row.angular_falloff, 0.0)
+        accepted *= dr.clip(dr.fma(-row.radial_falloff, from_axis, 1.0), 0.0, 1.0)
+        if not isinstance(returned_part, float):
             # of the choices that are left when some have sent light back
-            accepted = dr.lerp(row.reflectance, 1.0, accepted)
+            accepted = dr.lerp(returned_part, 1.0, accepted)
         refused = (fate == DETECTED) & (choice >= accepted)
         fate = dr.select(refused, mi.UInt32(SURFACE), fate)
     if row.least_cosine is not None:
@@ -246,16 +285,35 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
         fate = dr.select(slanted, mi.UInt32(SURFACE), fate)
     mask_radius2 = None
     if row.radius is not None:
-        from_axis = dr.square(position.x - row.x) + dr.square(position.y - row.y)
-        fate = dr.select(from_axis > dr.square(row.radius), mi.UInt32(APERTURE), fate)
+        masked = from_axis > dr.square(row.radius)
+        fate = dr.select(masked, mi.UInt32(APERTURE), fate)
         mask_radius2 = dr.select(row.radius < NO_MASK, from_axis, 0.0)
+    from_mask = None
+    if row.mask_reflectance is not None:
+        # of the side that light comes down to
+        from_mask = masked & (direction.z < 0.0) & (choice < row.mask_reflectance)
+        fate = dr.select(from_mask, mi.UInt32(ALIVE), fate)
+        upwards = dr.normalize(facing + mi.warp.square_to_uniform_sphere(mi.Point2f(u, v)))
+        new_direction = dr.select(from_mask, upwards, new_direction)
+        crossed &= ~from_mask
+        polished &= ~from_mask
+        if field is not None:
+            fresh = unpolarised_field(upwards, dr.two_pi * uniforms[3])
+            new_field = dr.select(from_mask, fresh, new_field)
+        if from_reflector is not None:
+            from_reflector, from_detector = (
+                each & ~from_mask for each in (from_reflector, from_detector)
+            )
     weight = mi.Float(1.0)
+    if detected_part is not None:
+        weight = dr.select(fate == DETECTED, detected_part, 1.0)
     if row.surface_loss is not None:
         inwards = polished & reflected & leaving & (fate == ALIVE)
-        weight = dr.select(inwards, 1.0 - row.surface_loss, 1.0)
+        weight = dr.select(inwards, 1.0 - row.surface_loss, weight)
     return Outcome(
         new_direction, new_field, fate, weight, crossed, polished, cos_i,
-        volume_after(row, crossed, leaving), position, from_reflector, from_detector, mask_radius2,
+        volume_after(row, crossed, leaving), position, from_reflector, from_detector, from_mask,
+        mask_radius2, from_axis,
     )  # fmt: skip
 
 
@@ -366,8 +424,8 @@ def _resumed(rng, state):
     return numbers
 
 
-def _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2):
-    """Reflectance of this photon, and its reflected and transmitted amplitudes."""
+def _components(direction, field, facing):
+    """The direction across the plane of incidence, and the field's s and p components."""
     s = dr.cross(direction, facing)
     length2 = dr.squared_norm(s)
     # At normal incidence every direction across is as good as another.
@@ -375,6 +433,12 @@ def _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2):
     p = dr.cross(direction, s)
     e_s = mi.Complex2f(dr.dot(field.re, s), dr.dot(field.im, s))
     e_p = mi.Complex2f(dr.dot(field.re, p), dr.dot(field.im, p))
+    return s, e_s, e_p
+
+
+def _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2):
+    """Reflectance of this photon, and its reflected and transmitted amplitudes."""
+    s, e_s, e_p = _components(direction, field, facing)
     # Under total reflection cos_t is i * sqrt(-cos_t2) and both amplitudes have modulus 1.
     below = dr.safe_sqrt(-cos_t2)
     total = cos_t2 <= 0.0
@@ -389,11 +453,100 @@ def _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2):
 def _field_after(waves, reflected, matched, new_direction, old):
     """The field after reflection or refraction, normalised to one photon."""
     s, by_reflection, by_refraction = waves
-    p = dr.cross(new_direction, s)
-    e_s, e_p = (
+    amplitudes = (
         dr.select(reflected, r, t) for r, t in zip(by_reflection, by_refraction, strict=True)
     )
+    return dr.select(matched, old, _field_of(amplitudes, s, new_direction))
+
+
+def _field_of(amplitudes, s, direction):
+    """The field of s and p amplitudes, normalised to one photon."""
+    e_s, e_p = amplitudes
+    p = dr.cross(direction, s)
     re = s * e_s.real + p * e_p.real
     im = s * e_s.imag + p * e_p.imag
     scale = dr.rsqrt(dr.squared_norm(re) + dr.squared_norm(im))
-    return dr.select(matched, old, Field(re * scale, im * scale))
+    return Field(re * scale, im * scale)
+
+
+# ---- detectors that reflect as mirrors do -------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FilmTerms:
+    """Numbers of a photocathode (`optics.thin_film.ThinFilm`) in the kernel, opaque."""
+
+    #: Complex2f: Square of the film's index over the window's.
+    film: Any
+    #: Float: Square of 1 over the window's index.
+    vacuum: Any
+    #: Float: 2 pi times the film's thickness, over the wavelength in the window.
+    phase: Any
+
+    @classmethod
+    def of(cls, film: ThinFilm) -> FilmTerms:
+        """Those of a film."""
+        square = (film.index / film.window_index) ** 2
+        return cls(
+            mi.Complex2f(opaque([square.real]), opaque([square.imag])),
+            opaque([film.window_index**-2]),
+            opaque([2.0 * math.pi * film.wavelengths * film.window_index]),
+        )
+
+    def amplitudes(self, cosine):
+        """Reflected amplitudes and transmittances of s and p polarised light, s first.
+
+        At cosines of the angle of incidence in the window; formulas as in `optics.thin_film`.
+        """
+        # what is behind a face at grazing incidence does not matter, but must be no 0 / 0
+        a = dr.maximum(cosine, 1e-6)
+        sine2 = dr.fma(-a, a, 1.0)
+        inside = dr.sqrt(self.film - sine2)
+        left = self.vacuum - sine2
+        beyond = mi.Complex2f(dr.safe_sqrt(left), dr.safe_sqrt(-left))
+        across = dr.exp(mi.Complex2f(-inside.imag, inside.real) * self.phase)
+        reflected, transmitted = [], []
+        for b, c in ((inside, beyond), (inside / self.film, beyond / self.vacuum)):
+            front, back = (a - b) / (a + b), (b - c) / (b + c)
+            echo = back * across * across
+            round_trip = 1.0 + front * echo
+            reflected.append((front + echo) / round_trip)
+            through = (1.0 + front) * (1.0 + back) * across / round_trip
+            transmitted.append(c.real / a * dr.squared_norm(through))
+        return reflected, transmitted
+
+
+@dataclass
+class Mirror:
+    """What a mirror does to light that meets it."""
+
+    #: Float: Probability of reflection.
+    reflectance: Any
+    #: Float: What is detected of light that is not reflected; ``None`` for all.
+    detected_part: Any = None
+    #: Vector3f across the plane of incidence and reflected amplitudes, where fields are followed.
+    across: Any = None
+    waves: Any = None
+
+
+def _mirror_of(row, direction, field, facing, cos_i) -> Mirror:
+    """The photocathode, or the mirror that a detector is with some probability."""
+    share = mi.Float(0.0) if row.specular is None else row.specular
+    if row.film is None:
+        if field is None:
+            return Mirror(share)
+        # of a perfect metal
+        s, e_s, e_p = _components(direction, field, facing)
+        return Mirror(share, None, s, (-e_s, e_p))
+    (r_s, r_p), (through_s, through_p) = row.film.amplitudes(cos_i)
+    across = waves = None
+    if field is None:
+        reflected = 0.5 * (dr.squared_norm(r_s) + dr.squared_norm(r_p))
+        through = 0.5 * (through_s + through_p)
+    else:
+        across, e_s, e_p = _components(direction, field, facing)
+        waves = r_s * e_s, r_p * e_p
+        reflected = dr.squared_norm(waves[0]) + dr.squared_norm(waves[1])
+        through = through_s * dr.squared_norm(e_s) + through_p * dr.squared_norm(e_p)
+    left = dr.maximum(1.0 - reflected, 1e-6)
+    return Mirror(reflected, dr.clip(1.0 - through / left, 0.0, 1.0), across, waves)

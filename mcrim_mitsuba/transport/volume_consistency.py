@@ -7,6 +7,7 @@ hypotheses are tried: one face is reversed; volumes overlap; a volume is not clo
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -87,7 +88,7 @@ def trace_crossings(model: SceneModel, origin, direction) -> Crossings:
 
 
 def _through_flat_faces(model, origin, direction) -> Crossings:
-    distance = np.full((len(origin), len(model.faces)), np.inf)
+    distance = np.full((len(origin), len(model.faces) + 2 * len(model.walls)), np.inf)
     behind = np.zeros(distance.shape, dtype=bool)
     ambiguous = np.zeros(len(origin), dtype=bool)
     for number, face in enumerate(model.faces):
@@ -99,13 +100,29 @@ def _through_flat_faces(model, origin, direction) -> Crossings:
         rim = RIM * model.size_mm / min(np.linalg.norm(face.edge_u), np.linalg.norm(face.edge_v))
         ambiguous |= np.abs(margin) <= rim
         distance[:, number] = np.where((margin > 0) & (t > 0), t, np.inf)
+    rim = RIM * model.size_mm
+    for number, (wall, sign) in enumerate(itertools.product(model.walls, (-1.0, 1.0))):
+        column, circle = len(model.faces) + number, wall.circle
+        away, along = origin[:, :2] - (circle.x_mm, circle.y_mm), direction[:, :2]
+        a, b = (along**2).sum(axis=1), (away * along).sum(axis=1)
+        c = (away**2).sum(axis=1) - circle.radius_mm**2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = (-b + sign * np.sqrt(b * b - a * c)) / a
+            height = origin[:, 2] + t * direction[:, 2]
+            nearest = np.sqrt(np.maximum(c + circle.radius_mm**2 - b * b / a, 0.0))
+        margin = np.minimum(height - wall.low_mm, wall.high_mm - height)
+        ambiguous |= (np.abs(margin) <= rim) | (np.abs(nearest - circle.radius_mm) <= rim)
+        distance[:, column] = np.where((margin > 0) & (t > 0), t, np.inf)
+        # its interior is around it
+        behind[:, column] = sign < 0
     origin, direction = origin[~ambiguous], direction[~ambiguous]
     distance, behind = distance[~ambiguous], behind[~ambiguous]
     order = np.argsort(distance, axis=1, kind="stable")
     distance = np.take_along_axis(distance, order, axis=1)
     most = max(int(np.isfinite(distance).sum(axis=1).max()), 1)
     distance, order = distance[:, :most], order[:, :most]
-    surface_of = np.array([face.surface for face in model.faces])
+    walls = [wall.surface for wall in model.walls for _ in range(2)]
+    surface_of = np.array([face.surface for face in model.faces] + walls)
     surface = np.where(np.isfinite(distance), surface_of[order], -1)
     from_behind = np.take_along_axis(behind, order, axis=1)
     return Crossings(surface, from_behind, distance, origin, direction)
@@ -193,10 +210,12 @@ def problems_of_volumes(
 
     `interfaces` are of the model's surfaces, in their order.
     """
-    said = [
-        (s.exterior, s.interior, face.n_exterior, face.n_interior)
-        for s, face in zip(model.surfaces, interfaces, strict=True)
-    ]
+    said = []
+    for surface, face in zip(model.surfaces, interfaces, strict=True):
+        named = (surface.exterior, face.n_exterior), (surface.interior, face.n_interior)
+        # a volume without end lies where outside does, whatever the index there
+        ends = [(0, None) if side == model.endless else (side, n) for side, n in named]
+        said.append([part for pair in zip(*ends, strict=True) for part in pair])
     # volumes are small integers, exact as floats; an index that is not named is nan
     near, far, n_near, n_far = np.array(said, dtype=float).T[:, crossings.surface]
     sides = Sides(near, far, n_near, n_far, crossings.surface >= 0)

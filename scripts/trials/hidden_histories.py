@@ -27,6 +27,7 @@ from mcrim_mitsuba.cli.trials import TrialExecutor
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.files import make_folder, write_bytes
 from mcrim_mitsuba.reference.bench import FILLED_ABOVE, Bench
+from mcrim_mitsuba.reference.flight import head_on
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.cache import source_hash
 
@@ -52,9 +53,9 @@ _SHARE = {14.0: 1, 7.0: 2, 4.0: 4}
 #: Factor on the photons of the plain bench, which many trials share.
 PLAIN_FACTOR = 6
 #: Parameters that mean nothing where the gap is not filled.
-FILLED_ONLY = ("gap_index_offset", "gap_absorption_per_cm", "bubble_fraction", "gel_creep_mm")
-#: Radius that leaves the whole plate free, mm.
-_OPEN_MM = 21.0
+FILLED_ONLY = ("gap_index_offset", "gap_absorption_per_cm", "bubble_fraction", "narrow_collar_mm")
+#: Radius that leaves the whole plate free, mm, wherever the mask is shifted to.
+_OPEN_MM = 25.0
 _APERTURES = tuple(sorted({reading[1] for reading in READINGS}))
 
 #: What is hidden: changes of the bench, by `Bench` field.
@@ -142,7 +143,9 @@ class Histories:
         # density lacks the factor 1 / proposals: photons of one proposal stand for those of all
         eta = sums.sum(axis=0) / photons
         variance = (squares - sums**2 / photons).sum(axis=0) / photons**2
-        return eta, np.sqrt(variance)
+        # detectors are calibrated head-on
+        calibration = head_on(Bench(**dict(self.run.bench)))
+        return eta / calibration, np.sqrt(variance) / calibration
 
 
 class HistoryStore:

@@ -63,8 +63,8 @@ _EFFECT_RANGES, _EFFECT_NODES = ((0.12, 1.6), (0.001, 0.12)), (6, 3)
 _REACH = 2.5
 KINDS = ("single", "none", "pairs", "outsiders", "mimic", "too_small", "beam")
 #: Ways to be an outsider, in turn; the last two spoil readings instead of the bench.
-GEL_CREEP, SWAPPED_ROWS, BAD_READING = "gel_creep", "swapped_rows", "bad_reading"
-OUTSIDERS_IN_TURN = (GEL_CREEP, SWAPPED_ROWS, BAD_READING)
+NARROW_COLLAR, SWAPPED_ROWS, BAD_READING = "narrow_collar", "swapped_rows", "bad_reading"
+OUTSIDERS_IN_TURN = (NARROW_COLLAR, SWAPPED_ROWS, BAD_READING)
 #: Least expected excess of an outsider in the bench, and of swapped rows.
 OUTSIDER_EXCESS, SWAP_EXCESS = 400.0, 100.0
 #: How far off a bad reading is.
@@ -372,7 +372,7 @@ class TrialMaker:
         of_kind = {
             "single": hidden_alone(self._only),
             "pairs": [*PAIRS, *hidden_alone(of_pairs)],
-            "outsiders": hidden_alone([GEL_CREEP]),
+            "outsiders": hidden_alone([NARROW_COLLAR]),
             "mimic": hidden_alone(["black_spot"]),
             "too_small": hidden_alone(TOO_SMALL),
             "beam": hidden_alone(BESIDE_BEAM, BESIDE_BEAM),
@@ -430,7 +430,7 @@ class TrialMaker:
 
     def _outsiders(self, rng, number: int, truth: Truth):
         what = OUTSIDERS_IN_TURN[number % len(OUTSIDERS_IN_TURN)]
-        if what == GEL_CREEP:
+        if what == NARROW_COLLAR:
             return self._sized(rng, what, truth, OUTSIDER_EXCESS, np.inf)
         readings = readings_of(self._store, (), truth)
         signal, sigma = readings.signal.copy(), readings.sigma.copy()

@@ -14,7 +14,7 @@ from refusals import refusal
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.catalogue import BUILT_IN, _entry_points, add, catalogue
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter, Rows
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -25,15 +25,27 @@ EDITS = [name for name, effect in KNOWN.items() if effect.edit is not None]
 #: Effects that change the same parts of a scene.
 NEIGHBOURS = [
     ("anisotropic_scattering", "rayleigh_scattering", "scattering_gradient"),
+    ("source_depth", "side_source"),
     ("surface_roughness", "surface_absorption", "gap_index", "gap_bubble", "edge_chamfer",
      "aperture_at_detector"),
     ("surface_haze", "top_roughness", "side_roughness", "bottom_roughness", "surface_absorption",
      "gap_bubble"),
+    ("gel_creep", "gap_bubble", "gap_index", "edge_chamfer", "side_roughness", "bottom_roughness",
+     "surface_haze", "gap_absorption"),
+    ("gap_bubble_round", "gap_bubble", "edge_chamfer", "gap_thickness", "gel_creep", "gap_index",
+     "bottom_roughness", "surface_absorption", "aperture_at_detector"),
+    ("gel_creep", "surface_roughness", "surface_absorption", "gap_thickness"),
     ("gap_thickness", "gap_bubble", "edge_chamfer", "top_reflector", "gap_absorption"),
     ("detector_reflection", "detector_angle", "detector_radius", "aperture_at_detector",
      "gap_thickness"),
 ]  # fmt: skip
-EXCLUDED = {frozenset(("anisotropic_scattering", "rayleigh_scattering"))}
+EXCLUDED = {
+    frozenset(("anisotropic_scattering", "rayleigh_scattering")),
+    frozenset(("source_depth", "side_source")),
+    frozenset(("gap_absorption", "gel_creep")),
+    frozenset(("gap_bubble", "gap_bubble_round")),
+    frozenset(("edge_chamfer", "gap_bubble_round")),
+}
 
 #: Lines of scenes/camoo4.xml that an effect may take away or change; all other effects only add.
 MASK = r'aperture|"radius"|<bsdf type="dielectric">|_ior|</bsdf>|[Mm]ask|photodetector'
@@ -72,7 +84,7 @@ def added(scene, *names):
 
 def test_every_effect_of_the_definitions_is_there():
     assert list(KNOWN) == list(BUILT_IN)
-    assert len(KNOWN) == 25
+    assert len(KNOWN) == 34
     for name, effect in KNOWN.items():
         assert effect.name == name
         assert (
@@ -84,15 +96,20 @@ def test_every_effect_of_the_definitions_is_there():
     ranges = {p.name: (p.minimum, p.maximum) for e in KNOWN.values() for p in e.parameters}
     assert ranges == {
         "scattering_g": (-0.5, 0.95), "scattering_gradient": (-1, 1),
-        "source_depth_mm": (0.2, 100), "roughness_alpha": (0, 0.3), "surface_loss": (0, 0.05),
+        "source_depth_mm": (0.2, 100), "side_depth_mm": (0.2, 100),
+        "roughness_alpha": (0, 0.3), "surface_loss": (0, 0.05),
         "rms_roughness_nm": (0, 30), "top_roughness_alpha": (0, 0.5),
         "side_roughness_alpha": (0, 0.5), "bottom_roughness_alpha": (0, 0.5),
         "n_crystal": (-0.1, 0.1), "gap_index_offset": (-0.1, 0.1), "gap_offset_mm": (-0.04, 0.5),
-        "gap_absorption_per_cm": (0, 20), "bubble_fraction": (0, 0.6),
+        "gap_absorption_per_cm": (0, 20), "bubble_fraction": (0, 0.6), "collar_mm": (0, 3),
+        "bubble_area_fraction": (0, 0.6),
         "top_reflectance": (0, 0.99), "detector_reflectance": (0, 0.5),
-        "angular_falloff": (0, 1), "radial_falloff": (0, 1), "chamfer_mm": (0, 1),
+        "cathode_nm": (10, 35), "detector_specular": (0, 0.5), "mask_offset_mm": (0, 6),
+        "housing_reflectance": (0, 0.2),
+        "angular_falloff": (-1, 1), "radial_falloff": (0, 1), "chamfer_mm": (0, 1),
         "acceptance_deg": (-89, 89),
         "background": (-math.inf, math.inf), "saturation": (0, 0.05),
+        "gain_drift": (-0.1, 0.1), "sample_scale": (-0.2, 0.2),
     }  # fmt: skip
 
 
@@ -226,6 +243,9 @@ def test_scenes_that_include_the_bench_take_effects_too(scenes, file):
         if (file, name) == ("camoo4_wrapped.xml", "top_reflector"):
             assert "wrapping covers the top already" in refusal(add, name, scene)
             continue
+        if (file, name) == ("camoo4_wrapped.xml", "gel_creep"):
+            assert "gel_creep is for bare crystals" in refusal(add, name, scene)
+            continue
         if (file, name) == ("camoo4_thin.xml", "edge_chamfer"):
             assert "crystal_chamfers" in add(name, scene)
         new = scene.edited(add(name, scene))
@@ -262,7 +282,9 @@ def test_mitsuba_loads_a_text_that_was_never_written(scenes):
     assert simulation.file.parameters["top_reflectance"] == 0.9
 
 
-PARAMETERS = {"crystal_height_mm": 10.0, "n_gap": 1.46, "aperture_radius_mm": 7.0}
+PARAMETERS = {
+    "crystal_height_mm": 10.0, "crystal_width_mm": 10.0, "n_gap": 1.46, "aperture_radius_mm": 7.0,
+}  # fmt: skip
 
 
 def factor(name, values, parameters=PARAMETERS, **columns):
@@ -279,12 +301,19 @@ def test_weights_are_ratios_of_densities():
             math.exp(-depths[2000] / depth), rel=1e-4
         )
     assert np.all(factor("source_depth", {"source_depth_mm": math.inf}, birth_depth_mm=[0, 9]) == 1)
+    from_side = factor("side_source", {"side_depth_mm": 2.0}, birth_side_mm=depths)
+    assert np.all(
+        from_side == factor("source_depth", {"source_depth_mm": 2.0}, birth_depth_mm=depths)
+    )
     gap, air = {"gap_absorption_per_cm": 2.0}, {**PARAMETERS, "n_gap": 1.0}
     assert factor("gap_absorption", gap, air, path_gap_cm=[0.5]) == pytest.approx([1])
     for name, values, columns, expected in (
         ("surface_absorption", {"surface_loss": 0.1}, {"reflections": [0, 2]}, [1, 0.81]),
         ("gap_absorption", gap, {"path_gap_cm": [0.5]}, [math.exp(-1)]),
         ("detector_angle", {"angular_falloff": 0.4}, {"arrival_cosine": [1, 0.5]}, [1, 0.8]),
+        ("detector_angle", {"angular_falloff": -1}, {"arrival_cosine": [1, 0.5]}, [1, 1.5]),
+        ("detector_specular", {"detector_specular": 0.25}, {"detector_hits": [0, 2]}, [1.5, 0.375]),
+        ("housing_reflection", {"housing_reflectance": 0.1}, {"mask_hits": [0, 2]}, [1, 0.25]),
         ("detector_radius", {"radial_falloff": 1}, {"arrival_radius_mm": [7, 19]}, [0.75, 0]),
         ("top_reflector", {"top_reflectance": 0.0}, {"reflector_hits": [0, 1]}, [1, 0]),
         ("detector_reflection", {"detector_reflectance": 0.25}, {"detector_hits": [0, 2]},
@@ -295,16 +324,33 @@ def test_weights_are_ratios_of_densities():
         assert factor(name, values, **columns) == pytest.approx(expected), name
 
 
-@pytest.mark.parametrize("name", ["background", "saturation"])
+@pytest.mark.parametrize("name", [name for name in KNOWN if KNOWN[name].reading])
 def test_readings_and_their_slopes(name):
-    signals, value, step = np.array([0.5, 20.0]), 0.01, 1e-6
-    reading, by_signal, by_value = KNOWN[name].reading(signals, value)
-    assert KNOWN[name].reading(signals, 0.0)[0] == pytest.approx(signals)
-    up, down = (KNOWN[name].reading(signals + s, value)[0] for s in (step, -step))
+    signals, value, step = np.array([0.5, 20.0, 3.0]), 0.01, 1e-6
+    rows = Rows(np.array([-0.5, 0.0, 0.5]), np.array([False, True, True]))
+
+    def read(signals, value):
+        return KNOWN[name].reading(signals, value, rows)
+
+    reading, by_signal, by_value = read(signals, value)
+    assert read(signals, 0.0)[0] == pytest.approx(signals)
+    up, down = (read(signals + s, value)[0] for s in (step, -step))
     assert by_signal == pytest.approx((up - down) / (2 * step), rel=1e-6)
-    up, down = (KNOWN[name].reading(signals, value + s)[0] for s in (step, -step))
+    up, down = (read(signals, value + s)[0] for s in (step, -step))
     assert by_value == pytest.approx((up - down) / (2 * step), rel=1e-6)
-    assert reading.shape == signals.shape
+    # several sizes at once, as predictions of many points take them
+    both = read(np.stack([signals, signals]), np.array([[value], [0.0]]))[0]
+    assert both == pytest.approx(np.stack([reading, signals]))
+
+
+def test_what_drifts_and_what_another_crystal_reads():
+    signals = np.array([10.0, 10.0, 10.0])
+    rows = Rows(np.array([-0.5, 0.0, 0.5]), np.array([False, True, True]))
+    assert KNOWN["gain_drift"].reading(signals, 0.1, rows)[0] == pytest.approx([9.5, 10.0, 10.5])
+    assert KNOWN["sample_scale"].reading(signals, 0.1, rows)[0] == pytest.approx([10.0, 11, 11])
+    # the yield comes first; what drifts is what is read in the end
+    last = sorted((e for e in KNOWN.values() if e.reading), key=lambda e: e.order)
+    assert [e.name for e in last] == ["sample_scale", "saturation", "background", "gain_drift"]
 
 
 OWN = """from mcrim_mitsuba.effects import Effect, EffectParameter

@@ -204,10 +204,20 @@ def test_slopes_of_the_model_are_those_of_its_values(campaign, made):
         "saturation": {"saturation": 0.01},
         "source_depth": {"source_depth_mm": 3.0},
         "background": {"background": 0.3},
+        "gain_drift": {"gain_drift": -0.04},
+        "sample_scale": {"sample_scale": 0.07},
     }
+    rows = [replace(reading, label=f"{reading.label} of a thin piece", line=9 + i,
+                    parameters={**reading.parameters, "crystal_height_mm": 5.0})
+            for i, reading in enumerate(campaign.measurements.readings)]  # fmt: skip
+    measured = replace(
+        campaign.measurements, readings=(*campaign.measurements.readings, *rows),
+        columns=(*campaign.measurements.columns, "crystal_height_mm"),
+    )  # fmt: skip
+    campaign = replace(campaign, measurements=measured)
     mended = campaign.with_effects(list(sizes))
-    maker, _ = made
     effects = [campaign.catalogue[name] for name in sizes]
+    maker = ResponseMaker(campaign, Run(LANES, seed=3, check=False))
     model = ResponseModel(mended, maker.make(effects), effects)
     values = {"alpha_scat_per_cm": 0.6, "alpha_abs_per_cm": 0.03, "scale": 40.0}
     for size in sizes.values():
@@ -221,6 +231,37 @@ def test_slopes_of_the_model_are_those_of_its_values(campaign, made):
             model.predict(theta + step).signal - model.predict(theta - step).signal
         ) / (2 * step[i])
         assert slopes[:, i] == pytest.approx(by_difference, rel=1e-4, abs=1e-6), model.free[i].name
+    assert model.predict_many(theta[None])[0] == pytest.approx(model.predict(theta).signal)
+    # drift and yield change nothing but what they are said to
+    names = [p.name for p in model.free]
+    assert np.all((slopes[:, names.index("sample_scale")] == 0.0) == [True] * 3 + [False] * 3)
+    drift = slopes[:, names.index("gain_drift")]
+    assert drift[0] < drift[1] < drift[2] < 0.0 < drift[3] < drift[5]
+
+
+def test_rows_know_when_they_were_read_and_of_which_crystal(campaign, tmp_path):
+    """Rows that are not used count, transmittances do not, and what is proposed comes last."""
+    table = (
+        "label,kind,signal,sigma,n_gap,crystal_height_mm,use\n"
+        "air,light,10,0.1,1,10,1\nbeam,transmittance,0.7,0.01,1,10,1\n"
+        "thin,light,11,0.1,1,5,0\ngel,light,17,0.1,1.46,10.0,1\n"
+    )
+    (tmp_path / "rows.csv").write_text(table)
+    text = campaign.path.read_text().replace("readings.csv", "rows.csv")
+    (tmp_path / "rows.toml").write_text(text)
+    own = read_campaign(tmp_path / "rows.toml").with_effects(["gain_drift", "sample_scale"])
+    proposed = replace(own.measurements.readings[2], label="next", line=0)
+    readings = (*own.measurements.readings, proposed)
+    own = replace(own, measurements=replace(own.measurements, readings=readings))
+    maker = ResponseMaker(own, Run(LANES, seed=3, check=False))
+    model = ResponseModel(own, maker.make(own.switched_on), own.switched_on)
+    values = {"alpha_scat_per_cm": 0.6, "alpha_abs_per_cm": 0.03, "scale": 40.0,
+              "gain_drift": 0.1, "sample_scale": 0.2}  # fmt: skip
+    plain, both = (
+        model.predict(np.array([values[p.name] * part.get(p.name, 1) for p in model.free])).signal
+        for part in ({"gain_drift": 0, "sample_scale": 0}, {})
+    )
+    assert both / plain == pytest.approx([0.95, 1.0, 1.2, 1.05, 1.2 * 1.05])
 
 
 def test_a_mended_campaign_says_the_same_by_every_command(campaign, tmp_path, monkeypatch):

@@ -14,8 +14,72 @@ from mcrim_mitsuba.optics.attenuation import (
     transmittance,
 )
 from mcrim_mitsuba.optics.fresnel import amplitudes, escape_fraction, reflectance, trapped_fraction
+from mcrim_mitsuba.optics.thin_film import ThinFilm, cathode_index
 
 cases = cases_of(__file__)
+
+#: A/A(0), and R of it at 540 nm, of the photocathode in the catalogue's definitions.
+ANGLES_DEG = [0.0, 38.0, 45.0, 50.0, 60.0, 75.0]
+ABSORBED = {
+    540.0: [1.0, 0.983, 1.381, 1.646, 1.909, 1.816],
+    420.0: [1.0, 0.992, 1.293, 1.453, 1.496, 1.214],
+}
+REFLECTED_540 = [0.163, 0.189, 0.505, 0.410, 0.316, 0.349]
+
+
+def photocathode(wavelength_nm, index=None, thickness_nm=15.5, window=1.52):
+    index = cathode_index(wavelength_nm) if index is None else index
+    return ThinFilm(index, thickness_nm / wavelength_nm, window)
+
+
+@pytest.mark.parametrize("wavelength_nm", ABSORBED)
+def test_the_photocathode_of_the_definitions(wavelength_nm):
+    film, cosine = photocathode(wavelength_nm), np.cos(np.radians(ANGLES_DEG))
+    relative = film.absorptance(cosine) / film.head_on
+    assert relative == pytest.approx(ABSORBED[wavelength_nm], abs=5.5e-4)
+    if wavelength_nm == 540.0:
+        assert film.powers(cosine)[0].mean(axis=0) == pytest.approx(REFLECTED_540, abs=5.1e-4)
+        given = photocathode(540.0, 3.22 + 0.706j)
+        assert given.absorptance(cosine) == pytest.approx(film.absorptance(cosine), abs=3e-4)
+    assert photocathode(420.0).index == 2.57 + 1.57j
+
+
+def test_a_film_obeys_what_holds_for_all_films():
+    cosine = np.linspace(0.0, 1.0, 201)
+    film = photocathode(540.0)
+    reflected, transmitted = film.powers(cosine)
+    # both polarisations are alike head-on, all is reflected at grazing incidence
+    assert reflected[0, -1] == pytest.approx(reflected[1, -1])
+    assert reflected[:, 0] == pytest.approx([1.0, 1.0])
+    beyond = cosine < np.sqrt(1 - 1 / 1.52**2)
+    assert not transmitted[:, beyond].any() and (transmitted[:, ~beyond] > 0).all()
+    assert (reflected + transmitted <= 1 + 1e-12).all()
+    # a film of glass, of vacuum or of no thickness is the bare face
+    cosine = cosine[1:]
+    bare = np.abs(np.array(amplitudes(cosine, 1.52, 1.0))) ** 2
+    for other in (photocathode(540.0, 1.52), photocathode(540.0, 1.0),
+                  photocathode(540.0, thickness_nm=0.0)):  # fmt: skip
+        reflected, transmitted = other.powers(cosine)
+        assert reflected == pytest.approx(bare, abs=1e-12)
+        assert reflected + transmitted == pytest.approx(np.ones_like(bare), abs=1e-12)
+    # a thick one is its front face, of an absorbing medium
+    thick = photocathode(540.0, 3.22 + 0.706j, thickness_nm=1e4)
+    assert thick.powers(1.0)[0] == pytest.approx(
+        abs((1.52 - thick.index) / (1.52 + thick.index)) ** 2
+    )
+    # a clear film reflects as the Airy sum of its two faces says
+    clear = photocathode(540.0, 2.0, thickness_nm=80.0)
+    front, back = (1.52 - 2.0) / 3.52, 1.0 / 3.0
+    phase = np.exp(4j * np.pi * 2.0 * 80.0 / 540.0)
+    expected = abs((front + back * phase) / (1 + front * back * phase)) ** 2
+    assert clear.powers(1.0)[0] == pytest.approx([expected, expected])
+
+
+def test_the_photocathodes_index_is_known_where_it_was_measured():
+    assert cathode_index(530.0) == 3.26 + 0.86j
+    assert "wavelength_nm = 700: the photocathode's index is not known" in refusal(
+        cathode_index, 700.0
+    )
 
 
 def test_fresnel_normal_brewster_and_equal_indices():

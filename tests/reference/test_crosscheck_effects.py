@@ -61,7 +61,18 @@ def test_beams_and_rough_faces_are_the_same_in_both_programs():
     assert {name: z for name, z in scores.items() if abs(z) > limit} == {}
 
 
-@pytest.mark.parametrize("name", [*TOLD_APART, "edge_chamfer", "polarization"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *TOLD_APART,
+        "edge_chamfer",
+        "polarization",
+        "photocathode_film",
+        "detector_specular",
+        "mask_offset",
+        "housing_reflection",
+    ],
+)
 def test_an_effect_is_read_from_the_scene_of_the_bench_and_of_the_beam(name, scenes):
     bench = read_scene(scenes / "camoo4.xml")
     bench = bench.edited(add(name, bench))

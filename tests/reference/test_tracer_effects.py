@@ -15,6 +15,7 @@ from comparisons import assert_compatible, assert_same_eta
 from places import cases_of
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.optics.thin_film import ThinFilm, cathode_index
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.flight import (
     Flights,
@@ -156,10 +157,13 @@ def test_histories_predict_other_scattering_with_a_gradient(gap):
 
 
 @pytest.mark.parametrize("depth", [0.2, 3.0, 100.0, 1e9, math.inf])
-def test_births_below_the_top(depth):
-    bench = Bench(source_depth_mm=depth)
-    z = birth_positions(bench, None, np.random.default_rng(9), 100_000)[2]
-    assert z.min() >= 0 and z.max() <= 10
+@pytest.mark.parametrize("name", ["source_depth_mm", "side_depth_mm"])
+def test_births_near_the_top_or_a_side(name, depth):
+    bench = Bench(crystal_width_mm=10.0, **{name: depth})
+    x, y, z = birth_positions(bench, None, np.random.default_rng(9), 100_000)
+    assert z.min() >= 0 and z.max() <= 10 and np.abs([x, y]).max() <= 5
+    z, evenly = (z, x) if name == "source_depth_mm" else (5 - x, 5 + z - 10)
+    assert_mean(evenly, 0.0)
     # mean of the exponential cut off at the crystal's height
     expected = 5.0 if depth > 1e6 else depth - 10 / math.expm1(10 / depth)
     assert_mean(10 - z, expected)
@@ -473,10 +477,89 @@ def test_detector_reflects_before_it_refuses():
     assert white.counts["detected"] == white.counts["absorbed_surface"] == 0
 
 
+def test_detectors_that_see_slanted_light_better_count_relative_to_head_on():
+    """In a matched bench, where nothing that is sent back returns."""
+    matched = Bench(**MATCHED, **CLEAR)
+    plain = trace(matched, 60_000, 50, histories=True)
+    cosine = plain.histories.arrival_cosine
+    film = ThinFilm(cathode_index(540.0), 20.0 / 540.0, 1.0)
+    weights = {
+        "angular_falloff": (-0.7, 1 + 0.7 * (1 - cosine), 1 / 1.7),
+        "cathode_nm": (20.0, film.absorptance(cosine) / film.head_on, film.head_on),
+        "detector_specular": (0.3, np.full(len(cosine), 0.7), 1.0),
+    }
+    for name, (value, weight, head_on) in weights.items():
+        direct = trace(dataclasses.replace(matched, **{name: value}), 120_000, 51)
+        assert direct.head_on == pytest.approx(head_on, rel=1e-12), name
+        assert_weighted_eta(plain, weight, direct, name)
+        assert sum(direct.counts.values()) == direct.photons
+
+
+@pytest.mark.parametrize("polarization", [False, True])
+def test_a_film_is_met_as_often_as_its_formulas_say(polarization):
+    """Reflected, absorbed and lost parts of a beam onto the detector, unpolarised."""
+    bench = Bench(cathode_nm=15.5, polarization=polarization)
+    film, count = ThinFilm(cathode_index(540.0), 15.5 / 540.0, 1.52), 200_000
+    for angle in np.radians([20.0, 45.0, 70.0]):
+        flights = Flights(bench, np.random.default_rng(52), records=False)
+        photons = flights.births(count)
+        photons.position[:] = [[0.0], [0.0], [-0.5]]
+        photons.direction[:] = [[np.sin(angle)], [0.0], [-np.cos(angle)]]
+        if polarization:
+            photons.field = random_polarisation(np.random.default_rng(53), photons.direction)
+        place = flights.fly(Place.WINDOW, photons)
+        reflected, transmitted = (part.mean() for part in film.powers(np.cos(angle)))
+        for code, part in ((Place.WINDOW, reflected), (Place.ABSORBED_SURFACE, transmitted)):
+            error = math.sqrt(max(part * (1 - part), 1e-9) / count)
+            assert_compatible(np.mean(place == code), error, part, what=f"{angle}, {code}")
+        up = photons.direction[:, place == Place.WINDOW]
+        assert np.allclose(up.T, [np.sin(angle), 0.0, np.cos(angle)])
+        if polarization:
+            # by the film's own amplitudes: what is reflected is polarised across the plane
+            states = photons.field[:, place == Place.WINDOW]
+            s, p = film.powers(np.cos(angle))[0]
+            assert_mean(np.abs(states[1]) ** 2, s / (s + p))
+
+
+def test_a_mask_that_reflects_sends_light_out_of_a_matched_bench():
+    plain = trace(Bench(**MATCHED, **CLEAR, aperture_radius_mm=6.0), 60_000, 54)
+    bench = Bench(**MATCHED, **CLEAR, aperture_radius_mm=6.0, housing_reflectance=0.4)
+    grey = trace(bench, 60_000, 55)
+    assert_same_eta(grey, plain)
+    masked, sigma = (
+        getattr(plain, name)["absorbed_aperture"] for name in ("budget", "budget_sigma")
+    )
+    assert_compatible(
+        grey.budget["absorbed_aperture"], grey.budget_sigma["absorbed_aperture"],
+        0.6 * masked, 0.6 * sigma,
+    )  # fmt: skip
+    # its lower side is black: light that total reflection keeps in the plate ends there
+    below = trace(Bench(**GEL, aperture_radius_mm=1e-3, housing_reflectance=1.0), 20_000, 56)
+    assert below.eta < 1e-3 and below.counts["absorbed_aperture"] < 20
+
+
+def test_a_shifted_mask_is_one_over_a_crystal_that_is_shifted_back():
+    """Straight light of a matched bench, by hand, at the mask's plane."""
+    offset, radius = 4.0, 5.0
+    bench = Bench(**MATCHED, **CLEAR, aperture_radius_mm=radius, mask_offset_mm=offset)
+    result = trace(bench, 60_000, 57)
+    rng, count = np.random.default_rng(58), 400_000
+    start, ray = 10 * rng.random((3, count)), isotropic(rng, count)
+    start[:2] -= 5
+    at_mask, at_back = (start[:2] - (start[2] + z) / ray[2] * ray[:2] for z in (0.05, 1.05))
+    seen = (ray[2] < 0) & (np.hypot(at_mask[0] - offset, at_mask[1]) < radius)
+    seen &= np.abs(at_back).max(axis=0) < 14
+    error = seen.std() / math.sqrt(count)
+    assert_compatible(result.eta, result.eta_sigma, seen.mean(), error)
+    assert_same_eta(trace(dataclasses.replace(bench, mask_offset_mm=-offset), 60_000, 59), result)
+
+
 @pytest.mark.parametrize("gap", [{}, GEL])
+@pytest.mark.parametrize("offset", [0.0, 3.0])
 @pytest.mark.parametrize("at_detector", [False, True])
-def test_histories_of_an_open_mask_predict_every_aperture(gap, at_detector):
-    bench = Bench(**gap, **OPEN_MASK, aperture_at_detector=at_detector)
+def test_histories_of_an_open_mask_predict_every_aperture(gap, at_detector, offset):
+    bench = Bench(**gap, aperture_radius_mm=25.0, aperture_at_detector=at_detector,
+                  mask_offset_mm=offset)  # fmt: skip
     opened = trace(bench, 80_000, 41, histories=True)
     assert opened.counts["absorbed_aperture"] == 0
     for radius in (4.0, 7.0, 14.0):
@@ -492,17 +575,23 @@ def test_histories_of_an_open_mask_predict_every_aperture(gap, at_detector):
 
 EFFECTS = {
     "scattering_g": 0.8, "rayleigh_scattering": True, "scattering_gradient": -1.0,
-    "source_depth_mm": 0.5, "roughness_alpha": 0.3, "surface_loss": 0.05, "n_crystal": 1.91,
+    "source_depth_mm": 0.5, "side_depth_mm": 0.5, "roughness_alpha": 0.3, "surface_loss": 0.05,
+    "n_crystal": 1.91,
     "gap_index_offset": 0.1, "gap_offset_mm": -0.04, "gap_absorption_per_cm": 20.0,
-    "bubble_fraction": 0.4, "top_reflectance": 0.95, "detector_reflectance": 0.5,
+    "bubble_fraction": 0.4, "collar_mm": 2.0, "bubble_area_fraction": 0.5, "top_reflectance": 0.95,
+    "detector_reflectance": 0.5,
     "angular_falloff": 1.0, "radial_falloff": 1.0, "aperture_at_detector": True, "chamfer_mm": 0.7,
+    "detector_specular": 0.3, "mask_offset_mm": 2.0, "housing_reflectance": 0.2,
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("polarization", [False, True])
 @pytest.mark.parametrize("gap", [{}, GEL], ids=["air", "gel"])
 def test_nothing_is_ever_lost(gap, polarization):
-    everything = {name: size for name, size in EFFECTS.items() if name != "rayleigh_scattering"}
+    excluded = (
+        "rayleigh_scattering", "side_depth_mm", "gap_absorption_per_cm", "bubble_area_fraction",
+    )  # fmt: skip
+    everything = {name: size for name, size in EFFECTS.items() if name not in excluded}
     alone = [{name: size} for name, size in EFFECTS.items()]
     for number, effect in enumerate([*alone, everything]):
         bench = Bench(**gap, **effect, polarization=polarization)

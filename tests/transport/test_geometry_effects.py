@@ -1,7 +1,7 @@
 """Chamfers, bubbles, thicker gaps and reflectors: shapes that change the bench's geometry.
 
-Statistical tests use fixed seeds. The file makes 18 comparisons at z < 3.7: a correct program would
-fail it with a probability of at most 0.4 %.
+Statistical tests use fixed seeds. The file makes 24 comparisons at z < 3.7: a correct program would
+fail it with a probability of at most 0.5 %.
 """
 
 import functools
@@ -16,7 +16,10 @@ from places import SCENES, cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.optics.fresnel import reflectance
 from mcrim_mitsuba.output.cross_section import cross_section
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.bulk import lane_generators
 from mcrim_mitsuba.transport.convex import convex_solids
@@ -32,6 +35,8 @@ EFFECTS = {
     "bubble": ("gap_bubble", {"bubble_fraction": 0.3}),
     "thickness": ("gap_thickness", {"gap_offset_mm": 0.1}),
     "reflector": ("top_reflector", {"top_reflectance": 0.9}),
+    "creep": ("gel_creep", {"collar_mm": 1.2}),
+    "round": ("gap_bubble_round", {"bubble_area_fraction": 0.3}),
 }
 
 
@@ -120,6 +125,62 @@ def test_a_bubble_takes_its_part_of_the_gap(write, fraction, leg, left_out):
         assert np.abs(closing).max() < 1e-4
 
 
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.6])
+def test_a_round_bubble_takes_its_part_of_the_gap(write, share):
+    model = loaded(
+        write("round", "thickness"), n_gap=1.46, bubble_area_fraction=share, gap_offset_mm=0.2
+    ).model
+    areas = {"crystal_bottom_bubble": 0.0, "window_under_bubble": 0.0}
+    for face in model.faces:
+        name = model.surfaces[face.surface].name
+        areas[name] = areas.get(name, 0.0) + face.area
+    for whole, part in (("crystal_bottom", "crystal_bottom_bubble"),
+                        ("window_under_gap", "window_under_bubble")):  # fmt: skip
+        assert areas[part] == pytest.approx(100.0 * share, rel=1e-5)
+        assert areas[whole] == pytest.approx(100.0 * (1.0 - share), rel=1e-5)
+    assert len(model.walls) == (share > 0.0)
+    for wall in model.walls:
+        assert wall.circle.area == pytest.approx(100.0 * share)
+        assert (wall.low_mm, wall.high_mm) == (pytest.approx(-0.25), 0.0)
+        # what is drawn, and what Mitsuba itself intersects, has the same area
+        shape = model.shapes[wall.surface]
+        assert shape.surface_area()[0] == pytest.approx(
+            2 * np.sqrt(np.pi * 100 * share) * 0.25, rel=2e-3
+        )
+    assert len(convex_solids(model)) == 3
+    assert check_scene(write("round", "thickness"), {"bubble_area_fraction": share, "n_gap": 1.46},
+                       light=False).ok  # fmt: skip
+
+
+def test_a_round_bubble_passes_what_a_film_of_air_does(write):
+    """Crystal, liquid and window of one index, which absorb within a millimetre.
+
+    What arrives has come straight down, or by the sides, which the mask lets nothing else pass.
+    """
+    numbers = {"n_crystal": 1.5, "n_window": 1.5, "n_gap": 1.5, "bubble_area_fraction": 0.3,
+               "aperture_radius_mm": 4.9, "gap_mm": 0.01, "alpha_scat_per_cm": 0.0,
+               "alpha_abs_per_cm": 8.0, "crystal_height_mm": 12.0}  # fmt: skip
+    rng, count = np.random.default_rng(11), 2_000_000
+    start = rng.random((3, count)) * [[10.0], [10.0], [12.0]] - [[5.0], [5.0], [0.0]]
+    way = rng.standard_normal((3, count))
+    way /= np.linalg.norm(way, axis=0)
+    way[2] = -np.abs(way[2])
+    length = -start[2] / way[2]
+    straight = start[:2] + length * way[:2]
+    bounces = np.abs(np.floor(straight / 10.0 + 0.5))
+    kept = np.prod(reflectance(np.abs(way[:2]), 1.5, 1.0) ** bounces, axis=0)
+    at = np.abs((straight + 5.0) % 20.0 - 10.0) - 5.0
+    mirrored = reflectance(-way[2], 1.5, 1.0)
+    in_bubble = np.hypot(*at) < np.sqrt(0.3 * 100.0 / np.pi)
+    passed = np.where(in_bubble, (1.0 - mirrored) / (1.0 + mirrored), 1.0)
+    expected = 0.5 * kept * passed * np.exp(-0.8 * length) * (np.hypot(*at) < 4.9)
+    sigma = expected.std() / np.sqrt(count)
+    ours = loaded(write("round"), **numbers).collect(10**6, seed=12)
+    other = trace(Bench(**numbers), 200_000, 13)
+    for found in (ours, other):
+        assert abs(found.eta - expected.mean()) < Z * np.hypot(found.eta_sigma, sigma)
+
+
 def test_in_air_there_is_no_bubble(write):
     """Up to an index of 1.0005 a gap counts as air, and the cut is at 0."""
     for index, bubble in ((1.0005, False), (1.0006, True)):
@@ -143,6 +204,7 @@ def test_nonsense_is_refused_in_one_line(write, tmp_path, shape, words):
         (("chamfer", "bubble", "thickness", "reflector"), {}),
         (("chamfer", "bubble"), {"bubble_fraction": 0.02, "chamfer_mm": 1.0}),
         (("chamfer",), {"crystal_height_mm": 2, "chamfer_mm": 0.01}),
+        (("creep", "chamfer"), {"crystal_height_mm": 2}),
     ],
 )
 def test_scenes_with_effects_are_sound(write, effects, overrides, n_gap):
@@ -210,9 +272,9 @@ def test_the_cross_section_shows_chamfers_bubble_and_thickness(write):
     expected = {"crystal": 100 - 2 * 0.4**2, "gap": 7 * 0.15, "window": 28}
     assert areas == pytest.approx(expected, rel=3e-5)
     lengths = {}
-    for trace in cut.traces:
-        name = simulation.model.surfaces[trace.surface].name
-        length = np.linalg.norm(np.diff(trace.points, axis=0), axis=1).sum()
+    for line in cut.traces:
+        name = simulation.model.surfaces[line.surface].name
+        length = np.linalg.norm(np.diff(line.points, axis=0), axis=1).sum()
         lengths[name] = lengths.get(name, 0.0) + length
     assert lengths["crystal_chamfers"] == pytest.approx(4 * 0.4 * np.sqrt(2), abs=2e-3)
     assert lengths["top_reflector"] == pytest.approx(10, abs=1e-3)
@@ -222,13 +284,16 @@ def test_the_cross_section_shows_chamfers_bubble_and_thickness(write):
 @pytest.mark.parametrize("general", [False, True], ids=["fast", "general"])
 def test_effects_of_no_size_are_the_plain_bench(write, general):
     """The same random numbers, the same faces: the same photons to the last digit."""
-    absent = {"chamfer_mm": 0, "bubble_fraction": 0, "gap_offset_mm": 0, "n_gap": 1.46}
-    with_effects = loaded(write("chamfer", "bubble", "thickness"), **absent)
-    assert len(with_effects.model.surfaces) == len(with_effects.model.scene.shapes()) - 4
+    round_one = loaded(write("round"), n_gap=1.46, bubble_area_fraction=0.0)
+    absent = {"chamfer_mm": 0, "bubble_fraction": 0, "gap_offset_mm": 0, "collar_mm": 0}
+    with_effects = loaded(write("chamfer", "bubble", "thickness", "creep"), n_gap=1.46, **absent)
+    assert len(with_effects.model.surfaces) == len(with_effects.model.scene.shapes()) - 8
     options = {"seed": 1, "general": general}
     there = with_effects.collect(30_000, **options)
     plain = loaded(write(), n_gap=1.46).collect(30_000, **options)
     assert there.transport == plain.transport
+    assert there.budget == pytest.approx(plain.budget, abs=1e-3 if general else 0)
+    there = round_one.collect(30_000, **options)
     assert there.budget == pytest.approx(plain.budget, abs=1e-3 if general else 0)
 
 
@@ -249,8 +314,10 @@ def test_a_thicker_gap_is_a_thicker_gap(write):
         (("chamfer",), {}),
         (("chamfer", "bubble", "thickness", "reflector"), {"n_gap": 1.46}),
         (("bubble",), {"n_gap": 1.515, "aperture_radius_mm": 5}),
+        (("chamfer", "creep"), {"n_gap": 1.46, "aperture_radius_mm": 8, "polarization": True}),
+        (("round", "creep", "thickness"), {"n_gap": 1.333, "gap_mm": 0.4, "aperture_radius_mm": 4}),
     ],
-    ids=["chamfer", "all", "bubble"],
+    ids=["chamfer", "all", "bubble", "creep", "round"],
 )
 def test_both_paths_follow_light_alike(write, effects, overrides):
     """Mitsuba asks faces for their bounds, the fast path planes: what comes out agrees."""
@@ -262,6 +329,35 @@ def test_both_paths_follow_light_alike(write, effects, overrides):
     assert traced.budget["lost"] < 1e-5
     assert sum(fraction > 1e-3 for fraction in fast.budget.values()) in (4, 5, 6)
     assert_same_fates(fast, traced, z_max=Z, rare=1e-3)
+
+
+@pytest.mark.parametrize("index", [1.0, 1.5])
+def test_light_goes_straight_from_wet_sides_to_the_hole(write, index):
+    """Crystal, liquid and window of one index: below wet sides nothing bends light but the top.
+
+    In air the sides are dry, and most light stays.
+    """
+    numbers = {"n_crystal": 1.5, "n_window": 1.5, "n_gap": index, "collar_mm": 10.0,
+               "aperture_radius_mm": 7.0, "gap_mm": 0.02, "alpha_scat_per_cm": 0.0,
+               "alpha_abs_per_cm": 1.0}  # fmt: skip
+    rng, count = np.random.default_rng(8), 400_000
+    start = rng.random((3, count)) * 10.0 - [[5.0], [5.0], [0.0]]
+    way = rng.standard_normal((3, count))
+    way /= np.linalg.norm(way, axis=0)
+    to_side = ((np.sign(way[:2]) * 5.0 - start[:2]) / way[:2]).min(axis=0)
+    up = way[2] > 0
+    to_end = np.where(up, 20.0 - start[2], start[2]) / np.abs(way[2])
+    within = np.minimum(to_side, to_end)
+    hits_top = up & (to_side > (10.0 - start[2]) / way[2])
+    falls = np.where(up, np.where(hits_top, reflectance(np.abs(way[2]), 1.5, 1.0), 0.0), 1.0)
+    at = start[:2] + (to_end + 0.02 / np.abs(way[2])) * way[:2]
+    expected = falls * np.exp(-within / 10.0) * (np.hypot(*at) < 7.0)
+    sigma = expected.std() / np.sqrt(count)
+    ours = loaded(write("creep"), **numbers).collect(400_000, seed=9)
+    other = trace(Bench(**numbers), 100_000, 10)
+    for found in (ours, other):
+        z = (found.eta - expected.mean()) / np.hypot(found.eta_sigma, sigma)
+        assert abs(z) < Z if index == 1.5 else z < -30
 
 
 def test_births_fill_a_chamfered_crystal_evenly(write):

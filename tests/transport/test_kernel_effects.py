@@ -14,7 +14,8 @@ from scipy.integrate import quad
 from scipy.stats import kstest
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.effects.catalogue import add, catalogue
+from mcrim_mitsuba.optics.thin_film import ThinFilm, cathode_index
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport import collection, surface_physics
 from mcrim_mitsuba.transport import loop as transport
@@ -23,10 +24,12 @@ from mcrim_mitsuba.transport.collection import Recorder
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals, plan_lanes
 from mcrim_mitsuba.transport.record_store import COLUMNS
 from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.transport.trails import TrailStore
 from mcrim_mitsuba.transport.variants import use_variant
 
 Z = 4.0
 GEL = {"n_gap": 1.46}
+KNOWN = catalogue()
 #: Wider than the window: nothing is masked.
 NO_MASK = {"aperture_radius_mm": 30}
 
@@ -258,20 +261,23 @@ def test_both_paths_agree_on_rough_lossy_crystals_and_choosy_detectors(bench, po
 
 
 @pytest.mark.parametrize("depth", [0.2, 3.0, 1e9])
-def test_births_fall_with_depth(bench, depth):
+@pytest.mark.parametrize("side", [False, True], ids=["top", "side"])
+def test_births_fall_with_depth(bench, depth, side):
     """Kolmogorov and Smirnov at 1e-4, sampled directly and by rejection."""
     use_variant()
-    crystal = bench("depth", {"source_depth_mm": depth}).crystal
+    crystal = bench(*(("side", {"side_depth_mm": depth}) if side else
+                      ("depth", {"source_depth_mm": depth}))).crystal  # fmt: skip
     rng = lane_generators(50_000, 13)
     for point in (
         crystal.from_uniforms(*(rng.next_float32() for _ in range(3))),
         crystal.sample(rng, 50_000),
     ):
-        below = 10 - np.array(point.z, dtype=float)
+        x, y, z = (np.array(c, dtype=float) for c in (point.x + 5, point.y + 5, point.z))
+        below, *evenly = (x, y, z) if side else (10 - z, x, y)
         assert 0 <= below.min() and below.max() <= 10
         assert kstest(np.expm1(-below / depth) / np.expm1(-10 / depth), "uniform").pvalue > 1e-4
-        for across in (point.x, point.y):
-            assert kstest(np.array(across, dtype=float) / 10 + 0.5, "uniform").pvalue > 1e-4
+        for across in evenly:
+            assert kstest(across / 10, "uniform").pvalue > 1e-4
 
 
 # ---- one run's records against another run ------------------------------------------------------
@@ -285,7 +291,7 @@ def unmasked(bench):
 
 
 def test_records_of_the_plain_bench_answer_for_effects(bench, unmasked):
-    """Nine effects by reweighting one run, each against a run that has it in the scene."""
+    """Ten effects by reweighting one run, each against a run that has it in the scene."""
     more = {name: np.asarray(column, dtype=float) for name, column in unmasked.further.items()}
     masked = more["mask_radius_mm"] <= 14
     radius2 = np.square(more["arrival_radius_mm"] / 14)
@@ -294,6 +300,7 @@ def test_records_of_the_plain_bench_answer_for_effects(bench, unmasked):
         "rayleigh": (masked * np.exp(more["log_rayleigh"]), {}),
         "loss": (masked * 0.97 ** more["reflections"], {}),
         "depth": (masked * 5 / -np.expm1(-5) * np.exp(-more["birth_depth_mm"] / 2), {}),
+        "side": (masked * 5 / -np.expm1(-5) * np.exp(-more["birth_side_mm"] / 2), {}),
         "gap": (masked * np.exp(-10 * more["path_gap_cm"]), {}),
         "masked_detector": (more["arrival_radius_mm"] <= 7, {"aperture_radius_mm": 7}),
     }
@@ -323,6 +330,147 @@ def test_hits_answer_for_other_reflectances(bench):
     direct = bench("top", GEL | {"top_reflectance": 0.6}).collect(10**6, seed=35)
     assert_eta(records, (0.6 / 0.99) ** hits, direct)
     assert hits.max() > 3
+
+
+def test_what_mirrors_and_masks_send_back_answers_for_other_reflectances(bench):
+    narrow = GEL | {"aperture_radius_mm": 4}
+    for effect, name, column, low in (
+        ("mirror", "detector_specular", "detector_hits", 0.2),
+        ("housing", "housing_reflectance", "mask_hits", 0.05),
+    ):
+        records = record(bench(effect, narrow), (column, "mask_radius_mm"), seed=43)
+        hits = records.further[column].astype(float)
+        direct = bench(effect, narrow | {name: low}).collect(10**6, seed=44)
+        factor = KNOWN[f"{effect}_reflection" if effect == "housing" else name].weight
+        assert_eta(records, factor({column: hits}, {name: low}, {}), direct)
+        assert 0.01 < hits.mean() and hits.max() > 3
+
+
+def test_a_mask_off_the_axis_is_cut_out_of_records_there(bench):
+    """So is a falloff of the detector; mirrored, the bench is the same."""
+    columns = ("mask_radius_mm", "arrival_radius_mm")
+    records = record(bench("offset", GEL | {"aperture_radius_mm": 60}), columns, seed=45)
+    radius, arrival = (records.further[name].astype(float) for name in columns)
+    own = GEL | {"aperture_radius_mm": 7}
+    direct = bench("offset", own).collect(10**6, seed=46)
+    assert_eta(records, radius <= 7, direct)
+    on_axis = bench("", own).collect(10**6, seed=46)
+    assert direct.eta < 0.85 * on_axis.eta
+    assert_same_light(
+        direct, bench("offset", own | {"mask_offset_mm": -3}).collect(10**6, seed=47), z_max=Z
+    )
+    falling = bench("offset", own | {"radial_falloff": 1}).collect(10**6, seed=48)
+    assert_eta(records, (radius <= 7) * np.maximum(1 - (arrival / 14) ** 2, 0), falling)
+
+
+# ---- the photocathode ---------------------------------------------------------------------------
+
+
+def test_the_kernels_film_is_that_of_the_closed_form():
+    mi = use_variant()
+    cosine = np.linspace(1e-3, 1, 2001)
+    for wavelength, thickness in ((540.0, 15.5), (420.0, 30.0)):
+        film = ThinFilm(cathode_index(wavelength), thickness / wavelength, 1.52)
+        reflected, transmitted = surface_physics.FilmTerms.of(film).amplitudes(mi.Float(cosine))
+        expected = film.powers(cosine)
+        for row in range(2):
+            power = np.array(dr.squared_norm(reflected[row]), dtype=float)
+            assert power == pytest.approx(expected[0][row], abs=2e-5)
+            assert np.array(transmitted[row], dtype=float) == pytest.approx(
+                expected[1][row], abs=1e-4
+            )
+
+
+#: A crystal in which light flies straight: its bottom is a photocathode, all other faces are black.
+DARK_BOX = """<scene version="3.0.0">
+  <integrator type="light_collection"><boolean name="polarization" value="{polarization}"/>
+  </integrator>
+  <medium type="bulk" id="crystal"/><emitter type="scintillation"><ref id="crystal"/></emitter>
+  <bsdf type="twosided" id="black"><bsdf type="diffuse"><spectrum name="reflectance" value="0"/>
+    </bsdf></bsdf>
+  <bsdf type="photodetector" id="film"><float name="cathode_nm" value="15.5"/>
+    <float name="window_index" value="1.52"/></bsdf>
+  {faces}</scene>"""
+
+
+@pytest.mark.parametrize("general", [False, True], ids=["flat", "general"])
+@pytest.mark.parametrize("polarization", ["false", "true"])
+def test_straight_light_on_a_photocathode(tmp_path, polarization, general):
+    turns = ["", '<rotate y="1" angle="90"/>', '<rotate y="1" angle="-90"/>',
+             '<rotate x="1" angle="90"/>', '<rotate x="1" angle="-90"/>',
+             '<rotate x="1" angle="180"/>']  # fmt: skip
+    faces = [
+        f'<shape type="rectangle" id="face{i}"><transform name="to_world"><translate z="1"/>{turn}'
+        f'<scale value="5"/></transform><ref id="{"film" if i == 5 else "black"}"/>'
+        '<ref name="interior" id="crystal"/></shape>'
+        for i, turn in enumerate(turns)
+    ]
+    path = tmp_path / "dark.xml"
+    path.write_text(DARK_BOX.format(polarization=polarization, faces="\n".join(faces)))
+    simulation = Simulation(path, check=False)
+    found = simulation.collect(400_000, seed=49, general=general)
+    film = ThinFilm(cathode_index(540.0), 15.5 / 540.0, 1.52)
+    rng, count = np.random.default_rng(50), 400_000
+    start, direction = rng.random((count, 3)) * 10 - 5, rng.standard_normal((count, 3))
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    length = (np.sign(direction) * 5 - start) / direction
+    down = (length.argmin(axis=1) == 2) & (direction[:, 2] < 0)
+    cosine = np.abs(direction[:, 2])
+    reflected, transmitted = (part.mean(axis=0) for part in film.powers(cosine))
+    for value, sigma, expected in (
+        (found.eta, found.eta_sigma, down * film.absorptance(cosine) / film.head_on),
+        (found.budget["absorbed_surface"], found.budget_sigma["absorbed_surface"],
+         down * transmitted),
+        (found.budget["absorbed_reflector"], found.budget_sigma["absorbed_reflector"],
+         ~down + down * reflected),
+    ):  # fmt: skip
+        error = expected.std() / np.sqrt(count)
+        assert_compatible(value, sigma, expected.mean(), error, z_max=Z)
+    assert found.eta == found.budget["detected"] / film.head_on
+    assert sum(found.budget.values()) == pytest.approx(1, abs=1e-6)
+    assert "absorbed_surface" in found.budget and "of light that arrives head-on" in found.notes[0]
+    # records carry the same weights
+    records = simulation.launcher(general).launch(
+        2**17, seed=51, number=0, max_depth=100, columns=("arrival_cosine",)
+    ).records  # fmt: skip
+    arrived = records["arrival_cosine"].astype(float)
+    reflected, _ = (part.mean(axis=0) for part in film.powers(arrived))
+    if polarization == "false":
+        expected = film.absorptance(arrived) / (1 - reflected) / film.head_on
+        steep = np.abs(arrived - np.sqrt(1 - 1 / 1.52**2)) > 0.01
+        assert records["w"][steep] == pytest.approx(expected[steep], rel=0.01)
+
+
+@pytest.mark.parametrize("polarization", [False, True], ids=["unpolarised", "polarised"])
+def test_both_paths_agree_on_films_mirrors_and_grey_masks(bench, polarization):
+    for effects in ("film housing", "mirror housing offset"):
+        own = GEL | {"polarization": polarization, "aperture_radius_mm": 5}
+        simulation = bench(effects, own)
+        fast = simulation.collect(400_000, seed=52)
+        slow = simulation.collect(150_000, seed=53, general=True)
+        assert fast.transport != slow.transport
+        assert_same_light(fast, slow, z_max=Z)
+
+
+def test_slanted_light_may_count_more_than_once(bench):
+    records = record(bench("", GEL), ("arrival_cosine",), seed=54)
+    cosine = records.further["arrival_cosine"].astype(float)
+    direct = bench("detector", GEL | {"angular_falloff": -1}).collect(10**6, seed=55)
+    assert_eta(records, 2 - cosine, direct)
+    assert direct.eta == 2 * direct.budget["detected"]
+    assert sum(direct.budget.values()) == pytest.approx(1, abs=1e-6)
+
+
+def test_trails_end_where_the_light_does(bench):
+    """Followed photon by photon a film detects whole photons, so many of those that arrive."""
+    simulation = bench("film", GEL)
+    own = simulation.collect(400_000, seed=56)
+    launcher, trails = simulation.launcher(), TrailStore(LANES, 8)
+    found = launcher.launch(LANES, seed=57, number=0, max_depth=10_000, trails=trails)
+    share = found.weights["detected"].sum() / LANES
+    expected = own.budget["detected"]
+    assert abs(share - expected) < Z * np.sqrt(expected / LANES)
+    assert found.weights["detected"].sum() == int(found.weights["detected"].sum())
 
 
 def test_a_masked_detector_on_either_path(bench):
@@ -390,9 +538,12 @@ def test_photons_that_do_the_same_have_the_same_numbers(bench):
     ("effects", "name", "value", "message"),
     [
         ("depth", "source_depth_mm", -1, "source_depth_mm is -1; give a positive number"),
+        ("side", "side_depth_mm", 0, "side_depth_mm is 0; give a positive number"),
         ("polish", "roughness_alpha", -0.1, "roughness_alpha is -0.1; give 0 to 1"),
         ("polish", "surface_loss", 1.5, "surface_loss is 1.5; give 0 to 1"),
         ("detector", "detector_reflectance", 1.2, "reflectance is 1.2; give 0 to 1"),
+        ("film", "cathode_nm", -1, "cathode_nm is -1; give 0 to 200"),
+        ("housing", "housing_reflectance", 1.2, "reflectance is 1.2; give 0 to 1"),
     ],
 )
 def test_impossible_values_are_refused(bench, effects, name, value, message):

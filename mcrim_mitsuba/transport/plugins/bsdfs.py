@@ -5,6 +5,8 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
+from mcrim_mitsuba.core.numbers import LARGEST_INDEX
+from mcrim_mitsuba.optics.thin_film import ThinFilm, cathode_index
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.transport.plugins import described, number
 
@@ -12,8 +14,16 @@ from mcrim_mitsuba.transport.plugins import described, number
 RADIUS_MM = 14.0
 #: Facets steeper than these have no use as a polish, and their formulas no validity.
 ROUGHEST = 1.0
+#: Films thicker than this, nm, let no light through: they are no photocathodes.
+THICKEST_NM = 200.0
 #: Fine roughness beyond which the formula for its scattered part holds no longer.
 HIGHEST_NM = 200.0
+
+
+def _centre(props: mi.Properties) -> tuple[float, float]:
+    """x and y of an axis parallel to z, of which ``centre`` is any point."""
+    centre = props.get("centre", mi.ScalarPoint3f(0.0))
+    return float(centre[0]), float(centre[1])
 
 
 def _take_flags(bsdf, inner) -> None:
@@ -25,12 +35,16 @@ def _take_flags(bsdf, inner) -> None:
 class Aperture(mi.BSDF):
     """Opaque mask of zero thickness around a hole; inside the hole the nested interface acts.
 
-    It absorbs on both sides. XML: ``<bsdf type="aperture">`` with
+    It absorbs on both sides, all of the light unless it has a `reflectance`. XML:
+    ``<bsdf type="aperture">`` with
 
     ``radius`` : float
         Radius of the hole, in the scene's millimetres.
     ``centre`` : point, default (0, 0, 0)
         Any point of the hole's axis, which is parallel to z.
+    ``reflectance`` : float, default 0
+        Part of the light that the mask's upper side, towards +z, sends back by Lambert's law and
+        unpolarised.
     nested ``bsdf``
         What the light meets inside the hole.
     """
@@ -38,8 +52,8 @@ class Aperture(mi.BSDF):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.radius = float(props["radius"])
-        centre = props.get("centre", mi.ScalarPoint3f(0.0))
-        self.centre = (float(centre[0]), float(centre[1]))
+        self.centre = _centre(props)
+        self.reflectance = number(props, "reflectance", 0.0)
         nested = [props[k] for k in props.keys() if isinstance(props[k], mi.BSDF)]
         if not nested:
             raise ValueError("an aperture needs a nested bsdf, the interface inside its hole")
@@ -64,6 +78,7 @@ class Aperture(mi.BSDF):
     def traverse(self, callback) -> None:
         callback.put("interface", self.interface, mi.ParamFlags.Differentiable)
         callback.put("radius", self.radius, mi.ParamFlags.NonDifferentiable)
+        callback.put("reflectance", self.reflectance, mi.ParamFlags.NonDifferentiable)
 
     def to_string(self) -> str:
         return f"Aperture[radius = {self.radius}, interface = {self.interface}]"
@@ -80,13 +95,26 @@ class Photodetector(mi.BSDF):
     ``reflectance`` : float, default 0
         Probability with which light is sent back to where it came from, by Lambert's law and
         unpolarised; decided first.
+    ``specular`` : float, default 0
+        Probability with which other light is reflected as by a metal's mirror; decided next.
+    ``cathode_nm`` : float, default 0
+        Thickness of a photocathode (`optics.thin_film`) between the medium before the detector, of
+        index ``window_index``, and vacuum. Other light is reflected specularly, absorbed, which
+        is detected, or lost in the vacuum, at ``wavelength_nm`` (540). Without a thickness there
+        is none.
     ``angular_falloff`` : float a, default 0
         Light that arrives at an angle theta to the normal is accepted with probability
-        1 - a (1 - cos theta), and else absorbed in the surface.
+        1 - a (1 - cos theta), and else absorbed in the surface. If a is negative the
+        probability is that over 1 - a.
     ``radial_falloff`` : float b, default 0
-        Light that arrives at r mm from x = y = 0 is accepted with probability 1 - b (r / 14)^2.
+        Light that arrives at r mm from its axis is accepted with probability 1 - b (r / 14)^2.
+    ``centre`` : point, default (0, 0, 0)
+        Any point of the axis, which is parallel to z. In an aperture it is that of the hole.
     ``acceptance_deg`` : float, default 90
         Light that arrives at a larger angle to the normal is absorbed in the surface.
+
+    Detectors are calibrated with light that arrives head-on. What they detect of it (`head_on`) is
+    below 1 with a photocathode or a negative ``angular_falloff``; eta counts relative to it.
     """
 
     #: How the transport recognises a detector.
@@ -94,12 +122,30 @@ class Photodetector(mi.BSDF):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        for name in ("reflectance", "angular_falloff", "radial_falloff"):
+        for name in ("reflectance", "specular", "radial_falloff"):
             setattr(self, name, number(props, name, 0.0))
+        self.angular_falloff = number(props, "angular_falloff", 0.0, low=-1.0)
+        self.cathode_nm = number(props, "cathode_nm", 0.0, high=THICKEST_NM)
+        self.wavelength_nm = number(props, "wavelength_nm", 540.0, low=100.0, high=1e4)
+        self.window_index = number(props, "window_index", 1.0, low=1.0, high=LARGEST_INDEX)
+        self.centre = _centre(props)
         self.acceptance_deg = number(props, "acceptance_deg", 90.0, high=90.0)
+        if self.specular and self.cathode_nm:
+            raise ValueError("cathode_nm says how the detector reflects; leave out specular")
         flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
         self.m_components = [flags]
         self.m_flags = flags
+
+    @property
+    def film(self) -> ThinFilm | None:
+        """The photocathode."""
+        if not self.cathode_nm:
+            return None
+        return ThinFilm(
+            cathode_index(self.wavelength_nm),
+            self.cathode_nm / self.wavelength_nm,
+            self.window_index,
+        )
 
     @property
     def radial_falloff_per_mm2(self) -> float:
@@ -129,8 +175,9 @@ class Photodetector(mi.BSDF):
         return mi.depolarizer(mi.UnpolarizedSpectrum(self.reflectance))
 
     traverse, to_string = described(
-        "reflectance", "angular_falloff", "radial_falloff", "acceptance_deg"
-    )
+        "reflectance", "specular", "cathode_nm", "angular_falloff", "radial_falloff",
+        "acceptance_deg",
+    )  # fmt: skip
 
 
 mi.register_bsdf("photodetector", Photodetector)

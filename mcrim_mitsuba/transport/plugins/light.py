@@ -33,6 +33,10 @@ class BulkMedium(mi.Medium):
     ``index`` : float, optional
         Index of refraction of what may fill the volume; where it is that of air (up to
         1.0005) nothing does, and the volume neither scatters nor absorbs.
+    ``endless`` : boolean, default false
+        A clear liquid without end, which light enters through faces that name it as exterior and
+        which is nowhere else: there light goes on as it would in the air outside, but what it
+        meets borders the liquid.
     nested ``phase``
         Phase function of the scattering, ``isotropic``, ``hg`` or ``rayleigh``; isotropic when
         absent.
@@ -43,6 +47,11 @@ class BulkMedium(mi.Medium):
         self.alpha_scat_per_cm = float(props.get("alpha_scat_per_cm", 0.0))
         self.alpha_abs_per_cm = float(props.get("alpha_abs_per_cm", 0.0))
         self.scattering_gradient = number(props, "scattering_gradient", 0.0, low=-1.0)
+        self.endless = bool(props.get("endless", False))
+        if self.endless and (self.alpha_scat_per_cm or self.alpha_abs_per_cm):
+            raise ValueError(
+                "an endless medium neither scatters nor absorbs: take its numbers away"
+            )
         if "index" in props and not is_filled(float(props["index"])):
             self.alpha_scat_per_cm = self.alpha_abs_per_cm = 0.0
         self.m_is_homogeneous = True
@@ -71,7 +80,7 @@ mi.register_medium("bulk", BulkMedium)
 
 
 class ScintillationEmitter(mi.Emitter):
-    """Isotropic, unpolarised emission, uniform in the volume of the crystal or near its top.
+    """Isotropic, unpolarised emission, uniform in the volume of the crystal or near a face.
 
     XML: ``<emitter type="scintillation"><ref id="crystal"/></emitter>``, where the
     reference names the crystal's medium. Its volume is what the shapes that border this
@@ -79,6 +88,8 @@ class ScintillationEmitter(mi.Emitter):
 
     ``source_depth_mm`` : float, default infinite
         Emission falls with the depth below the top of the crystal, as exp(-depth / this).
+    ``side_depth_mm`` : float, default infinite
+        The same from the side of the lowest x; not beside ``source_depth_mm``.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -89,9 +100,13 @@ class ScintillationEmitter(mi.Emitter):
                 'a scintillation emitter names one medium, the crystal: write <ref id="crystal"/>'
             )
         self.medium = media[0]
-        self.source_depth_mm = float(props.get("source_depth_mm", float("inf")))
-        if not self.source_depth_mm > 0.0:
-            raise ValueError(f"source_depth_mm is {self.source_depth_mm:g}; give a positive number")
+        for name in ("source_depth_mm", "side_depth_mm"):
+            depth_mm = float(props.get(name, float("inf")))
+            if not depth_mm > 0.0:
+                raise ValueError(f"{name} is {depth_mm:g}; give a positive number")
+            setattr(self, name, depth_mm)
+        if max(self.source_depth_mm, self.side_depth_mm) < float("inf"):
+            raise ValueError("light is born near the top or near a side; give one depth")
         self.m_flags = +mi.EmitterFlags.Empty
         self.m_needs_sample_2 = True
         self.m_needs_sample_3 = True
@@ -110,7 +125,7 @@ class ScintillationEmitter(mi.Emitter):
         return volume
 
     def _born_in(self, model, number: int) -> CrystalVolume:
-        return CrystalVolume(model, number, self.source_depth_mm)
+        return CrystalVolume(model, number, self.source_depth_mm, self.side_depth_mm)
 
     def sample_ray(self, time, sample1, sample2, sample3, active=True):
         """A photon's birth as a ray; its weight is 1 whatever the wavelength.
@@ -141,12 +156,12 @@ class ScintillationEmitter(mi.Emitter):
     def bbox(self):
         return mi.ScalarBoundingBox3f()
 
-    traverse, _ = described("source_depth_mm")
+    traverse, _ = described("source_depth_mm", "side_depth_mm")
 
     def to_string(self) -> str:
         return (
             f"ScintillationEmitter[medium = {self.medium.id()}, "
-            f"source_depth_mm = {self.source_depth_mm}]"
+            f"source_depth_mm = {self.source_depth_mm}, side_depth_mm = {self.side_depth_mm}]"
         )
 
 

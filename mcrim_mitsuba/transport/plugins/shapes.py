@@ -10,6 +10,7 @@ import numpy as np
 
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis
+from mcrim_mitsuba.transport.scene_model import Circle, RoundWall
 
 #: What is narrower than this part of the whole is rounding of single precision: not there.
 NARROWEST = 1e-6
@@ -25,7 +26,15 @@ class Polygons(mi.Mesh):
     ----------
     empty : bool
         Whether there are no polygons.
+    round_face : tuple or None
+        Corner, two edges (float64, shape (3,), mm) and a `Circle`: the face that the polygons are
+        drawn for, where it is round or has a round hole.
+    wall : RoundWall or None
+        The wall that they are drawn for.
     """
+
+    round_face: tuple | None = None
+    wall: RoundWall | None = None
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -73,6 +82,30 @@ def is_there(low: float, high: float, whole: float) -> bool:
     return high - low > NARROWEST * whole
 
 
+#: Sides of the polygon that is drawn for a circle, of the same area.
+_AROUND = 96
+
+
+def _ring(radius: float) -> np.ndarray:
+    """Corners around the origin, anticlockwise seen from above, of the polygon for a circle."""
+    step = 2.0 * np.pi / _AROUND
+    angles = step * np.arange(_AROUND)
+    corners = np.column_stack([np.cos(angles), np.sin(angles)])
+    return radius * np.sqrt(step / np.sin(step)) * corners
+
+
+def _disc_radius(props, width: float) -> float:
+    """Radius of the disc that is a shape's ``disc`` of a square of this width; 0 where none is.
+
+    None is where the shape's ``index``, that of what is around the disc, is that of air.
+    """
+    share = float(props["disc"])
+    if not 0.0 <= share < np.pi / 4.0:
+        raise ValueError(f"disc is {share:g}; give 0 to 0.78: it must lie in the square")
+    filled = "index" not in props or is_filled(float(props["index"]))
+    return width * float(np.sqrt(share / np.pi)) if filled else 0.0
+
+
 def cut_fraction(props) -> float:
     """The part of a width that is cut off at the side of low x: where a bubble of air is.
 
@@ -91,7 +124,7 @@ def cut_fraction(props) -> float:
     return cut if filled else 0.0
 
 
-KEEP = ("beyond", "before")
+KEEP = ("beyond", "before", "above", "below", "outside", "inside")
 
 
 class PanelShape(Polygons):
@@ -105,10 +138,18 @@ class PanelShape(Polygons):
         What is cut off from each of the four edges, in the scene's millimetres.
     ``cut`` : float f, default 0
         The line x = -W/2 + f W cuts the panel in two; W is its full width along its own x axis.
+    ``level`` : float
+        In place of ``cut``, of an upright panel: a horizontal line this far above its lower edge,
+        in the scene's millimetres, cuts it in two.
+    ``disc`` : float
+        In place of ``cut``, of a square that lies flat: a disc about its middle of this part of its
+        area cuts it in two.
     ``keep`` : string, default ``beyond``
-        Which part stays: ``beyond`` the line (greater x) or ``before`` it.
+        Which part stays: ``beyond`` the line (greater x) or ``before`` it; ``above`` or ``below``
+        a level; ``outside`` or ``inside`` a disc.
     ``index`` : float, optional
-        Index of what lies beyond the line; where it is that of air, nothing is cut (f = 0).
+        Index of what lies beyond the line, below the level or around the disc; where it is that of
+        air, nothing is cut (f = 0, level 0, disc 0).
     """
 
     def polygons(self, props, to_world):
@@ -124,11 +165,63 @@ class PanelShape(Polygons):
                 f"a panel's trim ({trim:g}) must be positive or 0, and less than half of its "
                 f"width and height ({width:g} x {depth:g})"
             )
-        low, high = trim / width, 1.0 - trim / width
-        low, high = (max(low, cut), high) if keep == "beyond" else (low, min(high, cut))
-        corners = 2.0 * rectangle((low, high), (trim / depth, 1.0 - trim / depth))
-        corners = corners - (1.0, 1.0, 0.0)
+        if ("disc" in props) != (keep in ("outside", "inside")):
+            raise ValueError(f"a panel's keep is {keep!r}: outside or inside, and only of a disc")
+        if "disc" in props:
+            return self._round(_disc_radius(props, width), keep == "inside", trim, to_world)
+        parts = [(trim / size, 1.0 - trim / size) for size in (width, depth)]
+        # part of a width that is cut off at its lower end, of which axis, and which part stays
+        axis, upper = 0, keep in ("beyond", "above")
+        if ("level" in props) != (keep in ("above", "below")):
+            raise ValueError(f"a panel's keep is {keep!r}: above or below, and only of a level")
+        if "level" in props:
+            axis, cut, upwards = _level_fraction(props, to_world)
+            upper = upper == upwards
+        low, high = parts[axis]
+        low, high = (max(low, cut), high) if upper else (low, min(high, cut))
+        parts[axis] = low, high
+        corners = 2.0 * rectangle(parts[0], parts[1]) - (1.0, 1.0, 0.0)
         return [corners] if is_there(low, high, 1.0) else []
+
+    def _round(self, radius: float, inside: bool, trim: float, to_world: np.ndarray) -> Sequence:
+        """The disc, or what is left around it."""
+        width, depth = 2.0 * np.linalg.norm(to_world[:3, :2], axis=0)
+        slanted = max(abs(width - depth), np.abs(to_world[2, :2]).max()) > NARROWEST * width
+        if trim or slanted:
+            raise ValueError("a panel with a disc is a square that lies flat, without a trim")
+        whole = 2.0 * rectangle((0.0, 1.0), (0.0, 1.0)) - (1.0, 1.0, 0.0)
+        if not is_there(0.0, radius, width):
+            return [] if inside else [whole]
+        middle, half = to_world[:3, 3], to_world[:3, :2].T
+        if inside:
+            half = half * (2.0 * radius / width)
+        circle = Circle(float(middle[0]), float(middle[1]), radius, inside)
+        self.round_face = (middle - half[0] - half[1], 2.0 * half[0], 2.0 * half[1], circle)
+        ring = _ring(2.0 * radius / width)
+        ring = np.column_stack([ring, np.zeros(len(ring))])
+        if inside:
+            return [ring]
+        # out to the edges in the same directions, those of the corners among them
+        rim = ring / np.abs(ring).max(axis=1)[:, None]
+        following = np.roll(np.arange(len(ring)), -1)
+        return [
+            np.array([ring[i], rim[i], rim[j], ring[j]]) for i, j in enumerate(following.tolist())
+        ]
+
+
+def _level_fraction(props, to_world: np.ndarray) -> tuple[int, float, bool]:
+    """Where a level cuts an upright panel: its own axis, the part of it, whether that goes up."""
+    level, rises = float(props["level"]), to_world[2, :2]
+    axis = int(np.argmax(np.abs(rises)))
+    height = 2.0 * abs(float(rises[axis]))
+    if not height > 0.0:
+        raise ValueError("a panel with a level stands upright: this one lies flat")
+    if not level >= 0.0:
+        raise ValueError(f"a panel's level is {level:g}; give 0 or more")
+    wet = "index" not in props or is_filled(float(props["index"]))
+    part = min(level / height, 1.0) if wet else 0.0
+    upwards = bool(rises[axis] > 0.0)
+    return axis, part if upwards else 1.0 - part, upwards
 
 
 class Frame(Polygons):
@@ -207,6 +300,38 @@ class GapSides(Polygons):
             for one, other in zip(ring, ring[1:] + ring[:1], strict=True)
         ]
         return walls if is_there(start, a, width) else []
+
+
+class RoundWallShape(Polygons):
+    """The wall of a round bubble in a gap, below the plane z = 0; normals point to its axis.
+
+    XML: ``<shape type="round_wall">`` with
+
+    ``width``, ``thickness`` : float
+        Of the gap, in the scene's millimetres.
+    ``thickness_offset`` : float, default 0
+        What is added to the thickness.
+    ``disc`` : float
+        Part of the gap's square that the bubble takes, about the z axis.
+    ``index`` : float, optional
+        Index of what fills the gap; where it is that of air, there is no wall.
+    """
+
+    def polygons(self, props, to_world):
+        radius = _disc_radius(props, float(props["width"]))
+        thickness = float(props["thickness"]) + float(props.get("thickness_offset", 0.0))
+        if np.abs(to_world - np.eye(4)).max() > 0.0:
+            raise ValueError(
+                "a round wall stands about the z axis, below z = 0: leave to_world out"
+            )
+        if not is_there(0.0, radius, float(props["width"])):
+            return []
+        self.wall = RoundWall(Circle(0.0, 0.0, radius), -thickness, 0.0, -1)
+        ring = _ring(radius)
+        return [
+            np.array([(*other, -thickness), (*one, -thickness), (*one, 0.0), (*other, 0.0)])
+            for one, other in zip(ring, np.roll(ring, -1, axis=0), strict=True)
+        ]
 
 
 #: Legs below this part of the crystal's size are lost in the rounding of single precision.
@@ -334,6 +459,6 @@ class BeamDetector(Polygons):
 
 for _shape, _name in {
     PanelShape: "panel", Frame: "frame", GapSides: "gap_sides", Chamfers: "chamfers",
-    Wrapping: "wrapping", BeamDetector: "beam_detector",
+    RoundWallShape: "round_wall", Wrapping: "wrapping", BeamDetector: "beam_detector",
 }.items():  # fmt: skip
     mi.register_shape(_name, _shape)

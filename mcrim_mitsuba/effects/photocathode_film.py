@@ -1,0 +1,58 @@
+"""Effect ``photocathode_film``: the detector is an absorbing film, thinner than a wavelength."""
+
+from __future__ import annotations
+
+from mcrim_mitsuba.effects._bench import WAVELENGTH, index_before, sends_back, set_detector
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.scene.editor import SceneEditor
+
+
+def edit(editor: SceneEditor) -> None:
+    """Let the detectors be films on the window, at the scene's wavelength if it has one."""
+    set_detector(editor, "cathode_nm", "$cathode_nm")
+    if WAVELENGTH in editor.scene.parameters:
+        set_detector(editor, WAVELENGTH, f"${WAVELENGTH}")
+    for detector in editor.detectors:
+        editor.insert_last(
+            detector, f'<float name="window_index" value="{index_before(editor, detector)}"/>'
+        )
+    sends_back(editor)
+
+
+EFFECT = Effect(
+    name="photocathode_film",
+    title="Photocathode as a thin film",
+    family="detector reflects",
+    look=(
+        "Turn a narrow polarised beam about the middle of the tube's window, with a glass "
+        "half-cylinder on it in oil, and read the tube and the reflected light: beyond 41 degrees "
+        "in the glass both are much stronger."
+    ),
+    physics=(
+        "A photocathode is a film of some 20 nm between the window and vacuum. Waves to and fro in "
+        "it interfere, and beyond the glass's critical angle nothing gets through: light that "
+        "arrives slanted is absorbed up to twice as well as light head-on, and reflected like from "
+        "a mirror. Tubes are calibrated head-on, so readings count A(theta) / A(0), which may "
+        "exceed 1: a gel lets slanted light into the window, air does not. What is transmitted is "
+        "lost. The index is that of K-Cs-Sb, 3.22 + 0.706i at 540 nm (the wavelength where the "
+        "scene has no parameter wavelength_nm); 15.5 nm were measured. Effects that say the same "
+        "in another way exclude it."
+    ),
+    source="D. Motta and S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217",
+    parameters=(
+        EffectParameter(
+            name="cathode_nm",
+            unit="nm",
+            meaning="Thickness of the photocathode, a film between window and vacuum",
+            minimum=10.0,
+            maximum=35.0,
+            start=15.5,
+            # no thickness makes of a film the ideal absorber
+            absent=None,
+            plausible=(10.0, 30.0),
+            nodes=(10.0, 13.0, 18.0, 24.0, 30.0, 35.0),
+        ),
+    ),
+    excludes=("detector_reflection", "detector_specular", "detector_angle"),
+    edit=edit,
+)

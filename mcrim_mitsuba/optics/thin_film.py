@@ -1,0 +1,91 @@
+"""A thin absorbing film on glass: what a photocathode reflects, absorbs and lets through.
+
+The film lies between a window, from which light comes, and vacuum. It is thinner than a wavelength,
+so that waves to and fro in it interfere (M. Born and E. Wolf, Principles of Optics, section 1.6.4,
+and 14.4 for absorbing films). Beyond the window's critical angle nothing gets out into the vacuum.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mcrim_mitsuba.core.errors import InputError
+
+#: Wavelength in vacuum, nm, and n and k of the index n + ik of the bialkali photocathode KCsSb:
+#: D. Motta and S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217, as tabulated in WCSim
+#: (data/CathodeParameters_KCsCb.txt); at 420 and 540 nm the numbers that this catalogue fixes.
+KCSSB = (
+    (380, 1.92, 1.69), (395, 2.18, 1.69), (410, 2.38, 1.71), (420, 2.57, 1.57), (425, 2.61, 1.53),
+    (440, 2.70, 1.50), (455, 2.87, 1.44), (470, 3.00, 1.34), (485, 3.00, 1.11), (500, 3.00, 1.06),
+    (515, 3.09, 1.05), (530, 3.26, 0.86), (540, 3.22, 0.7055), (545, 3.20, 0.63), (560, 3.12, 0.53),
+    (575, 3.06, 0.46), (590, 3.01, 0.42), (605, 2.98, 0.38), (620, 2.96, 0.37), (635, 2.95, 0.35),
+    (650, 2.95, 0.34), (665, 2.95, 0.34), (680, 2.96, 0.33),
+)  # fmt: skip
+
+
+def cathode_index(wavelength_nm: float) -> complex:
+    """Index n + ik of `KCSSB`, by straight lines between the tabulated wavelengths.
+
+    Raises
+    ------
+    InputError
+        If the wavelength is outside the table.
+    """
+    wavelengths, n, k = np.array(KCSSB).T
+    if not wavelengths[0] <= wavelength_nm <= wavelengths[-1]:
+        problem = f"wavelength_nm = {wavelength_nm:g}: the photocathode's index is not known there"
+        raise InputError(problem, f"give {wavelengths[0]:g} to {wavelengths[-1]:g} nm")
+    at = (np.interp(wavelength_nm, wavelengths, values) for values in (n, k))
+    return complex(*(float(value) for value in at))
+
+
+@dataclass(frozen=True)
+class ThinFilm:
+    """A film between a window and vacuum."""
+
+    #: Of refraction, n + ik.
+    index: complex
+    #: Thickness over the wavelength in vacuum.
+    wavelengths: float
+    #: Of the window, real.
+    window_index: float
+
+    def powers(self, cosine: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Reflectance and transmittance, (2, n): s polarised in the first row, p in the second.
+
+        At (n,) cosines of the angle of incidence in the window. What is neither reflected nor
+        transmitted is absorbed.
+        """
+        cosine = np.asarray(cosine, dtype=float)
+        # components of the wave vectors across the film, in units of the window's wave number
+        film, vacuum = complex(self.index) / self.window_index, 1.0 / self.window_index
+        sine2 = (1.0 - cosine) * (1.0 + cosine)
+        inside, beyond = (np.sqrt(np.asarray(m**2 - sine2, dtype=complex)) for m in (film, vacuum))
+        across = np.exp(2j * math.pi * self.wavelengths * self.window_index * inside)
+        reflectances, transmittances = [], []
+        for of_film, of_vacuum in ((1.0, 1.0), (film**2, vacuum**2)):
+            a, b, c = cosine, inside / of_film, beyond / of_vacuum
+            # at grazing incidence all is reflected
+            front, back = (a - b) / (a + b), (b - c) / (b + c)
+            round_trip = 1.0 + front * back * across**2
+            reflected = (front + back * across**2) / round_trip
+            through = (1.0 + front) * (1.0 + back) * across / round_trip
+            reflectances.append(np.abs(reflected) ** 2)
+            # over the cosine as a quotient that exists at grazing incidence too
+            entering = np.where(a == 0.0, 0.0, c.real / np.where(a == 0.0, 1.0, a))
+            transmittances.append(entering * np.abs(through) ** 2)
+        return np.array(reflectances), np.array(transmittances)
+
+    def absorptance(self, cosine: ArrayLike) -> NDArray[np.float64]:
+        """Part of unpolarised light that the film absorbs, at (n,) cosines in the window."""
+        reflected, transmitted = self.powers(cosine)
+        return 1.0 - (reflected + transmitted).mean(axis=0)
+
+    @property
+    def head_on(self) -> float:
+        """`absorptance` at normal incidence."""
+        return float(self.absorptance(1.0))
