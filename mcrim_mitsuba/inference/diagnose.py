@@ -145,7 +145,9 @@ class Judgement:
         return tuple(
             suspect
             for hypothesis, suspect in self.instrument
-            if suspect.explains and _weight(hypothesis) > best - _RIVAL
+            if suspect.p_value is not None
+            and suspect.p_value >= _BARELY_EXPLAINS
+            and _weight(hypothesis) > best - _RIVAL
         )
 
     @property

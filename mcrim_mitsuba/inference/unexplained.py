@@ -37,8 +37,8 @@ UNKNOWN = "unknown"
 
 #: Odds, before the readings, that something without a name is there, alone and besides an effect.
 #: These and `COMMON_TO_ALL` are calibrated by 29 campaigns with their effect left out of the
-#: catalogue: the averaged light yield was within 2 of its errors in 27, within 1 in 20, and with the
-#: effect in it the errors grew by a tenth.
+#: catalogue: the averaged light yield was within 2 of its errors in 27, within 1 in 20, and with
+#: the effect in it the errors grew by a tenth.
 _UNKNOWN_ODDS, _BESIDE_ODDS = 1.0, 0.05
 #: Relative sizes that it may have, each as likely as the next.
 _AMPLITUDES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
