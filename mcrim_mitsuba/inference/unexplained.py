@@ -52,7 +52,10 @@ _BESIDE, _MOST_BESIDE = 30.0, 4
 _FALLEN = 8.0
 
 #: Odds that some reading is wrong, each as likely as the next, and that two rows are exchanged.
-_BAD_ODDS, _SWAPPED_ODDS = 0.3, 0.1
+_BAD_ODDS, _SWAPPED_ODDS = 0.1, 0.1
+#: What the light yield may be off by where readings are called wrong: they may have seen most of an
+#: effect that is in no catalogue.
+_BAD_COMMON = 0.03
 #: Readings that are wrong at the same time, at most.
 MOST_BAD = 3
 #: Relative errors of a wrong reading, each as likely as the next.
@@ -151,7 +154,7 @@ def _named(
         away = float((baseline.precision @ baseline.residuals)[places[0]])
         pull = math.copysign(math.sqrt(max(baseline.chi2 - fit.chi2, 0.0)), away)
     suspect = suspected(baseline, kind, places, fit.chi2, pull)
-    return Hypothesis(evidence, log_odds, besides=suspect.words), suspect
+    return Hypothesis(evidence, log_odds, besides=suspect.words, common=_BAD_COMMON), suspect
 
 
 def _bad(explanations: Explanations, places: tuple[int, ...]) -> tuple[Hypothesis, Suspect]:
