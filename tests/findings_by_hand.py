@@ -126,7 +126,7 @@ def diagnosis(verdict: str, **changed) -> Diagnosis:
         tuple(name for names in leading for name in names), leading,
         limits if verdict == "adequate" else {}, (), STEPS,
         (following,) if verdict == "ambiguous" else (), {"saturation": "excluded"},
-        {FIRST: 0.7, SECOND: 0.29, "none": 0.01}, AveragedYield(7.7, 0.86, 0.78, 0.36), 1.0,
+        {FIRST: 0.7, SECOND: 0.29, "none": 0.01}, AveragedYield(7.7, 0.86, 0.78, 0.34, 0.12), 1.0,
         FAMILIES,
     )  # fmt: skip
     return replace(made, **changed)

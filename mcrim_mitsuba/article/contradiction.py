@@ -19,12 +19,14 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.inference.diagnose import Diagnosis, diagnose
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
+from mcrim_mitsuba.inference.unexplained import UNKNOWN
 from mcrim_mitsuba.optics.attenuation import (
     absorption_coefficient,
     internal_transmittance,
     measured_transmittance,
     transmittance,
 )
+from mcrim_mitsuba.output.findings import IN_NO_CATALOGUE
 from mcrim_mitsuba.scene.shipped import scene_path
 
 CAMPAIGN = "camoo4_three.toml"
@@ -57,7 +59,8 @@ class Contradiction:
     @property
     def titles(self) -> dict[str, str]:
         """Names of effects for people."""
-        return {name: effect.title for name, effect in catalogue().items()}
+        known = {name: effect.title for name, effect in catalogue().items()}
+        return known | {UNKNOWN: IN_NO_CATALOGUE}
 
 
 def find_contradiction(run: Run) -> Contradiction:
@@ -96,7 +99,8 @@ def rows(found: Contradiction) -> list[ArticleRow]:
                 "light yield, averaged over what the three numbers allow", p.LIGHT_YIELD,
                 averaged.value, sigma=averaged.sigma, judged=False,
                 remark=f"±{averaged.within:.2f} within explanations, ±{averaged.between:.2f} "
-                "between them; the light yields of the best four are in the sentences below",
+                f"between them, ±{averaged.catalogue:.2f} for what is in no catalogue; the light "
+                "yields of the best four are in the sentences below",
             )
         )  # fmt: skip
     return made

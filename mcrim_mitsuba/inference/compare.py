@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -64,15 +64,24 @@ class Suspect:
     #: Whether the fit without it is acceptable.
     explains: bool
 
+    @property
+    def words(self) -> str:
+        """``bad reading gel (+5.1 sigma)``, ``swapped air and gel``."""
+        names = " and ".join(self.labels)
+        if self.kind == SWAPPED_ROWS:
+            return f"swapped {names}"
+        by = "" if self.pull is None else f" ({self.pull:+.1f} sigma)"
+        return f"bad reading{'s' if len(self.labels) > 1 else ''} {names}{by}"
+
     def score(self, readings: int) -> float:
         """What ranks suspicions among so many readings: chi2, unknowns, and ways to suspect."""
-        unknowns, ways = _unknowns_and_ways(self.kind, readings)
+        unknowns, ways = _unknowns_and_ways(self.kind, readings, len(self.labels))
         return self.chi2 + 2.0 * unknowns + 2.0 * math.log(ways)
 
 
-def _unknowns_and_ways(kind: str, readings: int) -> tuple[int, int]:
+def _unknowns_and_ways(kind: str, readings: int, wrong: int) -> tuple[int, int]:
     """Unknowns that a suspicion adds, and how many there are of its kind."""
-    return (1, readings) if kind == BAD_READING else (0, math.comb(readings, 2))
+    return (wrong if kind == BAD_READING else 0), math.comb(readings, wrong)
 
 
 @dataclass(frozen=True)
@@ -221,7 +230,7 @@ def _bad_readings(fit: Fit) -> list[Suspect]:
         gain = max(fit.chi2 - chi2, 0.0)
         # to first order the square of the pull is the gain
         pull = math.copysign(math.sqrt(gain), pulls[i])
-        found.append(_suspected(fit, BAD_READING, [i], chi2, float(chdtrc(1, gain)), pull))
+        found.append(suspected(fit, BAD_READING, [i], chi2, pull))
     return found
 
 
@@ -240,16 +249,21 @@ def _swapped_rows(fit: Fit) -> list[Suspect]:
     found = []
     for _, i, j, problem, weights, theta in followed[:_TO_THE_END]:
         _, chi2, _ = descend(problem, theta, weights)
-        p = _chance(fit, i, j, fit.chi2 - chi2)
-        found.append(_suspected(fit, SWAPPED_ROWS, [i, j], chi2, p))
+        found.append(suspected(fit, SWAPPED_ROWS, [i, j], chi2))
     return found
 
 
-def _suspected(
-    fit: Fit, kind: str, places: list[int], chi2: float, p: float, pull: float | None = None
+def suspected(
+    fit: Fit, kind: str, places: Sequence[int], chi2: float, pull: float | None = None
 ) -> Suspect:
-    """A suspicion that leaves a chi2; by chance one of many gains as much with the p-value p."""
-    unknowns, ways = _unknowns_and_ways(kind, len(fit.problem.signal))
+    """A suspicion that leaves a chi2 of a fit's."""
+    unknowns, ways = _unknowns_and_ways(kind, len(fit.problem.signal), len(places))
+    gain = fit.chi2 - chi2
+    if kind == SWAPPED_ROWS:
+        first, second = places
+        p = _chance(fit, first, second, gain)
+    else:
+        p = float(chdtrc(unknowns, max(gain, 0.0)))
     ndf = fit.ndf - unknowns
     left = p_value(chi2, ndf)
     return Suspect(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from scipy.special import chdtrc
+from scipy.special import chdtrc, logsumexp
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
@@ -25,20 +25,24 @@ from mcrim_mitsuba.inference.candidates import (
     next_measurements,
     upper_limits,
 )
-from mcrim_mitsuba.inference.compare import SWAPPED_ROWS, Comparison, Suspect, comparison_of
+from mcrim_mitsuba.inference.compare import Comparison, Suspect, comparison_of
 from mcrim_mitsuba.inference.estimates import (
     ACCEPTABLE_P,
     LIGHT_YIELD,
     ParameterEstimate,
     corrected,
-    criterion,
     error_of_difference,
     left_out_error,
     rms_pull,
 )
-from mcrim_mitsuba.inference.evidence import NOTHING_MISSING, AveragedYield, Weighing, weigh
+from mcrim_mitsuba.inference.evidence import (
+    NOTHING_MISSING,
+    AveragedYield,
+    Hypothesis,
+    Weighing,
+    weigh,
+)
 from mcrim_mitsuba.inference.explanations import (
-    LEADING,
     Explanations,
     Models,
     NullDistribution,
@@ -47,10 +51,13 @@ from mcrim_mitsuba.inference.explanations import (
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.least_squares import Fit
 from mcrim_mitsuba.inference.race import Memory, contenders
+from mcrim_mitsuba.inference.unexplained import UNKNOWN, of_instrument, unnamed
 from mcrim_mitsuba.inference.workbench import Workbench
 
 #: Probability from which an effect counts as one that a diagnosis rests on.
 _LIKELY = 0.01
+#: The family of wrong readings.
+INSTRUMENT = "instrument"
 #: The verdicts of a diagnosis.
 TOO_FEW_READINGS = "too_few_readings"
 ADEQUATE = "adequate"
@@ -68,6 +75,8 @@ _PAIR_EXPLAINS = 0.003
 _BARELY_EXPLAINS = 1e-4
 # A further effect must gain what chance gives the best of all effects this rarely.
 _SIGNIFICANT = 0.01
+# Logarithm of the odds from which one explanation is no rival of another.
+_RIVAL = 3.0
 # Effects added at most.
 _MOST_EFFECTS = 4
 
@@ -93,8 +102,10 @@ class Judgement:
     #: Of the effects alone.
     singles: Ranking
     null: NullDistribution
-    #: The likeliest first.
-    suspects: tuple[Suspect, ...]
+    #: What else may explain the readings: wrong ones, the likeliest first, with whose they are.
+    instrument: Sequence[tuple[Hypothesis, Suspect]] = ()
+    #: What has no name.
+    unnamed: Sequence[Hypothesis] = ()
 
     @property
     def baseline(self) -> Fit:
@@ -107,55 +118,103 @@ class Judgement:
         chi2 = [self.explanations.fit(effects).chi2 for effects in self.singles.order]
         return self.null.p_global(self.baseline.chi2 - min(chi2)) if chi2 else 1.0
 
-    def first_verdict(self) -> Verdict | None:
-        """As far as readings and single effects decide; None where pairs must be tried."""
-        singles, suspects, baseline = self.singles, self.suspects, self.baseline
-        p, p_global = baseline.p_value, self.p_of_best_gain
-        if p is not None and p >= ACCEPTABLE_P and p_global >= ACCEPTABLE_P:
+    @property
+    def is_adequate(self) -> bool:
+        """Whether neither the readings nor the best effect's gain refuse the campaign as it is."""
+        p = self.baseline.p_value
+        return p is not None and p >= ACCEPTABLE_P and self.p_of_best_gain >= ACCEPTABLE_P
+
+    def hypotheses(self, pairs: Ranking | None) -> list[Hypothesis]:
+        """All that may explain the readings."""
+        of_effects = [(), *self.singles.order, *(pairs.order if pairs is not None else ())]
+        return [
+            *(
+                Hypothesis(self.explanations.evidence(each), self.explanations.log_odds(each), each)
+                for each in of_effects
+            ),
+            *(hypothesis for hypothesis, _ in self.instrument),
+            *self.unnamed,
+        ]
+
+    @property
+    def suspects(self) -> tuple[Suspect, ...]:
+        """Readings that explain the misfit about as well as those that do best."""
+        if not self.instrument:
+            return ()
+        best = _weight(self.instrument[0][0])
+        return tuple(
+            suspect
+            for hypothesis, suspect in self.instrument
+            if suspect.p_value is not None
+            and suspect.p_value >= _BARELY_EXPLAINS
+            and _weight(hypothesis) > best - _RIVAL
+        )
+
+    @property
+    def single_explains(self) -> bool:
+        """Whether an effect alone explains the readings, and no worse than what has no name."""
+        order = self.singles.order
+        return bool(order) and self._names(order[0]) and explains(self.singles.best, ACCEPTABLE_P)
+
+    def _names(self, effects: tuple[str, ...]) -> bool:
+        """Whether effects are likelier than anything that has no name."""
+        own = self.explanations.evidence(effects).log + self.explanations.log_odds(effects)
+        weights = [_weight(each) for each in self.unnamed]
+        return not weights or own >= float(logsumexp(weights))
+
+    def verdict(self, pairs: Ranking | None) -> Verdict:
+        """What is said of the campaign; pairs are given where they were looked at."""
+        baseline, suspects = self.baseline, self.suspects
+        if self.is_adequate:
             return Verdict(
                 ADEQUATE,
-                f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom (p = {p:.2g}), "
-                f"and no effect gains more than chance would (p = {p_global:.2g})",
+                f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom (p = "
+                f"{baseline.p_value:.2g}), and no effect gains more than chance would (p = "
+                f"{self.p_of_best_gain:.2g})",
             )
-        leading: tuple[tuple[str, ...], ...] = ()
-        of_effects, barely, well = math.inf, False, False
-        if singles.order and p_global < ACCEPTABLE_P:
-            leading = singles.leading()
-            of_effects = criterion(singles.best) + 2.0 * math.log(len(singles.order))
-            barely = explains(singles.best, _BARELY_EXPLAINS)
-            well = explains(singles.best, ACCEPTABLE_P)
+        leading, best = self._leading(pairs)
         if suspects:
-            # 2 log(tries), of effects and in the score, stands for the many ways to be suspected
-            of_suspects = baseline.weights.log_determinant + 2.0 * len(baseline.names)
-            score = suspects[0].score(len(baseline.problem.signal))
-            lead = of_effects - (of_suspects + score)
-            if lead > LEADING or not barely:
+            of_effects = [_weight(h) for h in self.hypotheses(pairs) if h.effects and not h.besides]
+            of_unnamed = [_weight(each) for each in self.unnamed]
+            lead = _weight(self.instrument[0][0]) - float(logsumexp([*of_effects, *of_unnamed]))
+            if lead > _RIVAL or (lead > 0.0 and not leading):
                 return _of_suspects(suspects)
-            if lead >= -LEADING:
+            if lead > -_RIVAL and leading:
                 return Verdict(
                     AMBIGUOUS,
-                    f"{_effects(leading)} and {_words(suspects[0])} explain the misfit about "
+                    f"{_effects(leading)} and {suspects[0].words} explain the misfit about "
                     "equally well: check the reading first",
                     leading,
                     suspects,
                 )
-        return _of_leading(leading, singles.best) if well else None
-
-    def last_verdict(self, pairs: Ranking) -> Verdict:
-        """The verdict where no effect alone explains the readings well, nor a suspect one."""
-        baseline, singles = self.baseline, self.singles
-        if not self.needs(pairs):
-            significant = self.p_of_best_gain < ACCEPTABLE_P
-            if significant and explains(singles.best, _BARELY_EXPLAINS):
-                return _of_leading(singles.leading(), singles.best)
-        elif explains(pairs.best, _PAIR_EXPLAINS):
-            return _of_leading(pairs.leading(), pairs.best)
-        best = pairs.best if pairs.order else singles.best if singles.order else baseline
+        if leading:
+            return _of_leading(leading, best)
         return Verdict(
             UNEXPLAINED,
-            f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom, and no effect of "
-            f"the catalogue, nor two together, explain it: {best.chi2:.3g} for {best.ndf} at best",
+            f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom, and something that "
+            "is in no catalogue is likelier than any effect, or two together: of these "
+            f"{best.chi2:.3g} for {best.ndf} at best",
         )
+
+    def _leading(self, pairs: Ranking | None) -> tuple[tuple[tuple[str, ...], ...], Fit]:
+        """Effects that explain the readings, and of all effects the fit that does best."""
+        singles, found = self.singles, self.baseline
+        significant = self.p_of_best_gain < ACCEPTABLE_P
+        if singles.order:
+            found = singles.best
+            alone = pairs is None or not self.needs(pairs)
+            level = _BARELY_EXPLAINS if pairs is not None else ACCEPTABLE_P
+            if alone and significant and self._names(singles.order[0]) and explains(found, level):
+                return singles.leading(), found
+        if pairs is not None and pairs.order:
+            found = pairs.best
+            if (
+                self.needs(pairs)
+                and self._names(pairs.order[0])
+                and explains(found, _PAIR_EXPLAINS)
+            ):
+                return pairs.leading(), found
+        return (), found
 
     def needs(self, pairs: Ranking) -> bool:
         """Whether two effects explain the readings significantly better than the best one alone.
@@ -174,21 +233,14 @@ class Judgement:
         gain = max(alone.chi2 - best.chi2, 0.0)
         return corrected(float(chdtrc(further, gain)), tries) < ACCEPTABLE_P
 
-    def effects_to_add(self, pairs: Ranking | None) -> tuple[str, ...]:
-        """Effects to add to a campaign that does not fit, in this order.
+    def chain(self, pairs: Ranking | None) -> tuple[str, ...]:
+        """Effects that together explain the readings where no two do; empty if none do.
 
-        The best effect alone if its gain is significant; where it leaves a misfit, the best pair. A
-        further one only if its gain is significant, and it explains what was not explained or the
-        error on readings left out falls. Pairs are given where no effect alone explains the
-        readings; of effects there is one at least.
+        One after the other, from the best pair on, while its gain is significant, and it explains
+        what was not explained or the error on readings left out falls.
         """
-        explanations, null, now = self.explanations, self.null, self.singles.best
-        chosen = self.singles.order[0]
-        if pairs is None and null.p_global(self.baseline.chi2 - now.chi2) >= _SIGNIFICANT:
-            return ()
-        if pairs is not None and pairs.order and _justified(now, pairs.best):
-            # the one that does more comes first
-            chosen = tuple(sorted(pairs.order[0], key=lambda name: explanations.fit((name,)).chi2))
+        explanations, null = self.explanations, self.null
+        chosen = pairs.order[0] if pairs is not None and pairs.order else self.singles.order[0]
         while len(chosen) < _MOST_EFFECTS:
             ranked = explanations.ranked_further(chosen)
             if not ranked:
@@ -199,20 +251,12 @@ class Judgement:
             if not (significant and _justified(now, best)):
                 break
             chosen = (*chosen, further)
-        return chosen
+        return chosen if explains(explanations.fit(chosen), _PAIR_EXPLAINS) else ()
 
-    def verdict_of_more(self, chosen: tuple[str, ...], before: Verdict) -> Verdict:
-        """The verdict where no pair explains the readings, but three effects or more may."""
-        fit = self.explanations.fit(chosen)
-        p_value = fit.p_value
-        if len(chosen) < 3 or p_value is None or p_value < _PAIR_EXPLAINS:
-            return before
-        return Verdict(
-            MISSING_EFFECT,
-            f"{' + '.join(chosen)} together explain the misfit: chi2 {self.baseline.chi2:.3g} -> "
-            f"{fit.chi2:.3g} (ndf {fit.ndf}, p = {p_value:.2g}); nothing less does",
-            leading=(tuple(chosen),),
-        )
+
+def _weight(hypothesis: Hypothesis) -> float:
+    """Natural logarithm of how likely it is, up to a constant."""
+    return hypothesis.evidence.log + hypothesis.log_odds
 
 
 def explains(fit: Fit, level: float) -> bool:
@@ -237,19 +281,13 @@ def _of_leading(leading: tuple[tuple[str, ...], ...], best: Fit) -> Verdict:
 
 
 def _of_suspects(suspects: tuple[Suspect, ...]) -> Verdict:
-    others = f", or {_words(suspects[1])}" if len(suspects) > 1 else ""
+    others = f", or {suspects[1].words}" if len(suspects) > 1 else ""
     return Verdict(
         UNEXPLAINED,
-        f"{_words(suspects[0])}{others} explains the misfit better than any effect: check that "
+        f"{suspects[0].words}{others} explains the misfit better than any effect: check that "
         "before physics is blamed",
         suspects=suspects,
     )
-
-
-def _words(suspect: Suspect) -> str:
-    if suspect.kind == SWAPPED_ROWS:
-        return f"a swap of {' and '.join(suspect.labels)}"
-    return f"a bad reading {suspect.labels[0]} ({suspect.pull:+.1f} sigma)"
 
 
 def _effects(leading: tuple[tuple[str, ...], ...]) -> str:
@@ -320,13 +358,6 @@ def steps(explanations: Explanations, chosen: tuple[str, ...]) -> tuple[RepairSt
         )
         before = fit
     return tuple(made)
-
-
-def _named(chosen: tuple[str, ...], leading: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-    """The most of some effects, from the first on, that a verdict names as one explanation."""
-    sets = set(map(frozenset, leading))
-    counts = (n for n in range(len(chosen), 0, -1) if frozenset(chosen[:n]) in sets)
-    return chosen[: next(counts, 0)]
 
 
 # ---- the whole ----
@@ -452,7 +483,7 @@ def diagnose_on(
             seed=bench.run.seed,
             progress=lambda words: bench.run.tell(words, 1, 1),
         )
-        if bench.precise >= (named := _rests_on(found)):
+        if bench.precise >= (named := _rests_on(found, names)):
             break
         # where chance favours one first look after the other, none is hopeless
         precise |= named if precise <= first else set(names)
@@ -460,12 +491,12 @@ def diagnose_on(
     return Diagnosed(fit_model(bench.model(), profile=False), found, bench.provenance())
 
 
-def _rests_on(found: Diagnosis) -> set[str]:
+def _rests_on(found: Diagnosis, tried: Collection[str]) -> set[str]:
     """Effects that a diagnosis names or counts with."""
     if found.verdict == ADEQUATE:
         return set()
-    likely = {key for key, p in found.probabilities.items() if p > _LIKELY} - {NOTHING_MISSING}
-    counted = {name for key in likely for name in key.split(" + ")}
+    likely = {key for key, p in found.probabilities.items() if p > _LIKELY}
+    counted = {name for key in likely for name in key.split(" + ")} & set(tried)
     added = {name for step in found.repair for name in step.effects}
     return {*found.leading, *found.set_aside, *counted, *added}
 
@@ -529,6 +560,7 @@ def diagnose_models(
     pairs: tuple[Candidate, ...] = ()
     limits = {}
     weighed = Weighing({}, None)
+    families: tuple[FamilyProbability, ...] = ()
     if baseline.ndf <= 0:
         judged = Verdict(
             TOO_FEW_READINGS,
@@ -544,36 +576,41 @@ def diagnose_models(
         null = NullDistribution(explanations, [name for (name,) in singles.order], seed)
         maker = CandidateMaker(explanations, null)
         candidates = maker.singles(singles)
-        sets = [(), *singles.order]
-        evidence = Judgement(explanations, singles, null, compared.suspects)
-        first, of_pairs = evidence.first_verdict(), None
-        if first is not None:
-            judged = first
+        evidence = Judgement(explanations, singles, null)
+        of_pairs = None
+        if evidence.is_adequate:
+            evidence = replace(evidence, unnamed=unnamed(explanations, ()))
         else:
-            say("fitting pairs of effects")
-            best_pairs = explanations.ranked_pairs()
-            ranked = Ranking(explanations, best_pairs)
-            pairs = maker.pairs(ranked)
-            sets += ranked.order
-            judged = evidence.last_verdict(ranked)
-            of_pairs = ranked if evidence.needs(ranked) else None
-        weighed = weigh(
-            {effects: explanations.evidence(effects) for effects in sets},
-            len(alone),
-            baseline.problem.model.campaign.light_yield,
-        )
+            say("looking for what is no effect")
+            evidence = replace(
+                evidence,
+                instrument=of_instrument(explanations),
+                unnamed=unnamed(explanations, singles.order),
+            )
+            if not evidence.single_explains:
+                say("fitting pairs of effects")
+                ranked = Ranking(explanations, explanations.ranked_pairs())
+                pairs, of_pairs = maker.pairs(ranked), ranked
+        judged = evidence.verdict(of_pairs)
+        hypotheses = evidence.hypotheses(of_pairs)
+        weighed = weigh(hypotheses, baseline.problem.model.campaign.light_yield)
+        families = _families(hypotheses, weighed, explanations)
         if judged.word == ADEQUATE:
             say("following limits")
             limits = upper_limits(explanations)
         elif singles.order and not (judged.word == UNEXPLAINED and judged.suspects):
             say("repairing")
-            chosen = evidence.effects_to_add(of_pairs)
-            if judged.word == UNEXPLAINED:
-                judged = evidence.verdict_of_more(chosen, judged)
-            # effects that do not explain the readings would only bias what is fitted
-            chosen = _named(chosen, judged.leading)
-            if not adding and not explanations.is_plausible(chosen):
-                chosen, set_aside = (), chosen
+            if judged.leading:
+                # the one that does more comes first
+                chosen = tuple(
+                    sorted(judged.leading[0], key=lambda name: explanations.fit((name,)).chi2)
+                )
+                if not adding and not explanations.is_plausible(chosen):
+                    chosen, set_aside = (), chosen
+            else:
+                # what would be needed: effects that do not explain the readings would only bias
+                # what is fitted
+                set_aside = evidence.chain(of_pairs)
         if adding:
             if not explanations.possible(adding):
                 problem = f"{', '.join(adding)} cannot be fitted to these readings"
@@ -597,28 +634,31 @@ def diagnose_models(
         repair=steps(explanations, chosen),
         next_measurements=proposed,
         not_tried=dict(explanations.refused),
-        probabilities={
-            " + ".join(effects) or NOTHING_MISSING: p
-            for effects, p in sorted(weighed.probabilities.items(), key=lambda each: -each[1])
-        },
+        probabilities=dict(sorted(weighed.probabilities.items(), key=lambda each: -each[1])),
         light_yield_averaged=weighed.light_yield,
         seconds=time.perf_counter() - began,
-        families=_families(weighed, explanations),
+        families=families,
         set_aside=set_aside,
     )
 
 
-def _families(weighed: Weighing, explanations: Explanations) -> tuple[FamilyProbability, ...]:
+def _families(
+    hypotheses: Sequence[Hypothesis], weighed: Weighing, explanations: Explanations
+) -> tuple[FamilyProbability, ...]:
     """Probabilities by family."""
     members: dict[str, list[tuple[float, str]]] = {}
-    for effects, p in weighed.probabilities.items():
-        family = explanations.family(effects) or NOTHING_MISSING
-        members.setdefault(family, []).append((p, " + ".join(effects)))
+    for name, each in {each.name: each for each in hypotheses}.items():
+        family = NOTHING_MISSING
+        if each.besides:
+            family = UNKNOWN if each.besides == UNKNOWN else INSTRUMENT
+        elif each.effects:
+            family = explanations.family(each.effects)
+        members.setdefault(family, []).append((weighed.probabilities[name], name))
     found = (
         FamilyProbability(
             family,
             sum(p for p, _ in each),
-            tuple(name for _, name in sorted(each, reverse=True) if name),
+            tuple(name for _, name in sorted(each, reverse=True) if name != NOTHING_MISSING),
         )
         for family, each in members.items()
     )

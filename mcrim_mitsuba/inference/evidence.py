@@ -292,52 +292,70 @@ class AveragedYield:
 
     value: float
     sigma: float
-    #: Standard deviation within the models, that of the detector's efficiency included, and
-    #: between them.
+    #: Standard deviation within the models, that of the detector's efficiency included; between
+    #: them; and the allowance for what is in no catalogue and acts on all readings alike.
     within: float
     between: float
+    catalogue: float
 
     def __str__(self) -> str:
-        parts = f"within models {number(self.within, 2)}, between them {number(self.between, 2)}"
+        named = {
+            "within models": self.within,
+            "between them": self.between,
+            "for what is in no catalogue": self.catalogue,
+        }
+        parts = ", ".join(f"{words} {number(part, 2)}" for words, part in named.items())
         return f"{pdg(self.value, self.sigma)} ph/keV ({parts})"
 
 
 @dataclass(frozen=True)
-class Weighing:
-    """How likely models are beside each other, each a set of effects; none is the empty set."""
+class Hypothesis:
+    """Something that may explain the readings: effects of the catalogue, or what is none."""
 
-    #: They sum to 1.
-    probabilities: dict[tuple[str, ...], float]
+    evidence: Evidence
+    #: Natural logarithm of the odds before the readings, over those that nothing is missing.
+    log_odds: float
+    #: Effects that are added.
+    effects: tuple[str, ...] = ()
+    #: What is there besides, which is no effect; empty for nothing.
+    besides: str = ""
+    #: Relative standard error of the light yield that no reading tells.
+    common: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """As probabilities are listed."""
+        return self.besides or " + ".join(self.effects) or NOTHING_MISSING
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """How likely hypotheses are beside each other."""
+
+    #: By name; they sum to 1.
+    probabilities: dict[str, float]
     #: None where nothing turns a fitted scale into a light yield.
     light_yield: AveragedYield | None
 
 
-def weigh(
-    evidences: Mapping[tuple[str, ...], Evidence], candidates: int, known: LightYieldInput | None
-) -> Weighing:
-    """Probabilities of models from their evidences.
-
-    Parameters
-    ----------
-    evidences : mapping of tuple of str to Evidence
-    candidates : int
-        Effects that could be missing. Before the readings each is there with odds of one to their
-        number: about as often something is missing as nothing.
-    known : LightYieldInput or None
-    """
-    logs = {
-        key: found.log - len(key) * math.log(max(candidates, 1)) for key, found in evidences.items()
-    }
-    total = float(logsumexp(list(logs.values())))
-    probabilities = {key: math.exp(log - total) for key, log in logs.items()}
+def weigh(hypotheses: Sequence[Hypothesis], known: LightYieldInput | None) -> Weighing:
+    """Probabilities of hypotheses from their evidences, those of one name together."""
+    logs = np.array([each.evidence.log + each.log_odds for each in hypotheses])
+    shares = np.exp(logs - logsumexp(logs))
+    probabilities: dict[str, float] = {}
+    for each, share in zip(hypotheses, shares, strict=True):
+        probabilities[each.name] = probabilities.get(each.name, 0.0) + float(share)
     light_yield = None
-    if known is not None and all(SCALE in found.mean for found in evidences.values()):
-        shares = np.array([probabilities[key] for key in evidences])
-        values = known.per_scale * np.array([e.mean[SCALE] for e in evidences.values()])
-        sigmas = known.per_scale * np.array([e.sigma[SCALE] for e in evidences.values()])
+    evidences = [each.evidence for each in hypotheses]
+    if known is not None and all(SCALE in found.mean for found in evidences):
+        values = known.per_scale * np.array([e.mean[SCALE] for e in evidences])
+        sigmas = known.per_scale * np.array([e.sigma[SCALE] for e in evidences])
+        allowed = np.array([each.common for each in hypotheses]) * values
         mean = float(shares @ values)
         of_detector = mean * known.detector_efficiency_sigma / known.detector_efficiency
         within = math.hypot(math.sqrt(float(shares @ sigmas**2)), of_detector)
         between = math.sqrt(float(shares @ (values - mean) ** 2))
-        light_yield = AveragedYield(mean, math.hypot(within, between), within, between)
+        catalogue = math.sqrt(float(shares @ allowed**2))
+        sigma = math.hypot(within, between, catalogue)
+        light_yield = AveragedYield(mean, sigma, within, between, catalogue)
     return Weighing(probabilities, light_yield)

@@ -193,6 +193,14 @@ class Explanations:
             self._evidences[key] = evidence_of(fit, self.priors(key), hopeless=hopeless)
         return self._evidences[key]
 
+    def log_odds(self, added: Iterable[str]) -> float:
+        """Natural logarithm of the odds, before the readings, of some effects to none.
+
+        Each is there with odds of one to their number: about as often something is missing as
+        nothing.
+        """
+        return -len(tuple(added)) * math.log(max(len(self.singles()), 1))
+
     def priors(self, added: Iterable[str]) -> dict[str, PriorDensity]:
         """What is known of every free parameter of the model with some effects, by name."""
         added = tuple(added)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.descent import Array, minimise
@@ -105,6 +106,18 @@ class LeastSquaresProblem(Likelihood):
         other.signal = signal
         if prior is not None:
             other.prior = prior
+        return other
+
+    def with_unexplained(self, covariance: Array) -> LeastSquaresProblem:
+        """The same with a (used, used) relative covariance of what the model does not explain."""
+        other = copy.copy(self)
+        other._unexplained = covariance
+        return other
+
+    def exchanged(self, order: NDArray[np.int64], variances: Array) -> LeastSquaresProblem:
+        """The same with its (used,) readings, and their variances, in another order."""
+        other = copy.copy(self)
+        other.signal, other._variance = self.signal[order], variances
         return other
 
     def theta(self, values: Mapping[str, float]) -> Array:

@@ -101,6 +101,8 @@ class Likelihood:
         self._shared = np.array(
             [[(a.group_sigma or 0.0) ** 2 * (a.group == b.group) for b in used] for a in used]
         )
+        # relative covariance of what no parameter explains
+        self._unexplained = np.zeros_like(self._shared)
         self.prior = np.array([0.0 if p.prior is None else p.prior for p in self.free])
         self.prior_weight = np.array(
             [0.0 if p.prior_sigma is None else p.prior_sigma**-2 for p in self.free]
@@ -131,7 +133,7 @@ class Likelihood:
         signal, per_eta = prediction.signal[self.used], prediction.signal_per_eta[self.used]
         monte_carlo = prediction.eta_covariance[np.ix_(self.used, self.used)]
         return ErrorMatrices(
-            np.diag(self._variance) + self._shared * np.outer(signal, signal),
+            np.diag(self._variance) + (self._shared + self._unexplained) * np.outer(signal, signal),
             np.outer(per_eta, per_eta) * monte_carlo,
         )
 

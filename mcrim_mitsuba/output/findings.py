@@ -20,7 +20,13 @@ from mcrim_mitsuba.core.rounding import (
     probability,
     short_text,
 )
-from mcrim_mitsuba.inference.diagnose import ADEQUATE, AMBIGUOUS, MISSING_EFFECT, TOO_FEW_READINGS
+from mcrim_mitsuba.inference.diagnose import (
+    ADEQUATE,
+    AMBIGUOUS,
+    MISSING_EFFECT,
+    TOO_FEW_READINGS,
+    UNEXPLAINED,
+)
 from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.plan import (
@@ -33,6 +39,7 @@ from mcrim_mitsuba.inference.plan import (
     Plan,
     Planning,
 )
+from mcrim_mitsuba.inference.unexplained import UNKNOWN
 from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE, BEAM_AXIS
 
 if TYPE_CHECKING:
@@ -147,16 +154,17 @@ def averaged_yield(diagnosis: Diagnosis) -> str:
         light = likeliest.light_yield_ph_per_keV
         alone = pdg(light["value"], light["sigma"])
     of_model = "nothing missing" if likeliest is None else names
-    return (
-        f"Light yield: {averaged}, averaged over all that the readings allow; {alone} with "
-        f"{of_model} ({probability(p)})"
-    )
+    least = f"{alone} with {of_model} ({probability(p)})"
+    if likeliest is None and names != NOTHING_MISSING:
+        what = IN_NO_CATALOGUE if names == UNKNOWN else f"a {names}"
+        least = f"{alone} with nothing missing; the likeliest is {what} ({probability(p)})"
+    return f"Light yield: {averaged}, averaged over all that the readings allow; {least}"
 
 
 def family_probabilities(diagnosis: Diagnosis) -> str:
     """``surface 91 %, housing 4 %; others < 0.1 % each``."""
     told = {
-        one.family: probability(one.probability)
+        IN_NO_CATALOGUE if one.family == UNKNOWN else one.family: probability(one.probability)
         for one in diagnosis.families
         if one.family != NOTHING_MISSING
     }
@@ -205,6 +213,11 @@ def set_aside_text(diagnosis: Diagnosis) -> str:
     tried = (*diagnosis.candidates, *diagnosis.pairs)
     fit = next((one for one in tried if set(one.effects) == set(names)), None)
     size = "" if fit is None else f" ({size_text(fit)})"
+    if diagnosis.verdict == UNEXPLAINED:
+        return (
+            f"Of effects {together(names)} would be needed{size}, which are not added: "
+            f"{IN_NO_CATALOGUE} is likelier. If you have seen them, say --effect {','.join(names)}."
+        )
     return (
         f"The likeliest explanation, {together(names)}{size}, has a size that a laboratory does "
         f"not usually meet, and is not added. If you have seen it, say --effect {','.join(names)}."
@@ -221,6 +234,8 @@ def suspicion(suspect: Suspect) -> str:
     if suspect.kind == "swapped_rows":
         first, second = suspect.labels
         return f"{first} and {second} look swapped: with the two exchanged {gain}; {chance}"
+    if len(suspect.labels) > 1:
+        return f"{together(suspect.labels)} look wrong: without them {gain}; {chance}"
     off = "" if suspect.pull is None else f", {suspect.pull:+.1f} sigma from the others' prediction"
     return f"{suspect.labels[0]} looks wrong{off}: without it {gain}; {chance}"
 
@@ -444,6 +459,8 @@ NAMES = {
     ALPHA_SCAT: ("scattering coefficient of the crystal", "1/cm"),
     ALPHA_ABS: ("absorption coefficient of the crystal", "1/cm"),
 }
+#: What has no name, in words.
+IN_NO_CATALOGUE = "something that is in no catalogue"
 #: Leading effects that are named in a sentence and explained; tables have all.
 MOST_NAMED = 4
 _REPEATING_LOWERS = ("statistical", "monte_carlo")

@@ -8,7 +8,15 @@ import synthetic_bench as bench
 from scipy import special, stats
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
-from mcrim_mitsuba.inference.evidence import Evidence, even, evidence_of, gaussian, size, weigh
+from mcrim_mitsuba.inference.evidence import (
+    Evidence,
+    Hypothesis,
+    even,
+    evidence_of,
+    gaussian,
+    size,
+    weigh,
+)
 from mcrim_mitsuba.inference.explanations import Explanations
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
@@ -121,11 +129,15 @@ def test_densities_hold_what_they_say(density, low, high, inside):
 def test_probabilities_and_the_averaged_yield():
     known = LightYieldInput(50.0, 0.1, 0.01)  # a scale of 5 is 1 ph/keV
     at = {(): (0.0, 40.0), ("one",): (3.0, 35.0), ("other",): (2.0, 30.0)}
-    evidences = {
-        key: Evidence(log, 0.0, {"scale": scale}, {"scale": 1.0}, 1e3)
+    hypotheses = [
+        Hypothesis(
+            Evidence(log, 0.0, {"scale": scale}, {"scale": 1.0}, 1e3), -len(key) * math.log(2), key,
+            common=0.05 * len(key),
+        )
         for key, (log, scale) in at.items()
-    }
-    found = weigh(evidences, 2, known)
+    ]  # fmt: skip
+    found = weigh(hypotheses, known)
+    assert list(found.probabilities) == ["none", "one", "other"]
     odds = np.array([1.0, math.exp(3.0) / 2, math.exp(2.0) / 2])
     p = odds / odds.sum()
     assert list(found.probabilities.values()) == pytest.approx(p)
@@ -134,3 +146,5 @@ def test_probabilities_and_the_averaged_yield():
     assert found.light_yield.value == pytest.approx(mean)
     assert found.light_yield.between == pytest.approx(math.sqrt(p @ (values - mean) ** 2))
     assert found.light_yield.within == pytest.approx(math.hypot(0.2, 0.1 * mean))
+    allowed = 0.05 * math.sqrt(p[1:] @ values[1:] ** 2)
+    assert found.light_yield.catalogue == pytest.approx(allowed)

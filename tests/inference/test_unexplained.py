@@ -1,0 +1,122 @@
+"""What is no effect: something without a name, and readings that are wrong, on a bench in formulas.
+
+Seeds are fixed.
+"""
+
+import numpy as np
+import pytest
+import synthetic_bench as bench
+
+from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.inference.diagnose import diagnose_models
+from mcrim_mitsuba.inference.explanations import Explanations
+from mcrim_mitsuba.inference.unexplained import UNKNOWN, of_instrument, unnamed
+
+TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
+LIGHT = LightYieldInput(50.0, 0.1, 0.0)  # a scale of 5 is 1 ph/keV
+#: Effects that are hidden, each as strong as in a campaign whose misfit is seen.
+HIDDEN = {
+    "gap_bubble": ("bubble_fraction", 0.3),
+    "gap_absorption": ("gap_absorption_per_cm", 3.0),
+    "detector_reflection": ("detector_reflectance", 0.3),
+    "surface_absorption": ("surface_loss", 0.03),
+    "saturation": ("saturation", 0.01),
+    "gap_index": ("gap_index_offset", 0.08),
+}
+SOME = {n: bench.EFFECTS[n] for n in (*HIDDEN, "scattering_gradient", "anisotropic_scattering")}
+
+
+def models(seed, values=None, effects=(), change=lambda signal: signal):
+    rng = np.random.default_rng(seed)
+    signal = bench.signals({**TRUTH, **(values or {})}, effects)
+    signal = change(signal * (1.0 + bench.SIGMA * rng.standard_normal(len(signal))))
+    rows, noise = bench.readings(signal), bench.simulation_noise(seed)
+    prior = TRUTH["alpha_abs_per_cm"] + bench.PRIOR_SIGMA * rng.standard_normal()
+    return lambda added: bench.Model(rows, tuple(added), noise, prior, LIGHT)
+
+
+def hidden(name, seed, known):
+    """A campaign with an effect, diagnosed with these."""
+    parameter, size = HIDDEN[name]
+    effects = {other: effect for other, effect in SOME.items() if other in known}
+    return diagnose_models(models(seed, {parameter: size}, (name,)), effects)
+
+
+@pytest.mark.parametrize(("wrong", "seed"), [((5,), 1), ((2, 11), 2), ((1, 8, 13), 3)])
+def test_wrong_readings_are_named(wrong, seed):
+    """7 % up or down, as a laboratory's: one, two or three of sixteen."""
+    factors = np.ones(len(bench.ROWS))
+    factors[list(wrong)] += 0.07 * np.where(np.arange(len(wrong)) % 2, -1.0, 1.0)
+    found = diagnose_models(models(seed, change=lambda signal: signal * factors), SOME)
+    assert found.verdict == "unexplained" and not found.repair[1:]
+    labels = {f"row{i + 1}" for i in wrong}
+    assert set(found.suspect_readings[0].labels) == labels
+    assert next(iter(found.probabilities)) == found.suspect_readings[0].words
+    averaged = found.light_yield_averaged
+    assert abs(averaged.value - 8.0) < 3.3 * averaged.sigma < 1.0
+
+
+def test_first_order_finds_the_worst_readings_of_all_sets():
+    """The evidence that it predicts for a set is that of its fit."""
+    factors = np.ones(len(bench.ROWS))
+    factors[[3, 12]] = 1.09, 0.93
+    explanations = Explanations(models(4, change=lambda signal: signal * factors), {})
+    best, suspect = of_instrument(explanations)[0]
+    assert suspect.labels == ("row4", "row13") and suspect.explains
+    without = explanations.evidence(())
+    # two readings of 0.7 % that are 9 and 7 % off: about half of chi2, less what the sizes cost
+    gain = explanations.baseline.chi2 - suspect.chi2
+    assert 0.5 * gain - 8.0 < best.evidence.log - without.log < 0.5 * gain
+
+
+def test_swapped_rows_are_named():
+    def change(signal):
+        order = np.arange(len(signal))
+        order[[3, 8]] = 8, 3
+        return signal[order]
+
+    found = diagnose_models(models(7, change=change), SOME)
+    assert found.verdict == "unexplained"
+    assert found.suspect_readings[0].kind == "swapped_rows"
+    assert found.suspect_readings[0].labels == ("row4", "row9")
+    assert found.families[0].family == "instrument"
+
+
+def test_the_truth_is_in_no_catalogue():
+    """Effects hidden and left out: the yield is covered, and nothing wrong is sure.
+
+    Wanted are 85 % within 2 errors: two of six or fewer have a probability of 0.006.
+    """
+    away = []
+    for seed, name in enumerate(HIDDEN):
+        found = hidden(name, seed, set(SOME) - {name})
+        averaged = found.light_yield_averaged
+        away.append((averaged.value - 8.0) / averaged.sigma)
+        assert found.verdict != "adequate", name
+        assert found.verdict != "missing_effect" or abs(away[-1]) < 2.0, name
+        if found.verdict == "unexplained" and not found.suspect_readings:
+            assert not found.repair[1:] and averaged.catalogue > 0.01 * averaged.value
+    assert np.sum(np.abs(away) < 2.0) > 2, away
+
+
+def test_caution_costs_little_where_the_truth_is_known():
+    dearer = []
+    for seed, name in enumerate(HIDDEN):
+        found = hidden(name, seed, set(SOME))
+        averaged = found.light_yield_averaged
+        assert name in found.leading and abs(averaged.value - 8.0) < 3.3 * averaged.sigma, name
+        (own,) = (each for each in found.candidates if each.effect == name)
+        dearer.append(averaged.sigma / own.light_yield_ph_per_keV["sigma"])
+    assert np.median(dearer) < 1.3, dearer
+
+
+def test_something_without_a_name_grows_with_the_misfit():
+    """Its size is learned: of the hypotheses the likeliest has about the size that was drawn."""
+    pattern = np.sin(np.arange(len(bench.ROWS)))
+    for drawn in (0.0, 0.03, 0.12):
+        own = models(9, change=lambda signal, a=drawn: signal * np.exp(a * pattern))
+        explanations = Explanations(own, {})
+        found = unnamed(explanations, ())
+        best = max(found, key=lambda each: each.evidence.log)
+        assert all(each.name == UNKNOWN for each in found)
+        assert best.common <= 0.02 if drawn == 0.0 else drawn < best.common < 8.0 * drawn
