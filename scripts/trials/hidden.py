@@ -14,6 +14,7 @@ A trial then takes some seconds, the first one two minutes more: it fills the pa
 from __future__ import annotations
 
 import json
+import statistics
 from pathlib import Path
 
 import click
@@ -30,7 +31,7 @@ from trials.truth import unfinished
 
 #: Trials of every kind, if not asked otherwise.
 TRIALS = {"single": 64, "none": 60, "pairs": 24, "outsiders": 21, "mimic": 6, "too_small": 6,
-          "beam": 12}  # fmt: skip
+          "beam": 12, "left_out": 48, "family_out": 24}  # fmt: skip
 _ORDER = (*EFFECTS, *TOO_SMALL)
 _COLUMNS = (
     ("trial", 13), ("hidden", 44), ("excess", 6), ("verdict", 14), ("first", 22),
@@ -124,5 +125,13 @@ def main(number, kinds, only, seed, json_file, histories, photons, campaigns, ex
     )
     if json_file is not None:
         write_text(json_file, "".join(json.dumps(line) + "\n" for line in found))
+    spread = {kind: [t["averaged"]["relative_sigma"] for t in found if t["kind"] == kind]
+              for kind in kinds}  # fmt: skip
+    screen.line(
+        "averaged light yield, median error: "
+        + ", ".join(
+            f"{kind} {100 * statistics.median(own):.2g} %" for kind, own in spread.items() if own
+        )
+    )
     good = not failures and all(rate.met is not False for rate in rates(found))
     return terminal.DONE if good else terminal.OUR_FAULT

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from shared import fraction_error, markdown
 
-from trials.hidden_trials import BAD_READING, SWAPPED_ROWS
+from trials.hidden_trials import BAD_READING, FAMILY_OUT, LEFT_OUT, SWAPPED_ROWS
 
 #: Least p-value of a mended campaign, and how far from the truth, in standard errors, it may be.
 ACCEPTABLE_P, CLOSE = 0.01, 2.0
@@ -79,12 +79,36 @@ def rates(trials: Sequence[dict]) -> list[Rate]:
              lambda t: t["verdict"] == "adequate" or t["what"] in t["leading"]),
         rate("effect too small to see: limit holds the truth",
              [t for t in too_small if t["limits"]], _limit_holds),
+        *_of_left_out(trials, rate),
         rate("with a transmittance: haze and roughness told apart", beam, _told_apart, 0.8),
         rate("  first place right", beam, lambda t: t["first"] == t["what"]),
         rate(f"  repaired: within {CLOSE:g} sigma", beam, _close_after),
         rate(f"  unrepaired: within {CLOSE:g} sigma", beam, lambda t: _close(t["pulls_before"])),
     ]  # fmt: skip
     return [each for each in made if each.trials]
+
+
+def _of_left_out(trials: Sequence[dict], rate: Callable[..., Rate]) -> list[Rate]:
+    """Where the truth is in no catalogue: the averaged light yield, and what is said of it."""
+    made = []
+    for kind, words, least in ((LEFT_OUT, "effect left out", 0.85),
+                               (FAMILY_OUT, "family left out", 0.8)):  # fmt: skip
+        own = [t for t in trials if t["kind"] == kind]
+        made += [
+            rate(f"{words}: averaged yield within {CLOSE:g} of its errors", own, _covers, least),
+            rate("  within 1 of its errors", own, lambda t: abs(t["averaged"]["pull"]) < 1.0),
+            rate("  not adequate", own, lambda t: t["verdict"] != "adequate", 1.0),
+            rate("  not a missing effect with a yield that is off", own,
+                 lambda t: t["verdict"] != "missing_effect" or _covers(t), 0.97),
+        ]  # fmt: skip
+    known = [t for t in trials if t["kind"] == "single" and "averaged" in t]
+    made.append(rate("one effect: averaged yield within 2 of its errors", known, _covers, 0.9))
+    return made
+
+
+def _covers(trial: dict) -> bool:
+    """Whether the averaged light yield is near the truth."""
+    return abs(trial["averaged"]["pull"]) < CLOSE
 
 
 def _fits_after(trial: dict) -> bool:

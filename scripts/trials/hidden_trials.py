@@ -22,7 +22,7 @@ import tempfile
 import time
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,6 +35,8 @@ from shared import SCENE
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.files import plain, write_text
+from mcrim_mitsuba.effects.catalogue import catalogue
+from mcrim_mitsuba.inference.diagnose import UNEXPLAINED
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from trials.hidden_histories import COLUMNS, READINGS, HistoryStore
@@ -61,7 +63,10 @@ _PLAIN_RANGES, _PLAIN_NODES = ((0.05, 4.5), (0.001, 0.12)), (11, 4)
 _EFFECT_RANGES, _EFFECT_NODES = ((0.12, 1.6), (0.001, 0.12)), (6, 3)
 # how far beyond the sizes on offer an effect may go when it is fitted, straight on
 _REACH = 2.5
-KINDS = ("single", "none", "pairs", "outsiders", "mimic", "too_small", "beam")
+KINDS = ("single", "none", "pairs", "outsiders", "mimic", "too_small", "beam", "left_out",
+         "family_out")  # fmt: skip
+#: Kinds that are diagnosed without the effect that is hidden, or without its relatives too.
+LEFT_OUT, FAMILY_OUT = KINDS[-2:]
 #: Ways to be an outsider, in turn; the last two spoil readings instead of the bench.
 NARROW_COLLAR, SWAPPED_ROWS, BAD_READING = "narrow_collar", "swapped_rows", "bad_reading"
 OUTSIDERS_IN_TURN = (NARROW_COLLAR, SWAPPED_ROWS, BAD_READING)
@@ -370,7 +375,7 @@ class TrialMaker:
         """Changes of the bench that trials of some kinds need, the plain bench first."""
         of_pairs = dict.fromkeys(effect for pair in PAIRS for effect, _ in pair)
         of_kind = {
-            "single": hidden_alone(self._only),
+            **dict.fromkeys(("single", LEFT_OUT, FAMILY_OUT), hidden_alone(self._only)),
             "pairs": [*PAIRS, *hidden_alone(of_pairs)],
             "outsiders": hidden_alone([NARROW_COLLAR]),
             "mimic": hidden_alone(["black_spot"]),
@@ -399,6 +404,12 @@ class TrialMaker:
 
     def _single(self, rng, number: int, truth: Truth):
         return self._sized(rng, self._in_turn("single", self._only, number), truth, *EXCESS)
+
+    def _left_out(self, rng, number: int, truth: Truth):
+        return self._sized(rng, self._in_turn(LEFT_OUT, self._only, number), truth, *EXCESS)
+
+    def _family_out(self, rng, number: int, truth: Truth):
+        return self._sized(rng, self._in_turn(FAMILY_OUT, self._only, number), truth, *EXCESS)
 
     def _none(self, rng, number: int, truth: Truth):
         return (), (), "nothing", readings_of(self._store, (), truth)
@@ -508,8 +519,10 @@ def run_trial(
     name = f"{trial.kind}-{trial.number}"
     campaign = write_campaign(folder, name, trial.signal, trial.sigma, trial.truth)
     start = time.perf_counter()
-    said = diagnose_and_repair(campaign, threads, photons)
+    without = _left_out_of(trial)
+    said = diagnose_and_repair(campaign, threads, photons, without)
     seconds = time.perf_counter() - start
+    averaged = said["light_yield_averaged"]
     effects = {effect for effect, _ in trial.hidden}
     limits, before, after = said["upper_limits"], said["baseline"], said["calibration"]
     return {
@@ -525,6 +538,11 @@ def run_trial(
             {key: one[key] for key in ("effect", "chi2", "p_value", "plausible")}
             for one in (*said["candidates"][:4], *said["pairs"][:4])
         ],
+        "without": list(without),
+        "averaged": {
+            "relative_sigma": averaged["sigma"] / trial.truth.light_yield_ph_per_keV,
+            "pull": (averaged["value"] - trial.truth.light_yield_ph_per_keV) / averaged["sigma"],
+        },
         "limits": {effect: limits[effect] for effect in effects if effect in limits},
         "added": said["effects"],
         "steps": [[step["added"], step["chi2"], step["p_value"]] for step in said["repair"]],
@@ -535,15 +553,32 @@ def run_trial(
     }  # fmt: skip
 
 
+def _left_out_of(trial: Trial) -> tuple[str, ...]:
+    """Effects that the package must not know in a trial."""
+    effects = catalogue()
+    if trial.kind == LEFT_OUT:
+        return (trial.what,)
+    if trial.kind == FAMILY_OUT:
+        family = effects[trial.what].family
+        return tuple(name for name, effect in effects.items() if effect.family == family)
+    return ()
+
+
 def diagnose_and_repair(
-    campaign: Path, threads: int | None = None, photons: int | None = None
-) -> dict:
+    campaign: Path, threads: int | None = None, photons: int | None = None,
+    without: Sequence[str] = (),
+) -> dict:  # fmt: skip
     """What the package says of a campaign, as `mcrim repair --json` has it; diagnosis_seconds."""
-    found = mcrim.repair(campaign, photons=photons, threads=threads)
+    known = mcrim.read_campaign(campaign)
+    if without:
+        rest = {name: effect for name, effect in known.catalogue.items() if name not in without}
+        known = replace(known, catalogue=rest)
+    found = mcrim.repair(known, photons=photons, threads=threads)
     seconds = found.diagnosed.provenance.seconds
-    if set_aside := found.diagnosed.diagnosis.set_aside:
+    diagnosis = found.diagnosed.diagnosis
+    if (set_aside := diagnosis.set_aside) and diagnosis.verdict != UNEXPLAINED:
         # larger than usual, as much of what is hidden: somebody looked for it, and it is there
-        found = mcrim.repair(campaign, effect=set_aside, photons=photons, threads=threads)
+        found = mcrim.repair(known, effect=set_aside, photons=photons, threads=threads)
     return plain(found.document) | {"diagnosis_seconds": seconds}
 
 
