@@ -376,8 +376,8 @@ def test_what_comes_back_into_the_liquid_is_lost(write):
         scene = scene.edited(add(name, scene))
     numbers = {"n_gap": 1.46, "collar_mm": 3.0, "mask_offset_mm": 4.0, "housing_reflectance": 1.0,
                "aperture_radius_mm": 6.0}  # fmt: skip
-    ours = Simulation(scene, numbers, check=False).collect(400_000, seed=15)
-    other = trace(Bench(**numbers), 100_000, 16)
+    ours = Simulation(scene, numbers, check=False).collect(2**21, seed=15)
+    other = trace(Bench(**numbers), 400_000, 16)
     for fate in ("detected", "escaped"):
         difference = ours.budget[fate] - other.budget[fate]
         assert abs(difference) < Z * np.hypot(ours.budget_sigma[fate], other.budget_sigma[fate])
