@@ -19,7 +19,7 @@ from mcrim_mitsuba.reference.polished_box import solve_box
 from mcrim_mitsuba.reference.scene_bench import bench_of
 from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
-from mcrim_mitsuba.transport.simulation import SimulationResult
+from mcrim_mitsuba.transport.simulation import SimulationResult, calibration_notes
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.simulation import Simulation
@@ -62,6 +62,7 @@ def solve_simulation(simulation: Simulation, precision: float | None = None) -> 
     with placed(path=file.path):
         found = solve_box(bench_of(simulation), precision=precision)
     notes = _notes(found.eta, found.error, precision)
+    notes += calibration_notes(simulation.model.head_on)
     fates = {name: float(part) for name, part in found.fates.items() if part}
     eta, error = float(found.eta), float(found.error)
     return SimulationResult(

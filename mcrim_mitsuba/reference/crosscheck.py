@@ -132,8 +132,8 @@ def _solved(bench: Bench) -> BoxEfficiency | None:
     return None if solved.fates["trapped"] else solved
 
 
-#: Fates that all programs call the same.
-_SOLVED_FATES = ("detected", "absorbed_crystal")
+#: What all programs call the same.
+_SOLVED = ("eta", "absorbed_crystal")
 
 
 def _row(
@@ -148,8 +148,9 @@ def _row(
         b, sigma_b = reference.budget.get(fate, 0.0), reference.budget_sigma.get(fate, 0.0)
     few = max(a * reference.photons, reference.counts.get(fate, 0)) < FEWEST_COUNTS
     z = None if few else (a - b) / math.hypot(sigma_a, sigma_b)
-    if solved is None or fate not in _SOLVED_FATES:
+    if solved is None or quantity not in _SOLVED:
         return CrosscheckRow(quantity, a, sigma_a, b, sigma_b, z)
-    c, sigma_c = float(solved.fates[fate]), float(solved.error)
+    c = float(solved.eta if quantity == "eta" else solved.fates[fate])
+    sigma_c = float(solved.error)
     modes_z = None if few else (a - c) / math.hypot(sigma_a, sigma_c)
     return CrosscheckRow(quantity, a, sigma_a, b, sigma_b, z, c, sigma_c, modes_z)

@@ -27,6 +27,7 @@ from mcrim_mitsuba.reference.box_openings import (
     side_cone,
     side_light,
 )
+from mcrim_mitsuba.reference.flight import head_on
 
 _Array = NDArray[Any]
 
@@ -327,7 +328,7 @@ class BoxEfficiency:
     #: 1/cm.
     alpha_scat_per_cm: Floats
     alpha_abs_per_cm: Floats
-    #: Probability that emitted light is detected.
+    #: Probability that emitted light is detected, over that of light which arrives head-on.
     eta: Floats
     #: Its derivatives by the two coefficients, in cm; NaN where both are 0: trapped light is freed
     #: by the least of scattering.
@@ -392,8 +393,10 @@ def solve_box(
             break
     shaped = columns.reshape(-1, *scat.shape)
     eta, by_scat, by_abs, error, absorbed, trapped, left = shaped
+    detected = eta * head_on(bench)
     fates = {
-        "detected": eta, "absorbed_crystal": absorbed, "trapped": trapped, "elsewhere": left - eta,
+        "detected": detected, "absorbed_crystal": absorbed, "trapped": trapped,
+        "elsewhere": left - detected,
     }  # fmt: skip
     return BoxEfficiency(scat, absorb, eta, by_scat, by_abs, error, fates)
 

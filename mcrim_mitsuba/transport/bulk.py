@@ -342,22 +342,26 @@ def _along(axis: int, frame):
 
 
 def _parallelepiped(faces):
-    """Corner and edges of the parallelepiped whose six faces are given, or ``None``."""
-    if len(faces) != 6 or any(face.triangle for face in faces):
+    """Corner and edges of the parallelepiped that faces make up, or ``None``.
+
+    All but the first may be in parts, so that births are those of a crystal whose faces are whole.
+    """
+    if any(face.triangle for face in faces):
         return None
     corners = np.concatenate([face.corners for face in faces])
-    size = np.ptp(corners, axis=0).max()
+    size, area = np.ptp(corners, axis=0).max(), sum(face.area for face in faces)
     corner, u, v = faces[0].corner, faces[0].edge_u, faces[0].edge_v
-    # The third edge leads from the first face to the corner of the opposite one.
+    # The third edge leads from the first face to a corner of the opposite one.
     for candidate in corners:
         w = candidate - corner
         if abs(w @ faces[0].normal) < 1e-5 * size:
             continue
-        expected = corner + np.array(
-            [a * u + b * v + c * w for a in (0, 1) for b in (0, 1) for c in (0, 1)]
-        )
-        gaps = np.abs(corners[:, None, :] - expected[None]).max(axis=2)
-        if gaps.min(axis=1).max() < 1e-5 * size and gaps.min(axis=0).max() < 1e-5 * size:
+        shares = np.linalg.solve(np.column_stack([u, v, w]), (corners - corner).T).T
+        whole = 2.0 * sum(np.linalg.norm(np.cross(*pair)) for pair in ((u, v), (v, w), (w, u)))
+        inside = shares.min() > -1e-5 and shares.max() < 1.0 + 1e-5
+        ends = shares.reshape(len(faces), -1, 3)
+        on_end = (np.abs(ends) < 1e-5).all(axis=1) | (np.abs(ends - 1.0) < 1e-5).all(axis=1)
+        if inside and on_end.any(axis=1).all() and abs(area - whole) < 1e-4 * whole:
             return corner, u, v, w
     return None
 

@@ -292,6 +292,11 @@ class Loop:
         leaves = dr.select(outside, mi.UInt32(physics.ESCAPED), mi.UInt32(physics.LOST))
         fate = dr.select(nowhere, leaves, fate)
         fate = dr.select(dies, mi.UInt32(physics.VOLUME), fate)
+        if path.model.endless is not None:
+            # what is sent back into a liquid without end is in it for ever
+            back = inside[path.model.endless] & (outcome.volume == path.model.endless)
+            lost = at_surface & back & (fate == physics.ALIVE)
+            fate = dr.select(lost, mi.UInt32(physics.ESCAPED), fate)
         dimmed = w
         if path.surfaces_may_absorb:
             # as in volumes; of a `survive` that was no death there the rest is even again

@@ -215,21 +215,31 @@ class Simulation:
             f"{max_depth} flights and was cut off; eta could be up to that "
             "much higher (max_depth of the integrator sets the limit)": truncated > 0,
             f"{100 * lost:.2g} % of the light was lost by rounding at the edges of faces": lost > 0,
-            f"the detector detects {100 * tally.head_on:.4g} % of light that arrives head-on, and "
-            "eta counts relative to that; the fate detected does not": tally.head_on != 1.0,
             f"the wanted precision of {100 * (precision or 0):g} % was not reached with "
             f"{tally.photons:,} photons": missed,
         }
         return SimulationResult(
             seed=seed, photons=tally.photons, cached_photons=cached_photons,
             scene_hash=self.file.content_hash, versions=versions(self.variant), seconds=seconds,
-            notes=(*(note for note, holds in said.items() if holds), *notes),
+            notes=(
+                *calibration_notes(tally.head_on),
+                *(note for note, holds in said.items() if holds),
+                *notes,
+            ),
             requested=requested, interrupted=interrupted,
             eta=tally.eta, eta_sigma=tally.eta_sigma,
             budget=tally.budget, budget_sigma=tally.budget_sigma,
             parameters=dict(self.file.parameters), polarization=self.polarization,
             transport=path_name,
         )  # fmt: skip
+
+
+def calibration_notes(head_on: float) -> tuple[str, ...]:
+    """What the user must know of a detector that detects such a part of light head-on."""
+    if head_on == 1.0:
+        return ()
+    said = f"the detector detects {100 * head_on:.4g} % of light that arrives head-on, and eta"
+    return (f"{said} counts relative to that; the fate detected does not",)
 
 
 def _refuse(problems: Sequence[SceneProblem]) -> None:

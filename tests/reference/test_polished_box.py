@@ -262,4 +262,9 @@ def test_window_absorption_and_angles_of_the_detector_only_take_light_away():
     # at least 1 mm, at most the way of light at the critical angle of air
     ratio = float(tinted.eta / plain.eta)
     assert 0.7 < ratio < math.exp(-0.1)
-    assert solve_box(replace(GEL, angular_falloff=0.5)).eta < plain.eta
+    worse, better = (solve_box(replace(GEL, angular_falloff=a)) for a in (0.5, -0.5))
+    assert worse.eta < plain.eta
+    # relative to light head-on it is linear, and what is detected less than that
+    assert worse.eta + better.eta == pytest.approx(2 * plain.eta, rel=1e-9)
+    assert better.fates["detected"] == pytest.approx(better.eta / 1.5)
+    assert better.fates["elsewhere"] > plain.fates["elsewhere"]

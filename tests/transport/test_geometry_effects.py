@@ -1,6 +1,6 @@
 """Chamfers, bubbles, thicker gaps and reflectors: shapes that change the bench's geometry.
 
-Statistical tests use fixed seeds. The file makes 24 comparisons at z < 3.7: a correct program would
+Statistical tests use fixed seeds. The file makes 26 comparisons at z < 3.7: a correct program would
 fail it with a probability of at most 0.5 %.
 """
 
@@ -358,6 +358,29 @@ def test_light_goes_straight_from_wet_sides_to_the_hole(write, index):
     for found in (ours, other):
         z = (found.eta - expected.mean()) / np.hypot(found.eta_sigma, sigma)
         assert abs(z) < Z if index == 1.5 else z < -30
+
+
+@pytest.mark.parametrize("effect", ["creep", "round", "bubble"])
+def test_births_are_those_of_the_plain_bench_where_faces_are_in_parts(write, effect):
+    """So differences of the two are not blurred by where light is born."""
+    plain, parted = (loaded(write(*names), n_gap=1.46).crystal for names in ((), (effect,)))
+    assert len(parted.model.faces) > len(plain.model.faces) and parted.direct
+    for one, other in zip(plain.frame, parted.frame, strict=True):
+        assert one == pytest.approx(other, abs=1e-5)
+
+
+def test_what_comes_back_into_the_liquid_is_lost(write):
+    """A white mask beside wet sides sends light up in the liquid, which is without end."""
+    scene = read_scene(write("creep"))
+    for name in ("mask_offset", "housing_reflection"):
+        scene = scene.edited(add(name, scene))
+    numbers = {"n_gap": 1.46, "collar_mm": 3.0, "mask_offset_mm": 4.0, "housing_reflectance": 1.0,
+               "aperture_radius_mm": 6.0}  # fmt: skip
+    ours = Simulation(scene, numbers, check=False).collect(2**21, seed=15)
+    other = trace(Bench(**numbers), 400_000, 16)
+    for fate in ("detected", "escaped"):
+        difference = ours.budget[fate] - other.budget[fate]
+        assert abs(difference) < Z * np.hypot(ours.budget_sigma[fate], other.budget_sigma[fate])
 
 
 def test_births_fill_a_chamfered_crystal_evenly(write):

@@ -36,7 +36,7 @@ class BulkMedium(mi.Medium):
     ``endless`` : boolean, default false
         A clear liquid without end, which light enters through faces that name it as exterior and
         which is nowhere else: there light goes on as it would in the air outside, but what it
-        meets borders the liquid.
+        meets borders the liquid, and what that sends back is lost.
     nested ``phase``
         Phase function of the scattering, ``isotropic``, ``hg`` or ``rayleigh``; isotropic when
         absent.
