@@ -519,7 +519,7 @@ def run_trial(
     name = f"{trial.kind}-{trial.number}"
     campaign = write_campaign(folder, name, trial.signal, trial.sigma, trial.truth)
     start = time.perf_counter()
-    without = _left_out_of(trial)
+    without = left_out_of(trial)
     said = diagnose_and_repair(campaign, threads, photons, without)
     seconds = time.perf_counter() - start
     averaged = said["light_yield_averaged"]
@@ -553,7 +553,7 @@ def run_trial(
     }  # fmt: skip
 
 
-def _left_out_of(trial: Trial) -> tuple[str, ...]:
+def left_out_of(trial: Trial) -> tuple[str, ...]:
     """Effects that the package must not know in a trial."""
     effects = catalogue()
     if trial.kind == LEFT_OUT:
