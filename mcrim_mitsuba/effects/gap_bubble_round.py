@@ -62,8 +62,8 @@ EFFECT = Effect(
             start=0.15,
             absent=0.0,
             plausible=(0.0, 0.4),
-            nodes=(0.03, 0.08, 0.15, 0.23, 0.32, 0.45, 0.6),
-            # where the disc reaches the rim of a mask's hole, what it does is over
+            nodes=(0.08, 0.16, 0.24, 0.31, 0.37, 0.42, 0.46, 0.5, 0.55, 0.6),
+            # where the disc covers the hole of a mask, little light is left, and then no less
             kinked=True,
         ),
     ),
