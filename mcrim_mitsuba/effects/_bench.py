@@ -14,7 +14,7 @@ from mcrim_mitsuba.core.numbers import Value, parse_number
 from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.scene.editor import INTERFACES, Node, SceneEditor
 
-#: Of the light in vacuum, where a scene names it.
+#: Of the light in vacuum.
 WAVELENGTH = "wavelength_nm"
 _INDICES = ("int_ior", "ext_ior")
 _FURTHER = (
@@ -69,6 +69,13 @@ def set_part(editor: SceneEditor, bsdfs: Iterable[Node], name: str, xml: str) ->
             editor.insert_after(numbers[-1], xml)
         else:
             editor.insert_first(bsdf, xml)
+
+
+def wavelength_of(editor: SceneEditor) -> str:
+    """The wavelength as the scene's parameter, which is declared if the scene has none."""
+    if WAVELENGTH not in editor.scene.parameters:
+        editor.declare(WAVELENGTH, 540.0, "Wavelength of the light in vacuum, nm")
+    return f"${WAVELENGTH}"
 
 
 def masks_of(editor: SceneEditor) -> list[Node]:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from mcrim_mitsuba.effects._bench import WAVELENGTH, index_before, sends_back, set_detector
+from mcrim_mitsuba.effects._bench import (
+    WAVELENGTH,
+    index_before,
+    sends_back,
+    set_detector,
+    wavelength_of,
+)
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import SceneEditor
 
 
 def edit(editor: SceneEditor) -> None:
-    """Let the detectors be films on the window, at the scene's wavelength if it has one."""
+    """Let the detectors be films on the window."""
     set_detector(editor, "cathode_nm", "$cathode_nm")
-    if WAVELENGTH in editor.scene.parameters:
-        set_detector(editor, WAVELENGTH, f"${WAVELENGTH}")
+    set_detector(editor, WAVELENGTH, wavelength_of(editor))
     for detector in editor.detectors:
         editor.insert_last(
             detector, f'<float name="window_index" value="{index_before(editor, detector)}"/>'
@@ -34,9 +39,9 @@ EFFECT = Effect(
         "arrives slanted is absorbed up to twice as well as light head-on, and reflected like from "
         "a mirror. Tubes are calibrated head-on, so readings count A(theta) / A(0), which may "
         "exceed 1: a gel lets slanted light into the window, air does not. What is transmitted is "
-        "lost. The index is that of K-Cs-Sb, 3.22 + 0.706i at 540 nm (the wavelength where the "
-        "scene has no parameter wavelength_nm); 15.5 nm were measured. Effects that say the same "
-        "in another way exclude it."
+        "lost. The index is that of K-Cs-Sb at the scene's wavelength_nm, from 380 to 680 nm: "
+        "3.22 + 0.706i at 540 nm, which it is unless another one is given; 15.5 nm thick films "
+        "were measured. Effects that say the same in another way exclude it."
     ),
     source="D. Motta and S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217",
     parameters=(

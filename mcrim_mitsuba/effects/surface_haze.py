@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from mcrim_mitsuba.effects._bench import WAVELENGTH, polish
+from mcrim_mitsuba.effects._bench import WAVELENGTH, polish, wavelength_of
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import SceneEditor
 
 
 def edit(editor: SceneEditor) -> None:
-    """Give all faces of the crystal a fine roughness, at the scene's wavelength if it has one."""
+    """Give all faces of the crystal a fine roughness."""
+    wavelength = wavelength_of(editor)
     for bsdf in editor.crystal_polish:
         polish(editor, bsdf, "rms_roughness_nm", "$rms_roughness_nm")
-        if WAVELENGTH in editor.scene.parameters:
-            polish(editor, bsdf, WAVELENGTH, f"${WAVELENGTH}")
+        editor.insert_last(bsdf, f'<float name="{WAVELENGTH}" value="{wavelength}"/>')
 
 
 EFFECT = Effect(
@@ -29,7 +29,7 @@ EFFECT = Effect(
         "or refracts leaves to any direction (Lambert's law), with q = 4 pi s n cos(theta) / "
         "lambda in reflection and 2 pi s |n cos(theta) - n' cos(theta')| / lambda in refraction. "
         "Trapped light, reflected tens of times, is freed by a haze that a beam through two "
-        "faces hardly notices. Without a parameter wavelength_nm in the scene, lambda is 540 nm."
+        "faces hardly notices. lambda is the scene's wavelength_nm, 540 nm unless another is given."
     ),
     source="H. E. Bennett and J. O. Porteus, J. Opt. Soc. Am. 51 (1961) 123",
     parameters=(
