@@ -297,6 +297,16 @@ def _rows(campaign: Campaign) -> Rows:
     return Rows(position, np.array(others, dtype=bool))
 
 
+def acts_on(effect: Effect, campaign: Campaign) -> bool:
+    """Whether an effect of the readings changes any that is used: there may be one crystal only."""
+    assert effect.reading is not None
+    ones = np.ones(len(campaign.measurements.readings))
+    read = effect.reading(ones, effect.parameters[0].start, _rows(campaign))[0]
+    used = [each.use and not each.of_beam for each in campaign.measurements.readings]
+    # a background may begin at none
+    return bool((read != 1.0)[used].any()) or effect.parameters[0].start == 0.0
+
+
 class ResponseModel:
     """Predicts a campaign's readings with some effects switched on; see `Model`.
 

@@ -24,7 +24,7 @@ from mcrim_mitsuba.efficiency.responses import Responses
 from mcrim_mitsuba.inference.candidates import MeasurementProposals
 from mcrim_mitsuba.inference.explanations import plausible_priors
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model
-from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.inference.model import ResponseModel, acts_on
 from mcrim_mitsuba.scene.spectrophotometer import (
     ACCEPTANCE,
     BEAM_AXIS,
@@ -288,6 +288,8 @@ class Workbench:
             if name in campaign.effects or effect.is_in(campaign.scene):
                 continue
             if effect.of_beam and not campaign.beam:
+                continue
+            if effect.reading is not None and not acts_on(effect, campaign):
                 continue
             if any(name in campaign.catalogue[other].excludes for other in campaign.effects):
                 continue

@@ -262,6 +262,9 @@ def test_rows_know_when_they_were_read_and_of_which_crystal(campaign, tmp_path):
         for part in ({"gain_drift": 0, "sample_scale": 0}, {})
     )
     assert both / plain == pytest.approx([0.95, 1.0, 1.2, 1.05, 1.2 * 1.05])
+    # where no row in use is of another crystal there is nothing to try
+    tried = Workbench(read_campaign(tmp_path / "rows.toml"), Run(LANES)).possible()
+    assert "gain_drift" in tried and "sample_scale" not in tried
 
 
 def test_a_mended_campaign_says_the_same_by_every_command(campaign, tmp_path, monkeypatch):

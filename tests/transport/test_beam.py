@@ -64,6 +64,15 @@ def test_effects_of_the_bench_alone_leave_the_beam_as_it_is():
     ]  # fmt: skip
 
 
+def test_what_the_liquid_does_is_not_seen_by_the_beam():
+    """Faces that a bubble or a collar parts are whole in it: the same photons."""
+    bench = read_scene(SCENES / "camoo4.xml")
+    plain = transmitted(spectrophotometer_of(bench), 2**16)
+    for name in ("gap_bubble", "gap_bubble_round", "gel_creep"):
+        derived = spectrophotometer_of(bench.edited(add(name, bench)))
+        assert transmitted(derived, 2**16) == plain, name
+
+
 @pytest.mark.parametrize("name", ["side_roughness", "bottom_roughness", "surface_haze"])
 def test_an_effect_on_the_crystal_can_be_added_to_the_beam_itself(name):
     bench, beam = read_scene(SCENES / "camoo4.xml"), read_scene(BEAM)
