@@ -360,8 +360,9 @@ def _parallelepiped(faces):
         whole = 2.0 * sum(np.linalg.norm(np.cross(*pair)) for pair in ((u, v), (v, w), (w, u)))
         inside = shares.min() > -1e-5 and shares.max() < 1.0 + 1e-5
         ends = shares.reshape(len(faces), -1, 3)
-        on_end = (np.abs(ends) < 1e-5).all(axis=1) | (np.abs(ends - 1.0) < 1e-5).all(axis=1)
-        if inside and on_end.any(axis=1).all() and abs(area - whole) < 1e-4 * whole:
+        away = np.minimum(np.abs(ends).max(axis=1), np.abs(ends - 1.0).max(axis=1))
+        on_sides = away.min(axis=1).max() < 1e-5
+        if inside and on_sides and abs(area - whole) < 1e-4 * whole:
             return corner, u, v, w
     return None
 
