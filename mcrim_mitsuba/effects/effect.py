@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import math
 import re
@@ -223,8 +224,8 @@ class Effect:
     #: The radius that a smaller aperture cuts at.
     mask_column: str = "mask_radius_mm"
     #: ``reading(signals, value, rows)`` -> reading, d reading / d signal, d reading / d value, all
-    #: of the signals' shape, whose last axis is that of the rows. It acts on light, never on
-    #: transmittances.
+    #: of the signals' shape, whose last axis is that of the rows; ``rows`` may be left out of what
+    #: it takes. It acts on light, never on transmittances.
     reading: Reading | None = None
     #: Of several effects on the readings, that of the lower number acts first.
     order: int = 0
@@ -258,7 +259,21 @@ class Effect:
                 raise ValueError(f"{self.name}: parameters must be a tuple of EffectParameter")
         if self.reading is not None and len(self.parameters) != 1:
             raise ValueError(f"{self.name}: an effect of the readings has one parameter")
-        if self.reading is not None and len(inspect.signature(self.reading).parameters) != 3:
-            raise ValueError(f"{self.name}: its reading must take signals, value and rows")
+        if self.reading is not None:
+            taken = len(inspect.signature(self.reading).parameters)
+            if taken == 2:
+                of_signal = functools.partial(_of_signal_alone, self.reading)
+                object.__setattr__(self, "reading", of_signal)
+            elif taken != 3:
+                problem = "its reading must take signals and value, and may take rows"
+                raise ValueError(f"{self.name}: {problem}")
         if self.proposal is not None and set(self.proposal) != {p.name for p in self.parameters}:
             raise ValueError(f"{self.name}: proposal must give each of its parameters a value")
+
+
+def _of_signal_alone(
+    reading: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]],
+    signals: np.ndarray, value: float, rows: Rows,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """What an effect does that need not know when a row was read."""
+    return reading(signals, value)
