@@ -107,7 +107,8 @@ def test_compare_says_what_chi2_means(mcrim, campaign, found, p_value, says, fol
 
 AVERAGED = (
     "Light yield: 7.7 ± 0.9 ph/keV (within models 0.78, between them 0.34, for what is in no "
-    "catalogue 0.12), averaged over all that the readings allow; 7.52 ± 0.20 with surface_absorption (70 %)"
+    "catalogue 0.12), averaged over all that the readings allow; 7.52 ± 0.20 with "
+    "surface_absorption (70 %)"
 )
 FIRST_LINES = {
     "missing_effect": "missing_effect: surface_absorption (surface_loss = 0.0123 ± 0.0008) "
