@@ -20,7 +20,7 @@ from mcrim_mitsuba.runs.executors import current_executor, number_of
 #: How far behind the best in chi2 a contender may be, absolute and in parts of what the best gains:
 #: a first look has few nodes. What it must gain over the bench as it is, if this describes the
 #: readings. Standard errors of the simulation are added to both.
-BEHIND, PART_BEHIND, LEAST_GAIN, ERRORS = 20.0, 0.1, 6.0, 2.0
+BEHIND, PART_BEHIND, LEAST_GAIN, ERRORS = 20.0, 0.1, 6.0, 1.0
 #: Pairs whose members are contenders where no effect alone explains the readings.
 MOST_PAIRS = 4
 
