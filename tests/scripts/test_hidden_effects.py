@@ -154,6 +154,8 @@ def test_rates_and_confusion():
         a_trial(kind="beam", what="surface_haze", leading=["surface_haze", "gap_bubble"]),
         a_trial(kind="beam", what="surface_haze", leading=["surface_haze", "surface_roughness"]),
         a_trial(kind="beam", what="surface_roughness", leading=["surface_haze"]),
+        a_trial(kind="left_out", averaged={"pull": 0.5, "relative_sigma": 0.1}),
+        a_trial(kind="left_out", averaged={"pull": -2.5, "relative_sigma": 0.1}),
     ]  # fmt: skip
     found = {rate.point.strip(): (rate.hits, rate.trials) for rate in scores.rates(lines)}
     assert found["one effect: first place right"] == (1, 2)
@@ -166,6 +168,8 @@ def test_rates_and_confusion():
     assert found["two effects: both found by repair"] == (0, 1)
     assert found["effect too small to see: limit holds the truth"] == (0, 1)
     assert found["with a transmittance: haze and roughness told apart"] == (1, 3)
+    assert found["effect left out: averaged yield within 2 of its errors"] == (1, 2)
+    assert found["not a missing effect with a yield that is off"] == (1, 2)
     first, matrix = scores.confusion(lines, ["gap_absorption", "gap_bubble"])
     assert first == ["gap_absorption", "gap_bubble"]
     assert matrix == [("gap_bubble", 2, 2, [1, 1])]
