@@ -215,13 +215,16 @@ class ResponseMaker:
     @property
     def photons(self) -> int:
         """That responses rest on: not those of a first look where there was a second one."""
-        return sum(photons for *_, photons in set[_Identity]().union(*self._rests_on.values()))
+        return sum(photons for *_, photons in self._used)
 
     @property
     def cached_photons(self) -> int:
         """Those of them that the cache had."""
-        used = set[_Identity]().union(*self._rests_on.values())
-        return sum(identity[2] for identity in used if self._seen[identity])
+        return sum(each[2] for each in self._used if self._seen[each])
+
+    @property
+    def _used(self) -> set[_Identity]:
+        return set[_Identity]().union(*self._rests_on.values())
 
     @property
     def notes(self) -> list[str]:

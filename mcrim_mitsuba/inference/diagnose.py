@@ -128,26 +128,27 @@ class Judgement:
         """All that may explain the readings."""
         of_effects = [(), *self.singles.order, *(pairs.order if pairs is not None else ())]
         return [
-            *(
-                Hypothesis(self.explanations.evidence(each), self.explanations.log_odds(each), each)
-                for each in of_effects
-            ),
+            *map(self._of_effects, of_effects),
             *(hypothesis for hypothesis, _ in self.instrument),
             *self.unnamed,
         ]
+
+    def _of_effects(self, effects: tuple[str, ...]) -> Hypothesis:
+        explanations = self.explanations
+        return Hypothesis(explanations.evidence(effects), explanations.log_odds(effects), effects)
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:
         """Readings that explain the misfit about as well as those that do best."""
         if not self.instrument:
             return ()
-        best = _weight(self.instrument[0][0])
+        best = self.instrument[0][0].log_weight
         return tuple(
             suspect
             for hypothesis, suspect in self.instrument
             if suspect.p_value is not None
             and suspect.p_value >= _BARELY_EXPLAINS
-            and _weight(hypothesis) > best - _RIVAL
+            and hypothesis.log_weight > best - _RIVAL
         )
 
     @property
@@ -158,9 +159,8 @@ class Judgement:
 
     def _names(self, effects: tuple[str, ...]) -> bool:
         """Whether effects are likelier than anything that has no name."""
-        own = self.explanations.evidence(effects).log + self.explanations.log_odds(effects)
-        weights = [_weight(each) for each in self.unnamed]
-        return not weights or own >= float(logsumexp(weights))
+        weights = [each.log_weight for each in self.unnamed]
+        return not weights or self._of_effects(effects).log_weight >= float(logsumexp(weights))
 
     def verdict(self, pairs: Ranking | None) -> Verdict:
         """What is said of the campaign; pairs are given where they were looked at."""
@@ -174,9 +174,9 @@ class Judgement:
             )
         leading, best = self._leading(pairs)
         if suspects:
-            of_effects = [_weight(h) for h in self.hypotheses(pairs) if h.effects and not h.besides]
-            of_unnamed = [_weight(each) for each in self.unnamed]
-            lead = _weight(self.instrument[0][0]) - float(logsumexp([*of_effects, *of_unnamed]))
+            others = [h for h in self.hypotheses(pairs) if h.effects or h.besides == UNKNOWN]
+            rivals = float(logsumexp([each.log_weight for each in others]))
+            lead = self.instrument[0][0].log_weight - rivals
             if lead > _RIVAL or (lead > 0.0 and not leading):
                 return _of_suspects(suspects)
             if lead > -_RIVAL and leading:
@@ -252,11 +252,6 @@ class Judgement:
                 break
             chosen = (*chosen, further)
         return chosen if explains(explanations.fit(chosen), _PAIR_EXPLAINS) else ()
-
-
-def _weight(hypothesis: Hypothesis) -> float:
-    """Natural logarithm of how likely it is, up to a constant."""
-    return hypothesis.evidence.log + hypothesis.log_odds
 
 
 def explains(fit: Fit, level: float) -> bool:

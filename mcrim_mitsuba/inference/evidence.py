@@ -323,6 +323,11 @@ class Hypothesis:
     common: float = 0.0
 
     @property
+    def log_weight(self) -> float:
+        """Natural logarithm of how likely it is, up to a constant."""
+        return self.evidence.log + self.log_odds
+
+    @property
     def name(self) -> str:
         """As probabilities are listed."""
         return self.besides or " + ".join(self.effects) or NOTHING_MISSING
@@ -340,7 +345,7 @@ class Weighing:
 
 def weigh(hypotheses: Sequence[Hypothesis], known: LightYieldInput | None) -> Weighing:
     """Probabilities of hypotheses from their evidences, those of one name together."""
-    logs = np.array([each.evidence.log + each.log_odds for each in hypotheses])
+    logs = np.array([each.log_weight for each in hypotheses])
     shares = np.exp(logs - logsumexp(logs))
     probabilities: dict[str, float] = {}
     for each, share in zip(hypotheses, shares, strict=True):

@@ -114,10 +114,10 @@ class LeastSquaresProblem(Likelihood):
         other._unexplained = covariance
         return other
 
-    def exchanged(self, order: NDArray[np.int64], variances: Array) -> LeastSquaresProblem:
-        """The same with its (used,) readings, and their variances, in another order."""
+    def exchanged(self, order: NDArray[np.int64]) -> LeastSquaresProblem:
+        """The same with its (used,) readings, and their own errors, in another order."""
         other = copy.copy(self)
-        other.signal, other._variance = self.signal[order], variances
+        other.signal, other._variance = self.signal[order], self._variance[order]
         return other
 
     def theta(self, values: Mapping[str, float]) -> Array:

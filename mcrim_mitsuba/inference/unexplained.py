@@ -77,15 +77,19 @@ def unnamed(explanations: Explanations, singles: Sequence[tuple[str, ...]]) -> l
     near = [effects for effects, fit in fits.items() if fit.deviance < lowest + _BESIDE]
     correlation = _correlation(explanations.baseline.problem)
     found = []
+    # twice the size is half as likely
+    whole = sum(1.0 / each for each in _AMPLITUDES)
     for effects in [(), *near[:_MOST_BESIDE]]:
-        best = -math.inf
+        best, priors = -math.inf, explanations.priors(effects)
+        of_effects, odds = (
+            explanations.log_odds(effects),
+            _BESIDE_ODDS if effects else _UNKNOWN_ODDS,
+        )
         for amplitude in _AMPLITUDES:
             own = explanations.problem(effects).with_unexplained(amplitude**2 * correlation)
             fit = settle(own, explanations.fit(effects).theta)
-            evidence = evidence_of(fit, explanations.priors(effects), hopeless=True)
-            odds = _BESIDE_ODDS if effects else _UNKNOWN_ODDS
-            odds /= amplitude * sum(1.0 / each for each in _AMPLITUDES)
-            log_odds = explanations.log_odds(effects) + math.log(odds)
+            evidence = evidence_of(fit, priors, hopeless=True)
+            log_odds = of_effects + math.log(odds / (amplitude * whole))
             common = COMMON_TO_ALL * amplitude
             found.append(Hypothesis(evidence, log_odds, effects, UNKNOWN, common))
             best = max(best, evidence.log)
@@ -134,14 +138,13 @@ def of_instrument(explanations: Explanations) -> list[tuple[Hypothesis, Suspect]
     """
     problem = explanations.baseline.problem
     found = [_bad(explanations, places) for places in _worst(explanations)]
-    variances = np.array([reading.sigma**2 for reading in problem.model.readings if reading.use])
     log_odds = math.log(_SWAPPED_ODDS / max(math.comb(len(problem.signal), 2), 1))
     for places in _likely_swaps(explanations):
         order = np.arange(len(problem.signal), dtype=np.int64)
         order[list(places)] = places[::-1]
-        fit = settle(problem.exchanged(order, variances[order]), explanations.baseline.theta)
+        fit = settle(problem.exchanged(order), explanations.baseline.theta)
         found.append(_named(explanations, SWAPPED_ROWS, places, fit, log_odds))
-    return sorted(found, key=lambda each: -(each[0].evidence.log + each[0].log_odds))
+    return sorted(found, key=lambda each: -each[0].log_weight)
 
 
 def _named(

@@ -402,14 +402,14 @@ class TrialMaker:
                 return self._noisy(rng, kind, number, truth, *found)
         raise RuntimeError(f"{kind} trial {number}: no size has the wanted excess")
 
-    def _single(self, rng, number: int, truth: Truth):
-        return self._sized(rng, self._in_turn("single", self._only, number), truth, *EXCESS)
+    def _single(self, rng, number: int, truth: Truth, kind: str = "single"):
+        return self._sized(rng, self._in_turn(kind, self._only, number), truth, *EXCESS)
 
     def _left_out(self, rng, number: int, truth: Truth):
-        return self._sized(rng, self._in_turn(LEFT_OUT, self._only, number), truth, *EXCESS)
+        return self._single(rng, number, truth, LEFT_OUT)
 
     def _family_out(self, rng, number: int, truth: Truth):
-        return self._sized(rng, self._in_turn(FAMILY_OUT, self._only, number), truth, *EXCESS)
+        return self._single(rng, number, truth, FAMILY_OUT)
 
     def _none(self, rng, number: int, truth: Truth):
         return (), (), "nothing", readings_of(self._store, (), truth)
