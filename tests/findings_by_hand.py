@@ -11,12 +11,13 @@ import pytest
 
 from mcrim_mitsuba.core.run import Provenance
 from mcrim_mitsuba.inference import repair as repairing
-from mcrim_mitsuba.inference.candidates import Candidate, Limit, NextMeasurement
+from mcrim_mitsuba.inference.candidates import Candidate, Limit
 from mcrim_mitsuba.inference.compare import Absorbed, Comparison, Suspect, Trend
 from mcrim_mitsuba.inference.diagnose import Diagnosis, FamilyProbability, RepairStep
 from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
 from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.next_measurements import NextMeasurement
 from mcrim_mitsuba.output import photographer
 from mcrim_mitsuba.output import report as reporting
 from mcrim_mitsuba.output import report_sections as sections
@@ -120,7 +121,15 @@ def diagnosis(verdict: str, **changed) -> Diagnosis:
         "crystal_index": Limit("n_crystal", 2.01, -math.inf, math.inf, 0.1, False),
         OFF: Limit(None, None, None, None, -9.3, True),
     }
-    following = NextMeasurement({"n_gap": 1.333, "gap_mm": 0.5}, ((FIRST, SECOND),), 12.3)
+    following = NextMeasurement(
+        {"n_gap": 1.333, "gap_mm": 0.5},
+        ((FIRST, SECOND),),
+        12.3,
+        {"n_gap": 1.46, "aperture_radius_mm": 7.0},
+        0.083,
+        0.94,
+        1.0,
+    )
     made = Diagnosis(
         verdict, f"as {MARKUP} shows", comparison(), CANDIDATES, (),
         tuple(name for names in leading for name in names), leading,

@@ -20,6 +20,7 @@ from mcrim_mitsuba.output.described import Table
 from mcrim_mitsuba.output.descriptions import limits_table, parameters_table
 from mcrim_mitsuba.output.findings import (
     averaged_yield,
+    bought,
     configuration_text,
     gain_text,
     headline,
@@ -129,11 +130,8 @@ def diagnosis_panel(found: Diagnosed | None) -> list:
         limits = _shown(limits_table(diagnosis))
         parts.append(_details("What the readings allow (95 % confidence)", limits))
     if diagnosis.next_measurements:
-        configurations = [
-            (configuration_text(m), number(m.expected_delta_chi2))
-            for m in diagnosis.next_measurements
-        ]
-        head = ("configuration", "expected gain in χ²")
+        configurations = [(configuration_text(m), *bought(m)) for m in diagnosis.next_measurements]
+        head = ("configuration", "time", "light yield to", "sure to")
         parts.append(_details("What to measure next", _table(head, configurations)))
     return parts
 

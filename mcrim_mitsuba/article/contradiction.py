@@ -26,7 +26,7 @@ from mcrim_mitsuba.optics.attenuation import (
     measured_transmittance,
     transmittance,
 )
-from mcrim_mitsuba.output.findings import IN_NO_CATALOGUE
+from mcrim_mitsuba.output.findings import IN_NO_CATALOGUE, configuration_text
 from mcrim_mitsuba.scene.shipped import scene_path
 
 CAMPAIGN = "camoo4_three.toml"
@@ -129,7 +129,7 @@ def _next(diagnosis: Diagnosis) -> tuple[str, ...]:
     if not diagnosis.next_measurements:
         return ()
     best = diagnosis.next_measurements[0]
-    where = ", ".join(f"{name} = {value}" for name, value in best.parameters.items())
+    where = configuration_text(best)
     pairs = "; ".join(f"{one} from {other}" for one, other in best.separates[:2])
     told = f" ({pairs})" if pairs else ""
     return (f"one more measurement would tell most at {where}{told}",)

@@ -15,6 +15,7 @@ from mcrim_mitsuba.campaign.entries import (
     CAMPAIGN,
     NEXT,
     NEXT_ENTRIES,
+    NEXT_MINUTES,
     NEXT_SIGMA,
     number_within,
 )
@@ -363,16 +364,35 @@ def _refuse_parameters_of_other_effects(
 def _read_next(
     table: TomlTable, scene: SceneFile, parameters: dict[str, CampaignParameter]
 ) -> dict[str, Any]:
-    """``[next_measurements]``: lists of values by scene parameter, and their relative error."""
+    """``[next_measurements]``: lists of values by scene parameter, their error, their minutes."""
     found: dict[str, Any] = {}
     for name, values in table.items():
         if name == NEXT_SIGMA:
             found[name] = number_within(table, name, NEXT_ENTRIES)
             continue
+        if name == NEXT_MINUTES:
+            found[name] = _read_minutes(table, values, scene)
+            continue
         if (wrong := _wrong_next(name, values, scene, parameters)) is not None:
             raise table.refusal(name, *wrong)
         found[name] = list(dict.fromkeys(float(value) for value in values))
     return found
+
+
+def _read_minutes(table: TomlTable, minutes: Any, scene: SceneFile) -> dict[str, float]:
+    """Minutes by scene parameter."""
+    if not isinstance(minutes, dict):
+        mend = f"write {NEXT_MINUTES} = {{ n_gap = 20 }}"
+        raise table.refusal(NEXT_MINUTES, f"{NEXT_MINUTES} is not a table", mend)
+    for name, value in minutes.items():
+        if name not in scene.parameters:
+            problem = f"{NEXT_MINUTES}: {name} is not a parameter of {scene.path.name}"
+            raise table.refusal(NEXT_MINUTES, problem, did_you_mean(name, scene.parameters))
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not number or not 0.0 <= value < math.inf:
+            problem = f"{NEXT_MINUTES}: {name} = {value} is not a number of minutes"
+            raise table.refusal(NEXT_MINUTES, problem, f"write {name} = 20")
+    return {name: float(value) for name, value in minutes.items()}
 
 
 def _wrong_next(
@@ -383,7 +403,7 @@ def _wrong_next(
     if name not in own:
         return (
             f"{name} is not a parameter of {scene.path.name}",
-            did_you_mean(name, [*scene.parameters, NEXT_SIGMA]),
+            did_you_mean(name, [*scene.parameters, NEXT_SIGMA, NEXT_MINUTES]),
         )
     if isinstance(own[name], (bool, str)):
         return f"{name} is not a number", f"remove {name}"

@@ -23,6 +23,8 @@ ABSORPTION, SOURCE_DEPTH = "alpha_abs_per_cm", "source_depth_mm"
 LIGHT_YIELD, HISTOGRAMS, NEXT, BEAM_TABLE = "light_yield", "histograms", "next_measurements", "beam"
 #: Relative error of a further measurement, beside the lists of values.
 NEXT_SIGMA = "sigma_relative"
+#: What it takes to change a scene parameter, beside the mounting itself.
+NEXT_MINUTES = "minutes"
 
 _FILE: dict[str, Any] = {"type": "string", "minLength": 1}
 _VALUES = {"type": "array", "items": {"type": "number"}, "minItems": 1}
@@ -103,7 +105,12 @@ PEAKS: Entries = {
 NEXT_ENTRIES: Entries = {
     NEXT_SIGMA: _number(
         "Relative error of a further measurement", exclusiveMinimum=0, exclusiveMaximum=1
-    )
+    ),
+    NEXT_MINUTES: {
+        "type": "object",
+        "description": "Minutes to change a scene parameter, beside half an hour for the mounting",
+        "additionalProperties": {"type": "number", "minimum": 0},
+    },
 }
 #: The file itself; tables as `json_schema` completes them.
 CAMPAIGN: Entries = {

@@ -151,16 +151,18 @@ def _after_diagnosis(campaign: str, diagnosis) -> str:
     if diagnosis.verdict == ADEQUATE:
         return showing.command("calibrate", campaign)
     if diagnosis.verdict == AMBIGUOUS and diagnosis.next_measurements:
-        best = diagnosis.next_measurements[0]
-        if not best.separates:
+        if not any(each.separates for each in diagnosis.next_measurements):
             return (
                 "nothing that was looked at tells the leading effects apart: look at "
                 f"the bench itself, or allow others in [next_measurements]; or {repair}"
             )
-        what = configuration_text(best)
+        what = configuration_text(diagnosis.next_measurements[0])
         return f"measure {what}, add it to the readings and diagnose again; or {repair}"
     if diagnosis.suspect_readings:
         return f"check the readings named above, then {showing.command('diagnose', campaign)}"
+    if diagnosis.next_measurements:
+        what = configuration_text(diagnosis.next_measurements[0])
+        return f"measure {what}, add it to the readings and diagnose again"
     if diagnosis.verdict == AMBIGUOUS:
         return f"measure more configurations and diagnose again; or {repair}"
     return (

@@ -19,10 +19,7 @@ from mcrim_mitsuba.inference.candidates import (
     Candidate,
     CandidateMaker,
     Limit,
-    MeasurementProposals,
-    NextMeasurement,
     determined_estimates,
-    next_measurements,
     upper_limits,
 )
 from mcrim_mitsuba.inference.compare import Comparison, Suspect, comparison_of
@@ -50,8 +47,18 @@ from mcrim_mitsuba.inference.explanations import (
 )
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.least_squares import Fit
+from mcrim_mitsuba.inference.next_measurements import (
+    MeasurementProposals,
+    NextMeasurement,
+    next_measurements,
+)
 from mcrim_mitsuba.inference.race import Memory, contenders
-from mcrim_mitsuba.inference.unexplained import UNKNOWN, of_instrument, unnamed
+from mcrim_mitsuba.inference.unexplained import (
+    COMMON_TO_PAIRS,
+    UNKNOWN,
+    of_instrument,
+    unnamed,
+)
 from mcrim_mitsuba.inference.workbench import Workbench
 
 #: Probability from which an effect counts as one that a diagnosis rests on.
@@ -135,7 +142,10 @@ class Judgement:
 
     def _of_effects(self, effects: tuple[str, ...]) -> Hypothesis:
         explanations = self.explanations
-        return Hypothesis(explanations.evidence(effects), explanations.log_odds(effects), effects)
+        common = COMMON_TO_PAIRS if len(effects) > 1 else 0.0
+        return Hypothesis(
+            explanations.evidence(effects), explanations.log_odds(effects), effects, common=common
+        )
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:
@@ -357,9 +367,6 @@ def steps(explanations: Explanations, chosen: tuple[str, ...]) -> tuple[RepairSt
 
 # ---- the whole ----
 
-# Leading explanations that further measurements are to tell apart: each costs simulations.
-_MOST_RIVALS = 3
-
 
 @dataclass(frozen=True)
 class FamilyProbability:
@@ -556,6 +563,7 @@ def diagnose_models(
     limits = {}
     weighed = Weighing({}, None)
     families: tuple[FamilyProbability, ...] = ()
+    hypotheses: list[Hypothesis] = []
     if baseline.ndf <= 0:
         judged = Verdict(
             TOO_FEW_READINGS,
@@ -612,10 +620,9 @@ def diagnose_models(
                 raise InputError(problem, "choose fewer, or others")
             chosen = adding
     proposed: tuple[NextMeasurement, ...] = ()
-    if proposals is not None and len(judged.leading) > 1:
+    if proposals is not None and judged.word in (AMBIGUOUS, UNEXPLAINED):
         say("looking for what to measure next")
-        rivals = judged.leading[:_MOST_RIVALS]
-        proposed = next_measurements(explanations, rivals, proposals)
+        proposed = next_measurements(explanations, judged.leading, hypotheses, proposals)
     return Diagnosis(
         verdict=judged.word,
         reason=judged.reason,

@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import logsumexp, ndtr, ndtri, stdtr, stdtrit
 
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter, LightYieldInput
@@ -28,6 +29,8 @@ NOTHING_MISSING = "none"
 #: Points that an evidence is averaged over; its error is then a few hundredths of its logarithm.
 #: A hopeless model's is known well enough by few.
 _POINTS, _FEW_POINTS = 4096, 512
+#: Points that are kept of them.
+_DRAWS = 256
 #: Degrees of freedom of a size's density: tails that let data speak for unusual sizes.
 _TAILS = 3.0
 #: Part of the density inside the plausible range.
@@ -143,6 +146,8 @@ class Evidence:
     sigma: dict[str, float]
     #: Points that the averages are as good as.
     effective_points: float
+    #: (`_DRAWS`, free) float64: Parameters that are equally likely.
+    draws: Array
 
 
 def evidence_of(
@@ -179,12 +184,14 @@ def evidence_of(
     mean = share @ theta
     spread = np.sqrt(np.maximum(share @ (theta - mean) ** 2, 0.0))
     effective = 1.0 / float((share**2).sum())
+    at = np.searchsorted(np.cumsum(share), (np.arange(_DRAWS) + 0.5) / _DRAWS)
     return Evidence(
         log=log,
         log_sigma=math.sqrt(max(1.0 / effective - 1.0 / points, 0.0)),
         mean=dict(zip(fit.names, mean.tolist(), strict=True)),
         sigma=dict(zip(fit.names, spread.tolist(), strict=True)),
         effective_points=effective,
+        draws=theta[np.minimum(at, len(theta) - 1)],
     )
 
 
@@ -285,14 +292,23 @@ def _drawn(
 
 # ---- models side by side ----
 
+#: Part of a distribution whose width counts as its error, and how many standard deviations it is
+#: of a Gaussian.
+INTERVAL = 0.9
+WIDTH = float(2.0 * ndtri(0.5 + 0.5 * INTERVAL))
+
 
 @dataclass(frozen=True)
 class AveragedYield:
-    """The light yield averaged over the models that the data allow, photons per keV."""
+    """The light yield averaged over the models that the data allow, photons per keV.
+
+    The average is no Gaussian: an unlikely model may be far from the others. So its error is the
+    width of the interval that holds 90 % of it, in standard deviations of a Gaussian.
+    """
 
     value: float
     sigma: float
-    #: Standard deviation within the models, that of the detector's efficiency included; between
+    #: Its parts, by their variances: within the models, the detector's efficiency included; between
     #: them; and the allowance for what is in no catalogue and acts on all readings alike.
     within: float
     between: float
@@ -321,6 +337,8 @@ class Hypothesis:
     besides: str = ""
     #: Relative standard error of the light yield that no reading tells.
     common: float = 0.0
+    #: Relative size of what has no name.
+    amplitude: float = 0.0
 
     @property
     def log_weight(self) -> float:
@@ -357,10 +375,26 @@ def weigh(hypotheses: Sequence[Hypothesis], known: LightYieldInput | None) -> We
         sigmas = known.per_scale * np.array([e.sigma[SCALE] for e in evidences])
         allowed = np.array([each.common for each in hypotheses]) * values
         mean = float(shares @ values)
+        variances = np.array(
+            [shares @ sigmas**2, shares @ (values - mean) ** 2, shares @ allowed**2]
+        )
+        width = _width(shares, values, np.hypot(sigmas, allowed))
+        within, between, catalogue = (np.sqrt(variances / variances.sum()) * width).tolist()
         of_detector = mean * known.detector_efficiency_sigma / known.detector_efficiency
-        within = math.hypot(math.sqrt(float(shares @ sigmas**2)), of_detector)
-        between = math.sqrt(float(shares @ (values - mean) ** 2))
-        catalogue = math.sqrt(float(shares @ allowed**2))
+        within = math.hypot(within, of_detector)
         sigma = math.hypot(within, between, catalogue)
         light_yield = AveragedYield(mean, sigma, within, between, catalogue)
     return Weighing(probabilities, light_yield)
+
+
+def _width(shares: Array, values: Array, sigmas: Array) -> float:
+    """Of the interval that holds 90 % of Gaussians, in standard deviations of a single one."""
+    ends = []
+    for part in (0.5 - 0.5 * INTERVAL, 0.5 + 0.5 * INTERVAL):
+
+        def above(x: float, part: float = part) -> float:
+            return float(shares @ ndtr((x - values) / sigmas)) - part
+
+        low, high = (values - 9.0 * sigmas).min(), (values + 9.0 * sigmas).max()
+        ends.append(brentq(above, low, high, rtol=1e-6))
+    return float((ends[1] - ends[0]) / WIDTH)

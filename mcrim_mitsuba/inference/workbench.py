@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import product
 
 import numpy as np
 
 from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.entries import NEXT_MINUTES, NEXT_SIGMA
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE, Reading
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
@@ -21,7 +22,6 @@ from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, ResponseMaker
 from mcrim_mitsuba.efficiency.responses import Responses
-from mcrim_mitsuba.inference.candidates import MeasurementProposals
 from mcrim_mitsuba.inference.explanations import plausible_priors
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel, acts_on
@@ -49,8 +49,31 @@ SETTLED, MOST_ANCHORS = 0.5, 2
 OPEN = 2.0
 #: Most configurations that are simulated to see what they would tell.
 MOST_PROPOSALS = 40
+#: Time that a mounting takes.
+MINUTES_PER_MOUNTING = 30.0
 #: Relative error of a proposed reading, where the campaign's readings do not say.
 _USUAL_SIGMA = 0.01
+
+
+@dataclass(frozen=True)
+class MeasurementProposals:
+    """Configurations that the laboratory can build."""
+
+    #: Scene parameters of each, by name.
+    configurations: Sequence[dict[str, Value]]
+    #: ``predict(effects, thetas)`` gives their (points, m) signals, of the model with these effects
+    #: at (points, free) values of its free parameters.
+    predict: Callable[[tuple[str, ...], Array], Array]
+    #: Of a new reading; one, or (m,).
+    relative_sigma: float | Array
+    #: What a parameter's change from the scene's value takes besides a mounting.
+    minutes: Mapping[str, float] = field(default_factory=dict)
+
+    def hours(self, *places: int) -> float:
+        """To mount some of the configurations; what two have in common is changed once."""
+        changes = {item for i in places for item in self.configurations[i].items()}
+        further = sum(self.minutes.get(name, 0.0) for name, _ in changes)
+        return (MINUTES_PER_MOUNTING * len(places) + further) / 60.0
 
 
 class Workbench:
@@ -186,17 +209,17 @@ class Workbench:
         light, beams = self._not_measured()
         asked = [self._proposed(each) for each in (light, beams) if each]
 
-        def predict(effects: tuple[str, ...], theta: Array) -> tuple[Array, Array]:
-            signals, slopes = zip(*(each(effects, theta) for each in asked), strict=True)
-            return np.concatenate(signals), np.concatenate(slopes)
+        def predict(effects: tuple[str, ...], thetas: Array) -> Array:
+            return np.hstack([each(effects, thetas) for each in asked])
 
         sigmas = [self._usual_sigma(of_beam=False)] * len(light)
         sigmas += [self._usual_sigma(of_beam=True)] * len(beams)
-        return MeasurementProposals([*light, *beams], predict, np.array(sigmas))
+        minutes = self.campaign.next_measurements.get(NEXT_MINUTES, {})
+        return MeasurementProposals([*light, *beams], predict, np.array(sigmas), minutes)
 
     def _usual_sigma(self, *, of_beam: bool) -> float:
         """Relative error of a proposed reading of a kind."""
-        given = self.campaign.next_measurements.get("sigma_relative")
+        given = self.campaign.next_measurements.get(NEXT_SIGMA)
         if given is not None and not of_beam:
             return float(given)
         rows = self.campaign.measurements.in_use
@@ -205,7 +228,7 @@ class Workbench:
 
     def _proposed(
         self, configurations: Sequence[Mapping[str, Value]]
-    ) -> Callable[[tuple[str, ...], Array], tuple[Array, Array]]:
+    ) -> Callable[[tuple[str, ...], Array], Array]:
         """See `MeasurementProposals.predict`, of configurations of one kind."""
         readings = tuple(
             Reading(
@@ -225,11 +248,10 @@ class Workbench:
         def maker() -> ResponseMaker:
             return self.maker(proposed, "proposed measurements", PROPOSED_PART)
 
-        def predict(effects: tuple[str, ...], theta: Array) -> tuple[Array, Array]:
+        def predict(effects: tuple[str, ...], thetas: Array) -> Array:
             campaign = proposed.with_effects(effects)
             responses = maker().make(campaign.switched_on)
-            prediction = ResponseModel(campaign, responses, campaign.switched_on).predict(theta)
-            return prediction.signal, prediction.signal_slopes
+            return ResponseModel(campaign, responses, campaign.switched_on).predict_many(thetas)
 
         return predict
 

@@ -177,10 +177,11 @@ def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
 def of_diagnosis(found: Diagnosed) -> Described:
     """The averaged yield, the verdict, effects as explanations, limits, what to measure next."""
     diagnosis = found.diagnosis
-    columns = ("configuration", "expected gain in chi2", "tells apart")
+    columns = ("configuration", "time", "yield to", "sure to", "gain in chi2", "tells apart")
     rows = (
         (
-            findings.configuration_text(one), shown(one.expected_delta_chi2, number),
+            findings.configuration_text(one), *findings.bought(one),
+            shown(one.expected_delta_chi2, number),
             "; ".join(" from ".join(pair) for pair in one.separates),
         )
         for one in diagnosis.next_measurements

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT
 from mcrim_mitsuba.campaign.parameter import SCALE
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, unit_of
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, unit_of
 from mcrim_mitsuba.core.rounding import (
     counted,
     number,
@@ -44,10 +44,11 @@ from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE, BEAM_AXIS
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.campaign import Campaign
-    from mcrim_mitsuba.inference.candidates import Candidate, Limit, NextMeasurement
+    from mcrim_mitsuba.inference.candidates import Candidate, Limit
     from mcrim_mitsuba.inference.compare import Comparison, Suspect, Trend
     from mcrim_mitsuba.inference.diagnose import Diagnosis
     from mcrim_mitsuba.inference.fit import Calibration
+    from mcrim_mitsuba.inference.next_measurements import NextMeasurement
 
 # From here on readings of light and of the beam are said to pull apart, standard errors.
 _PULLS_APART = 2.0
@@ -330,8 +331,13 @@ def limit_text(limit: Limit) -> str:
 
 
 def configuration_text(measurement: NextMeasurement) -> str:
-    """``n_gap = 1.333, aperture_radius_mm = 7``, or ``transmittance within 5 degrees``."""
-    parameters = dict(measurement.parameters)
+    """``n_gap = 1.333, aperture_radius_mm = 7``, or ``transmittance within 5 degrees``; of two."""
+    both = [measurement.parameters] + ([measurement.also] if measurement.also else [])
+    return " and ".join(map(_configuration_text, both))
+
+
+def _configuration_text(configuration: Mapping[str, Value]) -> str:
+    parameters = dict(configuration)
     parts = []
     if (kind := parameters.pop(KIND, LIGHT)) != LIGHT:
         along, within = (parameters.pop(name, None) for name in (BEAM_AXIS, ACCEPTANCE))
@@ -340,6 +346,16 @@ def configuration_text(measurement: NextMeasurement) -> str:
         words += [f"within {short_text(within)} degrees"] if within is not None else []
         parts = [" ".join(words)]
     return ", ".join([*parts, *(f"{name} = {short_text(v)}" for name, v in parameters.items())])
+
+
+def bought(measurement: NextMeasurement) -> tuple[str, str, str]:
+    """Hours, the light yield's relative error then, and the likeliest explanation's probability."""
+    error = measurement.light_yield_sigma
+    return (
+        f"{measurement.hours:.2g} h",
+        "-" if error is None else f"{100.0 * error:.2g} %",
+        f"{100.0 * measurement.probability:.0f} %",
+    )
 
 
 # What a planning found, in sentences.

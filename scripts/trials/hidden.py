@@ -3,12 +3,13 @@
     python scripts/trials hidden                                             # all kinds
     python scripts/trials hidden --kind single --trials 64 --only gap_bubble
 
-A campaign is the standard one of shared/effects.md: sixteen readings at 0.7 %, with the tracer's
-own error on top. The bench's coefficients, the light yield and the absorption's prior are drawn for
-every trial; the package sees a CSV and a campaign file with the plain scene, as a laboratory's.
+A campaign has ten to sixteen readings at 0.7 %, with the tracer's own error on top. The design (out
+of what a laboratory can mount: liquids, masks, crystals, gaps), the bench's coefficients, the light
+yield and the absorption's prior are drawn for every trial; the package sees a CSV and a campaign
+file with the plain scene, as a laboratory's.
 
-Tracing what is hidden takes half an hour on one core, once: the histories are kept (--histories).
-A trial then takes some seconds, the first one two minutes more: it fills the package's cache.
+Tracing what is hidden takes a quarter of an hour on two cores, once: the histories are kept
+(--histories). A trial then takes some seconds, the first ones more: they fill the package's cache.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from trials.hidden_trials import EFFECTS, KINDS, TABLES, TOO_SMALL, draw_and_run
 from trials.truth import unfinished
 
 #: Trials of every kind, if not asked otherwise.
-TRIALS = {"single": 64, "none": 60, "pairs": 24, "outsiders": 21, "mimic": 6, "too_small": 6,
-          "beam": 12, "left_out": 48, "family_out": 24}  # fmt: skip
+TRIALS = {"single": 120, "none": 100, "pairs": 60, "instrument": 60, "outsiders": 20,
+          "too_small": 7, "beam": 12, "left_out": 100, "family_out": 40, "advice": 60}  # fmt: skip
 _ORDER = (*EFFECTS, *TOO_SMALL)
 _COLUMNS = (
     ("trial", 13), ("hidden", 44), ("excess", 6), ("verdict", 14), ("first", 22),

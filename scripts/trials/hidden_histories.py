@@ -1,8 +1,8 @@
-"""Photon histories of the NumPy tracer on the standard campaign, with effects in the bench.
+"""Photon histories of the NumPy tracer on what a laboratory can mount, with effects in the bench.
 
-Every mounting (liquid, gap, crystal) of a case is traced once, with a mask that leaves the whole
+Every mounting (liquid, crystal, gap) of a case is traced once, with a mask that leaves the whole
 plate free and at a few scattering coefficients; the histories are then weighted to any coefficients
-and cut to any of the campaign's apertures, so that many trials share them. They are kept in files.
+and cut to any aperture, so that campaigns of many designs share them. They are kept in files.
 """
 
 from __future__ import annotations
@@ -31,32 +31,47 @@ from mcrim_mitsuba.reference.flight import head_on
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.cache import source_hash
 
-#: Columns of the standard campaign, in the order of `READINGS`.
+#: Columns of a design, in the order of a row.
 COLUMNS = ("n_gap", "aperture_radius_mm", "crystal_height_mm", "gap_mm")
+#: A campaign's configurations, a row each.
+Design = tuple[tuple[float, float, float, float], ...]
 #: The standard campaign of shared/effects.md.
-READINGS: tuple[tuple[float, float, float, float], ...] = (
+STANDARD: Design = (
     *((n, aperture, 10.0, 0.05) for n in (1.0, 1.333, 1.46, 1.515) for aperture in (14.0, 7.0)),
     *((n, 14.0, height, 0.05) for height in (5.0, 2.0) for n in (1.0, 1.46)),
     *((n, 14.0, 10.0, 0.5) for n in (1.0, 1.46)),
     *((n, 4.0, 10.0, 0.05) for n in (1.0, 1.46)),
 )
+#: Rows that designs are drawn from: liquids behind masks, other crystals and other gaps.
+POOL: Design = (
+    *((n, radius, 10.0, 0.05)
+      for n in (1.0, 1.333, 1.4, 1.46, 1.515, 1.6) for radius in (14.0, 10.0, 7.0)),
+    *((n, radius, 10.0, 0.05) for n in (1.0, 1.46) for radius in (5.0, 4.0)),
+    *((n, radius, height, 0.05)
+      for height in (2.0, 5.0, 20.0) for n in (1.0, 1.46) for radius in (14.0, 7.0)),
+    *((n, radius, 10.0, gap)
+      for gap in (0.2, 0.5) for n in (1.0, 1.46) for radius in (14.0, 7.0)),
+)  # fmt: skip
+#: Readings of a design.
+_FEWEST, _MOST = 10, 16
 #: Scattering coefficients that are traced, each with the same number of photons, 1/cm.
 PROPOSALS_PER_CM = (0.2, 0.5, 1.1)
 #: More of them for the plain bench, whose fits go astray where an effect is hidden.
 PLAIN_PROPOSALS_PER_CM = (0.07, 0.2, 0.5, 1.1, 3.0)
 #: Absorption that is traced; histories are weighted to others, 1/cm.
 ABSORPTION_PER_CM = 0.027
-#: Photons per proposal of a mounting whose readings have the largest aperture only. Those with
-#: smaller ones get more, by `_SHARE`: the error at full aperture is 0.2 % to 0.4 %.
-PHOTONS = 50_000
-_SHARE = {14.0: 1, 7.0: 2, 4.0: 4}
+#: Photons per proposal of a mounting whose smallest aperture is 7 mm; those with smaller ones get
+#: more, by `_SHARE`. The error at full aperture is 0.2 % to 0.4 %.
+PHOTONS = 80_000
+_SHARE = {7.0: 1, 4.0: 2}
 #: Factor on the photons of the plain bench, which many trials share.
 PLAIN_FACTOR = 6
 #: Parameters that mean nothing where the gap is not filled.
-FILLED_ONLY = ("gap_index_offset", "gap_absorption_per_cm", "bubble_fraction", "narrow_collar_mm")
+FILLED_ONLY = ("gap_index_offset", "gap_absorption_per_cm", "bubble_fraction",
+               "bubble_area_fraction", "collar_mm", "narrow_collar_mm")  # fmt: skip
 #: Radius that leaves the whole plate free, mm, wherever the mask is shifted to.
 _OPEN_MM = 25.0
-_APERTURES = tuple(sorted({reading[1] for reading in READINGS}))
+_APERTURES = tuple(sorted({row[1] for row in POOL}))
 
 #: What is hidden: changes of the bench, by `Bench` field.
 Changes = Mapping[str, float | bool]
@@ -70,12 +85,22 @@ class Mounting(NamedTuple):
     gap_mm: float
 
 
-def mounting_of(reading: Sequence[float]) -> Mounting:
-    """The mounting of a row of `READINGS`."""
-    return Mounting(reading[0], *reading[2:])
+def mounting_of(row: Sequence[float]) -> Mounting:
+    """The mounting of a row of a design."""
+    return Mounting(row[0], *row[2:])
 
 
-MOUNTINGS = tuple(dict.fromkeys(mounting_of(reading) for reading in READINGS))
+MOUNTINGS = tuple(dict.fromkeys(mounting_of(row) for row in POOL))
+
+
+def draw_design(rng: np.random.Generator) -> Design:
+    """Rows of `POOL` in any order; with air and a liquid, both with the largest aperture."""
+    filled = rng.choice([row[0] for row in POOL[3:18:3]])
+    sure = [(1.0, 14.0, 10.0, 0.05), (float(filled), 14.0, 10.0, 0.05)]
+    others = [row for row in POOL if row not in sure]
+    number = int(rng.integers(_FEWEST, _MOST, endpoint=True)) - len(sure)
+    drawn = [*sure, *(others[i] for i in rng.choice(len(others), number, replace=False))]
+    return tuple(drawn[i] for i in rng.permutation(len(drawn)))
 
 
 @dataclass(frozen=True)
@@ -107,7 +132,7 @@ class Histories:
     """The detected photons of a run, those of each proposal after those of the one before.
 
     ``detected`` (proposals,) says how many these are; ``hole`` is the number of the smallest of
-    the campaign's apertures that lets a photon through. The other arrays are (photons,).
+    all apertures that lets a photon through. The other arrays are (photons,).
     """
 
     run: Run
@@ -122,7 +147,7 @@ class Histories:
 
         The proposals together are one sample with the mean of their densities (the balance
         heuristic of E. Veach and L. J. Guibas, SIGGRAPH 1995); each is a stratum of its own.
-        Both are (apertures,), in rising order of all the campaign's apertures.
+        Both are (apertures,), in rising order of all apertures of `POOL`.
         """
         proposals, photons = self.run.proposals_per_cm, self.run.photons
         density = np.zeros(len(self.hole))
@@ -169,7 +194,7 @@ class HistoryStore:
         bench, plain = asdict(Bench(**parameters)), asdict(Bench())
         unlike = tuple(sorted((n, v) for n, v in bench.items() if v != plain[n]))
         is_plain = {name for name, _ in unlike} <= set(Mounting._fields)
-        smallest = min(reading[1] for reading in READINGS if mounting_of(reading) == mounting)
+        smallest = min(row[1] for row in POOL if mounting_of(row) == mounting)
         share = _SHARE[smallest] * (PLAIN_FACTOR if is_plain else 1)
         proposals = PLAIN_PROPOSALS_PER_CM if is_plain else PROPOSALS_PER_CM
         return Run(unlike, proposals, self._photons * share, self._seed)
@@ -202,24 +227,27 @@ class HistoryStore:
                 report("histories", done, total)
 
     def etas(
-        self, changes: Changes, alpha_scat_per_cm: float, alpha_abs_per_cm: float
-    ) -> tuple[Array, Array]:
-        """Efficiencies of all readings, and their relative standard errors: (readings,)."""
-        eta, error = np.empty(len(READINGS)), np.empty(len(READINGS))
-        for mounting, run in zip(MOUNTINGS, self.runs(changes), strict=True):
+        self, changes: Changes, alpha_scat_per_cm: float, alpha_abs_per_cm: float,
+        design: Design = POOL,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """Efficiencies of a design's rows, and their relative standard errors: (rows,)."""
+        eta, error = np.empty(len(design)), np.empty(len(design))
+        for mounting in dict.fromkeys(map(mounting_of, design)):
+            run = self._run(changes, mounting)
             found, sigma = self.histories(run).eta(alpha_scat_per_cm, alpha_abs_per_cm)
-            for number, reading in enumerate(READINGS):
-                if mounting_of(reading) == mounting:
-                    hole = _APERTURES.index(reading[1])
+            for number, row in enumerate(design):
+                if mounting_of(row) == mounting:
+                    hole = _APERTURES.index(row[1])
                     eta[number], error[number] = found[hole], sigma[hole] / found[hole]
         return eta, error
 
     def log_eta_table(
         self, changes: Changes, alpha_scat_per_cm: NDArray, alpha_abs_per_cm: NDArray
     ) -> Array:
-        """(readings, alpha_scat, alpha_abs) logarithms of the efficiencies; kept in a file too."""
+        """(rows, alpha_scat, alpha_abs) logarithms of `POOL`'s efficiencies; kept in a file too."""
         axes = [axis.tolist() for axis in (alpha_scat_per_cm, alpha_abs_per_cm)]
-        file = self.folder / f"table-{_digest([run.key for run in self.runs(changes)], *axes)}.npz"
+        named = _digest([run.key for run in self.runs(changes)], POOL, *axes)
+        file = self.folder / f"table-{named}.npz"
         kept = _read(file, ("log_eta",))
         if kept is not None:
             return kept["log_eta"]

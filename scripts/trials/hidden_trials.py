@@ -2,16 +2,20 @@
 
 Kinds of trials:
 
-single     one effect, of a size whose expected excess is 50 to 400
-none       nothing
-pairs      two effects, either of which leaves an excess of 30 at least if fitted alone
-outsiders  what the catalogue does not have: gel crept up the sides, two rows swapped, a bad reading
-mimic      a black spot on the top face, which the catalogue can mimic
-too_small  effects at the ends of their ranges that cannot reach an excess of 50
-beam       haze or roughness of the faces, in campaigns with a transmittance as well
+single      one effect, of a size whose expected excess is 40 to 670
+none        nothing
+pairs       two effects, either of which leaves an excess of 30 at least if fitted alone
+instrument  one, two or three bad readings, two rows swapped, a drift, other pieces' yield
+outsiders   what the catalogue does not have: a collar of gel, a black spot on the top face
+too_small   effects at the ends of their ranges that cannot reach an excess of 40
+beam        haze or roughness of the faces, in campaigns with a transmittance as well
+left_out    as single, but the package does not know the effect; and once more when it does
+family_out  the same with all its relatives
+advice      as single; where it is ambiguous, what is proposed is measured, and that once
 
-The expected excess is what hides in a campaign's chi2: noise-free readings fitted with the plain
-bench, which is the tracer's here too. Of a transmittance it holds nothing.
+Every trial has a design of its own. The expected excess is what hides in a campaign's chi2:
+noise-free readings fitted with the plain bench, which is the tracer's here too. Of a transmittance
+it holds nothing.
 """
 
 from __future__ import annotations
@@ -37,9 +41,16 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.files import plain, write_text
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.inference.diagnose import UNEXPLAINED
-from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.bench import FILLED_ABOVE, Bench
 from mcrim_mitsuba.reference.tracer import trace
-from trials.hidden_histories import COLUMNS, READINGS, HistoryStore
+from trials.hidden_histories import (
+    COLUMNS,
+    FILLED_ONLY,
+    POOL,
+    Design,
+    HistoryStore,
+    draw_design,
+)
 from trials.truth import PRIOR_SIGMA_PER_CM, TRUE_ALPHA_SCAT_PER_CM, draw_absorption_and_scale
 
 #: Relative standard error of a reading, the tracer's own apart.
@@ -52,9 +63,11 @@ _BEAM_PHOTONS = 40_000
 ENERGY_KEV, DETECTOR_EFFICIENCY = 59.5, 0.127
 #: Sizes of the readings' effects are relative: a background to the smallest reading, a saturation
 #: is the relative loss of the largest.
-OF_READINGS = ("background", "saturation")
+OF_READINGS = ("background", "saturation", "gain_drift", "sample_scale")
 #: Expected excess of the plain fit's chi2 that trials are drawn with.
-EXCESS = (50.0, 400.0)
+EXCESS = (40.0, 670.0)
+#: The same where advice is tried: little tells the effects apart.
+ADVICE_EXCESS = (20.0, 80.0)
 #: Least of it that the better of two hidden effects leaves unexplained.
 PAIR_EXCESS = 30.0
 
@@ -63,19 +76,23 @@ _PLAIN_RANGES, _PLAIN_NODES = ((0.05, 4.5), (0.001, 0.12)), (11, 4)
 _EFFECT_RANGES, _EFFECT_NODES = ((0.12, 1.6), (0.001, 0.12)), (6, 3)
 # how far beyond the sizes on offer an effect may go when it is fitted, straight on
 _REACH = 2.5
-KINDS = ("single", "none", "pairs", "outsiders", "mimic", "too_small", "beam", "left_out",
-         "family_out")  # fmt: skip
-#: Kinds that are diagnosed without the effect that is hidden, or without its relatives too.
-LEFT_OUT, FAMILY_OUT = KINDS[-2:]
-#: Ways to be an outsider, in turn; the last two spoil readings instead of the bench.
-NARROW_COLLAR, SWAPPED_ROWS, BAD_READING = "narrow_collar", "swapped_rows", "bad_reading"
-OUTSIDERS_IN_TURN = (NARROW_COLLAR, SWAPPED_ROWS, BAD_READING)
-#: Least expected excess of an outsider in the bench, and of swapped rows.
-OUTSIDER_EXCESS, SWAP_EXCESS = 400.0, 100.0
-#: How far off a bad reading is.
-BAD_READING_OFF = 0.08
+KINDS = ("single", "none", "pairs", "instrument", "outsiders", "too_small", "beam", "left_out",
+         "family_out", "advice")  # fmt: skip
+#: Kinds that are diagnosed without the effect that is hidden, or without its relatives too; and
+#: the one where a proposed reading is added.
+LEFT_OUT, FAMILY_OUT, ADVICE = KINDS[-3:]
+#: Ways in which readings are wrong, in turn: so many bad ones, exchanged rows, or effects.
+BAD_READINGS = {"bad_reading": 1, "two_bad_readings": 2, "three_bad_readings": 3}
+SWAPPED_ROWS = "swapped_rows"
+INSTRUMENT_IN_TURN = (*BAD_READINGS, SWAPPED_ROWS, "gain_drift", "sample_scale")
+#: How far off a bad reading is: between these, either way.
+BAD_READING_OFF = (0.05, 0.12)
 #: Truths that are drawn before a trial is given up.
 _MOST_TRUTHS = 60
+#: The scene's values of what a design changes.
+_USUAL_MM = dict(zip(COLUMNS, (1.0, 14.0, 10.0, 0.05), strict=True))
+#: Photons of a reading that is measured on advice.
+_FURTHER_PHOTONS = 300_000
 
 
 class HiddenEffect(NamedTuple):
@@ -122,12 +139,13 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Readings (readings,) as they would be without errors of measurement.
+    """Readings (readings,) of a design as they would be without errors of measurement.
 
     Sigma holds the error of measurement and the tracer's; `light` is the signal without effects
     of the readings. Where there is a transmittance it is the last.
     """
 
+    design: Design
     signal: Array
     sigma: Array
     light: Array
@@ -158,21 +176,34 @@ def size_in_units(effect: str, size: float, signal: Array) -> float:
     return size
 
 
-def distort(hidden: Sequence[tuple[str, float]], signal: Array) -> tuple[Array, Array]:
-    """Readings with the effects of the readings, saturation first, and d reading / d signal."""
-    sizes = {name: size_in_units(name, size, signal) for name, size in hidden}
-    held_back = 1.0 + sizes.get("saturation", 0.0) * signal
-    return signal / held_back + sizes.get("background", 0.0), 1.0 / held_back**2
+def distort(
+    sizes: Mapping[str, float], signal: Array, design: Design, position: Array | None = None
+) -> tuple[Array, Array]:
+    """Readings with the effects of the readings, in their order, and d reading / d signal.
+
+    Sizes are the catalogue's; position is -1/2 for the first row and 1/2 for the last.
+    """
+    if position is None:
+        position = np.linspace(-0.5, 0.5, len(signal))
+    other_sample = np.array([row[2] != _USUAL_MM["crystal_height_mm"] for row in design])
+    of_sample = 1.0 + sizes.get("sample_scale", 0.0) * other_sample
+    light = of_sample * signal
+    held_back = 1.0 + sizes.get("saturation", 0.0) * light
+    gain = 1.0 + sizes.get("gain_drift", 0.0) * position
+    read = gain * (light / held_back + sizes.get("background", 0.0))
+    return read, gain * of_sample / held_back**2
 
 
-def readings_of(store: HistoryStore, hidden: Hidden, truth: Truth) -> Readings:
+def readings_of(store: HistoryStore, hidden: Hidden, truth: Truth, design: Design) -> Readings:
     """Noise-free readings of a campaign, and their standard errors."""
-    eta, relative = store.etas(changes_of(hidden), truth.alpha_scat_per_cm, truth.alpha_abs_per_cm)
+    eta, relative = store.etas(
+        changes_of(hidden), truth.alpha_scat_per_cm, truth.alpha_abs_per_cm, design
+    )
     light = truth.scale * eta
-    own = [item for item in hidden if item[0] in OF_READINGS]
-    signal, slope = distort(own, light)
+    own = {n: size_in_units(n, size, light) for n, size in hidden if n in OF_READINGS}
+    signal, slope = distort(own, light, design)
     sigma = np.hypot(READING_SIGMA * signal, slope * light * relative)
-    return Readings(signal, sigma, light)
+    return Readings(design, signal, sigma, light)
 
 
 def with_transmittance(readings: Readings, hidden: Hidden, truth: Truth, seed: int) -> Readings:
@@ -183,9 +214,10 @@ def with_transmittance(readings: Readings, hidden: Hidden, truth: Truth, seed: i
     )  # fmt: skip
     found = trace(beam, _BEAM_PHOTONS, seed)
     sigma = math.hypot(TRANSMITTANCE_SIGMA * found.eta, found.eta_sigma)
-    return Readings(
-        np.append(readings.signal, found.eta), np.append(readings.sigma, sigma), readings.light
-    )
+    return replace(
+        readings,
+        signal=np.append(readings.signal, found.eta), sigma=np.append(readings.sigma, sigma),
+    )  # fmt: skip
 
 
 class LogEta:
@@ -206,7 +238,7 @@ class LogEta:
         self._terms = np.einsum("pi,qj,crij->crpq", *basis, np.array(tables))
 
     def __call__(self, log_alpha_scat: float, alpha_abs_per_cm: float) -> Array:
-        """(cases, readings) float64; beyond its ends a coefficient counts as at them."""
+        """(cases, rows of `POOL`) float64; beyond its ends a coefficient counts as at them."""
         at = [
             chebyshev.chebvander(np.clip(2 * (v - lo) / (hi - lo) - 1, -1, 1), degree).ravel()
             for v, (lo, hi), degree in zip(
@@ -240,10 +272,16 @@ class Excess:
         return self._fit(readings, truth, effect, _EFFECT_RANGES[0])
 
     def _fit(self, readings, truth, effect, range_per_cm) -> float:
+        rows = [POOL.index(row) for row in readings.design]
+
         def residuals(x):
             light = np.exp(x[2] + self._plain(x[0], x[1])[0])
-            if effect is not None:
+            if effect is not None and effect not in OF_READINGS:
                 light = self._with(effect)(light, *x[[0, 1, 3]])
+            light = light[rows]
+            if effect in OF_READINGS:
+                own = {effect: size_in_units(effect, min(x[3], 0.9), light)}
+                light = distort(own, light, readings.design)[0]
             of_light = slice(len(light))
             pulls = (light - readings.signal[of_light]) / readings.sigma[of_light]
             return np.append(pulls, (x[1] - truth.alpha_abs_per_cm) / PRIOR_SIGMA_PER_CM)
@@ -268,8 +306,6 @@ class Excess:
 
     def _with(self, effect: str) -> Callable:
         """``light, ln alpha_scat, alpha_abs, place -> light`` with an effect of any size."""
-        if effect in OF_READINGS:
-            return lambda light, a, b, size: distort([(effect, min(size, 0.9))], light)[0]
         if effect not in self._effects:
             sizes = EFFECTS[effect].sizes
             cases = [{}, *(changes_of(((effect, size),)) for size in sizes)]
@@ -292,19 +328,21 @@ def _place(effect: str, size: float) -> float:
     return 1.0 / (1.0 + size) if effect == "source_depth" else float(size)
 
 
-def write_campaign(folder: Path, name: str, signal: Array, sigma: Array, truth: Truth) -> Path:
+def write_campaign(
+    folder: Path, name: str, design: Design, signal: Array, sigma: Array, truth: Truth
+) -> Path:
     """Write what a laboratory would: readings and a campaign; returns the campaign's file.
 
     Of the truth only the measured absorption is written; signal and sigma are (readings,), or one
     more with a transmittance.
     """
-    in_beam = len(signal) > len(READINGS)
+    in_beam = len(signal) > len(design)
     kinds = ["light,", "transmittance,"] if in_beam else ["", ""]
     lines = [
         "# 59.5 keV, photoelectrons per event",
         f"label,{'kind,' * in_beam}signal,sigma," + ",".join(COLUMNS),
     ]
-    for label, s, error, row in zip(labels(), signal, sigma, READINGS, strict=not in_beam):
+    for label, s, error, row in zip(labels(design), signal, sigma, design, strict=not in_beam):
         values = ",".join(f"{value:g}" for value in row)
         lines.append(f"{label},{kinds[0]}{s:.6g},{error:.4g},{values}")
     if in_beam:
@@ -323,10 +361,10 @@ def write_campaign(folder: Path, name: str, signal: Array, sigma: Array, truth: 
     return campaign
 
 
-def labels() -> list[str]:
+def labels(design: Design) -> list[str]:
     """Labels of the readings: what each differs in from the bench's own values."""
-    liquids = {1.0: "air", 1.333: "water", 1.46: "gel", 1.515: "oil"}
-    usual = {" hole": 14.0, " height": 10.0, " gap": 0.05}
+    liquids = {1.0: "air", 1.333: "water", 1.4: "silicone", 1.46: "gel", 1.515: "oil", 1.6: "resin"}
+    usual = dict(zip((" hole", " height", " gap"), list(_USUAL_MM.values())[1:], strict=True))
     return [
         liquids[n_gap]
         + "".join(
@@ -334,7 +372,7 @@ def labels() -> list[str]:
             for (what, own), value in zip(usual.items(), further, strict=True)
             if value != own
         )
-        for n_gap, *further in READINGS
+        for n_gap, *further in design
     ]
 
 
@@ -356,6 +394,7 @@ class Trial:
     what: str
     truth: Truth
     expected_excess: float
+    design: Design
     signal: Array
     sigma: Array
 
@@ -375,10 +414,9 @@ class TrialMaker:
         """Changes of the bench that trials of some kinds need, the plain bench first."""
         of_pairs = dict.fromkeys(effect for pair in PAIRS for effect, _ in pair)
         of_kind = {
-            **dict.fromkeys(("single", LEFT_OUT, FAMILY_OUT), hidden_alone(self._only)),
+            **dict.fromkeys(("single", LEFT_OUT, FAMILY_OUT, ADVICE), hidden_alone(self._only)),
             "pairs": [*PAIRS, *hidden_alone(of_pairs)],
-            "outsiders": hidden_alone([NARROW_COLLAR]),
-            "mimic": hidden_alone(["black_spot"]),
+            "outsiders": hidden_alone(OUTSIDERS),
             "too_small": hidden_alone(TOO_SMALL),
             "beam": hidden_alone(BESIDE_BEAM, BESIDE_BEAM),
         }
@@ -394,76 +432,69 @@ class TrialMaker:
         RuntimeError
             If nothing of the wanted excess is found: the sizes on offer are wrong then.
         """
-        rng, draw = self._random(kind, number), getattr(self, f"_{kind}")
+        rng = self._random(kind, number)
         for _ in range(_MOST_TRUTHS):
-            truth = draw_truth(rng)
-            found = draw(rng, number, truth)
+            truth, design = draw_truth(rng), draw_design(rng)
+            found = self._found(kind, number, rng, truth, design)
             if found is not None:
                 return self._noisy(rng, kind, number, truth, *found)
         raise RuntimeError(f"{kind} trial {number}: no size has the wanted excess")
 
-    def _single(self, rng, number: int, truth: Truth, kind: str = "single"):
-        return self._sized(rng, self._in_turn(kind, self._only, number), truth, *EXCESS)
+    def _found(self, kind: str, number: int, rng, truth: Truth, design: Design):
+        """What is hidden, what is spoiled, its name, and the readings; None if it will not do."""
+        if kind == "none":
+            return (), (), "nothing", readings_of(self._store, (), truth, design)
+        if kind == "pairs":
+            return self._pair(self._in_turn(kind, PAIRS, number), truth, design)
+        if kind == "too_small":
+            ends = [(effect, size) for effect, known in TOO_SMALL.items() for size in known.sizes]
+            hidden = (ends[number % len(ends)],)
+            return hidden, (), hidden[0][0], readings_of(self._store, hidden, truth, design)
+        if kind == "instrument":
+            what = INSTRUMENT_IN_TURN[number % len(INSTRUMENT_IN_TURN)]
+            if what not in EFFECTS:
+                return self._spoiled(rng, what, truth, design)
+            return self._sized(rng, what, truth, design)
+        of_kind = {"outsiders": OUTSIDERS, "beam": BESIDE_BEAM}.get(kind)
+        effect = self._in_turn(kind, tuple(of_kind) if of_kind else self._only, number)
+        bounds = ADVICE_EXCESS if kind == ADVICE else EXCESS
+        found = self._sized(rng, effect, truth, design, of_kind or EFFECTS, bounds)
+        if found is None or kind != "beam":
+            return found
+        hidden, spoiled, what, readings = found
+        seed = int(rng.integers(2**31))
+        return hidden, spoiled, what, with_transmittance(readings, hidden, truth, seed)
 
-    def _left_out(self, rng, number: int, truth: Truth):
-        return self._single(rng, number, truth, LEFT_OUT)
-
-    def _family_out(self, rng, number: int, truth: Truth):
-        return self._single(rng, number, truth, FAMILY_OUT)
-
-    def _none(self, rng, number: int, truth: Truth):
-        return (), (), "nothing", readings_of(self._store, (), truth)
-
-    def _pairs(self, rng, number: int, truth: Truth):
-        pair = self._in_turn("pairs", PAIRS, number)
-        readings = readings_of(self._store, pair, truth)
+    def _pair(self, pair: Hidden, truth: Truth, design: Design):
+        readings = readings_of(self._store, pair, truth, design)
         for effect, _ in pair:
             if self._excess.single(effect, readings, truth) < PAIR_EXCESS:
                 return None
         return pair, (), " + ".join(effect for effect, _ in pair), readings
 
-    def _mimic(self, rng, number: int, truth: Truth):
-        return self._sized(rng, "black_spot", truth, EXCESS[0], np.inf)
-
-    def _too_small(self, rng, number: int, truth: Truth):
-        ends = [(effect, size) for effect, known in TOO_SMALL.items() for size in known.sizes]
-        hidden = (ends[number % len(ends)],)
-        return hidden, (), hidden[0][0], readings_of(self._store, hidden, truth)
-
-    def _beam(self, rng, number: int, truth: Truth):
-        effect = self._in_turn("beam", tuple(BESIDE_BEAM), number)
-        found = self._sized(rng, effect, truth, *EXCESS, BESIDE_BEAM)
-        if found is None:
-            return None
-        hidden, spoiled, what, readings = found
-        seed = int(rng.integers(2**31))
-        return hidden, spoiled, what, with_transmittance(readings, hidden, truth, seed)
-
-    def _outsiders(self, rng, number: int, truth: Truth):
-        what = OUTSIDERS_IN_TURN[number % len(OUTSIDERS_IN_TURN)]
-        if what == NARROW_COLLAR:
-            return self._sized(rng, what, truth, OUTSIDER_EXCESS, np.inf)
-        readings = readings_of(self._store, (), truth)
+    def _spoiled(self, rng, what: str, truth: Truth, design: Design):
+        """Readings of the plain bench, some of them wrong."""
+        readings = readings_of(self._store, (), truth, design)
         signal, sigma = readings.signal.copy(), readings.sigma.copy()
+        rows = rng.choice(len(signal), BAD_READINGS.get(what, 2), replace=False)
         if what == SWAPPED_ROWS:
-            rows = rng.choice(len(signal), 2, replace=False)
             signal[rows], sigma[rows] = signal[rows[::-1]], sigma[rows[::-1]]
         else:
-            rows = rng.choice(len(signal), 1)
-            factor = 1.0 + rng.choice([-1.0, 1.0]) * BAD_READING_OFF
-            signal[rows] *= factor
-            sigma[rows] *= factor
-        spoiled = Readings(signal, sigma, signal)
-        if what == SWAPPED_ROWS and self._excess.plain(spoiled, truth) < SWAP_EXCESS:
+            off = rng.uniform(*BAD_READING_OFF, len(rows)) * rng.choice([-1.0, 1.0], len(rows))
+            signal[rows] *= 1.0 + off
+            sigma[rows] *= 1.0 + off
+        spoiled = replace(readings, signal=signal, sigma=sigma)
+        if self._excess.plain(spoiled, truth) < EXCESS[0]:
             return None
-        return (), tuple(labels()[row] for row in sorted(rows)), what, spoiled
+        named = labels(design)
+        return (), tuple(named[row] for row in sorted(rows)), what, spoiled
 
-    def _sized(self, rng, effect: str, truth: Truth, least: float, most: float, known=_ALL):
+    def _sized(self, rng, effect: str, truth: Truth, design: Design, known=None, bounds=EXCESS):
         """One of the sizes whose excess is within bounds, or None."""
         fitting = []
-        for size in known[effect].sizes:
-            readings = readings_of(self._store, ((effect, size),), truth)
-            if least <= self._excess.plain(readings, truth) <= most:
+        for size in (known or EFFECTS)[effect].sizes:
+            readings = readings_of(self._store, ((effect, size),), truth, design)
+            if bounds[0] <= self._excess.plain(readings, truth) <= bounds[1]:
                 fitting.append((((effect, size),), (), effect, readings))
         return fitting[rng.integers(len(fitting))] if fitting else None
 
@@ -479,12 +510,13 @@ class TrialMaker:
     def _noisy(self, rng, kind, number, truth, hidden, spoiled, what, readings) -> Trial:
         """The trial, with errors of measurement; the tracer's are in the readings already."""
         of_readings = np.full(len(readings.signal), READING_SIGMA)
-        of_readings[len(READINGS) :] = TRANSMITTANCE_SIGMA
+        of_readings[len(readings.design) :] = TRANSMITTANCE_SIGMA
         noise = 1.0 + of_readings * rng.standard_normal(len(readings.signal))
         sizes = tuple((name, size_in_units(name, size, readings.light)) for name, size in hidden)
         return Trial(
             kind, number, self._seed, sizes, spoiled, what, truth,
-            self._excess.plain(readings, truth), readings.signal * noise, readings.sigma,
+            self._excess.plain(readings, truth), readings.design, readings.signal * noise,
+            readings.sigma,
         )  # fmt: skip
 
 
@@ -517,40 +549,133 @@ def run_trial(
     which `hidden_scores` counts.
     """
     name = f"{trial.kind}-{trial.number}"
-    campaign = write_campaign(folder, name, trial.signal, trial.sigma, trial.truth)
+    campaign = write_campaign(folder, name, trial.design, trial.signal, trial.sigma, trial.truth)
     start = time.perf_counter()
     without = left_out_of(trial)
     said = diagnose_and_repair(campaign, threads, photons, without)
+    further: dict = {}
+    if trial.kind == ADVICE:
+        further["advice"] = _advised(trial, folder, said, threads, photons)
+    if without:
+        further["known"] = _known(trial, campaign, threads, photons)
     seconds = time.perf_counter() - start
-    averaged = said["light_yield_averaged"]
     effects = {effect for effect, _ in trial.hidden}
     limits, before, after = said["upper_limits"], said["baseline"], said["calibration"]
     return {
         "kind": trial.kind, "number": trial.number, "seed": trial.seed,
         "hidden": [list(item) for item in trial.hidden], "spoiled": list(trial.spoiled),
-        "what": trial.what, "truth": asdict(trial.truth),
+        "what": trial.what, "truth": asdict(trial.truth), "readings": len(trial.design),
         "expected_excess": trial.expected_excess,
-        "verdict": said["verdict"], "reason": said["reason"],
-        "first": said["candidates"][0]["effect"] if said["candidates"] else None,
-        "leading": said["leading"],
+        **_judged(trial, said),
         "suspects": [one["labels"] for one in said["suspect_readings"]],
         "candidates": [
             {key: one[key] for key in ("effect", "chi2", "p_value", "plausible")}
             for one in (*said["candidates"][:4], *said["pairs"][:4])
         ],
         "without": list(without),
-        "averaged": {
-            "relative_sigma": averaged["sigma"] / trial.truth.light_yield_ph_per_keV,
-            "pull": (averaged["value"] - trial.truth.light_yield_ph_per_keV) / averaged["sigma"],
-        },
         "limits": {effect: limits[effect] for effect in effects if effect in limits},
-        "added": said["effects"],
         "steps": [[step["added"], step["chi2"], step["p_value"]] for step in said["repair"]],
         "chi2_before": before["chi2"], "p_before": before["p_value"], "p_after": after["p_value"],
         "pulls_before": _pulls(before["parameters"], trial.truth),
         "pulls_after": _pulls(after["parameters"], trial.truth),
-        "seconds": seconds, "diagnosis_seconds": said["diagnosis_seconds"],
+        "seconds": seconds, "diagnosis_seconds": said["diagnosis_seconds"], **further,
     }  # fmt: skip
+
+
+def _judged(trial: Trial, said: dict) -> dict:
+    """The verdict, what leads, what was added, and how good the averaged light yield is."""
+    averaged, truth = said["light_yield_averaged"], trial.truth.light_yield_ph_per_keV
+    return {
+        "verdict": said["verdict"], "reason": said["reason"],
+        "first": said["candidates"][0]["effect"] if said["candidates"] else None,
+        "leading": said["leading"], "leading_sets": said["leading_sets"], "added": said["effects"],
+        "families": [[one["family"], one["probability"]] for one in said["families"][:4]],
+        "probabilities": dict(list(said["probabilities"].items())[:6]),
+        "averaged": {
+            "relative_sigma": averaged["sigma"] / truth,
+            "pull": (averaged["value"] - truth) / averaged["sigma"],
+            "value": averaged["value"], "within": averaged["within"],
+            "between": averaged["between"], "catalogue": averaged["catalogue"],
+        },
+    }  # fmt: skip
+
+
+def _known(trial: Trial, campaign: Path, threads: int | None, photons: int | None) -> dict:
+    """What is said where the catalogue has what is hidden; and the error of who knows that."""
+    said = diagnose_and_repair(campaign, threads, photons)
+    found = _judged(trial, said)
+    if said["effects"] != [trial.what]:
+        said = plain(
+            mcrim.repair(campaign, effect=[trial.what], photons=photons, threads=threads).document
+        )
+    own = said["calibration"]["parameters"]["light_yield_ph_per_keV"]
+    return found | {"right_relative_sigma": own["sigma"] / trial.truth.light_yield_ph_per_keV}
+
+
+def _advised(
+    trial: Trial, folder: Path, said: dict, threads: int | None, photons: int | None
+) -> dict | None:
+    """What becomes of the diagnosis where what is proposed first is measured.
+
+    None where effects could be told apart, or nothing is proposed.
+    """
+    if said["verdict"] != "ambiguous" or not said["next_measurements"]:
+        return None
+    best = said["next_measurements"][0]
+    proposed = [best["parameters"]] + ([best["also"]] if best["also"] else [])
+    further = measured(trial, proposed)
+    name = f"{trial.kind}-{trial.number}-further"
+    campaign = write_campaign(folder, name, *further, trial.truth)
+    again = diagnose_and_repair(campaign, threads, photons)
+    return {
+        "proposed": proposed, "promised": best["light_yield_sigma"],
+        "before": _relative(said), "after": _relative(again), **_judged(trial, again),
+    }  # fmt: skip
+
+
+def _relative(said: dict) -> float:
+    averaged = said["light_yield_averaged"]
+    return averaged["sigma"] / averaged["value"]
+
+
+def measured(trial: Trial, proposed: Sequence[Mapping]) -> tuple[Design, Array, Array]:
+    """A trial's campaign with further readings, of light or a transmittance, after its own.
+
+    They are traced at the truth, in configurations by what they differ from the scene.
+    """
+    rng = np.random.default_rng([trial.seed, trial.number])
+    design, signal, sigma = trial.design, trial.signal, trial.sigma
+    own = {name: size for name, size in trial.hidden if name in OF_READINGS}
+    changes = changes_of(trial.hidden)
+    coefficients = {
+        "alpha_scat_per_cm": trial.truth.alpha_scat_per_cm,
+        "alpha_abs_per_cm": trial.truth.alpha_abs_per_cm,
+    }
+    in_beam = None
+    for each in proposed:
+        if each.get("kind", "light") != "light":
+            readings = Readings(design, signal[:0], sigma[:0], signal)
+            found = with_transmittance(
+                readings, trial.hidden, trial.truth, int(rng.integers(2**31))
+            )
+            noise = 1.0 + TRANSMITTANCE_SIGMA * rng.standard_normal()
+            in_beam = found.signal * noise, found.sigma
+            continue
+        values = _USUAL_MM | {name: float(each[name]) for name in each if name in _USUAL_MM}
+        filled = values["n_gap"] > FILLED_ABOVE
+        here = {n: v for n, v in changes.items() if filled or n not in FILLED_ONLY}
+        bench = Bench(**values, **coefficients, **here)
+        found = trace(bench, _FURTHER_PHOTONS, int(rng.integers(2**31)))
+        position = 0.5 + (len(design) + 1 - len(trial.design)) / (len(trial.design) - 1)
+        row, light = tuple(values.values()), np.array([trial.truth.scale * found.eta])
+        read, slope = distort(own, light, (row,), np.array([position]))
+        error = np.hypot(READING_SIGMA * read, slope * light * found.eta_sigma / found.eta)
+        design = (*design, row)
+        signal = np.append(signal, read * (1.0 + READING_SIGMA * rng.standard_normal()))
+        sigma = np.append(sigma, error)
+    if in_beam is not None:
+        signal, sigma = np.append(signal, in_beam[0]), np.append(sigma, in_beam[1])
+    return design, signal, sigma
 
 
 def left_out_of(trial: Trial) -> tuple[str, ...]:

@@ -106,12 +106,23 @@ def test_fixed_scale_and_lengths(folder):
         'scene = "camoo4.xml"\nmeasurements = "measured.csv"\n'
         "parameters.scale = {start = 1, fixed = true}\nparameters.gap_mm = {}\n"
         "[next_measurements]\nn_gap = [1, 1.46, 1.0]\nsigma_relative = 0.007\n"
+        "minutes = {n_gap = 20}\n"
     )
     read = campaign(folder, text)
     assert (read.free, read.ndf) == (("gap_mm",), 1)
     assert (read.scale.start, read.scale.maximum) == (1.0, math.inf)
     assert read.parameters["gap_mm"].maximum == pytest.approx(0.5)
-    assert read.next_measurements == {"n_gap": [1.0, 1.46], "sigma_relative": 0.007}
+    assert read.next_measurements == {
+        "n_gap": [1.0, 1.46], "sigma_relative": 0.007, "minutes": {"n_gap": 20.0},
+    }  # fmt: skip
+    for minutes, problem in (
+        ("20", "minutes is not a table; write minutes = { n_gap = 20 }"),
+        ("{n_gpa = 20}", "n_gpa is not a parameter of camoo4.xml; did you mean n_gap"),
+        ("{n_gap = -1}", "n_gap = -1 is not a number of minutes"),
+    ):
+        with pytest.raises(InputError) as refused:
+            campaign(folder, text.replace("{n_gap = 20}", minutes))
+        assert refused.value.line == 8 and problem in str(refused.value)
 
 
 PRIORS = """
@@ -250,6 +261,7 @@ def test_schema_for_editors_takes_what_ships_and_refuses_slips():
         ("start = 0.5", "transmittance = 0.76"),
         ("energy_keV = 59.5", "energy_keV = 0"),
         ("[light_yield]", "[next_measurements]\nn_gap = 1\n[light_yield]"),
+        ("[light_yield]", "[next_measurements]\nminutes = {n_gap = -1}\n[light_yield]"),
     ):
         assert known.is_valid(tomllib.loads(CAMPAIGN))
         assert not known.is_valid(tomllib.loads(CAMPAIGN.replace(old, new))), new

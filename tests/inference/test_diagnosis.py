@@ -10,7 +10,6 @@ from scipy import stats
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.files import plain
-from mcrim_mitsuba.inference.candidates import MeasurementProposals
 from mcrim_mitsuba.inference.compare import comparison_of, find_trends
 from mcrim_mitsuba.inference.diagnose import diagnose_models
 from mcrim_mitsuba.inference.estimates import left_out, left_out_error
@@ -26,6 +25,7 @@ from mcrim_mitsuba.inference.least_squares import (
 )
 from mcrim_mitsuba.inference.likelihood import Likelihood, find_minima
 from mcrim_mitsuba.inference.race import contenders
+from mcrim_mitsuba.inference.workbench import MeasurementProposals
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 #: A part of the catalogue, where all of it would only take longer.
@@ -239,17 +239,18 @@ def test_few_readings_are_ambiguous_and_ask_for_more():
     def models(added):
         return bench.Model(few, tuple(added))
 
-    def predict(effects, theta):
-        prediction = bench.Model(rows, effects).predict(theta)
-        return prediction.signal, prediction.signal_slopes
+    def predict(effects, thetas):
+        return bench.Model(rows, effects).predict_many(thetas)
 
     proposals = MeasurementProposals(bench.ROWS, predict, bench.SIGMA)
     found = diagnose_models(models, SOME, proposals=proposals)
     assert found.verdict == "ambiguous" and "gap_bubble" in found.leading
-    best = found.next_measurements[0]
-    assert best.separates and best.expected_delta_chi2 > 4
-    measured = [row.parameters for row in few]
-    assert best.parameters not in measured
+    best, measured = found.next_measurements[0], [row.parameters for row in few]
+    assert best.parameters not in measured and best.hours == 0.5
+    together = next(each for each in found.next_measurements if each.also)
+    assert together.separates and together.expected_delta_chi2 > 4 and together.hours == 1.0
+    sure = max(found.probabilities.values())
+    assert sure + 0.05 < best.probability < together.probability < 1.0
 
 
 def test_a_trend_is_that_of_the_bench_parameter():

@@ -131,8 +131,8 @@ def test_probabilities_and_the_averaged_yield():
     at = {(): (0.0, 40.0), ("one",): (3.0, 35.0), ("other",): (2.0, 30.0)}
     hypotheses = [
         Hypothesis(
-            Evidence(log, 0.0, {"scale": scale}, {"scale": 1.0}, 1e3), -len(key) * math.log(2), key,
-            common=0.05 * len(key),
+            Evidence(log, 0.0, {"scale": scale}, {"scale": 1.0}, 1e3, np.empty((0, 1))),
+            -len(key) * math.log(2), key, common=0.05 * len(key),
         )
         for key, (log, scale) in at.items()
     ]  # fmt: skip
@@ -144,7 +144,38 @@ def test_probabilities_and_the_averaged_yield():
     values = np.array([8.0, 7.0, 6.0])
     mean = p @ values
     assert found.light_yield.value == pytest.approx(mean)
-    assert found.light_yield.between == pytest.approx(math.sqrt(p @ (values - mean) ** 2))
-    assert found.light_yield.within == pytest.approx(math.hypot(0.2, 0.1 * mean))
-    allowed = 0.05 * math.sqrt(p[1:] @ values[1:] ** 2)
-    assert found.light_yield.catalogue == pytest.approx(allowed)
+    # the interval that holds 90 %, by drawing; its parts as the variances are
+    rng = np.random.default_rng(4)
+    model = rng.choice(3, 400_000, p=p)
+    sigmas = np.hypot(0.2, 0.05 * values * [0, 1, 1])
+    drawn = values[model] + sigmas[model] * rng.standard_normal(len(model))
+    width = np.ptp(np.quantile(drawn, [0.05, 0.95])) / (2.0 * 1.644854)
+    parts = np.array(
+        [0.2, math.sqrt(p @ (values - mean) ** 2), 0.05 * math.sqrt(p[1:] @ values[1:] ** 2)]
+    )
+    within, between, catalogue = parts / np.linalg.norm(parts) * width
+    averaged = found.light_yield
+    assert averaged.within == pytest.approx(math.hypot(within, 0.1 * mean), rel=3e-3)
+    assert averaged.between == pytest.approx(between, rel=5e-3)
+    assert averaged.catalogue == pytest.approx(catalogue, rel=5e-3)
+    assert averaged.sigma == pytest.approx(math.hypot(width, 0.1 * mean), rel=3e-3)
+
+
+def test_an_unlikely_model_far_away_is_no_error():
+    """One in fifty is off by half: the standard deviation would be seven times the likely one."""
+
+    def light_yield(log):
+        return weigh(
+            [
+                Hypothesis(Evidence(at, 0.0, {"scale": scale}, {"scale": 0.4}, 1e3,
+                                    np.empty((0, 1))), 0.0)
+                for at, scale in ((0.0, 40.0), (log, 20.0))
+            ],
+            LightYieldInput(50.0, 0.1, 0.0),
+        ).light_yield  # fmt: skip
+
+    alone = light_yield(-50.0)
+    assert alone.sigma == pytest.approx(0.08, rel=1e-3)
+    assert light_yield(math.log(0.02)).sigma < 1.2 * alone.sigma
+    # where it is as likely as one in ten it is one
+    assert light_yield(math.log(0.1)).sigma > 10.0 * alone.sigma

@@ -9,8 +9,11 @@ import synthetic_bench as bench
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.inference.diagnose import diagnose_models
+from mcrim_mitsuba.inference.evidence import Hypothesis
 from mcrim_mitsuba.inference.explanations import Explanations
-from mcrim_mitsuba.inference.unexplained import UNKNOWN, of_instrument, unnamed
+from mcrim_mitsuba.inference.next_measurements import next_measurements
+from mcrim_mitsuba.inference.unexplained import UNKNOWN, of_instrument, unnamed, unnamed_at
+from mcrim_mitsuba.inference.workbench import MeasurementProposals
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 LIGHT = LightYieldInput(50.0, 0.1, 0.0)  # a scale of 5 is 1 ph/keV
@@ -119,4 +122,48 @@ def test_something_without_a_name_grows_with_the_misfit():
         found = unnamed(explanations, ())
         best = max(found, key=lambda each: each.evidence.log)
         assert all(each.name == UNKNOWN for each in found)
-        assert best.common <= 0.02 if drawn == 0.0 else drawn < best.common < 8.0 * drawn
+        size = best.amplitude
+        assert size <= 0.008 if drawn == 0.0 else 0.4 * drawn < size < 3.2 * drawn
+
+
+def test_a_proposed_reading_buys_what_it_then_does():
+    """Where there is one explanation the error is that of the fit with the reading in it."""
+    signal = bench.signals(TRUTH)
+    rows = bench.readings(signal)
+
+    def explained(taken):
+        return Explanations(lambda added: bench.Model(taken, tuple(added), light_yield=LIGHT), {})
+
+    def predict(effects, thetas):
+        return bench.Model(rows, effects).predict_many(thetas)
+
+    few = tuple(rows[i] for i in (0, 4, 8))
+    before = explained(few)
+    only = Hypothesis(before.evidence(()), 0.0)
+    minutes = {"crystal_height_mm": 90.0}
+    proposals = MeasurementProposals(bench.ROWS, predict, bench.SIGMA, minutes)
+    found = next_measurements(before, (), [only], proposals)
+    assert any(one.also for one in found)
+    for one in found:
+        chosen = [each for each in (one.parameters, one.also) if each]
+        further = tuple(rows[bench.ROWS.index(each)] for each in chosen)
+        after = explained((*few, *further)).evidence(())
+        sigma = after.sigma["scale"] / after.mean["scale"]
+        assert one.light_yield_sigma == pytest.approx(sigma, rel=0.15)
+        heights = {each["crystal_height_mm"] for each in chosen}
+        assert one.hours == pytest.approx(0.5 * len(chosen) + 1.5 * len(heights))
+
+
+def test_what_has_no_name_is_likely_to_go_on_where_it_was_measured():
+    """Drawn at the readings themselves it is their residual; far from all it is only as large."""
+    change = np.where([row["n_gap"] > 1.4 for row in bench.ROWS], 0.94, 1.0)
+    explanations = Explanations(models(5, change=lambda signal: signal * change), {})
+    largest = max(unnamed(explanations, ()), key=lambda each: each.log_weight)
+    fit = explanations.baseline
+    thetas = np.repeat(fit.theta[None], 400, axis=0)
+    far = {**bench.ROWS[0], "n_gap": 9.0}
+    drawn = unnamed_at(explanations, largest, thetas, [*bench.ROWS, far])
+    residual = fit.problem.signal / fit.signal - 1.0
+    assert np.abs(drawn.mean(axis=0)[:-1] - residual).max() < 0.02
+    assert drawn[:, :-1].std(axis=0).max() < 0.02
+    assert drawn[:, -1].std() == pytest.approx(largest.amplitude, rel=0.15)

@@ -1,0 +1,250 @@
+"""What to measure next: by how much a further reading would lower the light yield's error.
+
+Every explanation of the readings predicts a further one, with the parameters that it allows. Drawn
+from their probabilities these are points; a reading that is made at one of them changes the weights
+of all others by Bayes' theorem, and what is left of the light yield's spread and of the doubt which
+explanation it is is what the reading buys (preposterior analysis: H. Raiffa and R. Schlaifer,
+Applied Statistical Decision Theory, Harvard 1961; K. Chaloner and I. Verdinelli, Statistical
+Science 10 (1995) 273). Something without a name predicts by its Gaussian process, given the
+readings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.inference.evidence import INTERVAL, WIDTH, Hypothesis
+from mcrim_mitsuba.inference.explanations import Explanations
+from mcrim_mitsuba.inference.unexplained import unnamed_at
+from mcrim_mitsuba.inference.workbench import MeasurementProposals
+
+# An expected difference in chi2 from which two explanations count as separated.
+_SEPARATED = 6.0
+# Configurations handed back, two together counting as one.
+_MOST = 10
+# Readings that are looked at together with each other: the best ones alone.
+_TOGETHER = 12
+# Leading explanations that are told apart, sets of effects that are simulated for it besides, and
+# the probability from which one is.
+_MOST_RIVALS, _MOST_SETS, _LIKELY = 3, 5, 0.01
+# Points that further readings are made at.
+_OUTCOMES = 128
+
+
+@dataclass(frozen=True)
+class NextMeasurement:
+    """A further reading, or two together, and what it would tell."""
+
+    #: Scene parameters; of a transmittance those of its beam, and ``kind``.
+    parameters: dict[str, Value]
+    #: Pairs of leading explanations that it would tell apart.
+    separates: tuple[tuple[str, str], ...]
+    #: Mean over all pairs of what the wrong one's chi2 would rise above the right one's.
+    expected_delta_chi2: float
+    #: Those of a second reading, where two are proposed together.
+    also: dict[str, Value] | None = None
+    #: Relative standard error that the averaged light yield would most likely have; None where
+    #: nothing turns a fitted scale into a light yield.
+    light_yield_sigma: float | None = None
+    #: Expected probability of the explanation that would then be the likeliest.
+    probability: float = math.nan
+    #: To mount what is proposed.
+    hours: float = math.nan
+
+
+def next_measurements(
+    explanations: Explanations,
+    leading: Sequence[tuple[str, ...]],
+    hypotheses: Sequence[Hypothesis],
+    proposals: MeasurementProposals,
+) -> tuple[NextMeasurement, ...]:
+    """Configurations by what a reading there would buy per hour.
+
+    That is half of the part by which the light yield's error would fall, and half of that by which
+    the doubt which explanation is right would.
+
+    Parameters
+    ----------
+    leading : sequence of tuple of str
+        Sets of effects that each explain the readings.
+    hypotheses : sequence of Hypothesis
+        All that may explain them; the likely ones predict.
+
+    Returns
+    -------
+    tuple of NextMeasurement
+        The best first, at most ten, with the best two together among them.
+    """
+    configurations = proposals.configurations
+    if not configurations:
+        return ()
+    known = explanations.baseline.problem.model.campaign.light_yield
+    efficiency = known.detector_efficiency_sigma / known.detector_efficiency if known else 0.0
+    cloud = _cloud(explanations, leading, hypotheses, proposals)
+    rises, pairs = cloud.rises(leading[:_MOST_RIVALS])
+    log_likely = cloud.log_likelihoods()
+    before, sure = cloud.left(np.zeros((1, len(cloud.weights))), efficiency)
+
+    def bought(places: tuple[int, ...]) -> tuple[float, float, float]:
+        error, probability = cloud.left(sum(log_likely[i] for i in places), efficiency)
+        fallen = 1.0 - error / before if cloud.yields is not None else 0.0
+        doubt = (probability - sure) / max(1.0 - sure, 1e-9)
+        return 0.5 * (fallen + doubt) / proposals.hours(*places), error, probability
+
+    each: dict[tuple[int, ...], tuple[float, float, float]] = {
+        (i,): bought((i,)) for i in range(len(configurations))
+    }
+    best = sorted(each, key=lambda places: -each[places][0])
+    pairs_of_best = combinations([i for places in best[:_TOGETHER] for i in places], 2)
+    together = {(i, j): bought((i, j)) for i, j in pairs_of_best}
+    if together:
+        both = max(together, key=lambda places: together[places][0])
+        each[both] = together[both]
+    order = sorted(each, key=lambda places: -each[places][0])[:_MOST]
+    names = [" + ".join(effects) for effects in leading]
+    found = []
+    for places in order:
+        _, error, probability = each[places]
+        risen = rises[:, list(places)].sum(axis=1)
+        first, *second = (dict(configurations[i]) for i in places)
+        found.append(
+            NextMeasurement(
+                parameters=first,
+                separates=tuple(
+                    (names[a], names[b])
+                    for (a, b), rise in zip(pairs, risen, strict=True)
+                    if rise >= _SEPARATED
+                ),
+                expected_delta_chi2=float(risen.mean()) if len(risen) else 0.0,
+                also=second[0] if second else None,
+                light_yield_sigma=error if known is not None and cloud.yields is not None else None,
+                probability=probability,
+                hours=proposals.hours(*places),
+            )
+        )
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Cloud:
+    """Points of all explanations that are likely, and what they predict."""
+
+    #: (points,) of which explanation each is, by `names`; probabilities, which sum to 1.
+    of: Array
+    names: tuple[str, ...]
+    weights: Array
+    #: (points, m) predicted further readings, and their (m,) or one relative standard error.
+    signals: Array
+    relative_sigma: Array
+    #: (points,) light yields up to a factor, with what no reading tells, in rising order of these;
+    #: None where the scale is not fitted.
+    yields: Array | None
+
+    def log_likelihoods(self) -> Array:
+        """(m, outcomes, points) of readings at some points, by all points."""
+        rng = np.random.default_rng(0)
+        at = (np.arange(_OUTCOMES) + 0.5) / _OUTCOMES
+        true = np.minimum(np.searchsorted(np.cumsum(self.weights), at), len(self.weights) - 1)
+        noise = rng.standard_normal((_OUTCOMES, self.signals.shape[1]))
+        readings = self.signals[true] * (1.0 + self.relative_sigma * noise)
+        predicted = self.signals.T[:, None, :]
+        sigma = self.relative_sigma[:, None, None] * predicted
+        away = (readings.T[:, :, None] - predicted) / sigma
+        return -0.5 * away**2 - np.log(predicted)
+
+    def left(self, log_likelihood: Array, efficiency: float) -> tuple[float, float]:
+        """Relative error of the light yield, the median of all outcomes, after these.
+
+        And the mean probability of the likeliest explanation; (outcomes, points) of logarithms.
+        """
+        weights = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True)) * self.weights
+        weights /= weights.sum(axis=1, keepdims=True)
+        by_name = np.stack([weights[:, self.of == k].sum(axis=1) for k in range(len(self.names))])
+        probability = float(by_name.max(axis=0).mean())
+        if self.yields is None:
+            return math.nan, probability
+        mean, cumulated = weights @ self.yields, np.cumsum(weights, axis=1)
+        low, high = (
+            self.yields[np.minimum((cumulated < part).sum(axis=1), len(self.yields) - 1)]
+            for part in (0.5 - 0.5 * INTERVAL, 0.5 + 0.5 * INTERVAL)
+        )
+        error = np.hypot((high - low) / WIDTH / mean, efficiency)
+        return float(np.median(error)), probability
+
+    def rises(self, leading: Sequence[tuple[str, ...]]) -> tuple[Array, list[tuple[int, int]]]:
+        """(pairs, m): with one of two true, what a reading raises the chi2 of the other by."""
+        pairs = list(combinations(range(len(leading)), 2))
+        means, variances = [], []
+        for effects in leading:
+            own = self.of == self.names.index(" + ".join(sorted(effects)))
+            means.append(self.signals[own].mean(axis=0))
+            variances.append(self.signals[own].var(axis=0))
+        found = [
+            (means[a] - means[b]) ** 2
+            / (
+                (self.relative_sigma * 0.5 * (means[a] + means[b])) ** 2
+                + np.maximum(variances[a], variances[b])
+            )
+            for a, b in pairs
+        ]
+        return np.array(found).reshape(len(pairs), self.signals.shape[1]), pairs
+
+
+def _cloud(
+    explanations: Explanations,
+    leading: Sequence[tuple[str, ...]],
+    hypotheses: Sequence[Hypothesis],
+    proposals: MeasurementProposals,
+) -> _Cloud:
+    """Points of the leading explanations and of all others that are likely."""
+    logs = np.array([each.log_weight for each in hypotheses])
+    shares = np.exp(logs - logs.max())
+    shares /= shares.sum()
+    rivals = {tuple(sorted(effects)) for effects in leading[:_MOST_RIVALS]}
+    sets: dict[tuple[str, ...], None] = dict.fromkeys([(), *rivals])
+    taken = []
+    for i in np.argsort(-shares, kind="stable"):
+        each = hypotheses[i]
+        effects = tuple(sorted(each.effects))
+        leads = not each.besides and effects in rivals
+        if not leads and (shares[i] < _LIKELY or (effects not in sets and len(sets) > _MOST_SETS)):
+            continue
+        sets[effects] = None
+        taken.append((each, effects, float(shares[i])))
+    count = len(proposals.configurations)
+    relative = np.broadcast_to(np.asarray(proposals.relative_sigma, float), (count,))
+    names = tuple(dict.fromkeys(_name(each) for each, *_ in taken))
+    rng = np.random.default_rng(1)
+    of, weights, signals, scales = [], [], [], []
+    for each, effects, share in taken:
+        points = each.evidence.draws
+        predicted = proposals.predict(effects, points)
+        if each.amplitude:
+            predicted = predicted * np.exp(
+                unnamed_at(explanations, each, points, proposals.configurations)
+            )
+        of.append(np.full(len(points), names.index(_name(each))))
+        weights.append(np.full(len(points), share / len(points)))
+        signals.append(np.maximum(predicted, 1e-300))
+        free = tuple(each.evidence.mean)
+        own = points[:, free.index(SCALE)] if SCALE in free else np.zeros(len(points))
+        scales.append(own * (1.0 + each.common * rng.standard_normal(len(points))))
+    weight, scale = np.concatenate(weights), np.concatenate(scales)
+    order = np.argsort(scale, kind="stable")
+    return _Cloud(
+        of=np.concatenate(of)[order], names=names, weights=weight[order] / weight.sum(),
+        signals=np.concatenate(signals)[order], relative_sigma=relative,
+        yields=scale[order] if scale.all() else None,
+    )  # fmt: skip
+
+
+def _name(hypothesis: Hypothesis) -> str:
+    return hypothesis.besides or " + ".join(sorted(hypothesis.effects))
