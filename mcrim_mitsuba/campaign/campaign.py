@@ -94,8 +94,8 @@ class Campaign:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the reader must know of the raw data before using the numbers."""
-        return () if self.raw is None else self.raw.notes
+        """What the reader must know of scene and raw data before using the numbers."""
+        return (*self.scene.notes, *(() if self.raw is None else self.raw.notes))
 
     @property
     def ndf(self) -> int:

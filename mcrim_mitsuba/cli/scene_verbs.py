@@ -80,7 +80,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
 
         write_cross_section(found.plot(), picture)
     screen = terminal.console(json_file)
-    screen.show(*found.described.parts)
+    showing.show(screen, found.described)
     if not found.ok:
         raise found.problems[0].error()
     if picture:

@@ -143,6 +143,7 @@ def of_check(report: CheckReport) -> Document:
         "parameters": report.parameters,
         "interfaces": [_with_file(face) for face in report.interfaces],
         "words": list(report.words),
+        "notes": list(report.notes),
     }
 
 

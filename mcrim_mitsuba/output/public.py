@@ -291,11 +291,11 @@ def simulate(
     file = read_scene(scene, parameters)
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
     if method == "modes":
-        found = solve_simulation(simulation, run.precision)
+        found = _noted(solve_simulation(simulation, run.precision), file)
         return Answer(
             found, scene_descriptions.of_simulation(found), documents.of_simulation(found)
         )
-    found = collect(simulation, run=run)
+    found = _noted(collect(simulation, run=run), file)
 
     @functools.cache
     def followed() -> Any:
@@ -309,6 +309,11 @@ def simulate(
         {"arrival": lambda: _drawn("light_figures.draw_arrival", followed()),
          "fates": lambda: _drawn("light_figures.draw_fates", followed())},
     )  # fmt: skip
+
+
+def _noted(found: Any, file: SceneFile) -> Any:
+    """A result on a scene, with what the reader must know of the scene."""
+    return dataclasses.replace(found, notes=(*file.notes, *found.notes)) if file.notes else found
 
 
 #: Photons of figures, at most: more would not be seen.
@@ -355,7 +360,8 @@ def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **gi
     }
     file = read_scene(scene, {n: v for n, v in parameters.items() if n not in axes})
     start = time.perf_counter()
-    made = (noise_free_table if method == "modes" else eta_table)(file, axes, run=run)
+    tabulated = noise_free_table if method == "modes" else eta_table
+    made = _noted(tabulated(file, axes, run=run), file)
     seconds = time.perf_counter() - start
     return Answer(
         made, scene_descriptions.of_table(made, seconds=seconds),
