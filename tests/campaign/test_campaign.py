@@ -70,12 +70,30 @@ def test_measurements_as_a_spreadsheet_writes_them(tmp_path):
     assert measured.in_use == (air,)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "cp1252", "utf-16"])
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_measurements_as_a_german_spreadsheet_writes_them(tmp_path, encoding, separator):
+    text = (
+        '# CaMoO4;59,5 keV;;\r\n"# counted; twice";;;\r\nlabel;signal;sigma;n_gap;;\r\n'
+        '"Öl; dick";14,3;0,2;1,000;;\r\nGel, dünn;24,5;0,4;1,46;;\r\n;;;;;\r\n'
+    ).replace(";", separator)
+    measured = readings(tmp_path, text.encode(encoding))
+    assert measured.comments == (f"CaMoO4{separator}59,5 keV", f"counted{separator} twice")
+    oil, gel = measured.readings
+    assert (oil.label, oil.signal, oil.sigma) == (f"Öl{separator} dick", 14.3, 0.2)
+    assert (gel.label, gel.parameters, gel.line) == ("Gel, dünn", {"n_gap": 1.46}, 5)
+
+
+def test_the_line_of_a_spreadsheet_that_names_the_separator(tmp_path):
+    (air,) = readings(tmp_path, "sep=;\nlabel;signal;sigma\nair, dry;14,3;0,2\n").readings
+    assert (air.label, air.signal, air.line) == ("air, dry", 14.3, 3)
+
+
 HEADER = "label,signal,sigma\n"
 GROUPS = "label,signal,sigma,group,group_sigma\n"
 
 
 @cases("text", "place", "says", more=[
-    (b"label,signal,sigma\nair,1,1\n\xe9,1,1\n", "line 3", "save it as UTF-8"),
     (b"x" * 10_000_001, "", "larger than 10 MB"),
 ])  # fmt: skip
 def test_bad_measurements_are_refused_in_one_line(tmp_path, text, place, says):
