@@ -133,6 +133,14 @@ class Campaign:
         """`effects`, as the catalogue has them."""
         return [self.catalogue[name] for name in self.effects]
 
+    def with_only(self, effects: Iterable[str]) -> Campaign:
+        """The campaign with these of its effects alone, and without what the others bring."""
+        left = tuple(name for name in self.effects if name in effects)
+        kept = {p.name for name in left for p in self.catalogue[name].parameters}
+        gone = {p.name for effect in self.switched_on for p in effect.parameters} - kept
+        parameters = {name: known for name, known in self.parameters.items() if name not in gone}
+        return replace(self, effects=left, parameters=parameters)
+
     def with_effects(self, names: Sequence[str]) -> Campaign:
         """The campaign with more effects switched on, their parameters as the catalogue has them.
 

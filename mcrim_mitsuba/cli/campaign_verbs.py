@@ -79,22 +79,46 @@ def calibrate(campaign, figure, json_file, work) -> None:
 
 
 @click.command()
-@options.campaign
+@options.campaigns
 @options.figure("readings, predictions and pulls")
 @options.effect_photons
 @options.work
-def compare(campaign, figure, json_file, work) -> None:
+def compare(campaigns, figure, json_file, work) -> None:
     """Show where the model of CAMPAIGN (TOML) fails to describe its readings.
 
     Pulls are (reading - prediction) in standard errors; those from the others compare with a
     fit to all other readings. Suspect readings are named before physics is blamed.
+
+    With two or three campaigns of the same readings: which of these hypotheses the readings
+    prefer, side by side, and at which readings they differ most. Scenes, effects and priors may
+    differ.
     """
-    read, _ = showing.read_campaign(campaign, json_file, figure)
+    from mcrim_mitsuba.inference.hypotheses import refuse_unlike
+
+    read = [showing.read_campaign(one, json_file, figure)[0] for one in campaigns]
+    if len(read) > 1:
+        refuse_unlike(read)
     with work.begin() as run:
-        found = mcrim.compare(read, run=run)
+        found = mcrim.compare(*read, run=run)
     screen = showing.answer(found, json_file, figure)
-    next_step = _after_comparison(campaign, read.measurements.path, found)
+    next_step = (
+        _after_hypotheses(found) if len(read) > 1
+        else _after_comparison(campaigns[0], read[0].measurements.path, found)
+    )  # fmt: skip
     screen.line(f"Next: {next_step}", style="bold")
+
+
+def _after_hypotheses(compared) -> str:
+    from mcrim_mitsuba.inference.diagnose import AMBIGUOUS, UNEXPLAINED
+    from mcrim_mitsuba.output.findings import most_apart
+
+    best = compared.named[compared.leading[0]].campaign
+    if compared.verdict == UNEXPLAINED:
+        return f"{showing.command('diagnose', best)} for what else could be missing"
+    if compared.verdict == AMBIGUOUS:
+        where = f"measure {most_apart(compared)[0]} again, with a smaller error"
+        return f"{where}; or {showing.command('diagnose', best)} for what else would tell"
+    return f"{showing.command('calibrate', best)} for the light yield"
 
 
 def _after_comparison(campaign: str, measurements: Path, comparison) -> str:

@@ -265,6 +265,10 @@ def _read_variant(ctx, param, value) -> str:
 
 scene = click.argument("scene", type=click.Path(path_type=str))
 campaign = click.argument("campaign", type=click.Path(path_type=str))
+campaigns = click.argument(
+    "campaigns", nargs=-1, required=True, type=click.Path(path_type=str),
+    metavar="CAMPAIGN [CAMPAIGN [CAMPAIGN]]",
+)  # fmt: skip
 
 #: How ``--photons`` is explained where effects are tried: the default, and what it counts.
 PHOTONS = "2.6e5 of each simulation with an effect in the scene"

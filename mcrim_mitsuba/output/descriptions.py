@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis, RepairStep
     from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
     from mcrim_mitsuba.inference.fit import Calibration
+    from mcrim_mitsuba.inference.hypotheses import FittedHypothesis, HypothesesCompared
     from mcrim_mitsuba.inference.neglected import Shift
     from mcrim_mitsuba.inference.plan import Planning
     from mcrim_mitsuba.inference.repair import Repaired
@@ -103,13 +104,17 @@ def _estimated(known: ParameterEstimate) -> Cell:
 def _reading(one: FittedRow) -> tuple[str | Cell, ...]:
     """A reading beside the model, and its pull."""
     return (
-        one.label if one.use else f"{one.label} (not used)",
+        _name(one),
         *(
             Cell(findings.signal_text(one.of_beam, value, sigma), value, sigma)
             for value, sigma in ((one.measured, one.sigma), (one.model, one.model_sigma))
         ),
         shown(one.pull, "+.2f"),
     )
+
+
+def _name(one: FittedRow) -> str:
+    return one.label if one.use else f"{one.label} (not used)"
 
 
 def parameters_table(parameters: Mapping[str, ParameterEstimate]) -> Table:
@@ -127,11 +132,15 @@ def _described(
     title: str, parts: Iterable[Part], fit: Calibration, provenance: Provenance
 ) -> Described:
     """What a fit shows, what it rests on, and the notes of both."""
-    spent = (
+    notes = (*fit.notes, *provenance.notes)
+    return Described(title, tuple(parts), _spent(provenance), notes)
+
+
+def _spent(provenance: Provenance) -> str:
+    return (
         f"{provenance.photons:,} photons ({provenance.cached_photons:,} of the cache), seed "
         f"{provenance.seed}, {provenance.seconds:.1f} s"
     )
-    return Described(title, tuple(parts), spent, (*fit.notes, *provenance.notes))
 
 
 # Where a model fails, and what explains it.
@@ -166,6 +175,71 @@ def of_comparison(found: Compared) -> Described:
         *_parameters(found.calibration.parameters),
     ]
     return _described("a campaign beside its model", parts, found.calibration, found.provenance)
+
+
+_OF_HYPOTHESES = (
+    "ln evidence: natural logarithm of the likelihood averaged over plausible sizes, less that of "
+    "the best; probability: among those compared, each as likely as the others before the "
+    "readings; left out: rms error on readings left out of the fit, in standard errors; light "
+    "yield: photons per keV, with the statistical and the systematic error"
+)
+
+
+def of_hypotheses(found: HypothesesCompared) -> Described:
+    """The verdict, what the readings say of each hypothesis, sizes, pulls and predictions."""
+    compared, spent = found.comparison, found.provenance
+    hypotheses = compared.hypotheses
+    names = [one.name for one in hypotheses]
+    figures = {
+        "chi2": [shown(one.chi2, number) for one in hypotheses],
+        "ndf": [shown(one.ndf, "d") for one in hypotheses],
+        "p": [shown(one.p_value, p_text) for one in hypotheses],
+        "left out": [shown(one.left_out_error, number) for one in hypotheses],
+        "ln evidence": list(map(_log_evidence, hypotheses)),
+        "probability": [shown(one.probability, probability) for one in hypotheses],
+    }
+    fitted_names = dict.fromkeys(name for one in hypotheses for name in one.parameters)
+    sizes = {name: [one.parameters.get(name) for one in hypotheses] for name in fitted_names}
+    if lights := sizes.pop(LIGHT_YIELD, None):
+        figures["light yield"] = [
+            Cell(findings.value_with_errors(light), light.value, light.sigma) if light else Cell("")
+            for light in lights
+        ]
+    most, pulls, predictions = findings.most_apart(compared), [], []
+    for of_all in zip(*(one.rows for one in hypotheses), strict=True):
+        label, measured_cell, *_ = _reading(of_all[0])
+        far, strong = compared.apart[of_all[0].label], of_all[0].label in most
+        told = (shown(one.pull, "+.2f") for one in of_all)
+        pulls.append(row(label, *told, shown(far, ".1f"), strong=strong))
+        told = (Cell(findings.prediction_text(x), x.model, x.model_sigma) for x in of_all)
+        predictions.append(row(label, measured_cell, *told, strong=strong))
+    fitted = (
+        (size, *(_estimated(known) if known else "" for known in each))
+        for size, each in sizes.items()
+    )
+    parts: list[Part] = [
+        Sentence(f"{compared.verdict}: {compared.reason}", strong=True),
+        *(Sentence(f"{one.name}: {findings.hypothesis_text(one)}") for one in hypotheses),
+        table(
+            "hypotheses", (Column("", "quantity"), *names),
+            ((what, *cells) for what, cells in figures.items()),
+        ),
+        Sentence(_OF_HYPOTHESES),
+        table("sizes", ("parameter", *names), fitted),
+        Sentence(findings.apart_text(compared), strong=True),
+        table("pulls", ("reading", *names, "apart"), pulls),
+        Sentence(
+            "apart: largest difference of two predictions, in standard errors of the reading"
+        ),
+        table("predictions", ("reading", "measured", *names), predictions),
+    ]  # fmt: skip
+    return Described("hypotheses side by side", tuple(parts), _spent(spent), spent.notes)
+
+
+def _log_evidence(one: FittedHypothesis) -> Cell:
+    """The best is what the others are compared with."""
+    text = pdg(one.log_evidence, one.log_evidence_sigma) if one.log_evidence_sigma else "0"
+    return Cell(text, one.log_evidence, one.log_evidence_sigma or None)
 
 
 def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:

@@ -47,7 +47,9 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.candidates import Candidate, Limit, NextMeasurement
     from mcrim_mitsuba.inference.compare import Comparison, Suspect, Trend
     from mcrim_mitsuba.inference.diagnose import Diagnosis
+    from mcrim_mitsuba.inference.estimates import FittedRow
     from mcrim_mitsuba.inference.fit import Calibration
+    from mcrim_mitsuba.inference.hypotheses import FittedHypothesis, SideBySide
 
 # From here on readings of light and of the beam are said to pull apart, standard errors.
 _PULLS_APART = 2.0
@@ -135,6 +137,41 @@ def apart(comparison: Comparison) -> list[str]:
         for label, pull in pulls.items()
         if abs(pull) > _PULLS_APART and fails(comparison)
     ]
+
+
+# Readings at which hypotheses are said to differ most.
+_MOST_APART = 3
+
+
+def hypothesis_text(one: FittedHypothesis) -> str:
+    """``mended.toml, with gap_bubble``: where a hypothesis is from, and its effects."""
+    added = f"with {together(one.effects)}" if one.effects else "nothing added to its scene"
+    return added if one.campaign is None else f"{one.campaign}, {added}"
+
+
+def most_apart(compared: SideBySide) -> list[str]:
+    """Labels of the readings at which hypotheses differ most, these first."""
+    return sorted(compared.apart, key=lambda label: -compared.apart[label])[:_MOST_APART]
+
+
+def prediction_text(row: FittedRow) -> str:
+    """What a model predicts of a reading, to the place that the reading's error deserves."""
+    return _value_of(signal_text(row.of_beam, row.model, row.sigma))
+
+
+def apart_text(compared: SideBySide) -> str:
+    """Where hypotheses differ most, in a sentence."""
+    first, *others = most_apart(compared)
+    rows = [next(r for r in one.rows if r.label == first) for one in compared.hypotheses]
+    measured = signal_text(rows[0].of_beam, rows[0].measured, rows[0].sigma)
+    then = (
+        together([f"{label} ({compared.apart[label]:.1f})" for label in others]) if others else ""
+    )
+    return (
+        f"They differ most at {first}: {together([prediction_text(row) for row in rows])} where "
+        f"{measured} was measured, {compared.apart[first]:.1f} standard errors of the reading"
+        + (f"; then at {then}" if then else "")
+    )
 
 
 def averaged_yield(diagnosis: Diagnosis) -> str:

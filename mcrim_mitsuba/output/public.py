@@ -529,12 +529,33 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
     return _answer("calibration", found, pictures, seconds=seconds)
 
 
-def compare(campaign: str | Path | Campaign, *, run: Run | None = None, **given: Any) -> Answer:
-    """A campaign beside its model: where the model fails to describe the readings.
+def compare(
+    campaign: str | Path | Campaign, *others: str | Path | Campaign, run: Run | None = None,
+    **given: Any,
+) -> Answer:  # fmt: skip
+    """A campaign beside its model, or hypotheses on the same readings side by side.
 
-    Parameters, errors and fields as for `calibrate`, besides those of
-    `inference.compare.Comparison`; picture ``readings``.
+    Parameters and errors as for `calibrate`.
+
+    Parameters
+    ----------
+    *others : str, Path or Campaign
+        One or two more campaigns of the same readings.
+
+    Returns
+    -------
+    Answer
+        Of one campaign where its model fails: the fields of `calibrate` and of
+        `inference.compare.Comparison`; picture ``readings``. Of several which the readings prefer:
+        those of `inference.hypotheses.SideBySide`: ``verdict``, ``leading``, ``hypotheses``, ...;
+        picture ``pulls``.
     """
+    if others:
+        from mcrim_mitsuba.inference.hypotheses import compare_hypotheses
+
+        several = compare_hypotheses((campaign, *others), run=_run(run, given))
+        pulls = {"pulls": lambda: _drawn("fit_figures.draw_hypotheses", several.comparison)}
+        return _answer("hypotheses", several, pulls)
     from mcrim_mitsuba.inference.compare import compare as compared
 
     found = compared(campaign, run=_run(run, given))
