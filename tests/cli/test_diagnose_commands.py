@@ -16,10 +16,16 @@ from mcrim_mitsuba.inference import diagnose as diagnosing
 from mcrim_mitsuba.inference import repair as repairing
 from mcrim_mitsuba.inference.compare import Compared
 from mcrim_mitsuba.inference.diagnose import Diagnosed
+from mcrim_mitsuba.inference.hypotheses import (
+    NAMES,
+    FittedHypothesis,
+    HypothesesCompared,
+    SideBySide,
+)
 from mcrim_mitsuba.inference.repair import Repaired
-from mcrim_mitsuba.output import findings
+from mcrim_mitsuba.output import described, descriptions, findings
 from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
-from mcrim_mitsuba.output.fit_figures import draw_comparison
+from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_hypotheses
 
 
 def overlap(artists, figure) -> list[str]:
@@ -325,6 +331,50 @@ def test_labels_of_figures_do_not_overlap():
     # slanted names: their boxes overlap, their lines must not
     labels = [axes.get_xticklabels() for axes in figure.axes[-2:]]
     assert all(label.get_rotation() == 25 for group in labels for label in group)
+
+
+def side_by_side() -> HypothesesCompared:
+    """Three hypotheses with the longest names and figures that there are."""
+    sizes = {
+        "bottom_roughness_alpha": by.estimate(0.0123, 0.0008),
+        "alpha_scat_per_cm": by.estimate(0.54321, 0.02012),
+        "light_yield_ph_per_keV": replace(
+            by.estimate(7.812, 0.345),
+            contributions={"statistical": 0.123, "detector_efficiency": 0.322},
+        ),
+    }
+    hypotheses = tuple(
+        FittedHypothesis(
+            name, Path("a campaign.toml"), ("anisotropic_scattering", "scattering_gradient"),
+            1234.5, 13, 1.2e-10, 2.61, -123.4 * place, 1.7 * place, 0.3,
+            sizes if place else by.FITTED, by.rows(1.0 - 0.4 * place),
+        )
+        for place, name in enumerate(NAMES)
+    )  # fmt: skip
+    apart = {row.label: 0.8 * abs(row.pull) for row in by.rows()}
+    found = SideBySide("preferred", "as A shows", ("A",), hypotheses, apart)
+    return HypothesesCompared(found, by.PROVENANCE, dict.fromkeys(NAMES, "hash"))
+
+
+@pytest.mark.parametrize("width", [80, 100, 140])
+def test_hypotheses_fit_a_terminal_and_their_figure(width):
+    shown = descriptions.of_hypotheses(side_by_side())
+    lines = described.text(shown, width).splitlines()
+    tables = [line for line in lines if line[:1] in "┏┃┡│└"]
+    assert max(map(len, tables)) <= width
+    whole = "\n".join(tables)
+    for table in (shown.tables[title] for title in ("hypotheses", "sizes")):
+        assert all(cell.text in whole for row in table.rows for cell in row.cells)
+    for table in (shown.tables["pulls"], shown.tables["predictions"]):
+        assert all(cell.text in whole for row in table.rows for cell in row.cells[1:])
+    assert row_of(whole, "bottom_roughness_alpha")[1] == ""
+    most = (
+        f"They differ most at {by.MARKUP}: 18.80, 19.28 and 19.76 where 20.00 ± 0.20 was measured"
+    )
+    assert any(line.startswith(most) for line in lines)
+    figure = draw_hypotheses(side_by_side().comparison).figure
+    legends = [text for axes in figure.axes for text in axes.get_legend().get_texts()]
+    assert overlap([*figure.axes[1].get_xticklabels(), *legends], figure) == []
 
 
 def test_figures_of_little_can_be_drawn():
