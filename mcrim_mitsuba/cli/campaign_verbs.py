@@ -93,11 +93,7 @@ def compare(campaigns, figure, json_file, work) -> None:
     prefer, side by side, and at which readings they differ most. Scenes, effects and priors may
     differ.
     """
-    from mcrim_mitsuba.inference.hypotheses import refuse_unlike
-
     read = [showing.read_campaign(one, json_file, figure)[0] for one in campaigns]
-    if len(read) > 1:
-        refuse_unlike(read)
     with work.begin() as run:
         found = mcrim.compare(*read, run=run)
     screen = showing.answer(found, json_file, figure)

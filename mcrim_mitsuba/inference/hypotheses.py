@@ -7,7 +7,7 @@ the sizes of its effects, and all campaigns share the prior of the scale, so tha
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -18,7 +18,7 @@ from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.core.rounding import probability
+from mcrim_mitsuba.core.rounding import counted, probability
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.diagnose import AMBIGUOUS, UNEXPLAINED, explains
 from mcrim_mitsuba.inference.estimates import (
@@ -36,6 +36,7 @@ from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.least_squares import Fit
 from mcrim_mitsuba.inference.model import UNKNOWN_SCALE
 from mcrim_mitsuba.inference.workbench import Workbench
+from mcrim_mitsuba.runs.array_job import PartDoneError
 
 #: What hypotheses are called, in the order in which they are given; so many are compared at most.
 NAMES = ("A", "B", "C")
@@ -143,8 +144,8 @@ def compare_hypotheses(
     }
     made: dict[str, Explanations] = {}
     notes: list[str] = []
+    _simulate(benches.values())
     for name, bench in benches.items():
-        bench.simulate()
         effects = bench.campaign.effects
         scale = next((each.scale for each in made.values()), None)
         own = {each.name: each for each in bench.campaign.switched_on}
@@ -159,11 +160,23 @@ def compare_hypotheses(
         photons=sum(each.photons for each in spent),
         cached_photons=sum(each.cached_photons for each in spent),
         scene_hash=spent[0].scene_hash,
-        seconds=spent[0].seconds,
+        seconds=spent[0].seconds,  # its bench was the first
         notes=tuple(dict.fromkeys((*notes, *(note for each in spent for note in each.notes)))),
     )
     scenes = {name: each.scene_hash for name, each in zip(benches, spent, strict=True)}
     return HypothesesCompared(found, together, scenes)
+
+
+def _simulate(benches: Iterable[Workbench]) -> None:
+    """Of all campaigns; a part of an array job does its share of each before it is done."""
+    done: PartDoneError | None = None
+    for bench in benches:
+        try:
+            bench.simulate()
+        except PartDoneError as part:
+            done = part
+    if done is not None:
+        raise done
 
 
 def side_by_side(made: Mapping[str, Explanations]) -> SideBySide:
@@ -217,7 +230,8 @@ def _verdict(leading: Sequence[FittedHypothesis], fit: Fit) -> tuple[str, str]:
     best = leading[0]
     quality = f"chi2 = {fit.chi2:.3g} without degrees of freedom"
     if fit.p_value is not None:
-        quality = f"chi2 = {fit.chi2:.3g} for {fit.ndf} degrees of freedom (p = {fit.p_value:.2g})"
+        degrees = f"{counted(fit.ndf, 'degree')} of freedom"
+        quality = f"chi2 = {fit.chi2:.3g} for {degrees} (p = {fit.p_value:.2g})"
     likeliest = f"{best.words} is the likeliest of those compared, {probability(best.probability)}"
     if not explains(fit, ACCEPTABLE_P):
         return UNEXPLAINED, f"{likeliest}, but it does not describe the readings: {quality}"
