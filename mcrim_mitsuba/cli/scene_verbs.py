@@ -96,7 +96,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
 @options.method
 @options.figure(
     "where the light arrives on the detector, and at which angle (and which fates light meets, "
-    "NAME_fates), from photons of their own, as many but 4e6 at most"
+    "NAME_fates), from the run's photons, the first 4e6 of more"
 )
 @options.work
 def simulate(scene, overrides, method, figure, json_file, work) -> None:

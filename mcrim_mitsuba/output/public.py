@@ -274,7 +274,8 @@ def simulate(
     -------
     Answer
         With the fields of `transport.simulation.SimulationResult`; pictures ``arrival`` and
-        ``fates``, which follow photons of their own (none of the method ``modes``).
+        ``fates``, which follow its photons again, the first 4 million of more (none of the method
+        ``modes``).
 
     Raises
     ------
@@ -301,6 +302,9 @@ def simulate(
     def followed() -> Any:
         photons = min(found.photons, MOST_FOR_FIGURES)
         light = follow_light(simulation, run=dataclasses.replace(run, photons=photons))
+        # the run's own numbers, also where it has more photons than are followed again
+        names = ("eta", "eta_sigma", "budget", "budget_sigma", "photons")
+        light = dataclasses.replace(light, **{name: getattr(found, name) for name in names})
         changed = [f"{name}={file.parameters[name]}" for name in file.overrides]
         return [(", ".join([file.path.name, *changed]), light)]
 
