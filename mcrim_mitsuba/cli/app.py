@@ -15,7 +15,7 @@ from mcrim_mitsuba.cli.terminal import console
 _PATIENCE_SECONDS = 5.0
 
 
-@click.command()
+@click.command(short_help="Open a campaign in the browser, with sliders and switches.")
 @options.campaign
 @click.option("--port", type=options.Whole(1, 65535), metavar="NUMBER",
               help="Where the page is (default: one that is free).")  # fmt: skip

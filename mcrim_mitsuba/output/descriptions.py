@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import number, p_text, pdg, pdg_parts, percent, probability
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.profiles import profiles_of
 from mcrim_mitsuba.output import findings
 from mcrim_mitsuba.output.described import (
     Cell,
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.hypotheses import FittedHypothesis, HypothesesCompared
     from mcrim_mitsuba.inference.neglected import Shift
     from mcrim_mitsuba.inference.plan import Planning
+    from mcrim_mitsuba.inference.profiles import Profile
     from mcrim_mitsuba.inference.repair import Repaired
     from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget
     from mcrim_mitsuba.output.report import Reported
@@ -64,7 +66,9 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         errors.append((name, *(shown(contributions.get(origin), ".2g") for origin in _ORIGINS)))
     origins = ("parameter", *(name.replace("_", " ") for name in _ORIGINS))
     parts: list[Part] = [
+        *([] if light is None else [Sentence(_light_yield(fit, light), strong=True)]),
         table("parameters", ("parameter", "value", "68.3 % interval"), values),
+        *_shapes(profiles_of(result.model, fit)),
         table("where the errors come from", origins, errors),
         *([Sentence(of_detector)] if by_detector else []),
         table(
@@ -94,6 +98,16 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         f"{len(fit.rows)} readings, seed {spent.seed}{time}"
     ))  # fmt: skip
     return Described("fit of a campaign", tuple(parts), notes=(*fit.notes, *spent.notes))
+
+
+def _light_yield(fit: Calibration, light: ParameterEstimate) -> str:
+    """The result, and whether to believe it."""
+    doubt = ", but the model does not describe the readings" if findings.fails(fit) else ""
+    return f"Light yield: {findings.estimate_text(light)} ph/keV{doubt}"
+
+
+def _shapes(profiles: Iterable[Profile]) -> list[Sentence]:
+    return [Sentence(f"- {words}", strong=True) for words in findings.shapes(profiles)]
 
 
 def _estimated(known: ParameterEstimate) -> Cell:
@@ -284,9 +298,10 @@ def _set_aside(diagnosis: Diagnosis) -> list[Sentence]:
     return [Sentence(text, strong=True)] if text else []
 
 
-_NARROW = ("effect", "probability", "size", "plausible?", "light yield")
-_WIDE = ("gain in chi2", "p, fit", "left out")
-_CANDIDATE = (*map(Column, _NARROW), *(Column(title, wide=True) for title in _WIDE))
+_CANDIDATE = (
+    "effect", "probability", Column("size", left=True), Column("plausible?", left=True),
+    "light yield", "gain in chi2", "p, fit", "left out",
+)  # fmt: skip
 _EXPLANATION = (
     "probability: among all that was tried and nothing, averaged over plausible sizes; light "
     "yield: photons per keV, and its change; gain: fall of chi2, with the simulation's error; p, "
@@ -312,8 +327,6 @@ def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
             yield table(title, _CANDIDATE, rows)
     if diagnosis.candidates:
         yield Sentence(_EXPLANATION)
-        wider = "A wider terminal shows more columns; --json and --figure have all."
-        yield Sentence(wider, narrow=True)
     if diagnosis.families:
         yield Sentence(f"By family: {findings.family_probabilities(diagnosis)}")
     if text := findings.mistakable(diagnosis):
@@ -365,6 +378,7 @@ def of_repair(found: Repaired, *, with_steps: bool = True) -> Described:
         together = f"With {findings.together(found.effects)} simulated together: "
         quality = f"chi2 = {number(fit.chi2)} (ndf {fit.ndf}, p = {p_text(fit.p_value)})"
         parts += [Sentence(together + quality), *_parameters(fit.parameters)]
+        parts += _shapes(profiles_of(found.model, fit))
         if findings.fails(fit):
             still = "The mended campaign still does not describe its readings."
             parts.append(Sentence(still, strong=True))
@@ -411,6 +425,7 @@ def of_report(found: Reported) -> Described:
     """What a report says first; the page has the rest."""
     sections, fit = found.sections, found.sections.calibration
     parts: list[Part] = [Sentence(sections.headline, strong=True), *_parameters(fit.parameters)]
+    parts += _shapes(sections.profiles)
     made = _described("report of a campaign", parts, fit, found.provenance)
     return replace(made, notes=tuple(dict.fromkeys(made.notes)))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT
@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.estimates import FittedRow
     from mcrim_mitsuba.inference.fit import Calibration
     from mcrim_mitsuba.inference.hypotheses import FittedHypothesis, SideBySide
+    from mcrim_mitsuba.inference.profiles import Profile
 
 # From here on readings of light and of the beam are said to pull apart, standard errors.
 _PULLS_APART = 2.0
@@ -377,6 +378,38 @@ def configuration_text(measurement: NextMeasurement) -> str:
         words += [f"within {short_text(within)} degrees"] if within is not None else []
         parts = [" ".join(words)]
     return ", ".join([*parts, *(f"{name} = {short_text(v)}" for name, v in parameters.items())])
+
+
+#: Rise of chi2 that holds 95 % of a Gaussian likelihood, and standard errors there.
+_RISE_95, _SIGMAS_95 = 3.841, 1.96
+#: Over those standard errors, how near or far the rise may be from the best value.
+_LIKE_PARABOLA = 2 / 3, 3 / 2
+
+
+def shapes(profiles: Iterable[Profile]) -> list[str]:
+    """What the standard error does not tell: 95 % intervals that are not twice as wide as it."""
+    said = []
+    for one in profiles:
+        ends = one.crossings(_RISE_95)
+        # nearer bounds cut the interval off, which is said elsewhere
+        bounds = (float(one.values[place]) for place in (0, -1))
+        found = [bound if end is None else end for end, bound in zip(ends, bounds, strict=True)]
+        widths = [abs(end - one.value) / (_SIGMAS_95 * one.sigma) for end in found]
+        near, far = _LIKE_PARABOLA
+        if any(
+            width > far or (width < near and end is not None)
+            for width, end in zip(widths, ends, strict=True)
+        ):
+            usual = [one.value + sign * _SIGMAS_95 * one.sigma for sign in (-1, 1)]
+            real, of_sigma = (
+                " to ".join(_value_of(pdg(end, one.sigma)) for end in pair)
+                for pair in (found, usual)
+            )
+            said.append(
+                f"{one.name}: the 95 % interval is {real}, not {of_sigma} as "
+                f"{pdg(one.value, one.sigma)} would have it: chi2 does not rise like a parabola"
+            )
+    return said
 
 
 # What a planning found, in sentences.

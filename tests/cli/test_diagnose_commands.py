@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import findings_by_hand as by
+import numpy as np
 import pytest
 
 from mcrim_mitsuba.cli.options import FURTHER_PHOTONS, PHOTONS
@@ -22,6 +23,7 @@ from mcrim_mitsuba.inference.hypotheses import (
     HypothesesCompared,
     SideBySide,
 )
+from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.repair import Repaired
 from mcrim_mitsuba.output import described, descriptions, findings
 from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
@@ -63,6 +65,8 @@ def found(monkeypatch):
     monkeypatch.setattr(comparing, "compare", lambda *_, **__: results["compare"])
     monkeypatch.setattr(diagnosing, "diagnose", lambda *_, **__: results["diagnose"])
     monkeypatch.setattr(repairing, "repair", repaired)
+    # findings made by hand have no model
+    monkeypatch.setattr(descriptions, "profiles_of", lambda *_: ())
     return results
 
 
@@ -261,6 +265,26 @@ def test_transmittances_are_shown_in_per_cent_and_on_a_scale_of_their_own():
     (of_beam,) = drawing.figure.axes[0].child_axes
     assert of_beam.get_ylabel() == "transmittance (%)"
     assert by.comparison().p_value is not None and findings.apart(by.comparison()) == []
+
+
+def test_a_profile_that_is_no_parabola_is_said():
+    values = np.linspace(0.0, 0.6, 61)
+    rise = ((values - 0.3) / 0.03) ** 2
+    even = Profile(
+        "even", values, rise, 2 * (values - 0.3) / 0.03**2, 0.3, 0.03, None, None, (None, None)
+    )
+    assert findings.shapes([even]) == []
+    # a shelf below the best value
+    shelf = np.where(values < 0.26, 2.0 + 100 * (0.26 - values) ** 2, rise)
+    slopes = np.gradient(shelf, values)
+    (said,) = findings.shapes([even, replace(even, name="bubble", delta_chi2=shelf, slopes=slopes)])
+    assert said == (
+        "bubble: the 95 % interval is 0.124 to 0.359, not 0.241 to 0.359 as 0.300 ± 0.030 would "
+        "have it: chi2 does not rise like a parabola"
+    )
+    # a bound that is near cuts the interval off, and is said by the fit
+    near = replace(even, values=values[28:], delta_chi2=rise[28:], slopes=even.slopes[28:])
+    assert findings.shapes([replace(near, ends=("min", None))]) == []
 
 
 def test_repair_says_where_nothing_was_added(mcrim, campaign, found):
