@@ -150,7 +150,8 @@ def read_table(
         With file, line and column, if anything cannot be used.
     """
     path = Path(path)
-    comments, lines = [], []
+    comments: list[str] = []
+    lines: list[tuple[int, str]] = []
     texts = read_table_text(path, _LIMIT_MB).split("\n")
     if given := given_separator(texts[0]):
         texts[0] = ""

@@ -8,6 +8,7 @@ hypotheses are tried: one face is reversed; volumes overlap; a volume is not clo
 from __future__ import annotations
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -363,9 +364,9 @@ class _Judge:
             meant = {self._interfaces[one.surface].surface: one.normal for one in others}
             axes = zip(("y and z", "x and z", "x and y"), np.eye(3), strict=True)
             meant |= {f"the plane of {two}": axis for two, axis in axes}
-            sines = {what: np.linalg.norm(np.cross(face.normal, n)) for what, n in meant.items()}
-            what = min(sines, key=lambda name: round(float(sines[name]), 6))
-            degrees = float(np.degrees(np.arcsin(min(sines[what], 1.0))))
+            sines = {n: float(np.linalg.norm(np.cross(face.normal, v))) for n, v in meant.items()}
+            what = min(sines, key=lambda name: round(sines[name], 6))
+            degrees = math.degrees(math.asin(min(sines[what], 1.0)))
             if TILTS[0] < degrees < TILTS[1] and 2 * met.sum() <= len(corners):
                 found.append((int(met.sum()), degrees, what, self._interfaces[face.surface]))
         if not found:

@@ -13,6 +13,7 @@ from refusals import refusal
 from mcrim_mitsuba.campaign.campaign import LightYieldInput, read_campaign
 from mcrim_mitsuba.campaign.entries import json_schema
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.effects.trust import UntrustedEffectsError, fingerprint, trust
 from mcrim_mitsuba.inference.fit import TooLittleSimulatedError
 
 cases = cases_of(__file__)
@@ -186,7 +187,8 @@ def test_an_effect_that_is_only_in_the_scene_is_held(folder):
         campaign(folder, text)
 
 
-def test_effects_of_the_users_own(folder):
+def test_effects_of_the_users_own(folder, monkeypatch):
+    monkeypatch.setattr("mcrim_mitsuba.effects.trust._place", lambda: folder / "trusted")
     (folder / "mine").mkdir()
     (folder / "mine/drift.py").write_text(
         "from mcrim_mitsuba.effects import Effect, EffectParameter\n"
@@ -195,12 +197,25 @@ def test_effects_of_the_users_own(folder):
     )
     text = CAMPAIGN.replace("effects = []", 'effects = ["drift"]\neffects_folder = "mine"')
     text += "[parameters.scale]\nstart = 1\nfixed = true\n"
+    drift = (folder / "mine/drift.py").read_text()
+    (folder / "mine/drift.py").write_text("raise SystemExit('executed')\n")
+    # nothing is executed that nobody has allowed
+    with pytest.raises(UntrustedEffectsError, match=r"toml, line 4: the Python in .*\(drift.py\)"):
+        campaign(folder, text)
+    (folder / "mine/drift.py").write_text(drift)
+    trust(folder / "mine", keep=True)
+    assert fingerprint(folder / "mine") in (folder / "trusted").read_text()
     read = campaign(folder, text)
     assert read.parameters["drift"].start == 1.1
     assert read.effects_folder == folder / "mine"
+    said = f"effects of the campaign's own were executed: drift.py in {folder / 'mine'}, SHA-256 "
+    assert read.notes == (said + fingerprint(folder / "mine")[:16],)
+    # by content: other files ask again
     (folder / "mine/drift.py").write_text("EFFECT = 1\n")
-    with pytest.raises(InputError, match=r"drift.py, line 1: EFFECT is of type int"):
+    with pytest.raises(UntrustedEffectsError):
         campaign(folder, text)
+    with pytest.raises(InputError, match=r"drift.py, line 1: EFFECT is of type int"):
+        read_campaign(folder / "campaign.toml", trust_effects=True)
     assert "drift" not in campaign(folder, CAMPAIGN).catalogue
 
 

@@ -3,9 +3,11 @@
 import csv
 import itertools
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 
+import click
 import findings_by_hand as by
 import numpy as np
 import pytest
@@ -265,6 +267,39 @@ def test_transmittances_are_shown_in_per_cent_and_on_a_scale_of_their_own():
     (of_beam,) = drawing.figure.axes[0].child_axes
     assert of_beam.get_ylabel() == "transmittance (%)"
     assert by.comparison().p_value is not None and findings.apart(by.comparison()) == []
+
+
+DRIFT = """from mcrim_mitsuba.effects import Effect, EffectParameter
+size = EffectParameter("drift", "", "Gain", 0.5, 2, 1.1, 1.0, (0.9, 1.1), ())
+EFFECT = Effect("drift", "D", "...", "...", (size,), reading=lambda s, g: (g * s, g + 0 * s, s))
+"""
+
+
+def test_python_of_a_campaign_is_executed_when_its_user_says_so(
+    mcrim, campaign, found, monkeypatch
+):
+    monkeypatch.setattr("mcrim_mitsuba.effects.trust._place", lambda: Path("trusted").absolute())
+    Path("theirs").mkdir()
+    Path("theirs/drift.py").write_text(DRIFT)
+    path = Path(campaign)
+    path.write_text('effects_folder = "theirs"\n' + path.read_text())
+    # no terminal: nobody to ask
+    refused = mcrim.refused("compare", campaign)
+    assert f"{campaign}, line 1: the Python in theirs would be executed (drift.py)" in refused
+    assert "--trust-effects" in refused
+    mcrim.shown("compare", campaign, "--trust-effects")
+    # the same process would know it now; other files it does not
+    Path("theirs/drift.py").write_text(f"{DRIFT}\n# another\n")
+    asked = []
+    for stream in (sys.stdin, sys.stderr):
+        monkeypatch.setattr(stream, "isatty", lambda: True)
+    monkeypatch.setattr(click, "confirm", lambda text, **_: bool(asked.append(text)))
+    assert mcrim("compare", campaign)[0] == 2 and len(asked) == 1
+    monkeypatch.setattr(click, "confirm", lambda text, **_: not asked.append(text))
+    mcrim.shown("compare", campaign)
+    mcrim.shown("compare", campaign)
+    # asked once, and kept
+    assert len(asked) == 2 and Path("trusted").is_file()
 
 
 def test_a_profile_that_is_no_parabola_is_said():
