@@ -19,7 +19,7 @@ import socket
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
 from http import HTTPStatus
@@ -34,7 +34,7 @@ from mcrim_mitsuba.core.errors import InputError
 
 if TYPE_CHECKING:
     from _typeshed.wsgi import StartResponse, WSGIApplication, WSGIEnvironment
-    from dash import Dash
+    from flask import Flask
 
 
 LARGEST_BODY = 12_000_000
@@ -43,7 +43,7 @@ LARGEST_BODY = 12_000_000
 _SWALLOWED_S, _SILENCE_S = 30.0, 2.0
 """How long a refused client may go on sending, and say nothing meanwhile."""
 
-_ASSETS = ("assets/", "_dash-component-suites/")
+_ASSETS = "assets/"
 _LENGTH = re.compile(r"[0-9]{1,12}")
 
 
@@ -57,18 +57,14 @@ class Guard:
 
     It stands before all of Flask, its routing and its error pages included. What is refused is
     answered by one line of text; the honest user sees it too, with an old address for instance, so
-    it says what to do. The browser runs only inline scripts of those hashes, which
-    ``dash.Dash.csp_hashes`` gives.
+    it says what to do.
     """
 
-    def __init__(
-        self, application: WSGIApplication, port: int, key: str, script_hashes: Sequence[str]
-    ) -> None:
+    def __init__(self, application: WSGIApplication, port: int, key: str) -> None:
         self.application = application
         self.hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
         self.home = f"/{key}/"
-        self.assets = tuple(self.home + folder for folder in _ASSETS)
-        self.headers = _headers(script_hashes)
+        self.assets = self.home + _ASSETS
 
     def __call__(self, environ: WSGIEnvironment, start_response: StartResponse) -> Iterable[bytes]:
         refusal = self._refusal(environ)
@@ -81,9 +77,9 @@ class Guard:
             status: str, headers: list[tuple[str, str]], *error: Any
         ) -> Callable[[bytes], object]:
             guarded = Headers(headers)
-            for name, value in self.headers.items():
+            for name, value in _HEADERS.items():
                 guarded[name] = value
-            if not is_asset:  # those of Dash bear their version in their address
+            if not is_asset:
                 guarded["Cache-Control"] = "no-store"
             return start_response(status, guarded.to_wsgi_list(), *error)
 
@@ -172,30 +168,23 @@ def _refuse(status: HTTPStatus, line: str) -> Response:
     return Response(f"mcrim app: {line}\n", status, mimetype="text/plain")
 
 
-def _headers(script_hashes: Sequence[str]) -> dict[str, str]:
-    """Headers of every answer: the browser is to load nothing from elsewhere, and show nothing."""
-    policy = {
-        "default-src": "'self'",
-        "script-src": " ".join(["'self'", *script_hashes]),
-        # React, Dash's own parts and plotly.js write style attributes and style elements
-        "style-src": "'self' 'unsafe-inline'",
-        # plotly.js makes the pictures to save from data: and blob: addresses
-        "img-src": "'self' data: blob:",
-        "font-src": "'self' data:",
-        "connect-src": "'self'",
-        "object-src": "'none'",
-        "base-uri": "'none'",
-        "form-action": "'none'",
-        "frame-ancestors": "'none'",
-    }
-    return {
-        "Content-Security-Policy": "; ".join(f"{name} {value}" for name, value in policy.items()),
-        "X-Frame-Options": "DENY",
-        "X-Content-Type-Options": "nosniff",
-        "Referrer-Policy": "no-referrer",  # the address holds the key
-        "Cross-Origin-Resource-Policy": "same-origin",
-        "Cross-Origin-Opener-Policy": "same-origin",
-    }
+#: What the browser may load and run: what the page serves itself, and no inline scripts or styles.
+_POLICY = {
+    "default-src": "'self'",
+    "object-src": "'none'",
+    "base-uri": "'none'",
+    "form-action": "'none'",
+    "frame-ancestors": "'none'",
+}
+#: Headers of every answer: the browser is to load nothing from elsewhere, and show nothing there.
+_HEADERS = {
+    "Content-Security-Policy": "; ".join(f"{name} {value}" for name, value in _POLICY.items()),
+    "X-Frame-Options": "DENY",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",  # the address holds the key
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+}
 
 
 # Serves the page on this machine, guarded, until it is interrupted.
@@ -205,14 +194,14 @@ LARGEST_PORT = 65535
 
 
 def serve(
-    application: Dash, *, port: int | None, key: str, on_ready: Callable[[str], None]
+    application: Flask, *, port: int | None, key: str, on_ready: Callable[[str], None]
 ) -> None:
     """Serve a page until Ctrl-C, in the main thread.
 
     Parameters
     ----------
-    application : dash.Dash
-        The page, mounted below ``/<key>/``, with all its callbacks.
+    application : flask.Flask
+        The page, all of it below ``/<key>/``.
     port : int or None
         Where to listen on this machine; None takes any free port.
     key : str
@@ -235,7 +224,7 @@ def serve(
         server.server_close()
 
 
-def listen(application: Dash, *, port: int | None, key: str) -> tuple[BaseWSGIServer, str]:
+def listen(application: Flask, *, port: int | None, key: str) -> tuple[BaseWSGIServer, str]:
     """A server that listens already, and the page's address; see `serve`.
 
     Requests wait until ``serve_forever`` of the server runs. ``shutdown``, from another thread,
@@ -244,13 +233,13 @@ def listen(application: Dash, *, port: int | None, key: str) -> tuple[BaseWSGISe
     # The port is bound before anything is told of it: nobody can take it in between.
     with _bound(port) as bound:
         number = bound.getsockname()[1]
-        flask = application.server
-        flask.register_error_handler(Exception, _one_line)
+        application.register_error_handler(Exception, _one_line)
         # Flask's own way to stand before it
-        flask.wsgi_app = Guard(flask.wsgi_app, number, key, application.csp_hashes())
+        application.wsgi_app = Guard(application.wsgi_app, number, key)  # type: ignore[method-assign]
         server = make_server(
-            HOST, number, flask, threaded=True, request_handler=_SilentHandler, fd=bound.fileno()
-        )
+            HOST, number, application, threaded=True, request_handler=_SilentHandler,
+            fd=bound.fileno(),
+        )  # fmt: skip
         tell = server.handle_error
 
         def handle_error(request: Any, client_address: Any) -> None:

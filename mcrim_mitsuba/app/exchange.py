@@ -15,8 +15,10 @@ from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.campaign.editor import (
     campaign_with_effects,
     campaign_with_measurements,
+    measurements_text,
     write_plain,
 )
+from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.repair import mended_scene, rounded, scene_text
@@ -57,6 +59,25 @@ def with_readings(campaign: Campaign, name: str, content: bytes, folder: Path) -
         raise InputError(
             error.problem, error.mend, path=path, line=error.line, column=error.column
         ) from None
+
+
+def with_edited(campaign: Campaign, readings: Sequence[Reading], folder: Path) -> Campaign:
+    """The campaign with readings as somebody changed them, read as if its file had them.
+
+    Parameters
+    ----------
+    readings : sequence of Reading
+    folder : Path
+        Where the two files are written.
+
+    Raises
+    ------
+    InputError
+        If they cannot be used.
+    """
+    measurements = replace(campaign.measurements, readings=tuple(readings))
+    name = measurements.path.name
+    return with_readings(campaign, name, measurements_text(measurements).encode(), folder)
 
 
 def scene_file(

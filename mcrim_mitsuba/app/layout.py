@@ -1,27 +1,31 @@
-"""What the page shows: its texts and tables, and what stands where."""
+"""What the page shows: its texts, and the documents from which the browser draws and writes."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from dash import dcc, html
+import jinja2
 
 from mcrim_mitsuba.app.session import Session
-from mcrim_mitsuba.app.state import Control, FitStep, Shown, State
+from mcrim_mitsuba.app.state import HELD, Control, FitStep, Settings, Shown
 from mcrim_mitsuba.campaign.measurements import Reading
-from mcrim_mitsuba.core.rounding import number, p_text, pdg, probability
-from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.inference.candidates import Candidate
+from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.core.files import plain
+from mcrim_mitsuba.core.rounding import counted, number, p_text, pdg, pdg_parts, probability
 from mcrim_mitsuba.inference.diagnose import Diagnosed
-from mcrim_mitsuba.inference.estimates import FittedRow
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow, ParameterEstimate
 from mcrim_mitsuba.output.described import Table
-from mcrim_mitsuba.output.descriptions import limits_table, parameters_table
+from mcrim_mitsuba.output.descriptions import limits_table
+from mcrim_mitsuba.output.figure_style import shortened, units_of_signals
 from mcrim_mitsuba.output.findings import (
     averaged_yield,
     bought,
     configuration_text,
+    errors_apart,
+    estimate_text,
     gain_text,
     headline,
     leading_candidates,
@@ -38,44 +42,160 @@ from mcrim_mitsuba.output.findings import (
 _MOST_CANDIDATES = 8
 #: Below it chi2 is rounding.
 _NO_CHI2 = 5e-4
-_READINGS_HEAD = ("reading", "measured", "model", "pull", "η")
-_NO_CELLS = ("",) * (len(_READINGS_HEAD) - 1)
+#: Characters of a reading's label in the chart.
+_LABEL_LENGTH = 22
+#: Steps of a slider.
+_SLIDER_STEPS = 1000
 
 
-def merits(light_title: str) -> list[html.Div]:
-    """Places for chi2, p-value and light yield, which `merit_texts` fills."""
-    names = {"chi2": "χ²", "p-value": "p", "light-yield": light_title}
-    return [
-        html.Div(className="merit", children=[
-            html.Span(name, className="name"),
-            html.Span("…", className="value", id=place),
-            html.Span(className="words", id=f"{place}-words"),
-        ])
-        for place, name in names.items()
-    ]  # fmt: skip
+def _compound_id(kind: str, name: str) -> str:
+    """Of a parameter's `slider`, `number` and `known`; of an `effect`'s switch."""
+    return json.dumps({"kind": kind, "name": name}, sort_keys=True, separators=(",", ":"))
 
 
-def merit_texts(shown: Shown | None) -> dict[str, str]:
-    """What stands in the places of `merits`, by id."""
+_TEMPLATES = jinja2.Environment(
+    autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+    loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+)  # fmt: skip
+_TEMPLATES.globals |= {"id_of": _compound_id, "steps": _SLIDER_STEPS, "together": together}
+
+
+def page(session: Session) -> str:
+    """The whole page, as the session is now."""
+    campaign = session.state.campaign
+    return _TEMPLATES.get_template("page.html").render(
+        session=session, campaign=campaign, range_text=range_text,
+        merits={"chi2": "χ²", "p-value": "p", "light-yield": _light_title(session),
+                "averaged": "averaged over models"},
+    )  # fmt: skip
+
+
+def range_text(control: Control) -> str:
+    """What a field takes, in words."""
+    unit = f" {control.unit}" if control.unit and control.name != SCALE else ""
+    return f"from {number(control.minimum, 4)} to {number(control.maximum, 4)}{unit}"
+
+
+def _light_title(session: Session) -> str:
+    """What is proportional to the light: the light yield, or else the scale."""
+    campaign = session.state.campaign
+    known = campaign.light_yield is not None and SCALE in campaign.free
+    return "light yield (ph/keV)" if known else SCALE
+
+
+# How the session is.
+
+
+def state(session: Session, known: int) -> dict[str, Any]:
+    """What the browser asks again and again.
+
+    Parameters
+    ----------
+    session : Session
+    known : int
+        `session.number` of what the browser shows: if it is another one, all is told.
+    """
+    status, now = session.jobs.status, session.state
+    told: dict[str, Any] = {
+        "number": session.number, "settings_number": session.settings_number,
+        "file_number": session.file_number, "bench_number": session.bench_number,
+        "job": {
+            "key": status.job and status.job.key, "words": status.words, "done": status.done,
+            "total": status.total, "said": status.said,
+            "waiting": [{"key": job.key, "words": job.words} for job in status.waiting],
+        },
+    }  # fmt: skip
+    if session.number == known:
+        return told
+    settings = now.settings
+    told |= {
+        "settings": {
+            "effects": settings.effects, "values": settings.values,
+            "fit_scale": settings.fit_scale,
+            "known": {
+                n: {"how": k.how, "prior": k.prior, "prior_sigma": k.prior_sigma}
+                for n, k in session.known(settings).items()
+            },
+        },
+        "readings": [{"signal": r.signal, "sigma": r.sigma, "use": r.use}
+                     for r in now.campaign.measurements.readings],
+        "steps": [_falling(step) for step in now.steps],
+        "can_undo": session.can_undo,
+        "parts": {
+            "diagnosis": _diagnosis_panel(now.diagnosed),
+            "fitted": _fits_panel(session),
+        },
+    }  # fmt: skip
+    return plain(told)
+
+
+def _falling(step: FitStep) -> dict[str, Any]:
+    """A fit in the chart of the error."""
+    fit = step.calibration
+    return {
+        "name": step_name(step), "text": f"{fit.chi2:.3g} / {fit.ndf}",
+        "height": fit.chi2 / fit.ndf if fit.ndf > 0 else None,
+    }  # fmt: skip
+
+
+def step_name(step: FitStep) -> str:
+    """``with gap_bubble, without air``; of the campaign's own fit ``as it came``."""
+    effects = step.settings.effects
+    parts = [f"with {together(effects)}"] if effects else []
+    return ", ".join([*parts, step.words] if step.words else parts) or "as it came"
+
+
+# What the model says.
+
+
+def predictions(session: Session, settings: Settings) -> dict[str, Any]:
+    """What the browser writes and draws at some settings."""
+    readings = session.state.campaign.measurements.readings
+    try:
+        shown = session.show(settings)
+    except ValueError as error:  # effects that exclude each other
+        return {"settings_number": session.settings_number, "texts": {"pending": str(error)}}
+    beside = session.shown_beside()
+    pending = ""
+    if shown and shown.pending:
+        pending = f"These numbers are without {together(shown.pending)}: not simulated yet."
+    texts = {**_merit_texts(shown, session), "pending": pending}
+    return plain({
+        "settings_number": session.settings_number, "texts": texts,
+        "cells": _readings_cells(readings, shown), "scale": shown and shown.scale,
+        "pending": bool(pending), "chart": _chart(readings, shown, beside),
+    })  # fmt: skip
+
+
+def _merit_texts(shown: Shown | None, session: Session) -> dict[str, str]:
+    """What stands in the places of the figures of merit, by id."""
+    texts = dict.fromkeys(("chi2", "p-value", "light-yield"), "…")
+    texts |= {"averaged": "", **{f"{place}-words": "" for place in (*texts, "averaged")}}
     if shown is None:
-        return {"chi2-words": "being simulated"}
-    texts = {
+        idle = session.jobs.status.job is None
+        texts["chi2-words"] = "nothing is simulated yet: press Fit" if idle else "being simulated"
+        return texts
+    texts |= {
         "chi2": _chi2_text(shown.chi2),
-        "chi2-words": f"{shown.ndf} degrees of freedom",
+        "chi2-words": counted(shown.ndf, "degree") + " of freedom",
         "p-value": p_text(shown.p_value),
-        "p-value-words": "chance of a larger χ² if the model is right",
+        "p-value-words": "chance of a larger χ²",
         "light-yield": number(shown.scale, 4),
         "light-yield-words": "signal at η = 1",
-    }
+    }  # fmt: skip
     if shown.p_value is None:
         texts["p-value-words"] = "nothing to judge by: the readings determine the parameters"
     if shown.light_yield is not None:
         value, statistical, systematic = shown.light_yield
-        digits = 3 if statistical < 0.05 else 2
-        texts["light-yield"] = f"{value:.{digits}f}"
-        texts["light-yield-words"] = (
-            f"± {statistical:.{digits}f} readings, all else held; ± {systematic:.2f} detector"
-        )
+        parts = [part for part in (statistical, systematic) if part]
+        texts["light-yield"] = pdg_parts(value, *parts) if parts else number(value, 4)
+        words = ["readings, all else held" if statistical else "", "detector" if systematic else ""]
+        texts["light-yield-words"] = " ".join(f"± {one}" for one in words if one)
+    found = session.state.diagnosed
+    averaged = found and found.diagnosis.light_yield_averaged
+    if averaged:
+        texts["averaged"] = pdg(averaged.value, averaged.sigma)
+        texts["averaged-words"] = "ph/keV ± whole error, by Diagnose"
     return texts
 
 
@@ -84,280 +204,132 @@ def _chi2_text(chi2: float) -> str:
     return number(chi2) if chi2 >= _NO_CHI2 else "0"
 
 
-def readings_table(readings: Sequence[Reading]) -> html.Table:
-    """Every reading, with empty cells for `readings_cells`."""
-    labels = [r.label if r.use else f"{r.label} (not used)" for r in readings]
-    return _table(_READINGS_HEAD, [(html.Bdi(label), *_NO_CELLS) for label in labels])
-
-
-def readings_cells(rows: Sequence[FittedRow], shown: bool) -> list[list[str]]:
-    """What stands beside the readings' labels; predictions only where there are some.
-
-    The browser writes it into the table by itself: hundreds of components would take too long.
-    """
-    if not shown:
-        return [[signal_text(r.of_beam, r.measured, r.sigma), "…", "…", "…"] for r in rows]
+def _readings_cells(readings: Sequence[Reading], shown: Shown | None) -> list[list[str]]:
+    """What the model says of every reading; nothing before there are predictions."""
+    if shown is None:
+        return [["…", "…", "…"] for _ in readings]
     return [
-        [signal_text(row.of_beam, row.measured, row.sigma),
-         signal_text(row.of_beam, row.model, row.model_sigma), f"{row.pull:+.2f}",
+        [signal_text(row.of_beam, row.model, row.model_sigma), f"{row.pull:+.2f}",
          "" if row.of_beam else pdg(row.eta, row.eta_sigma)]
-        for row in rows
+        for row in shown.rows
     ]  # fmt: skip
 
 
-def diagnosis_panel(found: Diagnosed | None) -> list:
-    """The verdict and the candidates, each with a button that adds it."""
-    if found is None:
-        return [_hint(
-            "The campaign as it came is fitted with each effect of the catalogue in turn. "
-            "The first time takes about a minute; what was simulated is kept."
-        )]  # fmt: skip
-    diagnosis = found.diagnosis
-    parts: list = []
-    if averaged := averaged_yield(diagnosis):
-        parts.append(html.P(html.Bdi(averaged), className="verdict", id="averaged"))
-    parts.append(html.P(html.Bdi(headline(diagnosis)), className="verdict", id="verdict"))
-    parts += [_hint(html.Bdi(suspicion(one))) for one in diagnosis.suspect_readings]
-    leading = leading_candidates(diagnosis)
-    if diagnosis.candidates:
-        ranked = {id(c): c for c in (*leading, *diagnosis.candidates[:_MOST_CANDIDATES])}
-        parts.append(_candidates(ranked.values(), leading, diagnosis.probabilities))
-        parts += [_hint(html.Bdi(text)) for text in (set_aside_text(diagnosis),) if text]
-        looking = html.Ul([html.Li(html.Bdi(text)) for text in looks(diagnosis)])
-        if leading:
-            parts.append(_details("How to look for it, without a fit", looking))
-    if diagnosis.upper_limits:
-        limits = _shown(limits_table(diagnosis))
-        parts.append(_details("What the readings allow (95 % confidence)", limits))
-    if diagnosis.next_measurements:
-        configurations = [(configuration_text(m), *bought(m)) for m in diagnosis.next_measurements]
-        head = ("configuration", "time", "light yield to", "sure to")
-        parts.append(_details("What to measure next", _table(head, configurations)))
-    return parts
+def _chart(
+    readings: Sequence[Reading], shown: Shown | None, beside: tuple[FitStep, Shown] | None
+) -> dict[str, Any]:
+    """Readings beside predictions, each signal in the unit of the chart's axis."""
+    units = units_of_signals([(r.signal, r.of_beam) for r in readings]).tolist()
 
+    def heights(rows: Iterable[FittedRow]) -> dict[str, list[float]]:
+        pairs = list(zip(rows, units, strict=True))
+        return {"model": [u * row.model for row, u in pairs], "pull": [r.pull for r, _ in pairs]}
 
-def _hint(text: Any, **options: Any) -> html.P:
-    return html.P(text, className="hint", **options)
-
-
-def _details(summary: str, table: html.Table | html.Ul) -> html.Details:
-    return html.Details([html.Summary(summary), html.Div(table, className="scroll")])
-
-
-def _candidates(
-    candidates: Iterable[Candidate], leading: Sequence[Candidate], known: Mapping[str, float]
-) -> html.Div:
-    cells = []
-    for place, one in enumerate(candidates):
-        aria: dict[str, Any] = {"aria-label": f"add {together(one.effects)} and fit"}
-        button = html.Button(
-            "Add", id={"kind": "add", "effects": " ".join(one.effects)},
-            className="main" if place == 0 and leading else "", **aria,
-        )  # fmt: skip
-        cells.append((
-            button, html.Bdi(one.effect), _bar(known.get(one.effect)), size_text(one, ", "),
-            plausibility(one), gain_text(one), p_text(one.p_value),
-        ))  # fmt: skip
-    head = ("", "effect", "probability", "size", "plausible?", "fall of χ²", "p of the fit")
-    return html.Div(_table(head, cells), className="scroll")
-
-
-def _bar(p: float | None) -> html.Div | str:
-    """A probability with a bar as long."""
-    if p is None:
-        return ""
-    return html.Div([html.Progress(value=f"{p:.4f}", max="1"), f" {probability(p)}"])
-
-
-def fitted_panel(state: State) -> list:
-    """The parameters of the last fit, and what must be known of it."""
-    if not state.steps:
-        return []
-    step: FitStep = state.steps[-1]
-    fit = step.calibration
-    what = f"with {together(step.effects)}" if step.effects else "as it came"
-    return [
-        html.H3(f"The last fit, {what}: χ² = {_chi2_text(fit.chi2)}, ndf {fit.ndf}, "
-                f"p = {p_text(fit.p_value)}"),
-        _shown(parameters_table(fit.parameters)),
-        *(_hint(html.Bdi(note)) for note in fit.notes),
-    ]  # fmt: skip
-
-
-def _shown(table: Table) -> html.Table:
-    head = [column.title for column in table.columns]
-    return _table(head, ([cell.text for cell in row.cells] for row in table.rows))
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence]) -> html.Table:
-    return html.Table([
-        html.Thead(html.Tr([html.Th(name, scope="col") for name in head])),
-        html.Tbody([html.Tr([html.Td(cell) for cell in row]) for row in rows]),
-    ])  # fmt: skip
-
-
-# What stands where; what it does is in `page`.
-
-#: Steps of a slider.
-SLIDER_STEPS = 1000
-#: Where the browser asks for predictions while a slider moves, below the page's address.
-PREDICTIONS = "predictions"
-#: Milliseconds between looks at the running job, and when there is none.
-BUSY_MS, IDLE_MS = 300, 4000
-_NO_BAR: dcc.Graph.Config = {"displayModeBar": False, "responsive": True}
-
-
-def id_of(kind: str, name: str) -> dict[str, str]:
-    """Of a parameter's `slider` or `number` field; of an `effect`'s switch, and its `sizes`."""
-    return {"kind": kind, "name": name}
-
-
-def page(session: Session) -> html.Div:
-    """The whole page, as the session is now."""
-    numbers = {
-        "state-number": -1, "settings-number": session.state.settings_number,
-        "file-number": session.state.file_number, "kick": 0, "reload": 0,
+    return {
+        "signal": [u * r.signal for r, u in zip(readings, units, strict=True)],
+        "sigma": [u * r.sigma for r, u in zip(readings, units, strict=True)],
+        "use": [r.use for r in readings], 
+        "short": [shortened(r.label, _LABEL_LENGTH) for r in readings],
+        "percent": next((u / 100.0 for r, u in zip(readings, units, strict=True) if r.of_beam),
+                        None),
+        "model": shown and heights(shown.rows),
+        "beside": beside and {"name": step_name(beside[0]), **heights(beside[1].rows)},
     }  # fmt: skip
-    return html.Div(id="page", children=[
-        dcc.Interval(id="clock", interval=BUSY_MS),
-        *(dcc.Store(id=name, data=data) for name, data in numbers.items()),
-        *(dcc.Store(id=name) for name in ("shown", "drawn", "settled", "upload-content")),
-        dcc.Download(id="download"),
-        _header(session),
-        html.Main(className="columns", children=[
-            html.Div([_files(), _parameters(session), _effects(session)], className="controls"),
-            html.Div([_model(session), _diagnosis()], className="results"),
-        ]),
-    ])  # fmt: skip
 
 
-def _header(session: Session) -> html.Header:
-    campaign = session.campaign
-    return html.Header([
-        html.H1(["MCRIM: ", html.Bdi(campaign.path.name)]),
-        html.P(className="sources", children=[
-            "scene ", html.Bdi(campaign.scene.path.name), ", readings ",
-            html.Bdi(campaign.measurements.path.name, id="readings-name"),
-            f" ({len(campaign.measurements.readings)})",
-        ]),
-        html.Div(className="job", children=[
-            html.Progress(id="progress", value="0", max="1"),
-            html.Span("starting", id="status", role="status"),
-            html.Button("Stop", id="stop", className="quiet", hidden=True),
-        ]),
-        *(html.P(id=name, role="alert", className="error") for name in ("slip", "error")),
-    ])  # fmt: skip
+# Panels.
 
 
-def _buttons(names: Mapping[str, str], main: str = "") -> html.Div:
-    """Buttons by id; one of them may be the `main` one."""
-    look: dict[str, dict[str, Any]] = {main: {"className": "main"}}
-    return html.Div(className="buttons", children=[
-        html.Button(name, id=key, **look.get(key, {})) for key, name in names.items()
-    ])  # fmt: skip
+def _diagnosis_panel(found: Diagnosed | None) -> str:
+    """The verdict and the candidates, each with a button that adds it."""
+    context: dict[str, Any] = {"found": None}
+    if found is not None:
+        diagnosis = found.diagnosis
+        leading = leading_candidates(diagnosis)
+        ranked = {id(c): c for c in (*leading, *diagnosis.candidates[:_MOST_CANDIDATES])}
+        context = {
+            "found": diagnosis, "averaged": averaged_yield(diagnosis),
+            "headline": headline(diagnosis), "leading": bool(leading),
+            "suspicions": [suspicion(one) for one in diagnosis.suspect_readings],
+            "candidates": [
+                {
+                    "effects": one.effects, "effect": one.effect, "size": size_text(one, ", "),
+                    "p": (p := diagnosis.probabilities.get(one.effect)),
+                    "probability": "" if p is None else probability(p),
+                    "plausible": plausibility(one), "gain": gain_text(one),
+                    "p_value": p_text(one.p_value),
+                }
+                for one in (ranked.values() if diagnosis.candidates else ())
+            ],
+            "set_aside": set_aside_text(diagnosis), "looks": looks(diagnosis),
+            "limits": _cells(limits_table(diagnosis)) if diagnosis.upper_limits else None,
+            "next": [(configuration_text(m), *bought(m)) for m in diagnosis.next_measurements],
+        }  # fmt: skip
+    return _TEMPLATES.get_template("diagnosis.html").render(context)
 
 
-def _files() -> html.Section:
-    aria: dict[str, Any] = {"aria-label": "files"}
-    return html.Section([
-        html.H2("Files"),
-        dcc.Upload(
-            html.Button("Upload readings (CSV)", id="upload-button"),
-            id="upload", className="upload", className_active="upload over",
-        ),
-        _hint("Or drop the file here. The scene and what is known beforehand stay."),
-        _buttons({f"get-{what}": f"Download {what}" for what in ("scene", "campaign", "report")}),
-    ], **aria)  # fmt: skip
+def _cells(table: Table) -> tuple[list[str], list[list[str]]]:
+    head = [column.title for column in table.columns]
+    return head, [[cell.text for cell in row.cells] for row in table.rows]
 
 
-def _switch(name: Any, value: str, on: bool, **options: Any) -> dcc.Checklist:
-    return dcc.Checklist([{"label": name, "value": value}], [value] if on else [], **options)
+def _fits_panel(session: Session) -> str:
+    """All fits, the last one's parameters, and two of them side by side."""
+    now = session.state
+    if not now.steps:
+        return ""
+    last, beside = now.steps[-1], now.beside
+    return _TEMPLATES.get_template("fits.html").render(
+        steps=[_listed(session, step) for step in now.steps], compared=beside.number,
+        last=_listed(session, last), parameters=_parameters(last.calibration.parameters),
+        held=[f"{n} = {v:.4g}" for n, v in last.calibration.fixed.items()],
+        notes=last.calibration.notes,
+        beside=None if beside is last else _side_by_side(session, beside, last),
+    )  # fmt: skip
 
 
-def _parameters(session: Session) -> html.Section:
-    free = any(control.name == "scale" for control in session.controls)
-    return html.Section([
-        html.H2("Parameters"),
-        *sizes(session, session.controls),
-        _switch(
-            "the scale follows the readings", "fit", session.state.settings.fit_scale,
-            id="fit-scale", style=None if free else {"display": "none"},
-        ),
-        _buttons({"fit": "Fit", "back": "Back to the campaign as it came"}, main="fit"),
-    ])  # fmt: skip
+def _listed(session: Session, step: FitStep) -> dict[str, Any]:
+    """A fit in the list."""
+    fit = step.calibration
+    name = LIGHT_YIELD if LIGHT_YIELD in fit.parameters else SCALE
+    light = fit.parameters.get(name)
+    return {
+        "number": step.number, "name": step_name(step), "chi2": _chi2_text(fit.chi2),
+        "ndf": fit.ndf, "p": p_text(fit.p_value),
+        "light": "held" if light is None else estimate_text(light),
+        "light_title": _light_title(session),
+    }  # fmt: skip
 
 
-def _effects(session: Session) -> html.Section:
-    return html.Section([
-        html.H2("Effects"),
-        _hint("Each was left out of the bench. The first use of one simulates it."),
-        *(_effect(session, effect, controls) for effect, controls in session.effects.values()),
-        *(_hint(html.Bdi(reason)) for reason in session.refused),
-    ])  # fmt: skip
+def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[tuple[str, str, str, str]]:
+    """Name, value with the whole error, what repeating lowers of it, and the rest."""
+    found = []
+    for name, known in parameters.items():
+        apart = ("", "")
+        if known.at_bound is None and known.contributions:
+            apart = tuple(number(part, 2) for part in errors_apart(known))  # type: ignore[assignment]
+        found.append((name, estimate_text(known), *apart))
+    return found
 
 
-def _effect(session: Session, effect: Effect, controls: Sequence[Control]) -> html.Div:
-    """Its physics stands where the mouse rests on its name."""
-    on = effect.name in session.state.settings.effects
-    name = html.Span([effect.title, " ", html.Small(effect.name)], title=effect.physics)
-    return html.Div(className="effect", children=[
-        _switch(name, "on", on, id=id_of("effect", effect.name)),
-        html.Div(sizes(session, controls) if on else [], id=id_of("sizes", effect.name)),
-    ])  # fmt: skip
-
-
-def sizes(session: Session, controls: Sequence[Control]) -> list[html.Div]:
-    """What moves parameters, and effects that are on: all on the page slows every change of it."""
-    values = session.state.settings.values
-    return [_control(control, values.get(control.name, control.start)) for control in controls]
-
-
-def _control(control: Control, value: float) -> html.Div:
-    """A name, a slider and a number that follow each other."""
-    unit = f" ({control.unit})" if control.unit else ""
-    field = id_of("number", control.name)
-    axis = {name: getattr(control, name) for name in ("minimum", "maximum", "coordinate", "scale")}
-    return html.Div(className="control", children=[
-        html.Label(
-            control.title + unit, title=control.meaning or control.name,
-            # its id in the browser
-            htmlFor=json.dumps(field, sort_keys=True, separators=(",", ":")),
-        ),
-        dcc.Input(
-            id=id_of("slider", control.name), type="range", min=0, max=SLIDER_STEPS, step=1,
-            value=round(SLIDER_STEPS * control.part_at(value)), debounce=False,
-        ),
-        dcc.Input(
-            id=field, type="number", value=float(f"{value:.6g}"),
-            min=control.minimum, max=control.maximum, step="any", debounce=True,
-        ),
-        dcc.Store(id=id_of("axis", control.name), data=axis | {"steps": SLIDER_STEPS}),
-    ])  # fmt: skip
-
-
-def _model(session: Session) -> html.Section:
-    readings = session.campaign.measurements.readings
-    return html.Section([
-        html.H2("Readings and model"),
-        html.Div(merits(session.light_title), id="figures-of-merit", className="merits"),
-        _hint(None, id="pending"),
-        # drawn by the browser itself: through Dash it would take longer
-        html.Div(html.Div(), id="readings-chart", className="chart tall"),
-        html.Details(id="table-details", children=[
-            html.Summary("The same as a table"),
-            html.Div(readings_table(readings), id="rows", className="scroll"),
-        ]),
-    ])  # fmt: skip
-
-
-def _diagnosis() -> html.Section:
-    chart = dcc.Graph(id="falling-chart", config=_NO_BAR)
-    return html.Section([
-        html.H2("What is missing?"),
-        _buttons({"diagnose": "Diagnose"}, main="diagnose"),
-        html.Div(id="diagnosis"),
-        html.H2("The error, fit by fit"),
-        # the graph fills what is around it, whatever its own class says
-        html.Div(chart, className="chart"),
-        html.Div(id="fitted", className="scroll"),
-    ])  # fmt: skip
+def _side_by_side(session: Session, first: FitStep, second: FitStep) -> dict[str, Any]:
+    """Two fits, row by row."""
+    both = (first.calibration, second.calibration)
+    listed = [_listed(session, step) for step in (first, second)]
+    rows = [
+        ("χ²", *(one["chi2"] for one in listed)),
+        ("degrees of freedom", *(one["ndf"] for one in listed)),
+        ("p", *(one["p"] for one in listed)),
+    ]
+    for name in dict.fromkeys(n for fit in both for n in (*fit.parameters, *fit.fixed)):
+        cells = []
+        for fit in both:
+            known = fit.parameters.get(name)
+            held = f"{fit.fixed[name]:.4g}, {HELD}" if name in fit.fixed else "-"
+            cells.append(held if known is None else estimate_text(known))
+        rows.append((name, *cells))
+    pulls = [
+        (a.label, f"{a.pull:+.2f}", f"{b.pull:+.2f}")
+        for a, b in zip(both[0].rows, both[1].rows, strict=True)
+    ]
+    return {"names": [one["name"] for one in listed], "rows": rows, "pulls": pulls}

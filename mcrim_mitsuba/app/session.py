@@ -1,146 +1,64 @@
-"""What the page works on: a campaign with what was simulated and found, and the job that runs."""
+"""What the page works on: a campaign with what was simulated and found."""
 
 from __future__ import annotations
 
+import copy
+import itertools
 import math
-import sys
 import threading
-import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
 
 from mcrim_mitsuba.app import exchange
+from mcrim_mitsuba.app.jobs import Job, Jobs
 from mcrim_mitsuba.app.state import (
+    HELD,
+    PRIOR,
     Control,
     FitStep,
+    Known,
     Settings,
     Shown,
     State,
     effect_control,
+    known_of,
     parameter_control,
 )
 from mcrim_mitsuba.campaign.campaign import Campaign
-from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, without_unit
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.diagnose import diagnose_on
 from mcrim_mitsuba.inference.estimates import fitted_rows
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.likelihood import FrozenStatistic, Likelihood, p_value
-from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.inference.model import UNKNOWN_SCALE, ResponseModel, held
 from mcrim_mitsuba.inference.workbench import Workbench
-
-
-class CancelledError(Exception):
-    """The user wants the job to end."""
-
-
-@dataclass(frozen=True)
-class Status:
-    """What the job thread is doing."""
-
-    #: In words; empty when idle.
-    job: str = ""
-    #: What the job is at.
-    stage: str = ""
-    #: Of the stage.
-    done: int = 0
-    total: int = 0
-    #: Why the last job came to nothing; empty if it did not fail.
-    error: str = ""
-
-    @property
-    def busy(self) -> bool:
-        """Whether a job is running."""
-        return bool(self.job)
-
-
-class Jobs:
-    """Runs jobs one after the other.
-
-    All of them run in the same thread: Mitsuba's variant belongs to a thread.
-    """
-
-    def __init__(self) -> None:
-        self._waiting: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
-        # Ctrl-C need not wait for a long simulation
-        self._thread = threading.Thread(target=self._work, name="jobs", daemon=True)
-        self._thread.start()
-        self._lock = threading.Lock()
-        #: What is going on now.
-        self.status = Status()
-        self._cancelled = False
-
-    def start(self, job: str, work: Callable[[], None]) -> bool:
-        """Begin a job, unless another one is running; returns whether it began."""
-        with self._lock:
-            if self.status.busy:
-                return False
-            self._cancelled = False
-            self.status = Status(job=job, stage=job)
-        self._waiting.put(work)
-        return True
-
-    def cancel(self) -> None:
-        """Let the running job end at its next report."""
-        self._cancelled = True
-
-    def report(self, stage: str, done: int, total: int, _note: str = "") -> None:
-        """Told by the job how far it is.
-
-        Raises
-        ------
-        CancelledError
-            If the job is to end.
-        """
-        if self._cancelled:
-            raise CancelledError
-        self.status = replace(self.status, stage=stage, done=done, total=total)
-
-    def close(self, patience_seconds: float) -> None:
-        """Stop the running job and take no more; waits for so long at most."""
-        self.cancel()
-        self._waiting.put(None)
-        self._thread.join(patience_seconds)
-
-    def _work(self) -> None:
-        while (work := self._waiting.get()) is not None:
-            self._run(work)
-
-    def _run(self, work: Callable[[], None]) -> None:
-        error = ""
-        try:
-            work()
-        except CancelledError:
-            error = f"{self.status.job}: stopped; what was simulated is kept"
-        except InputError as refusal:
-            error = str(refusal)
-        except Exception as fault:
-            traceback.print_exc(file=sys.stderr)
-            error = (
-                f"this is our fault, not yours ({type(fault).__name__}): please report the lines "
-                "in the terminal"
-            )
-        self.status = Status(error=error)
-
-
-# The campaign.
+from mcrim_mitsuba.output.findings import parameter_words
 
 #: Steps of the scale's fit: it is linear but for effects of the readings, which bend it a little.
 _SCALE_STEPS = 4
+#: Models that are kept ready, and changes that can be undone.
+_MOST_MODELS, _MOST_UNDONE = 30, 50
+
+
+class _PageBench(Workbench):
+    """A workbench whose joint simulations have sizes of effects that are held, too."""
+
+    def _anchored(self, campaign: Campaign, values: Mapping[str, float]) -> ResponseModel:
+        return super()._anchored(campaign, {**held(campaign), **values})
 
 
 class Session:
     """One user's work on one campaign, shared by all the pages that show it.
 
-    Settings and predictions are asked for from any thread; what simulates runs in `jobs`. Its
-    `campaign` is the one that it was opened with, or that with uploaded readings.
+    Settings and predictions are asked for from any thread; what simulates runs in `jobs`. The
+    campaign of its `state` is the one that it was opened with, or that with other readings.
 
     Parameters
     ----------
@@ -152,45 +70,58 @@ class Session:
     """
 
     def __init__(self, campaign: Campaign, run: Run, folder: Path) -> None:
-        self.jobs = Jobs()
-        self._lock = threading.Lock()
+        #: Rise with every change, with every one that pages take over, with every file to be
+        #: downloaded, and with every other bench.
+        self.number = self.settings_number = self.file_number = self.bench_number = 0
+        self.jobs = Jobs(self._change)
+        #: Held by whoever asks for more than one thing that belongs together.
+        self.lock = threading.RLock()
         self._run, self._folder = replace(run, progress=self.jobs.report), folder
         self._first = campaign
-        #: What jobs have found so far.
-        self.state = State()
         self._open(campaign)
 
     def _open(self, campaign: Campaign) -> None:
-        self.campaign = campaign
-        self._bench = Workbench(campaign, self._run)
-        self._models: dict[tuple[str, ...], tuple[frozenset[str] | None, ResponseModel]] = {}
-        #: Of the campaign's own parameters; the scale, where it is free, comes last.
+        self._bench = _PageBench(campaign, self._run)
+        self._models: dict[Any, tuple[Any, ResponseModel]] = {}
+        self._undone: list[State] = []
+        self._numbers = itertools.count()
+        #: What jobs have found so far.
+        self.state = State(campaign)
+        #: Of the campaign's own parameters; the scale comes last.
         self.controls = self._own_controls()
         readings, own = campaign.measurements.readings, self._bench.own_maker.configurations()
         # sliders are the bench's
         of_bench = [v for v, r in zip(own, readings, strict=True) if not r.of_beam]
         scene = campaign.scene.parameters
         known = (scene, of_bench or [scene], self._largest_signal)
+        #: Scene parameters of every reading.
+        self.configurations = own
         #: Effects that can be switched on, with their controls.
         self.effects = {
             name: (effect, tuple(effect_control(one, *known) for one in effect.parameters))
             for name, effect in self._bench.possible().items()
         }
         values = {c.name: c.start for c in self._all_controls()}
-        self._change(
-            ready=None, baseline=None, settled={}, steps=(), diagnosed=None, file=None,
-            settings=Settings(values=values), settings_number=self.state.settings_number + 1,
-        )  # fmt: skip
-        self.jobs.start("simulating the bench", self._simulate)
+        follows = SCALE in campaign.free
+        self.bench_number += 1
+        self._set_controls(Settings(values=values, fit_scale=follows))
+        self.jobs.start(Job("bench", "simulating the bench", self._make_ready))
 
     def _change(self, **changes: Any) -> None:
-        with self._lock:
-            self.state = replace(self.state, number=self.state.number + 1, **changes)
+        with self.lock:
+            self.state = replace(self.state, **changes)
+            self.number += 1
 
     def _set_controls(self, settings: Settings, **changes: Any) -> None:
         """Let the pages take over other settings."""
-        number = self.state.settings_number + 1
-        self._change(settings=settings, settings_number=number, **changes)
+        with self.lock:
+            self.settings_number += 1
+            self._change(settings=settings, **changes)
+
+    def _keep(self) -> None:
+        """Remember how it is, to be brought back by `undo`."""
+        with self.lock:
+            self._undone = [*self._undone[1 - _MOST_UNDONE :], self.state]
 
     def remember(self, settings: Settings, number: int) -> Settings:
         """Keep what a page's controls say, for the next page that opens; returns what holds.
@@ -198,33 +129,37 @@ class Session:
         `number` is the `settings_number` that the page knows: if it is an older one, what it says
         is out of date.
         """
-        with self._lock:
-            if number == self.state.settings_number:
+        with self.lock:
+            if number == self.settings_number:
                 self.state = replace(self.state, settings=settings)
             return self.state.settings
 
     # ---- what can be moved -------------------------------------------------------------------
 
     def _own_controls(self) -> tuple[Control, ...]:
-        maker, free = self._bench.own_maker, self.campaign.free
+        maker, campaign = self._bench.own_maker, self.state.campaign
         covered = {
             ALPHA_SCAT: maker.grid.alpha_scat_range_per_cm,
             ALPHA_ABS: maker.grid.alpha_abs_range_per_cm,
         }
         own = [
-            parameter_control(known, covered.get(name))
-            for name, known in self.campaign.parameters.items()
-            if not known.fixed
+            parameter_control(known, parameter_words(campaign, name)[0], covered.get(name))
+            for name, known in campaign.parameters.items()
+            if not known.fixed or name in covered  # what else is held was not simulated
         ]
-        if SCALE in free:
-            # a quarter of the light is a usual part
-            usual = 4.0 * self._largest_signal
-            own.append(Control(SCALE, "scale", "signal at η = 1", 0.0, 3.0 * usual, usual))
+        # a quarter of the light is a usual part
+        usual, scale = 4.0 * self._largest_signal, campaign.scale or UNKNOWN_SCALE
+        start = usual if math.isnan(scale.start) else scale.start
+        meaning, _ = parameter_words(campaign, SCALE)
+        own.append(Control(
+            SCALE, "scale", "signal at η = 1", 0.0, 3.0 * max(usual, start), start,
+            meaning=meaning, known=known_of(campaign.scale),
+        ))  # fmt: skip
         return tuple(own)
 
     @property
     def _largest_signal(self) -> float:
-        return max(abs(reading.signal) for reading in self.campaign.measurements.readings)
+        return max(abs(reading.signal) for reading in self.state.campaign.measurements.readings)
 
     def _all_controls(self) -> list[Control]:
         return [*self.controls, *(c for _, own in self.effects.values() for c in own)]
@@ -232,7 +167,34 @@ class Session:
     @property
     def refused(self) -> tuple[str, ...]:
         """Why some effects cannot be switched on."""
-        return tuple(self._bench.notes)
+        return tuple(dict.fromkeys(self._bench.notes))
+
+    def known(self, settings: Settings) -> dict[str, Known]:
+        """What is known of every parameter."""
+        return {c.name: settings.known.get(c.name, c.known) for c in self._all_controls()}
+
+    def _fitted_campaign(self, settings: Settings) -> tuple[Campaign, tuple[str, ...]]:
+        """The campaign with what is known at some settings, and the effects that it lacks still.
+
+        It has those effects whose parameters the user knows something of.
+        """
+        campaign, known = self.state.campaign, self.known(settings)
+        own = {
+            name: [c.name for c in self.effects[name][1]]
+            for name in settings.effects
+            if any(known[c.name] != c.known for c in self.effects[name][1])
+        }
+        campaign = campaign.with_effects(tuple(own))
+        names = {c.name for c in self.controls if c.name != SCALE}.union(*own.values())
+        parameters = {
+            name: known[name].of(parameter, settings.values[name]) if name in names else parameter
+            for name, parameter in campaign.parameters.items()
+        }
+        scale = campaign.scale
+        if scale is not None or known[SCALE] != Known():
+            scale = known[SCALE].of(scale or UNKNOWN_SCALE, settings.values[SCALE])
+        rest = tuple(sorted(name for name in settings.effects if name not in own))
+        return replace(campaign, parameters=parameters, scale=scale), rest
 
     # ---- what the model says -----------------------------------------------------------------
 
@@ -245,7 +207,8 @@ class Session:
         if state.ready is None:
             return None
         effects = tuple(name for name in settings.effects if name in state.ready)
-        model = self._model(effects, state)
+        known = self.known(settings)
+        model = self._model(effects, known, state)
         likelihood = Likelihood(model)
         theta = np.array([
             min(max(settings.values.get(p.name, p.start), p.minimum), p.maximum)
@@ -253,16 +216,16 @@ class Session:
             else settings.values[SCALE]
             for p in model.free
         ])  # fmt: skip
-        names = [parameter.name for parameter in model.free]
-        sigma = 0.0
-        if SCALE in names and settings.fit_scale:
+        names, sigma = [parameter.name for parameter in model.free], 0.0
+        if settings.fit_scale:
             sigma = _fit_scale(likelihood, theta, names.index(SCALE))
         statistic = FrozenStatistic(likelihood, likelihood.errors_at(theta))
         prediction = model.predict(theta, check=True)
         assert prediction.eta_sigma is not None  # checked
         assert prediction.interpolation_error is not None
         errors = list(map(math.hypot, prediction.eta_sigma, prediction.interpolation_error))
-        chi2, ndf = statistic.chi2(theta), model.campaign.ndf
+        held = sum(known[name].how == HELD for name in names if name in known)
+        chi2, ndf = statistic.chi2(theta), likelihood.ndf + held
         return Shown(
             rows=fitted_rows(model.readings, prediction, errors), chi2=chi2, ndf=ndf,
             p_value=p_value(chi2, ndf), scale=prediction.scale,
@@ -270,63 +233,102 @@ class Session:
             pending=tuple(name for name in settings.effects if name not in effects),
         )  # fmt: skip
 
-    def _model(self, effects: tuple[str, ...], state: State) -> ResponseModel:
-        key = tuple(sorted(effects))
-        if key in state.settled:
-            return state.settled[key]
-        # while nothing new was simulated a model stays what it is
-        known = self._models.get(key)
-        if known is None or known[0] != state.ready:
-            known = self._models[key] = (state.ready, self._bench.model(key))
-        return known[1]
+    def shown_beside(self) -> tuple[FitStep, Shown] | None:
+        """The fit beside which the model is shown, and what it predicts for today's readings."""
+        state = self.state
+        if not state.steps:
+            return None
+        step = state.beside
+        shown = self.show(step.settings)
+        return None if shown is None else (step, shown)
 
-    @property
-    def light_title(self) -> str:
-        """What is proportional to the light: the light yield, or else the scale."""
-        if self.campaign.light_yield is None or SCALE not in self.campaign.free:
-            return SCALE
-        return "light yield (ph/keV)"
+    def _model(
+        self, effects: tuple[str, ...], known: Mapping[str, Known], state: State
+    ) -> ResponseModel:
+        """What is held is free in it: it stands at its value, and moves when that is moved."""
+        names = tuple(sorted(effects))
+        priors = {n: k.gaussian for n, k in known.items() if k.gaussian is not None}
+        anchor = state.anchors.get(names)
+        # while nothing new was simulated a model stays what it is
+        key = (names, tuple(priors.items()), id(state.campaign), state.ready, id(anchor))
+        if key not in self._models:
+            campaign = state.campaign.with_effects(names)
+
+            def movable(name: str, parameter: CampaignParameter) -> CampaignParameter:
+                return Known(PRIOR, *priors.get(name, (None, None))).of(parameter, math.nan)
+
+            parameters = {
+                name: movable(name, parameter) if name in known else parameter
+                for name, parameter in campaign.parameters.items()
+            }
+            scale = movable(SCALE, campaign.scale or UNKNOWN_SCALE)
+            campaign = replace(campaign, parameters=parameters, scale=scale)
+            if len(self._models) >= _MOST_MODELS:
+                self._models = {}
+            model = ResponseModel(campaign, self._bench.responses, campaign.switched_on, anchor)
+            # with what its key is the identity of
+            self._models[key] = ((state.campaign, anchor), model)
+        return self._models[key][1]
 
     def _light_yield(self, scale: float, sigma: float) -> tuple[float, float, float] | None:
-        known = self.campaign.light_yield
-        if known is None or SCALE not in self.campaign.free:
+        known = self.state.campaign.light_yield
+        if known is None or SCALE not in self.state.campaign.free:
             return None
         relative = known.detector_efficiency_sigma / known.detector_efficiency
         return scale * known.per_scale, sigma * known.per_scale, scale * known.per_scale * relative
 
     # ---- what takes longer -------------------------------------------------------------------
 
-    def _simulate(self) -> None:
-        """Simulate the bench as it is, and fit it."""
-        self._bench.simulate()
-        self._change(ready=self._bench.simulated)
-        found = fit_model(self._bench.model(), profile=False)
-        self._set_controls(
-            self._fitted(found, ()), baseline=found, steps=(FitStep((), found),)
-        )  # fmt: skip
-
-    def switch_on(self, effects: Sequence[str]) -> bool:
-        """Simulate effects that were not simulated yet."""
-        return self.jobs.start(
-            f"simulating {', '.join(effects)}", lambda: self._make_ready(effects)
-        )
-
-    def _make_ready(self, effects: Sequence[str]) -> None:
+    def _make_ready(self, effects: Sequence[str] = ()) -> None:
+        """Simulate what is not simulated yet: the bench as it is, and effects."""
+        bench, ready = self._bench, self.state.ready
+        if ready is None:
+            before = self.state.settings
+            bench.simulate()
+            self._change(ready=bench.simulated)
+            model = bench.model()
+            found = fit_model(model, profile=False)
+            self._fitted(model, found, Settings(values=before.values), before, bench.campaign)
         ready = self.state.ready or frozenset()
-        known = self._bench.precise
-        if any(name not in ready or name not in known for name in effects):
-            self._bench.simulate(sorted({*ready, *effects}), look=ready - {*effects})
-            self._change(ready=self._bench.simulated)
+        if any(name not in ready or name not in bench.precise for name in effects):
+            bench.simulate(sorted({*ready, *effects}), look=ready - {*effects})
+            self._change(ready=bench.simulated)
 
-    def fit(self, settings: Settings) -> bool:
+    def _start(
+        self, key: str, words: str, work: Callable[[], None], undo: Callable[[], None] | None = None
+    ) -> None:
+        self.jobs.start(Job(key, words, work, undo or (lambda: None)))
+
+    def switch_on(self, effect: str) -> None:
+        """Simulate an effect, if it was not simulated yet; its switch is off where that fails."""
+
+        def undo() -> None:
+            settings = self.state.settings
+            kept = tuple(name for name in settings.effects if name != effect)
+            self._set_controls(replace(settings, effects=kept))
+
+        if self.state.ready is None or effect not in self.state.ready:
+            self._start(
+                f"effect {effect}", f"simulating {effect}", lambda: self._make_ready([effect]), undo
+            )
+
+    def switch_off(self, effect: str) -> None:
+        """Do not simulate an effect any more."""
+        self.jobs.stop(f"effect {effect}")
+
+    def fit(self, settings: Settings) -> None:
         """Fit all that is switched on, beginning where the controls are."""
-        return self.jobs.start("fitting", lambda: self._fit(settings.effects, settings.values))
+        self._start("fit", "fitting", lambda: self._fit(settings, settings))
 
-    def add(self, effects: Sequence[str], settings: Settings) -> bool:
+    def add(self, effects: Sequence[str], settings: Settings) -> None:
         """Switch more effects on and fit."""
         wanted = tuple(dict.fromkeys((*settings.effects, *effects)))
         values = {**settings.values, **self._sizes(wanted)}
-        return self.jobs.start(f"adding {', '.join(effects)}", lambda: self._fit(wanted, values))
+        more = replace(settings, effects=wanted, values=values)
+        self._start(
+            f"add {' '.join(effects)}", f"adding {', '.join(effects)}",
+            lambda: self._fit(more, settings),
+        )  # fmt: skip
 
     def _sizes(self, effects: tuple[str, ...]) -> dict[str, float]:
         """What the diagnosis made of a set of effects."""
@@ -338,40 +340,141 @@ class Session:
                 return {n: known.value for n, known in candidate.parameters.items()}
         return {}
 
-    def _fit(self, effects: Sequence[str], values: Mapping[str, float]) -> None:
-        self._make_ready(effects)
-        key = tuple(sorted(effects))
-        model, found = self._bench.settled_model(key, values)
-        steps = self.state.steps
-        if steps and sorted(steps[-1].effects) == list(key):
-            steps = steps[:-1]
+    def _fit(self, wanted: Settings, pressed: Settings) -> None:
+        self._make_ready(wanted.effects)
+        fitted, rest = self._fitted_campaign(wanted)
+        model, found = self._bench_of(fitted).settled_model(rest, wanted.values)
+        anchors = dict(self.state.anchors)
+        if model.anchor is not None:
+            anchors[tuple(sorted(wanted.effects))] = model.anchor
+        self._keep()
+        self._fitted(model, found, wanted, pressed, self.state.campaign, anchors=anchors)
+
+    def _bench_of(self, campaign: Campaign) -> Workbench:
+        """The workbench with other knowledge or readings: what was simulated serves them too."""
+        bench = copy.copy(self._bench)
+        bench.campaign = campaign
+        return bench
+
+    def _fitted(
+        self, model: ResponseModel, found: Calibration, wanted: Settings, pressed: Settings,
+        campaign: Campaign, **changes: Any,
+    ) -> None:  # fmt: skip
+        """Take over a fit of what was wanted; what was switched on since it was asked for stays."""
+        now = self.state.settings
+        values = {**now.values, **{n: found.parameters[n].value for n in found.names}}
+        fitted = replace(wanted, values=values, fit_scale=SCALE in found.names)
+        step = FitStep(
+            next(self._numbers), fitted, campaign, found, model.campaign.priors,
+            self._difference(campaign, wanted),
+        )  # fmt: skip
+        since = (name for name in now.effects if name not in pressed.effects)
+        effects = tuple(dict.fromkeys((*wanted.effects, *since)))
         self._set_controls(
-            self._fitted(found, tuple(effects)),
-            settled={**self.state.settled, key: model},
-            steps=(*steps, FitStep(tuple(effects), found)),
-        )
+            replace(fitted, effects=effects, known=now.known),
+            steps=(*self.state.steps, step), **changes,
+        )  # fmt: skip
 
-    def _fitted(self, found: Calibration, effects: tuple[str, ...]) -> Settings:
-        """Controls at the values of a fit."""
-        values = dict(self.state.settings.values)
-        values |= {name: found.parameters[name].value for name in found.names}
-        return Settings(effects, values, fit_scale=True)
+    def _difference(self, campaign: Campaign, settings: Settings) -> str:
+        """What was changed besides effects, in words."""
+        first, known = self._bench.campaign, self.known(settings)
+        said = []
+        rows = zip(first.measurements.readings, campaign.measurements.readings, strict=True)
+        for before, after in rows:
+            if before.use != after.use:
+                said.append(f"{'with' if after.use else 'without'} {after.label}")
+            if (before.signal, before.sigma) != (after.signal, after.sigma):
+                said.append(f"{after.label} {after.signal:g} ± {after.sigma:g}")
+        brought = [c for name in settings.effects for c in self.effects[name][1]]
+        for control in (*self.controls, *brought):
+            now = known[control.name]
+            if now == control.known:
+                continue
+            how = {
+                HELD: f"held at {settings.values[control.name]:.4g}",
+                "prior": f"known to be {now.prior} ± {now.prior_sigma}",
+            }.get(now.how, "free")
+            said.append(f"{without_unit(control.name)} {how}")
+        return ", ".join(said)
 
-    def diagnose(self) -> bool:
-        """Find out which effects explain the misfit of the campaign as it came."""
+    def diagnose(self, settings: Settings) -> None:
+        """Find out which effects explain the misfit of the campaign without any of the page's."""
 
         def work() -> None:
-            found = diagnose_on(self._bench)
+            self._make_ready()
+            campaign, _ = self._fitted_campaign(replace(settings, effects=()))
+            bench = self._bench_of(campaign)
+            found = diagnose_on(bench)
+            self._bench.responses = bench.responses
+            self._keep()
             self._change(diagnosed=found, ready=self._bench.simulated)
 
-        return self.jobs.start("diagnosing", work)
+        self._start("diagnose", "diagnosing", work)
+
+    # ---- what takes no time ------------------------------------------------------------------
 
     def go_back(self) -> None:
-        """Everything off, and the campaign's own fit."""
-        baseline, values = self.state.baseline, {c.name: c.start for c in self._all_controls()}
-        self._change(steps=self.state.steps[:1])
-        settings = Settings(values=values)
-        self._set_controls(settings if baseline is None else self._fitted(baseline, ()))
+        """Everything off, the readings as they came, and the campaign's own fit."""
+        if self.state.steps:
+            self.show_step(self.state.steps[0].number)
+
+    @property
+    def can_undo(self) -> bool:
+        return bool(self._undone)
+
+    def undo(self) -> None:
+        """As it was before the last fit, diagnosis, change of readings or step that was removed."""
+        with self.lock:
+            if not self._undone:
+                return
+            *self._undone, before = self._undone
+            kept = {name: getattr(self.state, name) for name in ("ready", "anchors", "file")}
+            self._set_controls(before.settings, **{
+                name: getattr(before, name)
+                for name in ("campaign", "steps", "compared", "diagnosed")
+            }, **kept)  # fmt: skip
+
+    def _step(self, number: int) -> FitStep:
+        for step in self.state.steps:
+            if step.number == number:
+                return step
+        raise InputError("this fit is not there any more", "choose another")
+
+    def show_step(self, number: int) -> None:
+        """Controls and readings as they were when a fit ended."""
+        step = self._step(number)
+        self._keep()
+        changes: dict[str, Any] = {}
+        if step.campaign is not self.state.campaign:
+            changes = {"campaign": step.campaign, "diagnosed": None}
+        self._set_controls(step.settings, **changes)
+
+    def remove_step(self, number: int) -> None:
+        """Take a fit off the list."""
+        step = self._step(number)
+        if step is self.state.steps[0]:
+            raise InputError("the campaign as it came stays in the list", "remove another fit")
+        self._keep()
+        self._change(steps=tuple(s for s in self.state.steps if s is not step))
+
+    def compare_with(self, number: int) -> None:
+        """Show the model beside a fit."""
+        self._change(compared=self._step(number).number)
+
+    def edit_reading(self, place: int, changes: Mapping[str, Any]) -> None:
+        """Go on with another `signal`, `sigma` or `use` of a reading.
+
+        Raises
+        ------
+        InputError
+            If it cannot be used.
+        """
+        campaign = self.state.campaign
+        readings = list(campaign.measurements.readings)
+        readings[place] = replace(readings[place], **changes)
+        campaign = exchange.with_edited(campaign, readings, self._folder)
+        self._keep()
+        self._change(campaign=campaign, diagnosed=None)
 
     # ---- files -------------------------------------------------------------------------------
 
@@ -383,9 +486,16 @@ class Session:
         InputError
             If the file cannot be used.
         """
-        self._open(exchange.with_readings(self._first, name, content, self._folder))
+        campaign = exchange.with_readings(self._first, name, content, self._folder)
+        self.jobs.stop_all()
+        # what is under way ends first
+        self._start("upload-button", f"opening {name}", lambda: self._reopen(campaign))
 
-    def offer(self, what: str, settings: Settings) -> bool:
+    def _reopen(self, campaign: Campaign) -> None:
+        with self.lock:
+            self._open(campaign)
+
+    def offer(self, what: str, settings: Settings) -> None:
         """Make a file to be downloaded.
 
         It is the mended ``scene``, simulated as it is; with the ``campaign`` all that it needs; or
@@ -393,37 +503,47 @@ class Session:
         """
 
         def work() -> None:
-            campaign, effects = self.campaign, settings.effects
+            campaign, effects = self.state.campaign, settings.effects
             if what == "report":
                 file = exchange.report_file(campaign, effects, self._run, self._folder)
             else:
                 self._make_ready(effects)
-                fitted = self.state.settled.get(tuple(sorted(effects)))
                 values = self._settle_at(settings)
                 if what == "scene":
                     file = exchange.scene_file(campaign, effects, values)
                 else:
-                    priors = fitted.campaign.priors if fitted is not None else {}
-                    file = exchange.campaign_archive(campaign, effects, values, priors)
-            self._change(file=file, file_number=self.state.file_number + 1)
+                    file = exchange.campaign_archive(
+                        campaign, effects, values, self._priors_of_fit(settings)
+                    )
+            with self.lock:
+                self.file_number += 1
+                self._change(file=file)
 
-        return self.jobs.start(f"writing the {what}", work)
+        self._start(f"get-{what}", f"writing the {what}", work)
+
+    def _priors_of_fit(self, settings: Settings) -> Mapping[str, tuple[float, float]]:
+        """What the last fit with these effects knew of their sizes."""
+        for step in reversed(self.state.steps):
+            if set(step.settings.effects) == set(settings.effects):
+                return {n: known for n, known in step.priors.items() if n != SCALE}
+        return {}
 
     def _settle_at(self, settings: Settings) -> dict[str, float]:
         """Simulate all that is switched on together, where the controls are.
 
         So that the page shows what a simulation of the downloaded scene gives.
         """
-        key = tuple(sorted(settings.effects))
-        switched_on = [self.campaign.catalogue[n] for n in (*self.campaign.effects, *key)]
+        state, key = self.state, tuple(sorted(settings.effects))
+        switched_on = [state.campaign.catalogue[n] for n in (*state.campaign.effects, *key)]
         # sizes of other effects may be the scene's own parameters: those stay as they are
-        used = {*self.campaign.parameters, *(p.name for e in switched_on for p in e.parameters)}
+        used = {*state.campaign.parameters, *(p.name for e in switched_on for p in e.parameters)}
         values = {name: value for name, value in settings.values.items() if name in used}
         if not self._bench.own_maker.is_exact(switched_on):
-            free = self._bench.model(key).free
+            free = self._model(key, self.known(settings), state).free
             here = {p.name: values.get(p.name, p.start) for p in free if p.name != SCALE}
             model = self._bench.anchored_model(key, here)
-            self._set_controls(settings, settled={**self.state.settled, key: model})
+            assert model.anchor is not None
+            self._change(anchors={**self.state.anchors, key: model.anchor})
         return values
 
 

@@ -4,18 +4,55 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, unit_of, without_unit
 from mcrim_mitsuba.effects.effect import EffectParameter
+from mcrim_mitsuba.efficiency.responses import Anchor
 from mcrim_mitsuba.inference.diagnose import Diagnosed
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
-from mcrim_mitsuba.inference.model import ResponseModel
 
 #: Smallest value of a slider that runs along a logarithm, as part of the largest.
 _LEAST_PART = 1e-3
+
+
+#: What a fit does with a parameter: varies it, holds it, or varies it with a prior.
+FREE, HELD, PRIOR = "free", "held", "prior"
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a fit may take for granted of a parameter."""
+
+    how: str = FREE
+    #: Value and standard error; both or none.
+    prior: float | None = None
+    prior_sigma: float | None = None
+
+    @property
+    def gaussian(self) -> tuple[float, float] | None:
+        """The prior, where it counts."""
+        if self.how != PRIOR or self.prior is None or self.prior_sigma is None:
+            return None
+        return self.prior, self.prior_sigma
+
+    def of(self, parameter: CampaignParameter, value: float) -> CampaignParameter:
+        """The parameter so known; what is held stays at `value`."""
+        prior, sigma = self.gaussian or (None, None)
+        held = self.how == HELD
+        start = value if held else parameter.start
+        return replace(parameter, start=start, prior=prior, prior_sigma=sigma, fixed=held)
+
+
+def known_of(parameter: CampaignParameter | None) -> Known:
+    """What a campaign says of its parameter; None where it says nothing."""
+    if parameter is None:
+        return Known()
+    how = HELD if parameter.fixed else FREE if parameter.prior is None else PRIOR
+    return Known(how, parameter.prior, parameter.prior_sigma)
 
 
 @dataclass(frozen=True)
@@ -35,6 +72,8 @@ class Control:
     coordinate: str = "linear"
     scale: float = 1.0
     meaning: str = ""
+    #: What the campaign says of it.
+    known: Known = Known()
 
     def coordinate_of(self, value: float) -> float:
         """Where a value lies on the slider's axis."""
@@ -52,13 +91,14 @@ class Control:
 
 
 def parameter_control(
-    parameter: CampaignParameter, covered: tuple[float, float] | None = None
+    parameter: CampaignParameter, meaning: str, covered: tuple[float, float] | None = None
 ) -> Control:
-    """Of a parameter that the campaign fits.
+    """Of a parameter that the campaign names.
 
     Parameters
     ----------
     parameter : CampaignParameter
+    meaning : str
     covered : tuple of float, optional
         What simulations cover.
     """
@@ -74,11 +114,10 @@ def parameter_control(
     if name in (ALPHA_SCAT, ALPHA_ABS):
         # log(1 + value / scale) is as good as log(value) where the scale is small
         coordinate, scale = "logarithmic", max(low, _LEAST_PART * high)
-    meaning = ""
-    if parameter.prior is not None:
-        meaning = f"known beforehand: {parameter.prior:g} ± {parameter.prior_sigma:g}"
     title, unit = without_unit(name), unit_of(name) or ""
-    return Control(name, title, unit, low, high, start, coordinate, scale, meaning)
+    return Control(
+        name, title, unit, low, high, start, coordinate, scale, meaning, known_of(parameter)
+    )
 
 
 def effect_control(
@@ -128,6 +167,8 @@ class Settings:
     values: Mapping[str, float] = field(default_factory=dict)
     #: Whether the scale follows the readings.
     fit_scale: bool = True
+    #: By parameter; what is not here is as its control has it.
+    known: Mapping[str, Known] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -152,28 +193,38 @@ class Shown:
 class FitStep:
     """A fit that was made on the page."""
 
-    effects: tuple[str, ...]
+    #: Never used twice.
+    number: int
+    #: What the controls said when it ended, and what was fitted.
+    settings: Settings
+    campaign: Campaign
     calibration: Calibration
+    #: Gaussian knowledge that it used, by parameter.
+    priors: Mapping[str, tuple[float, float]]
+    #: How it differs from the campaign as it came, the effects apart: ``without air``.
+    words: str = ""
 
 
 @dataclass(frozen=True)
 class State:
-    """All that jobs change, replaced as a whole."""
+    """All that jobs and the user change, replaced as a whole; what undoing brings back."""
 
-    #: Rises with every change.
-    number: int = 0
+    #: With the readings as they are in the table.
+    campaign: Campaign
     #: Effects that were simulated; None before the bench as it is was.
     ready: frozenset[str] | None = None
-    #: Of the campaign as it came.
-    baseline: Calibration | None = None
-    #: By the effects switched on: models that were simulated where their fit ended.
-    settled: Mapping[tuple[str, ...], ResponseModel] = field(default_factory=dict)
+    #: Joint simulations where fits ended, by the effects switched on.
+    anchors: Mapping[tuple[str, ...], Anchor] = field(default_factory=dict)
     steps: tuple[FitStep, ...] = ()
+    #: Number of the step beside which the model is shown.
+    compared: int = 0
     diagnosed: Diagnosed | None = None
     #: What the controls should say; pages take them over when `settings_number` rises.
     settings: Settings = field(default_factory=Settings)
-    settings_number: int = 0
     #: Name and content of what is to be downloaded.
     file: tuple[str, bytes] | None = None
-    #: Rises with every file: a page downloads one that it has not had.
-    file_number: int = 0
+
+    @property
+    def beside(self) -> FitStep:
+        """The fit beside which the model is shown; there must be one."""
+        return next((step for step in self.steps if step.number == self.compared), self.steps[0])

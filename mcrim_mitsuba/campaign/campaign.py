@@ -37,6 +37,7 @@ from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
 from mcrim_mitsuba.effects.catalogue import catalogue, effect_of, exclude_each_other
 from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.effects.trust import refuse_untrusted, trust, whose
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.spectrophotometer import (
     BEAM_AXIS,
@@ -81,6 +82,8 @@ class Campaign:
     raw: RawData | None = None
     #: Parameters of the spectrophotometer; none where no reading is a transmittance.
     beam: dict[str, Value] = field(default_factory=dict)
+    #: Whose Python was executed to read it.
+    executed: tuple[str, ...] = ()
 
     @property
     def values(self) -> dict[str, Value]:
@@ -95,8 +98,9 @@ class Campaign:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the reader must know of the raw data before using the numbers."""
-        return () if self.raw is None else self.raw.notes
+        """What the reader must know of scene, effects and raw data before using the numbers."""
+        of_raw_data = () if self.raw is None else self.raw.notes
+        return (*self.scene.notes, *self.executed, *of_raw_data)
 
     @property
     def ndf(self) -> int:
@@ -134,6 +138,14 @@ class Campaign:
         """`effects`, as the catalogue has them."""
         return [self.catalogue[name] for name in self.effects]
 
+    def with_only(self, effects: Iterable[str]) -> Campaign:
+        """The campaign with these of its effects alone, and without what the others bring."""
+        left = tuple(name for name in self.effects if name in effects)
+        kept = {p.name for name in left for p in self.catalogue[name].parameters}
+        gone = {p.name for effect in self.switched_on for p in effect.parameters} - kept
+        parameters = {name: known for name, known in self.parameters.items() if name not in gone}
+        return replace(self, effects=left, parameters=parameters)
+
     def with_effects(self, names: Sequence[str]) -> Campaign:
         """The campaign with more effects switched on, their parameters as the catalogue has them.
 
@@ -162,11 +174,12 @@ def as_campaign(campaign: str | Path | Campaign) -> Campaign:
     return campaign if isinstance(campaign, Campaign) else read_campaign(campaign)
 
 
-def read_campaign(path: str | Path) -> Campaign:
+def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
     """Read a campaign file, its scene and its measurements, and check them together.
 
     Raw data that it names (histograms, spectra) are reduced to readings, priors and efficiency.
-    If the campaign names an ``effects_folder``, the Python files in it are executed.
+    If the campaign names an ``effects_folder``, the Python files in it are executed, if the user
+    allows it (`trust_effects`) or allowed these very files before (`effects.trust`).
 
     Raises InputError if one of the files cannot be used, if an entry is unknown or impossible, or
     if there are more free parameters than readings in use and priors.
@@ -177,7 +190,7 @@ def read_campaign(path: str | Path) -> Campaign:
         raise InputError("this is a scene, not a campaign", mend, path=path)
     document = read_toml(path)
     entries = document.table("", CAMPAIGN)
-    folder = _folder(entries)
+    folder = _folder(entries, trust_effects)
     known = catalogue(folder)
     scene = read_scene(_sibling(entries, "scene"))
     table = read_table(_sibling(entries, "measurements"), scene.parameters)
@@ -212,6 +225,7 @@ def read_campaign(path: str | Path) -> Campaign:
         catalogue=known,
         raw=raw,
         beam=beam,
+        executed=() if folder is None else (whose(folder),),
     )
     if SCALE in campaign.free and all(reading.of_beam for reading in measurements.in_use):
         raise InputError(
@@ -293,8 +307,8 @@ def _sibling(entries: TomlTable, name: str) -> Path:
     return file_in(entries, name, entries[name])
 
 
-def _folder(entries: TomlTable) -> Path | None:
-    """The folder of the user's own effects."""
+def _folder(entries: TomlTable, trusted: bool) -> Path | None:
+    """The folder of the user's own effects, which may be executed."""
     name = "effects_folder"
     if name not in entries:
         return None
@@ -302,6 +316,10 @@ def _folder(entries: TomlTable) -> Path | None:
     if not (is_there(path) and path.is_dir()):
         problem = f"{path} is not a folder"
         raise entries.refusal(name, problem, "paths are relative to the campaign file")
+    if trusted:
+        trust(path)
+    place = entries.refusal(name, "", "")
+    refuse_untrusted(path, place.path, place.line)
     return path
 
 

@@ -10,6 +10,7 @@ import math
 import os
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, MutableMapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -174,7 +175,7 @@ def plain_texts(campaign: Campaign, target: Path, measurements: Path) -> tuple[s
         *_origins(raw),
     ]
     text = "".join(_comments(header)) + _text(document, campaign)
-    return text, _measurements_text(campaign.measurements, raw)
+    return text, _reduced_text(campaign.measurements, raw)
 
 
 def _comments(lines: Iterable[str]) -> Iterator[str]:
@@ -221,8 +222,8 @@ def _parts(contributions: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {part:.2g}" for name, part in contributions.items() if part > 0)
 
 
-def _measurements_text(measurements: Measurements, raw: RawData) -> str:
-    """The measurement file with a signal and its error in every row."""
+def _reduced_text(measurements: Measurements, raw: RawData) -> str:
+    """The measurement file with the numbers that raw data gave."""
     comments = [
         *measurements.comments,
         f"Written by mcrim reduce from {measurements.path.name}; SHA-256 in brackets:",
@@ -231,12 +232,23 @@ def _measurements_text(measurements: Measurements, raw: RawData) -> str:
             for label, reduced in raw.readings.items()
         ),
     ]
+    readings = (
+        replace(r, signal=float(f"{r.signal:.{_DIGITS}g}"), sigma=float(f"{r.sigma:.{_DIGITS}g}"))
+        for r in measurements.readings
+    )
+    return measurements_text(
+        replace(measurements, comments=tuple(comments), readings=tuple(readings))
+    )
+
+
+def measurements_text(measurements: Measurements) -> str:
+    """The text of a measurement file with a signal and its error in every row."""
     readings = measurements.readings
     # cells by column; those of an optional column only where a reading needs it
     cells = {
         "label": [reading.label for reading in readings],
-        "signal": [f"{reading.signal:.{_DIGITS}g}" for reading in readings],
-        "sigma": [f"{reading.sigma:.{_DIGITS}g}" for reading in readings],
+        "signal": [f"{reading.signal:.15g}" for reading in readings],
+        "sigma": [f"{reading.sigma:.15g}" for reading in readings],
     }
     if any(reading.of_beam for reading in readings):
         cells[KIND] = [reading.kind for reading in readings]
@@ -251,7 +263,7 @@ def _measurements_text(measurements: Measurements, raw: RawData) -> str:
         sigmas = (reading.group_sigma for reading in readings)
         cells["group_sigma"] = ["" if sigma is None else f"{sigma:g}" for sigma in sigmas]
     rows = [cells, *zip(*cells.values(), strict=True)]
-    return "".join(_comments(comments)) + "".join(
+    return "".join(_comments(measurements.comments)) + "".join(
         ",".join(map(_quoted, row)) + "\n" for row in rows
     )
 

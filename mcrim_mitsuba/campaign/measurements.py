@@ -10,15 +10,24 @@ from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.files import first_duplicates, is_there, read_text, resolved
+from mcrim_mitsuba.core.files import first_duplicates, is_there, read_table_text, resolved
 from mcrim_mitsuba.core.numbers import Value, parse_number
-from mcrim_mitsuba.core.table_text import csv_cells, shown
+from mcrim_mitsuba.core.table_text import (
+    csv_cells,
+    given_separator,
+    has_decimal_commas,
+    is_number,
+    shown,
+    without_empty_end,
+)
 from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, refused_of_beam
 from mcrim_mitsuba.scene.values import parse_like, parse_value
 
 _LIMIT_MB, _MOST_ROWS, _MOST_COLUMNS = 10, 10_000, 1000
 _NUMBERS = ("signal", "sigma")
 _HISTOGRAM, _WINDOW = "histogram", ("window_low", "window_high")
+#: Columns that hold no numbers.
+_TEXTS = ("label", "histogram", "group", "kind")
 _OPTIONAL = ("use", "group", "group_sigma")
 #: Labels are written into CSV that people open in spreadsheets.
 _FORMULA = re.compile(r"[=@]|[+-][^(|]*[(|]")
@@ -120,12 +129,14 @@ class Measurements:
 def read_table(
     path: str | Path, scene_parameters: Mapping[str, Value] | None = None
 ) -> Measurements:
-    """Read a measurement file (CSV, UTF-8), every row checked by itself and beside its namesakes.
+    """Read a measurement file (CSV), every row checked by itself and beside its namesakes.
 
     Parameters
     ----------
     path : str or Path
-        The file. Columns: label; signal and sigma, or histogram (a file; relative paths begin at
+        The file, as instruments and spreadsheets write it: columns separated by commas, semicolons
+        or tabs, decimal points or commas, in the encodings of `core.files.read_table_text`.
+        Columns: label; signal and sigma, or histogram (a file; relative paths begin at
         this file's folder) with window_low and window_high, or all of them, with the cells of
         one kind empty; optionally use, group with group_sigma, and any scene parameters. Lines
         that begin with # are comments.
@@ -139,11 +150,17 @@ def read_table(
         With file, line and column, if anything cannot be used.
     """
     path = Path(path)
-    comments, lines = [], []
-    for line, text in enumerate(read_text(path, _LIMIT_MB).split("\n"), start=1):
-        if text.lstrip().startswith("#"):
-            comments.append(text.lstrip().lstrip("#").strip())
-        elif text.strip(" \t,"):  # spreadsheets write empty rows as ,,,
+    comments: list[str] = []
+    lines: list[tuple[int, str]] = []
+    texts = read_table_text(path, _LIMIT_MB).split("\n")
+    if given := given_separator(texts[0]):
+        texts[0] = ""
+    for line, text in enumerate(texts, start=1):
+        # spreadsheets write empty rows as ,,, fill rows with these, and put quotes around comments;
+        # below the header a label may begin so
+        if text.lstrip(" \t" if lines else ' \t"').startswith("#"):
+            comments.append(text.strip(' \t",;').lstrip("#").strip())
+        elif text.strip(" \t,;"):
             lines.append((line, text))
     if not lines:
         raise InputError("no header line", "begin with label,signal,sigma", path=path)
@@ -152,12 +169,24 @@ def read_table(
         mend = "is this the file you meant?"
         raise InputError(problem, mend, path=path, line=lines[_MOST_ROWS + 1][0])
     header_line, header = lines[0]
-    columns = _read_header(header, scene_parameters, path, header_line)
+    separator = given or _separator_of(header)
+    columns = without_empty_end(csv_cells(header, path, header_line, separator, skip_blanks=True))
+    _check_header(columns, scene_parameters, path, header_line)
     if scene_parameters is not None and KIND in columns:
         scene_parameters = {**BEAM_PARAMETERS, **scene_parameters}
-    rows = tuple(
-        _Cells(columns, text, path, line).row(scene_parameters) for line, text in lines[1:]
-    )
+    every = [_Cells(columns, text, separator, path, line) for line, text in lines[1:]]
+    numbers = [
+        (cells.line, name, cell)
+        for cells in every
+        for name, cell in cells.items()
+        if name not in _TEXTS and is_number(cell)
+    ]
+    if has_decimal_commas(
+        numbers, lambda *said: InputError(*said[:2], path=path, line=said[2], column=said[3])
+    ):
+        for cells in every:
+            cells.write_points()
+    rows = tuple(cells.row(scene_parameters) for cells in every)
     parameters = tuple(name for name in columns if name not in _FORMAT)
     table = Measurements(path, tuple(comments), parameters, rows)
     _check_labels(table)
@@ -165,21 +194,19 @@ def read_table(
     return table
 
 
-def _read_header(
-    text: str, scene_parameters: Mapping[str, Value] | None, path: Path, line: int
-) -> list[str]:
-    """Names of the columns, checked."""
+def _separator_of(header: str) -> str:
+    """What stands between the names of the columns: what makes most cells of them."""
+    return max(",;\t", key=header.count)
+
+
+def _check_header(
+    columns: list[str], scene_parameters: Mapping[str, Value] | None, path: Path, line: int
+) -> None:
+    """Refuse names of columns that are not known, or do not belong together."""
 
     def refusal(problem: str, mend: str, column: str | int | None = None) -> InputError:
         return InputError(problem, mend, path=path, line=line, column=column)
 
-    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
-        if separator in text and "," not in text:
-            raise refusal(
-                f"the columns are separated by {name}",
-                "separate them by commas and write decimals with a point (export as CSV, English)",
-            )
-    columns = csv_cells(text, path, line, skip_blanks=True)
     if len(columns) > _MOST_COLUMNS:
         raise refusal(f"more than {_MOST_COLUMNS:,} columns", "is this the file you meant?")
     raw = _HISTOGRAM in columns
@@ -206,17 +233,22 @@ def _read_header(
             raise refusal(f"of {first} and {second} only one is there", "give both columns or none")
     if _WINDOW[0] in columns and not raw:
         raise refusal("a window without a column histogram", "remove it, or name histograms")
-    return columns
 
 
 class _Cells(dict[str, str]):
     """Cells of one line by column name."""
 
-    def __init__(self, columns: list[str], text: str, path: Path, line: int) -> None:
+    def __init__(
+        self, columns: list[str], text: str, separator: str, path: Path, line: int
+    ) -> None:
         self.path, self.line = path, line
-        cells = csv_cells(text, path, line, skip_blanks=True)
+        cells = csv_cells(text, path, line, separator, skip_blanks=True)
+        if len(cells) <= _MOST_COLUMNS:
+            # spreadsheets fill rows up
+            cells = cells[: max(len(columns), len(without_empty_end(cells)))]
         if len(cells) != len(columns):
-            decimals = "; decimals take a point, not a comma" if len(cells) > len(columns) else ""
+            uncertain = separator == "," and len(cells) > len(columns)
+            decimals = "; decimals take a point, not a comma" if uncertain else ""
             problem = f"{len(cells)} cells under {len(columns)} columns"
             raise InputError(problem, f"give each column one cell{decimals}", path=path, line=line)
         super().__init__(zip(columns, cells, strict=True))
@@ -258,6 +290,12 @@ class _Cells(dict[str, str]):
             self["label"], signal, sigma, parameters, use == "1", group, group_sigma, self.line,
             histogram, window, kind,
         )  # fmt: skip
+
+    def write_points(self) -> None:
+        """Turn the decimal commas of its numbers into points."""
+        for name, cell in self.items():
+            if name not in _TEXTS and is_number(cell):
+                self[name] = cell.replace(",", ".")
 
     def place(self, name: str) -> dict[str, Any]:
         return {"path": self.path, "line": self.line, "column": name}

@@ -35,7 +35,7 @@ def _listing() -> str:
     return "\b\nThe catalogue:\n" + "\n".join(lines)
 
 
-@click.command(epilog=_listing())
+@click.command(short_help="Write a scene with an effect in it as a new scene.", epilog=_listing())
 @click.argument("effect")
 @options.scene
 @click.option("-o", "--output", "path", metavar="NEW.xml", required=True,
@@ -68,9 +68,7 @@ def add(effect, scene, path, values, folder) -> None:
     for included in dict.fromkeys(old.included):
         if included not in new.included:
             screen.say(f"note: {included.name}, which the scene included, is now part of it")
-    screen.print(
-        f"written to {path}; now let  mcrim check {path}  look at it", markup=False, soft_wrap=True
-    )
+    screen.line(f"written to {path}; now let  mcrim check {path}  look at it")
 
 
 def _refuse_place(scene: SceneFile, path: Path) -> None:

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import click
 
-from mcrim_mitsuba.cli import options
+from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.cli.terminal import console
 
 #: How long the job that is under way may take to notice that the page is closed.
 _PATIENCE_SECONDS = 5.0
 
 
-@click.command()
+@click.command(short_help="Open a campaign in the browser, with sliders and switches.")
 @options.campaign
 @click.option("--port", type=options.Whole(1, 65535), metavar="NUMBER",
               help="Where the page is (default: one that is free).")  # fmt: skip
@@ -31,9 +31,8 @@ def app(campaign, port, no_browser, run) -> None:
     from mcrim_mitsuba.app.access import new_key, serve
     from mcrim_mitsuba.app.page import make_page
     from mcrim_mitsuba.app.session import Session
-    from mcrim_mitsuba.campaign.campaign import read_campaign
 
-    read, key, screen = read_campaign(campaign), new_key(), console()
+    (read, _), key, screen = showing.read_campaign(campaign, None), new_key(), console()
 
     def ready(address: str) -> None:
         screen.line(f"the page is at {address}")

@@ -12,7 +12,7 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
 
 
-@click.command()
+@click.command(short_help="Reduce a campaign's raw data, every step with its errors.")
 @options.campaign
 @click.option("-o", "--output", "path", metavar="NEW.toml",
               help="The campaign in plain numbers, its readings beside it (NEW.csv).")  # fmt: skip
@@ -58,7 +58,7 @@ def reduce(campaign, path, figure, json_file) -> None:
     screen.line(f"Next: {showing.command('calibrate', path or campaign)}", style="bold")
 
 
-@click.command()
+@click.command(short_help="Fit a campaign: scattering coefficient and light yield.")
 @options.campaign
 @options.figure("readings with their pulls (and NAME_profiles, the profile likelihoods, and "
                 "NAME_budget, the error budget)")  # fmt: skip
@@ -75,26 +75,58 @@ def calibrate(campaign, figure, json_file, work) -> None:
     read, _ = showing.read_campaign(campaign, json_file, figure, "profiles", "budget")
     with work.begin() as run:
         found = mcrim.calibrate(read, run=run)
-    showing.answer(found, json_file, figure)
+    screen = showing.answer(found, json_file, figure)
+    screen.line(f"Next: {_after_calibration(campaign, found)}", style="bold")
 
 
-@click.command()
-@options.campaign
+def _after_calibration(campaign: str, fit) -> str:
+    from mcrim_mitsuba.output.findings import fails
+
+    if fails(fit):
+        return f"{showing.command('compare', campaign)} for where the model fails"
+    return (
+        f"{showing.command('diagnose', campaign)} for what could be missing, or "
+        f"{showing.command('budget', campaign)} for where the errors come from"
+    )
+
+
+@click.command(short_help="Show where a campaign's model fails.")
+@options.campaigns
 @options.figure("readings, predictions and pulls")
 @options.effect_photons
 @options.work
-def compare(campaign, figure, json_file, work) -> None:
+def compare(campaigns, figure, json_file, work) -> None:
     """Show where the model of CAMPAIGN (TOML) fails to describe its readings.
 
     Pulls are (reading - prediction) in standard errors; those from the others compare with a
     fit to all other readings. Suspect readings are named before physics is blamed.
+
+    With two or three campaigns of the same readings: which of these hypotheses the readings
+    prefer, side by side, and at which readings they differ most. Scenes, effects and priors may
+    differ.
     """
-    read, _ = showing.read_campaign(campaign, json_file, figure)
+    read = [showing.read_campaign(one, json_file, figure)[0] for one in campaigns]
     with work.begin() as run:
-        found = mcrim.compare(read, run=run)
+        found = mcrim.compare(*read, run=run)
     screen = showing.answer(found, json_file, figure)
-    next_step = _after_comparison(campaign, read.measurements.path, found)
+    next_step = (
+        _after_hypotheses(found) if len(read) > 1
+        else _after_comparison(campaigns[0], read[0].measurements.path, found)
+    )  # fmt: skip
     screen.line(f"Next: {next_step}", style="bold")
+
+
+def _after_hypotheses(compared) -> str:
+    from mcrim_mitsuba.inference.diagnose import AMBIGUOUS, UNEXPLAINED
+    from mcrim_mitsuba.output.findings import most_apart
+
+    best = compared.named[compared.leading[0]].campaign
+    if compared.verdict == UNEXPLAINED:
+        return f"{showing.command('diagnose', best)} for what else could be missing"
+    if compared.verdict == AMBIGUOUS:
+        where = f"measure {most_apart(compared)[0]} again, with a smaller error"
+        return f"{where}; or {showing.command('diagnose', best)} for what else would tell"
+    return f"{showing.command('calibrate', best)} for the light yield"
 
 
 def _after_comparison(campaign: str, measurements: Path, comparison) -> str:
@@ -119,7 +151,7 @@ def _after_comparison(campaign: str, measurements: Path, comparison) -> str:
     )
 
 
-@click.command()
+@click.command(short_help="Rank effects as explanations of a campaign's misfit.")
 @options.campaign
 @click.option("--without", metavar="EFFECT[,EFFECT]", default="", help="Leave these out.")
 @click.option("--only", metavar="EFFECT[,EFFECT]", default="", help="Try these alone.")
@@ -171,7 +203,7 @@ def _after_diagnosis(campaign: str, diagnosis) -> str:
     )
 
 
-@click.command()
+@click.command(short_help="Add effects to a campaign while the data justify it.")
 @options.campaign
 @click.option("-o", "--output", "path", metavar="NEW.toml", required=True,
               help="The mended campaign; its scene is written beside it, as NEW.xml. Never "
@@ -188,7 +220,7 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
     Writes a campaign and a scene with the effects in them, to go on from.
     """
     from mcrim_mitsuba.output import descriptions
-    from mcrim_mitsuba.output.described import rich_table
+    from mcrim_mitsuba.output.described import rich_tables
 
     scene = Path(path).parent / f"{Path(path).stem}.xml"
     written = {"--output": (path, (".toml",)), "the scene of --output": (str(scene), (".xml",))}
@@ -198,11 +230,11 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
     # a table that grows in a terminal, lines elsewhere
     live = sys.stdout.isatty() and sys.stderr.isatty() and not screen.quiet
     steps: list = []
-    growing = Group(rich_table(descriptions.steps_table(steps)))
+    growing = Group()
 
     def show(step) -> None:
         steps.append(step)
-        growing.renderables[:] = [rich_table(descriptions.steps_table(steps))]
+        growing.renderables[:] = rich_tables(descriptions.steps_table(steps), screen.room)
         if not live:
             screen.line(descriptions.step_text(step))
 
@@ -219,7 +251,7 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
     screen.line(next_step, style="bold")
 
 
-@click.command()
+@click.command(short_help="Diagnose and mend a campaign, and write it all as a page.")
 @options.campaign
 @click.option("-o", "--output", "path", metavar="REPORT.html", required=True,
               help="The page; replaces only another HTML file.")  # fmt: skip
@@ -240,7 +272,7 @@ def report(campaign, path, json_file, work) -> None:
     screen.line(f"{found.path} was written: open it in a browser", style="bold")
 
 
-@click.command()
+@click.command(short_help="Show where a campaign's errors come from.")
 @options.campaign
 @click.option("--material", metavar="NAME",
               help="What the crystal is made of, such as CaMoO4 (default: what the campaign says): "

@@ -15,7 +15,7 @@ from mcrim_mitsuba.runs.executors import use_executor
 _MOST_NAMED = 12
 
 
-@click.command()
+@click.command(short_help="Put the parts of an array job together.")
 @click.argument("folder", default=DEFAULT_FOLDER)
 @click.pass_context
 def merge(context, folder) -> int:

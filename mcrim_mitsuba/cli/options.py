@@ -264,7 +264,35 @@ def _read_variant(ctx, param, value) -> str:
 
 
 scene = click.argument("scene", type=click.Path(path_type=str))
-campaign = click.argument("campaign", type=click.Path(path_type=str))
+
+
+#: Where the command's context keeps whether effects may be executed unasked.
+TRUST = "trust_effects"
+
+
+def _remember_trust(ctx, param, value) -> None:
+    ctx.meta[TRUST] = value
+
+
+def _reads_campaigns(argument: Callable) -> Callable:
+    """An argument, with ``--trust-effects`` for `showing.read_campaign`."""
+    trust = click.option(
+        "--trust-effects", is_flag=True, expose_value=False, callback=_remember_trust,
+        help="Execute the Python in the campaign's effects_folder without being asked.",
+    )  # fmt: skip
+    return lambda function: argument(trust(function))
+
+
+campaign = _reads_campaigns(click.argument("campaign", type=click.Path(path_type=str)))
+campaigns = _reads_campaigns(
+    click.argument(
+        "campaigns",
+        nargs=-1,
+        required=True,
+        type=click.Path(path_type=str),
+        metavar="CAMPAIGN [CAMPAIGN [CAMPAIGN]]",
+    )
+)
 
 #: How ``--photons`` is explained where effects are tried: the default, and what it counts.
 PHOTONS = "2.6e5 of each simulation with an effect in the scene"

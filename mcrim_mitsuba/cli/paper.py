@@ -8,7 +8,7 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.files import make_folder, refuse_outputs
 
 
-@click.command()
+@click.command(short_help="Reproduce the article: its numbers beside ours.")
 @click.option("-o", "--output", "folder", default="mcrim_paper", show_default=True,
               metavar="FOLDER", help="Where the figures go: PNG, PDF and CSV.")  # fmt: skip
 @click.option("--photons", type=options.PhotonCount(), metavar="COUNT",

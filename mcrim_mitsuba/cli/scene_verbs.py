@@ -19,7 +19,7 @@ from mcrim_mitsuba.output import documents, scene_descriptions
 from mcrim_mitsuba.transport.launch_plan import LANES
 
 
-@click.command()
+@click.command(short_help="List or copy the scenes and campaigns of the package.")
 @click.option("-o", "--output", "folder", metavar="FOLDER",
               help="Copy all of them there, to be edited; replaces nothing.")  # fmt: skip
 def scenes(folder) -> None:
@@ -36,7 +36,7 @@ def scenes(folder) -> None:
     click.echo(f"{len(copies)} files were copied to {folder}. Next: mcrim check {scene}")
 
 
-@click.command()
+@click.command(short_help="JSON schema of a campaign, for completion in editors.")
 @click.option("-o", "--output", "path", metavar="FILE.json", default="-", show_default=True,
               help="File to write; - for the screen.")  # fmt: skip
 def schema(path) -> None:
@@ -51,7 +51,7 @@ def schema(path) -> None:
     terminal.write_json(path, json_schema())
 
 
-@click.command()
+@click.command(short_help="Check a scene and say what it means.")
 @click.argument("scene", required=False)
 @options.defines
 @click.option("-o", "--output", "picture", metavar="FILE",
@@ -80,15 +80,15 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
 
         write_cross_section(found.plot(), picture)
     screen = terminal.console(json_file)
-    screen.show(*found.described.parts)
+    showing.show(screen, found.described)
     if not found.ok:
         raise found.problems[0].error()
     if picture:
-        screen.print(f"cross-section drawn to {picture}", markup=False)
-    screen.print("the scene is sound")
+        screen.line(f"cross-section drawn to {picture}")
+    screen.line("the scene is sound")
 
 
-@click.command()
+@click.command(short_help="Light collection efficiency of a scene, with all fates.")
 @options.scene
 @options.defines
 @options.photons("2e6", at_most=True)
@@ -96,7 +96,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
 @options.method
 @options.figure(
     "where the light arrives on the detector, and at which angle (and which fates light meets, "
-    "NAME_fates), from photons of their own, as many but 4e6 at most"
+    "NAME_fates), from the run's photons, the first 4e6 of more"
 )
 @options.work
 def simulate(scene, overrides, method, figure, json_file, work) -> None:
@@ -140,7 +140,7 @@ def axes_options(function):
     return function
 
 
-@click.command()
+@click.command(short_help="Table of the light collection efficiency of a scene.")
 @options.scene
 @axes_options
 @click.option("--axis", "axes", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
@@ -171,7 +171,7 @@ def table(scene, axes, path, overrides, method, json_file, work, **own) -> None:
     coefficients = {"alpha_scat": ALPHA_SCAT, "alpha_abs": ALPHA_ABS}
     said = [f"{word} {_abbreviated(lists[name])} /cm" for word, name in coefficients.items()]
     said += [f"{n} {_abbreviated(v)}" for n, v in lists.items() if n not in coefficients.values()]
-    screen.print("; ".join(said), markup=False, soft_wrap=True)
+    screen.line("; ".join(said))
     with work.begin() as run:
         made = mcrim.table(file, run=run, method=method, **lists)
     if path and path.lower().endswith(".nc"):
@@ -196,7 +196,7 @@ def _abbreviated(values: list[float]) -> str:
     return ", ".join(texts)
 
 
-@click.command()
+@click.command(short_help="Run a scene in Mitsuba and in an independent tracer.")
 @options.scene
 @options.defines
 @options.photons("1e6 in the NumPy tracer, four times as many in Mitsuba")
@@ -211,7 +211,7 @@ def crosscheck(scene, overrides, run, json_file) -> int:
     return 0 if found.agrees else 1
 
 
-@click.command()
+@click.command(short_help="Photograph a scene, whole and taken apart.")
 @options.scene
 @click.option("-o", "--output", "picture", metavar="PICTURE.png", required=True,
               help="The picture, a .png of 1800 x 1150 pixels.")  # fmt: skip

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import shlex
+import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+import click
+
 import mcrim_mitsuba as mcrim
-from mcrim_mitsuba.cli import terminal
+from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.terminal import Screen
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there
@@ -34,7 +37,7 @@ def read_campaign(
     They are looked at before the campaign is read, and again when its files are known.
     """
     refuse_places(json_file, [campaign], figure, *endings, written=written)
-    read = mcrim.read_campaign(campaign)
+    read = _read_trusted(campaign)
     raw = () if read.raw is None else read.raw.files
     files = [
         campaign, read.scene.path, *read.scene.included, read.measurements.path,
@@ -42,6 +45,24 @@ def read_campaign(
     ]  # fmt: skip
     refuse_places(json_file, files, figure, *endings, written=written)
     return read, files
+
+
+def _read_trusted(campaign: str):
+    """A campaign; where it brings Python that nobody has allowed yet, the user is asked."""
+    from mcrim_mitsuba.effects.trust import UntrustedEffectsError, trust
+
+    trusted = click.get_current_context().meta[options.TRUST]
+    try:
+        return mcrim.read_campaign(campaign, trust_effects=trusted)
+    except UntrustedEffectsError as error:
+        if not (sys.stdin.isatty() and sys.stderr.isatty()):
+            raise
+        terminal.console("-").say(f"{error.place}: {error.problem}")
+        asked = "A campaign of somebody else is a program of theirs. Execute it, now and later?"
+        if not click.confirm(asked, err=True):
+            raise
+        trust(error.folder, keep=True)
+    return mcrim.read_campaign(campaign)
 
 
 def refuse_places(

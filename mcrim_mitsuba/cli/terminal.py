@@ -29,7 +29,7 @@ from rich.text import Text
 
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import NONBLOCK, STDOUT, json_text, silence_stdout, write_text
-from mcrim_mitsuba.output.described import UNLIMITED, Part, renderables
+from mcrim_mitsuba.output.described import UNLIMITED, Part, renderables, sentence
 from mcrim_mitsuba.runs.array_job import PartDoneError
 from mcrim_mitsuba.runs.executors import log
 
@@ -133,21 +133,26 @@ class Screen(Console):
         for text, style, control in super().render(renderable, options):
             yield Segment(text if control else visible(text, keep="\n"), style, control)
 
+    @property
+    def room(self) -> int:
+        """Characters of a line; in a terminal, sentences are broken between words."""
+        return min(self.width, UNLIMITED - 1) if self.is_terminal else UNLIMITED
+
     def say(self, line: str) -> None:
         """One line that must be seen: on standard error where standard output is a file's."""
         # A new one: this one keeps everything else off standard error.
         place = Screen(stderr=True, highlight=False) if self.stderr else self
-        place.print(line, markup=False, emoji=False, soft_wrap=True)
+        place.line(line)
 
     def line(  # type: ignore[override]  # rich asks only the console of a Live for empty lines
         self, text: str, style: str = ""
     ) -> None:
-        """One sentence as it is, labels that look like markup too: terminals wrap it, pipes not."""
-        self.print(Text(text, style=style), soft_wrap=True)
+        """One sentence as it is, labels that look like markup too."""
+        self.print(sentence(text, self.room, style), soft_wrap=True)
 
     def show(self, *parts: Part) -> None:
         """Tables and sentences of a result."""
-        for shown in renderables(parts, self.width):
+        for shown in renderables(parts, self.room):
             self.print(shown, soft_wrap=isinstance(shown, Text))
 
     def say_notes(self, notes: Iterable[str]) -> None:

@@ -31,8 +31,9 @@ from mcrim_mitsuba.core.numbers import LARGEST, SMALLEST
 from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.core.table_text import (
     BLANKS,
-    MAY_BE_THOUSANDS,
     SEPARATE,
+    given_separator,
+    has_decimal_commas,
     is_number,
     is_spoilt,
     name_and_unit,
@@ -46,7 +47,6 @@ from mcrim_mitsuba.core.table_text import (
 )
 
 _MOST_LINES, _LONGEST_LINE = 2_000_000, 100_000
-_SEP_LINE = re.compile(r'"?sep=(.)"?[;,\t ]*', re.IGNORECASE)
 _LEADING_ZERO = re.compile(r"[+-]?0\d+", re.ASCII)
 _WHOLE = re.compile(r"[+-]?\d+([eE][+-]?\d+)?", re.ASCII)
 #: In a line of units, these are some too.
@@ -115,12 +115,12 @@ def read_data_table(
     if long is not None:
         problem = f"a line of more than {_LONGEST_LINE:,} characters"
         raise InputError(problem, "write one row a line", path=path, line=long + 1)
-    given = _SEP_LINE.fullmatch(texts[0].strip())
+    given = given_separator(texts[0])
     if given:
         texts[0] = ""
     numbered = list(_whole_lines(texts))
     plain = [text for _, text in numbered if text.strip() and not _is_comment(text)]
-    separator = given[1] if given else separator_of(plain)
+    separator = given or separator_of(plain)
     lines = [_line_of(number, text, separator) for number, text in numbered]
     first, last = _longest_run(lines, path, roles)
     rows = [line for line in lines[first:last] if line.kind == ROW]
@@ -202,31 +202,8 @@ def _refuse_uncertain_commas(rows: list[_Line], names: Sequence[str] | None, pat
 
 def _numbers(rows: list[_Line], columns: _Columns) -> NDArray[np.float64]:
     """(rows, columns) of the cells, one decimal sign all through."""
-    comma = point = None
-    thousands = True
-    for row in rows:
-        for column, cell in enumerate(row.cells):
-            if "," in cell:
-                comma = comma or (row, column)
-                thousands = thousands and MAY_BE_THOUSANDS.fullmatch(cell) is not None
-            elif "." in cell:
-                point = point or (row, column)
-            if comma and point:
-                # what is read now is one of the two
-                first, place = point if comma == (row, column) else comma
-                raise columns.refusal(
-                    f"{shown(cell)} after {shown(first.cells[place])}: decimal commas and points "
-                    "in one table",
-                    "write all numbers with a decimal point", row.number, column,
-                )  # fmt: skip
-    if comma and thousands:
-        row, column = comma
-        text = row.cells[column]
-        raise columns.refusal(
-            f"{shown(text)} is {text.replace(',', '.')} or {text.replace(',', '')}: all commas of "
-            "this table may be either",
-            "write decimal points, and no thousands separators", row.number, column,
-        )  # fmt: skip
+    placed = ((row.number, i, cell) for row in rows for i, cell in enumerate(row.cells))
+    comma = has_decimal_commas(placed, columns.refusal)
     cells = (cell.replace(",", ".") if comma else cell for row in rows for cell in row.cells)
     values = np.fromiter(map(float, cells), float).reshape(len(rows), -1)
     sizes = np.abs(values)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from mcrim_mitsuba.core.errors import InputError
 
@@ -104,6 +105,7 @@ _SEPARATORS = (";", "\t", ",", BLANKS)
 #: Lines that decide on the separator, at most.
 _MOST_TRIED = 2000
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\d*[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
+_SEP_LINE = re.compile(r'"?sep=(.)"?[;,\t ]*', re.IGNORECASE)
 _QUOTED_OR_WORD = re.compile(r'"[^"]*"|[^\s"]+')
 _SPOILT = re.compile(r"[+-]?[.,]?\d", re.ASCII)
 _DATE_OR_TIME = re.compile(r"\d+[-/:.]\d+[-/:.]\d+.*|\d+:\d+.*", re.ASCII)
@@ -163,10 +165,12 @@ def split(text: str, separator: str) -> list[str]:
     return [cell.strip().replace("\u2212", "-") for cell in cells]
 
 
-def csv_cells(text: str, path: Path, line: int, *, skip_blanks: bool = False) -> list[str]:
+def csv_cells(
+    text: str, path: Path, line: int, separator: str = ",", *, skip_blanks: bool = False
+) -> list[str]:
     """Cells of one line of CSV; a quoted cell cannot go on in the next.
 
-    Quotes may follow a comma and blanks where these are skipped.
+    Quotes may follow a separator and blanks where these are skipped.
 
     Raises
     ------
@@ -174,11 +178,66 @@ def csv_cells(text: str, path: Path, line: int, *, skip_blanks: bool = False) ->
         If quotes do not match.
     """
     try:
-        cells = next(csv.reader([text], strict=True, skipinitialspace=skip_blanks))
+        cells = next(
+            csv.reader([text], delimiter=separator, strict=True, skipinitialspace=skip_blanks)
+        )
     except csv.Error as error:
         problem = f"not a CSV line ({error})"
         raise InputError(problem, "check the quotation marks", path=path, line=line) from None
     return [cell.strip() for cell in cells]
+
+
+Named = TypeVar("Named", int, str)
+
+
+def has_decimal_commas(
+    cells: Iterable[tuple[int, Named, str]],
+    refusal: Callable[[str, str, int, Named], InputError],
+) -> bool:
+    """Whether the numbers of a table have decimal commas: one sign all through.
+
+    Parameters
+    ----------
+    cells : iterable of (int, int or str, str)
+        Line, column and text of every cell that is to be a number.
+    refusal : callable
+        The error of a problem and its mend at a line and a column.
+
+    Raises
+    ------
+    InputError
+        If both signs are there, or all commas may as well separate thousands.
+    """
+    comma = point = None
+    thousands = True
+    for place in cells:
+        cell = place[2]
+        if "," in cell:
+            comma = comma or place
+            thousands = thousands and MAY_BE_THOUSANDS.fullmatch(cell) is not None
+        elif "." in cell:
+            point = point or place
+        if comma and point:
+            # what is read now is one of the two
+            first = point if comma is place else comma
+            raise refusal(
+                f"{shown(cell)} after {shown(first[2])}: decimal commas and points in one table",
+                "write all numbers with a decimal point", *place[:2],
+            )  # fmt: skip
+    if comma and thousands:
+        text = comma[2]
+        raise refusal(
+            f"{shown(text)} is {text.replace(',', '.')} or {text.replace(',', '')}: all commas of "
+            "this table may be either",
+            "write decimal points, and no thousands separators", *comma[:2],
+        )  # fmt: skip
+    return comma is not None
+
+
+def given_separator(line: str) -> str | None:
+    """The sign that Excel's first line ``sep=;`` gives; None where this is no such line."""
+    found = _SEP_LINE.fullmatch(line.strip())
+    return found[1] if found else None
 
 
 def separator_of(lines: Sequence[str]) -> str:

@@ -14,6 +14,7 @@ The path of a campaign, a module per step:
 - `explanations`: fits with effects added, and what chance gains; `candidates`: every
   effect as an explanation, limits, what to measure next;
 - `diagnose`: what all this says, and the steps in their order (`diagnose`, `Judgement`);
+- `hypotheses`: campaigns of the same readings side by side (`compare_hypotheses`, `SideBySide`);
 - `repair`: the mended campaign and scene, written.
 
 Besides: `budget` (where errors come from, with what is `neglected`), `plan` (what to measure), and

@@ -95,16 +95,21 @@ def size(absent: float, plausible: tuple[float, float], low: float, high: float)
         Where the effect is not there; where the plausible range is on one side only, all is there.
     plausible : tuple of float
     low, high : float
-        Range in which the effect is defined.
+        Range in which the effect is defined, or which a campaign allows: without the absence too.
     """
     end = float(stdtrit(_TAILS, 0.5 + 0.5 * _PLAUSIBLE_PART))
     widths = [max(absent - plausible[0], 0.0) / end, max(plausible[1] - absent, 0.0) / end]
-    parts = [0.5 * (width > 0) for width in widths]
-    # cut off at the range, each side by itself
-    inside = [
-        2.0 * float(stdtr(_TAILS, side / width if width > 0 else 0.0)) - 1.0
-        for side, width in zip((absent - low, high - absent), widths, strict=True)
-    ]
+    # cut off at the range, each side by itself: where it begins and where it ends
+    (begin_below, end_below), (begin_above, end_above) = (
+        [
+            2.0 * float(stdtr(_TAILS, max(at, 0.0) / width if width > 0 else 0.0)) - 1.0
+            for at in ends
+        ]
+        for width, ends in zip(
+            widths, ((absent - high, absent - low), (low - absent, high - absent)), strict=True
+        )
+    )
+    parts = [0.5 * (end_below > begin_below), 0.5 * (end_above > begin_above)]
     share = parts[0] / sum(parts)
 
     def quantile(u: Array) -> Array:
@@ -112,8 +117,9 @@ def size(absent: float, plausible: tuple[float, float], low: float, high: float)
         part = np.where(
             below, (share - u) / max(share, 1e-300), (u - share) / max(1 - share, 1e-300)
         )
-        reach = np.where(below, inside[0], inside[1])
-        away = stdtrit(_TAILS, np.minimum(0.5 + 0.5 * reach * part, 1.0 - 1e-16))
+        begin = np.where(below, begin_below, begin_above)
+        reach = np.where(below, end_below, end_above) - begin
+        away = stdtrit(_TAILS, np.minimum(0.5 + 0.5 * (begin + reach * part), 1.0 - 1e-16))
         return absent + np.where(below, -widths[0] * away, widths[1] * away)
 
     return PriorDensity(quantile)

@@ -71,6 +71,9 @@ class Explanations:
         See `Models`.
     effects : mapping of str to Effect
         That may be added.
+    scale : float, optional
+        Around which the scale's prior lies; that of the baseline by default. Evidences of several
+        campaigns compare where it is the same for all.
 
     Attributes
     ----------
@@ -80,7 +83,9 @@ class Explanations:
         Effects that cannot be fitted here, with the reason.
     """
 
-    def __init__(self, models: Models, effects: Mapping[str, Effect]) -> None:
+    def __init__(
+        self, models: Models, effects: Mapping[str, Effect], scale: float | None = None
+    ) -> None:
         self._models = models
         self.effects = dict(effects)
         self._coordinates = {
@@ -94,6 +99,7 @@ class Explanations:
         # an effect may be one of the scene's parameters off its nominal value
         self._scene = self.problem(()).model.campaign.values
         self.baseline = fit_from_scratch(self.problem(()))
+        self.scale = self.baseline.values.get(SCALE) if scale is None else scale
         self._fits[()] = self.baseline
 
     def problem(self, added: Iterable[str]) -> LeastSquaresProblem:
@@ -210,14 +216,18 @@ class Explanations:
         for known in self.problem(added).free:
             effect = of_effects.get(known.name)
             if effect is not None and known.prior is None:
-                low, high = known.minimum, known.maximum
-                if effect.absent is None or not math.isfinite(effect.absent):
-                    found[known.name] = even(*plausible[known.name])
-                    continue
-                absent = effect.origin(self._scene) + effect.absent
-                found[known.name] = size(absent, plausible[known.name], low, high)
+                usual, (low, high) = plausible[known.name], (known.minimum, known.maximum)
+                least, most = max(usual[0], low), min(usual[1], high)
+                if not least < most:  # a campaign asks for what is not usual
+                    found[known.name] = of_parameter(known)
+                elif effect.absent is None or not math.isfinite(effect.absent):
+                    found[known.name] = even(least, most)
+                else:
+                    absent = effect.origin(self._scene) + effect.absent
+                    found[known.name] = size(absent, usual, low, high)
             elif known.name == SCALE and known.prior is None:
-                found[known.name] = around(self.baseline.values[SCALE])
+                assert self.scale is not None  # it is free
+                found[known.name] = around(self.scale)
             else:
                 found[known.name] = of_parameter(known)
         return found

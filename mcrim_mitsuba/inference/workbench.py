@@ -135,6 +135,10 @@ class Workbench:
         """The campaign's model with more effects than its own switched on."""
         return self._model(self.campaign.with_effects(effects).with_starts(starts or {}))
 
+    def reduced_model(self, effects: Sequence[str]) -> ResponseModel:
+        """The campaign's model with these of its own effects alone."""
+        return self._model(self.campaign.with_only(effects))
+
     def _model(self, campaign: Campaign) -> ResponseModel:
         return ResponseModel(campaign, self.responses, campaign.switched_on)
 

@@ -8,12 +8,14 @@ them. `descriptions` makes one of every result; `text`, `renderables` (of rich),
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable, Iterator
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
-from rich.console import Console, RenderableType
+from rich.cells import cell_len
+from rich.console import Console, JustifyMethod, RenderableType
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -23,9 +25,7 @@ from mcrim_mitsuba.core.rounding import pdg
 if TYPE_CHECKING:
     import pandas
 
-#: Characters of a terminal from which tables show all their columns.
-WIDE = 150
-#: Characters of what has no width of its own, such as a pipe: tables are never cut there.
+#: Characters of what has no width of its own, such as a pipe: its sentences are never broken.
 UNLIMITED = 200
 
 
@@ -38,8 +38,6 @@ class Column:
     #: As a data frame has it; the error of NAME is NAME_sigma. Empty: as the title.
     name: str = ""
     left: bool = False
-    #: Whether it is left out where there is no room.
-    wide: bool = False
 
 
 @dataclass(frozen=True)
@@ -91,8 +89,6 @@ class Sentence:
     text: str
     #: Whether it is to be looked at first.
     strong: bool = False
-    #: Whether it is said only where columns are left out.
-    narrow: bool = False
 
 
 #: What a description is made of.
@@ -157,45 +153,109 @@ def listed(heading: str, sentences: Iterable[str]) -> Iterator[Sentence]:
         yield Sentence(f"- {sentence}")
 
 
-# In a terminal, by rich.
+# In a terminal, by rich: no word is cut there, and no number parted from its error.
+
+#: What is never broken: a word, or numbers with the signs of their errors between them.
+_WORD = re.compile(r"\S+(?: ± \S+)*")
+#: Characters that a table takes for a column beside its text, and for its last line.
+_RULES, _END = 3, 1
+
+
+def wrapped(content: str, width: int) -> str:
+    """A text with line ends between its words; only words longer than the width are cut."""
+    return "\n".join(line for one in content.split("\n") for line in _lines(one, width))
+
+
+def _lines(content: str, width: int) -> Iterator[str]:
+    if width >= UNLIMITED or cell_len(content) <= width:
+        yield content
+        return
+    margin = "  " if content.startswith("- ") else ""
+    line = ""
+    for word in _WORD.findall(content):
+        if line.strip() and cell_len(line) + 1 + cell_len(word) > width:
+            yield line
+            line = margin
+        line += f" {word}" if line.strip() else word
+        while cell_len(line) > width:
+            yield line[:width]
+            line = margin + line[width:]
+    yield line
+
+
+def sentence(content: str, width: int, style: str = "") -> Text:
+    """A sentence for rich, for a terminal of so many characters."""
+    return Text(wrapped(visible(content, keep="\n"), width), style=style)
 
 
 def renderables(parts: Iterable[Part], width: int) -> Iterator[RenderableType]:
     """What rich prints, for a terminal of so many characters."""
     for part in parts:
         if isinstance(part, Table):
-            yield rich_table(part, wide=width >= WIDE)
-        elif not part.narrow or width < WIDE:
-            yield Text(part.text, style="bold" if part.strong else "")
+            yield from rich_tables(part, width)
+        else:
+            yield sentence(part.text, width, "bold" if part.strong else "")
 
 
-def rich_table(given: Table, *, wide: bool = True) -> RichTable:
-    """A table for rich; its cells are shown as they are, what looks like markup or an emoji too."""
-    made = RichTable(title=given.title or None, title_justify="left", title_style="bold")
-    places = [at for at, column in enumerate(given.columns) if wide or not column.wide]
-    for at in places:
-        column = given.columns[at]
-        made.add_column(
-            Text(visible(column.title)), justify="left" if at == 0 or column.left else "right",
-            overflow="fold",
-        )  # fmt: skip
-    for number, one in enumerate((*given.rows, *given.sums)):
-        if number == len(given.rows):
-            made.add_section()
-        texts = (Text(visible(one.cells[at].text, keep="\n")) for at in places)
-        made.add_row(*texts, style="bold" if one.strong else "")
-    return made
+def rich_tables(given: Table, width: int) -> Iterator[RichTable]:
+    """A table for rich; where it is too wide, several with the same first column.
+
+    Its cells are shown as they are, what looks like markup or an emoji too.
+    """
+    lines = [[column.title for column in given.columns]]
+    lines += [[cell.text for cell in one.cells] for one in (*given.rows, *given.sums)]
+    columns = [[visible(content, keep="\n") for content in one] for one in zip(*lines, strict=True)]
+    usual, least = [], []
+    for at, (column, (head, *cells)) in enumerate(zip(given.columns, columns, strict=True)):
+        widest = max((cell_len(one) for c in cells for one in c.split("\n")), default=0)
+        breakable = (head, *cells) if at == 0 or column.left else (head,)
+        words = max((cell_len(word) for c in breakable for word in _WORD.findall(c)), default=0)
+        usual.append(max(widest, cell_len(head)))
+        least.append(words if len(breakable) > 1 else max(words, widest))
+    for place, block in enumerate(_blocks(least, width)):
+        room = width - _END - _RULES * len(block) - sum(least[at] for at in block)
+        wide = {at: least[at] for at in block}
+        # what wants little gets it
+        by_need = sorted(block, key=lambda at: usual[at] - least[at])
+        for left, at in zip(range(len(block), 0, -1), by_need, strict=True):
+            more = min(usual[at] - least[at], max(room, 0) // left)
+            wide[at], room = wide[at] + more, room - more
+        title = f"{given.title}, continued" if place and given.title else given.title
+        made = RichTable(title=title or None, title_justify="left", title_style="bold")
+        for at in block:
+            columns[at] = [wrapped(content, wide[at]) for content in columns[at]]
+            side: JustifyMethod = "left" if at == 0 or given.columns[at].left else "right"
+            made.add_column(Text(columns[at][0]), justify=side, no_wrap=True, overflow="fold")
+        for number, one in enumerate((*given.rows, *given.sums), start=1):
+            if number == len(given.rows) + 1:
+                made.add_section()
+            texts = [columns[at][number] for at in block]
+            if place == 0 or any(texts[1:]):
+                made.add_row(*map(Text, texts), style="bold" if one.strong else "")
+        yield made
+
+
+def _blocks(least: Sequence[int], width: int) -> list[list[int]]:
+    """Which columns stand beside each other: the first, with as many others as there is room."""
+    blocks: list[list[int]] = [[0]]
+    for at in range(1, len(least)):
+        block = [*blocks[-1], at]
+        taken = _END + sum(_RULES + least[one] for one in block)
+        if taken > width and len(block) > 2:
+            blocks.append([0, at])
+        else:
+            blocks[-1] = block
+    return blocks
 
 
 def text(described: Described, width: int = UNLIMITED) -> str:
     """The whole as lines of text."""
     stream = io.StringIO()
     console = Console(file=stream, width=width, highlight=False)
-    for part in renderables(described.parts, width):
+    said = (described.spent, *(f"note: {note}" for note in described.notes))
+    parts = (*described.parts, *(Sentence(line) for line in said if line))
+    for part in renderables(parts, width):
         console.print(part, soft_wrap=isinstance(part, Text))
-    for line in (described.spent, *(f"note: {note}" for note in described.notes)):
-        if line:
-            console.print(Text(visible(line)), soft_wrap=True)
     return "\n".join(line.rstrip() for line in stream.getvalue().rstrip("\n").split("\n"))
 
 
@@ -211,7 +271,7 @@ def html(described: Described) -> Markup:
 
 
 def _html_line(sentence: Sentence) -> Markup:
-    return Markup("") if sentence.narrow else _line(sentence.text, sentence.strong)
+    return _line(sentence.text, sentence.strong)
 
 
 def _line(content: str, strong: bool = False) -> Markup:

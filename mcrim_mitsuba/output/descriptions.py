@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import number, p_text, pdg, pdg_parts, percent, probability
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.profiles import profiles_of
 from mcrim_mitsuba.output import findings
 from mcrim_mitsuba.output.described import (
     Cell,
@@ -34,8 +35,10 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis, RepairStep
     from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
     from mcrim_mitsuba.inference.fit import Calibration
+    from mcrim_mitsuba.inference.hypotheses import FittedHypothesis, HypothesesCompared
     from mcrim_mitsuba.inference.neglected import Shift
     from mcrim_mitsuba.inference.plan import Planning
+    from mcrim_mitsuba.inference.profiles import Profile
     from mcrim_mitsuba.inference.repair import Repaired
     from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget
     from mcrim_mitsuba.output.report import Reported
@@ -63,7 +66,9 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         errors.append((name, *(shown(contributions.get(origin), ".2g") for origin in _ORIGINS)))
     origins = ("parameter", *(name.replace("_", " ") for name in _ORIGINS))
     parts: list[Part] = [
+        *([] if light is None else [Sentence(_light_yield(fit, light), strong=True)]),
         table("parameters", ("parameter", "value", "68.3 % interval"), values),
+        *_shapes(profiles_of(result.model, fit)),
         table("where the errors come from", origins, errors),
         *([Sentence(of_detector)] if by_detector else []),
         table(
@@ -95,6 +100,16 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
     return Described("fit of a campaign", tuple(parts), notes=(*fit.notes, *spent.notes))
 
 
+def _light_yield(fit: Calibration, light: ParameterEstimate) -> str:
+    """The result, and whether to believe it."""
+    doubt = ", but the model does not describe the readings" if findings.fails(fit) else ""
+    return f"Light yield: {findings.estimate_text(light)} ph/keV{doubt}"
+
+
+def _shapes(profiles: Iterable[Profile]) -> list[Sentence]:
+    return [Sentence(f"- {words}", strong=True) for words in findings.shapes(profiles)]
+
+
 def _estimated(known: ParameterEstimate) -> Cell:
     # at a bound sigma is no error: it knows nothing of the bound
     return Cell(findings.estimate_text(known), known.value, None if known.at_bound else known.sigma)
@@ -103,13 +118,17 @@ def _estimated(known: ParameterEstimate) -> Cell:
 def _reading(one: FittedRow) -> tuple[str | Cell, ...]:
     """A reading beside the model, and its pull."""
     return (
-        one.label if one.use else f"{one.label} (not used)",
+        _name(one),
         *(
             Cell(findings.signal_text(one.of_beam, value, sigma), value, sigma)
             for value, sigma in ((one.measured, one.sigma), (one.model, one.model_sigma))
         ),
         shown(one.pull, "+.2f"),
     )
+
+
+def _name(one: FittedRow) -> str:
+    return one.label if one.use else f"{one.label} (not used)"
 
 
 def parameters_table(parameters: Mapping[str, ParameterEstimate]) -> Table:
@@ -127,11 +146,15 @@ def _described(
     title: str, parts: Iterable[Part], fit: Calibration, provenance: Provenance
 ) -> Described:
     """What a fit shows, what it rests on, and the notes of both."""
-    spent = (
+    notes = (*fit.notes, *provenance.notes)
+    return Described(title, tuple(parts), _spent(provenance), notes)
+
+
+def _spent(provenance: Provenance) -> str:
+    return (
         f"{provenance.photons:,} photons ({provenance.cached_photons:,} of the cache), seed "
         f"{provenance.seed}, {provenance.seconds:.1f} s"
     )
-    return Described(title, tuple(parts), spent, (*fit.notes, *provenance.notes))
 
 
 # Where a model fails, and what explains it.
@@ -166,6 +189,71 @@ def of_comparison(found: Compared) -> Described:
         *_parameters(found.calibration.parameters),
     ]
     return _described("a campaign beside its model", parts, found.calibration, found.provenance)
+
+
+_OF_HYPOTHESES = (
+    "ln evidence: natural logarithm of the likelihood averaged over plausible sizes, less that of "
+    "the best; probability: among those compared, each as likely as the others before the "
+    "readings; left out: rms error on readings left out of the fit, in standard errors; light "
+    "yield: photons per keV, with the statistical and the systematic error"
+)
+
+
+def of_hypotheses(found: HypothesesCompared) -> Described:
+    """The verdict, what the readings say of each hypothesis, sizes, pulls and predictions."""
+    compared, spent = found.comparison, found.provenance
+    hypotheses = compared.hypotheses
+    names = [one.name for one in hypotheses]
+    figures = {
+        "chi2": [shown(one.chi2, number) for one in hypotheses],
+        "ndf": [shown(one.ndf, "d") for one in hypotheses],
+        "p": [shown(one.p_value, p_text) for one in hypotheses],
+        "left out": [shown(one.left_out_error, number) for one in hypotheses],
+        "ln evidence": list(map(_log_evidence, hypotheses)),
+        "probability": [shown(one.probability, probability) for one in hypotheses],
+    }
+    fitted_names = dict.fromkeys(name for one in hypotheses for name in one.parameters)
+    sizes = {name: [one.parameters.get(name) for one in hypotheses] for name in fitted_names}
+    if lights := sizes.pop(LIGHT_YIELD, None):
+        figures["light yield"] = [
+            Cell(findings.value_with_errors(light), light.value, light.sigma) if light else Cell("")
+            for light in lights
+        ]
+    most, pulls, predictions = findings.most_apart(compared), [], []
+    for of_all in zip(*(one.rows for one in hypotheses), strict=True):
+        label, measured_cell, *_ = _reading(of_all[0])
+        far, strong = compared.apart[of_all[0].label], of_all[0].label in most
+        told = (shown(one.pull, "+.2f") for one in of_all)
+        pulls.append(row(label, *told, shown(far, ".1f"), strong=strong))
+        told = (Cell(findings.prediction_text(x), x.model, x.model_sigma) for x in of_all)
+        predictions.append(row(label, measured_cell, *told, strong=strong))
+    fitted = (
+        (size, *(_estimated(known) if known else "" for known in each))
+        for size, each in sizes.items()
+    )
+    parts: list[Part] = [
+        Sentence(f"{compared.verdict}: {compared.reason}", strong=True),
+        *(Sentence(f"{one.name}: {findings.hypothesis_text(one)}") for one in hypotheses),
+        table(
+            "hypotheses", (Column("", "quantity"), *names),
+            ((what, *cells) for what, cells in figures.items()),
+        ),
+        Sentence(_OF_HYPOTHESES),
+        table("sizes", ("parameter", *names), fitted),
+        Sentence(findings.apart_text(compared), strong=True),
+        table("pulls", ("reading", *names, "apart"), pulls),
+        Sentence(
+            "apart: largest difference of two predictions, in standard errors of the reading"
+        ),
+        table("predictions", ("reading", "measured", *names), predictions),
+    ]  # fmt: skip
+    return Described("hypotheses side by side", tuple(parts), _spent(spent), spent.notes)
+
+
+def _log_evidence(one: FittedHypothesis) -> Cell:
+    """The best is what the others are compared with."""
+    text = pdg(one.log_evidence, one.log_evidence_sigma) if one.log_evidence_sigma else "0"
+    return Cell(text, one.log_evidence, one.log_evidence_sigma or None)
 
 
 def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
@@ -211,9 +299,10 @@ def _set_aside(diagnosis: Diagnosis) -> list[Sentence]:
     return [Sentence(text, strong=True)] if text else []
 
 
-_NARROW = ("effect", "probability", "size", "plausible?", "light yield")
-_WIDE = ("gain in chi2", "p, fit", "left out")
-_CANDIDATE = (*map(Column, _NARROW), *(Column(title, wide=True) for title in _WIDE))
+_CANDIDATE = (
+    "effect", "probability", Column("size", left=True), Column("plausible?", left=True),
+    "light yield", "gain in chi2", "p, fit", "left out",
+)  # fmt: skip
 _EXPLANATION = (
     "probability: among all that was tried and nothing, averaged over plausible sizes; light "
     "yield: photons per keV, and its change; gain: fall of chi2, with the simulation's error; p, "
@@ -239,8 +328,6 @@ def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
             yield table(title, _CANDIDATE, rows)
     if diagnosis.candidates:
         yield Sentence(_EXPLANATION)
-        wider = "A wider terminal shows more columns; --json and --figure have all."
-        yield Sentence(wider, narrow=True)
     if diagnosis.families:
         yield Sentence(f"By family: {findings.family_probabilities(diagnosis)}")
     if text := findings.mistakable(diagnosis):
@@ -292,6 +379,7 @@ def of_repair(found: Repaired, *, with_steps: bool = True) -> Described:
         together = f"With {findings.together(found.effects)} simulated together: "
         quality = f"chi2 = {number(fit.chi2)} (ndf {fit.ndf}, p = {p_text(fit.p_value)})"
         parts += [Sentence(together + quality), *_parameters(fit.parameters)]
+        parts += _shapes(profiles_of(found.model, fit))
         if findings.fails(fit):
             still = "The mended campaign still does not describe its readings."
             parts.append(Sentence(still, strong=True))
@@ -338,6 +426,7 @@ def of_report(found: Reported) -> Described:
     """What a report says first; the page has the rest."""
     sections, fit = found.sections, found.sections.calibration
     parts: list[Part] = [Sentence(sections.headline, strong=True), *_parameters(fit.parameters)]
+    parts += _shapes(sections.profiles)
     made = _described("report of a campaign", parts, fit, found.provenance)
     return replace(made, notes=tuple(dict.fromkeys(made.notes)))
 

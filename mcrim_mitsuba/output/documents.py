@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.calibrate import CampaignResult
     from mcrim_mitsuba.inference.compare import Compared
     from mcrim_mitsuba.inference.diagnose import Diagnosed
+    from mcrim_mitsuba.inference.hypotheses import HypothesesCompared
     from mcrim_mitsuba.inference.plan import ExpectedError, Plan, Planning
     from mcrim_mitsuba.inference.repair import Repaired
     from mcrim_mitsuba.laboratory.error_budget import ErrorBudget
@@ -55,6 +56,13 @@ def of_comparison(found: Compared) -> Document:
     fit = found.calibration
     said = dataclasses.asdict(found.comparison) | fit.to_json()
     return said | _provenance(found.provenance, fit.notes)
+
+
+def of_hypotheses(found: HypothesesCompared) -> Document:
+    document = dataclasses.asdict(found.comparison)
+    for one in document["hypotheses"]:
+        one["scene_hash"] = found.scenes[one["name"]]
+    return document | _provenance(found.provenance, ()) | {"scene_hash": found.scenes}
 
 
 def of_diagnosis(found: Diagnosed) -> Document:
@@ -143,6 +151,7 @@ def of_check(report: CheckReport) -> Document:
         "parameters": report.parameters,
         "interfaces": [_with_file(face) for face in report.interfaces],
         "words": list(report.words),
+        "notes": list(report.notes),
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT
@@ -47,8 +47,11 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.candidates import Candidate, Limit
     from mcrim_mitsuba.inference.compare import Comparison, Suspect, Trend
     from mcrim_mitsuba.inference.diagnose import Diagnosis
+    from mcrim_mitsuba.inference.estimates import FittedRow
     from mcrim_mitsuba.inference.fit import Calibration
+    from mcrim_mitsuba.inference.hypotheses import FittedHypothesis, SideBySide
     from mcrim_mitsuba.inference.next_measurements import NextMeasurement
+    from mcrim_mitsuba.inference.profiles import Profile
 
 # From here on readings of light and of the beam are said to pull apart, standard errors.
 _PULLS_APART = 2.0
@@ -136,6 +139,41 @@ def apart(comparison: Comparison) -> list[str]:
         for label, pull in pulls.items()
         if abs(pull) > _PULLS_APART and fails(comparison)
     ]
+
+
+# Readings at which hypotheses are said to differ most.
+_MOST_APART = 3
+
+
+def hypothesis_text(one: FittedHypothesis) -> str:
+    """``mended.toml, with gap_bubble``: where a hypothesis is from, and its effects."""
+    added = f"with {together(one.effects)}" if one.effects else "nothing added to its scene"
+    return added if one.campaign is None else f"{one.campaign}, {added}"
+
+
+def most_apart(compared: SideBySide) -> list[str]:
+    """Labels of the readings at which hypotheses differ most, these first."""
+    return sorted(compared.apart, key=lambda label: -compared.apart[label])[:_MOST_APART]
+
+
+def prediction_text(row: FittedRow) -> str:
+    """What a model predicts of a reading, to the place that the reading's error deserves."""
+    return _value_of(signal_text(row.of_beam, row.model, row.sigma))
+
+
+def apart_text(compared: SideBySide) -> str:
+    """Where hypotheses differ most, in a sentence."""
+    first, *others = most_apart(compared)
+    rows = [next(r for r in one.rows if r.label == first) for one in compared.hypotheses]
+    measured = signal_text(rows[0].of_beam, rows[0].measured, rows[0].sigma)
+    then = (
+        together([f"{label} ({compared.apart[label]:.1f})" for label in others]) if others else ""
+    )
+    return (
+        f"They differ most at {first}: {together([prediction_text(row) for row in rows])} where "
+        f"{measured} was measured, {compared.apart[first]:.1f} standard errors of the reading"
+        + (f"; then at {then}" if then else "")
+    )
 
 
 def averaged_yield(diagnosis: Diagnosis) -> str:
@@ -356,6 +394,38 @@ def bought(measurement: NextMeasurement) -> tuple[str, str, str]:
         "-" if error is None else f"{100.0 * error:.2g} %",
         f"{100.0 * measurement.probability:.0f} %",
     )
+
+
+#: Rise of chi2 that holds 95 % of a Gaussian likelihood, and standard errors there.
+_RISE_95, _SIGMAS_95 = 3.841, 1.96
+#: Over those standard errors, how near or far the rise may be from the best value.
+_LIKE_PARABOLA = 2 / 3, 3 / 2
+
+
+def shapes(profiles: Iterable[Profile]) -> list[str]:
+    """What the standard error does not tell: 95 % intervals that are not twice as wide as it."""
+    said = []
+    for one in profiles:
+        ends = one.crossings(_RISE_95)
+        # nearer bounds cut the interval off, which is said elsewhere
+        bounds = (float(one.values[place]) for place in (0, -1))
+        found = [bound if end is None else end for end, bound in zip(ends, bounds, strict=True)]
+        widths = [abs(end - one.value) / (_SIGMAS_95 * one.sigma) for end in found]
+        near, far = _LIKE_PARABOLA
+        if any(
+            width > far or (width < near and end is not None)
+            for width, end in zip(widths, ends, strict=True)
+        ):
+            usual = [one.value + sign * _SIGMAS_95 * one.sigma for sign in (-1, 1)]
+            real, of_sigma = (
+                " to ".join(_value_of(pdg(end, one.sigma)) for end in pair)
+                for pair in (found, usual)
+            )
+            said.append(
+                f"{one.name}: the 95 % interval is {real}, not {of_sigma} as "
+                f"{pdg(one.value, one.sigma)} would have it: chi2 does not rise like a parabola"
+            )
+    return said
 
 
 # What a planning found, in sentences.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from operator import attrgetter
 from typing import Any
@@ -9,14 +10,16 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from mcrim_mitsuba.core.rounding import number, p_text, pdg
 from mcrim_mitsuba.inference.compare import Comparison, Suspect
-from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.hypotheses import FittedHypothesis, SideBySide
 from mcrim_mitsuba.inference.profiles import END, ONE_SIGMA, TWO_SIGMA, Profile
 from mcrim_mitsuba.output import figure_style as style
 
@@ -24,6 +27,9 @@ _AS_IT_IS: dict[str, Any] = {
     "color": style.WARM, "marker": "o", "mfc": "white", "mew": 1.6, "ms": 6.5, "ls": "",
 }  # fmt: skip
 _MENDED: dict[str, Any] = {"color": style.DARK, "marker": "D", "ms": 5.5, "ls": ""}
+_HYPOTHESES: tuple[dict[str, Any], ...] = (
+    _AS_IT_IS, _MENDED, {"color": style.LIGHT, "marker": "^", "ms": 6.5, "ls": ""},
+)  # fmt: skip
 _SUSPECTS: dict[str, Any] = {
     "bad_reading": ("suspected bad reading", {"facecolor": "#f6dccd", "edgecolor": style.WARM}),
     "swapped_rows": ("suspected swap", {
@@ -34,9 +40,13 @@ _SUSPECTS: dict[str, Any] = {
 _NO_LONGER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.6", "ls": ":"}
 #: Half the width of a prediction's dash, and how far before and after stand apart.
 _DASH, _APART = 0.32, 0.13
+#: How far hypotheses stand apart.
+_BESIDE = 0.24
 #: Width of a reading, height of a character of its name, and the widest figure: inches.
 _PER_READING, _PER_CHARACTER, _WIDEST = 0.46, 0.068, 26.0
 _PREDICTED = ("model", "model_sigma", "pull")
+#: A name, a fit, how it looks, and how far beside the places of the readings it stands.
+_Series = tuple[str, Comparison | Calibration | FittedHypothesis, dict[str, Any], float]
 
 
 @style.styled
@@ -54,25 +64,20 @@ def draw_comparison(
     added : str
         What mended it, for the legend.
     """
-    names = [style.shortened(row.label) for row in before.rows]
-    longest = max(map(len, names), default=0)
-    width = min(max(8.0, 1.6 + _PER_READING * len(names)), _WIDEST)
-    upright = longest * _PER_CHARACTER < 0.85 * (width - 1.6) / max(len(names), 1)
-    figure = style.canvas(width, 6.0 + (0.0 if upright else _PER_CHARACTER * longest))
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.4, 1))
-    places = np.arange(len(names))
+    figure, upper, lower = _over_readings(before.rows, (1.4, 1))
+    places = np.arange(len(before.rows))
     _draw_signals(upper, places, before, after)
-    _draw_pulls(lower, places, before, after, added)
-    crowded = _PER_READING * len(names) > _WIDEST
-    lower.set_xticks(
-        places, names, rotation=0 if upright else 90, fontsize=5 if crowded else 9.5,
-        parse_math=False,
-    )  # fmt: skip
+    name = "as it is" if isinstance(before, Comparison) else "fit"
+    series: list[_Series] = [(name, before, _AS_IT_IS, 0.0)]
+    if after is not None:
+        then = f"with {style.shortened(added, 56)}" if added else "mended"
+        series = [(name, before, _AS_IT_IS, -_APART), (then, after, _MENDED, _APART)]
+    _draw_pulls(lower, places, series)
+    _mark_suspects(lower, places, before, mended=after is not None)
     suspects = {label: one.kind for one in _suspects(before)[::-1] for label in one.labels}
     for row, tick in zip(before.rows, lower.get_xticklabels(), strict=True):
         if row.label in suspects:
             tick.set(fontweight="bold", color=style.WARM if after is None else style.GREY)
-    lower.set_xlim(-0.6, len(names) - 0.4)
     left_out = before.left_out_pulls if isinstance(before, Comparison) else {}
     mended = {row.label: row for row in after.rows} if after else {}
     own, predicted = attrgetter("label", "use", "measured", "sigma"), attrgetter(*_PREDICTED)
@@ -87,6 +92,63 @@ def draw_comparison(
         "label", "use", "measured", "sigma", *_PREDICTED, "left_out_pull", "suspect",
         *(f"{name}_after" for name in _PREDICTED),
     )  # fmt: skip
+    return style.Drawing(figure, columns, rows)
+
+
+def _over_readings(
+    rows: Sequence[FittedRow], heights: tuple[float, float]
+) -> tuple[Figure, Axes, Axes]:
+    """A figure of two axes, one over the other, above the names of the readings."""
+    names = [style.shortened(row.label) for row in rows]
+    longest = max(map(len, names), default=0)
+    width = min(max(8.0, 1.6 + _PER_READING * len(names)), _WIDEST)
+    upright = longest * _PER_CHARACTER < 0.85 * (width - 1.6) / max(len(names), 1)
+    figure = style.canvas(width, 6.0 + (0.0 if upright else _PER_CHARACTER * longest))
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=heights)
+    crowded = _PER_READING * len(names) > _WIDEST
+    lower.set_xticks(
+        np.arange(len(names)), names, rotation=0 if upright else 90, fontsize=5 if crowded else 9.5,
+        parse_math=False,
+    )  # fmt: skip
+    lower.set_xlim(-0.6, len(names) - 0.4)
+    return figure, upper, lower
+
+
+@style.styled
+def draw_hypotheses(compared: SideBySide) -> style.Drawing:
+    """Pulls of hypotheses beside each other, and how far their predictions are from the first's."""
+    hypotheses = compared.hypotheses
+    first, *others = hypotheses
+    figure, upper, lower = _over_readings(first.rows, (1.3, 1))
+    places = np.arange(len(first.rows))
+    aside = _BESIDE * (np.arange(len(hypotheses)) - 0.5 * (len(hypotheses) - 1))
+    looks = list(zip(hypotheses, _HYPOTHESES, aside.tolist(), strict=False))
+    _draw_pulls(
+        upper, places,
+        [(style.shortened(one.words, 56), one, look, at) for one, look, at in looks],
+    )  # fmt: skip
+    lower.axhline(0, color=style.GREY, lw=0.9)
+    sigmas = np.array([row.sigma for row in first.rows])
+    own = np.array([row.model for row in first.rows])
+    far = {one.name: (np.array([row.model for row in one.rows]) - own) / sigmas for one in others}
+    for one, look, at in looks[1:]:
+        label = f"{one.name} − {first.name}"
+        lower.vlines(places + at, 0, far[one.name], color=look["color"], lw=1.1, zorder=3)
+        lower.plot(places + at, far[one.name], zorder=4, label=label, **look)
+    lower.set_ylabel("difference of predictions\n(standard errors)")
+    style.open_axes(lower, "y")
+    style.legend_above(lower, ncols=2, handlelength=1.8)
+    columns = ["label", "use", "measured", "sigma", "apart"]
+    columns += [f"{name}_{one.name}" for one in hypotheses for name in _PREDICTED]
+    own_of, predicted = attrgetter("label", "use", "measured", "sigma"), attrgetter(*_PREDICTED)
+    rows = [
+        (
+            *own_of(of_all[0]),
+            compared.apart[of_all[0].label],
+            *itertools.chain(*map(predicted, of_all)),
+        )
+        for of_all in zip(*(one.rows for one in hypotheses), strict=True)
+    ]
     return style.Drawing(figure, columns, rows)
 
 
@@ -131,22 +193,11 @@ def _draw_signals(
     style.legend_above(axes, handles, ncols=3, handlelength=1.8)
 
 
-def _draw_pulls(
-    axes: Axes,
-    places: np.ndarray,
-    before: Comparison | Calibration,
-    after: Calibration | None,
-    added: str,
-) -> None:
+def _draw_pulls(axes: Axes, places: np.ndarray, series: Sequence[_Series]) -> None:
     """Residuals in standard errors over bands of one and two of them."""
     axes.axhspan(-2, 2, color="0.93", lw=0)
     axes.axhspan(-1, 1, color="0.85", lw=0)
     axes.axhline(0, color=style.GREY, lw=0.9)
-    name = "as it is" if isinstance(before, Comparison) else "fit"
-    series = [(name, before, _AS_IT_IS, 0.0)]
-    if after is not None:
-        mended = f"with {style.shortened(added, 56)}" if added else "mended"
-        series = [(name, before, _AS_IT_IS, -_APART), (mended, after, _MENDED, _APART)]
     handles, extent = [], 3.2
     for name, fit, look, aside in series:
         pulls = np.array([row.pull for row in fit.rows])
@@ -158,7 +209,6 @@ def _draw_pulls(
         if fit.p_value is not None:
             label += f", p = {p_text(fit.p_value)}"
         handles.append(Line2D([], [], label=label, **look))
-    _mark_suspects(axes, places, before, mended=after is not None)
     axes.set_ylim(-extent, extent)
     axes.yaxis.set_major_locator(MaxNLocator(7, integer=True))
     axes.set_ylabel("pull (standard errors;\nbands: ±1 and ±2)")

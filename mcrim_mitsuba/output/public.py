@@ -274,7 +274,8 @@ def simulate(
     -------
     Answer
         With the fields of `transport.simulation.SimulationResult`; pictures ``arrival`` and
-        ``fates``, which follow photons of their own (none of the method ``modes``).
+        ``fates``, which follow its photons again, the first 4 million of more (none of the method
+        ``modes``).
 
     Raises
     ------
@@ -291,16 +292,19 @@ def simulate(
     file = read_scene(scene, parameters)
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
     if method == "modes":
-        found = solve_simulation(simulation, run.precision)
+        found = _noted(solve_simulation(simulation, run.precision), file)
         return Answer(
             found, scene_descriptions.of_simulation(found), documents.of_simulation(found)
         )
-    found = collect(simulation, run=run)
+    found = _noted(collect(simulation, run=run), file)
 
     @functools.cache
     def followed() -> Any:
         photons = min(found.photons, MOST_FOR_FIGURES)
         light = follow_light(simulation, run=dataclasses.replace(run, photons=photons))
+        # the run's own numbers, also where it has more photons than are followed again
+        names = ("eta", "eta_sigma", "budget", "budget_sigma", "photons")
+        light = dataclasses.replace(light, **{name: getattr(found, name) for name in names})
         changed = [f"{name}={file.parameters[name]}" for name in file.overrides]
         return [(", ".join([file.path.name, *changed]), light)]
 
@@ -309,6 +313,11 @@ def simulate(
         {"arrival": lambda: _drawn("light_figures.draw_arrival", followed()),
          "fates": lambda: _drawn("light_figures.draw_fates", followed())},
     )  # fmt: skip
+
+
+def _noted(found: Any, file: SceneFile) -> Any:
+    """A result on a scene, with what the reader must know of the scene."""
+    return dataclasses.replace(found, notes=(*file.notes, *found.notes)) if file.notes else found
 
 
 #: Photons of figures, at most: more would not be seen.
@@ -355,7 +364,8 @@ def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **gi
     }
     file = read_scene(scene, {n: v for n, v in parameters.items() if n not in axes})
     start = time.perf_counter()
-    made = (noise_free_table if method == "modes" else eta_table)(file, axes, run=run)
+    tabulated = noise_free_table if method == "modes" else eta_table
+    made = _noted(tabulated(file, axes, run=run), file)
     seconds = time.perf_counter() - start
     return Answer(
         made, scene_descriptions.of_table(made, seconds=seconds),
@@ -523,12 +533,33 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
     return _answer("calibration", found, pictures, seconds=seconds)
 
 
-def compare(campaign: str | Path | Campaign, *, run: Run | None = None, **given: Any) -> Answer:
-    """A campaign beside its model: where the model fails to describe the readings.
+def compare(
+    campaign: str | Path | Campaign, *others: str | Path | Campaign, run: Run | None = None,
+    **given: Any,
+) -> Answer:  # fmt: skip
+    """A campaign beside its model, or hypotheses on the same readings side by side.
 
-    Parameters, errors and fields as for `calibrate`, besides those of
-    `inference.compare.Comparison`; picture ``readings``.
+    Parameters and errors as for `calibrate`.
+
+    Parameters
+    ----------
+    *others : str, Path or Campaign
+        One or two more campaigns of the same readings.
+
+    Returns
+    -------
+    Answer
+        Of one campaign where its model fails: the fields of `calibrate` and of
+        `inference.compare.Comparison`; picture ``readings``. Of several which the readings prefer:
+        those of `inference.hypotheses.SideBySide`: ``verdict``, ``leading``, ``hypotheses``, ...;
+        picture ``pulls``.
     """
+    if others:
+        from mcrim_mitsuba.inference.hypotheses import compare_hypotheses
+
+        several = compare_hypotheses((campaign, *others), run=_run(run, given))
+        pulls = {"pulls": lambda: _drawn("fit_figures.draw_hypotheses", several.comparison)}
+        return _answer("hypotheses", several, pulls)
     from mcrim_mitsuba.inference.compare import compare as compared
 
     found = compared(campaign, run=_run(run, given))

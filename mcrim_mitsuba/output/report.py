@@ -76,6 +76,7 @@ def render(sections: Sections) -> str:
         "probability": probability,
     }  # fmt: skip
     template = environment.get_template("template.html")
+    raw = sections.campaign.raw
     notes = dict.fromkeys((*sections.calibration.notes, *sections.repaired.provenance.notes))
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
     return template.render(
@@ -93,7 +94,7 @@ def render(sections: Sections) -> str:
         version=__version__,
         names={"light_yield": LIGHT_YIELD, "scale": SCALE, "alpha_scat": ALPHA_SCAT},
         # those on raw data stand beside these
-        notes=[note for note in notes if note not in sections.campaign.notes],
+        notes=[note for note in notes if raw is None or note not in raw.notes],
     )
 
 

@@ -22,6 +22,7 @@ from mcrim_mitsuba.output.result_writing import (
     CALIBRATION,
     DIAGNOSIS,
     ETA_TABLE,
+    HYPOTHESES,
     LOWER,
     RESULT,
     SIGMA,
@@ -238,6 +239,8 @@ def _kind(document: JsonResult) -> tuple[str, Callable[[JsonResult], Parts]]:
         return CALIBRATION, lambda whole: _calibration(whole.object("calibration"), whole)
     if "verdict" in document and "candidates" in document and "baseline" in document:
         return DIAGNOSIS, _diagnosis
+    if "hypotheses" in document and "leading" in document:
+        return HYPOTHESES, _hypotheses
     if "chi2" in document and "parameters" in document and "rows" in document:
         return CALIBRATION, lambda whole: _calibration(whole, whole)
     if "eta" in document and "budget" in document:
@@ -280,15 +283,37 @@ def _calibration(fit: JsonResult, whole: JsonResult) -> Parts:
     row = fit.numbers(*_QUALITY) | _estimates(fit.object("parameters"))
     held = fit.object("fixed")
     row |= held.numbers(*(name for name in held.content if name not in row))
-    columns = ("measured", "sigma", "model", "model_sigma", "pull", "eta", "eta_sigma")
-    readings: list[dict[str, Cell]] = [
-        {"label": each.text("label"), **each.numbers(*columns), "use": each.flag("use")}
-        for each in fit.objects("rows")
-    ]
     known = _provenance(whole)
     if whole is fit:
         known.pop("parameters", None)  # the fit's, which are the row
-    return [row], readings, known
+    return [row], _readings(fit), known
+
+
+_OF_READING = ("measured", "sigma", "model", "model_sigma", "pull", "eta", "eta_sigma")
+
+
+def _readings(fit: JsonResult) -> list[dict[str, Cell]]:
+    """Every reading beside its prediction."""
+    return [
+        {"label": each.text("label"), **each.numbers(*_OF_READING), "use": each.flag("use")}
+        for each in fit.objects("rows")
+    ]
+
+
+def _hypotheses(document: JsonResult) -> Parts:
+    """In the order in which they were given."""
+    rows: list[dict[str, Cell]] = []
+    readings: list[dict[str, Cell]] = []
+    said = ("left_out_error", "log_evidence", "log_evidence_sigma", "probability")
+    for one in document.objects("hypotheses"):
+        name, effects = one.text("name"), one.content.get("effects")
+        added = " + ".join(map(str, effects)) if isinstance(effects, list) else ""
+        rows.append({
+            "hypothesis": name, "effects": added or "none", **one.numbers(*_QUALITY, *said),
+            **_estimates(one.object("parameters")),
+        })  # fmt: skip
+        readings += [{"hypothesis": name, **each} for each in _readings(one)]
+    return rows, readings, _provenance(document)
 
 
 def _diagnosis(document: JsonResult) -> Parts:

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     import xarray
 
 
-CALIBRATION, DIAGNOSIS, SIMULATION, ETA_TABLE = (
-    "calibration", "diagnosis", "simulation", "eta table",
+CALIBRATION, HYPOTHESES, DIAGNOSIS, SIMULATION, ETA_TABLE = (
+    "calibration", "hypotheses", "diagnosis", "simulation", "eta table",
 )  # fmt: skip
 #: Column that names the file a row is from.
 RESULT = "result"
@@ -43,12 +43,12 @@ Cell = float | int | bool | str | None
 class ResultTable:
     """Results of one kind."""
 
-    #: ``calibration``, ``diagnosis``, ``simulation`` or ``eta table``.
+    #: ``calibration``, ``hypotheses``, ``diagnosis``, ``simulation`` or ``eta table``.
     kind: str
     #: By column; the error of NAME is NAME_sigma. Calibrations and simulations have one row
-    #: each, diagnoses one per effect, eta tables one per point.
+    #: each, hypotheses one each, diagnoses one per effect, eta tables one per point.
     rows: tuple[dict[str, Cell], ...]
-    #: Of calibrations: a reading beside its prediction each.
+    #: Of calibrations and hypotheses: a reading beside its prediction each.
     readings: tuple[dict[str, Cell], ...]
     #: Per result what makes it reproducible: seed, hashes, versions, parameters, notes.
     provenance: dict[str, dict[str, Any]]
@@ -129,7 +129,8 @@ def _columns(table: ResultTable) -> list[str]:
         own = any(name.endswith(end) and name.removesuffix(end) in names for end in _ENDINGS)
         if own or name in _LEFT_OUT.get(table.kind, ()) or all(c in (None, "") for c in cells):
             continue
-        if name == RESULT and table.kind in (ETA_TABLE, DIAGNOSIS) and len(table.provenance) == 1:
+        several_rows = table.kind in (ETA_TABLE, DIAGNOSIS, HYPOTHESES)
+        if name == RESULT and several_rows and len(table.provenance) == 1:
             continue
         # parameters of scenes, and fates that no light met
         if table.kind == SIMULATION and name not in (RESULT, "eta"):

@@ -87,7 +87,7 @@ def of_check(report: CheckReport) -> Described:
         )  # fmt: skip
         parts.append(table("", columns, rows))
     also = (f"also: {problem}" for problem in report.problems[1:])
-    return Described("check of a scene", (*parts, *map(Sentence, also)))
+    return Described("check of a scene", (*parts, *map(Sentence, also)), notes=report.notes)
 
 
 def of_installation(found: Mapping[str, object]) -> Described:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import LARGEST_INDEX, judge, parse_number
 from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.vocabulary import misled, misspelt
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -31,8 +32,8 @@ def is_filled(index: float) -> bool:
 class SceneProblem:
     """One thing that is wrong with a scene."""
 
-    #: ``index``, ``missing_face``, ``leak``, ``reversed_face``, ``overlap``, ``thin_gap``,
-    #: ``coefficient``, ``unit``, ``detector``, ``surface``, ``value`` or ``file``.
+    #: ``index``, ``missing_face``, ``tilted_face``, ``leak``, ``reversed_face``, ``overlap``,
+    #: ``thin_gap``, ``coefficient``, ``unit``, ``detector``, ``surface``, ``value`` or ``file``.
     kind: str
     #: What is wrong; what to do.
     text: str
@@ -80,6 +81,8 @@ class CheckReport:
     interfaces: tuple[Interface, ...] = ()
     #: What the scene means, in sentences.
     words: tuple[str, ...] = ()
+    #: What is no mistake, but may not be meant.
+    notes: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -159,10 +162,20 @@ def problems_of_text(file: SceneFile) -> list[SceneProblem]:
     InputError
         If an index or an axis is no number.
     """
-    return [
+    # what a misspelt word was to say would be found missing
+    return _problems_of_words(file) or [
         *_problems_of_parameters(file),
         *_problems_of_rotations(file),
         *_problems_of_faces(file),
+    ]
+
+
+def _problems_of_words(file: SceneFile) -> list[SceneProblem]:
+    """Elements and attributes that Mitsuba does not know, and references to nothing."""
+    said = [(e, *slip) for e in file.root.iterdescendants() if (slip := misspelt(e)) is not None]
+    return [
+        SceneProblem("file", text, mend, *file.place_of(element))
+        for element, text, mend in (*said, *misled(file.root))
     ]
 
 

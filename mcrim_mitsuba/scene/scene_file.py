@@ -22,6 +22,7 @@ from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
 from mcrim_mitsuba.core.files import BYTES_PER_MB, is_there, read_bytes, resolved
 from mcrim_mitsuba.core.numbers import Value, unit_of, value_text
 from mcrim_mitsuba.scene.values import MaterialIndex, parse_like, parse_material, parse_value
+from mcrim_mitsuba.scene.vocabulary import misspelt
 from mcrim_mitsuba.scene.xml_tree import comment_of, parse_scene_xml
 
 _LIMIT_MB = 5
@@ -68,6 +69,8 @@ class SceneFile:
     overrides: dict[str, str]
     #: Parameters in force that name a material instead of a number.
     materials: dict[str, MaterialIndex]
+    #: Declared parameters that nothing uses.
+    unused: tuple[str, ...]
     #: ``<scene>`` with every ``$name`` substituted, includes put in place, and without
     #: comments and ``<default>``; read it, do not change it.
     root: etree._Element = field(repr=False)
@@ -142,6 +145,16 @@ class SceneFile:
         spectra = [known.emission for known in self.materials.values() if known.emission]
         files = [path for path in self._files.values() if path != self.path]
         return tuple(dict.fromkeys([*files, *spectra]))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the reader must know of the scene before using numbers that rest on it."""
+        return tuple(
+            f"{name} of {known.path.name}, line {known.line}, is declared but never used: changing "
+            "it would change nothing"
+            for name, known in self.defaults.items()
+            if name in self.unused
+        )
 
     @property
     def unwritten_text(self) -> str | None:
@@ -225,7 +238,7 @@ def read_scene(
     ------
     InputError
         If a file cannot be read or is not a sound scene, if a ``$name`` is not declared
-        before it is used or a default is not used, or if an override does not fit.
+        before it is used, or if an override does not fit or is of a default that is not used.
     """
     if isinstance(path, SceneFile):
         return path.with_overrides(overrides) if overrides else path
@@ -256,10 +269,11 @@ def _assemble(
     assembly = _Assembly(path, texts, sources, indices)
     root = assembly.load(path, ())
     assembly.refuse_leftovers()
+    unused = tuple(name for name in assembly.defaults if name not in assembly.used)
     etree.strip_elements(root, etree.Comment, etree.ProcessingInstruction, with_tail=False)
     return SceneFile(
-        path, assembly.defaults, assembly.parameters, assembly.changed, assembly.materials, root,
-        _files=assembly.files, _sources=sources, _indices=indices, _unwritten=unwritten,
+        path, assembly.defaults, assembly.parameters, assembly.changed, assembly.materials, unused,
+        root, _files=assembly.files, _sources=sources, _indices=indices, _unwritten=unwritten,
     )  # fmt: skip
 
 
@@ -321,9 +335,11 @@ class _Assembly:
         self, element: etree._Element, declared: dict[str, int | None], place: dict[str, Any]
     ) -> None:
         """Take note of a ``<default>`` and of the text that stands for it from here on."""
-        name, raw = element.get("name"), element.get("value")
-        if name is None or raw is None or not _NAME.fullmatch(name):
-            problem = "a <default> needs a name of letters, digits and _, and a value"
+        if (slip := misspelt(element)) is not None:
+            raise InputError(*slip, **place)
+        name, raw = element.get("name", ""), element.get("value", "")
+        if not _NAME.fullmatch(name):
+            problem = "a <default> needs a name of letters, digits and _"
             raise InputError(problem, 'write <default name="gap_mm" value="0.05"/>', **place)
         if name in declared:
             problem = f"{name} is declared a second time (first on line {declared[name]})"
@@ -451,13 +467,13 @@ class _Assembly:
         parent.remove(element)
 
     def refuse_leftovers(self) -> None:
-        """Refuse defaults that nothing uses and overrides that nothing declares."""
+        """Refuse overrides of what is not declared, or changes nothing."""
         for name in self.overrides:
             if name not in self.defaults:
                 problem = f"{name} is not a parameter of this scene"
                 raise InputError(problem, did_you_mean(name, self.defaults), path=self.path)
-        for name, default in self.defaults.items():
             if name not in self.used:
+                default = self.defaults[name]
                 problem = f"{name} is declared but never used: changing it would change nothing"
                 mend = f"use ${name} or remove this <default>"
                 raise InputError(problem, mend, path=default.path, line=default.line)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, LANES, FateTally
+from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, FateTally
 from mcrim_mitsuba.transport.loop import Launch
 from mcrim_mitsuba.transport.record_store import ARRIVAL_PLACE
 from mcrim_mitsuba.transport.scene_model import DETECTOR, SceneModel
@@ -19,8 +19,6 @@ from mcrim_mitsuba.transport.simulation import Simulation
 _FLAT = 1e-4
 #: Points around and radii per ring at which it is looked whether a ring lies on the detector.
 _AROUND, _RADII = 720, 8
-#: Photons of a launch: records take 32 bytes each.
-_LARGEST_LAUNCH = 64 * LANES
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,18 +163,16 @@ def largest_angle_deg(model: SceneModel, interfaces, plane: DetectorPlane) -> fl
 def arrivals(
     simulation: Simulation, photons: int, *, seed: int = 0
 ) -> Iterator[tuple[Launch, FateTally, np.ndarray]]:
-    """Follow at least so many photons; launches that are not asked for are not made.
+    """Follow the photons of `Simulation.collect`; launches that are not asked for are not made.
 
-    More than `launch_plan.LANES` are made a multiple of these. Given are each launch, whose records
-    have ``arrival_angle_deg`` (to the detector's normal, in the medium before it), the tally of all
-    so far, and where the detected photons arrive: float64, shape (detected, 3), mm.
+    Given are each launch, whose records have ``arrival_angle_deg`` (to the detector's normal, in
+    the medium before it), the tally of all so far, and where the detected photons arrive: float64,
+    shape (detected, 3), mm.
     """
     launcher = simulation.launcher()
-    if photons > LANES:
-        photons = -(-photons // LANES) * LANES
     done = number = 0
     while done < photons:
-        chunk = min(_LARGEST_LAUNCH if number else FIRST_LAUNCH, photons - done)
+        chunk = min(launcher.size if number else FIRST_LAUNCH, photons - done)
         found = launcher.launch(
             chunk, seed=seed, number=number, max_depth=simulation.depth_limit,
             columns=(*ARRIVAL_PLACE, "arrival_angle_deg"),

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mcrim_mitsuba.core.errors import InputError, said_by
+from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Provenance
 from mcrim_mitsuba.scene.check_text import CheckReport, SceneProblem, problems_of_text
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from mcrim_mitsuba.scene.vocabulary import PLUGIN_TYPES
 from mcrim_mitsuba.transport.launch_plan import FateTally
 from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT, use_variant, versions
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 DEFAULT_PHOTONS = 2_000_000
 _PLACE = re.compile(r"(?P<file>\S+\.xml)? ?\(line (?P<line>\d+), col (?P<column>\d+)\):? ?")
+_NO_PLUGIN = re.compile(r'(?P<kind>\w+) plugin of type "(?P<type>[^"]*)": .* not found')
 _SOURCE = re.compile(r"\[[\w.]+\.(cpp|h):\d+\] ?")
 
 
@@ -287,9 +289,13 @@ def _refusal(text: str, file: SceneFile) -> InputError:
         cause = f"{lines[0].removesuffix(traceback).rstrip(': ')}: {_clean(lines[-1])}"
     else:
         cause = _clean(" ".join(lines)).replace(" - ", " ")
+    problem, mend = f"Mitsuba refuses the scene: {cause}", "mend the element at this place"
+    if unknown := _NO_PLUGIN.search(cause):
+        problem = f"there is no {unknown['kind']} of type {unknown['type']!r}"
+        mend = did_you_mean(unknown["type"], PLUGIN_TYPES.get(unknown["kind"], ()))
     return InputError(
-        f"Mitsuba refuses the scene: {cause}",
-        "mend the element at this place",
+        problem,
+        mend,
         path=place["file"] if place and place["file"] else file.path,
         line=int(place["line"]) if place else None,
         column=int(place["column"]) if place else None,

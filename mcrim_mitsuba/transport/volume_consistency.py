@@ -8,6 +8,7 @@ hypotheses are tried: one face is reversed; volumes overlap; a volume is not clo
 from __future__ import annotations
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -30,6 +31,9 @@ MOST_CROSSINGS = 64
 SAME_INDEX = 1e-6
 #: Fraction of a volume's lines that leave through a hole above which a whole face is missing.
 FACE_MISSING = 0.03
+#: Degrees by which a face that meets no neighbour may be off the way it was meant to lie: less is
+#: rounding, more is no tilt.
+TILTS = 1e-3, 30.0
 
 
 @dataclass(frozen=True)
@@ -321,7 +325,8 @@ class _Judge:
                 if both.any():
                     overlaps[other, number] = int(both.sum())
         if problems:
-            return problems
+            # one tilted face opens both of its volumes
+            return list(dict.fromkeys(problems))
         for (one, other), _ in overlaps.most_common():
             face = next(f for f in self._interfaces if names[other] in (f.interior, f.exterior))
             text = f"the volumes {names[one]!r} and {names[other]!r} overlap"
@@ -332,6 +337,8 @@ class _Judge:
     def _hole(self, volume: int, lines: np.ndarray, fraction: float) -> SceneProblem:
         """What `lines` find that enter a volume and do not leave it, or the other way round."""
         name = self._model.volume_names[volume]
+        if (tilted := self._tilted(volume)) is not None:
+            return tilted
         text = f"the volume {name!r} is not closed {self._unguarded_side(lines, volume)}: "
         if fraction > FACE_MISSING:
             kind, text = "missing_face", text + "a face is missing"
@@ -340,6 +347,34 @@ class _Judge:
             kind, text = "leak", text + f"light leaks there ({100 * fraction:.2g} % of test lines)"
             mend = "let its faces meet edge to edge"
         return SceneProblem(kind, text, mend, *self._file.place_of_id(name))
+
+    def _tilted(self, volume: int) -> SceneProblem | None:
+        """A flat face of a volume that lies askew, so that it does not meet its neighbours."""
+        own = [f for f in self._model.flat_faces if f.surface in self._model.bordering(volume)]
+        near, found = RIM * self._model.size_mm, []
+        for face in own:
+            others = [one for one in own if one.surface != face.surface]
+            corners = face.corners
+            met = np.zeros(len(corners), dtype=bool)
+            for one in others:
+                beside = np.abs((corners - one.corner) @ one.normal) < near
+                edge = min(np.linalg.norm(one.edge_u), np.linalg.norm(one.edge_v))
+                met |= beside & (one.margin(corners) > -near / edge)
+            # as it was meant: along another face of the volume, or else along an axis
+            meant = {self._interfaces[one.surface].surface: one.normal for one in others}
+            axes = zip(("y and z", "x and z", "x and y"), np.eye(3), strict=True)
+            meant |= {f"the plane of {two}": axis for two, axis in axes}
+            sines = {n: float(np.linalg.norm(np.cross(face.normal, v))) for n, v in meant.items()}
+            what = min(sines, key=lambda name: round(sines[name], 6))
+            degrees = math.degrees(math.asin(min(sines[what], 1.0)))
+            if TILTS[0] < degrees < TILTS[1] and 2 * met.sum() <= len(corners):
+                found.append((int(met.sum()), degrees, what, self._interfaces[face.surface]))
+        if not found:
+            return None
+        _, degrees, what, face_of = min(found, key=lambda one: one[:2])
+        text = f"{face_of.surface} is tilted by {degrees:.3g} degrees against {what}"
+        mend = "turn it back in its <transform>: as it lies, it does not meet its neighbours"
+        return _at(face_of, "tilted_face", text, mend)
 
     def _unguarded_side(self, lines: np.ndarray, volume: int) -> str:
         """Side of a volume's box that lines pass without meeting one of its faces."""

@@ -1,6 +1,6 @@
 // What a page from elsewhere can try, with what came of each; for test_app_gate.py.
 const [page, socket, body] = arguments;
-const update = page + '_dash-update-component', layout = page + '_dash-layout';
+const update = page + 'do', layout = page + 'state';
 const text = {method: 'POST', mode: 'no-cors', credentials: 'include', body};
 const json = {...text, mode: 'cors', headers: {'Content-Type': 'application/json'}};
 const read = (address, options) => fetch(address, options).then(
@@ -31,7 +31,7 @@ const frame = () => new Promise(done => {
     document.body.append(made);
 });
 const webSocket = () => new Promise(done => {
-    const made = new WebSocket(socket + '_dash-ws-callback');
+    const made = new WebSocket(socket + 'state');
     made.onopen = () => done('opened');
     made.onerror = () => done('refused');
 });
@@ -40,7 +40,7 @@ const events = () => new Promise(done => {
     made.onopen = () => done('opened');
     made.onerror = () => { made.close(); done('refused') };
 });
-const modules = () => import(page + '_dash-component-suites/dash/dcc/dash_core_components.js').then(
+const modules = () => import(page + 'assets/small.js').then(
     () => 'loaded', () => 'refused');
 return (async () => ({
     cors: await read(layout, {mode: 'cors'}),
@@ -57,9 +57,8 @@ return (async () => ({
     'coded form': await form('application/x-www-form-urlencoded'),
     frame: await frame(),
     script: await element('script', {src: layout}),
-    'script of Dash': await element(
-        'script', {src: page + '_dash-component-suites/dash/dcc/dash_core_components.js'}),
-    img: await element('img', {src: page + '_favicon.ico'}),
+    'script of its own': await element('script', {src: page + 'assets/small.js'}),
+    img: await element('img', {src: page + 'assets/icon.svg'}),
     style: await element('link', {rel: 'stylesheet', href: page + 'assets/style.css'}),
     module: await modules(),
     socket: await webSocket(),

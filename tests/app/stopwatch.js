@@ -13,7 +13,5 @@ document.addEventListener('keydown', () => {
 new MutationObserver(() => { numbers = performance.now(); look(); }).observe(
     document.querySelector('#figures-of-merit'),
     {subtree: true, childList: true, characterData: true});
-const plot = document.querySelector('#readings-chart .js-plotly-plot');
-for (const drawn of ['plotly_afterplot', 'plotly_animated']) {
-    plot.on(drawn, () => { chart = performance.now(); look(); });
-}
+document.querySelector('#readings-chart').addEventListener(
+    'drawn', () => { chart = performance.now(); look(); });

@@ -13,6 +13,7 @@ from refusals import refusal
 from mcrim_mitsuba.campaign.campaign import LightYieldInput, read_campaign
 from mcrim_mitsuba.campaign.entries import json_schema
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.effects.trust import UntrustedEffectsError, fingerprint, trust
 from mcrim_mitsuba.inference.fit import TooLittleSimulatedError
 
 cases = cases_of(__file__)
@@ -70,12 +71,30 @@ def test_measurements_as_a_spreadsheet_writes_them(tmp_path):
     assert measured.in_use == (air,)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "cp1252", "utf-16"])
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_measurements_as_a_german_spreadsheet_writes_them(tmp_path, encoding, separator):
+    text = (
+        '# CaMoO4;59,5 keV;;\r\n"# counted; twice";;;\r\nlabel;signal;sigma;n_gap;;\r\n'
+        '"Öl; dick";14,3;0,2;1,000;;\r\nGel, dünn;24,5;0,4;1,46;;\r\n;;;;;\r\n'
+    ).replace(";", separator)
+    measured = readings(tmp_path, text.encode(encoding))
+    assert measured.comments == (f"CaMoO4{separator}59,5 keV", f"counted{separator} twice")
+    oil, gel = measured.readings
+    assert (oil.label, oil.signal, oil.sigma) == (f"Öl{separator} dick", 14.3, 0.2)
+    assert (gel.label, gel.parameters, gel.line) == ("Gel, dünn", {"n_gap": 1.46}, 5)
+
+
+def test_the_line_of_a_spreadsheet_that_names_the_separator(tmp_path):
+    (air,) = readings(tmp_path, "sep=;\nlabel;signal;sigma\nair, dry;14,3;0,2\n").readings
+    assert (air.label, air.signal, air.line) == ("air, dry", 14.3, 3)
+
+
 HEADER = "label,signal,sigma\n"
 GROUPS = "label,signal,sigma,group,group_sigma\n"
 
 
 @cases("text", "place", "says", more=[
-    (b"label,signal,sigma\nair,1,1\n\xe9,1,1\n", "line 3", "save it as UTF-8"),
     (b"x" * 10_000_001, "", "larger than 10 MB"),
 ])  # fmt: skip
 def test_bad_measurements_are_refused_in_one_line(tmp_path, text, place, says):
@@ -179,7 +198,8 @@ def test_an_effect_that_is_only_in_the_scene_is_held(folder):
         campaign(folder, text)
 
 
-def test_effects_of_the_users_own(folder):
+def test_effects_of_the_users_own(folder, monkeypatch):
+    monkeypatch.setattr("mcrim_mitsuba.effects.trust._place", lambda: folder / "trusted")
     (folder / "mine").mkdir()
     (folder / "mine/drift.py").write_text(
         "from mcrim_mitsuba.effects import Effect, EffectParameter\n"
@@ -188,12 +208,25 @@ def test_effects_of_the_users_own(folder):
     )
     text = CAMPAIGN.replace("effects = []", 'effects = ["drift"]\neffects_folder = "mine"')
     text += "[parameters.scale]\nstart = 1\nfixed = true\n"
+    drift = (folder / "mine/drift.py").read_text()
+    (folder / "mine/drift.py").write_text("raise SystemExit('executed')\n")
+    # nothing is executed that nobody has allowed
+    with pytest.raises(UntrustedEffectsError, match=r"toml, line 4: the Python in .*\(drift.py\)"):
+        campaign(folder, text)
+    (folder / "mine/drift.py").write_text(drift)
+    trust(folder / "mine", keep=True)
+    assert fingerprint(folder / "mine") in (folder / "trusted").read_text()
     read = campaign(folder, text)
     assert read.parameters["drift"].start == 1.1
     assert read.effects_folder == folder / "mine"
+    said = f"effects of the campaign's own were executed: drift.py in {folder / 'mine'}, SHA-256 "
+    assert read.notes == (said + fingerprint(folder / "mine")[:16],)
+    # by content: other files ask again
     (folder / "mine/drift.py").write_text("EFFECT = 1\n")
-    with pytest.raises(InputError, match=r"drift.py, line 1: EFFECT is of type int"):
+    with pytest.raises(UntrustedEffectsError):
         campaign(folder, text)
+    with pytest.raises(InputError, match=r"drift.py, line 1: EFFECT is of type int"):
+        read_campaign(folder / "campaign.toml", trust_effects=True)
     assert "drift" not in campaign(folder, CAMPAIGN).catalogue
 
 

@@ -3,10 +3,13 @@
 import csv
 import itertools
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 
+import click
 import findings_by_hand as by
+import numpy as np
 import pytest
 
 from mcrim_mitsuba.cli.options import FURTHER_PHOTONS, PHOTONS
@@ -16,10 +19,17 @@ from mcrim_mitsuba.inference import diagnose as diagnosing
 from mcrim_mitsuba.inference import repair as repairing
 from mcrim_mitsuba.inference.compare import Compared
 from mcrim_mitsuba.inference.diagnose import Diagnosed
+from mcrim_mitsuba.inference.hypotheses import (
+    NAMES,
+    FittedHypothesis,
+    HypothesesCompared,
+    SideBySide,
+)
+from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.repair import Repaired
-from mcrim_mitsuba.output import findings
+from mcrim_mitsuba.output import described, descriptions, findings
 from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
-from mcrim_mitsuba.output.fit_figures import draw_comparison
+from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_hypotheses
 
 
 def overlap(artists, figure) -> list[str]:
@@ -57,6 +67,8 @@ def found(monkeypatch):
     monkeypatch.setattr(comparing, "compare", lambda *_, **__: results["compare"])
     monkeypatch.setattr(diagnosing, "diagnose", lambda *_, **__: results["diagnose"])
     monkeypatch.setattr(repairing, "repair", repaired)
+    # findings made by hand have no model
+    monkeypatch.setattr(descriptions, "profiles_of", lambda *_: ())
     return results
 
 
@@ -257,6 +269,59 @@ def test_transmittances_are_shown_in_per_cent_and_on_a_scale_of_their_own():
     assert by.comparison().p_value is not None and findings.apart(by.comparison()) == []
 
 
+DRIFT = """from mcrim_mitsuba.effects import Effect, EffectParameter
+size = EffectParameter("drift", "", "Gain", 0.5, 2, 1.1, 1.0, (0.9, 1.1), ())
+EFFECT = Effect("drift", "D", "...", "...", (size,), reading=lambda s, g: (g * s, g + 0 * s, s))
+"""
+
+
+def test_python_of_a_campaign_is_executed_when_its_user_says_so(
+    mcrim, campaign, found, monkeypatch
+):
+    monkeypatch.setattr("mcrim_mitsuba.effects.trust._place", lambda: Path("trusted").absolute())
+    Path("theirs").mkdir()
+    Path("theirs/drift.py").write_text(DRIFT)
+    path = Path(campaign)
+    path.write_text('effects_folder = "theirs"\n' + path.read_text())
+    # no terminal: nobody to ask
+    refused = mcrim.refused("compare", campaign)
+    assert f"{campaign}, line 1: the Python in theirs would be executed (drift.py)" in refused
+    assert "--trust-effects" in refused
+    mcrim.shown("compare", campaign, "--trust-effects")
+    # the same process would know it now; other files it does not
+    Path("theirs/drift.py").write_text(f"{DRIFT}\n# another\n")
+    asked = []
+    for stream in (sys.stdin, sys.stderr):
+        monkeypatch.setattr(stream, "isatty", lambda: True)
+    monkeypatch.setattr(click, "confirm", lambda text, **_: bool(asked.append(text)))
+    assert mcrim("compare", campaign)[0] == 2 and len(asked) == 1
+    monkeypatch.setattr(click, "confirm", lambda text, **_: not asked.append(text))
+    mcrim.shown("compare", campaign)
+    mcrim.shown("compare", campaign)
+    # asked once, and kept
+    assert len(asked) == 2 and Path("trusted").is_file()
+
+
+def test_a_profile_that_is_no_parabola_is_said():
+    values = np.linspace(0.0, 0.6, 61)
+    rise = ((values - 0.3) / 0.03) ** 2
+    even = Profile(
+        "even", values, rise, 2 * (values - 0.3) / 0.03**2, 0.3, 0.03, None, None, (None, None)
+    )
+    assert findings.shapes([even]) == []
+    # a shelf below the best value
+    shelf = np.where(values < 0.26, 2.0 + 100 * (0.26 - values) ** 2, rise)
+    slopes = np.gradient(shelf, values)
+    (said,) = findings.shapes([even, replace(even, name="bubble", delta_chi2=shelf, slopes=slopes)])
+    assert said == (
+        "bubble: the 95 % interval is 0.124 to 0.359, not 0.241 to 0.359 as 0.300 ± 0.030 would "
+        "have it: chi2 does not rise like a parabola"
+    )
+    # a bound that is near cuts the interval off, and is said by the fit
+    near = replace(even, values=values[28:], delta_chi2=rise[28:], slopes=even.slopes[28:])
+    assert findings.shapes([replace(near, ends=("min", None))]) == []
+
+
 def test_repair_says_where_nothing_was_added(mcrim, campaign, found):
     found["repair"] = Repaired(
         replace(found["diagnose"], diagnosis=by.diagnosis("adequate", repair=by.STEPS[:1])), (),
@@ -325,6 +390,50 @@ def test_labels_of_figures_do_not_overlap():
     # slanted names: their boxes overlap, their lines must not
     labels = [axes.get_xticklabels() for axes in figure.axes[-2:]]
     assert all(label.get_rotation() == 25 for group in labels for label in group)
+
+
+def side_by_side() -> HypothesesCompared:
+    """Three hypotheses with the longest names and figures that there are."""
+    sizes = {
+        "bottom_roughness_alpha": by.estimate(0.0123, 0.0008),
+        "alpha_scat_per_cm": by.estimate(0.54321, 0.02012),
+        "light_yield_ph_per_keV": replace(
+            by.estimate(7.812, 0.345),
+            contributions={"statistical": 0.123, "detector_efficiency": 0.322},
+        ),
+    }
+    hypotheses = tuple(
+        FittedHypothesis(
+            name, Path("a campaign.toml"), ("anisotropic_scattering", "scattering_gradient"),
+            1234.5, 13, 1.2e-10, 2.61, -123.4 * place, 1.7 * place, 0.3,
+            sizes if place else by.FITTED, by.rows(1.0 - 0.4 * place),
+        )
+        for place, name in enumerate(NAMES)
+    )  # fmt: skip
+    apart = {row.label: 0.8 * abs(row.pull) for row in by.rows()}
+    found = SideBySide("preferred", "as A shows", ("A",), hypotheses, apart)
+    return HypothesesCompared(found, by.PROVENANCE, dict.fromkeys(NAMES, "hash"))
+
+
+@pytest.mark.parametrize("width", [80, 100, 140])
+def test_hypotheses_fit_a_terminal_and_their_figure(width):
+    shown = descriptions.of_hypotheses(side_by_side())
+    lines = described.text(shown, width).splitlines()
+    tables = [line for line in lines if line[:1] in "┏┃┡│└"]
+    assert max(map(len, tables)) <= width
+    whole = "\n".join(tables)
+    for table in (shown.tables[title] for title in ("hypotheses", "sizes")):
+        assert all(cell.text in whole for row in table.rows for cell in row.cells)
+    for table in (shown.tables["pulls"], shown.tables["predictions"]):
+        assert all(cell.text in whole for row in table.rows for cell in row.cells[1:])
+    assert row_of(whole, "bottom_roughness_alpha")[1] == ""
+    most = (
+        f"They differ most at {by.MARKUP}: 18.80, 19.28 and 19.76 where 20.00 ± 0.20 was measured"
+    )
+    assert most in " ".join(lines)
+    figure = draw_hypotheses(side_by_side().comparison).figure
+    legends = [text for axes in figure.axes for text in axes.get_legend().get_texts()]
+    assert overlap([*figure.axes[1].get_xticklabels(), *legends], figure) == []
 
 
 def test_figures_of_little_can_be_drawn():

@@ -204,7 +204,6 @@ CSV = "label,signal,sigma\n"
         (f"{CSV}a,1e300,1\n", "line 2, column signal: signal = '1e300' is too large"),
         (f"{CSV}a,1,1e-300\n", "line 2, column sigma: sigma = '1e-300' is too small"),
         (f"{CSV}a,１,1\n", "line 2, column signal"),
-        ((CSV + "a,1,1\n").encode("utf-16"), "not a UTF-8 text file"),
     ],
 )
 def test_measurement_files_that_are_no_such_thing(tmp_path, text, said):

@@ -7,10 +7,13 @@ import pytest
 from places import BALL, SCENES
 from refusals import refusal
 
+import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.table import eta_table
 from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.scene.vocabulary import PLUGIN_TYPES
 from mcrim_mitsuba.transport.simulation import Simulation, check_scene
+from mcrim_mitsuba.transport.variants import use_variant
 
 BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
 
@@ -101,6 +104,28 @@ def test_broken_scene_is_refused_with_one_line(tmp_path, name):
     assert report.problems[0].line or kind == "file", line
     for word in words:
         assert word in line, line
+
+
+def test_types_of_plugins_that_are_proposed_exist():
+    mi = use_variant("llvm_ad_rgb")
+    for types in PLUGIN_TYPES.values():
+        for name in types:
+            try:
+                mi.load_dict({"type": name})
+            except Exception as error:  # of what it lacks, this or that
+                assert "not found" not in str(error), name
+
+
+def test_a_default_that_nothing_uses_is_a_warning(tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_text(BENCH.replace("<default", '<default name="spare" value="3"/>\n  <default', 1))
+    said = f"spare of scene.xml, line {BENCH[: BENCH.index('<default')].count(chr(10)) + 1}, is"
+    report = mcrim.check(path)
+    assert report.ok and [note.startswith(said) for note in report.described.notes] == [True]
+    found = mcrim.simulate(path, photons=1)
+    assert sum(note.startswith(said) for note in found.document["notes"]) == 1
+    # what would change nothing is still refused
+    assert "never used" in refusal(read_scene, path, {"spare": 4})
 
 
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*.xml")), ids=lambda p: p.stem)

@@ -10,7 +10,10 @@ from mcrim_mitsuba.cli.lab.material import absorption, efficiency, gammas, index
 from mcrim_mitsuba.cli.lab.plan import plan
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(
+    short_help="Raw data: peaks, efficiencies, absorption, light yields.",
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 def lab() -> None:
     """Raw data: peaks of histograms, detector efficiency, absorption, indices, light yields."""
 

@@ -1,0 +1,550 @@
+// The page's behaviour: its controls, what they ask the server, and how the session is.
+import { drawFalling, drawReadings } from "./charts.js";
+
+const STEPS = Number(document.body.dataset.steps);
+// between looks at the running job, and when there is none; an answer that takes longer is lost
+const BUSY_MS = 300;
+const IDLE_MS = 1500;
+const PATIENCE_MS = 15000;
+// what may be sent to the page, and what the server takes (base64 is a third longer)
+const MOST_UPLOADED = 10e6;
+
+const $ = (id) => document.getElementById(id);
+const idOf = (kind, name) => JSON.stringify({ kind: kind, name: name });
+
+function write(place, text) {
+  if (place && place.textContent !== text) {
+    place.textContent = text;
+  }
+}
+
+// ---- numbers as people type them ----
+
+const NUMBER = /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i;
+const THOUSANDS = /^[+-]?[1-9]\d{0,2}(,\d{3})+$/;
+
+// [number, what is wrong with it]
+function read(text) {
+  let plain = text.trim().replace("\u2212", "-");
+  if (THOUSANDS.test(plain)) {
+    const [whole, part] = [plain.replaceAll(",", ""), plain.replace(",", ".")];
+    return [null, `${plain} can be read in two ways: write ${whole} or ${part}0`];
+  }
+  if (!plain.includes(".") && plain.split(",").length === 2) {
+    plain = plain.replace(",", ".");
+  }
+  if (!NUMBER.test(plain) || !isFinite(Number(plain))) {
+    const given = text.trim() ? `${text.trim()} is not a number` : "the field is empty";
+    return [null, `${given}: write for example 0.3`];
+  }
+  return [Number(plain), ""];
+}
+
+const shownNumber = (value) => String(Number(value.toPrecision(6)));
+
+// ---- where a value lies on its slider ----
+
+const coordinateOf = {
+  linear: (value) => value,
+  reciprocal: (value, scale) => 1 / (value + scale),
+  logarithmic: (value, scale) => Math.log1p(value / scale),
+};
+const valueOf = {
+  linear: (x) => x,
+  reciprocal: (x, scale) => 1 / x - scale,
+  logarithmic: (x, scale) => scale * Math.expm1(x),
+};
+
+class Control {
+  constructor(element) {
+    const given = element.dataset;
+    this.element = element;
+    this.name = given.name;
+    [this.minimum, this.maximum, this.scale] = [
+      given.minimum, given.maximum, given.scale,
+    ].map(Number);
+    this.coordinate = given.coordinate;
+    this.range = given.range;
+    this.slider = $(idOf("slider", this.name));
+    this.field = $(idOf("number", this.name));
+    this.how = $(idOf("known", this.name));
+    this.ends = [this.minimum, this.maximum].map((v) => this.coordinateOf(v));
+    this.priors = element.querySelectorAll(".prior input");
+    this.wrong = element.querySelector(".wrong");
+  }
+
+  coordinateOf(value) {
+    return coordinateOf[this.coordinate](value, this.scale);
+  }
+
+  // values of neighbouring steps differ in four digits
+  get slid() {
+    const [low, high] = this.ends;
+    const x = low + ((high - low) * Number(this.slider.value)) / STEPS;
+    const value = valueOf[this.coordinate](x, this.scale);
+    const inside = Math.min(Math.max(value, this.minimum), this.maximum);
+    return Number(inside.toPrecision(4));
+  }
+
+  show(value, force = false) {
+    const [low, high] = this.ends;
+    this.slider.value = Math.round((STEPS * (this.coordinateOf(value) - low)) / (high - low));
+    this.slider.setAttribute("aria-valuetext", shownNumber(value));
+    if (force || document.activeElement !== this.field || !this.field.dataset.typing) {
+      this.field.value = shownNumber(value);
+      this.refuse(this.field, "");
+    }
+  }
+
+  // what is wrong with a field, in words below it
+  refuse(field, problem) {
+    field.setAttribute("aria-invalid", String(Boolean(problem)));
+    field.dataset.problem = problem;
+    delete field.dataset.typing;
+    const all = [this.field, ...this.priors].map((each) => each.dataset.problem);
+    write(this.wrong, all.filter(Boolean).join("; "));
+  }
+}
+
+const controls = new Map(
+  [...document.querySelectorAll(".control")].map((one) => [one.dataset.name, new Control(one)])
+);
+const boxes = new Map(
+  [...document.querySelectorAll(".effect")].map((one) => [
+    one.dataset.effect,
+    { box: one.querySelector("input"), sizes: one.querySelector(".sizes") },
+  ])
+);
+const follows = document.querySelector("#fit-scale input");
+
+// ---- what the page knows ----
+
+// the settings in full digits, of which the fields show six
+let settings = null;
+let numbers = { number: -1, settings_number: -1 };
+let fileNumber = Number(document.body.dataset.file);
+
+function sent() {
+  return { settings: settings, settings_number: numbers.settings_number };
+}
+
+function isEntered() {
+  return !document.querySelector(".typed[aria-invalid=true]:not([data-column])");
+}
+
+// numbers that belong to other values than those beside them are grey
+let unanswered = false;
+let pending = false;
+function shade() {
+  const wrong = !isEntered();
+  const stale = unanswered || pending || wrong;
+  document.body.classList.toggle("stale", stale);
+  if (wrong) {
+    write($("pending"), "These numbers are of other values: a field holds none that can be used.");
+  }
+}
+
+// ---- the server ----
+
+function ask(address, body) {
+  const options = { signal: AbortSignal.timeout(PATIENCE_MS) };
+  if (body) {
+    options.method = "POST";
+    options.headers = { "Content-Type": "application/json" };
+    options.body = JSON.stringify(body);
+  }
+  return fetch(address, options).then(
+    async function (answer) {
+      connect(true);
+      if (!answer.ok) {
+        write($("slip"), (await answer.text()).trim());
+        return null;
+      }
+      return answer.json();
+    },
+    function () {
+      connect(false);
+      return null;
+    }
+  );
+}
+
+function connect(is) {
+  document.body.classList.toggle("lost", !is);
+  document.querySelector("main").inert = !is;
+  $("stop").disabled = !is;
+  $("undo").inert = !is;
+  write(
+    $("lost"),
+    is ? "" : "The connection to mcrim is lost: nothing here is kept or computed any more. If it " +
+      "was ended, start mcrim app again and open the address that it prints."
+  );
+  if (!is) {
+    write($("status"), "not connected");
+  }
+}
+
+// Predictions: one question at a time, and the newest settings after it.
+let asking = false;
+let again = false;
+function predict() {
+  unanswered = true;
+  shade();
+  if (asking) {
+    again = true;
+    return;
+  }
+  asking = true;
+  again = false;
+  ask("predictions", sent()).then(function (told) {
+    asking = false;
+    if (again) {
+      predict();
+      return;
+    }
+    if (told && told.settings_number === numbers.settings_number) {
+      unanswered = false;
+      present(told);
+    }
+    shade();
+  });
+}
+
+function present(told) {
+  pending = Boolean(told.pending);
+  for (const [id, text] of Object.entries(told.texts)) {
+    write($(id), text);
+  }
+  if (!told.cells) {
+    pending = true;
+    return;
+  }
+  const rows = document.querySelectorAll("#rows tbody tr");
+  told.cells.forEach(function (row, i) {
+    row.forEach((text, j) => write(rows[i] && rows[i].cells[j + 4], text));
+  });
+  drawReadings($("readings-chart"), told.chart);
+  const scale = controls.get("scale");
+  if (settings.fit_scale && scale && told.scale !== null) {
+    settings.values.scale = told.scale;
+    scale.show(told.scale);
+  }
+}
+
+// ---- how the session is ----
+
+function swap(id, html) {
+  const place = $(id);
+  if (place.given === html) {
+    return;
+  }
+  const focus = place.contains(document.activeElement) ? document.activeElement : null;
+  const at = focus && (focus.id || focus.dataset.key);
+  place.given = html;
+  place.innerHTML = html;
+  if (at) {
+    const same = [...place.querySelectorAll("[id], [data-key]")];
+    (same.find((one) => one.id === at || one.dataset.key === at) || place).focus();
+  }
+}
+
+function takeOver(told) {
+  settings = told.settings;
+  for (const [name, control] of controls) {
+    control.show(settings.values[name], true);
+    showKnown(control, settings.known[name], true);
+  }
+  for (const [name, { box, sizes }] of boxes) {
+    box.checked = settings.effects.includes(name);
+    sizes.hidden = !box.checked;
+  }
+  follows.checked = settings.fit_scale;
+}
+
+function showKnown(control, known, force) {
+  control.how.value = known.how;
+  control.element.querySelector(".prior").hidden = known.how !== "prior";
+  if (force) {
+    for (const field of control.priors) {
+      const value = known[field.dataset.of];
+      field.value = value === null ? "" : shownNumber(value);
+      control.refuse(field, "");
+    }
+  }
+  if (control.name === "scale") {
+    follows.disabled = known.how === "held";
+  }
+}
+
+function update(told) {
+  if (!told) {
+    return;
+  }
+  if (told.bench_number !== Number(document.body.dataset.bench)) {
+    window.location.reload();
+    return;
+  }
+  const before = numbers;
+  numbers = told;
+  if (told.settings) {
+    if (told.settings_number !== before.settings_number) {
+      takeOver(told);
+    }
+    document.querySelectorAll("#rows tbody tr").forEach(function (row, i) {
+      const reading = told.readings[i];
+      row.classList.toggle("unused", !reading.use);
+      for (const field of row.querySelectorAll("input")) {
+        if (field.type === "checkbox") {
+          field.checked = reading.use;
+        } else if (!field.dataset.typing && !field.dataset.problem) {
+          field.value = shownNumber(reading[field.dataset.column]);
+        }
+      }
+    });
+    for (const [id, html] of Object.entries(told.parts)) {
+      swap(id, html);
+    }
+    drawFalling($("falling-chart"), told.steps);
+    $("undo").disabled = !told.can_undo;
+    predict();
+  }
+  showJob(told.job);
+  if (told.file_number !== fileNumber) {
+    fileNumber = told.file_number;
+    const link = document.createElement("a");
+    [link.href, link.download] = ["file", ""];
+    link.click();
+  }
+  if ("slip" in told) {
+    write($("slip"), told.slip);
+  }
+}
+
+function showJob(job) {
+  const busy = job.key !== null;
+  const [next, ...others] = job.waiting.map((one) => one.words);
+  const more = others.length ? ` and ${others.length} more` : "";
+  write($("status"), next ? `${job.words}; then ${next}${more}` : job.words);
+  write($("error"), job.said.join("\n"));
+  $("stop").hidden = !busy;
+  const progress = $("progress");
+  progress.max = Math.max(job.total, 1);
+  if (busy && job.total <= 1) {
+    progress.removeAttribute("value"); // it runs to and fro
+  } else {
+    progress.value = busy ? job.done : 0;
+  }
+  const waiting = job.waiting.map((one) => one.key);
+  const part = busy && job.total > 1 ? job.done / job.total : 0;
+  for (const button of document.querySelectorAll("[data-key]")) {
+    const runs = button.dataset.key === job.key;
+    const waits = waiting.includes(button.dataset.key);
+    button.classList.toggle("running", runs);
+    button.classList.toggle("waiting", waits);
+    button.style.setProperty("--done", `${runs ? 100 * part : 0}%`);
+    if (button.dataset.do === "stop") {
+      button.hidden = !runs && !waits;
+      continue;
+    }
+    button.dataset.text ||= button.textContent;
+    button.dataset.label ||= button.getAttribute("aria-label") || button.dataset.text;
+    const text = runs ? "Stop" : waits ? "Do not begin" : button.dataset.text;
+    write(button, text);
+    button.setAttribute(
+      "aria-label", runs || waits ? `${text}: ${button.dataset.label}` : button.dataset.label
+    );
+  }
+}
+
+let looking = null;
+function look() {
+  window.clearTimeout(looking);
+  ask(`state?known=${numbers.number}`)
+    .then(update)
+    .finally(function () {
+      const busy = numbers.job && (numbers.job.key !== null || numbers.job.waiting.length);
+      window.clearTimeout(looking);
+      looking = window.setTimeout(look, busy ? BUSY_MS : IDLE_MS);
+    });
+}
+
+function act(what, name = "", more = {}) {
+  if (!settings) {
+    return Promise.resolve(null);
+  }
+  const body = { ...sent(), ...more, what: what, name: name, known: numbers.number };
+  return ask("do", body).then(function (told) {
+    update(told);
+    look();
+    return told;
+  });
+}
+
+// ---- what the user does ----
+
+document.addEventListener("click", function (event) {
+  const button = event.target.closest("button, input[type=radio]");
+  if (!button) {
+    return;
+  }
+  if (button.className === "help") {
+    const text = $(button.getAttribute("aria-controls"));
+    text.hidden = !text.hidden;
+    button.setAttribute("aria-expanded", String(!text.hidden));
+  } else if (button.matches(".running, .waiting") && button.dataset.key) {
+    act("stop", button.dataset.key);
+  } else if (button.dataset.do) {
+    if (isEntered() || ["stop", "undo", "back", "show"].includes(button.dataset.do)) {
+      act(button.dataset.do, button.dataset.name);
+    } else {
+      write($("slip"), "a field holds a value that cannot be used: mend it first");
+    }
+  } else if (button.id === "upload-button") {
+    file.click();
+  }
+});
+
+function set(control, value) {
+  settings.values[control.name] = value;
+  if (control.name === "scale" && settings.fit_scale) {
+    follows.checked = settings.fit_scale = false; // what is set by hand does not follow
+  }
+}
+
+document.addEventListener("input", function (event) {
+  const field = event.target;
+  if (field.matches(".typed")) {
+    field.dataset.typing = "1";
+    return;
+  }
+  const control = field.type === "range" && controls.get(field.closest(".control").dataset.name);
+  if (control && settings) {
+    set(control, control.slid);
+    control.field.value = shownNumber(control.slid);
+    control.slider.setAttribute("aria-valuetext", control.field.value);
+    control.refuse(control.field, "");
+    predict();
+  }
+});
+
+function typed(control, field) {
+  const [value, problem] = read(field.value);
+  if (problem) {
+    control.refuse(field, problem);
+  } else if (field === control.field && (value < control.minimum || value > control.maximum)) {
+    control.refuse(field, `${shownNumber(value)} is out of range: give a value ${control.range}`);
+  } else if (field.dataset.of === "prior_sigma" && value <= 0) {
+    control.refuse(field, "the error of a prior is above 0");
+  } else if (field === control.field) {
+    set(control, value);
+    control.show(value, true);
+    predict();
+  } else {
+    control.refuse(field, "");
+    know(control);
+  }
+  shade();
+}
+
+function know(control) {
+  const known = { ...settings.known[control.name], how: control.how.value };
+  for (const field of control.priors) {
+    known[field.dataset.of] = field.value.trim() ? read(field.value)[0] : null;
+  }
+  settings.known[control.name] = known;
+  showKnown(control, known, false);
+  if (control.name === "scale" && known.how === "held") {
+    follows.checked = settings.fit_scale = false;
+  }
+  predict();
+}
+
+function edited(field) {
+  const row = field.closest("tr");
+  const at = { column: field.dataset.column, value: field.checked };
+  if (field.type !== "checkbox") {
+    const [value, problem] = read(field.value);
+    field.setAttribute("aria-invalid", String(Boolean(problem)));
+    field.dataset.problem = problem;
+    write($("rows-wrong"), problem);
+    if (problem) {
+      return;
+    }
+    at.value = value;
+  }
+  act("edit", String(row.sectionRowIndex), at).then(function (told) {
+    const slip = (told && told.slip) || "";
+    if (slip && field.type === "checkbox") {
+      field.checked = !field.checked;
+    } else if (field.type !== "checkbox") {
+      field.setAttribute("aria-invalid", String(Boolean(slip)));
+      field.dataset.problem = slip;
+      delete field.dataset.typing;
+      field.value = slip ? field.value : shownNumber(at.value);
+    }
+    write($("rows-wrong"), slip);
+  });
+}
+
+document.addEventListener("change", function (event) {
+  const field = event.target;
+  const control = field.closest(".control");
+  if (!settings) {
+    return;
+  }
+  if (field.dataset.column) {
+    edited(field);
+  } else if (control && field.matches(".typed")) {
+    typed(controls.get(control.dataset.name), field);
+  } else if (control && field.matches("select")) {
+    know(controls.get(control.dataset.name));
+  } else if (field === follows) {
+    settings.fit_scale = follows.checked;
+    predict();
+  } else if (field.closest(".switch")) {
+    const name = field.closest(".effect").dataset.effect;
+    boxes.get(name).sizes.hidden = !field.checked;
+    const others = settings.effects.filter((each) => each !== name);
+    settings.effects = field.checked ? [...others, name] : others;
+    act("effect", name);
+    predict();
+  }
+});
+
+// ---- files ----
+
+const upload = document.querySelector("#files");
+const file = document.querySelector("#upload input");
+
+function open(chosen) {
+  if (!chosen) {
+    return;
+  }
+  const reader = new FileReader();
+  reader.onload = function () {
+    file.value = "";
+    if (reader.result.length > MOST_UPLOADED) {
+      write(
+        $("slip"),
+        `${chosen.name}: the file is larger than 7 MB; a measurement file has one short row per ` +
+          "reading"
+      );
+      return;
+    }
+    act("upload", chosen.name, { content: reader.result });
+  };
+  reader.readAsDataURL(chosen);
+}
+
+file.addEventListener("change", () => open(file.files[0]));
+for (const kind of ["dragover", "dragleave", "drop"]) {
+  upload.addEventListener(kind, function (event) {
+    event.preventDefault();
+    upload.classList.toggle("over", kind === "dragover");
+    if (kind === "drop") {
+      open(event.dataTransfer.files[0]);
+    }
+  });
+}
+
+look();

@@ -1,0 +1,166 @@
+"""The page's jobs: one after the other, each begun by a button and stopped by it."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import traceback
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+from mcrim_mitsuba.core.errors import InputError
+
+
+class CancelledError(Exception):
+    """The user wants the job to end."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Something that takes longer."""
+
+    #: What asked for it: a button, or an effect's switch.
+    key: str
+    #: What it does.
+    words: str
+    work: Callable[[], None]
+    #: Called where it came to nothing, the waiting one that is stopped included.
+    undo: Callable[[], None] = lambda: None
+
+
+@dataclass(frozen=True)
+class Status:
+    """What the job thread is doing."""
+
+    #: The job that runs, None when idle; its work is not looked at.
+    job: Job | None = None
+    #: What the job is at.
+    stage: str = ""
+    #: Of the stage.
+    done: int = 0
+    total: int = 0
+    #: Those behind it.
+    waiting: tuple[Job, ...] = ()
+    #: Why jobs came to nothing since the user last began one.
+    said: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """What is going on, ``ready`` when idle."""
+        if self.job is None:
+            return "ready"
+        apart = "" if self.stage in ("", self.job.words) else f": {self.stage}"
+        part = f", {100 * self.done / self.total:.0f} %" if self.total > 1 else ""
+        return f"{self.job.words}{apart}{part}"
+
+
+class Jobs:
+    """Runs jobs one after the other.
+
+    All of them run in the same thread: Mitsuba's variant belongs to a thread. `changed` is called
+    whenever one was begun or ended.
+    """
+
+    def __init__(self, changed: Callable[[], None]) -> None:
+        self._changed = changed
+        self._waiting: deque[Job] = deque()
+        self._there_is_work = threading.Condition()
+        self._closed = self._cancelled = False
+        self._status = Status()
+        # Ctrl-C need not wait for a long simulation
+        self._thread = threading.Thread(target=self._work, name="jobs", daemon=True)
+        self._thread.start()
+
+    @property
+    def status(self) -> Status:
+        """What is going on now."""
+        with self._there_is_work:
+            return replace(self._status, waiting=tuple(self._waiting))
+
+    def start(self, job: Job) -> None:
+        """Begin a job when all before it are done; one that is under way is not begun again."""
+        with self._there_is_work:
+            self._status = replace(self._status, said=())
+            running = () if self._status.job is None or self._cancelled else (self._status.job,)
+            if all(job.key != other.key for other in (*running, *self._waiting)):
+                self._waiting.append(job)
+                self._there_is_work.notify()
+        self._changed()
+
+    def stop(self, key: str | None = None) -> None:
+        """Let the job of a button end at its next report, or not begin; None: the running one."""
+        dropped: list[Job] = []
+        with self._there_is_work:
+            running = self._status.job
+            if running is not None and key in (None, running.key):
+                self._cancelled = True
+                self._status = replace(self._status, stage="stopping", done=0, total=0)
+            else:
+                dropped = [job for job in self._waiting if job.key == key]
+                self._waiting = deque(job for job in self._waiting if job.key != key)
+        for job in dropped:
+            job.undo()
+
+    def stop_all(self) -> None:
+        """Let nothing that was begun go on."""
+        for job in self.status.waiting:
+            self.stop(job.key)
+        self.stop()
+
+    def report(self, stage: str, done: int, total: int, _note: str = "") -> None:
+        """Told by the job how far it is.
+
+        Raises
+        ------
+        CancelledError
+            If the job is to end.
+        """
+        with self._there_is_work:
+            if self._cancelled:
+                raise CancelledError
+            self._status = replace(self._status, stage=stage, done=done, total=total)
+
+    def close(self, patience_seconds: float) -> None:
+        """Stop the running job and take no more; waits for so long at most."""
+        with self._there_is_work:
+            self._closed = self._cancelled = True
+            self._waiting.clear()
+            self._there_is_work.notify()
+        self._thread.join(patience_seconds)
+
+    def _work(self) -> None:
+        while True:
+            with self._there_is_work:
+                self._there_is_work.wait_for(lambda: self._closed or self._waiting)
+                if self._closed:
+                    return
+                job = self._waiting.popleft()
+                self._cancelled = False
+                self._status = replace(self._status, job=job, stage="", done=0, total=0)
+            error = self._run(job)
+            if error:
+                with suppress(InputError):
+                    job.undo()
+            with self._there_is_work:
+                said = self._status.said
+                self._status = Status(said=(*said, error) if error else said)
+            self._changed()
+
+    @staticmethod
+    def _run(job: Job) -> str:
+        """Why it came to nothing; empty where it did not."""
+        try:
+            job.work()
+        except CancelledError:
+            return f"{job.words}: stopped; what was simulated is kept"
+        except InputError as refusal:
+            return f"{job.words}: {refusal}"
+        except Exception as fault:
+            traceback.print_exc(file=sys.stderr)
+            return (
+                f"{job.words}: this is our fault, not yours ({type(fault).__name__}): please "
+                "report the lines in the terminal"
+            )
+        return ""

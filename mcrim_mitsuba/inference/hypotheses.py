@@ -1,0 +1,312 @@
+"""Hypotheses side by side: campaigns of the same readings, and what these say of each.
+
+Every campaign is fitted by itself. Its evidence is that of a diagnosis, with the same densities of
+the sizes of its effects, and all campaigns share the prior of the scale, so that evidences compare.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+from pathlib import Path
+
+import numpy as np
+
+from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
+from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.core.rounding import counted, probability
+from mcrim_mitsuba.core.run import Provenance, Run
+from mcrim_mitsuba.inference.diagnose import AMBIGUOUS, UNEXPLAINED, explains
+from mcrim_mitsuba.inference.estimates import (
+    ACCEPTABLE_P,
+    FittedRow,
+    ParameterEstimate,
+    error_of_difference,
+    estimates,
+    left_out_error,
+    rows,
+)
+from mcrim_mitsuba.inference.evidence import Hypothesis, weigh
+from mcrim_mitsuba.inference.explanations import LEADING, Explanations
+from mcrim_mitsuba.inference.fit import fit_model
+from mcrim_mitsuba.inference.least_squares import Fit
+from mcrim_mitsuba.inference.model import UNKNOWN_SCALE
+from mcrim_mitsuba.inference.workbench import Workbench
+from mcrim_mitsuba.runs.array_job import PartDoneError
+
+#: What hypotheses are called, in the order in which they are given; so many are compared at most.
+NAMES = ("A", "B", "C")
+#: The verdict where one hypothesis leads alone and describes the readings.
+PREFERRED = "preferred"
+# What makes a row of a measurement file, its scene parameters besides, and how far numbers may
+# differ that were read from histograms in one campaign and written out in the other.
+_OF_A_ROW = ("label", "kind", "signal", "sigma", "use", "group", "group_sigma")
+_ROUNDED = 1e-6
+
+
+@dataclass(frozen=True)
+class FittedHypothesis:
+    """What the readings say of one campaign."""
+
+    #: ``A``, ``B`` or ``C``.
+    name: str
+    #: Its file; None where there is none.
+    campaign: Path | None
+    #: What it switches on over its scene, in the file's order.
+    effects: tuple[str, ...]
+    #: As in `Calibration`.
+    chi2: float
+    ndf: int
+    p_value: float | None
+    #: On readings left out of the fit, in their standard errors.
+    left_out_error: float
+    #: Natural logarithm of the likelihood averaged over the priors, less that of the best; and its
+    #: error by the points of the average and by the simulation.
+    log_evidence: float
+    log_evidence_sigma: float
+    #: Among those compared, each as likely as the others before the readings.
+    probability: float
+    #: The free ones, and the light yield.
+    parameters: dict[str, ParameterEstimate]
+    #: All readings, in the file's order.
+    rows: tuple[FittedRow, ...]
+
+    @property
+    def words(self) -> str:
+        """``B (gap_bubble)``."""
+        return f"{self.name} ({' with '.join(self.effects) or 'nothing added'})"
+
+
+@dataclass(frozen=True)
+class SideBySide:
+    """Hypotheses on the same readings."""
+
+    #: ``preferred``, ``ambiguous`` or ``unexplained``.
+    verdict: str
+    #: In a sentence.
+    reason: str
+    #: Names of those that the data cannot tell from the likeliest, which is the first.
+    leading: tuple[str, ...]
+    #: In the order in which they were given.
+    hypotheses: tuple[FittedHypothesis, ...]
+    #: By label, in the file's order: the largest difference of two predictions, in standard errors
+    #: of the reading.
+    apart: dict[str, float]
+
+    @property
+    def named(self) -> dict[str, FittedHypothesis]:
+        """The hypotheses by name."""
+        return {one.name: one for one in self.hypotheses}
+
+
+@dataclass(frozen=True)
+class HypothesesCompared:
+    """Campaigns of the same readings, compared."""
+
+    comparison: SideBySide
+    #: Of all together.
+    provenance: Provenance
+    #: Hashes of the scenes by hypothesis.
+    scenes: dict[str, str]
+
+
+def compare_hypotheses(
+    campaigns: Sequence[str | Path | Campaign], *, run: Run = Run()
+) -> HypothesesCompared:
+    """Fit campaigns of the same readings and weigh them against each other.
+
+    Parameters
+    ----------
+    campaigns : sequence of str, Path or Campaign
+        Two or three; scenes, effects, priors and starts may differ.
+    run : Run
+        See `Workbench`. All campaigns are simulated with the same random numbers.
+
+    Raises
+    ------
+    InputError
+        As `compare` does; or if the readings, or what is known of the scale, are not the same.
+    """
+    given = [as_campaign(one) for one in campaigns]
+    refuse_unlike(given)
+    first = given[0]
+    # what is simulated depends on where the coefficients start, and fits do not
+    starts = {
+        n: first.parameters[n].start for n in (ALPHA_SCAT, ALPHA_ABS) if n in first.parameters
+    }
+    benches = {
+        name: Workbench(one.with_starts(starts), run)
+        for name, one in zip(NAMES, given, strict=False)
+    }
+    made: dict[str, Explanations] = {}
+    notes: list[str] = []
+    _simulate(benches.values())
+    for name, bench in benches.items():
+        effects = bench.campaign.effects
+        scale = next((each.scale for each in made.values()), None)
+        own = {each.name: each for each in bench.campaign.switched_on}
+        made[name] = Explanations(bench.reduced_model, own, scale)
+        # refused where the readings do not determine its parameters
+        fit = fit_model(bench.model(starts=made[name].fit(effects).values), profile=False)
+        notes += [f"{name}: {note}" for note in fit.notes]
+    found = side_by_side(made)
+    spent = [bench.provenance() for bench in benches.values()]
+    together = replace(
+        spent[-1],
+        photons=sum(each.photons for each in spent),
+        cached_photons=sum(each.cached_photons for each in spent),
+        scene_hash=spent[0].scene_hash,
+        seconds=spent[0].seconds,  # its bench was the first
+        notes=tuple(dict.fromkeys((*notes, *(note for each in spent for note in each.notes)))),
+    )
+    scenes = {name: each.scene_hash for name, each in zip(benches, spent, strict=True)}
+    return HypothesesCompared(found, together, scenes)
+
+
+def _simulate(benches: Iterable[Workbench]) -> None:
+    """Of all campaigns; a part of an array job does its share of each before it is done."""
+    done: PartDoneError | None = None
+    for bench in benches:
+        try:
+            bench.simulate()
+        except PartDoneError as part:
+            done = part
+    if done is not None:
+        raise done
+
+
+def side_by_side(made: Mapping[str, Explanations]) -> SideBySide:
+    """Hypotheses by name, each with all effects that its explanations know, of the same readings.
+
+    Those whose evidence is as close to the best as explanations are that lead a diagnosis together
+    cannot be told from it.
+    """
+    effects = {name: tuple(each.effects) for name, each in made.items()}
+    fits = {name: each.fit(effects[name]) for name, each in made.items()}
+    evidences = {name: each.evidence(effects[name]) for name, each in made.items()}
+    order = sorted(made, key=lambda name: -evidences[name].log)
+    best = order[0]
+    weighed = weigh(
+        [Hypothesis(found, 0.0, besides=name) for name, found in evidences.items()], None
+    )
+    noise = {name: error_of_difference(fit, fits[best]) for name, fit in fits.items()}
+    hypotheses = tuple(
+        FittedHypothesis(
+            name=name,
+            campaign=fit.problem.model.campaign.path,
+            effects=effects[name],
+            chi2=fit.chi2,
+            ndf=fit.ndf,
+            p_value=fit.p_value,
+            left_out_error=left_out_error(fit),
+            log_evidence=evidences[name].log - evidences[best].log,
+            log_evidence_sigma=0.0 if name == best else math.hypot(
+                evidences[name].log_sigma, evidences[best].log_sigma, 0.5 * noise[name]
+            ),
+            probability=weighed.probabilities[name],
+            parameters=estimates(fit),
+            rows=rows(fit),
+        )
+        for name, fit in fits.items()
+    )  # fmt: skip
+    named = {one.name: one for one in hypotheses}
+    leading = tuple(n for n in order if -2.0 * named[n].log_evidence <= LEADING + 2.0 * noise[n])
+    verdict, reason = _verdict([named[name] for name in leading], fits[best])
+    readings = fits[best].problem.model.readings
+    predicted = np.ptp([fit.signal for fit in fits.values()], axis=0)
+    apart = {
+        reading.label: float(far / reading.sigma)
+        for reading, far in zip(readings, predicted, strict=True)
+    }
+    return SideBySide(verdict, reason, leading, hypotheses, apart)
+
+
+def _verdict(leading: Sequence[FittedHypothesis], fit: Fit) -> tuple[str, str]:
+    """The verdict and its reason; the fit is that of the first."""
+    best = leading[0]
+    quality = f"chi2 = {fit.chi2:.3g} without degrees of freedom"
+    if fit.p_value is not None:
+        degrees = f"{counted(fit.ndf, 'degree')} of freedom"
+        quality = f"chi2 = {fit.chi2:.3g} for {degrees} (p = {fit.p_value:.2g})"
+    likeliest = f"{best.words} is the likeliest of those compared, {probability(best.probability)}"
+    if not explains(fit, ACCEPTABLE_P):
+        return UNEXPLAINED, f"{likeliest}, but it does not describe the readings: {quality}"
+    if len(leading) > 1:
+        *others, last = (one.words for one in leading)
+        names = f"{', '.join(others)} and {last}"
+        return AMBIGUOUS, f"the readings cannot tell apart {names}: {quality} with the first"
+    describes = "and describes the readings" if fit.p_value is not None else "as far as it goes"
+    return PREFERRED, f"{likeliest}, {describes}: {quality}"
+
+
+# ---- what must be the same ----
+
+
+def refuse_unlike(campaigns: Sequence[Campaign]) -> None:
+    """Refuse campaigns that cannot be compared: InputError with the first file and row.
+
+    Readings must be the same, and what is known of the scale too: a prior of one alone would decide
+    between them.
+    """
+    if not 2 <= len(campaigns) <= len(NAMES):
+        problem = f"{len(campaigns)} hypotheses cannot be compared"
+        raise InputError(problem, f"name two or {len(NAMES)} campaigns of the same readings")
+    first, *others = campaigns
+    for other in others:
+        _refuse_other_readings(first, other)
+        if _of_scale(first) != _of_scale(other):
+            raise InputError(
+                f"the scale is not treated as in {first.path}",
+                "give [parameters.scale] the same start, prior, min, max and fixed in both, or "
+                "leave it out of both",
+                path=other.path,
+            )  # fmt: skip
+
+
+def _of_scale(campaign: Campaign) -> tuple[float | None, ...]:
+    known = campaign.scale or UNKNOWN_SCALE
+    held = known.start if known.fixed else None
+    return known.minimum, known.maximum, known.prior, known.prior_sigma, held
+
+
+def _refuse_other_readings(first: Campaign, other: Campaign) -> None:
+    ours, theirs = first.measurements, other.measurements
+    mend = "let both campaigns name the same measurements"
+    for one, another in zip_longest(ours.readings, theirs.readings):
+        if another is None:
+            problem = f"{one.label} of {ours.path} is not among the readings"
+            raise InputError(problem, mend, path=theirs.path)
+        if one is None:
+            problem = f"{another.label} is not among the readings of {ours.path}"
+            raise theirs.refusal(another, None, problem, mend)
+        for name, expected, found in _differences(one, another):
+            problem = f"{name} of {another.label} is {found}, but {expected} in {ours.path}"
+            raise theirs.refusal(another, name, problem, mend)
+
+
+def _differences(one: Reading, another: Reading) -> Iterator[tuple[str, str, str]]:
+    """What differs between two rows: its name, and both values."""
+    names = dict.fromkeys((*one.parameters, *another.parameters))
+    pairs: list[tuple[str, object, object]] = [
+        *((name, getattr(one, name), getattr(another, name)) for name in _OF_A_ROW),
+        *((name, one.parameters.get(name), another.parameters.get(name)) for name in names),
+    ]
+    for name, expected, found in pairs:
+        alike = expected == found
+        if isinstance(expected, float) and isinstance(found, float):
+            alike = math.isclose(expected, found, rel_tol=_ROUNDED)
+        if not alike:
+            yield name, _cell(expected), _cell(found)
+
+
+def _cell(value: object) -> str:
+    """A cell of a measurement file in words."""
+    if value is None:
+        return "not given"
+    if isinstance(value, bool):
+        return str(int(value))
+    return f"{value:g}" if isinstance(value, float) else str(value)

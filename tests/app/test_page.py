@@ -1,0 +1,141 @@
+"""What goes on in the page: jobs, what is typed, and what is said of both."""
+
+import itertools
+import signal
+import time
+
+import pytest
+from app_page import LONGEST_SIMULATION_S, running
+
+
+@pytest.fixture
+def campaign(scenes, tmp_path):
+    """The misfit's campaign with four readings."""
+    text = (scenes / "camoo4_misfit.toml").read_text()
+    text = text.replace('scene = "camoo4.xml"', f"scene = '{scenes / 'camoo4.xml'}'")
+    lines = (scenes / "camoo4_misfit.csv").read_text().splitlines()
+    (tmp_path / "four.csv").write_text("\n".join(lines[i] for i in (2, 3, 7, 15, 18)) + "\n")
+    path = tmp_path / "bench.toml"
+    path.write_text(text.replace("camoo4_misfit.csv", "four.csv"))
+    return path
+
+
+def test_jobs_wait_and_stop(browser, scenes):
+    # all of it is simulated, so that there is time to press Stop
+    with running(scenes / "camoo4_misfit.toml", "off", browser, settled=False) as app:
+        status = lambda: browser.text("#status")  # noqa: E731
+        browser.wait_for(lambda: status().startswith("simulating the bench"), "simulation")
+        browser.find("#stop").click()
+        browser.wait_for(lambda: status() == "ready", "end of the job")
+        assert browser.text("#error") == "simulating the bench: stopped; what was simulated is kept"
+        assert browser.text("#chi2-words") == "nothing is simulated yet: press Fit"
+
+        # whatever is asked for next simulates what it needs
+        browser.find("#fit").click()
+        browser.wait_for(lambda: status().startswith("fitting"), "fit")
+        assert not browser.text("#error") and browser.text("#chi2-words") == "being simulated"
+        # what is asked for meanwhile waits; all of it stays in sight
+        for effect in ("gap_bubble", "edge_chamfer", "background"):
+            app.control("effect", effect).click()
+        browser.wait_for(lambda: "; then simulating gap_bubble and 2 more" in status(), "queue")
+        fit, box = browser.find("#fit"), app.control("effect", "edge_chamfer")
+        assert fit.text == "Stop" and fit.get_attribute("aria-label") == "Stop: Fit"
+        browser.screenshot("jobs wait")
+        browser.run("window.scrollTo(0, document.documentElement.scrollHeight)")
+        top = browser.run("return document.querySelector('#bar').getBoundingClientRect().top")
+        assert top == 0 and browser.find("#stop").is_displayed()
+        # one that waits is taken back by its own button
+        browser.find('[data-key="effect edge_chamfer"]').click()
+        browser.wait_for(lambda: not box.is_selected(), "switch")
+        browser.wait_for(app.is_idle, "all of them", LONGEST_SIMULATION_S)
+        assert not browser.text("#error") and not browser.text("#pending")
+        rest = [app.control("effect", name).is_selected() for name in ("gap_bubble", "background")]
+        assert rest == [True, True] and "as it came" in browser.text("#fitted")
+        assert fit.text == "Fit" and browser.complaints() == []
+
+        # what was stopped is off again, and its numbers are not said to be the model's
+        app.control("effect", "edge_chamfer").click()
+        words = browser.wait_for(lambda: browser.text("#pending"), "words")
+        assert "without edge_chamfer" in words and browser.all("body.stale")
+        browser.find('[data-key="effect edge_chamfer"]').click()
+        browser.wait_for(lambda: not box.is_selected() and app.is_idle(), "switch", 30)
+        assert "edge_chamfer: stopped" in browser.text("#error")
+
+
+def test_a_lost_connection_is_said(browser, campaign, shared_cache):
+    with running(campaign, shared_cache, browser) as app:
+        app.process.send_signal(signal.SIGKILL)
+        browser.wait_for(lambda: browser.text("#lost"), "words", 10)
+        assert "connection to mcrim is lost" in browser.text("#lost")
+        assert browser.text("#status") == "not connected"
+        assert browser.run("return document.querySelector('main').inert")
+        opacity = "return Number(getComputedStyle(document.querySelector(arguments[0])).opacity)"
+        for place in ("main", "#figures-of-merit"):
+            browser.wait_for(lambda at=place: browser.run(opacity, at) < 0.5, f"grey {place}")
+        browser.screenshot("connection lost")
+
+
+TYPED = {
+    "500": "500 is out of range: give a value from 0.05 to 5 1/cm",
+    "-1": "-1 is out of range: give a value from 0.05 to 5 1/cm",
+    "1,234": "1,234 can be read in two ways: write 1234 or 1.2340",
+    "1.000,5": "1.000,5 is not a number: write for example 0.3",
+    "much": "much is not a number: write for example 0.3",
+    "": "the field is empty: write for example 0.3",
+}
+
+
+def test_what_is_typed_is_what_is_meant(browser, campaign, shared_cache):
+    with running(campaign, shared_cache, browser) as app:
+        name = "alpha_scat_per_cm"
+        field, slider = app.control("number", name), app.control("slider", name)
+        before = browser.text("#chi2")
+        for text, said in TYPED.items():
+            field.clear()
+            app.type(field, text)
+            browser.wait_for(lambda words=said: app.wrong(name) == words, said)
+            # what is shown belongs to another value, and says so
+            assert browser.all("body.stale") and "other values" in browser.text("#pending")
+        browser.screenshot("typed wrongly")
+        browser.find("#fit").click()
+        browser.wait_for(lambda: "mend it first" in browser.text("#slip"), "refusal")
+        for text, value in {"0,3": 0.3, ".7": 0.7, "7e-1": 0.7, " 2 ": 2}.items():
+            app.type(field, text)
+            browser.wait_for(app.is_idle, text)
+            assert (app.wrong(name), float(field.get_property("value"))) == ("", value)
+        assert browser.text("#chi2") != before
+        assert 600 < int(slider.get_property("value")) < 900
+
+        # the scale that is shown is the one that counts
+        scale, follows = app.control("number", "scale"), browser.find("#fit-scale input")
+        before = float(scale.get_property("value"))
+        app.type(field, "0.3")
+        browser.wait_for(lambda: float(scale.get_property("value")) != before, "scale that follows")
+        app.settled()
+        followed, chi2 = browser.text("#light-yield"), app.chi2
+        app.type(scale, "80")
+        browser.wait_for(lambda: app.is_idle() and app.chi2 > chi2, "chi2 at another scale")
+        assert not follows.is_selected() and browser.text("#light-yield") != followed
+        assert browser.text("#light-yield-words") == "± detector"
+        follows.click()
+        browser.wait_for(lambda: app.is_idle() and app.chi2 == chi2, "chi2 at the best scale")
+        assert float(scale.get_property("value")) < 80
+        assert browser.text("#light-yield-words") == "± readings, all else held ± detector"
+        assert browser.text("#light-yield").count("±") == 2
+        assert browser.complaints() == []
+
+
+def test_each_error_and_each_axis_says_what_it_is(browser, campaign, shared_cache):
+    with running(campaign, shared_cache, browser) as app:
+        app.switch_on("gap_bubble")
+        browser.find("#fit").click()
+        browser.wait_for(lambda: "with gap_bubble" in browser.text("#fitted"), "fit")
+        app.settled()
+        assert "whole error" in browser.text("#fitted")
+        ticks = [float(tick.text) for tick in browser.all("#falling-chart .tick")]
+        places = [tick.location["y"] for tick in browser.all("#falling-chart .tick")]
+        rising = [b > a for a, b in itertools.pairwise(ticks)]
+        higher = [b < a for a, b in itertools.pairwise(places)]
+        assert len(ticks) > 2 and all(rising) and all(higher), ticks
+        time.sleep(0.5)
+        browser.screenshot_whole("errors and axes")

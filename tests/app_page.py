@@ -1,0 +1,101 @@
+"""`mcrim app` in a browser, as its user has it; for the tests of the page."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+
+PHOTONS = 65536  # with an effect; the bench as it is gets nine times as many
+LONGEST_SIMULATION_S = 600
+KEYS = {"tab": "\ue004", "enter": "\ue007", "right": "\ue014", "space": " ", "all": "\ue009a\ue000"}
+
+
+class App:
+    """The page of a campaign, open in a browser."""
+
+    def __init__(self, browser, address: str, process: subprocess.Popen) -> None:
+        self.browser, self.address, self.process = browser, address, process
+        browser.driver.get(address)
+
+    def settled(self) -> None:
+        """Wait until nothing is simulated any more and everything is drawn."""
+        self.browser.wait_for(self.is_idle, "end of the simulation", LONGEST_SIMULATION_S)
+
+    def is_idle(self) -> bool:
+        assert self.process.poll() is None, "mcrim app has ended"
+        stop, status = self.browser.find("#stop"), self.browser.text("#status")
+        quiet = status == "ready" and not stop.is_displayed()
+        return quiet and not self.browser.all("body.stale") and self.browser.text("#chi2") != "…"
+
+    def is_about(self, words: str) -> bool:
+        return words in self.browser.text("header")
+
+    @property
+    def chi2(self) -> float:
+        return float(self.browser.text("#chi2"))
+
+    def upload(self, path) -> None:
+        self.browser.find("#upload input[type=file]").send_keys(str(path))
+
+    def take(self, path, readings: int) -> None:
+        """Upload readings that are in order."""
+        self.upload(path)
+        self.browser.wait_for(lambda: self.is_about(f"({readings})"), f"{readings} readings")
+        self.settled()
+
+    def table(self) -> list[list[str]]:
+        """The readings' rows, whether they are in sight or not: label, model, pull, eta."""
+        rows = self.browser.run(
+            "return [...document.querySelectorAll('#rows tbody tr')].map("
+            "row => [...row.cells].map(cell => cell.textContent))"
+        )
+        return [[row[0], *row[4:]] for row in rows]
+
+    def control(self, kind: str, name: str):
+        """A slider, number field or choice of a parameter, or an effect's box."""
+        element = self.browser.run(
+            "return document.getElementById(arguments[0])", f'{{"kind":"{kind}","name":"{name}"}}'
+        )
+        return element.find_element("css selector", "input") if kind == "effect" else element
+
+    def type(self, field, text: str) -> None:
+        field.send_keys(KEYS["all"], text, KEYS["enter"])
+
+    def wrong(self, name: str) -> str:
+        """What is said to be wrong with a parameter's field."""
+        return self.browser.text(f'.control[data-name="{name}"] .wrong')
+
+    def switch_on(self, effect: str) -> None:
+        before = self.browser.text("#chi2")
+        self.control("effect", effect).click()
+        self.browser.wait_for(
+            lambda: self.is_idle() and self.browser.text("#chi2") != before,
+            f"model with {effect}", LONGEST_SIMULATION_S,
+        )  # fmt: skip
+
+
+@contextmanager
+def running(campaign, cache, browser, photons=PHOTONS, *, settled=True):
+    """Start `mcrim app`, open what it prints, end it by Ctrl-C."""
+    command = [sys.executable, "-m", "mcrim_mitsuba", "app", str(campaign), "--no-browser"]
+    process = subprocess.Popen(
+        [*command, "--photons", str(photons)], text=True, stdout=-1, stderr=-1,
+        env=os.environ | {"MCRIM_CACHE": str(cache)},
+    )  # fmt: skip
+    try:
+        line = process.stdout.readline()
+        found = re.search(r"http://127\.0\.0\.1:\d+/\S+/", line)
+        assert found, process.stderr.read()
+        app = App(browser, found[0], process)
+        if settled:
+            app.settled()
+        yield app
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            _, err = process.communicate(timeout=20)
+            assert (process.returncode, err) == (0, "")
+    finally:
+        process.kill()
+        process.communicate()
