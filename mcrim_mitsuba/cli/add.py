@@ -36,13 +36,13 @@ def _listing() -> str:
 
 
 @click.command(short_help="Write a scene with an effect in it as a new scene.", epilog=_listing())
-@click.argument("effect")
+@click.argument("effect", shell_complete=options.complete_effects)
 @options.scene
-@click.option("-o", "--output", "path", metavar="NEW.xml", required=True,
+@click.option("-o", "--output", "path", type=click.Path(), metavar="NEW.xml", required=True,
               help="The new scene; - for the screen. Never replaces a file.")  # fmt: skip
 @click.option("-D", "values", multiple=True, metavar="NAME=VALUE", callback=options.read_defines,
               help="A value of the effect (may be repeated); mm, 1/cm.")  # fmt: skip
-@click.option("--effects-folder", "folder", metavar="DIR",
+@click.option("--effects-folder", "folder", type=click.Path(), metavar="DIR",
               help="Folder of effects of your own (*.py, which are executed).")  # fmt: skip
 def add(effect, scene, path, values, folder) -> None:
     """Write SCENE with EFFECT in it as a new scene, and show what changed.

@@ -14,7 +14,7 @@ from mcrim_mitsuba.cli import options, showing, terminal
 
 @click.command(short_help="Reduce a campaign's raw data, every step with its errors.")
 @options.campaign
-@click.option("-o", "--output", "path", metavar="NEW.toml",
+@click.option("-o", "--output", "path", type=click.Path(), metavar="NEW.toml",
               help="The campaign in plain numbers, its readings beside it (NEW.csv).")  # fmt: skip
 @options.figure("the histograms with their peaks (and NAME_spectra, the detector's efficiency, and "
                 "NAME_transmittance, the absorption)")  # fmt: skip
@@ -153,8 +153,8 @@ def _after_comparison(campaign: str, measurements: Path, comparison) -> str:
 
 @click.command(short_help="Rank effects as explanations of a campaign's misfit.")
 @options.campaign
-@click.option("--without", metavar="EFFECT[,EFFECT]", default="", help="Leave these out.")
-@click.option("--only", metavar="EFFECT[,EFFECT]", default="", help="Try these alone.")
+@options.effects("--without", "Leave these out.")
+@options.effects("--only", "Try these alone.")
 @options.figure("the ranking of the effects")
 @options.effect_photons
 @options.work
@@ -205,12 +205,12 @@ def _after_diagnosis(campaign: str, diagnosis) -> str:
 
 @click.command(short_help="Add effects to a campaign while the data justify it.")
 @options.campaign
-@click.option("-o", "--output", "path", metavar="NEW.toml", required=True,
+@click.option("-o", "--output", "path", type=click.Path(), metavar="NEW.toml", required=True,
               help="The mended campaign; its scene is written beside it, as NEW.xml. Never "
               "replaces a file.")  # fmt: skip
-@click.option("--effect", metavar="EFFECT[,EFFECT]", default="",
-              help="Add these, whatever the verdict (default: what it names, if of usual size).",
-)  # fmt: skip
+@options.effects(
+    "--effect", "Add these, whatever the verdict (default: what it names, if of usual size)."
+)
 @options.figure("how the error falls (and readings and pulls before and after, NAME_readings)")
 @options.effect_photons
 @options.work
@@ -253,7 +253,7 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
 
 @click.command(short_help="Diagnose and mend a campaign, and write it all as a page.")
 @options.campaign
-@click.option("-o", "--output", "path", metavar="REPORT.html", required=True,
+@click.option("-o", "--output", "path", type=click.Path(), metavar="REPORT.html", required=True,
               help="The page; replaces only another HTML file.")  # fmt: skip
 @options.effect_photons
 @options.work
@@ -277,7 +277,7 @@ def report(campaign, path, json_file, work) -> None:
 @click.option("--material", metavar="NAME",
               help="What the crystal is made of, such as CaMoO4 (default: what the campaign says): "
               "its indices, and how it stops gammas, are then known.")  # fmt: skip
-@click.option("--emission", metavar="FILE",
+@click.option("--emission", type=click.Path(), metavar="FILE",
               help="Emission spectrum (default: the campaign's, else a Gaussian band).",
 )  # fmt: skip
 @click.option("--wavelength-nm", type=options.Number(200, 2000), metavar="NM",

@@ -204,7 +204,11 @@ defines = click.option(
     help="Override a scene parameter (may be repeated); mm, 1/cm.",
 )  # fmt: skip
 json_output = click.option(
-    "--json", "json_file", metavar="FILE", help="Write the result as JSON; - for the screen."
+    "--json",
+    "json_file",
+    type=click.Path(),
+    metavar="FILE",
+    help="Write the result as JSON; - for the screen.",
 )
 seed = click.option(
     "--seed", type=Whole(0, LARGEST_SEED), default=0, show_default=True,
@@ -239,7 +243,7 @@ method = click.option(
 def figure(what: str):
     """``--figure``, for a picture of `what`; its numbers go beside it."""
     return click.option(
-        "--figure", metavar="FILE",
+        "--figure", type=click.Path(), metavar="FILE",
         help=f"Draw {what} (.png or .pdf); the numbers go beside it as .csv.",
     )  # fmt: skip
 
@@ -264,6 +268,22 @@ def _read_variant(ctx, param, value) -> str:
 
 
 scene = click.argument("scene", type=click.Path(path_type=str))
+
+
+def complete_effects(ctx, param, incomplete: str) -> list[str]:
+    """Effects that a shell proposes, the last of a list with commas between."""
+    from mcrim_mitsuba.effects.catalogue import BUILT_IN
+
+    before, comma, last = incomplete.rpartition(",")
+    return [before + comma + name for name in sorted(BUILT_IN) if name.startswith(last)]
+
+
+def effects(option: str, explained: str):
+    """An option that names effects."""
+    return click.option(
+        option, metavar="EFFECT[,EFFECT]", default="", help=explained,
+        shell_complete=complete_effects,
+    )  # fmt: skip
 
 
 #: Where the command's context keeps whether effects may be executed unasked.
@@ -411,12 +431,12 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
     for decorate in (
         json_output,
         click.option(
-            "--log", metavar="FILE",
+            "--log", type=click.Path(), metavar="FILE",
             help="Append the progress, unit by unit, to this file.",
         ),
         click.option(
-            "--units", metavar="FOLDER", default=DEFAULT_FOLDER, show_default=True,
-            help="Folder that the parts of --unit share.",
+            "--units", type=click.Path(), metavar="FOLDER", default=DEFAULT_FOLDER,
+            show_default=True, help="Folder that the parts of --unit share.",
         ),
         click.option(
             "--unit", metavar="K/N",

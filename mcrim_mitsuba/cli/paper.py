@@ -10,7 +10,8 @@ from mcrim_mitsuba.core.files import make_folder, refuse_outputs
 
 @click.command(short_help="Reproduce the article: its numbers beside ours.")
 @click.option("-o", "--output", "folder", default="mcrim_paper", show_default=True,
-              metavar="FOLDER", help="Where the figures go: PNG, PDF and CSV.")  # fmt: skip
+              type=click.Path(), metavar="FOLDER",
+              help="Where the figures go: PNG, PDF and CSV.")  # fmt: skip
 @click.option("--photons", type=options.PhotonCount(), metavar="COUNT",
               help="Photons of each of four efficiency surfaces (default: 8e6); "
               "single configurations get a tenth.")  # fmt: skip

@@ -20,7 +20,7 @@ from mcrim_mitsuba.transport.launch_plan import LANES
 
 
 @click.command(short_help="List or copy the scenes and campaigns of the package.")
-@click.option("-o", "--output", "folder", metavar="FOLDER",
+@click.option("-o", "--output", "folder", type=click.Path(), metavar="FOLDER",
               help="Copy all of them there, to be edited; replaces nothing.")  # fmt: skip
 def scenes(folder) -> None:
     """List the scenes, campaigns and measurements that come with the package, or copy them."""
@@ -37,8 +37,10 @@ def scenes(folder) -> None:
 
 
 @click.command(short_help="JSON schema of a campaign, for completion in editors.")
-@click.option("-o", "--output", "path", metavar="FILE.json", default="-", show_default=True,
-              help="File to write; - for the screen.")  # fmt: skip
+@click.option(
+    "-o", "--output", "path", type=click.Path(), metavar="FILE.json", default="-",
+    show_default=True, help="File to write; - for the screen.",
+)  # fmt: skip
 def schema(path) -> None:
     """JSON schema of a campaign (TOML), with which editors complete and explain its entries.
 
@@ -52,9 +54,9 @@ def schema(path) -> None:
 
 
 @click.command(short_help="Check a scene and say what it means.")
-@click.argument("scene", required=False)
+@click.argument("scene", required=False, type=click.Path(path_type=str))
 @options.defines
-@click.option("-o", "--output", "picture", metavar="FILE",
+@click.option("-o", "--output", "picture", type=click.Path(), metavar="FILE",
               help="Draw a cross-section to scale, with paths of photons, as .png, .svg or "
               ".pdf.")  # fmt: skip
 @options.machine
@@ -145,7 +147,7 @@ def axes_options(function):
 @axes_options
 @click.option("--axis", "axes", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
               help="Values of any other parameter of the scene (may be repeated).")  # fmt: skip
-@click.option("-o", "--output", "path", metavar="FILE",
+@click.option("-o", "--output", "path", type=click.Path(), metavar="FILE",
               help="CSV (or NetCDF, .nc) to write; - for the screen.")  # fmt: skip
 @options.defines
 @options.photons("2e6 per coupling", at_most=True, further=_NO_CAP)
@@ -213,7 +215,7 @@ def crosscheck(scene, overrides, run, json_file) -> int:
 
 @click.command(short_help="Photograph a scene, whole and taken apart.")
 @options.scene
-@click.option("-o", "--output", "picture", metavar="PICTURE.png", required=True,
+@click.option("-o", "--output", "picture", type=click.Path(), metavar="PICTURE.png", required=True,
               help="The picture, a .png of 1800 x 1150 pixels.")  # fmt: skip
 @options.defines
 @click.option("--samples", type=options.Whole(1, 4096),

@@ -113,7 +113,7 @@ def executor_options(function: Callable[..., Any]) -> Callable[..., Any]:
     @click.option("--units", "folder", type=click.Path(file_okay=False, path_type=Path),
                   help="Folder of finished trials, which are not done again; default: in the "
                   "user's cache.")  # fmt: skip
-    @click.option("--log", metavar="FILE",
+    @click.option("--log", type=click.Path(), metavar="FILE",
                   help="Append the progress, trial by trial, to this file.")  # fmt: skip
     @functools.wraps(function)
     def wrapped(**given: Any) -> Any:

@@ -9,8 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from click.shell_completion import BashComplete
 from places import SCENES, tables_of
 
+from mcrim_mitsuba.cli.main import mcrim as command_line
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference import calibrate as campaigns
 from mcrim_mitsuba.transport.launch_plan import LANES
@@ -241,6 +243,22 @@ def test_a_reader_that_leaves_costs_no_results(here, arguments, written):
     for name in written:
         text = (here / name).read_bytes()
         assert json.loads(text) if name.endswith(".json") else len(text) > 60
+
+
+@pytest.mark.parametrize(
+    ("words", "last", "proposed"),
+    [
+        ([], "cal", {("plain", "calibrate")}),
+        (["simulate", "x.xml"], "--prec", {("plain", "--precision")}),
+        (["calibrate"], "scen", {("file", "scen")}),
+        (["calibrate", "c.toml", "--json"], "r", {("file", "r")}),
+        (["add"], "gap_b", {("plain", "gap_bubble"), ("plain", "gap_bubble_round")}),
+        (["diagnose", "c.toml", "--only"], "x,gel_", {("plain", "x,gel_creep")}),
+    ],
+)
+def test_shells_complete_what_is_typed(words, last, proposed):
+    shell = BashComplete(command_line, {}, "mcrim", "_MCRIM_COMPLETE")
+    assert {(one.type, one.value) for one in shell.get_completions(words, last)} == proposed
 
 
 def test_helps_promise_only_what_a_verb_has(mcrim):

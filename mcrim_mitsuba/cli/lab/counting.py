@@ -37,7 +37,7 @@ class _Window(options.Written):
 
 
 @click.command(short_help="Centroid of the main peak of histograms, photons per event.")
-@click.argument("files", nargs=-1, required=True, metavar="FILE...")
+@click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILE...")
 @click.option(
     "--shape", default="auto", show_default=True, metavar="|".join(_SHAPES),
     help="Of the band. counting: whole photons of a mean number that varies from event to event; "
@@ -210,7 +210,7 @@ class _Number(options.Written):
 @click.option("--list", "as_list", is_flag=True,
               help="Write the photons of every event, one a line, instead of bins.")  # fmt: skip
 @options.seed
-@click.option("-o", "--output", "path", required=True, metavar="FILE",
+@click.option("-o", "--output", "path", required=True, type=click.Path(), metavar="FILE",
               help="CSV to write; - for the screen.")  # fmt: skip
 @options.json_output
 def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, json_file) -> None:

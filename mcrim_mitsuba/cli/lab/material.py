@@ -80,9 +80,9 @@ _INDEX_LIKE = re.compile(r"[+-]?[\d.,]+", re.ASCII)
               "transmission.")  # fmt: skip
 @click.option("--thickness-sigma-mm", type=options.Number(), default=0.0, metavar="MM",
               help="Standard error of the thickness, mm.")  # fmt: skip
-@click.option("--emission", metavar="FILE",
+@click.option("--emission", type=click.Path(), metavar="FILE",
               help="Emission spectrum to average over.")  # fmt: skip
-@click.option("--quantum-efficiency", metavar="FILE",
+@click.option("--quantum-efficiency", type=click.Path(), metavar="FILE",
               help="Of the detector: the average is then over the light that it sees.")  # fmt: skip
 @click.option("--nm", "wavelength_nm", type=options.Number(), metavar="NM",
               help="Wavelength at which spectra or a material's index are taken, instead of "
@@ -207,7 +207,7 @@ _USUAL_NM = 540.0
 @click.argument("material", required=False)
 @click.option("--nm", "wavelength_nm", type=options.Number(1, 1e6), metavar="NM",
               help=f"Wavelength in nm (default: {_USUAL_NM:g}).")  # fmt: skip
-@click.option("--emission", metavar="FILE",
+@click.option("--emission", type=click.Path(), metavar="FILE",
               help="Emission spectrum to average the index over, instead of --nm.")  # fmt: skip
 @options.json_output
 def index(material, wavelength_nm, emission, json_file) -> None:
