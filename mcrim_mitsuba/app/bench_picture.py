@@ -59,7 +59,8 @@ def bench_picture(reading: Reading, values: Mapping[str, Value]) -> dict[str, An
         ring = (window / 2 - radius) * per_mm
         left = box("mask", window, plate - _MASK, _MASK) | {"width": ring}
         shapes += [left, left | {"x": middle + radius * per_mm}]
-    return {"width": _WIDTH, "height": _HEIGHT, "shapes": shapes}
+    end = plate + thick * per_mm + _MASK + _RIM
+    return {"width": _WIDTH, "height": round(end, 1), "shapes": shapes}
 
 
 def _beam(wide: float, tall: float, axis: str) -> dict[str, Any]:
