@@ -9,7 +9,23 @@ from contextlib import contextmanager
 
 PHOTONS = 65536  # with an effect; the bench as it is gets nine times as many
 LONGEST_SIMULATION_S = 600
-KEYS = {"tab": "\ue004", "enter": "\ue007", "right": "\ue014", "space": " ", "all": "\ue009a\ue000"}
+KEYS = {
+    "tab": "\ue004",
+    "enter": "\ue007",
+    "left": "\ue012",
+    "right": "\ue014",
+    "end": "\ue010",
+    "space": " ",
+    "all": "\ue009a\ue000",
+}
+
+# Whether what has the focus can be seen: nothing lies above its middle, or its upper end.
+IN_SIGHT = """
+const one = document.activeElement, box = one.getBoundingClientRect();
+const at = [box.left + box.width / 2, Math.max(box.top, 0) + Math.min(box.height, 40) / 2];
+const there = document.elementFromPoint(...at);
+return one !== document.body && (one.contains(there) || (there && there.contains(one)));
+"""
 
 
 class App:
@@ -62,6 +78,22 @@ class App:
 
     def type(self, field, text: str) -> None:
         field.send_keys(KEYS["all"], text, KEYS["enter"])
+
+    def tab_to(self, selector: str) -> None:
+        """Press Tab until an element has the focus; it must be in sight then."""
+        from selenium.webdriver import ActionChains
+
+        for _ in range(400):
+            ActionChains(self.browser.driver).send_keys(KEYS["tab"]).perform()
+            if self.browser.run("return document.activeElement.matches(arguments[0])", selector):
+                break
+        assert self.browser.run(IN_SIGHT), f"{selector} is not reached, or hidden"
+
+    def press(self, *keys: str) -> None:
+        """Press keys, wherever the focus is."""
+        from selenium.webdriver import ActionChains
+
+        ActionChains(self.browser.driver).send_keys(*keys).perform()
 
     def wrong(self, name: str) -> str:
         """What is said to be wrong with a parameter's field."""

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+from mcrim_mitsuba.app.state import State
 from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.campaign.editor import (
     campaign_with_effects,
@@ -19,9 +22,12 @@ from mcrim_mitsuba.campaign.editor import (
     write_plain,
 )
 from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import json_text
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.repair import mended_scene, rounded, scene_text
+from mcrim_mitsuba.scene.scene_file import SceneFile
 
 _LONGEST_NAME = 80
 
@@ -80,6 +86,24 @@ def with_edited(campaign: Campaign, readings: Sequence[Reading], folder: Path) -
     return with_readings(campaign, name, measurements_text(measurements).encode(), folder)
 
 
+def with_rows(campaign: Campaign, rows: Sequence[Sequence[Any]], folder: Path) -> Campaign:
+    """The campaign itself, or that with other signals, errors and use of its readings.
+
+    Raises
+    ------
+    InputError
+        If these are not those of as many readings, or cannot be used.
+    """
+    readings = campaign.measurements.readings
+    if len(rows) != len(readings):
+        raise InputError("a fit has another number of readings than the table", "open another file")
+    edited = tuple(
+        replace(reading, signal=float(signal), sigma=float(sigma), use=bool(use))
+        for reading, (signal, sigma, use) in zip(readings, rows, strict=True)
+    )
+    return campaign if edited == readings else with_edited(campaign, edited, folder)
+
+
 def scene_file(
     campaign: Campaign, effects: Sequence[str], values: Mapping[str, float]
 ) -> tuple[str, bytes]:
@@ -91,11 +115,12 @@ def scene_file(
 def campaign_archive(
     campaign: Campaign, effects: Sequence[str], values: Mapping[str, float],
     priors: Mapping[str, tuple[float, float]] | None = None,
+    known: Iterable[CampaignParameter] = (),
 ) -> tuple[str, bytes]:  # fmt: skip
     """Name and content of a ZIP file with the mended campaign and all that it needs.
 
     Raw data stay where they are: the campaign has the numbers that they gave. Priors are what a fit
-    with these effects knew of their sizes.
+    with these effects knew of their sizes, `known` what the user chose to hold or to know.
     """
     stem = f"{safe_name(campaign.path.stem, '')}_mended"
     values = rounded(values)
@@ -130,7 +155,7 @@ def campaign_archive(
         added = [p.name for e in effects for p in campaign.catalogue[e].parameters]
         sizes = fitted | {name: values[name] for name in added}
         mended = moved.with_effects(effects).with_priors(priors or {})
-        text = campaign_with_effects(mended, target, scene_path, sizes)
+        text = campaign_with_effects(mended, target, scene_path, sizes, known)
         scene_path.write_text(scene_text(scene), encoding="utf-8", newline="")
         target.write_text(text, encoding="utf-8", newline="")
         archive = io.BytesIO()
@@ -151,6 +176,61 @@ def report_file(
     target = Path(tempfile.mkdtemp(dir=folder)) / name
     report(campaign, target, effects=tuple(effects) or None, run=run)
     return name, target.read_bytes()
+
+
+#: What a file of a session says that it is, and the most fits that it may have.
+_SESSION, _MOST_FITS = "mcrim app session 1", 200
+
+
+def session_file(state: State) -> tuple[str, bytes]:
+    """Name and content of a file with readings, controls and the list of fits."""
+
+    def readings(campaign: Campaign) -> list[list[object]]:
+        return [[r.signal, r.sigma, r.use] for r in campaign.measurements.readings]
+
+    # as it came
+    campaign = state.steps[0].campaign if state.steps else state.campaign
+    document = {
+        "format": _SESSION, "scene": campaign.scene.path.name,
+        "scene_hash": campaign.scene.content_hash,
+        "measurements": campaign.measurements.path.name,
+        "table": measurements_text(campaign.measurements),
+        "readings": readings(state.campaign), "settings": state.settings.to_json(),
+        "fits": [{"settings": step.asked.to_json(), "readings": readings(step.campaign)}
+                 for step in state.steps],
+        "compared": state.steps.index(state.beside) if state.steps else 0,
+        "diagnosed": state.diagnosed is not None,
+    }  # fmt: skip
+    name = f"{safe_name(campaign.path.stem, '')}_session.json"
+    return name, json_text(document).encode()
+
+
+def read_session(name: str, content: bytes, scene: SceneFile) -> dict[str, Any]:
+    """The document that `session_file` wrote, of the same scene.
+
+    Raises
+    ------
+    InputError
+        If it is none, or of another scene.
+    """
+    try:
+        document = json.loads(content)
+        fits = document["fits"]
+        rows = [row for one in (document, *fits) for row in one["readings"]]
+        is_ours = document["format"] == _SESSION and len(fits) <= _MOST_FITS
+        is_ours &= all(len(row) == 3 for row in rows) and isinstance(document["table"], str)
+    except (ValueError, KeyError, TypeError):
+        is_ours = False
+    if not is_ours:
+        raise InputError(
+            "this is not a session of the page", "open one that Keep session wrote", path=name
+        )
+    if document["scene_hash"] != scene.content_hash:
+        raise InputError(
+            f"the session is of another scene, {document['scene']}, than {scene.path.name} as it "
+            "is now", "start mcrim app with the campaign that it was made with", path=name,
+        )  # fmt: skip
+    return document
 
 
 def safe_name(name: str, suffix: str) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 import jinja2
 
+from mcrim_mitsuba.app.bench_picture import bench_picture, bench_words
 from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.app.state import HELD, Control, FitStep, Settings, Shown
 from mcrim_mitsuba.campaign.measurements import Reading
@@ -109,14 +110,7 @@ def state(session: Session, known: int) -> dict[str, Any]:
         return told
     settings = now.settings
     told |= {
-        "settings": {
-            "effects": settings.effects, "values": settings.values,
-            "fit_scale": settings.fit_scale,
-            "known": {
-                n: {"how": k.how, "prior": k.prior, "prior_sigma": k.prior_sigma}
-                for n, k in session.known(settings).items()
-            },
-        },
+        "settings": {**settings.to_json(), "known": session.known(settings)},
         "readings": [{"signal": r.signal, "sigma": r.sigma, "use": r.use}
                      for r in now.campaign.measurements.readings],
         "steps": [_falling(step) for step in now.steps],
@@ -235,6 +229,17 @@ def _chart(
         "model": shown and heights(shown.rows),
         "beside": beside and {"name": step_name(beside[0]), **heights(beside[1].rows)},
     }  # fmt: skip
+
+
+def reading(session: Session, place: int) -> str:
+    """A reading with its bench; what the model says of it, the browser writes there."""
+    measurements = session.state.campaign.measurements
+    one, values = measurements.readings[place], session.configurations[place]
+    return _TEMPLATES.get_template("reading.html").render(
+        reading=one, picture=bench_picture(one, values),
+        words=bench_words(one, values, measurements.columns),
+        measured=signal_text(one.of_beam, one.signal, one.sigma),
+    )  # fmt: skip
 
 
 # Panels.

@@ -1,13 +1,14 @@
 """The page's addresses: what a browser may ask for, and what it is answered.
 
 The page itself comes whole from `layout`. From then on the browser asks ``state`` how the session
-is, ``predictions`` what the model says at some settings, and ``do`` for whatever a button does; the
-answers are JSON. Ids in the browser: `readings-chart`, `falling-chart`, `chi2`, `p-value`,
-`light-yield`, `averaged`, `rows` (the table), `verdict`, `status`, `progress`, `error` (of a job),
-`slip` (of a file or a button), `lost` (the connection), `pending`; buttons `upload-button` (its
-file field lies in `upload`), `fit`, `back`, `undo`, `diagnose`, `stop`, `get-scene`,
-`get-campaign`, `get-report`; compound ids are JSON with sorted keys, such as
-``{"kind":"slider","name":"alpha_scat_per_cm"}``, of kinds `slider`, `number`, `known`, `effect`.
+is, ``predictions`` what the model says at some settings, ``reading`` of a reading's bench, and
+``do`` for whatever a button does; the answers are JSON. Ids in the browser: `readings-chart`,
+`falling-chart`, `chi2`, `p-value`, `light-yield`, `averaged`, `rows` (the table), `reading` (one of
+them), `verdict`, `status`, `progress`, `error` (of a job), `slip` (of a file or a button), `lost`
+(the connection), `pending`; buttons `upload-button` (its file field lies in `upload`), `fit`,
+`back`, `undo`, `diagnose`, `stop`, `get-scene`, `get-campaign`, `get-report`, `get-session`;
+compound ids are JSON with sorted keys, such as ``{"kind":"slider","name":"alpha_scat_per_cm"}``, of
+kinds `slider`, `number`, `known`, `effect`.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ from __future__ import annotations
 import base64
 import binascii
 import io
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ import flask
 
 from mcrim_mitsuba.app import layout
 from mcrim_mitsuba.app.session import Session
-from mcrim_mitsuba.app.state import FREE, HELD, PRIOR, Known, Settings
+from mcrim_mitsuba.app.state import Settings, settings_of
 from mcrim_mitsuba.core.errors import InputError
 
 _Asked = Mapping[str, Any]
@@ -66,6 +66,13 @@ def make_page(session: Session, prefix: str) -> flask.Flask:
                 slip = str(error)
             return {**layout.state(session, asked["known"]), "slip": slip}
 
+    @application.get(f"{prefix}reading/<int:place>")
+    def reading(place: int) -> dict[str, str]:
+        with session.lock:
+            if place >= len(session.configurations):
+                flask.abort(404)
+            return {"html": layout.reading(session, place)}
+
     @application.get(f"{prefix}file")
     def file() -> flask.Response:
         offered = session.state.file
@@ -78,20 +85,8 @@ def make_page(session: Session, prefix: str) -> flask.Flask:
 
 
 def _settings(asked: _Asked, session: Session) -> Settings:
-    """What the controls of a page say; what it does not know stays as it is."""
-    now = session.state.settings
-    values = {n: float(v) for n, v in asked["values"].items() if n in now.values and _finite(v)}
-    known = {
-        name: Known(each["how"], each.get("prior"), each.get("prior_sigma"))
-        for name, each in asked["known"].items()
-        if name in now.values and each["how"] in (FREE, HELD, PRIOR)
-    }
-    effects = tuple(name for name in asked["effects"] if name in session.effects)
-    return Settings(effects, {**now.values, **values}, bool(asked["fit_scale"]), known)
-
-
-def _finite(value: object) -> bool:
-    return isinstance(value, (int, float)) and math.isfinite(value)
+    """What the controls of a page say."""
+    return settings_of(asked, session.state.settings.values, session.effects)
 
 
 def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
@@ -102,7 +97,10 @@ def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
             content = base64.b64decode(asked["content"].partition(",")[2], validate=True)
         except binascii.Error:
             raise InputError("the file did not arrive whole", "open it again") from None
-        session.take_readings(asked["name"], content)
+        if asked["name"].lower().endswith(".json"):
+            session.take_session(asked["name"], content)
+        else:
+            session.take_readings(asked["name"], content)
 
     def effect(asked: _Asked, settings: Settings) -> None:
         name = asked["name"]

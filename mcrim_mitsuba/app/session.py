@@ -27,12 +27,13 @@ from mcrim_mitsuba.app.state import (
     effect_control,
     known_of,
     parameter_control,
+    settings_of,
 )
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, without_unit
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.run import Run, one_thread
 from mcrim_mitsuba.inference.diagnose import diagnose_on
 from mcrim_mitsuba.inference.estimates import fitted_rows
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
@@ -83,6 +84,7 @@ class Session:
     def _open(self, campaign: Campaign) -> None:
         self._bench = _PageBench(campaign, self._run)
         self._models: dict[Any, tuple[Any, ResponseModel]] = {}
+        self._shown_beside: tuple[Any, State, Shown | None] | None = None
         self._undone: list[State] = []
         self._numbers = itertools.count()
         #: What jobs have found so far.
@@ -198,6 +200,7 @@ class Session:
 
     # ---- what the model says -----------------------------------------------------------------
 
+    @one_thread()
     def show(self, settings: Settings) -> Shown | None:
         """Predictions at some settings; None before anything was simulated.
 
@@ -239,7 +242,11 @@ class Session:
         if not state.steps:
             return None
         step = state.beside
-        shown = self.show(step.settings)
+        key = (step.number, state.ready, *map(id, (state.campaign, state.anchors)))
+        if self._shown_beside is None or self._shown_beside[0] != key:
+            # with what its key is the identity of
+            self._shown_beside = (key, state, self.show(step.settings))
+        shown = self._shown_beside[2]
         return None if shown is None else (step, shown)
 
     def _model(
@@ -365,7 +372,7 @@ class Session:
         values = {**now.values, **{n: found.parameters[n].value for n in found.names}}
         fitted = replace(wanted, values=values, fit_scale=SCALE in found.names)
         step = FitStep(
-            next(self._numbers), fitted, campaign, found, model.campaign.priors,
+            next(self._numbers), wanted, fitted, campaign, found, model.campaign.priors,
             self._difference(campaign, wanted),
         )  # fmt: skip
         since = (name for name in now.effects if name not in pressed.effects)
@@ -491,6 +498,48 @@ class Session:
         # what is under way ends first
         self._start("upload-button", f"opening {name}", lambda: self._reopen(campaign))
 
+    def take_session(self, name: str, content: bytes) -> None:
+        """Go on with a session that was kept in a file: its fits are made again.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be used.
+        """
+        kept = exchange.read_session(name, content, self._first.scene)
+        table = kept["table"].encode()
+        campaign = exchange.with_readings(self._first, kept["measurements"], table, self._folder)
+        self.jobs.stop_all()
+
+        def work() -> None:
+            self._reopen(campaign)
+            self._start("session", "making its fits again", lambda: self._refit(kept))
+
+        self._start("upload-button", f"opening {name}", work)
+
+    def _refit(self, kept: Mapping[str, Any]) -> None:
+        """Make the fits of a kept session, and bring back its readings and controls."""
+        first = self._bench.campaign
+        now = exchange.with_rows(first, kept["readings"], self._folder)
+
+        def settings(asked: Mapping[str, Any]) -> Settings:
+            return settings_of(asked, self.state.settings.values, self.effects)
+
+        self._make_ready()
+        self._change(steps=())
+        for fit in kept["fits"]:
+            self._change(campaign=exchange.with_rows(first, fit["readings"], self._folder))
+            wanted = settings(fit["settings"])
+            self._fit(wanted, wanted)
+        steps, last = self.state.steps, settings(kept["settings"])
+        place = int(kept["compared"])
+        self._undone = []
+        self._set_controls(
+            last, campaign=now, compared=steps[place].number if place < len(steps) else 0
+        )
+        if kept["diagnosed"]:
+            self.diagnose(last)
+
     def _reopen(self, campaign: Campaign) -> None:
         with self.lock:
             self._open(campaign)
@@ -498,13 +547,15 @@ class Session:
     def offer(self, what: str, settings: Settings) -> None:
         """Make a file to be downloaded.
 
-        It is the mended ``scene``, simulated as it is; with the ``campaign`` all that it needs; or
-        the ``report``.
+        It is the mended ``scene``, simulated as it is; with the ``campaign`` all that it needs; the
+        ``report``; or the ``session``, which `take_session` opens.
         """
 
         def work() -> None:
             campaign, effects = self.state.campaign, settings.effects
-            if what == "report":
+            if what == "session":
+                file = exchange.session_file(replace(self.state, settings=settings))
+            elif what == "report":
                 file = exchange.report_file(campaign, effects, self._run, self._folder)
             else:
                 self._make_ready(effects)
@@ -512,9 +563,14 @@ class Session:
                 if what == "scene":
                     file = exchange.scene_file(campaign, effects, values)
                 else:
+                    fitted, _ = self._fitted_campaign(settings)
+                    named, known = {**fitted.parameters, SCALE: fitted.scale}, self.known(settings)
+                    chosen = [named[c.name] for c in self._all_controls()
+                              if named.get(c.name) and known[c.name] != c.known]  # fmt: skip
                     file = exchange.campaign_archive(
-                        campaign, effects, values, self._priors_of_fit(settings)
-                    )
+                        campaign, effects, values, self._priors_of_fit(settings),
+                        [parameter for parameter in chosen if parameter is not None],
+                    )  # fmt: skip
             with self.lock:
                 self.file_number += 1
                 self._change(file=file)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
+from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, unit_of, without_unit
 from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.efficiency.responses import Anchor
@@ -170,6 +172,39 @@ class Settings:
     #: By parameter; what is not here is as its control has it.
     known: Mapping[str, Known] = field(default_factory=dict)
 
+    def to_json(self) -> dict[str, Any]:
+        """What `settings_of` reads."""
+        return attributes(self, "effects values fit_scale known")
+
+
+def settings_of(
+    asked: Mapping[str, Any], values: Mapping[str, float], possible: Container[str]
+) -> Settings:
+    """What a page, or a file, says.
+
+    Parameters
+    ----------
+    asked : mapping
+        See `Settings.to_json`.
+    values : mapping of str to float
+        Of every parameter; it stays where it is not asked for.
+    possible : container of str
+        Effects that there are.
+    """
+
+    def is_number(value: object) -> bool:
+        return isinstance(value, (int, float)) and math.isfinite(value)
+
+    moved = {n: float(v) for n, v in asked["values"].items() if n in values and is_number(v)}
+    known = {}
+    for name, each in asked["known"].items():
+        pair = (each["prior"], each["prior_sigma"])
+        if name in values and each["how"] in (FREE, HELD, PRIOR):
+            is_whole = all(map(is_number, pair)) and pair[1] > 0
+            known[name] = Known(each["how"], *(pair if is_whole else (None, None)))
+    effects = tuple(name for name in asked["effects"] if name in possible)
+    return Settings(effects, {**values, **moved}, bool(asked["fit_scale"]), known)
+
 
 @dataclass(frozen=True)
 class Shown:
@@ -195,8 +230,10 @@ class FitStep:
 
     #: Never used twice.
     number: int
-    #: What the controls said when it ended, and what was fitted.
+    #: What the controls said when it was asked for, and where it ended.
+    asked: Settings
     settings: Settings
+    #: What was fitted.
     campaign: Campaign
     calibration: Calibration
     #: Gaussian knowledge that it used, by parameter.

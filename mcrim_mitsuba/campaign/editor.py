@@ -19,6 +19,7 @@ import tomlkit
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.entries import FILE_ENTRIES, HISTOGRAMS, RAW_TABLES
 from mcrim_mitsuba.campaign.measurements import KIND, Measurements
+from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.campaign.reduction import RawData, ReducedAbsorption, ReducedReading
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import attributes, read_text, write_text
@@ -31,12 +32,14 @@ _SHORT_HASH = 12
 
 
 def campaign_with_effects(
-    campaign: Campaign, target: Path, scene: Path, starts: Mapping[str, float]
-) -> str:
+    campaign: Campaign, target: Path, scene: Path, starts: Mapping[str, float],
+    known: Iterable[CampaignParameter] = (),
+) -> str:  # fmt: skip
     """The text of a campaign file with another scene, and with all effects of the campaign.
 
     `scene` has these effects. At `starts` fitted parameters begin; those without a table of their
-    own get one, with what the campaign knows of them beforehand.
+    own get one, with what the campaign knows of them beforehand. Of `known` it is written that they
+    are held, or their prior, in place of what the file says.
     """
     document = _document(campaign, target, scene, campaign.measurements.path)
     # a key that is new goes before the first table, or it would belong to the last one
@@ -51,10 +54,18 @@ def campaign_with_effects(
         table.add("start", value)
         if name in campaign.priors:
             table.add(tomlkit.comment("What is plausible: the readings leave its size open."))
-            for entry, known in zip(("prior", "prior_sigma"), campaign.priors[name], strict=True):
-                table.add(entry, float(f"{known:.6g}"))
+            for entry, number in zip(("prior", "prior_sigma"), campaign.priors[name], strict=True):
+                table.add(entry, float(f"{number:.6g}"))
         table.add(tomlkit.nl())
         parameters[name] = table
+    for parameter in known:
+        table = parameters.setdefault(parameter.name, tomlkit.table())
+        for entry in ("prior", "prior_sigma", "fixed"):
+            table.pop(entry, None)
+        if parameter.fixed:
+            table["start"], table["fixed"] = float(f"{parameter.start:.6g}"), True
+        elif parameter.prior is not None:
+            table["prior"], table["prior_sigma"] = parameter.prior, parameter.prior_sigma
     return _text(document, campaign)
 
 

@@ -212,7 +212,6 @@ class RecordStore:
         Parameters
         ----------
         plan : LanePlan
-            With as many photons for every lane.
 
         Returns
         -------
@@ -222,7 +221,14 @@ class RecordStore:
         every = dr.arange(mi.UInt32, self._photons)
         seen = dr.compress(dr.gather(mi.Float, self.tables[0], 4 * every) > 0.0)
         rows = [c for table in self.tables for c in dr.gather(mi.Vector4f, table, seen)]
-        lane = seen // opaque([self._photons // plan.lanes], mi.UInt32)
+        # the first lanes may follow one photon more
+        each, more = divmod(self._photons, plan.lanes)
+        of_more = opaque([more * (each + 1)], mi.UInt32)
+        lane = dr.select(
+            seen < of_more,
+            seen // opaque([each + 1], mi.UInt32),
+            opaque([more], mi.UInt32) + (seen - of_more) // opaque([each], mi.UInt32),
+        )
         found = {"batch": dr.gather(mi.UInt32, opaque(plan.batch, mi.UInt32), lane)}
         for (name, column), value in zip(self._columns.items(), rows, strict=False):
             if column.counts:

@@ -271,6 +271,9 @@ def test_texts_of_the_user_are_text(browser, campaign, shared_cache, tmp_path):
         for (shown, _), label in zip(ticks, HOSTILE, strict=True):
             start = shown.split("…")[0].replace("<U+202E>", "\u202e")  # it would turn texts round
             assert start and label.startswith(start), (shown, label)
+        browser.find("#readings-chart").send_keys(KEYS["right"] * 2)
+        browser.wait_for(lambda: "<b>bold</b>" in browser.text("#reading h3"), "third reading")
+        assert not browser.all("#reading h3 b")
         browser.resize(390, 844)
         time.sleep(1)
         browser.screenshot_whole("6 hostile labels")

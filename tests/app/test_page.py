@@ -1,11 +1,12 @@
 """What goes on in the page: jobs, what is typed, and what is said of both."""
 
 import itertools
+import json
 import signal
 import time
 
 import pytest
-from app_page import LONGEST_SIMULATION_S, running
+from app_page import KEYS, LONGEST_SIMULATION_S, running
 
 
 @pytest.fixture
@@ -139,3 +140,115 @@ def test_each_error_and_each_axis_says_what_it_is(browser, campaign, shared_cach
         assert len(ticks) > 2 and all(rising) and all(higher), ticks
         time.sleep(0.5)
         browser.screenshot_whole("errors and axes")
+
+
+def choose(browser, path) -> None:
+    """Choose a file in the dialogue that a key has opened."""
+    opened = []
+
+    def is_open() -> bool:
+        log = [json.loads(e["message"])["message"] for e in browser.driver.get_log("performance")]
+        opened.extend(e["params"] for e in log if e["method"] == "Page.fileChooserOpened")
+        return bool(opened)
+
+    browser.wait_for(is_open, "file dialogue")
+    node = opened[-1]["backendNodeId"]
+    files = {"files": [str(path)], "backendNodeId": node}
+    browser.driver.execute_cdp_cmd("DOM.setFileInputFiles", files)
+
+
+@pytest.mark.parametrize("size", [(1440, 900), (390, 844)])
+def test_from_a_file_to_the_averaged_yield_by_keyboard(
+    browser, campaign, shared_cache, scenes, size
+):
+    browser.resize(*size)
+    wide = f"keyboard {size[0]}"
+    with running(campaign, shared_cache, browser) as app:
+        browser.driver.execute_cdp_cmd("Page.enable", {})
+        browser.driver.execute_cdp_cmd("Page.setInterceptFileChooserDialog", {"enabled": True})
+        app.tab_to("#upload-button")
+        browser.driver.get_log("performance")
+        app.press(KEYS["enter"])
+        choose(browser, scenes / "camoo4_misfit.csv")
+        browser.wait_for(lambda: app.is_about("(16)"), "readings")
+        app.settled()
+        browser.screenshot(f"{wide} 1 readings")
+        app.tab_to("#diagnose")
+        app.press(KEYS["enter"])
+        browser.wait_for(lambda: browser.text("#diagnose") == "Stop", "button that stops")
+        browser.screenshot(f"{wide} 2 diagnosing")
+        browser.wait_for(lambda: browser.all("#verdict"), "verdict", LONGEST_SIMULATION_S)
+        app.settled()
+        averaged = browser.text("#averaged")
+        assert f"Light yield: {averaged} ph/keV" in browser.text("#averaged-text")
+        browser.screenshot(f"{wide} 3 averaged")
+
+        # and on to the effect that is missing
+        app.tab_to("#diagnosis button.main")
+        app.press(KEYS["enter"])
+        browser.wait_for(
+            lambda: "with gap_bubble" in browser.text("#fitted"), "fit", LONGEST_SIMULATION_S
+        )
+        app.settled()
+        assert app.chi2 < 25 and app.control("effect", "gap_bubble").is_selected()
+        app.tab_to("[data-do=remove]")
+        browser.screenshot(f"{wide} 4 fits")
+        app.press(KEYS["enter"])
+        browser.wait_for(lambda: "with gap_bubble" not in browser.text("#fitted"), "removal")
+        app.tab_to("#undo")
+        app.press(KEYS["enter"])
+        browser.wait_for(lambda: "with gap_bubble" in browser.text("#fitted"), "what was removed")
+
+        # the reading under the pointer, without a pointer
+        app.tab_to("#readings-chart")
+        app.press(KEYS["end"])
+        browser.wait_for(lambda: browser.text("#reading h3") == "gel hole 4", "reading")
+        told = browser.text("#reading").split("\n")
+        assert {"1.46, filled", "4 mm", "10 mm", "0.05 mm"} <= set(told), told
+        assert len(browser.all("#reading rect.mask")) == 2
+        browser.screenshot(f"{wide} 5 reading")
+        app.press(KEYS["left"])
+        browser.wait_for(lambda: browser.text("#reading h3") == "air hole 4", "its neighbour")
+
+        # readings are changed in the table
+        app.tab_to("#table-details summary")
+        app.press(KEYS["enter"])
+        freedom = browser.find("#chi2-words").get_property("textContent")
+        app.tab_to("#rows [data-column=use]")
+        app.press(KEYS["space"])
+        browser.wait_for(
+            lambda: browser.find("#chi2-words").get_property("textContent") != freedom, "ndf"
+        )
+        assert len(browser.all("tr.unused")) == 1 and not browser.text("#averaged")
+        app.tab_to("#rows [data-column=sigma]")
+        app.type(browser.driver.switch_to.active_element, "-1")
+        browser.wait_for(lambda: "sigma = -1 is not above 0" in browser.text("#rows-wrong"), "no")
+        app.type(browser.driver.switch_to.active_element, "0,2")
+        browser.wait_for(lambda: not browser.text("#rows-wrong"), "yes")
+        browser.screenshot(f"{wide} 6 table")
+
+        # what is known of a parameter, and what it is
+        app.tab_to(".control[data-name=alpha_scat_per_cm] .help")
+        app.press(KEYS["enter"])
+        assert "scattering coefficient" in browser.text("[id='meaning alpha_scat_per_cm']")
+        app.tab_to(".control[data-name=alpha_scat_per_cm] select")
+        freedom = browser.find("#chi2-words").get_property("textContent")
+        app.press("held")
+        browser.wait_for(
+            lambda: browser.find("#chi2-words").get_property("textContent") != freedom, "ndf"
+        )
+        app.tab_to("#fit")
+        app.press(KEYS["enter"])
+        browser.wait_for(lambda: "held: alpha_scat_per_cm" in browser.text("#fitted"), "fit")
+        app.settled()
+        if size[0] == 390:  # the numbers that a slider moves are in sight beside it
+            app.tab_to(".control[data-name=alpha_abs_per_cm] input[type=range]")
+            bar = browser.run("return document.querySelector('#bar').getBoundingClientRect().top")
+            assert bar == 0 and browser.find("#chi2").is_displayed()
+            slider, field = (app.control(k, "alpha_abs_per_cm") for k in ("slider", "number"))
+            assert abs(slider.rect["y"] - field.rect["y"]) < 20
+            assert field.rect["x"] > slider.rect["x"] + 150
+            browser.screenshot(f"{wide} 7 sliders")
+        assert browser.run("return document.documentElement.scrollWidth") <= size[0]
+        browser.screenshot_whole(f"{wide} 8 all")
+        assert browser.complaints() == []

@@ -22,7 +22,7 @@ from mcrim_mitsuba.output.light_figures import draw_arrival, draw_fates
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.transport.arrivals import detector_plane
+from mcrim_mitsuba.transport.arrivals import arrivals, detector_plane
 from mcrim_mitsuba.transport.scene_model import DETECTOR, FlatFace
 from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -68,6 +68,13 @@ def test_pictures_of_a_simulation_are_of_the_run_that_is_printed(scenes, tmp_pat
     arrived = sum(float(row["light"]) for row in arrival if row["part"] == "map")
     # a wanted precision is approached in launches of its own
     assert arrived == pytest.approx(found.eta, rel=1e-6 if "photons" in options else 0.02)
+
+
+def test_records_know_their_batch_where_lanes_follow_unlike_numbers(scenes):
+    ((launch, _, _),) = arrivals(Simulation(scenes / "camoo4.xml"), 50_000, seed=3)
+    assert len(set(launch.photons_per_batch)) > 1
+    sums = np.bincount(launch.records["batch"], launch.records["w"], len(launch.photons_per_batch))
+    assert sums == pytest.approx(launch.weights["detected"], rel=1e-5)
 
 
 @pytest.mark.parametrize("case", CASES)

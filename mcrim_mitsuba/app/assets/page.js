@@ -1,5 +1,5 @@
 // The page's behaviour: its controls, what they ask the server, and how the session is.
-import { drawFalling, drawReadings } from "./charts.js";
+import { drawFalling, drawReadings, mark, readingAt } from "./charts.js";
 
 const STEPS = Number(document.body.dataset.steps);
 // between looks at the running job, and when there is none; an answer that takes longer is lost
@@ -210,6 +210,50 @@ function predict() {
   });
 }
 
+// The reading that was pointed at last, with its bench; what the model says of it changes.
+const readingsChart = $("readings-chart");
+const benches = new Map();
+let selected = 0;
+let cells = [];
+async function select(place) {
+  selected = place;
+  mark(readingsChart, place);
+  if (!benches.has(place)) {
+    benches.set(place, ask(`reading/${place}`));
+  }
+  const bench = await benches.get(place);
+  if (selected !== place || !bench) {
+    benches.delete(bench ? null : place);
+    return;
+  }
+  swap("reading", bench.html);
+  for (const cell of document.querySelectorAll("#reading [data-cell]")) {
+    write(cell, (cells[place] || [])[Number(cell.dataset.cell)] || "");
+  }
+}
+
+for (const kind of ["pointermove", "pointerdown"]) {
+  readingsChart.addEventListener(kind, function (event) {
+    const place = readingAt(readingsChart, event.clientX);
+    if (place !== null && place !== selected) {
+      select(place);
+    }
+  });
+}
+readingsChart.addEventListener("keydown", function (event) {
+  const last = cells.length - 1;
+  const moved = {
+    ArrowLeft: selected - 1, ArrowRight: selected + 1, Home: 0, End: last,
+  }[event.key];
+  if (moved !== undefined) {
+    event.preventDefault();
+    select(Math.min(Math.max(moved, 0), last));
+  }
+});
+$("rows").addEventListener("focusin", (event) =>
+  select(event.target.closest("tr").sectionRowIndex)
+);
+
 function present(told) {
   pending = Boolean(told.pending);
   for (const [id, text] of Object.entries(told.texts)) {
@@ -223,7 +267,9 @@ function present(told) {
   told.cells.forEach(function (row, i) {
     row.forEach((text, j) => write(rows[i] && rows[i].cells[j + 4], text));
   });
-  drawReadings($("readings-chart"), told.chart);
+  drawReadings(readingsChart, told.chart);
+  cells = told.cells;
+  select(Math.min(selected, cells.length - 1));
   const scale = controls.get("scale");
   if (settings.fit_scale && scale && told.scale !== null) {
     settings.values.scale = told.scale;
@@ -276,11 +322,13 @@ function showKnown(control, known, force) {
   }
 }
 
+let shownReadings = "";
 function update(told) {
   if (!told) {
     return;
   }
   if (told.bench_number !== Number(document.body.dataset.bench)) {
+    window.sessionStorage.setItem("focus", document.activeElement.id);
     window.location.reload();
     return;
   }
@@ -289,6 +337,11 @@ function update(told) {
   if (told.settings) {
     if (told.settings_number !== before.settings_number) {
       takeOver(told);
+    }
+    const readings = JSON.stringify(told.readings);
+    if (readings !== shownReadings) {
+      shownReadings = readings;
+      benches.clear();
     }
     document.querySelectorAll("#rows tbody tr").forEach(function (row, i) {
       const reading = told.readings[i];
@@ -375,7 +428,10 @@ function act(what, name = "", more = {}) {
   const body = { ...sent(), ...more, what: what, name: name, known: numbers.number };
   return ask("do", body).then(function (told) {
     update(told);
-    look();
+    // who opened a file by the keyboard goes on where that was
+$(window.sessionStorage.getItem("focus") || "")?.focus();
+window.sessionStorage.removeItem("focus");
+look();
     return told;
   });
 }
@@ -547,4 +603,7 @@ for (const kind of ["dragover", "dragleave", "drop"]) {
   });
 }
 
+// who opened a file by the keyboard goes on where that was
+$(window.sessionStorage.getItem("focus") || "")?.focus();
+window.sessionStorage.removeItem("focus");
 look();

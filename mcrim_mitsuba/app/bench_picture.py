@@ -1,0 +1,103 @@
+"""A reading's bench as a small picture: crystal, gap, mask and window seen from the side.
+
+It is drawn from the parameters that scenes of such benches name, to scale but for the gap; benches
+with other names get none, and are told in words alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.core.numbers import Value, unit_of, without_unit
+from mcrim_mitsuba.scene.check_text import is_filled
+
+#: Pixels of the picture, and of its rim.
+_WIDTH, _HEIGHT, _RIM = 240.0, 170.0, 10.0
+#: A gap is drawn at least so thick, and so much of a mask: both are thinner than a line.
+_GAP, _MASK = 5.0, 3.0
+_CRYSTAL = ("crystal_width_mm", "crystal_height_mm")
+_BENCH = (*_CRYSTAL, "gap_mm", "n_gap", "window_width_mm", "window_thickness_mm")
+#: What is told of a bench, whether readings differ in it or not.
+_TOLD = ("n_gap", "gap_mm", "aperture_radius_mm", "crystal_height_mm")
+
+
+def bench_picture(reading: Reading, values: Mapping[str, Value]) -> dict[str, Any] | None:
+    """Shapes to draw, in pixels, each with its `kind`; None where the scene has other parameters.
+
+    `values` are the scene's parameters of the reading's configuration.
+    """
+    if reading.of_beam:
+        if not all(name in values for name in _CRYSTAL):
+            return None
+        wide, tall = (float(values[name]) for name in _CRYSTAL)
+        return _beam(wide, tall, str(values.get("beam_axis", "z")))
+    if not all(name in values for name in _BENCH):
+        return None
+    wide, tall, gap, n_gap, window, thick = (float(values[name]) for name in _BENCH)
+    per_mm = min(
+        (_WIDTH - 2 * _RIM) / max(wide, window), (_HEIGHT - 2 * _RIM - _GAP) / (tall + gap + thick)
+    )
+    middle, gap_px = _WIDTH / 2, max(gap * per_mm, _GAP)
+    foot = _RIM + tall * per_mm
+    plate = foot + gap_px
+
+    def box(kind: str, width_mm: float, top: float, height: float) -> dict[str, Any]:
+        width = width_mm * per_mm
+        return {"kind": kind, "x": middle - width / 2, "y": top, "width": width, "height": height}
+
+    shapes = [
+        box("crystal", wide, _RIM, tall * per_mm),
+        box("liquid" if is_filled(n_gap) else "air", wide, foot, gap_px)
+        | {"opacity": min(max(n_gap - 1.0, 0.0) + 0.1, 0.9)},
+        box("window", window, plate, thick * per_mm),
+        box("detector", window, plate + thick * per_mm, _MASK),
+    ]
+    radius = float(values.get("aperture_radius_mm", window))
+    if radius < window / 2:
+        ring = (window / 2 - radius) * per_mm
+        left = box("mask", window, plate - _MASK, _MASK) | {"width": ring}
+        shapes += [left, left | {"x": middle + radius * per_mm}]
+    end = plate + thick * per_mm + _MASK + _RIM
+    return {"width": _WIDTH, "height": round(end, 1), "shapes": shapes}
+
+
+def _beam(wide: float, tall: float, axis: str) -> dict[str, Any]:
+    """The crystal by itself, with a spectrophotometer's beam through it."""
+    per_mm = min((_WIDTH - 6 * _RIM) / wide, (_HEIGHT - 6 * _RIM) / tall)
+    width, height = wide * per_mm, tall * per_mm
+    x, y = (_WIDTH - width) / 2, (_HEIGHT - height) / 2
+    beam: dict[str, Any] = {"kind": "beam"}
+    if axis == "z":
+        beam |= {"x": _WIDTH / 2 - _MASK, "y": 0.0, "width": 2 * _MASK, "height": _HEIGHT}
+    else:
+        beam |= {"x": 0.0, "y": _HEIGHT / 2 - _MASK, "width": _WIDTH, "height": 2 * _MASK}
+    crystal = {"kind": "crystal", "x": x, "y": y, "width": width, "height": height}
+    return {"width": _WIDTH, "height": _HEIGHT, "shapes": [crystal, beam]}
+
+
+def bench_words(
+    reading: Reading, values: Mapping[str, Value], columns: Sequence[str]
+) -> list[tuple[str, str]]:
+    """Name and value of what a reading's bench has, what readings differ in first."""
+    told = [n for n in columns if n in reading.parameters]
+    if not reading.of_beam:
+        told += [n for n in _TOLD if n in values and n not in told]
+    return [(_named(n), _text(n, reading.parameters.get(n, values.get(n)), values)) for n in told]
+
+
+def _named(name: str) -> str:
+    known = {"n_gap": "index in the gap", "aperture_radius_mm": "radius of the mask's hole"}
+    return known.get(name, without_unit(name))
+
+
+def _text(name: str, value: Value | None, values: Mapping[str, Value]) -> str:
+    text = f"{value:g}" if isinstance(value, float) else str(value)
+    text = " ".join(filter(None, (text, unit_of(name))))
+    if name == "n_gap" and isinstance(value, (int, float)):
+        return f"{text}, {'filled' if is_filled(float(value)) else 'air'}"
+    window = values.get("window_width_mm")
+    if name == "aperture_radius_mm" and window is not None and value is not None:
+        return f"{text}, no mask" if float(value) >= float(window) / 2 else text
+    return text

@@ -1,0 +1,225 @@
+"""The page's session without a browser: what its fits use, and what it keeps."""
+
+import io
+import json
+import time
+import zipfile
+from contextlib import contextmanager
+from dataclasses import replace
+
+import pytest
+
+from mcrim_mitsuba.app import layout
+from mcrim_mitsuba.app.jobs import Job, Jobs
+from mcrim_mitsuba.app.session import Session
+from mcrim_mitsuba.app.state import HELD, PRIOR, Known
+from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Run
+
+PHOTONS = 16384
+LONGEST_S = 300
+
+
+@contextmanager
+def opened(campaign, folder):
+    """A session whose bench is simulated."""
+    session = Session(read_campaign(campaign), Run(photons=PHOTONS), folder)
+    try:
+        wait(session)
+        yield session
+    finally:
+        session.jobs.close(60)
+
+
+def wait(session):
+    """Until all that was asked for is done."""
+    end = time.monotonic() + LONGEST_S
+    while session.jobs.status.job or session.jobs.status.waiting or not session.state.steps:
+        assert time.monotonic() < end
+        assert not session.jobs.status.said, session.jobs.status.said
+        time.sleep(0.01)
+    assert not session.jobs.status.said, session.jobs.status.said
+
+
+def fitted(session, **changes):
+    """The calibration of a fit at changed settings."""
+    settings = replace(session.state.settings, **changes)
+    session.fit(session.remember(settings, session.settings_number))
+    wait(session)
+    return session.state.steps[-1].calibration
+
+
+@pytest.fixture
+def files(scenes, tmp_path, shared_cache, monkeypatch):
+    """A folder with the misfit's campaign, and its text."""
+    monkeypatch.setenv("MCRIM_CACHE", str(shared_cache))
+    text = (scenes / "camoo4_misfit.toml").read_text()
+    text = text.replace('"camoo4.xml"', f"'{scenes / 'camoo4.xml'}'")
+    (tmp_path / "camoo4_misfit.csv").write_text((scenes / "camoo4_misfit.csv").read_text())
+    (tmp_path / "bench.toml").write_text(text)
+    return tmp_path, text
+
+
+def test_jobs_come_one_after_the_other_and_are_taken_back():
+    begun, undone, changed = [], [], []
+    jobs = Jobs(lambda: changed.append(1))
+
+    def work(name):
+        begun.append(name)
+        while name == "slow":
+            jobs.report("halfway", 1, 2)
+            time.sleep(0.001)
+
+    for name in ("slow", "other", "last", "last"):  # one that waits is not asked for twice
+        jobs.start(Job(name, name, lambda n=name: work(n), lambda n=name: undone.append(n)))
+    while "halfway" not in jobs.status.stage:
+        time.sleep(0.001)
+    assert [job.key for job in jobs.status.waiting] == ["other", "last"]
+    assert jobs.status.words == "slow: halfway, 50 %"
+    jobs.stop("other")
+    jobs.stop()
+    while jobs.status.job or jobs.status.waiting:
+        time.sleep(0.001)
+    assert (begun, undone) == (["slow", "last"], ["other", "slow"])
+    # said until the user begins something else
+    assert jobs.status.said == ("slow: stopped; what was simulated is kept",)
+    jobs.start(Job("last", "last", lambda: None))
+    assert jobs.status.said == () and len(changed) >= 6
+    jobs.close(5)
+
+
+def test_readings_are_edited_in_the_table(files):
+    folder, text = files
+    with opened(folder / "bench.toml", folder) as session:
+        place = 15  # gel hole 4, which the bench explains worst
+        before = session.state.ready
+        session.edit_reading(place, {"use": False})
+        session.edit_reading(0, {"signal": 13.5})
+        assert session.jobs.status.job is None and session.state.ready is before
+        found = fitted(session)
+        assert session.state.steps[-1].words == "air 13.5 ± 0.0924, without gel hole 4"
+        for column, value, said in (
+            ("sigma", -1.0, "line 4, column sigma: sigma = -1 is not above 0"),
+            ("signal", 0.0, "signal = 0, but a light signal is above 0"),
+        ):
+            with pytest.raises(InputError, match="camoo4_misfit.csv.*" + said):
+                session.edit_reading(0, {column: value})
+        shown = session.show(session.state.settings)
+        assert shown.chi2 == pytest.approx(found.chi2, rel=1e-5)
+    # the same file, written by hand, says the same
+    rows = (folder / "camoo4_misfit.csv").read_text().replace("air,12.963", "air,13.5")
+    lines = [line for line in rows.splitlines() if not line.startswith("gel hole 4")]
+    (folder / "edited.csv").write_text("\n".join(lines) + "\n")
+    (folder / "edited.toml").write_text(text.replace("camoo4_misfit.csv", "edited.csv"))
+    with opened(folder / "edited.toml", folder) as other:
+        same = fitted(other)
+        assert (same.chi2, same.ndf) == (pytest.approx(found.chi2, rel=1e-5), found.ndf)
+
+
+def test_parameters_are_held_or_known(files):
+    folder, _ = files
+    with opened(folder / "bench.toml", folder) as session:
+        values = {**session.state.settings.values, "alpha_abs_per_cm": 0.05}
+        known = {"alpha_abs_per_cm": Known(HELD), "alpha_scat_per_cm": Known(PRIOR, 0.4, 0.01)}
+        found = fitted(session, values=values, known=known)
+        assert found.fixed == {"alpha_abs_per_cm": 0.05}
+        shown = session.show(session.state.settings)
+        assert (shown.chi2, shown.ndf) == (pytest.approx(found.chi2, rel=1e-5), found.ndf)
+        assert session.state.steps[-1].words == (
+            "alpha scat known to be 0.4 ± 0.01, alpha abs held at 0.05"
+        )
+        session.offer("campaign", session.state.settings)
+        wait(session)
+        with zipfile.ZipFile(io.BytesIO(session.state.file[1])) as packed:
+            packed.extractall(folder / "got")
+    [written] = (folder / "got").rglob("*.toml")
+    given = read_campaign(written).parameters
+    assert given["alpha_abs_per_cm"].fixed and given["alpha_abs_per_cm"].start == 0.05
+    assert (given["alpha_scat_per_cm"].prior, given["alpha_scat_per_cm"].prior_sigma) == (0.4, 0.01)
+    with opened(written, folder) as other:
+        same = other.state.steps[0].calibration
+        assert (same.chi2, same.ndf) == (pytest.approx(found.chi2, rel=1e-4), found.ndf)
+
+
+def test_a_size_that_is_held_is_simulated_where_it_is_held(files):
+    folder, _ = files
+    with opened(folder / "bench.toml", folder) as session:
+        settings = session.state.settings
+        values = {**settings.values, "bubble_fraction": 0.4}
+        found = fitted(
+            session, effects=("gap_bubble", "surface_absorption"), values=values,
+            known={"bubble_fraction": Known(HELD)},
+        )  # fmt: skip
+        assert found.fixed == {"bubble_fraction": 0.4} and "surface_loss" in found.names
+        [anchor] = session.state.anchors.values()
+        assert anchor.values["bubble_fraction"] == 0.4
+        settings = session.state.settings
+        shown = session.show(settings)
+        assert (shown.chi2, shown.ndf) == (pytest.approx(found.chi2, rel=1e-5), found.ndf)
+        moved = replace(settings, values={**settings.values, "bubble_fraction": 0.2})
+        assert abs(session.show(moved).chi2 - shown.chi2) > 1  # it can be moved still
+
+
+def test_fits_are_kept_compared_removed_and_undone(files):
+    folder, _ = files
+    with opened(folder / "bench.toml", folder) as session:
+        first = session.state
+        fitted(session, effects=("gap_bubble",))
+        session.edit_reading(15, {"use": False})
+        fitted(session, effects=())
+        names = [layout.step_name(step) for step in session.state.steps]
+        assert names == ["as it came", "with gap_bubble", "without gel hole 4"]
+        one, two, three = (step.number for step in session.state.steps)
+        session.compare_with(two)
+        step, shown = session.shown_beside()
+        assert step.number == two and not shown.rows[15].use  # beside the readings as they are now
+        panel = layout.state(session, -1)["parts"]["fitted"]
+        assert "Two hypotheses side by side" in panel and "bubble_fraction" in panel
+
+        session.show_step(two)  # with the readings that it had
+        assert session.state.campaign.measurements.readings[15].use
+        assert session.state.settings.effects == ("gap_bubble",)
+        session.remove_step(three)
+        assert len(session.state.steps) == 2
+        with pytest.raises(InputError, match="as it came stays"):
+            session.remove_step(one)
+        for steps in (3, 3, 2, 2, 1):  # undone: removed, shown, fitted, edited, fitted
+            session.undo()
+            assert len(session.state.steps) == steps
+        assert not session.can_undo and session.state.campaign is first.campaign
+        assert session.state.settings.effects == ("gap_bubble",)  # it was switched on before
+
+
+def test_a_session_is_kept_in_a_file(files, scenes):
+    folder, _ = files
+    with opened(folder / "bench.toml", folder) as session:
+        fitted(session, effects=("gap_bubble",))
+        session.edit_reading(15, {"use": False})
+        fitted(session, known={"alpha_abs_per_cm": Known(HELD)})
+        session.compare_with(session.state.steps[1].number)
+        session.offer("session", session.state.settings)
+        wait(session)
+        name, content = session.state.file
+        before = session.state
+    assert name == "bench_session.json"
+    with opened(folder / "bench.toml", folder) as other:
+        number = other.bench_number
+        other.take_session(name, content)
+        wait(other)
+        assert other.bench_number == number + 1
+        again = other.state
+        for old, new in zip(before.steps, again.steps, strict=True):
+            assert layout.step_name(old) == layout.step_name(new)
+            assert new.calibration.chi2 == pytest.approx(old.calibration.chi2, rel=1e-4)
+        assert again.beside.settings.effects == ("gap_bubble",)
+        assert not again.campaign.measurements.readings[15].use
+        assert again.settings.known["alpha_abs_per_cm"].how == HELD
+
+        changed = json.loads(content) | {"fits": [{"settings": {}}]}
+        for bad in (b"{}", b"PNG", b"[1]", json.dumps(changed).encode()):
+            with pytest.raises(InputError, match=r"mine.json: this is not a session of the page"):
+                other.take_session("mine.json", bad)
+        strange = json.dumps(json.loads(content) | {"scene_hash": "other"}).encode()
+        with pytest.raises(InputError, match=r"the session is of another scene, camoo4\.xml"):
+            other.take_session("mine.json", strange)
