@@ -38,8 +38,8 @@ UNKNOWN = "unknown"
 #: Odds, before the readings, that something without a name is there, alone and besides an effect.
 #: These and what follows are calibrated by 116 campaigns of as many designs with their effect left
 #: out of the catalogue (`scripts/trials hidden`, seed 0): the averaged light yield was within 2 of
-#: its errors in 90 %, within 1 in 76 %; with the effect in the catalogue in 95 % and 69 %, with 1.25
-#: times the error of the fit that knows it.
+#: its errors in 90 %, within 1 in 76 %; with the effect in the catalogue in 95 % and 69 %, with
+#: 1.25 times the error of the fit that knows it.
 _UNKNOWN_ODDS, _BESIDE_ODDS = 1.0, 0.05
 #: Relative sizes that it may have, the larger the rarer.
 _AMPLITUDES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
