@@ -63,7 +63,7 @@ ABSORPTION_PER_CM = 0.027
 #: Photons per proposal of a mounting whose smallest aperture is 7 mm; those with smaller ones get
 #: more, by `_SHARE`. The error at full aperture is 0.2 % to 0.4 %.
 PHOTONS = 80_000
-_SHARE = {7.0: 1, 4.0: 2}
+_SHARE = {4.0: 2}
 #: Factor on the photons of the plain bench, which many trials share.
 PLAIN_FACTOR = 6
 #: Parameters that mean nothing where the gap is not filled.
@@ -195,7 +195,7 @@ class HistoryStore:
         unlike = tuple(sorted((n, v) for n, v in bench.items() if v != plain[n]))
         is_plain = {name for name, _ in unlike} <= set(Mounting._fields)
         smallest = min(row[1] for row in POOL if mounting_of(row) == mounting)
-        share = _SHARE[smallest] * (PLAIN_FACTOR if is_plain else 1)
+        share = _SHARE.get(smallest, 1) * (PLAIN_FACTOR if is_plain else 1)
         proposals = PLAIN_PROPOSALS_PER_CM if is_plain else PROPOSALS_PER_CM
         return Run(unlike, proposals, self._photons * share, self._seed)
 

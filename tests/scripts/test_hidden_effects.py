@@ -17,12 +17,27 @@ from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 
-SEED, TRACED, SIMULATED = 1, 4_000, 65_536
+SEED, TRACED, SIMULATED = 1, 8_000, 65_536
 #: What the package knows: all of the catalogue is tried by `scripts/trials`, this is quicker.
 KNOWN = {"surface_absorption", "surface_roughness", "gap_index", "gap_bubble", "gap_absorption",
          "detector_radius", "detector_reflection", "top_reflector", "background", "saturation",
          "polarization"}  # fmt: skip
 Z_MAX = 4.5
+#: What designs are drawn from, where it is not cut to the standard one.
+POOL = histories.POOL
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_design():
+    """The standard one, which all share: traced and simulated once."""
+    with pytest.MonkeyPatch.context() as patch:
+        standard = histories.STANDARD
+        for module in (histories, trials):
+            patch.setattr(module, "POOL", standard)
+        mountings = tuple(dict.fromkeys(map(histories.mounting_of, standard)))
+        patch.setattr(histories, "MOUNTINGS", mountings)
+        patch.setattr(trials, "draw_design", lambda rng: standard)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +51,6 @@ def run(store, shared_cache, tmp_path_factory):
     folder = tmp_path_factory.mktemp("campaigns")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(FOLDER_VARIABLE, str(shared_cache))
-        # one design, so that simulations serve all
-        patch.setattr(trials, "draw_design", lambda rng: histories.STANDARD)
         left_out = trials.left_out_of
         patch.setattr(
             trials, "left_out_of", lambda trial: (catalogue().keys() - KNOWN) | set(left_out(trial))
@@ -69,14 +82,15 @@ def test_histories_answer_other_coefficients_and_smaller_apertures(store):
     ]
 
 
-def test_designs_have_air_and_a_liquid_and_no_row_twice():
+def test_designs_have_air_and_a_liquid_and_no_row_twice(monkeypatch):
+    monkeypatch.setattr(histories, "POOL", POOL)
     for seed in range(50):
         design = histories.draw_design(np.random.default_rng(seed))
         assert 10 <= len(set(design)) == len(design) <= 16
-        assert set(design) <= set(histories.POOL)
+        assert set(design) <= set(POOL)
         whole = {row[0] for row in design if row[1:] == (14.0, 10.0, 0.05)}
         assert 1.0 in whole and len(whole) > 1
-    assert set(histories.STANDARD) <= set(histories.POOL)
+    assert set(histories.STANDARD) <= set(POOL)
 
 
 def test_damaged_histories_are_traced_again(store):
@@ -151,7 +165,7 @@ def test_what_is_measured_on_advice_is_the_same_bench(tmp_path):
 
 
 def test_two_effects_are_both_found(run):
-    found = run("pairs", 6)
+    found = run("pairs", 8)
     assert {effect for effect, _ in found["hidden"]} == set(found["added"])
     assert found["p_after"] > scores.ACCEPTABLE_P
 
