@@ -228,7 +228,7 @@ class HistoryStore:
 
     def etas(
         self, changes: Changes, alpha_scat_per_cm: float, alpha_abs_per_cm: float,
-        design: Design = POOL,
+        design: Design,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Efficiencies of a design's rows, and their relative standard errors: (rows,)."""
         eta, error = np.empty(len(design)), np.empty(len(design))
@@ -251,7 +251,7 @@ class HistoryStore:
         kept = _read(file, ("log_eta",))
         if kept is not None:
             return kept["log_eta"]
-        at = [[self.etas(changes, a_s, a_a)[0] for a_a in axes[1]] for a_s in axes[0]]
+        at = [[self.etas(changes, a_s, a_a, POOL)[0] for a_a in axes[1]] for a_s in axes[0]]
         log_eta = np.moveaxis(np.log(at), 2, 0)
         _write(file, {"log_eta": log_eta})
         return log_eta
