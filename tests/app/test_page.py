@@ -252,3 +252,34 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(
         assert browser.run("return document.documentElement.scrollWidth") <= size[0]
         browser.screenshot_whole(f"{wide} 8 all")
         assert browser.complaints() == []
+
+
+def test_many_readings_are_told_apart(browser, campaign, shared_cache, scenes):
+    lines = (scenes / "camoo4_misfit.csv").read_text().splitlines()
+    rows = [lines[3 + place % 16].split(",", 1) for place in range(300)]
+    many = [f"{label} no {place},{rest}" for place, (label, rest) in enumerate(rows)]
+    (campaign.parent / "four.csv").write_text("\n".join([lines[2], *many]) + "\n")
+    with running(campaign, shared_cache, browser) as app:
+        assert app.is_about("(300)")
+        chart = browser.find("#readings-chart")
+        chart.send_keys(KEYS["end"])
+        browser.wait_for(lambda: "no 299" in browser.text("#reading h3"), "last reading")
+        boxes = browser.run(
+            "return [...document.querySelectorAll('#readings-chart .label')].map("
+            "e => e.getBoundingClientRect().right)"
+        )
+        apart = min(b - a for a, b in itertools.pairwise(boxes))
+        assert apart > 12 and 100 < len(boxes) < 300  # labels do not run into each other
+        mark = browser.find("#readings-chart .mark").rect
+        assert mark["width"] > 8  # nor do readings
+        area = chart.rect
+        assert area["x"] + 52 < mark["x"] < area["x"] + area["width"]  # it was scrolled into sight
+        heap = browser.run("return performance.memory.usedJSHeapSize") / 1e6
+        assert heap < 100, heap
+        browser.screenshot("many readings")
+        browser.resize(390, 844)
+        time.sleep(0.5)
+        browser.run("document.querySelector('#model').scrollIntoView()")
+        browser.screenshot("many readings 390")
+        assert browser.run("return document.documentElement.scrollWidth") <= 390
+        assert browser.complaints() == []

@@ -11,6 +11,8 @@ const BETWEEN = 26;
 // of a character of a slanting label, and the least width that one needs
 const LABEL_PX = 5.2;
 const LABEL_STEP = 15;
+// least width of a reading: more than fit are scrolled through
+const READING_PX = 9;
 // least extent of the axis of pulls, and how far those of two fits stand apart
 const LEAST_PULL = 3.2;
 // an axis grows by this factor, again and again: mostly it stays while a slider moves
@@ -62,12 +64,13 @@ function stepped(least, wanted) {
   return least * STEP ** Math.ceil(Math.log(most / least) / Math.log(STEP));
 }
 
-function grid(svg, values, y, right, textOf = numberText) {
+// lines across a chart, and what they mean, beside it
+function grid(svg, values, y, left, right, axis = svg) {
   for (const value of values) {
     const at = y(value);
-    element("line", { class: "grid", x1: LEFT, x2: right, y1: at, y2: at }, svg);
-    element("text", { class: "tick", x: LEFT - 6, y: at + 4, "text-anchor": "end" }, svg,
-      textOf(value));
+    element("line", { class: "grid", x1: left, x2: right, y1: at, y2: at }, svg);
+    element("text", { class: "tick", x: LEFT - 6, y: at + 4, "text-anchor": "end" }, axis,
+      numberText(value));
   }
 }
 
@@ -76,11 +79,10 @@ function title(svg, text, x, y) {
   element("text", { class: "title", "text-anchor": "middle", transform: turned }, svg, text);
 }
 
-function fresh(place, width, height, label) {
-  place.querySelector("svg")?.remove();
+function drawing(place, width, height, label) {
   const svg = element("svg", { width: width, height: height, role: "img", "aria-label": label },
     place);
-  svg.style.height = `${height}px`;
+  [svg.style.width, svg.style.height] = [`${width}px`, `${height}px`];
   return svg;
 }
 
@@ -105,38 +107,45 @@ function keep(place, redraw) {
 function frame(place, chart, extents) {
   const { bottom, top, pull } = extents;
   const count = chart.signal.length;
-  const width = place.clientWidth;
-  const right = width - (chart.percent === null ? RIGHT : LEFT);
+  const end = chart.percent === null ? RIGHT : LEFT;
+  const right = Math.max(place.clientWidth - LEFT - end, READING_PX * count);
   const longest = Math.max(...chart.short.map((label) => label.length));
   const pullsTop = TOP + SIGNALS + BETWEEN;
   const floor = pullsTop + PULLS;
-  const wide = (right - LEFT) / count;
+  const wide = right / count;
   const every = Math.ceil(LABEL_STEP / wide);
-  const svg = fresh(place, width, floor + 24 + LABEL_PX * longest,
+  // the axis stays where it is while many readings are scrolled through
+  place.querySelector(".scrolled")?.remove();
+  const scrolled = document.createElement("div");
+  scrolled.className = "scrolled";
+  place.append(scrolled);
+  const height = floor + 24 + LABEL_PX * longest;
+  const axis = drawing(scrolled, LEFT, height, "axes of signals and pulls");
+  const svg = drawing(scrolled, right + end, height,
     "readings with their errors, the model's predictions, and below them the pulls");
   const made = {
-    svg: svg, wide: wide,
-    x: (i) => LEFT + wide * (i + 0.5),
+    svg: svg, wide: wide, scrolled: scrolled,
+    x: (i) => wide * (i + 0.5),
     signal: (value) => TOP + (SIGNALS * (top - value)) / (top - bottom),
     pull: (value) => pullsTop + (PULLS * (pull - value)) / (2 * pull),
   };
   for (const [sigmas, look] of [[2, "two"], [1, "one"]]) {
-    element("rect", { class: `band ${look}`, x: LEFT, width: right - LEFT,
+    element("rect", { class: `band ${look}`, x: 0, width: right,
       y: made.pull(sigmas), height: made.pull(-sigmas) - made.pull(sigmas) }, svg);
   }
-  made.mark = element("rect", { class: "mark", y: TOP, height: floor - TOP, width: 0, x: LEFT }, svg);
-  grid(svg, ticks(bottom, top), made.signal, right);
-  grid(svg, ticks(-pull, pull), made.pull, right);
+  made.mark = element("rect", { class: "mark", y: TOP, height: floor - TOP, width: 0, x: 0 }, svg);
+  grid(svg, ticks(bottom, top), made.signal, 0, right, axis);
+  grid(svg, ticks(-pull, pull), made.pull, 0, right, axis);
   const zero = made.pull(0);
-  element("line", { class: "zero", x1: LEFT, x2: right, y1: zero, y2: zero }, svg);
-  title(svg, "signal", 14, TOP + SIGNALS / 2);
-  title(svg, "pull (σ)", 14, pullsTop + PULLS / 2);
+  element("line", { class: "zero", x1: 0, x2: right, y1: zero, y2: zero }, svg);
+  title(axis, "signal", 14, TOP + SIGNALS / 2);
+  title(axis, "pull (σ)", 14, pullsTop + PULLS / 2);
   if (chart.percent !== null) {
     for (const value of ticks(bottom / chart.percent, top / chart.percent)) {
       element("text", { class: "tick", x: right + 6, y: made.signal(value * chart.percent) + 4 },
         svg, numberText(value));
     }
-    title(svg, "transmittance (%)", width - 6, TOP + SIGNALS / 2);
+    title(svg, "transmittance (%)", right + end - 6, TOP + SIGNALS / 2);
   }
   chart.short.forEach(function (label, i) {
     if (i % every === 0) {
@@ -148,7 +157,7 @@ function frame(place, chart, extents) {
     const [low, high] = [value - chart.sigma[i], value + chart.sigma[i]].map(made.signal);
     return `M${made.x(i)} ${low}V${high}`;
   });
-  const radius = Math.min(4, 0.3 * wide + 1);
+  const radius = Math.min(4, 0.2 * wide + 1);
   const dot = (used) => chart.signal.map(function (value, i) {
     const round = `a${radius} ${radius} 0 1 0 ${2 * radius} 0a${radius} ${radius} 0 1 0 `;
     return chart.use[i] === used
@@ -157,7 +166,7 @@ function frame(place, chart, extents) {
   for (const kind of ["beside", "model"]) {
     made[kind] = {
       dashes: element("path", { class: `dashes ${kind}` }, svg),
-      bars: element("path", { class: `bars ${kind}` }, svg),
+      bars: element("path", { class: `bars ${kind} ${wide < 20 ? "thin" : ""}` }, svg),
     };
   }
   element("path", { class: "errors", d: error.join("") }, svg);
@@ -167,7 +176,7 @@ function frame(place, chart, extents) {
 }
 
 function drawFit(made, kind, fit) {
-  const half = Math.min(10, 0.4 * made.wide) * (kind === "model" ? 1 : 0.8);
+  const half = Math.min(10, 0.45 * made.wide) * (kind === "model" ? 1 : 0.8);
   const bar = Math.min(24, 0.28 * made.wide);
   const aside = (kind === "model" ? 0.57 : -0.57) * bar;
   const zero = made.pull(0);
@@ -240,8 +249,7 @@ export function readingAt(place, clientX) {
   if (!made) {
     return null;
   }
-  const x = clientX - made.svg.getBoundingClientRect().left - LEFT;
-  const i = Math.floor(x / made.wide);
+  const i = Math.floor((clientX - made.svg.getBoundingClientRect().left) / made.wide);
   return i >= 0 && i < chart.signal.length ? i : null;
 }
 
@@ -249,6 +257,15 @@ export function mark(place, i) {
   if (place.made && i !== null) {
     place.made.mark.setAttribute("x", place.made.x(i) - place.made.wide / 2);
     place.made.mark.setAttribute("width", place.made.wide);
+  }
+}
+
+// bring a reading into sight where there are many
+export function scrollTo(place, i) {
+  const { scrolled, x } = place.made;
+  const seen = scrolled.clientWidth - LEFT;
+  if (x(i) < scrolled.scrollLeft + 20 || x(i) > scrolled.scrollLeft + seen - 20) {
+    scrolled.scrollLeft = x(i) - seen / 2;
   }
 }
 
@@ -260,14 +277,15 @@ const FALLING = 200;
 export function drawFalling(place, steps) {
   const width = place.clientWidth;
   const heights = steps.map((step) => step.height).filter((height) => height > 0);
-  const svg = fresh(place, width, TOP + FALLING + 26,
+  place.replaceChildren();
+  const svg = drawing(place, width, TOP + FALLING + 26,
     "chi2 over degrees of freedom of every fit; at 1 the model describes the readings");
   const [low, high] = [Math.min(1, ...heights) / 1.5, 1.8 * Math.max(2, ...heights)];
   const right = width - RIGHT;
   const y = (value) => TOP + (FALLING * Math.log(high / value)) / Math.log(high / low);
   const wide = (right - LEFT) / Math.max(steps.length, 2);
   const x = (i) => LEFT + wide * (i + 0.5);
-  grid(svg, logarithmicTicks(low, high), y, right);
+  grid(svg, logarithmicTicks(low, high), y, LEFT, right);
   element("line", { class: "goal", x1: LEFT, x2: right, y1: y(1), y2: y(1) }, svg);
   title(svg, "χ² / degrees of freedom", 14, TOP + FALLING / 2);
   let line = "";
@@ -282,6 +300,7 @@ export function drawFalling(place, steps) {
       element("text", { class: "label", x: x(i) + 8, y: y(step.height) - 8 }, svg, step.text);
     }
   });
-  svg.prepend(element("path", { class: "stairs", d: line }, svg));
+  svg.insertBefore(element("path", { class: "stairs", d: line }, svg),
+    svg.querySelector("circle"));
   keep(place, () => drawFalling(place, steps));
 }

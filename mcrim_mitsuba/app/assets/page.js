@@ -1,5 +1,5 @@
 // The page's behaviour: its controls, what they ask the server, and how the session is.
-import { drawFalling, drawReadings, mark, readingAt } from "./charts.js";
+import { drawFalling, drawReadings, mark, readingAt, scrollTo } from "./charts.js";
 
 const STEPS = Number(document.body.dataset.steps);
 // between looks at the running job, and when there is none; an answer that takes longer is lost
@@ -248,11 +248,13 @@ readingsChart.addEventListener("keydown", function (event) {
   if (moved !== undefined) {
     event.preventDefault();
     select(Math.min(Math.max(moved, 0), last));
+    scrollTo(readingsChart, selected);
   }
 });
-$("rows").addEventListener("focusin", (event) =>
-  select(event.target.closest("tr").sectionRowIndex)
-);
+$("rows").addEventListener("focusin", function (event) {
+  select(event.target.closest("tr").sectionRowIndex);
+  scrollTo(readingsChart, selected);
+});
 
 function present(told) {
   pending = Boolean(told.pending);
