@@ -107,6 +107,21 @@ def test_what_is_typed_is_what_is_meant(browser, campaign, shared_cache):
         assert browser.text("#chi2") != before
         assert 600 < int(slider.get_property("value")) < 900
 
+        # a prior is one when both of its numbers are there
+        choice = app.control("known", name)
+        choice.send_keys("prior")
+        words = "the prior needs a value; the prior needs an error"
+        browser.wait_for(lambda: app.wrong(name) == words, words)
+        assert browser.all("body.stale")
+        freedom = browser.text("#chi2-words")
+        for column, text in (("prior", "0,4"), ("prior_sigma", "0"), ("prior_sigma", "0.1")):
+            app.type(browser.find(f'[data-name="{name}"] [data-of={column}]'), text)
+            if text == "0":
+                browser.wait_for(lambda: "above 0" in app.wrong(name), "refusal")
+        browser.wait_for(lambda: app.is_idle() and browser.text("#chi2-words") != freedom, "ndf")
+        choice.send_keys("free")
+        browser.wait_for(lambda: app.is_idle() and browser.text("#chi2-words") == freedom, "ndf")
+
         # the scale that is shown is the one that counts
         scale, follows = app.control("number", "scale"), browser.find("#fit-scale input")
         before = float(scale.get_property("value"))

@@ -509,6 +509,11 @@ function know(control) {
   for (const field of control.priors) {
     known[field.dataset.of] = field.value.trim() ? read(field.value)[0] : null;
   }
+  for (const field of control.priors) {
+    const lacks = known.how === "prior" && known[field.dataset.of] === null;
+    const what = field.dataset.of === "prior" ? "a value" : "an error";
+    control.refuse(field, lacks ? `the prior needs ${what}` : "");
+  }
   settings.known[control.name] = known;
   showKnown(control, known, false);
   if (control.name === "scale" && known.how === "held") {
