@@ -298,16 +298,18 @@ def _drawn(
 
 # ---- models side by side ----
 
-#: Part of a distribution whose width is two standard errors, as of a Gaussian.
-INTERVAL = float(ndtr(1.0) - ndtr(-1.0))
+#: Part of a distribution whose width counts as its error, and how many standard deviations it is
+#: of a Gaussian.
+INTERVAL = 0.9
+WIDTH = float(2.0 * ndtri(0.5 + 0.5 * INTERVAL))
 
 
 @dataclass(frozen=True)
 class AveragedYield:
     """The light yield averaged over the models that the data allow, photons per keV.
 
-    The average is no Gaussian: an unlikely model may be far from the others. So its error is half
-    the width of the interval that holds 68 % of it.
+    The average is no Gaussian: an unlikely model may be far from the others. So its error is the
+    width of the interval that holds 90 % of it, in standard deviations of a Gaussian.
     """
 
     value: float
@@ -392,7 +394,7 @@ def weigh(hypotheses: Sequence[Hypothesis], known: LightYieldInput | None) -> We
 
 
 def _width(shares: Array, values: Array, sigmas: Array) -> float:
-    """Half of that of the interval that holds `INTERVAL` of Gaussians."""
+    """Of the interval that holds `INTERVAL` of Gaussians, in standard deviations of one."""
     ends = []
     for part in (0.5 - 0.5 * INTERVAL, 0.5 + 0.5 * INTERVAL):
 
@@ -401,4 +403,4 @@ def _width(shares: Array, values: Array, sigmas: Array) -> float:
 
         low, high = (values - 9.0 * sigmas).min(), (values + 9.0 * sigmas).max()
         ends.append(brentq(above, low, high, rtol=1e-6))
-    return float(0.5 * (ends[1] - ends[0]))
+    return float((ends[1] - ends[0]) / WIDTH)

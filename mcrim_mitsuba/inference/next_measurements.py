@@ -21,7 +21,7 @@ import numpy as np
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.inference.evidence import INTERVAL, Hypothesis
+from mcrim_mitsuba.inference.evidence import INTERVAL, WIDTH, Hypothesis
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.unexplained import unnamed_at
 from mcrim_mitsuba.inference.workbench import MeasurementProposals
@@ -176,7 +176,7 @@ class _Cloud:
             self.yields[np.minimum((cumulated < part).sum(axis=1), len(self.yields) - 1)]
             for part in (0.5 - 0.5 * INTERVAL, 0.5 + 0.5 * INTERVAL)
         )
-        error = np.hypot(0.5 * (high - low) / mean, efficiency)
+        error = np.hypot((high - low) / WIDTH / mean, efficiency)
         return float(np.median(error)), probability
 
     def rises(self, leading: Sequence[tuple[str, ...]]) -> tuple[Array, list[tuple[int, int]]]:

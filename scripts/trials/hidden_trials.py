@@ -556,7 +556,7 @@ def run_trial(
     further: dict = {}
     if trial.kind == ADVICE:
         further["advice"] = _advised(trial, folder, said, threads, photons)
-    if without:
+    if trial.kind in (LEFT_OUT, FAMILY_OUT):
         further["known"] = _known(trial, campaign, threads, photons)
     seconds = time.perf_counter() - start
     effects = {effect for effect, _ in trial.hidden}
@@ -603,13 +603,11 @@ def _judged(trial: Trial, said: dict) -> dict:
 def _known(trial: Trial, campaign: Path, threads: int | None, photons: int | None) -> dict:
     """What is said where the catalogue has what is hidden; and the error of who knows that."""
     said = diagnose_and_repair(campaign, threads, photons)
-    found = _judged(trial, said)
-    if said["effects"] != [trial.what]:
-        said = plain(
-            mcrim.repair(campaign, effect=[trial.what], photons=photons, threads=threads).document
-        )
-    own = said["calibration"]["parameters"]["light_yield_ph_per_keV"]
-    return found | {"right_relative_sigma": own["sigma"] / trial.truth.light_yield_ph_per_keV}
+    right = mcrim.read_campaign(campaign).with_effects([trial.what])
+    fitted = plain(mcrim.calibrate(right, photons=photons, threads=threads).document)
+    own = fitted["parameters"]["light_yield_ph_per_keV"]
+    relative = own["sigma"] / trial.truth.light_yield_ph_per_keV
+    return _judged(trial, said) | {"right_relative_sigma": relative}
 
 
 def _advised(

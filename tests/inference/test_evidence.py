@@ -144,12 +144,12 @@ def test_probabilities_and_the_averaged_yield():
     values = np.array([8.0, 7.0, 6.0])
     mean = p @ values
     assert found.light_yield.value == pytest.approx(mean)
-    # the interval that holds 68 %, by drawing; its parts as the variances are
+    # the interval that holds 90 %, by drawing; its parts as the variances are
     rng = np.random.default_rng(4)
     model = rng.choice(3, 400_000, p=p)
     sigmas = np.hypot(0.2, 0.05 * values * [0, 1, 1])
     drawn = values[model] + sigmas[model] * rng.standard_normal(len(model))
-    width = 0.5 * np.ptp(np.quantile(drawn, [0.158655, 0.841345]))
+    width = np.ptp(np.quantile(drawn, [0.05, 0.95])) / (2.0 * 1.644854)
     parts = np.array(
         [0.2, math.sqrt(p @ (values - mean) ** 2), 0.05 * math.sqrt(p[1:] @ values[1:] ** 2)]
     )
@@ -177,5 +177,5 @@ def test_an_unlikely_model_far_away_is_no_error():
     alone = light_yield(-50.0)
     assert alone.sigma == pytest.approx(0.08, rel=1e-3)
     assert light_yield(math.log(0.02)).sigma < 1.2 * alone.sigma
-    # where it is half as likely as the other it is one
-    assert light_yield(math.log(0.5)).sigma > 10.0 * alone.sigma
+    # where it is as likely as one in eleven it is one
+    assert light_yield(math.log(0.1)).sigma > 10.0 * alone.sigma
