@@ -231,7 +231,7 @@ def _contradiction_figure(curves: tuple[RatioCurve, ...], found: Contradiction) 
         bars.text(100 * probability, place, text, va="center", fontsize=10)
     bars.set_yticks(range(len(named)), [found.titles.get(name, name) for name, _ in named])
     bars.set_xlim(0, 135 * max(p for _, p in named))
-    bars.set_xlabel("probability (%), averaged over plausible sizes")
+    bars.set_xlabel("probability (%)")
     averaged = found.diagnosis.light_yield_averaged
     if averaged is not None:
         title = f"light yield {pdg(averaged.value, averaged.sigma)} ph/keV on average"
