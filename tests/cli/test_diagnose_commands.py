@@ -132,7 +132,7 @@ FIRST_LINES = {
 }
 LAST_LINES = {
     "missing_effect": "Next: mcrim repair camoo4_campaign.toml -o camoo4_campaign_mended.toml",
-    "ambiguous": "Next: measure n_gap = 1.333, gap_mm = 0.5, ",
+    "ambiguous": "Next: measure n_gap = 1.333, gap_mm = 0.5 and n_gap = 1.46, ",
     "adequate": "Next: mcrim calibrate camoo4_campaign.toml",
     "unexplained": "Next: measure more configurations",
     "too_few_readings": "Next: measure more configurations",

@@ -314,7 +314,7 @@ def test_transmittances_that_were_not_measured_are_proposed(scenes):
     assert proposed(light)[0] == [{"kind": "transmittance", "acceptance_deg": 5.0}]
     three = read_campaign(scenes / "camoo4_three.toml")
     beams, sigmas = proposed(three)
-    words = [configuration_text(SimpleNamespace(parameters=each)) for each in beams]
+    words = [configuration_text(SimpleNamespace(parameters=each, also=None)) for each in beams]
     assert words == [
         "transmittance within 1 degrees", "transmittance within 30 degrees",
         "transmittance along z within 5 degrees",
