@@ -173,6 +173,9 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
             assert row_of(out, name)[2] == text
     if verdict == "ambiguous":
         assert row_of(out, "n_gap = 1.333, gap_mm = 0.5")[1:] == [
+            "1 h",
+            "8.3 %",
+            "94 %",
             "12.3",
             f"{by.FIRST} from {by.SECOND}",
         ]
