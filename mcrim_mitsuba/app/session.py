@@ -38,7 +38,7 @@ from mcrim_mitsuba.inference.diagnose import diagnose_on
 from mcrim_mitsuba.inference.estimates import fitted_rows
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.likelihood import FrozenStatistic, Likelihood, p_value
-from mcrim_mitsuba.inference.model import UNKNOWN_SCALE, ResponseModel, held
+from mcrim_mitsuba.inference.model import UNKNOWN_SCALE, ResponseModel
 from mcrim_mitsuba.inference.workbench import Workbench
 from mcrim_mitsuba.output.findings import parameter_words
 
@@ -46,13 +46,6 @@ from mcrim_mitsuba.output.findings import parameter_words
 _SCALE_STEPS = 4
 #: Models that are kept ready, and changes that can be undone.
 _MOST_MODELS, _MOST_UNDONE = 30, 50
-
-
-class _PageBench(Workbench):
-    """A workbench whose joint simulations have sizes of effects that are held, too."""
-
-    def _anchored(self, campaign: Campaign, values: Mapping[str, float]) -> ResponseModel:
-        return super()._anchored(campaign, {**held(campaign), **values})
 
 
 class Session:
@@ -82,7 +75,7 @@ class Session:
         self._open(campaign)
 
     def _open(self, campaign: Campaign) -> None:
-        self._bench = _PageBench(campaign, self._run)
+        self._bench = Workbench(campaign, self._run)
         self._models: dict[Any, tuple[Any, ResponseModel]] = {}
         self._shown_beside: tuple[Any, State, Shown | None] | None = None
         self._undone: list[State] = []

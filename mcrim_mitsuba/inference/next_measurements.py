@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.special import logsumexp
 
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
@@ -50,14 +51,14 @@ class NextMeasurement:
     #: Mean over all pairs of what the wrong one's chi2 would rise above the right one's.
     expected_delta_chi2: float
     #: Those of a second reading, where two are proposed together.
-    also: dict[str, Value] | None = None
+    also: dict[str, Value] | None
     #: Relative standard error that the averaged light yield would most likely have; None where
     #: nothing turns a fitted scale into a light yield.
-    light_yield_sigma: float | None = None
+    light_yield_sigma: float | None
     #: Expected probability of the explanation that would then be the likeliest.
-    probability: float = math.nan
+    probability: float
     #: To mount what is proposed.
-    hours: float = math.nan
+    hours: float
 
 
 def next_measurements(
@@ -90,11 +91,12 @@ def next_measurements(
     efficiency = known.detector_efficiency_sigma / known.detector_efficiency if known else 0.0
     cloud = _cloud(explanations, leading, hypotheses, proposals)
     rises, pairs = cloud.rises(leading[:_MOST_RIVALS])
-    log_likely = cloud.log_likelihoods()
+    readings = cloud.outcomes()
     before, sure = cloud.left(np.zeros((1, len(cloud.weights))), efficiency)
 
     def bought(places: tuple[int, ...]) -> tuple[float, float, float]:
-        error, probability = cloud.left(sum(log_likely[i] for i in places), efficiency)
+        told = np.sum([cloud.log_likelihood(readings, i) for i in places], axis=0)
+        error, probability = cloud.left(told, efficiency)
         fallen = 1.0 - error / before if cloud.yields is not None else 0.0
         doubt = (probability - sure) / max(1.0 - sure, 1e-9)
         return 0.5 * (fallen + doubt) / proposals.hours(*places), error, probability
@@ -148,17 +150,19 @@ class _Cloud:
     #: None where the scale is not fitted.
     yields: Array | None
 
-    def log_likelihoods(self) -> Array:
-        """(m, outcomes, points) of readings at some points, by all points."""
+    def outcomes(self) -> Array:
+        """(outcomes, m) further readings, made at some of the points."""
         rng = np.random.default_rng(0)
         at = (np.arange(_OUTCOMES) + 0.5) / _OUTCOMES
         true = np.minimum(np.searchsorted(np.cumsum(self.weights), at), len(self.weights) - 1)
         noise = rng.standard_normal((_OUTCOMES, self.signals.shape[1]))
-        readings = self.signals[true] * (1.0 + self.relative_sigma * noise)
-        predicted = self.signals.T[:, None, :]
-        sigma = self.relative_sigma[:, None, None] * predicted
-        away = (readings.T[:, :, None] - predicted) / sigma
-        return -0.5 * away**2 - np.log(predicted)
+        return self.signals[true] * (1.0 + self.relative_sigma * noise)
+
+    def log_likelihood(self, readings: Array, place: int) -> Array:
+        """(outcomes, points) of the readings of one configuration, by all points."""
+        predicted = self.signals[:, place]
+        away = (readings[:, place, None] - predicted) / (self.relative_sigma[place] * predicted)
+        return np.asarray(-0.5 * away**2 - np.log(predicted), float)
 
     def left(self, log_likelihood: Array, efficiency: float) -> tuple[float, float]:
         """Relative error of the light yield, the median of all outcomes, after these.
@@ -184,7 +188,7 @@ class _Cloud:
         pairs = list(combinations(range(len(leading)), 2))
         means, variances = [], []
         for effects in leading:
-            own = self.of == self.names.index(" + ".join(sorted(effects)))
+            own = self.of == self.names.index(" + ".join(effects))
             means.append(self.signals[own].mean(axis=0))
             variances.append(self.signals[own].var(axis=0))
         found = [
@@ -206,8 +210,7 @@ def _cloud(
 ) -> _Cloud:
     """Points of the leading explanations and of all others that are likely."""
     logs = np.array([each.log_weight for each in hypotheses])
-    shares = np.exp(logs - logs.max())
-    shares /= shares.sum()
+    shares = np.exp(logs - logsumexp(logs))
     rivals = {tuple(sorted(effects)) for effects in leading[:_MOST_RIVALS]}
     sets: dict[tuple[str, ...], None] = dict.fromkeys([(), *rivals])
     taken = []
@@ -221,7 +224,7 @@ def _cloud(
         taken.append((each, effects, float(shares[i])))
     count = len(proposals.configurations)
     relative = np.broadcast_to(np.asarray(proposals.relative_sigma, float), (count,))
-    names = tuple(dict.fromkeys(_name(each) for each, *_ in taken))
+    names = tuple(dict.fromkeys(each.name for each, *_ in taken))
     rng = np.random.default_rng(1)
     of, weights, signals, scales = [], [], [], []
     for each, effects, share in taken:
@@ -231,7 +234,7 @@ def _cloud(
             predicted = predicted * np.exp(
                 unnamed_at(explanations, each, points, proposals.configurations)
             )
-        of.append(np.full(len(points), names.index(_name(each))))
+        of.append(np.full(len(points), names.index(each.name)))
         weights.append(np.full(len(points), share / len(points)))
         signals.append(np.maximum(predicted, 1e-300))
         free = tuple(each.evidence.mean)
@@ -244,7 +247,3 @@ def _cloud(
         signals=np.concatenate(signals)[order], relative_sigma=relative,
         yields=scale[order] if scale.all() else None,
     )  # fmt: skip
-
-
-def _name(hypothesis: Hypothesis) -> str:
-    return hypothesis.besides or " + ".join(sorted(hypothesis.effects))

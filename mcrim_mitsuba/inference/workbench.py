@@ -24,7 +24,7 @@ from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, ResponseMake
 from mcrim_mitsuba.efficiency.responses import Responses
 from mcrim_mitsuba.inference.explanations import plausible_priors
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model
-from mcrim_mitsuba.inference.model import ResponseModel, acts_on
+from mcrim_mitsuba.inference.model import ResponseModel, acts_on, held
 from mcrim_mitsuba.scene.spectrophotometer import (
     ACCEPTANCE,
     BEAM_AXIS,
@@ -152,7 +152,8 @@ class Workbench:
     def _anchored(self, campaign: Campaign, values: Mapping[str, float]) -> ResponseModel:
         campaign = campaign.with_starts(values)
         maker = self.maker(campaign, f"simulation with {' and '.join(campaign.effects)}")
-        anchor = maker.anchor(campaign.switched_on, values)
+        # sizes of effects that are held are in the scene, too
+        anchor = maker.anchor(campaign.switched_on, {**held(campaign), **values})
         return ResponseModel(campaign, self.responses, campaign.switched_on, anchor)
 
     def settled_model(

@@ -90,7 +90,7 @@ BAD_READING_OFF = (0.05, 0.12)
 #: Truths that are drawn before a trial is given up.
 _MOST_TRUTHS = 60
 #: The scene's values of what a design changes.
-_USUAL_MM = dict(zip(COLUMNS, (1.0, 14.0, 10.0, 0.05), strict=True))
+_USUAL = dict(zip(COLUMNS, (1.0, 14.0, 10.0, 0.05), strict=True))
 #: Photons of a reading that is measured on advice.
 _FURTHER_PHOTONS = 300_000
 
@@ -185,7 +185,7 @@ def distort(
     """
     if position is None:
         position = np.linspace(-0.5, 0.5, len(signal))
-    other_sample = np.array([row[2] != _USUAL_MM["crystal_height_mm"] for row in design])
+    other_sample = np.array([row[2] != _USUAL["crystal_height_mm"] for row in design])
     of_sample = 1.0 + sizes.get("sample_scale", 0.0) * other_sample
     light = of_sample * signal
     held_back = 1.0 + sizes.get("saturation", 0.0) * light
@@ -364,7 +364,7 @@ def write_campaign(
 def labels(design: Design) -> list[str]:
     """Labels of the readings: what each differs in from the bench's own values."""
     liquids = {1.0: "air", 1.333: "water", 1.4: "silicone", 1.46: "gel", 1.515: "oil", 1.6: "resin"}
-    usual = dict(zip((" hole", " height", " gap"), list(_USUAL_MM.values())[1:], strict=True))
+    usual = dict(zip((" hole", " height", " gap"), list(_USUAL.values())[1:], strict=True))
     return [
         liquids[n_gap]
         + "".join(
@@ -659,7 +659,7 @@ def measured(trial: Trial, proposed: Sequence[Mapping]) -> tuple[Design, Array, 
             noise = 1.0 + TRANSMITTANCE_SIGMA * rng.standard_normal()
             in_beam = found.signal * noise, found.sigma
             continue
-        values = _USUAL_MM | {name: float(each[name]) for name in each if name in _USUAL_MM}
+        values = _USUAL | {name: float(each[name]) for name in each if name in _USUAL}
         filled = values["n_gap"] > FILLED_ABOVE
         here = {n: v for n, v in changes.items() if filled or n not in FILLED_ONLY}
         bench = Bench(**values, **coefficients, **here)
