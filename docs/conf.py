@@ -43,8 +43,9 @@ napoleon_custom_sections = [("Attributes", "params_style")]
 
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
-# the notebook is run by the tests, and kept with its outputs
-nb_execution_mode = "off"
+# notebooks are kept without outputs, which a build makes anew
+nb_execution_timeout = 600
+nb_execution_raise_on_error = True
 
 html_math_renderer = "mathml"
 html_theme = "furo"

@@ -6,7 +6,8 @@
     fit = mcrim.calibrate("scenes/camoo4_campaign.toml")
 
 The public names are loaded when they are used; everything else lies in rooms, of which each
-imports only from those nearer the ground (docs/architecture.md).
+imports only from those nearer the ground (docs/architecture.md). Where Mitsuba is used besides, its
+variants have the plugins of the scenes from then on (docs/mitsuba.md).
 """
 
 import importlib
@@ -17,7 +18,7 @@ from typing import Any
 _HOMES = {
     "output.public": (
         "Answer", "add", "budget", "calibrate", "check", "compare", "crosscheck", "diagnose",
-        "plan", "render", "repair", "report", "simulate", "table",
+        "eta_map", "plan", "reduce", "render", "repair", "report", "simulate", "table",
     ),
     "campaign.campaign": ("Campaign", "read_campaign"),
     "core.errors": ("InputError",),
@@ -28,8 +29,8 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)
 
 
-class _BeforeDrJit:
-    """Chooses the LLVM library when Dr.Jit is about to be imported, which opens one at once."""
+class _BesideMitsuba:
+    """Looks on what is imported: Dr.Jit, which opens an LLVM library at once, and variants."""
 
     @staticmethod
     def find_spec(name: str, path: Any = None, target: Any = None) -> None:
@@ -37,6 +38,15 @@ class _BeforeDrJit:
             from mcrim_mitsuba.transport.llvm import claim_llvm
 
             claim_llvm()
+        elif name.startswith(("mitsuba.llvm_", "mitsuba.cuda_")):
+            _register()
+
+
+def _register() -> None:
+    """Have this package's plugins in every variant of Mitsuba, the active one included."""
+    from mcrim_mitsuba.transport.variants import join_mitsuba
+
+    join_mitsuba()
 
 
 def __getattr__(name: str) -> Any:
@@ -55,4 +65,6 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__, "__version__"})
 
 
-sys.meta_path.insert(0, _BeforeDrJit)
+sys.meta_path.insert(0, _BesideMitsuba)
+if "mitsuba" in sys.modules:
+    _register()

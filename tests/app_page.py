@@ -63,11 +63,11 @@ class App:
 
     def table(self) -> list[list[str]]:
         """The readings' rows, whether they are in sight or not: label, model, pull, eta."""
-        rows = self.browser.run(
+        return self.browser.run(
             "return [...document.querySelectorAll('#rows tbody tr')].map("
-            "row => [...row.cells].map(cell => cell.textContent))"
+            "row => [row.querySelector('.name').value,"
+            " ...[...row.querySelectorAll('.of-model')].map(cell => cell.textContent)])"
         )
-        return [[row[0], *row[4:]] for row in rows]
 
     def control(self, kind: str, name: str):
         """A slider, number field or choice of a parameter, or an effect's box."""

@@ -47,9 +47,10 @@ def assert_same_light(one, other, **options) -> None:
 
 def eta_slope(simulation, name, *, photons, seed=0) -> tuple[float, float]:
     """Derivative of eta by a coefficient (cm) and its error, by Dr.Jit's forward mode."""
-    tangent = {"alpha_scat_per_cm": (0.1, 0.0), "alpha_abs_per_cm": (0.0, 0.1)}[name]
-    found = simulation.launcher().launch(
-        photons, seed=seed, number=0, max_depth=simulation.depth_limit, tangent=tangent
-    )
-    each = found.detected_slope / found.photons_per_batch
-    return each.mean(), each.std(ddof=1) / math.sqrt(len(each))
+    from mcrim_mitsuba.transport.collection import slope_along  # imports Mitsuba
+
+    along = {"alpha_scat_per_cm": (0.1, 0.0), "alpha_abs_per_cm": (0.0, 0.1)}[name]
+    return slope_along(
+        simulation.launcher(), {simulation.crystal.volume: along}, photons, seed=seed,
+        max_depth=simulation.depth_limit,
+    )  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mcrim_mitsuba.core.run import Provenance
+from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.inference import repair as repairing
 from mcrim_mitsuba.inference.candidates import Candidate, Limit
 from mcrim_mitsuba.inference.compare import Absorbed, Comparison, Suspect, Trend
@@ -32,6 +33,7 @@ LABELS = [MARKUP, QUOTES, SCRIPT] + [
 ]
 PULLS = [6.0, -3.0, 1.0, *[0.5, -0.5] * 6, 2.0]
 OFF, FIRST, SECOND = "polarization", "surface_absorption", "gap_bubble"
+TITLES = {name: effect.title for name, effect in catalogue().items()}
 PROVENANCE = Provenance(3, 4_000_000, 1_000_000, "hash", {"mitsuba": "3.9"}, 1.5, ("from afar",))
 
 
@@ -108,7 +110,7 @@ STEPS = (
     RepairStep(0, None, (), 64.2, 12, 2.3e-9, 2.1, 2.6, 0.0, FITTED,
                {"value": 8.31, "sigma": 0.25}),
     RepairStep(1, FIRST, (FIRST,), 12.1, 11, 0.36, 0.9, 1.1, 0.8, MENDED,
-               {"value": 7.52, "sigma": 0.22}),
+               {"value": 7.52, "sigma": 0.22}, TITLES[FIRST]),
 )  # fmt: skip
 
 
@@ -129,6 +131,7 @@ def diagnosis(verdict: str, **changed) -> Diagnosis:
         0.083,
         0.94,
         1.0,
+        "water, gap of 0.5 mm; and gel, mask of 7 mm radius",
     )
     made = Diagnosis(
         verdict, f"as {MARKUP} shows", comparison(), CANDIDATES, (),
@@ -136,7 +139,7 @@ def diagnosis(verdict: str, **changed) -> Diagnosis:
         limits if verdict == "adequate" else {}, (), STEPS,
         (following,) if verdict == "ambiguous" else (), {"saturation": "excluded"},
         {FIRST: 0.7, SECOND: 0.29, "none": 0.01}, AveragedYield(7.7, 0.86, 0.78, 0.34, 0.12), 1.0,
-        FAMILIES,
+        FAMILIES, titles=TITLES,
     )  # fmt: skip
     return replace(made, **changed)
 
@@ -149,7 +152,7 @@ def quick_report(by_hand: Diagnosis) -> Iterator[pytest.MonkeyPatch]:
         found = repairing.repair(campaign, run=replace(run, photons=2000))
         return replace(found, diagnosed=replace(found.diagnosed, diagnosis=by_hand))
 
-    blank = SimpleNamespace(picture=np.zeros((8, 8, 3), np.uint8), trouble="")
+    blank = SimpleNamespace(picture=np.zeros((920, 1440, 3), np.uint8), trouble="")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reporting, "repair", repair)
         patch.setattr(photographer, "photograph", lambda *_: blank)

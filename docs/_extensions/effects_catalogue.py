@@ -8,6 +8,7 @@ import re
 
 from sphinx.util.docutils import SphinxDirective
 
+from mcrim_mitsuba.core.rounding import capital
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 
@@ -66,7 +67,12 @@ def parameter_cells(parameter: EffectParameter | None) -> str:
 
 
 def section(effect: Effect) -> list[str]:
-    lines = [f"## {effect.name}", "", f"**{plain(effect.title)}.** {plain(effect.physics)}", ""]
+    lines = [
+        f"## {effect.name}",
+        "",
+        f"**{plain(capital(effect.title))}.** {plain(effect.physics)}",
+        "",
+    ]
     for parameter in effect.parameters:
         usual = span(*parameter.plausible, parameter.unit)
         lines += [f"`{parameter.name}`", f": {plain(parameter.meaning)}. Usual: {usual}."]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import re
 import shutil
@@ -18,10 +19,11 @@ from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.campaign.editor import (
     campaign_with_effects,
     campaign_with_measurements,
+    measurement_cells,
     measurements_text,
+    table_text,
     write_plain,
 )
-from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import json_text
@@ -67,41 +69,81 @@ def with_readings(campaign: Campaign, name: str, content: bytes, folder: Path) -
         ) from None
 
 
-def with_edited(campaign: Campaign, readings: Sequence[Reading], folder: Path) -> Campaign:
-    """The campaign with readings as somebody changed them, read as if its file had them.
+def with_table(campaign: Campaign, table: str, folder: Path) -> Campaign:
+    """The campaign with the text of another table, or itself where that says the same.
+
+    Raises
+    ------
+    InputError
+        If it cannot be used.
+    """
+    if table == measurements_text(campaign.measurements):
+        return campaign
+    return with_readings(campaign, campaign.measurements.path.name, table.encode(), folder)
+
+
+def with_cell(campaign: Campaign, folder: Path, place: int, column: str, text: str) -> Campaign:
+    """The campaign with other text in a cell of a reading, read as if its file had it.
 
     Parameters
     ----------
-    readings : sequence of Reading
     folder : Path
         Where the two files are written.
+    place : int
+        Of the reading.
+    column, text : str
+        As files have them.
 
     Raises
     ------
     InputError
         If they cannot be used.
     """
-    measurements = replace(campaign.measurements, readings=tuple(readings))
-    name = measurements.path.name
-    return with_readings(campaign, name, measurements_text(measurements).encode(), folder)
+    cells = _cells(campaign)
+    if column not in cells:
+        raise InputError(f"the table has no column {column}", "choose another")
+    cells[column][place] = text
+    return _with_cells(campaign, cells, folder)
 
 
-def with_rows(campaign: Campaign, rows: Sequence[Sequence[Any]], folder: Path) -> Campaign:
-    """The campaign itself, or that with other signals, errors and use of its readings.
+def with_copy(campaign: Campaign, folder: Path, place: int) -> Campaign:
+    """The campaign with one more reading at the end, like another but not in use."""
+    cells = _cells(campaign)
+    for of_column in cells.values():
+        of_column.append(of_column[place])
+    label, labels = cells["label"][place], cells["label"]
+    names = (f"{label} ({number})" for number in itertools.count(2))
+    labels[-1] = next(name for name in names if name not in labels)
+    cells["use"][-1] = "0"
+    return _with_cells(campaign, cells, folder)
+
+
+def without_row(campaign: Campaign, folder: Path, place: int) -> Campaign:
+    """The campaign without a reading.
 
     Raises
     ------
     InputError
-        If these are not those of as many readings, or cannot be used.
+        If the others are too few.
     """
-    readings = campaign.measurements.readings
-    if len(rows) != len(readings):
-        raise InputError("a fit has another number of readings than the table", "open another file")
-    edited = tuple(
-        replace(reading, signal=float(signal), sigma=float(sigma), use=bool(use))
-        for reading, (signal, sigma, use) in zip(readings, rows, strict=True)
-    )
-    return campaign if edited == readings else with_edited(campaign, edited, folder)
+    cells = _cells(campaign)
+    for of_column in cells.values():
+        del of_column[place]
+    return _with_cells(campaign, cells, folder)
+
+
+def _cells(campaign: Campaign) -> dict[str, list[str]]:
+    """Of its table, by column; whether readings are used is among them."""
+    measurements = campaign.measurements
+    return {"use": ["1"] * len(measurements.readings), **measurement_cells(measurements)}
+
+
+def _with_cells(campaign: Campaign, cells: Mapping[str, list[str]], folder: Path) -> Campaign:
+    """See `with_cell`; on the page the refusal stands beside the cell, and tells no line."""
+    try:
+        return with_table(campaign, table_text(campaign.measurements.comments, cells), folder)
+    except InputError as error:
+        raise InputError(error.problem, error.mend) from None
 
 
 def scene_file(
@@ -179,14 +221,14 @@ def report_file(
 
 
 #: What a file of a session says that it is, and the most fits that it may have.
-_SESSION, _MOST_FITS = "mcrim app session 1", 200
+_SESSION, _MOST_FITS = "mcrim app session 2", 200
 
 
 def session_file(state: State) -> tuple[str, bytes]:
     """Name and content of a file with readings, controls and the list of fits."""
 
-    def readings(campaign: Campaign) -> list[list[object]]:
-        return [[r.signal, r.sigma, r.use] for r in campaign.measurements.readings]
+    def readings(campaign: Campaign) -> str:
+        return measurements_text(campaign.measurements)
 
     # as it came
     campaign = state.steps[0].campaign if state.steps else state.campaign
@@ -194,7 +236,7 @@ def session_file(state: State) -> tuple[str, bytes]:
         "format": _SESSION, "scene": campaign.scene.path.name,
         "scene_hash": campaign.scene.content_hash,
         "measurements": campaign.measurements.path.name,
-        "table": measurements_text(campaign.measurements),
+        "table": readings(campaign),
         "readings": readings(state.campaign), "settings": state.settings.to_json(),
         "fits": [{"settings": step.asked.to_json(), "readings": readings(step.campaign)}
                  for step in state.steps],
@@ -216,9 +258,9 @@ def read_session(name: str, content: bytes, scene: SceneFile) -> dict[str, Any]:
     try:
         document = json.loads(content)
         fits = document["fits"]
-        rows = [row for one in (document, *fits) for row in one["readings"]]
+        tables = [document["table"], *(one["readings"] for one in (document, *fits))]
         is_ours = document["format"] == _SESSION and len(fits) <= _MOST_FITS
-        is_ours &= all(len(row) == 3 for row in rows) and isinstance(document["table"], str)
+        is_ours &= all(isinstance(table, str) for table in tables)
     except (ValueError, KeyError, TypeError):
         is_ours = False
     if not is_ours:

@@ -28,6 +28,8 @@ class Job:
     work: Callable[[], None]
     #: Called where it came to nothing, the waiting one that is stopped included.
     undo: Callable[[], None] = lambda: None
+    #: Whether it is begun once more when it is asked for while it runs.
+    again: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,8 @@ class Jobs:
         """Begin a job when all before it are done; one that is under way is not begun again."""
         with self._there_is_work:
             self._status = replace(self._status, said=())
-            running = () if self._status.job is None or self._cancelled else (self._status.job,)
+            ends = self._status.job is None or self._cancelled or job.again
+            running = () if ends else (self._status.job,)
             if all(job.key != other.key for other in (*running, *self._waiting)):
                 self._waiting.append(job)
                 self._there_is_work.notify()

@@ -15,7 +15,17 @@ from mcrim_mitsuba.app.state import HELD, Control, FitStep, Settings, Shown
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.files import plain
-from mcrim_mitsuba.core.rounding import counted, number, p_text, pdg, pdg_parts, probability
+from mcrim_mitsuba.core.numbers import unit_of, without_unit
+from mcrim_mitsuba.core.rounding import (
+    capital,
+    counted,
+    number,
+    p_text,
+    pdg,
+    pdg_parts,
+    probability,
+)
+from mcrim_mitsuba.efficiency.response_maker import configurations
 from mcrim_mitsuba.inference.diagnose import Diagnosed
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow, ParameterEstimate
 from mcrim_mitsuba.output.described import Table
@@ -24,11 +34,11 @@ from mcrim_mitsuba.output.figure_style import shortened, units_of_signals
 from mcrim_mitsuba.output.findings import (
     averaged_yield,
     bought,
-    configuration_text,
     errors_apart,
     estimate_text,
     gain_text,
     headline,
+    in_words,
     leading_candidates,
     looks,
     plausibility,
@@ -58,7 +68,8 @@ _TEMPLATES = jinja2.Environment(
     autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
     loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
 )  # fmt: skip
-_TEMPLATES.globals |= {"id_of": _compound_id, "steps": _SLIDER_STEPS, "together": together}
+_TEMPLATES.filters["capital"] = capital
+_TEMPLATES.globals |= {"id_of": _compound_id, "steps": _SLIDER_STEPS}
 
 
 def page(session: Session) -> str:
@@ -66,6 +77,7 @@ def page(session: Session) -> str:
     campaign = session.state.campaign
     return _TEMPLATES.get_template("page.html").render(
         session=session, campaign=campaign, range_text=range_text,
+        columns=[(name, _column_title(name)) for name in campaign.measurements.columns],
         merits={"chi2": "χ²", "p-value": "p", "light-yield": _light_title(session),
                 "averaged": "averaged over models"},
     )  # fmt: skip
@@ -75,6 +87,11 @@ def range_text(control: Control) -> str:
     """What a field takes, in words."""
     unit = f" {control.unit}" if control.unit and control.name != SCALE else ""
     return f"from {number(control.minimum, 4)} to {number(control.maximum, 4)}{unit}"
+
+
+def _column_title(name: str) -> str:
+    unit = unit_of(name)
+    return f"{without_unit(name)} ({unit})" if unit else without_unit(name)
 
 
 def _light_title(session: Session) -> str:
@@ -110,9 +127,12 @@ def state(session: Session, known: int) -> dict[str, Any]:
         return told
     settings = now.settings
     told |= {
-        "settings": {**settings.to_json(), "known": session.known(settings)},
-        "readings": [{"signal": r.signal, "sigma": r.sigma, "use": r.use}
-                     for r in now.campaign.measurements.readings],
+        "settings": {**settings.to_json(), "known": session.bench.known(settings)},
+        "readings": [
+            {"label": r.label, "signal": r.signal, "sigma": r.sigma, "use": r.use,
+             **{name: r.parameters.get(name, "") for name in now.campaign.measurements.columns}}
+            for r in now.campaign.measurements.readings
+        ],
         "steps": [_falling(step) for step in now.steps],
         "can_undo": session.can_undo,
         "parts": {
@@ -133,9 +153,9 @@ def _falling(step: FitStep) -> dict[str, Any]:
 
 
 def step_name(step: FitStep) -> str:
-    """``with gap_bubble, without air``; of the campaign's own fit ``as it came``."""
-    effects = step.settings.effects
-    parts = [f"with {together(effects)}"] if effects else []
+    """``with air bubble in the gap, without air``; of the campaign's own fit ``as it came``."""
+    titles = [step.campaign.catalogue[name].title for name in step.settings.effects]
+    parts = [f"with {together(titles)}"] if titles else []
     return ", ".join([*parts, step.words] if step.words else parts) or "as it came"
 
 
@@ -152,12 +172,14 @@ def predictions(session: Session, settings: Settings) -> dict[str, Any]:
     beside = session.shown_beside()
     pending = ""
     if shown and shown.pending:
-        pending = f"These numbers are without {together(shown.pending)}: not simulated yet."
+        titles = [session.bench.effects[name][0].title for name in shown.pending]
+        pending = f"These numbers are without {together(titles)}: not simulated yet."
     texts = {**_merit_texts(shown, session), "pending": pending}
     return plain({
         "settings_number": session.settings_number, "texts": texts,
         "cells": _readings_cells(readings, shown), "scale": shown and shown.scale,
-        "pending": bool(pending), "chart": _chart(readings, shown, beside),
+        "pending": bool(pending),
+        "chart": _chart(readings, shown, beside, session.state.campaign.unit),
     })  # fmt: skip
 
 
@@ -210,7 +232,10 @@ def _readings_cells(readings: Sequence[Reading], shown: Shown | None) -> list[li
 
 
 def _chart(
-    readings: Sequence[Reading], shown: Shown | None, beside: tuple[FitStep, Shown] | None
+    readings: Sequence[Reading],
+    shown: Shown | None,
+    beside: tuple[FitStep, Shown] | None,
+    unit: str,
 ) -> dict[str, Any]:
     """Readings beside predictions, each signal in the unit of the chart's axis."""
     units = units_of_signals([(r.signal, r.of_beam) for r in readings]).tolist()
@@ -224,6 +249,7 @@ def _chart(
         "sigma": [u * r.sigma for r, u in zip(readings, units, strict=True)],
         "use": [r.use for r in readings], 
         "short": [shortened(r.label, _LABEL_LENGTH) for r in readings],
+        "unit": unit,
         "percent": next((u / 100.0 for r, u in zip(readings, units, strict=True) if r.of_beam),
                         None),
         "model": shown and heights(shown.rows),
@@ -234,7 +260,8 @@ def _chart(
 def reading(session: Session, place: int) -> str:
     """A reading with its bench; what the model says of it, the browser writes there."""
     measurements = session.state.campaign.measurements
-    one, values = measurements.readings[place], session.configurations[place]
+    one = measurements.readings[place]
+    values = configurations(session.state.campaign)[place]
     return _TEMPLATES.get_template("reading.html").render(
         reading=one, picture=bench_picture(one, values),
         words=bench_words(one, values, measurements.columns),
@@ -258,7 +285,8 @@ def _diagnosis_panel(found: Diagnosed | None) -> str:
             "suspicions": [suspicion(one) for one in diagnosis.suspect_readings],
             "candidates": [
                 {
-                    "effects": one.effects, "effect": one.effect, "size": size_text(one, ", "),
+                    "effects": one.effects, "effect": one.effect,
+                    "title": in_words(diagnosis, one.effects), "size": size_text(one, ", "),
                     "p": (p := diagnosis.probabilities.get(one.effect)),
                     "probability": "" if p is None else probability(p),
                     "plausible": plausibility(one), "gain": gain_text(one),
@@ -268,7 +296,7 @@ def _diagnosis_panel(found: Diagnosed | None) -> str:
             ],
             "set_aside": set_aside_text(diagnosis), "looks": looks(diagnosis),
             "limits": _cells(limits_table(diagnosis)) if diagnosis.upper_limits else None,
-            "next": [(configuration_text(m), *bought(m)) for m in diagnosis.next_measurements],
+            "next": [(m.words, *bought(m)) for m in diagnosis.next_measurements],
         }  # fmt: skip
     return _TEMPLATES.get_template("diagnosis.html").render(context)
 
@@ -333,8 +361,7 @@ def _side_by_side(session: Session, first: FitStep, second: FitStep) -> dict[str
             held = f"{fit.fixed[name]:.4g}, {HELD}" if name in fit.fixed else "-"
             cells.append(held if known is None else estimate_text(known))
         rows.append((name, *cells))
-    pulls = [
-        (a.label, f"{a.pull:+.2f}", f"{b.pull:+.2f}")
-        for a, b in zip(both[0].rows, both[1].rows, strict=True)
-    ]
+    by_label = [{row.label: f"{row.pull:+.2f}" for row in fit.rows} for fit in both]
+    labels = dict.fromkeys(label for each in by_label for label in each)
+    pulls = [(label, *(each.get(label, "-") for each in by_label)) for label in labels]
     return {"names": [one["name"] for one in listed], "rows": rows, "pulls": pulls}

@@ -6,7 +6,8 @@ is, ``predictions`` what the model says at some settings, ``reading`` of a readi
 `falling-chart`, `chi2`, `p-value`, `light-yield`, `averaged`, `rows` (the table), `reading` (one of
 them), `verdict`, `status`, `progress`, `error` (of a job), `slip` (of a file or a button), `lost`
 (the connection), `pending`; buttons `upload-button` (its file field lies in `upload`), `fit`,
-`back`, `undo`, `diagnose`, `stop`, `get-scene`, `get-campaign`, `get-report`, `get-session`;
+`back`, `undo`, `diagnose`, `stop`, `get-scene`, `get-campaign`, `get-report`, `get-session`; of a
+row of the table, counted from 0, fields such as `n_gap-3` and the buttons `copy-3`, `drop-3`;
 compound ids are JSON with sorted keys, such as ``{"kind":"slider","name":"alpha_scat_per_cm"}``, of
 kinds `slider`, `number`, `known`, `effect`.
 """
@@ -69,7 +70,7 @@ def make_page(session: Session, prefix: str) -> flask.Flask:
     @application.get(f"{prefix}reading/<int:place>")
     def reading(place: int) -> dict[str, str]:
         with session.lock:
-            if place >= len(session.configurations):
+            if place >= len(session.state.campaign.measurements.readings):
                 flask.abort(404)
             return {"html": layout.reading(session, place)}
 
@@ -86,7 +87,7 @@ def make_page(session: Session, prefix: str) -> flask.Flask:
 
 def _settings(asked: _Asked, session: Session) -> Settings:
     """What the controls of a page say."""
-    return settings_of(asked, session.state.settings.values, session.effects)
+    return settings_of(asked, session.state.settings.values, session.bench.effects)
 
 
 def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
@@ -110,13 +111,12 @@ def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
             session.switch_off(name)
 
     def edit(asked: _Asked, _: Settings) -> None:
-        column, value = asked["column"], asked["value"]
-        read = bool if column == "use" else float
-        if column in ("signal", "sigma", "use"):
-            session.edit_reading(int(asked["name"]), {column: read(value)})
+        session.edit_reading(int(asked["name"]), asked["column"], str(asked["value"]))
 
     return {
         "edit": edit,
+        "copy": lambda asked, _: session.copy_reading(int(asked["name"])),
+        "drop": lambda asked, _: session.drop_reading(int(asked["name"])),
         "fit": lambda _, settings: session.fit(settings),
         "diagnose": lambda _, settings: session.diagnose(settings),
         "add": lambda asked, settings: session.add(asked["name"].split(), settings),

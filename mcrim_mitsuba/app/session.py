@@ -2,105 +2,78 @@
 
 from __future__ import annotations
 
-import copy
+import functools
 import itertools
-import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from mcrim_mitsuba.app import exchange
 from mcrim_mitsuba.app.jobs import Job, Jobs
-from mcrim_mitsuba.app.state import (
-    HELD,
-    PRIOR,
-    Control,
-    FitStep,
-    Known,
-    Settings,
-    Shown,
-    State,
-    effect_control,
-    known_of,
-    parameter_control,
-    settings_of,
-)
+from mcrim_mitsuba.app.simulated_bench import SimulatedBench
+from mcrim_mitsuba.app.state import FitStep, Settings, Shown, State, difference, settings_of
 from mcrim_mitsuba.campaign.campaign import Campaign
-from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, without_unit
-from mcrim_mitsuba.core.run import Run, one_thread
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.diagnose import diagnose_on
-from mcrim_mitsuba.inference.estimates import fitted_rows
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
-from mcrim_mitsuba.inference.likelihood import FrozenStatistic, Likelihood, p_value
-from mcrim_mitsuba.inference.model import UNKNOWN_SCALE, ResponseModel
-from mcrim_mitsuba.inference.workbench import Workbench
-from mcrim_mitsuba.output.findings import parameter_words
+from mcrim_mitsuba.inference.model import ResponseModel
 
-#: Steps of the scale's fit: it is linear but for effects of the readings, which bend it a little.
-_SCALE_STEPS = 4
-#: Models that are kept ready, and changes that can be undone.
-_MOST_MODELS, _MOST_UNDONE = 30, 50
+#: Changes that can be undone.
+_MOST_UNDONE = 50
+
+
+class _OutdatedError(Exception):
+    """The readings that are being simulated are not those of the table any more."""
 
 
 class Session:
     """One user's work on one campaign, shared by all the pages that show it.
 
     Settings and predictions are asked for from any thread; what simulates runs in `jobs`. The
-    campaign of its `state` is the one that it was opened with, or that with other readings.
+    campaign of its `state` is the one that it was opened with, or that with other readings; its
+    `bench` follows where these have other configurations.
 
     Parameters
     ----------
     campaign : Campaign
     run : Run
-        See `inference.diagnose.Workbench`; its progress is shown on the page.
+        See `inference.workbench.Workbench`; its progress is shown on the page.
     folder : Path
         For uploads and for files to be downloaded.
     """
 
     def __init__(self, campaign: Campaign, run: Run, folder: Path) -> None:
         #: Rise with every change, with every one that pages take over, with every file to be
-        #: downloaded, and with every other bench.
+        #: downloaded, and with everything for which pages are loaded anew.
         self.number = self.settings_number = self.file_number = self.bench_number = 0
         self.jobs = Jobs(self._change)
         #: Held by whoever asks for more than one thing that belongs together.
         self.lock = threading.RLock()
-        self._run, self._folder = replace(run, progress=self.jobs.report), folder
+        self._run, self._folder = replace(run, progress=self._report), folder
         self._first = campaign
+        # that of changed readings, while it is simulated
+        self._following: SimulatedBench | None = None
         self._open(campaign)
 
     def _open(self, campaign: Campaign) -> None:
-        self._bench = Workbench(campaign, self._run)
-        self._models: dict[Any, tuple[Any, ResponseModel]] = {}
-        self._shown_beside: tuple[Any, State, Shown | None] | None = None
+        # as it came, to the page or from a file
+        self._opened = campaign
+        self.bench = SimulatedBench(campaign, self._run)
+        self._shown_beside: tuple[Any, Campaign, Shown | None] | None = None
         self._undone: list[State] = []
         self._numbers = itertools.count()
         #: What jobs have found so far.
         self.state = State(campaign)
-        #: Of the campaign's own parameters; the scale comes last.
-        self.controls = self._own_controls()
-        readings, own = campaign.measurements.readings, self._bench.own_maker.configurations()
-        # sliders are the bench's
-        of_bench = [v for v, r in zip(own, readings, strict=True) if not r.of_beam]
-        scene = campaign.scene.parameters
-        known = (scene, of_bench or [scene], self._largest_signal)
-        #: Scene parameters of every reading.
-        self.configurations = own
-        #: Effects that can be switched on, with their controls.
-        self.effects = {
-            name: (effect, tuple(effect_control(one, *known) for one in effect.parameters))
-            for name, effect in self._bench.possible().items()
-        }
-        values = {c.name: c.start for c in self._all_controls()}
-        follows = SCALE in campaign.free
         self.bench_number += 1
-        self._set_controls(Settings(values=values, fit_scale=follows))
-        self.jobs.start(Job("bench", "simulating the bench", self._make_ready))
+        self._set_controls(Settings(values=self._starts(), fit_scale=SCALE in campaign.free))
+        self._start("bench", "simulating the bench", self._make_ready)
+
+    def _starts(self) -> dict[str, float]:
+        return {control.name: control.start for control in self.bench.all_controls}
 
     def _change(self, **changes: Any) -> None:
         with self.lock:
@@ -129,175 +102,77 @@ class Session:
                 self.state = replace(self.state, settings=settings)
             return self.state.settings
 
-    # ---- what can be moved -------------------------------------------------------------------
-
-    def _own_controls(self) -> tuple[Control, ...]:
-        maker, campaign = self._bench.own_maker, self.state.campaign
-        covered = {
-            ALPHA_SCAT: maker.grid.alpha_scat_range_per_cm,
-            ALPHA_ABS: maker.grid.alpha_abs_range_per_cm,
-        }
-        own = [
-            parameter_control(known, parameter_words(campaign, name)[0], covered.get(name))
-            for name, known in campaign.parameters.items()
-            if not known.fixed or name in covered  # what else is held was not simulated
-        ]
-        # a quarter of the light is a usual part
-        usual, scale = 4.0 * self._largest_signal, campaign.scale or UNKNOWN_SCALE
-        start = usual if math.isnan(scale.start) else scale.start
-        meaning, _ = parameter_words(campaign, SCALE)
-        own.append(Control(
-            SCALE, "scale", "signal at η = 1", 0.0, 3.0 * max(usual, start), start,
-            meaning=meaning, known=known_of(campaign.scale),
-        ))  # fmt: skip
-        return tuple(own)
-
-    @property
-    def _largest_signal(self) -> float:
-        return max(abs(reading.signal) for reading in self.state.campaign.measurements.readings)
-
-    def _all_controls(self) -> list[Control]:
-        return [*self.controls, *(c for _, own in self.effects.values() for c in own)]
-
-    @property
-    def refused(self) -> tuple[str, ...]:
-        """Why some effects cannot be switched on."""
-        return tuple(dict.fromkeys(self._bench.notes))
-
-    def known(self, settings: Settings) -> dict[str, Known]:
-        """What is known of every parameter."""
-        return {c.name: settings.known.get(c.name, c.known) for c in self._all_controls()}
-
-    def _fitted_campaign(self, settings: Settings) -> tuple[Campaign, tuple[str, ...]]:
-        """The campaign with what is known at some settings, and the effects that it lacks still.
-
-        It has those effects whose parameters the user knows something of.
-        """
-        campaign, known = self.state.campaign, self.known(settings)
-        own = {
-            name: [c.name for c in self.effects[name][1]]
-            for name in settings.effects
-            if any(known[c.name] != c.known for c in self.effects[name][1])
-        }
-        campaign = campaign.with_effects(tuple(own))
-        names = {c.name for c in self.controls if c.name != SCALE}.union(*own.values())
-        parameters = {
-            name: known[name].of(parameter, settings.values[name]) if name in names else parameter
-            for name, parameter in campaign.parameters.items()
-        }
-        scale = campaign.scale
-        if scale is not None or known[SCALE] != Known():
-            scale = known[SCALE].of(scale or UNKNOWN_SCALE, settings.values[SCALE])
-        rest = tuple(sorted(name for name in settings.effects if name not in own))
-        return replace(campaign, parameters=parameters, scale=scale), rest
-
     # ---- what the model says -----------------------------------------------------------------
 
-    @one_thread()
     def show(self, settings: Settings) -> Shown | None:
-        """Predictions at some settings; None before anything was simulated.
-
-        Takes about a millisecond.
-        """
-        state = self.state
-        if state.ready is None:
-            return None
-        effects = tuple(name for name in settings.effects if name in state.ready)
-        known = self.known(settings)
-        model = self._model(effects, known, state)
-        likelihood = Likelihood(model)
-        theta = np.array([
-            min(max(settings.values.get(p.name, p.start), p.minimum), p.maximum)
-            if p.name != SCALE
-            else settings.values[SCALE]
-            for p in model.free
-        ])  # fmt: skip
-        names, sigma = [parameter.name for parameter in model.free], 0.0
-        if settings.fit_scale:
-            sigma = _fit_scale(likelihood, theta, names.index(SCALE))
-        statistic = FrozenStatistic(likelihood, likelihood.errors_at(theta))
-        prediction = model.predict(theta, check=True)
-        assert prediction.eta_sigma is not None  # checked
-        assert prediction.interpolation_error is not None
-        errors = list(map(math.hypot, prediction.eta_sigma, prediction.interpolation_error))
-        held = sum(known[name].how == HELD for name in names if name in known)
-        chi2, ndf = statistic.chi2(theta), likelihood.ndf + held
-        return Shown(
-            rows=fitted_rows(model.readings, prediction, errors), chi2=chi2, ndf=ndf,
-            p_value=p_value(chi2, ndf), scale=prediction.scale,
-            light_yield=self._light_yield(prediction.scale, sigma),
-            pending=tuple(name for name in settings.effects if name not in effects),
-        )  # fmt: skip
+        """Predictions at some settings; None before the readings were simulated."""
+        return self.bench.show(self.state.campaign, settings)
 
     def shown_beside(self) -> tuple[FitStep, Shown] | None:
-        """The fit beside which the model is shown, and what it predicts for today's readings."""
-        state = self.state
-        if not state.steps:
+        """The fit beside which the model is shown, and what it predicts for today's readings.
+
+        None while it cannot be: its effects are simulated first.
+        """
+        campaign = self.state.campaign
+        if not self.state.steps:
             return None
-        step = state.beside
-        key = (step.number, state.ready, *map(id, (state.campaign, state.anchors)))
+        step = self.state.beside
+        key = (step.number, id(campaign), id(self.bench), self.bench.version)
         if self._shown_beside is None or self._shown_beside[0] != key:
             # with what its key is the identity of
-            self._shown_beside = (key, state, self.show(step.settings))
+            self._shown_beside = (key, campaign, self.show(step.settings))
         shown = self._shown_beside[2]
-        return None if shown is None else (step, shown)
-
-    def _model(
-        self, effects: tuple[str, ...], known: Mapping[str, Known], state: State
-    ) -> ResponseModel:
-        """What is held is free in it: it stands at its value, and moves when that is moved."""
-        names = tuple(sorted(effects))
-        priors = {n: k.gaussian for n, k in known.items() if k.gaussian is not None}
-        anchor = state.anchors.get(names)
-        # while nothing new was simulated a model stays what it is
-        key = (names, tuple(priors.items()), id(state.campaign), state.ready, id(anchor))
-        if key not in self._models:
-            campaign = state.campaign.with_effects(names)
-
-            def movable(name: str, parameter: CampaignParameter) -> CampaignParameter:
-                return Known(PRIOR, *priors.get(name, (None, None))).of(parameter, math.nan)
-
-            parameters = {
-                name: movable(name, parameter) if name in known else parameter
-                for name, parameter in campaign.parameters.items()
-            }
-            scale = movable(SCALE, campaign.scale or UNKNOWN_SCALE)
-            campaign = replace(campaign, parameters=parameters, scale=scale)
-            if len(self._models) >= _MOST_MODELS:
-                self._models = {}
-            model = ResponseModel(campaign, self._bench.responses, campaign.switched_on, anchor)
-            # with what its key is the identity of
-            self._models[key] = ((state.campaign, anchor), model)
-        return self._models[key][1]
-
-    def _light_yield(self, scale: float, sigma: float) -> tuple[float, float, float] | None:
-        known = self.state.campaign.light_yield
-        if known is None or SCALE not in self.state.campaign.free:
-            return None
-        relative = known.detector_efficiency_sigma / known.detector_efficiency
-        return scale * known.per_scale, sigma * known.per_scale, scale * known.per_scale * relative
+        return None if shown is None or shown.pending else (step, shown)
 
     # ---- what takes longer -------------------------------------------------------------------
 
-    def _make_ready(self, effects: Sequence[str] = ()) -> None:
-        """Simulate what is not simulated yet: the bench as it is, and effects."""
-        bench, ready = self._bench, self.state.ready
-        if ready is None:
-            before = self.state.settings
-            bench.simulate()
-            self._change(ready=bench.simulated)
-            model = bench.model()
-            found = fit_model(model, profile=False)
-            self._fitted(model, found, Settings(values=before.values), before, bench.campaign)
-        ready = self.state.ready or frozenset()
-        if any(name not in ready or name not in bench.precise for name in effects):
-            bench.simulate(sorted({*ready, *effects}), look=ready - {*effects})
-            self._change(ready=bench.simulated)
+    def _report(self, *told: Any) -> None:
+        self.jobs.report(*told)
+        if self._following is not None and not self._following.fits(self.state.campaign):
+            raise _OutdatedError
 
     def _start(
         self, key: str, words: str, work: Callable[[], None], undo: Callable[[], None] | None = None
     ) -> None:
         self.jobs.start(Job(key, words, work, undo or (lambda: None)))
+
+    def _make_ready(self, effects: Sequence[str] = ()) -> None:
+        """Simulate what is not simulated yet: the readings' bench as it is, and effects.
+
+        The first time the campaign is fitted as it came.
+        """
+        if not self.state.steps:
+            before, campaign = self.state.settings, self._opened
+            self.bench.simulate()
+            self._change()
+            model = self.bench.workbench(campaign).model()
+            found = fit_model(model, profile=False)
+            self._fitted(model, found, Settings(values=before.values), before, campaign)
+        while not self._is_simulated:
+            self._follow(effects)
+        self.bench.simulate(effects)
+        self._change()
+
+    def _follow(self, effects: Sequence[str]) -> None:
+        """Simulate readings of other configurations, unless they change meanwhile."""
+        state = self.state
+        bench = SimulatedBench(state.campaign, self._run)
+        wanted = {*effects, *state.settings.effects, *state.beside.settings.effects}
+        self._following = bench
+        try:
+            bench.simulate(wanted & bench.effects.keys())
+        except _OutdatedError:
+            return
+        finally:
+            self._following = None
+        with self.lock:
+            if bench.fits(self.state.campaign):
+                if not bench.moves_as(self.bench):
+                    self.bench_number += 1
+                self.bench = bench
+                settings = self.state.settings
+                values = {**self._starts(), **settings.values}
+                self._change(settings=replace(settings, values=values))
 
     def switch_on(self, effect: str) -> None:
         """Simulate an effect, if it was not simulated yet; its switch is off where that fails."""
@@ -307,10 +182,22 @@ class Session:
             kept = tuple(name for name in settings.effects if name != effect)
             self._set_controls(replace(settings, effects=kept))
 
-        if self.state.ready is None or effect not in self.state.ready:
+        if not self._is_ready([effect]):
             self._start(
-                f"effect {effect}", f"simulating {effect}", lambda: self._make_ready([effect]), undo
+                f"effect {effect}",
+                f"simulating {self.bench.effects[effect][0].title}",
+                lambda: self._make_ready([effect]),
+                undo,
             )
+
+    def _is_ready(self, effects: Sequence[str]) -> bool:
+        ready = self.bench.ready
+        return ready is not None and ready.issuperset(effects) and self._is_simulated
+
+    @property
+    def _is_simulated(self) -> bool:
+        """Whether the bench is that of the readings in the table."""
+        return self.bench.fits(self.state.campaign)
 
     def switch_off(self, effect: str) -> None:
         """Do not simulate an effect any more."""
@@ -325,8 +212,11 @@ class Session:
         wanted = tuple(dict.fromkeys((*settings.effects, *effects)))
         values = {**settings.values, **self._sizes(wanted)}
         more = replace(settings, effects=wanted, values=values)
+        titles = [
+            self.bench.effects[name][0].title for name in effects if name in self.bench.effects
+        ]
         self._start(
-            f"add {' '.join(effects)}", f"adding {', '.join(effects)}",
+            f"add {' '.join(effects)}", f"adding {', '.join(titles)}",
             lambda: self._fit(more, settings),
         )  # fmt: skip
 
@@ -342,72 +232,48 @@ class Session:
 
     def _fit(self, wanted: Settings, pressed: Settings) -> None:
         self._make_ready(wanted.effects)
-        fitted, rest = self._fitted_campaign(wanted)
-        model, found = self._bench_of(fitted).settled_model(rest, wanted.values)
-        anchors = dict(self.state.anchors)
-        if model.anchor is not None:
-            anchors[tuple(sorted(wanted.effects))] = model.anchor
+        bench, campaign = self.bench, self.state.campaign
+        fitted, rest = bench.fitted_campaign(campaign, wanted)
+        model, found = bench.workbench(fitted).settled_model(rest, wanted.values)
+        bench.keep_anchor(wanted.effects, model.anchor)
         self._keep()
-        self._fitted(model, found, wanted, pressed, self.state.campaign, anchors=anchors)
-
-    def _bench_of(self, campaign: Campaign) -> Workbench:
-        """The workbench with other knowledge or readings: what was simulated serves them too."""
-        bench = copy.copy(self._bench)
-        bench.campaign = campaign
-        return bench
+        self._fitted(model, found, wanted, pressed, campaign)
 
     def _fitted(
         self, model: ResponseModel, found: Calibration, wanted: Settings, pressed: Settings,
-        campaign: Campaign, **changes: Any,
+        campaign: Campaign,
     ) -> None:  # fmt: skip
         """Take over a fit of what was wanted; what was switched on since it was asked for stays."""
         now = self.state.settings
         values = {**now.values, **{n: found.parameters[n].value for n in found.names}}
         fitted = replace(wanted, values=values, fit_scale=SCALE in found.names)
-        step = FitStep(
-            next(self._numbers), wanted, fitted, campaign, found, model.campaign.priors,
-            self._difference(campaign, wanted),
+        words = difference(
+            self._opened, campaign, wanted, self.bench.known(wanted),
+            [*self.bench.controls, *(c for n in wanted.effects for c in self.bench.effects[n][1])],
         )  # fmt: skip
+        step = FitStep(
+            next(self._numbers), wanted, fitted, campaign, found, model.campaign.priors, words
+        )
         since = (name for name in now.effects if name not in pressed.effects)
         effects = tuple(dict.fromkeys((*wanted.effects, *since)))
         self._set_controls(
-            replace(fitted, effects=effects, known=now.known),
-            steps=(*self.state.steps, step), **changes,
-        )  # fmt: skip
-
-    def _difference(self, campaign: Campaign, settings: Settings) -> str:
-        """What was changed besides effects, in words."""
-        first, known = self._bench.campaign, self.known(settings)
-        said = []
-        rows = zip(first.measurements.readings, campaign.measurements.readings, strict=True)
-        for before, after in rows:
-            if before.use != after.use:
-                said.append(f"{'with' if after.use else 'without'} {after.label}")
-            if (before.signal, before.sigma) != (after.signal, after.sigma):
-                said.append(f"{after.label} {after.signal:g} ± {after.sigma:g}")
-        brought = [c for name in settings.effects for c in self.effects[name][1]]
-        for control in (*self.controls, *brought):
-            now = known[control.name]
-            if now == control.known:
-                continue
-            how = {
-                HELD: f"held at {settings.values[control.name]:.4g}",
-                "prior": f"known to be {now.prior} ± {now.prior_sigma}",
-            }.get(now.how, "free")
-            said.append(f"{without_unit(control.name)} {how}")
-        return ", ".join(said)
+            replace(fitted, effects=effects, known=now.known), steps=(*self.state.steps, step)
+        )
 
     def diagnose(self, settings: Settings) -> None:
         """Find out which effects explain the misfit of the campaign without any of the page's."""
 
         def work() -> None:
             self._make_ready()
-            campaign, _ = self._fitted_campaign(replace(settings, effects=()))
-            bench = self._bench_of(campaign)
-            found = diagnose_on(bench)
-            self._bench.responses = bench.responses
-            self._keep()
-            self._change(diagnosed=found, ready=self._bench.simulated)
+            bench, campaign = self.bench, self.state.campaign
+            fitted, _ = bench.fitted_campaign(campaign, replace(settings, effects=()))
+            workbench = bench.workbench(fitted)
+            found = diagnose_on(workbench)
+            bench.take(workbench)
+            with self.lock:
+                if self.state.campaign is campaign:
+                    self._keep()
+                    self._change(diagnosed=found)
 
         self._start("diagnose", "diagnosing", work)
 
@@ -425,14 +291,19 @@ class Session:
     def undo(self) -> None:
         """As it was before the last fit, diagnosis, change of readings or step that was removed."""
         with self.lock:
-            if not self._undone:
-                return
-            *self._undone, before = self._undone
-            kept = {name: getattr(self.state, name) for name in ("ready", "anchors", "file")}
-            self._set_controls(before.settings, **{
-                name: getattr(before, name)
-                for name in ("campaign", "steps", "compared", "diagnosed")
-            }, **kept)  # fmt: skip
+            if self._undone:
+                self._bring_back()
+                self._simulate_readings()
+
+    def _bring_back(self) -> None:
+        """As it was when it was kept last, but for the file to be downloaded."""
+        *self._undone, before = self._undone
+        # the campaign's own fit stays, once it is there
+        steps = before.steps or self.state.steps[:1]
+        self._set_controls(
+            before.settings, campaign=before.campaign, steps=steps, compared=before.compared,
+            diagnosed=before.diagnosed,
+        )  # fmt: skip
 
     def _step(self, number: int) -> FitStep:
         for step in self.state.steps:
@@ -444,10 +315,9 @@ class Session:
         """Controls and readings as they were when a fit ended."""
         step = self._step(number)
         self._keep()
-        changes: dict[str, Any] = {}
         if step.campaign is not self.state.campaign:
-            changes = {"campaign": step.campaign, "diagnosed": None}
-        self._set_controls(step.settings, **changes)
+            self._take(step.campaign)
+        self._set_controls(step.settings)
 
     def remove_step(self, number: int) -> None:
         """Take a fit off the list."""
@@ -459,22 +329,63 @@ class Session:
 
     def compare_with(self, number: int) -> None:
         """Show the model beside a fit."""
-        self._change(compared=self._step(number).number)
+        step = self._step(number)
+        self._change(compared=number)
+        effects = step.settings.effects
+        if not self._is_ready(effects):
+            self._start("compare", "simulating the other fit", lambda: self._make_ready(effects))
 
-    def edit_reading(self, place: int, changes: Mapping[str, Any]) -> None:
-        """Go on with another `signal`, `sigma` or `use` of a reading.
+    # ---- readings ----------------------------------------------------------------------------
+
+    def edit_reading(self, place: int, column: str, text: str) -> None:
+        """Go on with other text in a cell of the table; ``use`` is 1 or 0.
 
         Raises
         ------
         InputError
             If it cannot be used.
         """
+        self._edit(exchange.with_cell, place, column, text)
+
+    def copy_reading(self, place: int) -> None:
+        """Go on with one more reading, like another but not in use."""
+        self._edit(exchange.with_copy, place)
+
+    def drop_reading(self, place: int) -> None:
+        """Go on without a reading.
+
+        Raises
+        ------
+        InputError
+            If the others are too few.
+        """
+        self._edit(exchange.without_row, place)
+
+    def _edit(self, edited: Callable[..., Campaign], place: int, *given: str) -> None:
         campaign = self.state.campaign
-        readings = list(campaign.measurements.readings)
-        readings[place] = replace(readings[place], **changes)
-        campaign = exchange.with_edited(campaign, readings, self._folder)
+        if not 0 <= place < len(campaign.measurements.readings):
+            raise InputError("this reading is not there any more", "choose another")
+        campaign = edited(campaign, self._folder, place, *given)
         self._keep()
+        self._take(campaign)
+
+    def _take(self, campaign: Campaign) -> None:
+        """Go on with a campaign's readings."""
+        self.jobs.stop("diagnose")  # it would be of others
         self._change(campaign=campaign, diagnosed=None)
+        self._simulate_readings()
+
+    def _simulate_readings(self) -> None:
+        """Simulate the readings' configurations where they are others; else they are as before."""
+
+        def undo() -> None:
+            with self.lock:
+                while self._undone and not self._is_simulated:
+                    self._bring_back()
+
+        if not self._is_simulated:
+            words = "simulating the changed readings"
+            self.jobs.start(Job("readings", words, self._make_ready, undo, again=True))
 
     # ---- files -------------------------------------------------------------------------------
 
@@ -512,24 +423,27 @@ class Session:
 
     def _refit(self, kept: Mapping[str, Any]) -> None:
         """Make the fits of a kept session, and bring back its readings and controls."""
-        first = self._bench.campaign
-        now = exchange.with_rows(first, kept["readings"], self._folder)
+
+        @functools.cache
+        def campaign(readings: str) -> Campaign:
+            return exchange.with_table(self._opened, readings, self._folder)
 
         def settings(asked: Mapping[str, Any]) -> Settings:
-            return settings_of(asked, self.state.settings.values, self.effects)
+            return settings_of(asked, self.state.settings.values, self.bench.effects)
 
+        # the first is that of the campaign as it came
         self._make_ready()
-        self._change(steps=())
-        for fit in kept["fits"]:
-            self._change(campaign=exchange.with_rows(first, fit["readings"], self._folder))
+        for fit in kept["fits"][1:]:
+            self._change(campaign=campaign(fit["readings"]))
+            self._make_ready()
             wanted = settings(fit["settings"])
             self._fit(wanted, wanted)
+        self._change(campaign=campaign(kept["readings"]))
+        self._make_ready()
         steps, last = self.state.steps, settings(kept["settings"])
         place = int(kept["compared"])
         self._undone = []
-        self._set_controls(
-            last, campaign=now, compared=steps[place].number if place < len(steps) else 0
-        )
+        self._set_controls(last, compared=steps[place].number if place < len(steps) else 0)
         if kept["diagnosed"]:
             self.diagnose(last)
 
@@ -545,20 +459,22 @@ class Session:
         """
 
         def work() -> None:
-            campaign, effects = self.state.campaign, settings.effects
+            effects = settings.effects
+            if what not in ("session", "report"):
+                self._make_ready(effects)
+            campaign, bench = self.state.campaign, self.bench
             if what == "session":
                 file = exchange.session_file(replace(self.state, settings=settings))
             elif what == "report":
                 file = exchange.report_file(campaign, effects, self._run, self._folder)
             else:
-                self._make_ready(effects)
-                values = self._settle_at(settings)
+                values = bench.settle_at(campaign, settings)
                 if what == "scene":
                     file = exchange.scene_file(campaign, effects, values)
                 else:
-                    fitted, _ = self._fitted_campaign(settings)
-                    named, known = {**fitted.parameters, SCALE: fitted.scale}, self.known(settings)
-                    chosen = [named[c.name] for c in self._all_controls()
+                    fitted, _ = bench.fitted_campaign(campaign, settings)
+                    named, known = {**fitted.parameters, SCALE: fitted.scale}, bench.known(settings)
+                    chosen = [named[c.name] for c in bench.all_controls
                               if named.get(c.name) and known[c.name] != c.known]  # fmt: skip
                     file = exchange.campaign_archive(
                         campaign, effects, values, self._priors_of_fit(settings),
@@ -576,33 +492,3 @@ class Session:
             if set(step.settings.effects) == set(settings.effects):
                 return {n: known for n, known in step.priors.items() if n != SCALE}
         return {}
-
-    def _settle_at(self, settings: Settings) -> dict[str, float]:
-        """Simulate all that is switched on together, where the controls are.
-
-        So that the page shows what a simulation of the downloaded scene gives.
-        """
-        state, key = self.state, tuple(sorted(settings.effects))
-        switched_on = [state.campaign.catalogue[n] for n in (*state.campaign.effects, *key)]
-        # sizes of other effects may be the scene's own parameters: those stay as they are
-        used = {*state.campaign.parameters, *(p.name for e in switched_on for p in e.parameters)}
-        values = {name: value for name, value in settings.values.items() if name in used}
-        if not self._bench.own_maker.is_exact(switched_on):
-            free = self._model(key, self.known(settings), state).free
-            here = {p.name: values.get(p.name, p.start) for p in free if p.name != SCALE}
-            model = self._bench.anchored_model(key, here)
-            assert model.anchor is not None
-            self._change(anchors={**self.state.anchors, key: model.anchor})
-        return values
-
-
-def _fit_scale(likelihood: Likelihood, theta: np.ndarray, place: int) -> float:
-    """Let the scale, in place, follow the readings; returns its error with all else held."""
-    eta = likelihood.model.predict(theta).eta
-    theta[place] = likelihood.best_scale(eta, likelihood.errors_before_any_fit())
-    for _ in range(_SCALE_STEPS):
-        errors = likelihood.errors_at(theta)
-        statistic = FrozenStatistic(likelihood, errors)
-        curvature = statistic.information(theta)[place, place]
-        theta[place] -= 0.5 * statistic.gradient(theta)[place] / curvature
-    return 1.0 / math.sqrt(curvature)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,7 +12,6 @@ from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, unit_of, without_unit
 from mcrim_mitsuba.effects.effect import EffectParameter
-from mcrim_mitsuba.efficiency.responses import Anchor
 from mcrim_mitsuba.inference.diagnose import Diagnosed
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
@@ -248,10 +247,6 @@ class State:
 
     #: With the readings as they are in the table.
     campaign: Campaign
-    #: Effects that were simulated; None before the bench as it is was.
-    ready: frozenset[str] | None = None
-    #: Joint simulations where fits ended, by the effects switched on.
-    anchors: Mapping[tuple[str, ...], Anchor] = field(default_factory=dict)
     steps: tuple[FitStep, ...] = ()
     #: Number of the step beside which the model is shown.
     compared: int = 0
@@ -265,3 +260,43 @@ class State:
     def beside(self) -> FitStep:
         """The fit beside which the model is shown; there must be one."""
         return next((step for step in self.steps if step.number == self.compared), self.steps[0])
+
+
+def difference(
+    first: Campaign, campaign: Campaign, settings: Settings, known: Mapping[str, Known],
+    controls: Iterable[Control],
+) -> str:  # fmt: skip
+    """What was changed besides effects, in words: ``without air, alpha scat held at 0.5``.
+
+    Of a campaign since it was the `first`, and of what its `controls` said of parameters.
+    """
+    said = []
+    before, after = (
+        {one.label: one for one in each.measurements.readings} for each in (first, campaign)
+    )
+    for label in dict.fromkeys((*before, *after)):
+        old, new = before.get(label), after.get(label)
+        if new is None or not new.use:
+            said += [f"without {label}"] if old is not None and old.use else []
+            continue
+        if old is None or not old.use:
+            said.append(f"with {label}")
+        if old is None:
+            continue
+        if (old.signal, old.sigma) != (new.signal, new.sigma):
+            said.append(f"{label} {new.signal:g} ± {new.sigma:g}")
+        said += [
+            f"{label} at {without_unit(name)} {new.parameters[name]}"
+            for name in new.parameters.keys() & old.parameters.keys()
+            if new.parameters[name] != old.parameters[name]
+        ]
+    for control in controls:
+        now = known[control.name]
+        if now == control.known:
+            continue
+        how = {
+            HELD: f"held at {settings.values[control.name]:.4g}",
+            PRIOR: f"known to be {now.prior} ± {now.prior_sigma}",
+        }.get(now.how, "free")
+        said.append(f"{without_unit(control.name)} {how}")
+    return ", ".join(said)

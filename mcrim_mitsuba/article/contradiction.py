@@ -16,7 +16,6 @@ from mcrim_mitsuba.article.published import ArticleRow, compare
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.inference.diagnose import Diagnosis, diagnose
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.unexplained import UNKNOWN
@@ -26,7 +25,7 @@ from mcrim_mitsuba.optics.attenuation import (
     measured_transmittance,
     transmittance,
 )
-from mcrim_mitsuba.output.findings import IN_NO_CATALOGUE, configuration_text
+from mcrim_mitsuba.output.findings import IN_NO_CATALOGUE, told_apart
 from mcrim_mitsuba.scene.shipped import scene_path
 
 CAMPAIGN = "camoo4_three.toml"
@@ -56,11 +55,10 @@ class Contradiction:
         found = {c.effect: c.light_yield_ph_per_keV for c in self.diagnosis.candidates}
         return {name: of_light["value"] for name, of_light in found.items() if of_light}
 
-    @property
-    def titles(self) -> dict[str, str]:
-        """Names of effects for people."""
-        known = {name: effect.title for name, effect in catalogue().items()}
-        return known | {UNKNOWN: IN_NO_CATALOGUE}
+    def title(self, explanation: str) -> str:
+        """One of the `likeliest` in words."""
+        known = self.diagnosis.titles | {UNKNOWN: IN_NO_CATALOGUE}
+        return " with ".join(known.get(name, name) for name in explanation.split(" + "))
 
 
 def find_contradiction(run: Run) -> Contradiction:
@@ -108,12 +106,11 @@ def rows(found: Contradiction) -> list[ArticleRow]:
 
 def sentences(found: Contradiction) -> tuple[str, ...]:
     """The ranking, and what one measurement would decide."""
-    diagnosis, titles, said = found.diagnosis, found.titles, []
+    diagnosis, said = found.diagnosis, []
     for name, probability in found.likeliest.items():
         of_light = found.light_yields.get(name)
         with_it = "" if of_light is None else f", {of_light:.1f} ph/keV with it"
-        title = titles.get(name, name).lower()
-        said.append(f"{title}: probability {100 * probability:.2g} %{with_it}")
+        said.append(f"{found.title(name)}: probability {100 * probability:.2g} %{with_it}")
     nothing = 100 * diagnosis.probabilities.get(NOTHING_MISSING, 0.0)
     scat = diagnosis.baseline.parameters[ALPHA_SCAT].value
     absorption = diagnosis.baseline.parameters[ALPHA_ABS].value
@@ -129,7 +126,6 @@ def _next(diagnosis: Diagnosis) -> tuple[str, ...]:
     if not diagnosis.next_measurements:
         return ()
     best = diagnosis.next_measurements[0]
-    where = configuration_text(best)
-    pairs = "; ".join(f"{one} from {other}" for one, other in best.separates[:2])
+    pairs = "; ".join(told_apart(diagnosis, best)[:2])
     told = f" ({pairs})" if pairs else ""
-    return (f"one more measurement would tell most at {where}{told}",)
+    return (f"one more measurement would tell most at {best.words}{told}",)

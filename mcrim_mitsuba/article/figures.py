@@ -19,7 +19,7 @@ from mcrim_mitsuba.article.efficiency_rows import FittedLine
 from mcrim_mitsuba.article.published import Table1Line
 from mcrim_mitsuba.article.simulated import AIR, GEL, EtaCurve, RatioCurve
 from mcrim_mitsuba.core.files import make_folder
-from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.core.rounding import capital, pdg
 from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.peak import fit_peak
 from mcrim_mitsuba.optics.attenuation import measured_transmittance, transmittance
@@ -229,7 +229,7 @@ def _contradiction_figure(curves: tuple[RatioCurve, ...], found: Contradiction) 
         of_light = found.light_yields.get(name)
         text = "" if of_light is None else f"  {of_light:.1f} ph/keV"
         bars.text(100 * probability, place, text, va="center", fontsize=10)
-    bars.set_yticks(range(len(named)), [found.titles.get(name, name) for name, _ in named])
+    bars.set_yticks(range(len(named)), [capital(found.title(name)) for name, _ in named])
     bars.set_xlim(0, 135 * max(p for _, p in named))
     bars.set_xlabel("probability (%)")
     averaged = found.diagnosis.light_yield_averaged

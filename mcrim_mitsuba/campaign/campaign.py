@@ -13,6 +13,7 @@ from mcrim_mitsuba.campaign.entries import (
     BEAM,
     BEAM_TABLE,
     CAMPAIGN,
+    LONGEST_WORDS,
     NEXT,
     NEXT_ENTRIES,
     NEXT_MINUTES,
@@ -30,7 +31,7 @@ from mcrim_mitsuba.campaign.parameter import (
 )
 from mcrim_mitsuba.campaign.raw_data import file_in
 from mcrim_mitsuba.campaign.reduction import RawData, reduce_raw_data
-from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
+from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by, visible
 from mcrim_mitsuba.core.files import is_there
 from mcrim_mitsuba.core.numbers import Value, judge, value_text
 from mcrim_mitsuba.core.rounding import counted
@@ -84,6 +85,10 @@ class Campaign:
     beam: dict[str, Value] = field(default_factory=dict)
     #: Whose Python was executed to read it.
     executed: tuple[str, ...] = ()
+    #: What it is called: as its file says, else by the file's name.
+    title: str = ""
+    #: Unit of the signals of light; empty where the file does not say it.
+    unit: str = ""
 
     @property
     def values(self) -> dict[str, Value]:
@@ -226,6 +231,8 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
         raw=raw,
         beam=beam,
         executed=() if folder is None else (whose(folder),),
+        title=_words(entries, "title") or document.path.stem,
+        unit=_words(entries, "unit"),
     )
     if SCALE in campaign.free and all(reading.of_beam for reading in measurements.in_use):
         raise InputError(
@@ -305,6 +312,22 @@ def _sibling(entries: TomlTable, name: str) -> Path:
     if name not in entries:
         raise entries.refusal("", f"the campaign names no {name}", f'add {name} = "..." at the top')
     return file_in(entries, name, entries[name])
+
+
+def _words(entries: TomlTable, name: str) -> str:
+    """A short text; empty where it is not there."""
+    if name not in entries:
+        return ""
+    given = entries[name]
+    if not isinstance(given, str):
+        raise entries.refusal(name, f"{name} is not a text", f'write {name} = "..."')
+    words = visible(" ".join(given.split()))
+    if not words:
+        raise entries.refusal(name, f"{name} is empty", "write some words, or remove it")
+    if len(words) > LONGEST_WORDS:
+        problem = f"{name} has {len(words)} characters"
+        raise entries.refusal(name, problem, f"{LONGEST_WORDS} are enough")
+    return words
 
 
 def _folder(entries: TomlTable, trusted: bool) -> Path | None:

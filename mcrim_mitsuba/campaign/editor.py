@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, MutableMapping
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -254,8 +254,12 @@ def _reduced_text(measurements: Measurements, raw: RawData) -> str:
 
 def measurements_text(measurements: Measurements) -> str:
     """The text of a measurement file with a signal and its error in every row."""
+    return table_text(measurements.comments, measurement_cells(measurements))
+
+
+def measurement_cells(measurements: Measurements) -> dict[str, list[str]]:
+    """Cells by column; those of an optional column only where a reading needs it."""
     readings = measurements.readings
-    # cells by column; those of an optional column only where a reading needs it
     cells = {
         "label": [reading.label for reading in readings],
         "signal": [f"{reading.signal:.15g}" for reading in readings],
@@ -273,8 +277,13 @@ def measurements_text(measurements: Measurements) -> str:
         cells["group"] = [reading.group or "" for reading in readings]
         sigmas = (reading.group_sigma for reading in readings)
         cells["group_sigma"] = ["" if sigma is None else f"{sigma:g}" for sigma in sigmas]
+    return cells
+
+
+def table_text(comments: Iterable[str], cells: Mapping[str, Sequence[str]]) -> str:
+    """The text of a measurement file, of cells by column."""
     rows = [cells, *zip(*cells.values(), strict=True)]
-    return "".join(_comments(measurements.comments)) + "".join(
+    return "".join(_comments(comments)) + "".join(
         ",".join(map(_quoted, row)) + "\n" for row in rows
     )
 

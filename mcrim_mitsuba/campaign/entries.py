@@ -26,12 +26,19 @@ NEXT_SIGMA = "sigma_relative"
 #: What it takes to change a scene parameter, beside the mounting itself.
 NEXT_MINUTES = "minutes"
 
+#: Characters of a title or a unit, at most: they stand in one line of a figure.
+LONGEST_WORDS = 100
+
 _FILE: dict[str, Any] = {"type": "string", "minLength": 1}
 _VALUES = {"type": "array", "items": {"type": "number"}, "minItems": 1}
 
 
 def _number(meaning: str, **limits: float) -> dict[str, Any]:
     return {"type": "number", "description": meaning, **limits}
+
+
+def _words(meaning: str) -> dict[str, Any]:
+    return {"type": "string", "minLength": 1, "maxLength": LONGEST_WORDS, "description": meaning}
 
 
 def _file(meaning: str) -> dict[str, Any]:
@@ -114,6 +121,8 @@ NEXT_ENTRIES: Entries = {
 }
 #: The file itself; tables as `json_schema` completes them.
 CAMPAIGN: Entries = {
+    "title": _words("What the campaign is called; figures carry it. The file's name unless given"),
+    "unit": _words("Unit of the signals of light, such as photoelectrons per event"),
     "scene": _file("The scene (XML)"),
     "measurements": _file("The readings (CSV)"),
     "effects": {

@@ -139,6 +139,17 @@ class RawData:
     files: tuple[RawFile, ...]
 
     @property
+    def kinds(self) -> tuple[str, ...]:
+        """What there is to draw: ``histograms``, ``spectra``, ``transmittance``."""
+        absorption = self.absorption
+        there = {
+            "histograms": self.readings,
+            "spectra": self.efficiency,
+            "transmittance": absorption and absorption.spectra,
+        }
+        return tuple(kind for kind, found in there.items() if found)
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What the reader must know before using the numbers."""
         notes = [note for reading in self.readings.values() for note in _notes_on(reading)]

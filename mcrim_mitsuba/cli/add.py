@@ -12,6 +12,7 @@ from mcrim_mitsuba import effects
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_text
+from mcrim_mitsuba.core.rounding import capital
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 _COLOURS = {"+": "green", "-": "red", "@": "cyan"}
@@ -31,7 +32,7 @@ def _listing() -> str:
     for effect in known:
         values = "; ".join(map(_range, effect.parameters))
         where = "for campaigns only" if effect.edit is None else values or "on or off"
-        lines.append(f"  {effect.name:{wide}}  {effect.title} ({where})")
+        lines.append(f"  {effect.name:{wide}}  {capital(effect.title)} ({where})")
     return "\b\nThe catalogue:\n" + "\n".join(lines)
 
 

@@ -27,9 +27,7 @@ def reduce(campaign, path, figure, json_file) -> None:
     source's gammas the depth of the source (mm). All commands do this by themselves; here it is
     shown.
     """
-    from mcrim_mitsuba.campaign.editor import readings_beside, to_json
-    from mcrim_mitsuba.campaign.editor import reduce as run
-    from mcrim_mitsuba.output.laboratory_descriptions import of_reduction
+    from mcrim_mitsuba.campaign.editor import readings_beside
 
     written = {}
     if path is not None:
@@ -38,21 +36,11 @@ def reduce(campaign, path, figure, json_file) -> None:
             "--output": (path, (".toml",)),
             "the readings of --output": (str(beside), (".csv",)),
         }
-    further = ("spectra", "transmittance")
-    read, _ = showing.read_campaign(campaign, json_file, figure, *further, written=written)
+    read, _ = showing.read_campaign(
+        campaign, json_file, figure, "spectra", "transmittance", written=written
+    )
     showing.refuse_to_replace(written)
-    raw = run(read, path).raw
-    assert raw is not None  # refused otherwise
-    terminal.write_json(json_file, {"campaign": read.path, **to_json(raw), "plain_campaign": path})
-    drawn: list[Path] = []
-    if figure:
-        from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
-
-        for name, made in draw_raw_data(raw).items():
-            of_more = name in further
-            drawn += made.save(showing.further_picture(figure, name) if of_more else figure)
-    screen = terminal.console(json_file)
-    showing.show(screen, of_reduction(raw), drawn)
+    screen = showing.answer(mcrim.reduce(read, path), json_file, figure)
     if path is not None:
         screen.line(f"{path} and {beside} were written", style="bold")
     screen.line(f"Next: {showing.command('calibrate', path or campaign)}", style="bold")
@@ -172,7 +160,6 @@ def diagnose(campaign, figure, json_file, work, without, only) -> None:
 
 def _after_diagnosis(campaign: str, diagnosis) -> str:
     from mcrim_mitsuba.inference.diagnose import ADEQUATE, AMBIGUOUS, MISSING_EFFECT
-    from mcrim_mitsuba.output.findings import configuration_text
 
     path = Path(campaign)
     chosen = ["--effect", ",".join(diagnosis.set_aside)] if diagnosis.set_aside else []
@@ -188,12 +175,12 @@ def _after_diagnosis(campaign: str, diagnosis) -> str:
                 "nothing that was looked at tells the leading effects apart: look at "
                 f"the bench itself, or allow others in [next_measurements]; or {repair}"
             )
-        what = configuration_text(diagnosis.next_measurements[0])
+        what = diagnosis.next_measurements[0].words
         return f"measure {what}, add it to the readings and diagnose again; or {repair}"
     if diagnosis.suspect_readings:
         return f"check the readings named above, then {showing.command('diagnose', campaign)}"
     if diagnosis.next_measurements:
-        what = configuration_text(diagnosis.next_measurements[0])
+        what = diagnosis.next_measurements[0].words
         return f"measure {what}, add it to the readings and diagnose again"
     if diagnosis.verdict == AMBIGUOUS:
         return f"measure more configurations and diagnose again; or {repair}"

@@ -82,7 +82,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
 
         write_cross_section(found.plot(), picture)
     screen = terminal.console(json_file)
-    showing.show(screen, found.described)
+    showing.show(screen, scene_descriptions.of_check(found.found, first=False))
     if not found.ok:
         raise found.problems[0].error()
     if picture:
@@ -100,24 +100,56 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
     "where the light arrives on the detector, and at which angle (and which fates light meets, "
     "NAME_fates), from the run's photons, the first 4e6 of more"
 )
+@click.option("--map", "map_file", type=click.Path(), metavar="FILE.nc",
+              help="Map the efficiency by where light is born, from 1e8 photons or --photons, and "
+              "say what its spread adds to a peak; its picture is NAME_map of --figure.",
+              )  # fmt: skip
+@click.option("--depth", "depth_mm", type=options.Number(), default="1", show_default=True,
+              metavar="MM", help="1/e depth of gammas that stop near a face, for --map.",
+              )  # fmt: skip
+@click.option("--deposits", type=click.Path(), metavar="FILE.csv",
+              help="Where gammas stop, for --map: x_mm, y_mm, z_mm, energy_keV, a deposit a row.",
+              )  # fmt: skip
 @options.work
-def simulate(scene, overrides, method, figure, json_file, work) -> None:
+def simulate(
+    scene, overrides, method, figure, map_file, depth_mm, deposits, json_file, work
+) -> None:
     """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
-    if figure and method == "modes":
-        problem = "--figure follows photons, and --method modes none"
-        raise InputError(problem, "leave one of them out")
+    for option, given in {"--figure": figure, "--map": map_file}.items():
+        if given and method == "modes":
+            problem = f"{option} follows photons, and --method modes none"
+            raise InputError(problem, "leave one of them out")
+    if deposits and not map_file:
+        raise InputError("--deposits says where light is born in a map", "give --map FILE.nc too")
+    written = {"--map": (map_file, (".nc",))} if map_file else {}
+    inputs = [scene, *filter(None, [deposits])]
     if figure:
-        showing.refuse_places(json_file, [scene], figure, "fates")
+        endings = ("fates", "map") if map_file else ("fates",)
+        showing.refuse_places(json_file, inputs, figure, *endings, written=written)
         from mcrim_mitsuba.efficiency.lighting import refuse_curved
         from mcrim_mitsuba.transport.simulation import Simulation
 
         run = work.run
         refuse_curved(Simulation(scene, overrides, variant=run.variant, threads=run.threads))
     else:
-        refuse_outputs({"--json": json_file}, [scene])
+        showing.refuse_places(json_file, inputs, written=written)
+    file, mapped = mcrim.read_scene(scene, overrides), None
     with work.begin() as run:
-        found = mcrim.simulate(mcrim.read_scene(scene, overrides), run=run, method=method)
-    showing.answer(found, json_file, None if found.interrupted else figure)
+        found = mcrim.simulate(file, run=run, method=method)
+        if map_file and not found.interrupted:
+            own = replace(run, precision=None)
+            mapped = mcrim.eta_map(file, depth_mm=depth_mm, deposits=deposits, run=own)
+    document = found.document | ({"map": mapped.document} if mapped else {})
+    terminal.write_json(json_file, document)
+    screen = terminal.console(json_file)
+    figure = None if found.interrupted else figure
+    showing.show(screen, found.described, found.draw(figure) if figure else ())
+    if mapped:
+        from mcrim_mitsuba.output.result_writing import netcdf_bytes
+
+        write_bytes(map_file, netcdf_bytes(mapped.to_xarray()))
+        drawn = mapped.draw(showing.further_picture(figure, "map")) if figure else ()
+        showing.show(screen, mapped.described, [Path(map_file), *drawn])
 
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"

@@ -71,6 +71,10 @@ class InputError(ValueError):
         # one line whatever was typed: a label or a path may hold a newline
         return visible(" ".join(text.split()))
 
+    def _render_traceback_(self) -> list[str]:
+        """What a notebook shows of it: the line, without the calls that led there."""
+        return [f"{type(self).__name__}: {self}"]
+
 
 def _cut(text: str, longest: int = _LONGEST) -> str:
     """A text without its middle, where it is long."""

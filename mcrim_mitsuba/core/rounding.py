@@ -1,4 +1,4 @@
-"""Numbers as people read them, rounded by their errors or to the digits that matter."""
+"""Numbers and texts as people read them: rounded by errors, or to the digits that matter."""
 
 from __future__ import annotations
 
@@ -120,6 +120,11 @@ def probability(p: float) -> str:
     if 99.905 < value < 100:
         return "> 99.9 %"
     return f"{value:.1f} %" if 0 < value < 0.95 or 99.05 < value < 100 else f"{value:.0f} %"
+
+
+def capital(words: str) -> str:
+    """Words at the beginning of a line."""
+    return words[:1].upper() + words[1:]
 
 
 def counted(number: int, what: str) -> str:

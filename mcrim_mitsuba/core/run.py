@@ -29,7 +29,7 @@ class Progress(Protocol):
         what : str
             The part of the job.
         done, total : int
-            In photons.
+            In photons; in benches, of which `total` are few, where they are solved without any.
         note : str
             Units, and the error reached, such as ``12 of 180 units, error 0.3 %``.
         """

@@ -12,7 +12,7 @@ def edit(editor: SceneEditor) -> None:
 
 EFFECT = Effect(
     name="anisotropic_scattering",
-    title="Anisotropic scattering",
+    title="anisotropic scattering",
     family="bulk",
     look=(
         "Look at a laser beam in the crystal from the side, and at its spot behind the "

@@ -74,7 +74,7 @@ def there(scene: SceneFile) -> bool:
 
 EFFECT = Effect(
     name="aperture_at_detector",
-    title="Mask on the detector",
+    title="mask on the detector",
     family="alignment",
     look=(
         "Look where the mask lies: on the face of the window under the crystal, or behind "

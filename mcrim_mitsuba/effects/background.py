@@ -23,7 +23,7 @@ def plausible_beside(signals: np.ndarray) -> tuple[float, float]:
 
 EFFECT = Effect(
     name="background",
-    title="Constant background",
+    title="constant background",
     family="readings",
     look=("Take the crystal out, and then the source away: what is still read is background."),
     physics=(

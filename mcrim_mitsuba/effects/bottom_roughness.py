@@ -14,7 +14,7 @@ def edit(editor: SceneEditor) -> None:
 
 EFFECT = Effect(
     name="bottom_roughness",
-    title="Rough bottom face",
+    title="roughness of the bottom face",
     family="surface",
     look=(
         "Take the crystal off and look at the reflection of a lamp in its bottom face: "

@@ -11,7 +11,7 @@ def edit(editor: SceneEditor) -> None:
 
 EFFECT = Effect(
     name="crystal_index",
-    title="Another index of the crystal",
+    title="wrong index of the crystal",
     family="bulk",
     look=(
         "Measure the deviation of a laser in a prism of the same boule, or take the index "

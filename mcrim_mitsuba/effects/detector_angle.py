@@ -20,7 +20,7 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 
 EFFECT = Effect(
     name="detector_angle",
-    title="Detection that depends on the angle",
+    title="angle-dependent detection",
     family="detector accepts",
     look=(
         "Turn a narrow beam of light about the middle of the tube's window, and read the "

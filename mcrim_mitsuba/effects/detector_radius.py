@@ -22,7 +22,7 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 
 EFFECT = Effect(
     name="detector_radius",
-    title="Detection that depends on the place",
+    title="position-dependent detection",
     family="detector accepts",
     look=("Move a narrow beam of light across the tube's window, and read the tube at each place."),
     physics=(

@@ -22,7 +22,7 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 
 EFFECT = Effect(
     name="detector_reflection",
-    title="Reflecting detector",
+    title="diffusely reflecting detector",
     family="detector reflects",
     look=(
         "Measure with another tube. Put a black ring around the crystal on the window: the "

@@ -22,7 +22,7 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 
 EFFECT = Effect(
     name="detector_specular",
-    title="Mirror-like detector",
+    title="mirror-like detector",
     family="detector reflects",
     look=(
         "Look at the reflection of a lamp in the tube's window: the image behind that of the "

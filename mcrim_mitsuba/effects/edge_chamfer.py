@@ -60,7 +60,7 @@ def limits(parameters: Mapping[str, Value]) -> tuple[float, float]:
 
 EFFECT = Effect(
     name="edge_chamfer",
-    title="Bevelled edges",
+    title="bevel of the edges",
     family="surface",
     look=("Look at the edges with a loupe, and measure the bevel on a photograph with a scale."),
     physics=(

@@ -7,7 +7,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -79,7 +79,8 @@ class EffectParameter:
     coordinate: str = "linear"
     #: Of these coordinates, in the parameter's unit.
     scale: float = 1.0
-    #: Whether responses have kinks: straight lines join the nodes then, not a polynomial.
+    #: Whether responses bend sharply somewhere: cubics from node to node join the nodes then, not
+    #: one polynomial.
     kinked: bool = False
     #: ``limits(scene parameters)`` -> lowest and highest value that a bench takes, where its
     #: dimensions allow less than the range.
@@ -192,7 +193,7 @@ class Effect:
 
     #: Its id.
     name: str
-    #: A few words for tables.
+    #: What it is in a few words, as in the middle of a sentence: ``air bubble in the gap``.
     title: str
     #: What happens, in a paragraph, and where to read about it.
     physics: str
@@ -220,7 +221,7 @@ class Effect:
     weight: Weight | None = None
     #: Parameter values at which the records to be reweighted are simulated; None: without the
     #: effect.
-    proposal: Mapping[str, float] | None = None
+    proposal: Mapping[str, float] | None = field(default=None, hash=False)
     #: The radius that a smaller aperture cuts at.
     mask_column: str = "mask_radius_mm"
     #: ``reading(signals, value, rows)`` -> reading, d reading / d signal, d reading / d value, all

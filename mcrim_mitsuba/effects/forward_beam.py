@@ -25,7 +25,7 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 
 EFFECT = Effect(
     name="forward_beam",
-    title="Another acceptance of the spectrophotometer",
+    title="wrong spectrophotometer acceptance",
     family="beam",
     look=(
         "Close an iris in front of the spectrophotometer's detector, or move the sample away from "

@@ -15,7 +15,7 @@ def reading(
 
 EFFECT = Effect(
     name="gain_drift",
-    title="Drift of the gain",
+    title="drift of the gain",
     family="readings",
     look=(
         "Measure the first row again after the last one, or a light pulser between the rows; "

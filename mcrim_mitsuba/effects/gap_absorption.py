@@ -37,7 +37,7 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 
 EFFECT = Effect(
     name="gap_absorption",
-    title="Absorbing liquid",
+    title="absorbing liquid in the gap",
     family="gap",
     look="Measure the transmittance of the liquid in a cuvette: old gel turns yellow.",
     physics=(

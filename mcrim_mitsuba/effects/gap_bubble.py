@@ -23,7 +23,7 @@ def edit(editor: SceneEditor) -> None:
 
 EFFECT = Effect(
     name="gap_bubble",
-    title="Air bubble in the gap",
+    title="air bubble in the gap",
     family="gap",
     look=(
         "Look through the window from below: bubbles look silvery. Mount the crystal again "

@@ -36,7 +36,7 @@ def edit(editor: SceneEditor) -> None:
 
 EFFECT = Effect(
     name="gap_bubble_round",
-    title="Round bubble in the gap",
+    title="round air bubble in the gap",
     family="gap",
     look=(
         "Look through the window from below: bubbles look silvery, and a round one in the middle "

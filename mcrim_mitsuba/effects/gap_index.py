@@ -23,7 +23,7 @@ def edit(editor: SceneEditor) -> None:
 
 EFFECT = Effect(
     name="gap_index",
-    title="Another index of the liquid",
+    title="wrong index of the liquid",
     family="gap",
     look=(
         "Put a drop of the liquid on a refractometer, at the temperature of the bench; "

@@ -35,7 +35,7 @@ def limits(parameters: Mapping[str, Value]) -> tuple[float, float]:
 
 EFFECT = Effect(
     name="gap_thickness",
-    title="Another thickness of the gap",
+    title="wrong thickness of the gap",
     family="gap",
     look=(
         "Measure the gap with a feeler gauge, or focus a microscope on both of its faces; "

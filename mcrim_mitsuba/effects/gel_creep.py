@@ -68,7 +68,7 @@ def _split(editor: SceneEditor, face: Node, wet: str) -> None:
 
 EFFECT = Effect(
     name="gel_creep",
-    title="Gel around the crystal's foot",
+    title="gel around the crystal's foot",
     family="gap",
     look=(
         "Look along the window with a loupe: a meniscus stands around the foot of the crystal. "

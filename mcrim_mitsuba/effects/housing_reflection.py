@@ -23,7 +23,7 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 
 EFFECT = Effect(
     name="housing_reflection",
-    title="Mask that is not black",
+    title="mask that is not black",
     family="housing",
     look=(
         "Lay black velvet, or black paper with a hole, over mask and holder around the crystal: "

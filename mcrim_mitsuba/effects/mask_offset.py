@@ -16,7 +16,7 @@ def edit(editor: SceneEditor) -> None:
 
 EFFECT = Effect(
     name="mask_offset",
-    title="Mask off the crystal's axis",
+    title="mask off the crystal's axis",
     family="alignment",
     look=(
         "Look down on the bench, or photograph it: is the ring of the mask around the crystal "

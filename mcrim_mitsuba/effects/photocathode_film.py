@@ -26,7 +26,7 @@ def edit(editor: SceneEditor) -> None:
 
 EFFECT = Effect(
     name="photocathode_film",
-    title="Photocathode as a thin film",
+    title="thin-film photocathode",
     family="detector reflects",
     look=(
         "Turn a narrow polarised beam about the middle of the tube's window, with a glass "

@@ -22,7 +22,7 @@ def there(scene: SceneFile) -> bool:
 
 EFFECT = Effect(
     name="polarization",
-    title="Polarisation of the light",
+    title="polarisation of the light",
     family="light",
     look="It is always there: switch it on; nothing needs to be looked for.",
     physics=(

@@ -15,7 +15,7 @@ def reading(
 
 EFFECT = Effect(
     name="sample_scale",
-    title="Another yield of the other crystals",
+    title="yield difference between crystals",
     family="readings",
     look=(
         "Measure all pieces wrapped in the same reflector, where the yield decides and size hardly "

@@ -20,7 +20,7 @@ def plausible_beside(signals: np.ndarray) -> tuple[float, float]:
 
 EFFECT = Effect(
     name="saturation",
-    title="Saturation of the readout",
+    title="saturation of the readout",
     family="readings",
     look=(
         "Put a grey filter of known transmittance before the tube: the signal must fall by "

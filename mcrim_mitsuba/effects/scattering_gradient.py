@@ -13,7 +13,7 @@ def edit(editor: SceneEditor) -> None:
 
 EFFECT = Effect(
     name="scattering_gradient",
-    title="Scattering that varies along the crystal",
+    title="scattering gradient in the crystal",
     family="bulk",
     look=("Turn the crystal over and measure again: the readings change if one end scatters more."),
     physics=(

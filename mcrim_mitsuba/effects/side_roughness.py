@@ -14,7 +14,7 @@ def edit(editor: SceneEditor) -> None:
 
 EFFECT = Effect(
     name="side_roughness",
-    title="Rough side faces",
+    title="roughness of the side faces",
     family="surface",
     look=(
         "Look at the reflection of a lamp in the sides, and measure the transmittance "

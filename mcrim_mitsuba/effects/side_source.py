@@ -21,7 +21,7 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 
 EFFECT = Effect(
     name="side_source",
-    title="Source beside the crystal",
+    title="source beside the crystal",
     family="source",
     look=(
         "See where the source stands. Turn the crystal by a right angle, or put the source above "

@@ -21,7 +21,7 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 
 EFFECT = Effect(
     name="source_depth",
-    title="Source near the top face",
+    title="source near the top face",
     family="source",
     look=(
         "Turn the crystal over, or put the source beside it: the readings change if light "

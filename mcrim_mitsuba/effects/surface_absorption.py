@@ -25,7 +25,7 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 
 EFFECT = Effect(
     name="surface_absorption",
-    title="Absorbing crystal surface",
+    title="absorbing crystal surface",
     family="surface",
     look=(
         "Clean and polish the crystal again and measure again; under a microscope a damaged "

@@ -17,7 +17,7 @@ def edit(editor: SceneEditor) -> None:
 
 EFFECT = Effect(
     name="surface_haze",
-    title="Hazy crystal faces",
+    title="haze of the crystal's faces",
     family="surface",
     look=(
         "Shine a laser pointer at a face in the dark: on a hazy face the spot is seen from "

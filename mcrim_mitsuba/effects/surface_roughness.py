@@ -13,7 +13,7 @@ def edit(editor: SceneEditor) -> None:
 
 EFFECT = Effect(
     name="surface_roughness",
-    title="Rough crystal faces",
+    title="roughness of all crystal faces",
     family="surface",
     look=(
         "Look at the reflection of a lamp in each face: it is blurred if the face is rough. "

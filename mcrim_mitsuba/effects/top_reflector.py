@@ -44,7 +44,7 @@ def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarr
 
 EFFECT = Effect(
     name="top_reflector",
-    title="Reflector on the top face",
+    title="reflector on the top face",
     family="housing",
     look="Put black paper on the crystal: the readings fall if something sent light back.",
     physics=(

@@ -14,7 +14,7 @@ def edit(editor: SceneEditor) -> None:
 
 EFFECT = Effect(
     name="top_roughness",
-    title="Rough top face",
+    title="roughness of the top face",
     family="surface",
     look=(
         "Look at the reflection of a lamp in the top face. Put a drop of oil on it: the "

@@ -74,7 +74,7 @@ class Light:
     photons: int
 
 
-class _Bins:
+class Bins:
     """Weight in bins, with its spread between batches, over launches: see `FateTally`."""
 
     def __init__(self, bins: int) -> None:
@@ -83,14 +83,14 @@ class _Bins:
 
     def add(
         self,
-        bin_of: NDArray[np.int64],
+        cells: NDArray[np.int64],
         weight: NDArray[np.float64],
         batch: NDArray[np.int64],
         photons_per_batch: NDArray[np.int64],
     ) -> None:
         """Take in a launch's detected photons."""
         batches = len(photons_per_batch)
-        sums = np.bincount(batch * self._bins + bin_of, weight, batches * self._bins)
+        sums = np.bincount(batch * self._bins + cells, weight, batches * self._bins)
         sums = sums.reshape(batches, self._bins)
         self._sums += sums.sum(axis=0)
         self._squares += (np.square(sums) / photons_per_batch[:, None]).sum(axis=0)
@@ -130,16 +130,16 @@ def follow_light(simulation: Simulation, *, run: Run = Run()) -> Light:
     radius_edges = np.linspace(0.0, float(np.linalg.norm(half)), RINGS + 1)
     angle_edges = np.arange(0.0, 90.0 + ANGLE_BIN_DEG / 2, ANGLE_BIN_DEG)
     on_map, on_rings, at_angles = (
-        _Bins(bins) for bins in (cells.prod(), RINGS, len(angle_edges) - 1)
+        Bins(bins) for bins in (cells.prod(), RINGS, len(angle_edges) - 1)
     )
     for launch, tally, place in arrivals.arrivals(simulation, photons, seed=run.seed):
         x, y = plane.coordinates(place).T
-        column, row = _bin(x, x_edges), _bin(y, y_edges)
+        column, row = bin_of(x, x_edges), bin_of(y, y_edges)
         weight, angle = (launch.records[n].astype(float) for n in ("w", "arrival_angle_deg"))
         rest = weight, launch.records["batch"].astype(np.int64), launch.photons_per_batch
         on_map.add(row * cells[0] + column, *rest)
-        on_rings.add(_bin(np.hypot(x, y), radius_edges), *rest)
-        at_angles.add(_bin(angle, angle_edges), *rest)
+        on_rings.add(bin_of(np.hypot(x, y), radius_edges), *rest)
+        at_angles.add(bin_of(angle, angle_edges), *rest)
         run.tell("following the light", min(tally.photons, photons), photons)
     so_many = tally.photons, tally.batches
     interfaces = interfaces_of(simulation.file, model)
@@ -170,7 +170,7 @@ def refuse_curved(simulation: Simulation) -> DetectorPlane:
         return detector_plane(simulation.model)
 
 
-def _bin(values: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.int64]:
+def bin_of(values: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.int64]:
     """Number of the bin of each value; what rounding puts beyond the last edge counts in it."""
     step = edges[1] - edges[0]
     return np.clip(((values - edges[0]) / step).astype(np.int64), 0, len(edges) - 2)

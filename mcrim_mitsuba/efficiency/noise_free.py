@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 #: Ways to eta.
 METHODS = ("photons", "modes")
+#: Its name in progress.
+_WHAT = "solving without photons"
 #: What the reader must know of eta by modes.
 NOTE = (
     "no photons were followed: there is no statistical noise, and errors are the method's own "
@@ -47,10 +50,10 @@ def refuse_method(method: str, run: Run) -> None:
         raise InputError(problem, "leave photons out, or take the method photons")
 
 
-def solve_simulation(simulation: Simulation, precision: float | None = None) -> SimulationResult:
+def solve_simulation(simulation: Simulation, run: Run = Run()) -> SimulationResult:
     """Light collection efficiency and fates of a loaded scene, of 0 photons.
 
-    Where a relative error of eta is enough, as ``precision`` says, it takes less time.
+    Where a relative error of eta is enough, as the run's precision says, it takes less time.
 
     Raises
     ------
@@ -59,9 +62,11 @@ def solve_simulation(simulation: Simulation, precision: float | None = None) -> 
     """
     start = time.perf_counter()
     file = simulation.file
+    run.tell(_WHAT, 0, 1)
     with placed(path=file.path):
-        found = solve_box(bench_of(simulation), precision=precision)
-    notes = _notes(found.eta, found.error, precision)
+        found = solve_box(bench_of(simulation), precision=run.precision)
+    run.tell(_WHAT, 1, 1)
+    notes = _notes(found.eta, found.error, run.precision)
     notes += calibration_notes(simulation.model.head_on)
     fates = {name: float(part) for name, part in found.fates.items() if part}
     eta, error = float(found.eta), float(found.error)
@@ -96,13 +101,16 @@ def noise_free_table(
         np.array(inner.get(name, [file.parameters[name]]), float)
         for name in (ALPHA_SCAT, ALPHA_ABS)
     )
-    found = []
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    benches = math.prod(map(len, outer.values()))
     for values in itertools.product(*outer.values()):
+        run.tell(_WHAT, len(found), benches)
         own = file.with_overrides(dict(zip(outer, values, strict=True)))
         simulation = Simulation(own, variant=run.variant, threads=run.threads, check=run.check)
         with placed(path=file.path):
             solved = solve_box(bench_of(simulation), scat, absorb[:, None], precision=run.precision)
         found.append((solved.eta, solved.error))
+    run.tell(_WHAT, benches, benches)
     shape = [len(values) for values in (*outer.values(), *inner.values())]
     eta, error = (np.array(each).reshape(shape) for each in zip(*found, strict=True))
     return EtaTable(

@@ -236,28 +236,7 @@ class ResponseMaker:
         """How transmittances were found, by a closed form or not."""
         return list(dict.fromkeys(self._said))
 
-    # ---- what the configurations are ---------------------------------------------------------
-
-    def configurations(self) -> list[dict[str, Value]]:
-        """Scene parameters of every reading, fitted effects absent and others at their start."""
-        campaign = self.campaign
-        held = {n: known.start for n, known in campaign.parameters.items() if known.fixed}
-        absent = {
-            # a scene has no infinite numbers, but one that is as good
-            p.name: min(p.absent, _AS_GOOD_AS_INFINITE)
-            for effect in campaign.switched_on
-            for p in effect.parameters
-            if p.nominal is None and p.absent is not None
-        }
-        found = []
-        for reading in campaign.measurements.readings:
-            values = {**campaign.values, **held, **reading.parameters}
-            values |= {n: v for n, v in absent.items() if n in values}
-            known = _seen(campaign.scene, reading.of_beam).parameters
-            # in the beam there is air where the bench has a liquid
-            values |= {n: known[n] for n in (GAP_INDEX,) if reading.of_beam and n in known}
-            found.append({n: v for n, v in values.items() if n in known})
-        return found
+    # ---- simulations of the readings -----------------------------------------------------------
 
     def _simulation(
         self,
@@ -345,7 +324,7 @@ class ResponseMaker:
             self._simulation(
                 scene, values, self._effect_photons, of_beam=reading.of_beam, check=self._run.check
             )
-            for reading, values in zip(readings, self.configurations(), strict=True)
+            for reading, values in zip(readings, configurations(self.campaign), strict=True)
         ]
 
     @functools.cached_property
@@ -356,24 +335,26 @@ class ResponseMaker:
         light = [row for row, run in enumerate(plain) if not run.of_beam]
         if self._plain_photons < _WORTH_SOLVING:
             light = []
-        tasks = [
-            Task(
-                SolvedUnit(
-                    f"{self._what}, without photons", ScenePlan(run.base, run.overrides), 0,
-                    self._run.variant, not run.check, run.radius_mm, solved,
-                    number_of(run.identity[:2], run.radius_mm, asdict(solved)),
-                ),
-                self._solved_cache,
-            )
-            for run in (plain[row] for row in light)
-        ]  # fmt: skip
+        tasks: dict[int, Task] = {}
+        numbers = {}
+        for row in light:
+            run = plain[row]
+            number = number_of(run.identity[:2], run.radius_mm, asdict(solved))
+            unit = SolvedUnit(
+                f"{self._what}, without photons", ScenePlan(run.base, run.overrides), 0,
+                self._run.variant, not run.check, run.radius_mm, solved, number,
+            )  # fmt: skip
+            numbers[row] = number
+            tasks.setdefault(number, Task(unit, self._solved_cache))
         # all parts of an array job need them to know what to simulate
-        executor = many_units_executor(self._run.threads)
-        made = executor.do(tasks, threads=self._run.threads, by_all=True)
+        made = many_units_executor(self._run.threads).do(
+            list(tasks.values()), threads=self._run.threads, by_all=True, progress=self._run.tell
+        )
+        chunks = dict(zip(tasks, (each.chunks for each in made), strict=True))
         found: dict[int, list[EtaGrid | None]] = {}
-        for row, each in zip(light, made, strict=True):
-            (chunk,) = each.chunks.values()
-            found[row] = [solved_table(chunk.arrays, solved, grid) for grid in grids]
+        for row, number in numbers.items():
+            arrays = chunks[number][number].arrays
+            found[row] = [solved_table(arrays, solved, grid) for grid in grids]
         for row, run in enumerate(plain):
             if run.of_beam:
                 found[row] = [self._closed_form(row, run, grid) for grid in grids]
@@ -388,11 +369,11 @@ class ResponseMaker:
         scene = self.campaign.scene
         physical = [effect for effect in effects if effect.reading is None]
         for effect in physical:
-            scene = self._with_effect(scene, effect)
+            scene = _with_effect(scene, effect)
         photons = min(ANCHOR_FACTOR * self._effect_photons, _MOST_PHOTONS)
         readings = self.campaign.measurements.readings
         named = []
-        for reading, own in zip(readings, self.configurations(), strict=True):
+        for reading, own in zip(readings, configurations(self.campaign), strict=True):
             free = _seen(scene, reading.of_beam).parameters.keys() - reading.parameters.keys()
             if reading.of_beam:
                 free -= {GAP_INDEX}
@@ -460,13 +441,6 @@ class ResponseMaker:
         """Whether it is of a beam with the campaign's acceptance: others say what theirs is."""
         return run.of_beam and run.parameters[ACCEPTANCE] == self.campaign.values[ACCEPTANCE]
 
-    def _with_effect(self, scene: SceneFile, effect: Effect) -> SceneFile:
-        """The scene with an effect in it, where it is not there yet."""
-        names = [p.name for p in effect.parameters]
-        if effect.is_in(scene) or (names and all(name in scene.parameters for name in names)):
-            return scene
-        return scene.edited(add(effect, scene))
-
     def _left(self, scene: SceneFile, values: Mapping[str, Value]) -> dict[str, Value]:
         """A configuration's values without those that an effect in the scene sets itself."""
         own = self.campaign.scene.parameters
@@ -498,9 +472,9 @@ class ResponseMaker:
         )
         with_effect = scene
         if effect.edit is not None and (not weighs or any(run.of_beam for run in plain)):
-            with_effect = self._with_effect(scene, effect)
+            with_effect = _with_effect(scene, effect)
         if not weighs or effect.proposal is not None:
-            scene = self._with_effect(scene, effect)
+            scene = _with_effect(scene, effect)
         seen = [row for row, run in enumerate(plain) if self._is_seen(effect, with_effect, run)]
         # half angles at which beams see the effect; None: each at its own
         further: Axis | None = None
@@ -638,12 +612,42 @@ class ResponseMaker:
         return self._made
 
 
+def configurations(campaign: Campaign) -> list[dict[str, Value]]:
+    """Scene parameters of every reading, fitted effects absent and others at their start."""
+    held = {n: known.start for n, known in campaign.parameters.items() if known.fixed}
+    absent = {
+        # a scene has no infinite numbers, but one that is as good
+        p.name: min(p.absent, _AS_GOOD_AS_INFINITE)
+        for effect in campaign.switched_on
+        for p in effect.parameters
+        if p.nominal is None and p.absent is not None
+    }
+    found = []
+    for reading in campaign.measurements.readings:
+        values = {**campaign.values, **held, **reading.parameters}
+        values |= {n: v for n, v in absent.items() if n in values}
+        known = _seen(campaign.scene, reading.of_beam).parameters
+        # in the beam there is air where the bench has a liquid
+        values |= {n: known[n] for n in (GAP_INDEX,) if reading.of_beam and n in known}
+        found.append({n: v for n, v in values.items() if n in known})
+    return found
+
+
 _beam_of = functools.lru_cache(maxsize=64)(spectrophotometer_of)
 
 
 def _seen(scene: SceneFile, of_beam: bool) -> SceneFile:
     """The scene itself, or that of a beam through its crystal."""
     return _beam_of(scene) if of_beam else scene
+
+
+@functools.lru_cache(maxsize=128)
+def _with_effect(scene: SceneFile, effect: Effect) -> SceneFile:
+    """The scene with an effect in it, where it is not there yet."""
+    names = [p.name for p in effect.parameters]
+    if effect.is_in(scene) or (names and all(name in scene.parameters for name in names)):
+        return scene
+    return scene.edited(add(effect, scene))
 
 
 @functools.lru_cache(maxsize=64)

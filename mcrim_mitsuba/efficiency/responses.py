@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, Grid
-from mcrim_mitsuba.efficiency.surface import Lagrange, Lines
+from mcrim_mitsuba.efficiency.surface import Cubics, Lagrange
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class Axis:
         self.values = tuple(float(node) for node in nodes)
         nodes = [parameter.coordinate_of(value) for value in self.values]
         #: In the coordinate.
-        self.nodes = (Lines if parameter.kinked else Lagrange)(nodes)
+        self.nodes = (Cubics if parameter.kinked else Lagrange)(nodes)
 
     def weights(self, value: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(nodes,) weights at a value of the parameter, and their derivatives by it."""
@@ -157,8 +157,8 @@ class EffectResponse:
             weights = [a.weights(v)[0] for a, v in zip(self.axes, values, strict=True)]
             nodes, x = axis.nodes.nodes, axis.parameter.coordinate_of(value - axis.nominal)
             near = np.argsort(np.abs(nodes - x), kind="stable")
-            # next to lines a parabola through the nearest nodes, next to a polynomial the one
-            # without the farthest node
+            # next to cubics the parabola through the nearest nodes, of which they are blends, next
+            # to a polynomial the one without the farthest node
             kept = np.sort(near[:3] if axis.parameter.kinked else near[:-1])
             fewer = np.zeros(len(nodes))
             fewer[kept] = Lagrange(nodes[kept]).weights(x)[0]

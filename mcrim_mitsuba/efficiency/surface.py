@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
@@ -63,35 +64,34 @@ class Lagrange:
         return weights
 
 
-class Lines:
-    """Straight lines from node to node, for what has kinks; two distinct nodes at least."""
+class Cubics:
+    """Cubics from node to node, for what bends sharply somewhere; two distinct nodes at least.
+
+    Between two nodes it is the blend of the parabolas through either and its neighbours (slopes of
+    three points: C. de Boor, A Practical Guide to Splines, chapter IV), so that a value is felt by
+    the nearest nodes only: a bend far away makes no waves here, as it would in a polynomial.
+    """
 
     def __init__(self, nodes: Sequence[float]) -> None:
         self.nodes = np.array(nodes, dtype=np.float64)
-        self._order = np.argsort(self.nodes)
+        order = np.argsort(self.nodes)
+        rising, units = self.nodes[order], np.eye(len(order))[order]
+        slopes = np.gradient(units, rising, axis=0, edge_order=2 if len(order) > 2 else 1)
+        self._joint = CubicHermiteSpline(rising, units, slopes)
+        self._slope = self._joint.derivative()
+        self._ends = rising[0], rising[-1]
 
     def weights(self, x: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """As `Lagrange.weights`; beyond the last node its line goes on."""
-        rising = self.nodes[self._order]
-        right = int(np.clip(np.searchsorted(rising, x), 1, len(rising) - 1))
-        low, high = self._order[right - 1], self._order[right]
-        width = self.nodes[high] - self.nodes[low]
-        weights, slopes = np.zeros(len(self.nodes)), np.zeros(len(self.nodes))
-        weights[high] = (x - self.nodes[low]) / width
-        weights[low] = 1.0 - weights[high]
-        slopes[high], slopes[low] = 1.0 / width, -1.0 / width
-        return weights, slopes
+        """As `Lagrange.weights`; beyond the last node it goes on as a line."""
+        inside = min(max(x, self._ends[0]), self._ends[1])
+        slope = self._slope(inside)
+        return self._joint(inside) + (x - inside) * slope, slope
 
     def weights_at(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """(points, nodes) weights at (points,) values."""
-        rising = self.nodes[self._order]
-        right = np.clip(np.searchsorted(rising, x), 1, len(rising) - 1)
-        low, high = self._order[right - 1], self._order[right]
-        part = (x - self.nodes[low]) / (self.nodes[high] - self.nodes[low])
-        weights, each = np.zeros((len(x), len(self.nodes))), np.arange(len(x))
-        weights[each, high] = part
-        weights[each, low] = 1.0 - part
-        return weights
+        inside = np.clip(x, *self._ends)
+        beyond = (x - inside)[:, None]
+        return np.asarray(self._joint(inside) + beyond * self._slope(inside), np.float64)
 
 
 def chebyshev_nodes(low: float, high: float, count: int) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from mcrim_mitsuba.inference.model import (
     configurations,
     refuse_unnamed_coefficients,
 )
+from mcrim_mitsuba.inference.profiles import Profile, profiles_of
 
 #: Photons of a campaign, shared out among its configurations, and the fewest for each.
 DEFAULT_PHOTONS, FEWEST_PHOTONS = 27_000_000, 1_000_000
@@ -65,6 +67,11 @@ class CampaignResult:
     spent: tuple[Spent, ...]
     #: Of the simulations, the first look's included; the fit has notes of its own.
     provenance: Provenance
+
+    @cached_property
+    def profiles(self) -> tuple[Profile, ...]:
+        """How chi2 rises along every free parameter and the light yield."""
+        return profiles_of(self.model, self.calibration)
 
 
 def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignResult:

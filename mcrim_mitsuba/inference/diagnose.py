@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from scipy.special import chdtrc, logsumexp
@@ -192,19 +192,32 @@ class Judgement:
             if lead > -_RIVAL and leading:
                 return Verdict(
                     AMBIGUOUS,
-                    f"{_effects(leading)} and {suspects[0].words} explain the misfit about "
+                    f"{self._titles(leading)} and {suspects[0].words} explain the misfit about "
                     "equally well: check the reading first",
                     leading,
                     suspects,
                 )
         if leading:
-            return _of_leading(leading, best)
+            return self._of_leading(leading, best)
         return Verdict(
             UNEXPLAINED,
             f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom, and something that "
             "is in no catalogue is likelier than any effect, or two together: of these "
             f"{best.chi2:.3g} for {best.ndf} at best",
         )
+
+    def _of_leading(self, leading: tuple[tuple[str, ...], ...], best: Fit) -> Verdict:
+        p, titles = best.p_value, self._titles(leading)
+        quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
+        quality += f" (p = {p:.2g})" if p is not None else ""
+        if len(leading) == 1:
+            return Verdict(MISSING_EFFECT, f"{titles} explains the misfit: {quality}", leading)
+        reason = f"the readings cannot tell apart {titles}: {quality} with the first"
+        return Verdict(AMBIGUOUS, reason, leading)
+
+    def _titles(self, leading: tuple[tuple[str, ...], ...]) -> str:
+        *first, last = map(self.explanations.title, leading)
+        return f"{', '.join(first)} and {last}" if first else last
 
     def _leading(self, pairs: Ranking | None) -> tuple[tuple[tuple[str, ...], ...], Fit]:
         """Effects that explain the readings, and of all effects the fit that does best."""
@@ -270,21 +283,6 @@ def explains(fit: Fit, level: float) -> bool:
     return fit.chi2 < 1.0 if p is None else p >= level
 
 
-def _of_leading(leading: tuple[tuple[str, ...], ...], best: Fit) -> Verdict:
-    p = best.p_value
-    quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
-    quality += f" (p = {p:.2g})" if p is not None else ""
-    if len(leading) == 1:
-        return Verdict(
-            MISSING_EFFECT, f"{_effects(leading)} explains the misfit: {quality}", leading
-        )
-    return Verdict(
-        AMBIGUOUS,
-        f"the readings cannot tell apart {_effects(leading)}: {quality} with the first",
-        leading,
-    )
-
-
 def _of_suspects(suspects: tuple[Suspect, ...]) -> Verdict:
     others = f", or {suspects[1].words}" if len(suspects) > 1 else ""
     return Verdict(
@@ -293,10 +291,6 @@ def _of_suspects(suspects: tuple[Suspect, ...]) -> Verdict:
         "before physics is blamed",
         suspects=suspects,
     )
-
-
-def _effects(leading: tuple[tuple[str, ...], ...]) -> str:
-    return ", ".join(" with ".join(effects) for effects in leading)
 
 
 def _justified(now: Fit, more: Fit) -> bool:
@@ -333,6 +327,8 @@ class RepairStep:
     parameters: dict[str, ParameterEstimate]
     #: ``value`` and ``sigma``.
     light_yield_ph_per_keV: dict[str, float] | None
+    #: The effect in words.
+    title: str = ""
 
 
 def steps(explanations: Explanations, chosen: tuple[str, ...]) -> tuple[RepairStep, ...]:
@@ -359,6 +355,7 @@ def steps(explanations: Explanations, chosen: tuple[str, ...]) -> tuple[RepairSt
                 light_yield_ph_per_keV=(
                     {"value": of_light.value, "sigma": of_light.sigma} if of_light else None
                 ),
+                title=explanations.title(effects[-1:]),
             )
         )
         before = fit
@@ -415,6 +412,8 @@ class Diagnosis:
     families: tuple[FamilyProbability, ...] = ()
     #: What a repair would add, were its size one that a laboratory meets.
     set_aside: tuple[str, ...] = ()
+    #: The effects that are named, in words.
+    titles: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -641,6 +640,7 @@ def diagnose_models(
         seconds=time.perf_counter() - began,
         families=families,
         set_aside=set_aside,
+        titles={name: effect.title for name, effect in effects.items()},
     )
 
 

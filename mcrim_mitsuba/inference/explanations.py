@@ -184,6 +184,10 @@ class Explanations:
         chi2 = descend(fit.problem, start, fit.weights, held=held, precision=0.01)[1]
         return chi2 < fit.chi2 + 1.0
 
+    def title(self, added: Iterable[str]) -> str:
+        """Effects in words; several are joined by "with"."""
+        return " with ".join(self.effects[name].title for name in added)
+
     def family(self, added: Iterable[str]) -> str:
         """What effects are relatives of; of several families all, joined by ``+``."""
         return " + ".join(dict.fromkeys(self.effects[name].family for name in added))

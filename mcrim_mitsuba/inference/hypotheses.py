@@ -75,10 +75,13 @@ class FittedHypothesis:
     #: All readings, in the file's order.
     rows: tuple[FittedRow, ...]
 
+    #: What it switches on, in words.
+    titles: tuple[str, ...] = ()
+
     @property
     def words(self) -> str:
-        """``B (gap_bubble)``."""
-        return f"{self.name} ({' with '.join(self.effects) or 'nothing added'})"
+        """``B (air bubble in the gap)``."""
+        return f"{self.name} ({' with '.join(self.titles) or 'nothing added'})"
 
 
 @dataclass(frozen=True)
@@ -210,6 +213,7 @@ def side_by_side(made: Mapping[str, Explanations]) -> SideBySide:
             probability=weighed.probabilities[name],
             parameters=estimates(fit),
             rows=rows(fit),
+            titles=tuple(each.title for each in made[name].effects.values()),
         )
         for name, fit in fits.items()
     )  # fmt: skip

@@ -117,7 +117,7 @@ class LeastSquaresProblem(Likelihood):
     def exchanged(self, order: NDArray[np.int64]) -> LeastSquaresProblem:
         """The same with its (used,) readings, and their own errors, in another order."""
         other = copy.copy(self)
-        other.signal, other._variance = self.signal[order], self._variance[order]
+        other.signal, other.variance = self.signal[order], self.variance[order]
         return other
 
     def theta(self, values: Mapping[str, float]) -> Array:

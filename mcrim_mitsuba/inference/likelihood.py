@@ -82,7 +82,8 @@ class Likelihood:
         Which of the model's readings the statistic uses.
     labels : tuple of str
         Of these.
-    signal : (used,) float64
+    signal, variance : (used,) float64
+        The readings, and the squares of their own errors.
     prior, prior_weight : (free,) float64
         The weight is 1 / sigma^2; both are 0 without a prior.
     """
@@ -96,13 +97,15 @@ class Likelihood:
         used = [reading for reading in model.readings if reading.use]
         self.labels = tuple(reading.label for reading in used)
         self.signal = np.array([reading.signal for reading in used])
-        self._variance = np.array([reading.sigma for reading in used]) ** 2
-        # group_sigma^2 where two readings share a mounting, else 0
-        self._shared = np.array(
-            [[(a.group_sigma or 0.0) ** 2 * (a.group == b.group) for b in used] for a in used]
-        )
+        self.variance = np.array([reading.sigma for reading in used]) ** 2
+        # group_sigma^2 where two readings share a mounting, else 0; one 0 where none do
+        sizes = np.array([reading.group_sigma or 0.0 for reading in used]) ** 2
+        groups = np.array([reading.group or "" for reading in used])
+        self._shared = np.zeros(())
+        if sizes.any():
+            self._shared = sizes[:, None] * (groups[:, None] == groups)
         # relative covariance of what no parameter explains
-        self._unexplained = np.zeros_like(self._shared)
+        self._unexplained = np.zeros(())
         self.prior = np.array([0.0 if p.prior is None else p.prior for p in self.free])
         self.prior_weight = np.array(
             [0.0 if p.prior_sigma is None else p.prior_sigma**-2 for p in self.free]
@@ -133,14 +136,14 @@ class Likelihood:
         signal, per_eta = prediction.signal[self.used], prediction.signal_per_eta[self.used]
         monte_carlo = prediction.eta_covariance[np.ix_(self.used, self.used)]
         return ErrorMatrices(
-            np.diag(self._variance) + (self._shared + self._unexplained) * np.outer(signal, signal),
+            np.diag(self.variance) + (self._shared + self._unexplained) * np.outer(signal, signal),
             np.outer(per_eta, per_eta) * monte_carlo,
         )
 
     def errors_before_any_fit(self) -> ErrorMatrices:
         """The same without a model: shared errors from the readings, no Monte Carlo error."""
         shared = self._shared * np.outer(self.signal, self.signal)
-        return ErrorMatrices(np.diag(self._variance) + shared, np.zeros_like(shared))
+        return ErrorMatrices(np.diag(self.variance) + shared, np.zeros_like(shared))
 
     def best_scale(self, eta: Array, errors: ErrorMatrices) -> float:
         """The scale that fits (readings,) efficiencies best: the statistic is quadratic in it."""

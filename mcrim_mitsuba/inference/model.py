@@ -431,11 +431,10 @@ class ResponseModel:
             found = fine @ self.responses.log_eta[rows].reshape(len(rows), -1).T
             for response in self.switched_on:
                 weights = response.weights_at([values[axis.name] for axis in response.axes])
-                tables = response.log_ratio[..., rows, :, :].reshape(
-                    weights.shape[1], len(rows), -1
-                )
-                for weight, table in zip(weights.T, tables, strict=True):
-                    found = found + weight[:, None] * (coarse @ table.T)
+                tables = response.log_ratio[..., rows, :, :].reshape(-1, coarse.shape[1])
+                # of all nodes and readings at once: products with few columns are slow
+                at_nodes = (coarse @ tables.T).reshape(len(coarse), -1, len(rows))
+                found = found + (weights[:, :, None] * at_nodes).sum(1)
             log_eta[:, rows] = found
         if self._shift is not None:
             log_eta += self._shift

@@ -12,20 +12,26 @@ readings.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 from scipy.special import logsumexp
+from scipy.stats import norm
 
+from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.numbers import Value, unit_of
+from mcrim_mitsuba.core.rounding import short_text
 from mcrim_mitsuba.inference.evidence import INTERVAL, WIDTH, Hypothesis
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.unexplained import unnamed_at
 from mcrim_mitsuba.inference.workbench import MeasurementProposals
+from mcrim_mitsuba.scene.check_text import is_filled
+from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE, BEAM_AXIS, GAP_INDEX
 
 # An expected difference in chi2 from which two explanations count as separated.
 _SEPARATED = 6.0
@@ -38,6 +44,9 @@ _TOGETHER = 12
 _MOST_RIVALS, _MOST_SETS, _LIKELY = 3, 5, 0.01
 # Points that further readings are made at.
 _OUTCOMES = 128
+# The error that is promised, the median of all outcomes, counts as kept within this part of it. A
+# reading that does not keep it in so many outcomes is worth so much of one that does.
+_KEPT, _SURELY, _UNSURE = 0.3, 0.8, 0.5
 
 
 @dataclass(frozen=True)
@@ -59,6 +68,51 @@ class NextMeasurement:
     probability: float
     #: To mount what is proposed.
     hours: float
+    #: The reading, or the two, in words: `configuration_words`.
+    words: str = ""
+
+
+# Parameters of usual benches: what is said of a value, {} being it.
+_SAID = {
+    "aperture_radius_mm": "mask of {} mm radius",
+    "gap_mm": "gap of {} mm",
+    "crystal_height_mm": "crystal {} mm high",
+    "crystal_width_mm": "crystal {} mm wide",
+    BEAM_AXIS: "beam along {}",
+    ACCEPTANCE: "within {} degrees",
+}
+# In a scene's comment, what a value stands for: ``1.00 for air, 1.46 for the optical gel``.
+_STANDS_FOR = re.compile(r"([\d.]+) for (?:the |an? )?([^,;:]+)")
+
+
+def configuration_words(parameters: Mapping[str, Value], comments: Mapping[str, str]) -> str:
+    """A configuration in words: ``optical gel (n = 1.46), mask of 4 mm radius``.
+
+    Parameters
+    ----------
+    parameters : mapping of str to Value
+        Of the scene or the beam; perhaps ``kind``.
+    comments : mapping of str to str
+        Of the scene's parameters: what values stand for, and what else parameters are called.
+    """
+    said = [TRANSMITTANCE] if parameters.get(KIND, LIGHT) == TRANSMITTANCE else []
+    for name, value in parameters.items():
+        text = short_text(value)
+        called = {float(n): what.strip() for n, what in _STANDS_FOR.findall(comments.get(name, ""))}
+        if name == KIND:
+            continue
+        if name == GAP_INDEX:
+            usual = "liquid" if is_filled(float(value)) else "air"
+            said.append(f"{called.get(float(value), usual)} (n = {text})")
+        elif name in _SAID:
+            said.append(_SAID[name].format(text))
+        elif value in called:
+            said.append(f"{called[float(value)]} ({name} = {text})")
+        else:
+            meaning = re.split("[,:]", comments.get(name, ""))[0].strip()
+            unit = unit_of(name) if meaning else None
+            said.append(" ".join(filter(None, (meaning or f"{name} =", text, unit))))
+    return ", ".join(said)
 
 
 def next_measurements(
@@ -70,7 +124,8 @@ def next_measurements(
     """Configurations by what a reading there would buy per hour.
 
     That is half of the part by which the light yield's error would fall, and half of that by which
-    the doubt which explanation is right would.
+    the doubt which explanation is right would. What may buy nearly all or nothing is no good
+    advice: it counts half.
 
     Parameters
     ----------
@@ -92,14 +147,15 @@ def next_measurements(
     cloud = _cloud(explanations, leading, hypotheses, proposals)
     rises, pairs = cloud.rises(leading[:_MOST_RIVALS])
     readings = cloud.outcomes()
-    before, sure = cloud.left(np.zeros((1, len(cloud.weights))), efficiency)
+    before, _, sure = cloud.left(np.zeros((1, len(cloud.weights))), efficiency)
 
     def bought(places: tuple[int, ...]) -> tuple[float, float, float]:
         told = np.sum([cloud.log_likelihood(readings, i) for i in places], axis=0)
-        error, probability = cloud.left(told, efficiency)
+        error, kept, probability = cloud.left(told, efficiency)
         fallen = 1.0 - error / before if cloud.yields is not None else 0.0
         doubt = (probability - sure) / max(1.0 - sure, 1e-9)
-        return 0.5 * (fallen + doubt) / proposals.hours(*places), error, probability
+        worth = 0.5 * (fallen + doubt) / proposals.hours(*places)
+        return worth if kept >= _SURELY else _UNSURE * worth, error, probability
 
     each: dict[tuple[int, ...], tuple[float, float, float]] = {
         (i,): bought((i,)) for i in range(len(configurations))
@@ -130,6 +186,9 @@ def next_measurements(
                 light_yield_sigma=error if known is not None and cloud.yields is not None else None,
                 probability=probability,
                 hours=proposals.hours(*places),
+                words="; and ".join(
+                    configuration_words(each, proposals.comments) for each in (first, *second)
+                ),
             )
         )
     return tuple(found)
@@ -164,24 +223,26 @@ class _Cloud:
         away = (readings[:, place, None] - predicted) / (self.relative_sigma[place] * predicted)
         return np.asarray(-0.5 * away**2 - np.log(predicted), float)
 
-    def left(self, log_likelihood: Array, efficiency: float) -> tuple[float, float]:
-        """Relative error of the light yield, the median of all outcomes, after these.
+    def left(self, log_likelihood: Array, efficiency: float) -> tuple[float, float, float]:
+        """Relative error of the light yield after outcomes, (outcomes, points) of logarithms.
 
-        And the mean probability of the likeliest explanation; (outcomes, points) of logarithms.
+        The median of all outcomes, the part of them that is near it, and the mean probability of
+        the likeliest explanation.
         """
         weights = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True)) * self.weights
         weights /= weights.sum(axis=1, keepdims=True)
         by_name = np.stack([weights[:, self.of == k].sum(axis=1) for k in range(len(self.names))])
         probability = float(by_name.max(axis=0).mean())
         if self.yields is None:
-            return math.nan, probability
+            return math.nan, math.nan, probability
         mean, cumulated = weights @ self.yields, np.cumsum(weights, axis=1)
         low, high = (
             self.yields[np.minimum((cumulated < part).sum(axis=1), len(self.yields) - 1)]
             for part in (0.5 - 0.5 * INTERVAL, 0.5 + 0.5 * INTERVAL)
         )
         error = np.hypot((high - low) / WIDTH / mean, efficiency)
-        return float(np.median(error)), probability
+        promised = float(np.median(error))
+        return promised, float(np.mean(np.abs(error / promised - 1.0) < _KEPT)), probability
 
     def rises(self, leading: Sequence[tuple[str, ...]]) -> tuple[Array, list[tuple[int, int]]]:
         """(pairs, m): with one of two true, what a reading raises the chi2 of the other by."""
@@ -189,8 +250,10 @@ class _Cloud:
         means, variances = [], []
         for effects in leading:
             own = self.of == self.names.index(" + ".join(effects))
-            means.append(self.signals[own].mean(axis=0))
-            variances.append(self.signals[own].var(axis=0))
+            # by quantiles: one point far away would make up most of a variance
+            low, middle, high = np.quantile(self.signals[own], norm.cdf((-1.0, 0.0, 1.0)), axis=0)
+            means.append(middle)
+            variances.append((0.5 * (high - low)) ** 2)
         found = [
             (means[a] - means[b]) ** 2
             / (

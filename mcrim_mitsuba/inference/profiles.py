@@ -25,6 +25,8 @@ from mcrim_mitsuba.inference.model import Model
 
 #: Rises of chi2 that hold 68.3 % and 95.4 % of a Gaussian likelihood, and where curves end.
 ONE_SIGMA, TWO_SIGMA, END = 1.0, 4.0, 9.0
+# That which holds 95 %.
+_RISE_95 = 3.841
 #: Points on either side of the solution.
 POINTS = 12
 # Fall of chi2, still to be expected, that ends a descent.
@@ -62,6 +64,11 @@ class Profile:
     def curve(self) -> CubicHermiteSpline:
         """The rise between the points: cubic, by values and slopes."""
         return CubicHermiteSpline(self.values, self.delta_chi2, self.slopes)
+
+    @property
+    def interval_95(self) -> tuple[float | None, float | None]:
+        """Ends of the interval that holds 95 %; None where a bound comes before."""
+        return self.crossings(_RISE_95)
 
     def crossings(self, rise: float) -> tuple[float | None, float | None]:
         """Where the curve crosses a rise below and above the solution; None where it does not."""

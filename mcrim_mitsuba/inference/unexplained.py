@@ -20,14 +20,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.inference.compare import BAD_READING, SWAPPED_ROWS, Suspect, suspected
+from mcrim_mitsuba.inference.compare import (
+    BAD_READING,
+    SWAPPED_ROWS,
+    Suspect,
+    likely_swaps,
+    suspected,
+)
 from mcrim_mitsuba.inference.evidence import Hypothesis, evidence_of
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.least_squares import Fit, LeastSquaresProblem, settle
@@ -66,6 +72,8 @@ MOST_BAD = 3
 _BAD_SIZES = (0.04, 0.15)
 #: Hypotheses of each kind that are fitted, after all were judged to first order.
 _FITTED = 3
+#: Sets of readings that are judged at the same time.
+_SETS_AT_ONCE = 20_000
 
 
 def unnamed(explanations: Explanations, singles: Sequence[tuple[str, ...]]) -> list[Hypothesis]:
@@ -189,7 +197,7 @@ def of_instrument(explanations: Explanations) -> list[tuple[Hypothesis, Suspect]
     problem = explanations.baseline.problem
     found = [_bad(explanations, places) for places in _worst(explanations)]
     log_odds = math.log(_SWAPPED_ODDS / max(math.comb(len(problem.signal), 2), 1))
-    for places in _likely_swaps(explanations):
+    for places in likely_swaps(explanations.baseline, _FITTED):
         order = np.arange(len(problem.signal), dtype=np.int64)
         order[list(places)] = places[::-1]
         fit = settle(problem.exchanged(order), explanations.baseline.theta)
@@ -238,27 +246,21 @@ def _worst(explanations: Explanations) -> list[tuple[int, ...]]:
     signal = np.abs(baseline.signal[baseline.problem.used])
     found = []
     for count in range(1, min(MOST_BAD, max(baseline.ndf - 1, 0)) + 1):
-        sets = np.array(list(combinations(range(len(signal)), count)))
-        within = precision[sets[:, :, None], sets[:, None, :]]
-        pulled, gains = drawn[sets], np.full(len(sets), -np.inf)
-        for size in _BAD_SIZES:
-            t = (size * signal[sets]) ** 2
-            inner = within + np.eye(count) / t[:, None, :]
-            follow = np.linalg.solve(inner, pulled[..., None])[..., 0]
-            log_det = np.linalg.slogdet(inner)[1] + np.log(t).sum(axis=1)
-            gains = np.maximum(gains, 0.5 * ((pulled * follow).sum(axis=1) - log_det))
-        found += [tuple(map(int, sets[i])) for i in np.argsort(-gains, kind="stable")[:_FITTED]]
+        best: list[tuple[float, tuple[int, ...]]] = []
+        every = combinations(range(len(signal)), count)
+        # of hundreds of readings there are millions
+        while some := list(islice(every, _SETS_AT_ONCE)):
+            sets = np.array(some)
+            within = precision[sets[:, :, None], sets[:, None, :]]
+            pulled, gains = drawn[sets], np.full(len(sets), -np.inf)
+            for size in _BAD_SIZES:
+                t = (size * signal[sets]) ** 2
+                inner = within + np.eye(count) / t[:, None, :]
+                follow = np.linalg.solve(inner, pulled[..., None])[..., 0]
+                log_det = np.linalg.slogdet(inner)[1] + np.log(t).sum(axis=1)
+                gains = np.maximum(gains, 0.5 * ((pulled * follow).sum(axis=1) - log_det))
+            highest = np.argsort(-gains, kind="stable")[:_FITTED]
+            best += [(gains[i], some[i]) for i in highest]
+            best = sorted(best, key=lambda each: -each[0])[:_FITTED]
+        found += [places for _, places in best]
     return found
-
-
-def _likely_swaps(explanations: Explanations) -> list[tuple[int, int]]:
-    """Pairs of rows whose exchange lowers chi2 most, to first order."""
-    baseline = explanations.baseline
-    residuals, signal = baseline.residuals, baseline.problem.signal
-    heights = []
-    for i, j in combinations(range(len(signal)), 2):
-        moved = residuals.copy()
-        moved[i] += signal[j] - signal[i]
-        moved[j] += signal[i] - signal[j]
-        heights.append((float(moved @ baseline.precision @ moved), i, j))
-    return [(i, j) for _, i, j in sorted(heights)[:_FITTED]]

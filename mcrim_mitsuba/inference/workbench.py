@@ -68,6 +68,8 @@ class MeasurementProposals:
     relative_sigma: float | Array
     #: What a parameter's change from the scene's value takes besides a mounting.
     minutes: Mapping[str, float] = field(default_factory=dict)
+    #: What the scene says of its parameters, by name.
+    comments: Mapping[str, str] = field(default_factory=dict)
 
     def hours(self, *places: int) -> float:
         """To mount some of the configurations; what two have in common is changed once."""
@@ -220,7 +222,8 @@ class Workbench:
         sigmas = [self._usual_sigma(of_beam=False)] * len(light)
         sigmas += [self._usual_sigma(of_beam=True)] * len(beams)
         minutes = self.campaign.next_measurements.get(NEXT_MINUTES, {})
-        return MeasurementProposals([*light, *beams], predict, np.array(sigmas), minutes)
+        comments = {n: known.comment for n, known in self.campaign.scene.defaults.items()}
+        return MeasurementProposals([*light, *beams], predict, np.array(sigmas), minutes, comments)
 
     def _usual_sigma(self, *, of_beam: bool) -> float:
         """Relative error of a proposed reading of a kind."""

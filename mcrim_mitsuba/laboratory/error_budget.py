@@ -236,6 +236,7 @@ ADVICE: dict[str, Advice] = {
         "absorption: a longer sample, several thicknesses; scattering: more couplings and liquids"
     ),
     "prior": Advice(f"what the prior rests on; for absorption {_ABSORPTION}"),
+    "plausible": Advice("further readings, which determine the size of what is missing"),
     "absorption": Advice(_ABSORPTION),
     "transmittance": Advice(
         "a longer sample or several thicknesses, a better spectrophotometer, its 100 % line"

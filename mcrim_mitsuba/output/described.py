@@ -38,6 +38,8 @@ class Column:
     #: As a data frame has it; the error of NAME is NAME_sigma. Empty: as the title.
     name: str = ""
     left: bool = False
+    #: In small print: what has to be typed, such as an id.
+    small: bool = False
 
 
 @dataclass(frozen=True)
@@ -225,7 +227,10 @@ def rich_tables(given: Table, width: int) -> Iterator[RichTable]:
         for at in block:
             columns[at] = [wrapped(content, wide[at]) for content in columns[at]]
             side: JustifyMethod = "left" if at == 0 or given.columns[at].left else "right"
-            made.add_column(Text(columns[at][0]), justify=side, no_wrap=True, overflow="fold")
+            made.add_column(
+                Text(columns[at][0]), justify=side, no_wrap=True, overflow="fold",
+                style="dim" if given.columns[at].small else "",
+            )  # fmt: skip
         for number, one in enumerate((*given.rows, *given.sums), start=1):
             if number == len(given.rows) + 1:
                 made.add_section()
@@ -282,9 +287,10 @@ def _line(content: str, strong: bool = False) -> Markup:
 def _html_table(given: Table) -> Markup:
     def line(tag: str, texts: Iterable[str], strong: bool = False) -> Markup:
         cells = (
-            Markup('<{} style="text-align:{}{}">{}</{}>').format(
+            Markup('<{} style="text-align:{}{}{}">{}</{}>').format(
                 tag, "left" if at == 0 or column.left else "right",
-                ";font-weight:bold" if strong else "", visible(content, keep="\n"), tag,
+                ";font-weight:bold" if strong else "",
+                ";font-size:smaller" if column.small else "", visible(content, keep="\n"), tag,
             )
             for at, (column, content) in enumerate(zip(given.columns, texts, strict=True))
         )  # fmt: skip

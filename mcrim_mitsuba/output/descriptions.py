@@ -7,8 +7,17 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.core.rounding import number, p_text, pdg, pdg_parts, percent, probability
+from mcrim_mitsuba.core.rounding import (
+    capital,
+    number,
+    p_text,
+    pdg,
+    pdg_parts,
+    percent,
+    probability,
+)
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.profiles import profiles_of
 from mcrim_mitsuba.output import findings
@@ -68,9 +77,10 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
     parts: list[Part] = [
         *([] if light is None else [Sentence(_light_yield(fit, light), strong=True)]),
         table("parameters", ("parameter", "value", "68.3 % interval"), values),
-        *_shapes(profiles_of(result.model, fit)),
+        *_shapes(result.profiles),
         table("where the errors come from", origins, errors),
         *([Sentence(of_detector)] if by_detector else []),
+        *_next(findings.next_for_fit(fit, result.model.campaign.priors)),
         table(
             "readings", ("reading", "measured", "model", "pull", "eta"),
             ((*_reading(one), measured(one.eta, one.eta_sigma or None)) for one in fit.rows),
@@ -104,6 +114,11 @@ def _light_yield(fit: Calibration, light: ParameterEstimate) -> str:
     """The result, and whether to believe it."""
     doubt = ", but the model does not describe the readings" if findings.fails(fit) else ""
     return f"Light yield: {findings.estimate_text(light)} ph/keV{doubt}"
+
+
+def _next(what: str) -> list[Sentence]:
+    """What to measure next; nothing where nothing is said."""
+    return [Sentence(what, strong=True)] if what else []
 
 
 def _shapes(profiles: Iterable[Profile]) -> list[Sentence]:
@@ -232,7 +247,7 @@ def of_hypotheses(found: HypothesesCompared) -> Described:
         for size, each in sizes.items()
     )
     parts: list[Part] = [
-        Sentence(f"{compared.verdict}: {compared.reason}", strong=True),
+        Sentence(f"{findings.verdict_words(compared.verdict)}: {compared.reason}", strong=True),
         *(Sentence(f"{one.name}: {findings.hypothesis_text(one)}") for one in hypotheses),
         table(
             "hypotheses", (Column("", "quantity"), *names),
@@ -268,9 +283,9 @@ def of_diagnosis(found: Diagnosed) -> Described:
     columns = ("configuration", "time", "yield to", "sure to", "gain in chi2", "tells apart")
     rows = (
         (
-            findings.configuration_text(one), *findings.bought(one),
+            one.words, *findings.bought(one),
             shown(one.expected_delta_chi2, number),
-            "; ".join(" from ".join(pair) for pair in one.separates),
+            "; ".join(findings.told_apart(diagnosis, one)),
         )
         for one in diagnosis.next_measurements
     )  # fmt: skip
@@ -282,8 +297,9 @@ def of_diagnosis(found: Diagnosed) -> Described:
         *_explanations(diagnosis),
         *_set_aside(diagnosis),
         *([limits_table(diagnosis)] if diagnosis.upper_limits else []),
+        *_next(findings.next_for_average(diagnosis)),
         *([table("what to measure next", columns, rows)] if diagnosis.next_measurements else []),
-        *(Sentence(f"not tried: {name}: {why}") for name, why in diagnosis.not_tried.items()),
+        *(Sentence(f"not tried: {one}") for one in findings.not_tried(diagnosis)),
     ]
     return _described("what explains a campaign's misfit", parts, found.baseline, found.provenance)
 
@@ -299,9 +315,10 @@ def _set_aside(diagnosis: Diagnosis) -> list[Sentence]:
     return [Sentence(text, strong=True)] if text else []
 
 
+_ID = Column("id", "effect", left=True, small=True)
 _CANDIDATE = (
-    "effect", "probability", Column("size", left=True), Column("plausible?", left=True),
-    "light yield", "gain in chi2", "p, fit", "left out",
+    Column("effect", "title"), "probability", Column("size", left=True),
+    Column("plausible?", left=True), "light yield", "gain in chi2", "p, fit", "left out", _ID,
 )  # fmt: skip
 _EXPLANATION = (
     "probability: among all that was tried and nothing, averaged over plausible sizes; light "
@@ -320,11 +337,7 @@ def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
     )
     for candidates, title in titles:
         if candidates:
-            known = diagnosis.probabilities
-            rows = (
-                row(*_candidate(one, known.get(one.effect)), strong=one in leading)
-                for one in candidates
-            )
+            rows = (row(*_candidate(diagnosis, one), strong=one in leading) for one in candidates)
             yield table(title, _CANDIDATE, rows)
     if diagnosis.candidates:
         yield Sentence(_EXPLANATION)
@@ -335,12 +348,13 @@ def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
     yield from listed("How to look for it, without a fit:", findings.looks(diagnosis))
 
 
-def _candidate(one: Candidate, p: float | None) -> tuple[str | Cell, ...]:
+def _candidate(diagnosis: Diagnosis, one: Candidate) -> tuple[str | Cell, ...]:
+    p = diagnosis.probabilities.get(one.effect)
     light = one.light_yield_ph_per_keV or {}
     change = light.get("change")
     changed = "" if change is None else f" ({findings.change_text(change)})"
     return (
-        one.effect,
+        capital(" + ".join(findings.titles_of(diagnosis, one.effects))),
         "" if p is None else Cell(probability(p), p),
         findings.size_text(one, "\n"),
         findings.plausibility(one),
@@ -348,16 +362,20 @@ def _candidate(one: Candidate, p: float | None) -> tuple[str | Cell, ...]:
         Cell(findings.gain_text(one), one.delta_chi2, one.delta_chi2_sigma or None),
         shown(one.p_value, p_text),
         shown(one.left_out_error, number),
+        one.effect,
     )  # fmt: skip
 
 
 def limits_table(diagnosis: Diagnosis) -> Table:
     """How large each effect may be, where the readings need none."""
     rows = (
-        (name, limit.parameter or "on or off", findings.limit_text(limit))
+        (
+            capital(findings.in_words(diagnosis, [name])), findings.limit_text(limit),
+            limit.parameter or "on or off", name,
+        )
         for name, limit in diagnosis.upper_limits.items()
-    )
-    columns = ("effect", "parameter", "size")
+    )  # fmt: skip
+    columns = (Column("effect", "title"), "size", Column("parameter", left=True, small=True), _ID)
     return table("what the readings allow, 95 % confidence", columns, rows)
 
 
@@ -372,11 +390,11 @@ def of_repair(found: Repaired, *, with_steps: bool = True) -> Described:
     ]
     parts += _set_aside(diagnosis)
     if found.undetermined:
-        last = findings.together(diagnosis.repair[-1].effects)
+        last = findings.in_words(diagnosis, diagnosis.repair[-1].effects)
         text = f"With {last}, {found.undetermined}: diagnose says what to measure next."
         parts.append(Sentence(text))
     if found.effects:
-        together = f"With {findings.together(found.effects)} simulated together: "
+        together = f"With {findings.in_words(diagnosis, found.effects)} simulated together: "
         quality = f"chi2 = {number(fit.chi2)} (ndf {fit.ndf}, p = {p_text(fit.p_value)})"
         parts += [Sentence(together + quality), *_parameters(fit.parameters)]
         parts += _shapes(profiles_of(found.model, fit))
@@ -400,7 +418,7 @@ def _step(one: RepairStep) -> dict[str, str]:
     _, light = findings.light_yield_text(one.parameters)
     scattering = one.parameters.get(ALPHA_SCAT)
     return {
-        "added": "as it came" if one.added is None else f"+ {one.added}",
+        "added": "as it came" if one.added is None else f"+ {one.title or one.added}",
         "chi2": f"{number(one.chi2)} / {one.ndf}"
         + (f" = {number(one.chi2 / one.ndf)}" if one.ndf > 0 else ""),
         "p": p_text(one.p_value),
@@ -443,7 +461,10 @@ def of_budget(found: Budget) -> Described:
     """Contributions, what the model leaves out, and values with all errors."""
     budgets = {name: found.contributions[name] for name in found.main if name in found.totals}
     title = "where the errors come from, in the model as it is"
-    origins = [contributions_table(title, budgets)] if budgets else []
+    origins: list[Part] = [contributions_table(title, budgets)] if budgets else []
+    main = next((name for name in (LIGHT_YIELD, SCALE) if name in budgets), None)
+    if main is not None:
+        origins += _next(findings.what_next(budgets[main], findings.called(main)))
     parts: list[Part] = [*origins, *_shifts(found), *_totals(found)]
     return _described("error budget of a campaign", parts, found.calibration, found.provenance)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from typing import Any
@@ -19,7 +20,7 @@ from scipy.special import chdtri
 
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.core.rounding import number, p_text, probability
+from mcrim_mitsuba.core.rounding import capital, number, p_text, probability
 from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
@@ -30,7 +31,9 @@ from mcrim_mitsuba.output.findings import (
     estimate_text,
     leading_candidates,
     plausibility,
+    short_headline,
     size_text,
+    titles_of,
 )
 
 _PAIRS_SHOWN = 6
@@ -81,8 +84,8 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     shown = [*diagnosis.candidates, *diagnosis.pairs[:_PAIRS_SHOWN]]
     if not shown:
         return style.Drawing(_nothing_tried(diagnosis), *numbers)
-    # a row is as high as its sizes have lines
-    further = [0 if brief else max(len(c.effect_parameters) - 1, 0) for c in shown]
+    # a row is as high as its effects, and its sizes, have lines
+    further = [max(len(c.effects), 0 if brief else len(c.effect_parameters), 1) - 1 for c in shown]
     heights = np.array([1 + _FURTHER_LINE * lines for lines in further])
     places = np.cumsum(heights) - heights / 2
     table = [
@@ -92,10 +95,12 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     ][: 1 if brief else None]
     lines = [[line for text in column for line in text.split("\n")] for column in table]
     widths = [_LABEL_PER_CHARACTER * max(map(len, column)) + 0.25 for column in lines]
-    names = [style.shortened(candidate.effect, 46) for candidate in shown]
-    room = _LABEL_PER_CHARACTER * max(map(len, names)) + 0.4
+    words = [map(style.shortened, titles_of(diagnosis, c.effects)) for c in shown]
+    names = [capital("\n+ ".join(each)) for each in words]
+    longest = max(len(line) for name in names for line in name.split("\n"))
+    room = _LABEL_PER_CHARACTER * longest + 0.4
     figure = style.canvas(room + _BARS_WIDTH + sum(widths), 1.8 + _PER_ROW * max(heights.sum(), 4))
-    chances, bars, words = figure.subplots(
+    chances, bars, beside = figure.subplots(
         1, 3, sharey=True, width_ratios=(*_BARS_WIDTHS, sum(widths))
     )
     _draw_probabilities(chances, places, shown, leading, diagnosis.probabilities)
@@ -108,7 +113,7 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     threshold = _draw_threshold(bars, heights, diagnosis.baseline.chi2, shown)
     bars.axvline(0, color=style.GREY, lw=0.9)
     if diagnosis.pairs and diagnosis.candidates:
-        for axes in (chances, bars, words):
+        for axes in (chances, bars, beside):
             axes.axhline(len(diagnosis.candidates), color=style.GREY, lw=0.9, ls=":")
     chances.set_yticks(places, names, fontsize=10, parse_math=False)
     for tick, candidate in zip(chances.get_yticklabels(), shown, strict=True):
@@ -119,12 +124,12 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     for axes in (chances, bars):
         axes.tick_params(axis="y", length=0)
     bars.tick_params(axis="y", labelleft=False)
-    words.set_axis_off()
-    words.set_xlim(0, sum(widths))
+    beside.set_axis_off()
+    beside.set_xlim(0, sum(widths))
     for (title, *column), left in zip(table, np.cumsum([0.1, *widths[:-1]]), strict=True):
-        words.text(left, -0.2, title, fontsize=9.5, weight="bold", va="bottom")
+        beside.text(left, -0.2, title, fontsize=9.5, weight="bold", va="bottom")
         for place, candidate, text in zip(places, shown, column, strict=True):
-            words.text(
+            beside.text(
                 left, place, text, fontsize=9.5, va="center", parse_math=False,
                 weight="bold" if candidate in leading else "normal",
             )  # fmt: skip
@@ -160,10 +165,11 @@ def _draw_probabilities(
 def _title_ranking(figure: Figure, diagnosis: Diagnosis) -> None:
     baseline = diagnosis.baseline
     title = (
-        f"{diagnosis.verdict}; without any effect χ² = {number(baseline.chi2)}, "
+        f"{short_headline(diagnosis)}; without any effect χ² = {number(baseline.chi2)}, "
         f"ndf {baseline.ndf}, p = {p_text(baseline.p_value)}"
     )
-    figure.suptitle(title, x=0.01, ha="left", fontsize=11.5, weight="bold")
+    title = textwrap.fill(title, style.letters_across(figure))
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11.5, weight="bold", parse_math=False)
 
 
 def _nothing_tried(diagnosis: Diagnosis) -> Figure:
@@ -230,7 +236,9 @@ def _final_stair(last: RepairStep, final: Calibration) -> _Final:
 def _name(stair: RepairStep) -> str:
     if isinstance(stair, _Final):
         return "final simulation"
-    return "as it came" if stair.added is None else f"+ {style.shortened(stair.added, 30)}"
+    return (
+        "as it came" if stair.added is None else f"+ {style.shortened(stair.title or stair.added)}"
+    )
 
 
 @style.styled

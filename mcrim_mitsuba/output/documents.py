@@ -10,6 +10,7 @@ from mcrim_mitsuba.core.files import attributes
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.core.run import Provenance
+    from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
     from mcrim_mitsuba.efficiency.table import EtaTable
     from mcrim_mitsuba.inference.budget import Budget
     from mcrim_mitsuba.inference.calibrate import CampaignResult
@@ -37,6 +38,15 @@ def of_simulation(result: SimulationResult) -> Document:
     ) | attributes(result, "interrupted notes")
 
 
+def of_map(mapped: EtaMap, spreads: Sequence[Spread]) -> Document:
+    names = "source eta eta_sigma relative_rms relative_rms_sigma fwhm"
+    return {
+        "spreads": [attributes(one, names) for one in spreads],
+        "cells": mapped.eta.shape,
+        **attributes(mapped, "photons seed parameters scene_hash"),
+    }
+
+
 def of_table(made: EtaTable, *, seconds: float | None = None) -> Document:
     return (
         attributes(made, "rows photons cached_photons seed")
@@ -49,7 +59,11 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
     fit, provenance = result.calibration, result.provenance
     known = {"seconds": seconds, "photons": provenance.photons, "spent": result.spent}
     notes = {"notes": [*fit.notes, *provenance.notes]}
-    return fit.to_json() | known | attributes(provenance, "seed scene_hash versions") | notes
+    document = fit.to_json()
+    for profile in result.profiles:
+        ends = zip(("lower_95", "upper_95"), profile.interval_95, strict=True)
+        document["parameters"][profile.name] |= dict(ends)
+    return document | known | attributes(provenance, "seed scene_hash versions") | notes
 
 
 def of_comparison(found: Compared) -> Document:

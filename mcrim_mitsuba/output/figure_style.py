@@ -111,6 +111,11 @@ def shortened(name: str, most: int = 34) -> str:
     return f"{name[:head].rstrip()}…{name[head + 1 - most :].lstrip()}"
 
 
+def letters_across(figure: Figure) -> int:
+    """Of a title, so that it is not cut at the figure's end."""
+    return round(9.5 * figure.get_figwidth())
+
+
 def save(figure: Figure, path: str | Path) -> Path:
     """Write a figure in the format of its suffix, one of `SUFFIXES`.
 
@@ -173,6 +178,15 @@ class Drawing:
     columns: Sequence[str]
     rows: Sequence[Sequence[object]]
 
+    def entitled(self, title: str) -> Drawing:
+        """The same with a title over it, and over what the figure says there itself."""
+        own = self.figure.get_suptitle()
+        words = "\n".join(filter(None, (shortened(title, letters_across(self.figure)), own)))
+        weight = "normal" if "\n" in own else "bold"
+        look = {"fontsize": 11.5, "weight": weight, "parse_math": False}
+        self.figure.suptitle(words, x=0.01, ha="left", **look)
+        return self
+
     def save(self, path: str | Path) -> tuple[Path, Path]:
         """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
 
@@ -197,6 +211,11 @@ _KNOWN_PARAMETERS = {
 def parameter_title(name: str) -> str:
     """A parameter with its unit; its own name where it has no other, which ends in the unit."""
     return _KNOWN_PARAMETERS.get(name) or shortened(name, 44).replace("$", r"\$")
+
+
+def signal_title(unit: str, line_end: str = " ") -> str:
+    """What an axis of signals is called; an empty unit is not known."""
+    return f"signal{line_end}({shortened(unit or 'unit of the measurement file', 40)})"
 
 
 # Fates of light: in one order, each with its colour, hatch and marker.
@@ -270,10 +289,7 @@ def units_of_signals(readings: Sequence[tuple[float, bool]]) -> np.ndarray:
     return np.array([max(light, default=1.0) if of_beam else 1.0 for _, of_beam in readings])
 
 
-def second_scale(axes: Axes, unit: float, *, below: bool = False) -> None:
-    """A scale of transmittances, one of 1 being drawn at `unit`: at the right, or above."""
+def second_scale(axes: Axes, unit: float) -> None:
+    """A scale of transmittances at the right, one of 1 being drawn at `unit`."""
     to_and_fro = (lambda y: 100 * y / unit, lambda percent: percent * unit / 100)
-    if below:
-        axes.secondary_xaxis("top", functions=to_and_fro).set_xlabel("transmittance (%)")
-    else:
-        axes.secondary_yaxis("right", functions=to_and_fro).set_ylabel("transmittance (%)")
+    axes.secondary_yaxis("right", functions=to_and_fro).set_ylabel("transmittance (%)")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mcrim_mitsuba.campaign.measurements import KIND, LIGHT
 from mcrim_mitsuba.campaign.parameter import SCALE
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, unit_of
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, unit_of
 from mcrim_mitsuba.core.rounding import (
+    capital,
     counted,
     number,
     p_text,
@@ -40,7 +41,7 @@ from mcrim_mitsuba.inference.plan import (
     Planning,
 )
 from mcrim_mitsuba.inference.unexplained import UNKNOWN
-from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE, BEAM_AXIS
+from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget, contribution
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.campaign import Campaign
@@ -107,6 +108,16 @@ def together(names: Sequence[str], word: str = "and") -> str:
     return f"{', '.join(first)} {word} {last}" if first else last
 
 
+def titles_of(diagnosis: Diagnosis, effects: Iterable[str]) -> list[str]:
+    """Effects in words; without any they are called by their ids."""
+    return [diagnosis.titles.get(name, name) for name in effects]
+
+
+def in_words(diagnosis: Diagnosis, effects: Iterable[str]) -> str:
+    """``air bubble in the gap and bevel of the edges``."""
+    return together(titles_of(diagnosis, effects))
+
+
 def leading_candidates(diagnosis: Diagnosis) -> list[Candidate]:
     """The effects or pairs that the data cannot tell apart, the best first."""
     found = {
@@ -146,8 +157,8 @@ _MOST_APART = 3
 
 
 def hypothesis_text(one: FittedHypothesis) -> str:
-    """``mended.toml, with gap_bubble``: where a hypothesis is from, and its effects."""
-    added = f"with {together(one.effects)}" if one.effects else "nothing added to its scene"
+    """``mended.toml, with air bubble in the gap``: where a hypothesis is from, and its effects."""
+    added = f"with {together(one.titles)}" if one.titles else "nothing added to its scene"
     return added if one.campaign is None else f"{one.campaign}, {added}"
 
 
@@ -176,6 +187,13 @@ def apart_text(compared: SideBySide) -> str:
     )
 
 
+def likeliest_of(diagnosis: Diagnosis) -> Candidate | None:
+    """What is likeliest, if it is an effect or a pair."""
+    name = next(iter(diagnosis.probabilities), None)
+    tried = (*diagnosis.candidates, *diagnosis.pairs)
+    return next((one for one in tried if one.effect == name), None)
+
+
 def averaged_yield(diagnosis: Diagnosis) -> str:
     """The light yield over all that the readings allow, and beside it that of the likeliest.
 
@@ -185,14 +203,15 @@ def averaged_yield(diagnosis: Diagnosis) -> str:
     if averaged is None:
         return ""
     names, p = next(iter(diagnosis.probabilities.items()))
-    tried = (*diagnosis.candidates, *diagnosis.pairs)
-    likeliest = next((one for one in tried if one.effect == names), None)
+    likeliest = likeliest_of(diagnosis)
     known = diagnosis.baseline.parameters.get(LIGHT_YIELD)
     alone = "" if known is None else estimate_text(known)
     if likeliest is not None and likeliest.light_yield_ph_per_keV is not None:
         light = likeliest.light_yield_ph_per_keV
         alone = pdg(light["value"], light["sigma"])
-    of_model = "nothing missing" if likeliest is None else names
+    of_model = "nothing missing"
+    if likeliest is not None:
+        of_model = in_words(diagnosis, likeliest.effects)
     least = f"{alone} with {of_model} ({probability(p)})"
     if likeliest is None and names != NOTHING_MISSING:
         what = IN_NO_CATALOGUE if names == UNKNOWN else f"a {names}"
@@ -231,17 +250,40 @@ def mistakable(diagnosis: Diagnosis) -> str:
     if len(others) <= MOST_NAMED:
         alike = {}
     each = ["each other"] if len(leading) > 1 else []
-    each += [name for name in others if not any(name in some for some in alike.values())]
+    apart = [name for name in others if not any(name in some for some in alike.values())]
+    each += titles_of(diagnosis, apart)
     if alike:
         each.append(f"one of {', '.join(f'{name} ({len(some)})' for name, some in alike.items())}")
-    return f"By these readings {together(list(own))} could be mistaken for {together(each, 'or')}."
+    words, alternatives = in_words(diagnosis, own), together(each, "or")
+    return f"By these readings {words} could be mistaken for {alternatives}."
+
+
+def told_apart(diagnosis: Diagnosis, measurement: NextMeasurement) -> list[str]:
+    """Pairs of leading explanations that a further reading tells apart, in words."""
+    words = {
+        " + ".join(effects): " with ".join(titles_of(diagnosis, effects))
+        for effects in diagnosis.leading_sets
+    }
+    return [" from ".join(words.get(name, name) for name in pair) for pair in measurement.separates]
+
+
+def not_tried(diagnosis: Diagnosis) -> list[str]:
+    """Effects that could not be fitted, each with the reason."""
+    return [
+        f"{in_words(diagnosis, [name])} ({name}): {why}"
+        for name, why in diagnosis.not_tried.items()
+    ]
 
 
 def looks(diagnosis: Diagnosis) -> list[str]:
     """How to look for the leading effects without a fit, a sentence or two for each."""
     named = {one.effect: one.look for one in diagnosis.candidates}
     leading = dict.fromkeys(name for one in leading_candidates(diagnosis) for name in one.effects)
-    return [f"{name}: {named[name]}" for name in list(leading)[:MOST_NAMED] if named.get(name)]
+    return [
+        f"{capital(in_words(diagnosis, [name]))}: {named[name]}"
+        for name in list(leading)[:MOST_NAMED]
+        if named.get(name)
+    ]
 
 
 def set_aside_text(diagnosis: Diagnosis) -> str:
@@ -251,14 +293,15 @@ def set_aside_text(diagnosis: Diagnosis) -> str:
         return ""
     tried = (*diagnosis.candidates, *diagnosis.pairs)
     fit = next((one for one in tried if set(one.effects) == set(names)), None)
+    words = in_words(diagnosis, names)
     size = "" if fit is None else f" ({size_text(fit)})"
     if diagnosis.verdict == UNEXPLAINED:
         return (
-            f"Of effects {together(names)} would be needed{size}, which are not added: "
+            f"Of effects {words} would be needed{size}, which are not added: "
             f"{IN_NO_CATALOGUE} is likelier. If you have seen them, say --effect {','.join(names)}."
         )
     return (
-        f"The likeliest explanation, {together(names)}{size}, has a size that a laboratory does "
+        f"The likeliest explanation, {words}{size}, has a size that a laboratory does "
         f"not usually meet, and is not added. If you have seen it, say --effect {','.join(names)}."
     )
 
@@ -279,16 +322,30 @@ def suspicion(suspect: Suspect) -> str:
     return f"{suspect.labels[0]} looks wrong{off}: without it {gain}; {chance}"
 
 
+def verdict_words(verdict: str) -> str:
+    """``Too few readings``."""
+    return capital(verdict.replace("_", " "))
+
+
+def short_headline(diagnosis: Diagnosis) -> str:
+    """The verdict in a few words: ``Air bubble in the gap explains the misfit``."""
+    leading = leading_candidates(diagnosis)
+    if diagnosis.verdict != MISSING_EFFECT or not leading:
+        return verdict_words(diagnosis.verdict)
+    effects = leading[0].effects
+    verb = "explain" if len(effects) > 1 else "explains"
+    return f"{capital(in_words(diagnosis, effects))} {verb} the misfit"
+
+
 def headline(diagnosis: Diagnosis) -> str:
     """The verdict in a sentence."""
     leading = leading_candidates(diagnosis)
     if diagnosis.verdict != MISSING_EFFECT or not leading:
-        return f"{diagnosis.verdict}: {diagnosis.reason}"
+        return f"{short_headline(diagnosis)}: {diagnosis.reason}"
     best = leading[0]
-    verb = "explain" if len(best.effects) > 1 else "explains"
     return (
-        f"{diagnosis.verdict}: {together(best.effects)} ({size_text(best)}) {verb} the misfit: "
-        f"chi2 {number(diagnosis.baseline.chi2)} -> {number(best.chi2)} "
+        f"{short_headline(diagnosis)} ({together(best.effects)}: {size_text(best)}): chi2 "
+        f"{number(diagnosis.baseline.chi2)} -> {number(best.chi2)} "
         f"(ndf {best.ndf}, p = {p_text(best.p_value)})"
     )
 
@@ -368,24 +425,6 @@ def limit_text(limit: Limit) -> str:
     return f"{number(lower)} to {number(upper)}"
 
 
-def configuration_text(measurement: NextMeasurement) -> str:
-    """``n_gap = 1.333, aperture_radius_mm = 7``, or ``transmittance within 5 degrees``; of two."""
-    both = [measurement.parameters] + ([measurement.also] if measurement.also else [])
-    return " and ".join(map(_configuration_text, both))
-
-
-def _configuration_text(configuration: Mapping[str, Value]) -> str:
-    parameters = dict(configuration)
-    parts = []
-    if (kind := parameters.pop(KIND, LIGHT)) != LIGHT:
-        along, within = (parameters.pop(name, None) for name in (BEAM_AXIS, ACCEPTANCE))
-        words = [str(kind)]
-        words += [f"along {along}"] if along is not None else []
-        words += [f"within {short_text(within)} degrees"] if within is not None else []
-        parts = [" ".join(words)]
-    return ", ".join([*parts, *(f"{name} = {short_text(v)}" for name, v in parameters.items())])
-
-
 def bought(measurement: NextMeasurement) -> tuple[str, str, str]:
     """Hours, the light yield's relative error then, and the likeliest explanation's probability."""
     error = measurement.light_yield_sigma
@@ -396,9 +435,9 @@ def bought(measurement: NextMeasurement) -> tuple[str, str, str]:
     )
 
 
-#: Rise of chi2 that holds 95 % of a Gaussian likelihood, and standard errors there.
-_RISE_95, _SIGMAS_95 = 3.841, 1.96
-#: Over those standard errors, how near or far the rise may be from the best value.
+#: Standard errors that hold 95 % of a Gaussian likelihood; over these, how near or far the ends of
+#: an interval that holds as much may be.
+_SIGMAS_95 = 1.96
 _LIKE_PARABOLA = 2 / 3, 3 / 2
 
 
@@ -406,7 +445,7 @@ def shapes(profiles: Iterable[Profile]) -> list[str]:
     """What the standard error does not tell: 95 % intervals that are not twice as wide as it."""
     said = []
     for one in profiles:
-        ends = one.crossings(_RISE_95)
+        ends = one.interval_95
         # nearer bounds cut the interval off, which is said elsewhere
         bounds = (float(one.values[place]) for place in (0, -1))
         found = [bound if end is None else end for end, bound in zip(ends, bounds, strict=True)]
@@ -426,6 +465,84 @@ def shapes(profiles: Iterable[Profile]) -> list[str]:
                 f"{pdg(one.value, one.sigma)} would have it: chi2 does not rise like a parabola"
             )
     return said
+
+
+# What to measure next for the light yield, by the parts of its error.
+
+# What contributions to an error are called, by origin; others by their origins.
+_CALLED = {
+    "counts": "the readings themselves",
+    "statistical": "the readings themselves",
+    "prior": "what is known beforehand",
+    "plausible": "the size of what is missing",
+    "absorption": "the absorption of the crystal",
+    "detector_efficiency": "the detector's efficiency",
+    "quantum efficiency curve": "the detector's quantum efficiency",
+    "tube scale": "the scale of the detector's efficiency",
+    "emission spectrum": "the emission spectrum",
+    "source depth": "the depth of the source",
+    "monte_carlo": "the simulation",
+}
+_WHICH = Contribution(
+    "which explanation is right", 0.0, "systematic", True, "a further reading that tells them apart"
+)
+_NO_EFFECT = Contribution("what is in no catalogue", 0.0, "systematic", False, "")
+
+
+def called(name: str) -> str:
+    """A fitted parameter in words: ``light yield``."""
+    return NAMES[name][0].partition(":")[0] if name in NAMES else name
+
+
+def what_next(budget: ErrorBudget, of: str) -> str:
+    """The largest part of a result's error that can be lowered, and what does; or nothing."""
+    first = next((one for one in budget.contributions if one.reducible), None)
+    if first is None or not math.isfinite(budget.total) or not first.relative:
+        return ""
+    origin, _, whose = first.name.partition(", ")
+    what = " of ".join(filter(None, (_CALLED.get(origin, origin), whose)))
+    part, whole = percent(abs(first.relative)), percent(budget.total)
+    verb = "simulate" if origin == "monte_carlo" else "measure"
+    return (
+        f"What to {verb} next: {what}: {part.removesuffix(' %')} of the {of}'s {whole}, in "
+        f"quadrature. What helps: {first.by}."
+    )
+
+
+def next_for_fit(fit: Calibration, priors: Iterable[str]) -> str:
+    """`what_next` by a fit, whose campaign has these priors; nothing where it has no errors."""
+    name = LIGHT_YIELD if LIGHT_YIELD in fit.parameters else SCALE
+    known = fit.parameters.get(name)
+    if known is None or known.at_bound is not None or not known.value:
+        return ""
+    origin = "absorption" if list(priors) == [ALPHA_ABS] else "prior"
+    return what_next(ErrorBudget(_parts(known, origin)), called(name))
+
+
+def next_for_average(diagnosis: Diagnosis) -> str:
+    """`what_next` for the averaged light yield; nothing where there is none."""
+    averaged, likeliest = diagnosis.light_yield_averaged, likeliest_of(diagnosis)
+    parameters = diagnosis.baseline.parameters if likeliest is None else likeliest.parameters
+    known = parameters.get(LIGHT_YIELD)
+    if averaged is None or known is None or known.at_bound is not None or not known.sigma:
+        return ""
+    # what the models have in common, as the likeliest shares it out
+    own, within = ErrorBudget(_parts(known, "prior")), averaged.within / averaged.value
+    scaled = (replace(one, relative=one.relative * within / own.total) for one in own.contributions)
+    between, catalogue = averaged.between / averaged.value, averaged.catalogue / averaged.value
+    others = replace(_WHICH, relative=between), replace(_NO_EFFECT, relative=catalogue)
+    return what_next(ErrorBudget((*scaled, *others)), "averaged light yield")
+
+
+def _parts(known: ParameterEstimate, prior: str) -> tuple[Contribution, ...]:
+    """Contributions to a result's error, relative; what its priors make is called `prior`."""
+    parts = dict(known.contributions)
+    if known.efficiency_contributions and parts.pop("detector_efficiency", None):
+        parts |= known.efficiency_contributions
+    return tuple(
+        contribution(prior if origin == "prior" else origin, part / known.value)
+        for origin, part in parts.items()
+    )
 
 
 # What a planning found, in sentences.
@@ -557,7 +674,8 @@ _NOTHING = 1e-3
 def parameter_words(campaign: Campaign, name: str) -> tuple[str, str]:
     """Meaning and unit of a fitted parameter."""
     if name in NAMES:
-        return NAMES[name]
+        meaning, unit = NAMES[name]
+        return meaning, (name == SCALE and campaign.unit) or unit
     for effect in campaign.catalogue.values():
         for parameter in effect.parameters:
             if parameter.name == name:
@@ -624,7 +742,7 @@ def pull_text(pull: float) -> str:
 def plain_headline(diagnosis: Diagnosis, effects: tuple[str, ...]) -> str:
     """The verdict for everybody."""
     plain = "The bench as described does not explain the readings"
-    leading = [together(candidate.effects) for candidate in leading_candidates(diagnosis)]
+    leading = [in_words(diagnosis, one.effects) for one in leading_candidates(diagnosis)]
     if diagnosis.verdict == TOO_FEW_READINGS:
         return (
             "The readings determine the result, but none is left over to test whether the bench "
@@ -633,7 +751,7 @@ def plain_headline(diagnosis: Diagnosis, effects: tuple[str, ...]) -> str:
     if diagnosis.verdict == ADEQUATE:
         return "The bench as described explains the readings: nothing is missing."
     if diagnosis.verdict == MISSING_EFFECT and leading:
-        return f"{plain}; with {leading[0]} it does."
+        return f"With {leading[0]} the bench explains the readings; as described it does not."
     if diagnosis.verdict == AMBIGUOUS and len(leading) > 1:
         named = leading
         if len(leading) > MOST_NAMED:
@@ -643,7 +761,8 @@ def plain_headline(diagnosis: Diagnosis, effects: tuple[str, ...]) -> str:
     if diagnosis.verdict == AMBIGUOUS and leading:
         return f"{plain}; {leading[0]} would, but it is not the only explanation."
     if effects:
-        return f"{plain}; {together(effects)} makes it better, but what is missing is not clear."
+        words = in_words(diagnosis, effects)
+        return f"{plain}; {words} makes it better, but what is missing is not clear."
     return f"{plain}, and nothing that was tried does."
 
 
@@ -675,11 +794,11 @@ def trust(diagnosis: Diagnosis, calibration: Calibration, effects: tuple[str, ..
         )
     if diagnosis.verdict == AMBIGUOUS and effects:
         told += (
-            f" But {together(effects)} is one explanation of several; the numbers hold only if it "
-            "is the right one."
+            f" But {in_words(diagnosis, effects)} is one explanation of several; the numbers hold "
+            "only if it is the right one."
         )
     elif effects:
-        told += f" This holds with {together(effects)} added to the bench."
+        told += f" This holds with {in_words(diagnosis, effects)} added to the bench."
     return told
 
 
@@ -704,7 +823,7 @@ def value_of_others(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         scattering = candidate.parameters.get(ALPHA_SCAT)
         if light is not None or scattering is not None:
             rows.append((
-                together(candidate.effects),
+                in_words(diagnosis, candidate.effects),
                 "-" if light is None else pdg(light["value"], light.get("sigma")),
                 "-" if scattering is None else pdg(scattering.value, scattering.sigma),
             ))  # fmt: skip

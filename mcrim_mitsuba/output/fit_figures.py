@@ -51,7 +51,11 @@ _Series = tuple[str, Comparison | Calibration | FittedHypothesis, dict[str, Any]
 
 @style.styled
 def draw_comparison(
-    before: Comparison | Calibration, after: Calibration | None = None, *, added: str = ""
+    before: Comparison | Calibration,
+    after: Calibration | None = None,
+    *,
+    added: str = "",
+    unit: str = "",
 ) -> style.Drawing:
     """Readings, predictions and pulls.
 
@@ -63,10 +67,12 @@ def draw_comparison(
         Of the mended campaign: the same readings.
     added : str
         What mended it, for the legend.
+    unit : str
+        Of the signals of light; the measurement file's where it is not known.
     """
     figure, upper, lower = _over_readings(before.rows, (1.4, 1))
     places = np.arange(len(before.rows))
-    _draw_signals(upper, places, before, after)
+    _draw_signals(upper, places, before, after, unit)
     name = "as it is" if isinstance(before, Comparison) else "fit"
     series: list[_Series] = [(name, before, _AS_IT_IS, 0.0)]
     if after is not None:
@@ -157,8 +163,9 @@ def _suspects(before: Comparison | Calibration) -> tuple[Suspect, ...]:
 
 
 def _draw_signals(
-    axes: Axes, places: np.ndarray, before: Comparison | Calibration, after: Calibration | None
-) -> None:
+    axes: Axes, places: np.ndarray, before: Comparison | Calibration, after: Calibration | None,
+    unit: str,
+) -> None:  # fmt: skip
     """Readings with errors, and predictions as dashes."""
     used = np.array([row.use for row in before.rows], bool)
     units = style.units_of_signals([(row.measured, row.of_beam) for row in before.rows])
@@ -184,7 +191,7 @@ def _draw_signals(
         axes.hlines(models, places - _DASH, places + _DASH, zorder=4, **dash)
         handles.append(Line2D([], [], label=label, **dash))
     handles += _mark_suspects(axes, places, before, mended=after is not None)
-    axes.set_ylabel("signal (unit of the\nmeasurement file)")
+    axes.set_ylabel(style.signal_title(unit, "\n"), parse_math=False)
     axes.set_ylim(bottom=min(0.0, 1.1 * float(measured.min(initial=0.0))))
     style.open_axes(axes, "y")
     of_beam = [row.of_beam for row in before.rows]

@@ -344,28 +344,27 @@ def _limits(n: Index, wavelength_nm: np.ndarray) -> np.ndarray:
 MOST_HISTOGRAMS = 8
 
 
-def draw_raw_data(raw: RawData) -> dict[str, style.Drawing]:
-    """What there is to draw of raw data: ``histograms``, ``spectra``, ``transmittance``.
+def draw_raw_data(raw: RawData, kind: str) -> style.Drawing:
+    """One of the `RawData.kinds` of a campaign's raw data.
 
     Of too many histograms, the first mounting of every reading; the numbers are those of all.
     """
-    made = {}
-    every = [_fitted(label, m) for label, one in raw.readings.items() for m in one.mountings]
-    if every:
-        shown = every
-        if len(every) > MOST_HISTOGRAMS:
-            shown = [_fitted(label, one.mountings[0]) for label, one in raw.readings.items()]
-        figure = draw_histograms(shown[:MOST_HISTOGRAMS]).figure
-        made["histograms"] = style.Drawing(figure, *_histograms_numbers(every))
-    if raw.efficiency is not None:
+    if kind == "spectra":
         curves = raw.efficiency
-        made["spectra"] = draw_efficiency(curves.emission, curves.quantum_efficiency, curves.found)
-    reduced = raw.absorption
-    if reduced is not None and reduced.spectra:
+        assert curves is not None
+        return draw_efficiency(curves.emission, curves.quantum_efficiency, curves.found)
+    if kind == "transmittance":
+        reduced = raw.absorption
+        assert reduced is not None
         names = (path.name for path in reduced.entry.files)
         named = list(zip(names, reduced.spectra, strict=True))
-        made["transmittance"] = draw_absorption(named, reduced.n, reduced.found, reduced.light)
-    return made
+        return draw_absorption(named, reduced.n, reduced.found, reduced.light)
+    every = [_fitted(label, m) for label, one in raw.readings.items() for m in one.mountings]
+    shown = every
+    if len(every) > MOST_HISTOGRAMS:
+        shown = [_fitted(label, one.mountings[0]) for label, one in raw.readings.items()]
+    figure = draw_histograms(shown[:MOST_HISTOGRAMS]).figure
+    return style.Drawing(figure, *_histograms_numbers(every))
 
 
 def _fitted(label: str, mounting: Mounting) -> FittedHistogram:

@@ -19,6 +19,7 @@ from matplotlib.patches import Circle, Patch
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import unit_of
 from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
 from mcrim_mitsuba.efficiency.lighting import Binned, Light
 from mcrim_mitsuba.efficiency.table import EtaTable
 from mcrim_mitsuba.output import figure_style as style
@@ -181,6 +182,72 @@ def _finish_angular(axes: Axes, lights: Lights) -> None:
         words = " and ".join(f"{angle:g}°" for angle in angles)
         handles.append(Line2D([], [], label=f"largest angle after refraction: {words}", **_LIMIT))
     style.legend_above(axes, handles, ncols=1, handlelength=2.6)
+
+
+# Where light is born: slices of a map, and how eta is spread over where gammas stop.
+
+#: Horizontal slices that are shown.
+_SLICES = 3
+
+
+@style.styled
+def draw_map(mapped: EtaMap, spreads: Sequence[Spread]) -> style.Drawing:
+    """Three horizontal slices, one upright, eta over the height, and its distributions."""
+    figure = style.canvas(11.0, 6.9)
+    grid = figure.add_gridspec(2, 6, height_ratios=(1.0, 1.12))
+    x, y, z = mapped.edges_mm
+    shown = 100.0 * mapped.eta
+    look: dict[str, Any] = {"vmin": np.nanmin(shown), "vmax": np.nanmax(shown), "cmap": "cividis",
+            "rasterized": True}  # fmt: skip
+    flat = []
+    for place, k in enumerate(np.linspace(len(z) - 2, 0, _SLICES).round().astype(int)):
+        axes = figure.add_subplot(grid[0, 2 * place : 2 * place + 2])
+        mesh = axes.pcolormesh(x, y, shown[:, :, k].T, **look)
+        axes.set_title(f"z from {z[k]:.3g} to {z[k + 1]:.3g} mm", fontsize=11)
+        axes.set(aspect="equal", xlabel="x (mm)", ylabel="" if place else "y (mm)")
+        flat.append(axes)
+    bar = figure.colorbar(mesh, ax=flat, pad=0.01, aspect=24)
+    bar.set_label("η (%) of light\nthat is born there")
+    upright = figure.add_subplot(grid[1, :2])
+    middle = len(y) // 2 - (len(y) - 1) % 2
+    upright.pcolormesh(x, z, shown[:, middle].T, **look)
+    upright.set_title(f"y from {y[middle]:.3g} to {y[middle + 1]:.3g} mm", fontsize=11)
+    upright.set(aspect="equal", xlabel="x (mm)", ylabel="z (mm)")
+    _draw_heights(figure.add_subplot(grid[1, 2:4]), mapped)
+    _draw_spreads(figure.add_subplot(grid[1, 4:]), mapped, spreads)
+    columns = ("x_mm", "y_mm", "z_mm", "volume", "eta", "eta_sigma")
+    rows = [
+        (*(float(c[i]) for c, i in zip(mapped.centres_mm, at, strict=True)),
+         *(float(table[at]) for table in (mapped.volume, mapped.eta, mapped.eta_sigma)))
+        for at in np.ndindex(mapped.eta.shape)
+        if mapped.volume[at] > 0.0
+    ]  # fmt: skip
+    return style.Drawing(figure, columns, rows)
+
+
+def _draw_heights(axes: Axes, mapped: EtaMap) -> None:
+    """Eta of slices, one above the other."""
+    part = mapped.volume.sum(axis=(0, 1))
+    eta = np.nansum(mapped.volume * mapped.eta, axis=(0, 1)) / part
+    sigma = np.sqrt(np.nansum((mapped.volume * mapped.eta_sigma) ** 2, axis=(0, 1))) / part
+    axes.errorbar(100.0 * eta, mapped.centres_mm[2], xerr=100.0 * sigma, fmt="o-", ms=4,
+                  color=style.DARK, lw=1.2, capsize=2)  # fmt: skip
+    axes.set(xlabel="η (%) of a slice", ylabel="z (mm)", ylim=mapped.edges_mm[2][[0, -1]])
+    style.open_axes(axes)
+
+
+def _draw_spreads(axes: Axes, mapped: EtaMap, spreads: Sequence[Spread]) -> None:
+    """What gammas see: eta of where they stop, by how much of the light is from there."""
+    eta = mapped.eta[mapped.volume > 0.0]
+    edges = np.linspace(100.0 * eta.min(), 100.0 * eta.max(), 36)
+    for one, colour, dashes in zip(spreads, _COLOURS, _LINES, strict=False):
+        light = one.light[mapped.volume > 0.0]
+        percent = np.histogram(100.0 * eta, edges, weights=100.0 * light / light.sum())[0]
+        label = f"{style.shortened(one.source, 40)}: FWHM {100 * one.fwhm:.2g} %"
+        axes.stairs(percent, edges, color=colour, ls=dashes, lw=1.6, label=label)
+    axes.set(xlabel="η (%) where gammas stop", ylabel="light (% per bin)", ylim=(0, None))
+    style.open_axes(axes)
+    style.legend_above(axes, ncols=1, handlelength=2.6)
 
 
 # Fates: one stacked bar per configuration.

@@ -278,7 +278,8 @@ VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 SAMPLES = 12
 #: Left, top, width and height of the photographs of the bench, of its lower edge and of its
 #: parts, in pixels of the full sheet; what is right of the parts belongs to their labels.
-_BENCH, _EDGE, _PARTS = (0, 100, 890, 590), (0, 690, 890, 460), (870, 100, 660, 1050)
+BENCH_PANEL = (0, 100, 890, 590)
+_EDGE, _PARTS = (0, 690, 890, 460), (870, 100, 660, 1050)
 _FIELD_DEG = 20.0
 #: Margins of the photograph of the parts: left, right, top and bottom, over its size.
 _MARGINS = (0.09, 0.1, 0.06, 0.06)
@@ -374,7 +375,7 @@ def render(
     samples, sheet = samples or SAMPLES, Sheet(scale)
     lifts, view = _taken_apart(sheet, parts)
     panels = [
-        _panel(sheet, _BENCH, _corners(bench), (0.62, -1.0, 0.5), (0.07, 0.07, 0.1, 0.07)),
+        _panel(sheet, BENCH_PANEL, _corners(bench), (0.62, -1.0, 0.5), (0.07, 0.07, 0.1, 0.07)),
         _panel(sheet, _EDGE, block.points, (0.42, -1.0, 0.42), (0.28, 0.16, 0.16, 0.08)),
         view,
     ]
@@ -403,7 +404,7 @@ def render(
     sheet.text(24 * scale, 20 * scale, title, 19, weight="bold")
     sheet.text(24 * scale, 56 * scale, parameters, 9.5, color=QUIET)
     times = magnification(panels[0], panels[1], block)
-    caption(sheet, _BENCH[:2], "The bench as it stands")
+    caption(sheet, BENCH_PANEL[:2], "The bench as it stands")
     enlarged = f"enlarged {float(f'{times:.2g}'):g} times"
     caption(sheet, _EDGE[:2], f"The crystal's lower edge, cut open, {enlarged}")
     caption(sheet, (_PARTS[0] + 24, _PARTS[1]), "The parts, moved apart, to scale")

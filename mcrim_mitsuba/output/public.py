@@ -221,6 +221,24 @@ def _answer(
     return Answer(found, described, document, pictures)
 
 
+def _read(campaign: str | Path | Campaign) -> Campaign:
+    """The campaign; its reader takes a while to import, which scenes can do without."""
+    from mcrim_mitsuba.campaign.campaign import as_campaign
+
+    return as_campaign(campaign)
+
+
+def _of_campaign(
+    campaign: Campaign, pictures: Mapping[str, Callable[[], Drawing]]
+) -> dict[str, Callable[[], Drawing]]:
+    """Pictures that carry the campaign's title."""
+
+    def entitled(make: Callable[[], Drawing]) -> Callable[[], Drawing]:
+        return lambda: make().entitled(campaign.title)
+
+    return {name: entitled(make) for name, make in pictures.items()}
+
+
 def _drawn(place: str, *found: Any, **options: Any) -> Any:
     """What a function draws; its module takes a while, and is imported when it is needed."""
     module, _, name = place.partition(".")
@@ -292,7 +310,7 @@ def simulate(
     file = read_scene(scene, parameters)
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
     if method == "modes":
-        found = _noted(solve_simulation(simulation, run.precision), file)
+        found = _noted(solve_simulation(simulation, run), file)
         return Answer(
             found, scene_descriptions.of_simulation(found), documents.of_simulation(found)
         )
@@ -318,6 +336,54 @@ def simulate(
 def _noted(found: Any, file: SceneFile) -> Any:
     """A result on a scene, with what the reader must know of the scene."""
     return dataclasses.replace(found, notes=(*file.notes, *found.notes)) if file.notes else found
+
+
+def eta_map(
+    scene: Scene, *, cells: Sequence[int] | None = None, depth_mm: float = 1.0,
+    deposits: str | Path | None = None, run: Run | None = None, **given: Any,
+) -> Answer:  # fmt: skip
+    """Light collection efficiency by where light is born, and what its spread adds to a peak.
+
+    Parameters
+    ----------
+    cells : sequence of int, optional
+        Of the map along x, y and z of the crystal's bounding box; 10 each.
+    depth_mm : float
+        1/e depth of gammas that stop near a face.
+    deposits : str or Path, optional
+        Table of x_mm, y_mm, z_mm and energy_keV, a deposit a row, to spread light as they do.
+    run : Run, optional
+        100,000 photons per cell.
+    **given
+        Scene parameters that differ from the file's (``n_gap=1.46``), and fields of the run.
+
+    Returns
+    -------
+    Answer
+        With the fields of `efficiency.eta_map.EtaMap`; picture ``map``; `to_xarray` gives the map.
+
+    Raises
+    ------
+    InputError
+        If the scene is not sound, a parameter is wrong, photons are too few, or a deposit is
+        outside the crystal.
+    """
+    from mcrim_mitsuba.efficiency.eta_map import CELLS, map_eta
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    run, parameters = _split(run, given)
+    if not depth_mm > 0.0:
+        raise InputError(f"depth_mm = {depth_mm:g} is no depth", "give one above 0")
+    file = read_scene(scene, parameters)
+    simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
+    found = map_eta(simulation, cells or CELLS, run=run)
+    spreads = list(found.spreads(depth_mm))
+    if deposits is not None:
+        spreads.append(found.of_deposits(deposits))
+    return Answer(
+        found, scene_descriptions.of_map(found, spreads), documents.of_map(found, spreads),
+        {"map": lambda: _drawn("light_figures.draw_map", found, spreads)},
+    )  # fmt: skip
 
 
 #: Photons of figures, at most: more would not be seen.
@@ -499,6 +565,38 @@ def add(
 # ---------------------------------------------------------------- of a campaign
 
 
+def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) -> Answer:
+    """Reduce a campaign's raw data, every step with its errors.
+
+    Parameters
+    ----------
+    output : str or Path, optional
+        Where the campaign is written in plain numbers (``.toml``), its readings beside it
+        (``.csv``). Files that are there are replaced.
+
+    Returns
+    -------
+    Answer
+        With the fields of `campaign.reduction.RawData`: ``readings``, ``efficiency``, ...;
+        pictures are its ``kinds``: ``histograms``, ``spectra``, ``transmittance``.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used or written, or if the campaign has no raw data.
+    """
+    from mcrim_mitsuba.campaign import editor
+    from mcrim_mitsuba.output.laboratory_descriptions import of_reduction
+
+    campaign = editor.reduce(campaign, output)
+    raw = campaign.raw
+    assert raw is not None  # refused otherwise
+    draw = functools.partial(_drawn, "laboratory_figures.draw_raw_data", raw)
+    pictures = {kind: functools.partial(draw, kind) for kind in raw.kinds}
+    document = {"campaign": campaign.path, **editor.to_json(raw), "plain_campaign": output}
+    return Answer(raw, of_reduction(raw), document, _of_campaign(campaign, pictures))
+
+
 def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **given: Any) -> Answer:
     """Fit a campaign: scattering coefficient and light yield, with all their errors.
 
@@ -519,17 +617,18 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
         If a file is wrong, a scene is not sound, or the readings do not determine the parameters.
     """
     from mcrim_mitsuba.inference.calibrate import calibrate as fitted
-    from mcrim_mitsuba.inference.profiles import profiles_of
 
     start = time.perf_counter()
+    campaign = _read(campaign)
     found = fitted(campaign, run=_run(run, given))
     seconds = time.perf_counter() - start
-    fit = found.calibration
+    fit, unit = found.calibration, campaign.unit
     pictures = {
-        "readings": lambda: _drawn("fit_figures.draw_comparison", fit),
-        "profiles": lambda: _drawn("fit_figures.draw_profiles", profiles_of(found.model, fit)),
+        "readings": lambda: _drawn("fit_figures.draw_comparison", fit, unit=unit),
+        "profiles": lambda: _drawn("fit_figures.draw_profiles", found.profiles),
         "budget": lambda: _drawn("budget_figures.draw_budget", fit),
     }
+    pictures = _of_campaign(campaign, pictures)
     return _answer("calibration", found, pictures, seconds=seconds)
 
 
@@ -554,17 +653,19 @@ def compare(
         those of `inference.hypotheses.SideBySide`: ``verdict``, ``leading``, ``hypotheses``, ...;
         picture ``pulls``.
     """
+    campaign = _read(campaign)
     if others:
         from mcrim_mitsuba.inference.hypotheses import compare_hypotheses
 
         several = compare_hypotheses((campaign, *others), run=_run(run, given))
         pulls = {"pulls": lambda: _drawn("fit_figures.draw_hypotheses", several.comparison)}
-        return _answer("hypotheses", several, pulls)
+        return _answer("hypotheses", several, _of_campaign(campaign, pulls))
     from mcrim_mitsuba.inference.compare import compare as compared
 
-    found = compared(campaign, run=_run(run, given))
-    pictures = {"readings": lambda: _drawn("fit_figures.draw_comparison", found.comparison)}
-    return _answer("comparison", found, pictures)
+    found, unit = compared(campaign, run=_run(run, given)), campaign.unit
+    drawn = "fit_figures.draw_comparison", found.comparison
+    pictures = {"readings": lambda: _drawn(*drawn, unit=unit)}
+    return _answer("comparison", found, _of_campaign(campaign, pictures))
 
 
 def diagnose(
@@ -589,11 +690,12 @@ def diagnose(
     """
     from mcrim_mitsuba.inference.diagnose import diagnose as diagnosed
 
+    campaign = _read(campaign)
     found = diagnosed(
         campaign, without=_names(without), only=_names(only), run=_run(run, given)
     )  # fmt: skip
     pictures = {"ranking": lambda: _drawn("diagnosis_figures.draw_ranking", found.diagnosis)}
-    return _answer("diagnosis", found, pictures)
+    return _answer("diagnosis", found, _of_campaign(campaign, pictures))
 
 
 def repair(
@@ -627,20 +729,22 @@ def repair(
         As for `diagnose`, or if the files cannot be written.
     """
     from mcrim_mitsuba.inference.repair import repair as repaired
-    from mcrim_mitsuba.output.findings import together
+    from mcrim_mitsuba.output.findings import in_words
 
+    campaign = _read(campaign)
     found = repaired(
         campaign, output, effect=_names(effect), run=_run(run, given), on_step=on_step
     )  # fmt: skip
     diagnosis = found.diagnosed.diagnosis
     after = found.calibration if found.effects else None
-    added = together(found.effects) if found.effects else ""
+    added = in_words(diagnosis, found.effects) if found.effects else ""
+    unit = campaign.unit
     compared = "fit_figures.draw_comparison", diagnosis.baseline, after
     pictures = {
         "staircase": lambda: _drawn("diagnosis_figures.draw_staircase", diagnosis.repair, after),
-        "readings": lambda: _drawn(*compared, added=added),
+        "readings": lambda: _drawn(*compared, added=added, unit=unit),
     }
-    return _answer("repair", found, pictures)
+    return _answer("repair", found, _of_campaign(campaign, pictures))
 
 
 def budget(
@@ -673,12 +777,13 @@ def budget(
     """
     from mcrim_mitsuba.inference.budget import budget as budgeted
 
+    campaign = _read(campaign)
     found = budgeted(
         campaign, material=material, emission=emission, wavelength_nm=wavelength_nm,
         run=_run(run, given),
     )  # fmt: skip
     pictures = {"neglected": lambda: _drawn("budget_figures.draw_neglected", found)}
-    return _answer("budget", found, pictures)
+    return _answer("budget", found, _of_campaign(campaign, pictures))
 
 
 def plan(
@@ -709,12 +814,15 @@ def plan(
     from mcrim_mitsuba.inference.plan import plan as planned
     from mcrim_mitsuba.output import descriptions
 
+    campaign = _read(campaign)
     run, choices = _split(run, given)
     found = planned(campaign, wanted, run=run, **choices)
     return Answer(
-        found, descriptions.of_plan(found), documents.of_planning(found, run.seed),
-        {"plan": lambda: _drawn("budget_figures.draw_plan", found)},
-    )  # fmt: skip
+        found,
+        descriptions.of_plan(found),
+        documents.of_planning(found, run.seed),
+        _of_campaign(campaign, {"plan": lambda: _drawn("budget_figures.draw_plan", found)}),
+    )
 
 
 def report(

@@ -22,14 +22,21 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import read_text, refuse_outputs, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.core.rounding import number, p_text, pdg, probability, short_text
+from mcrim_mitsuba.core.rounding import (
+    capital,
+    number,
+    p_text,
+    pdg,
+    probability,
+    short_text,
+)
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.repair import Repaired, repair
 from mcrim_mitsuba.output import findings
 from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.output.findings import leading_candidates
-from mcrim_mitsuba.output.report_pictures import album_of
+from mcrim_mitsuba.output.report_pictures import album_of, data_uri, efficiencies_csv
 from mcrim_mitsuba.output.report_sections import Sections, gather
 
 #: Characters of a text in a table or a sentence; files are shown in full.
@@ -59,7 +66,8 @@ def in_full(text: object) -> Markup:
 
 # The page: it loads nothing, runs nothing and shows texts of users as texts.
 
-#: Effects that a candidate could be mistaken for; so many are named.
+#: Rows of a table, and rows of effects that are printed: the page as a file has more.
+MOST_ROWS, MOST_PRINTED = 30, 8
 
 
 def render(sections: Sections) -> str:
@@ -71,9 +79,10 @@ def render(sections: Sections) -> str:
         loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text(encoding="utf-8")),
     )  # fmt: skip
     environment.filters |= {
-        "said": said, "brief": brief, "in_full": in_full, "p": p_text, "number": number,
-        "estimate": findings.estimate_text, "together": findings.together, "value": short_text,
-        "probability": probability,
+        "said": said, "brief": brief, "capital": capital, "in_full": in_full, "p": p_text,
+        "number": number, "estimate": findings.estimate_text, "together": findings.together,
+        "value": short_text, "probability": probability,
+        "data_uri": data_uri,
     }  # fmt: skip
     template = environment.get_template("template.html")
     raw = sections.campaign.raw
@@ -85,6 +94,14 @@ def render(sections: Sections) -> str:
         diagnosis=sections.diagnosis,
         fit=sections.calibration,
         pictures=album_of(sections),
+        efficiencies=efficiencies_csv(sections),
+        mountings=[
+            (label, each)
+            for label, reduced in (raw.readings if raw else {}).items()
+            for each in reduced.mountings
+        ],
+        most_rows=MOST_ROWS,
+        most_printed=MOST_PRINTED,
         leading=findings.leading_candidates(sections.diagnosis),
         findings=findings,
         pdg=pdg,

@@ -1,28 +1,28 @@
-"""Pictures of a report, inside its page; readings and their ratio are drawn for it alone."""
+"""Pictures of a report and the numbers behind them, inside its page."""
 
 from __future__ import annotations
 
 import base64
 import io
+import json
 import re
 import warnings
-from dataclasses import dataclass, replace
-from operator import attrgetter
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from matplotlib import rc_context
 from numpy.typing import NDArray
 from PIL import Image
 
-from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.output import figure_style as style
 from mcrim_mitsuba.output.budget_figures import draw_budget
 from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
-from mcrim_mitsuba.output.findings import together
+from mcrim_mitsuba.output.findings import in_words
 from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_profiles
 from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 from mcrim_mitsuba.output.light_figures import Lights, draw_arrival, draw_fates
-from mcrim_mitsuba.output.report_sections import RatioOfSignals, Sections
+from mcrim_mitsuba.output.photograph import BENCH_PANEL
+from mcrim_mitsuba.output.report_sections import PICTURE_SCALE, RatioOfSignals, Sections
 
 # matplotlib writes texts into comments and a date into the metadata; a page needs neither
 _COMMENTS = re.compile(r"<!--.*?-->\n?|<metadata>.*?</metadata>\n?|<!DOCTYPE.*?>\n?", re.DOTALL)
@@ -59,6 +59,10 @@ def of_drawing(name: str, drawing: style.Drawing, alt: str, **further: style.Num
         Tables behind it besides the drawing's own, by what they hold.
     """
     stream = io.StringIO()
+    if (layout := drawing.figure.get_layout_engine()) is not None:
+        # once, by metrics that are quicker than those of outlines
+        layout.execute(drawing.figure)
+        drawing.figure.set_layout_engine("none")
     with rc_context({"svg.fonttype": "path", "svg.hashsalt": name}), warnings.catch_warnings():
         # a label in a script that the font lacks shows boxes; tables and CSV have it
         warnings.filterwarnings("ignore", message="Glyph .* missing")
@@ -69,9 +73,9 @@ def of_drawing(name: str, drawing: style.Drawing, alt: str, **further: style.Num
     tables = {"numbers": (drawing.columns, drawing.rows)} if drawing.columns else {}
     numbers = []
     for what, table in (tables | further).items():
-        source = _uri("text/csv;charset=utf-8", style.numbers_text(*table).encode())
+        source = data_uri(style.numbers_text(*table).encode(), "text/csv")
         numbers.append((what, f"{name}-{what}" if further else name, source))
-    return Picture(name, alt, _uri("image/svg+xml", text.encode()), wide, high, tuple(numbers))
+    return Picture(name, alt, data_uri(text.encode(), "image/svg+xml"), wide, high, tuple(numbers))
 
 
 def of_pixels(name: str, pixels: NDArray[np.uint8], alt: str) -> Picture:
@@ -80,51 +84,27 @@ def of_pixels(name: str, pixels: NDArray[np.uint8], alt: str) -> Picture:
     few = Image.fromarray(pixels).quantize(_COLOURS, dither=Image.Dither.NONE)
     few.save(stream, format="png", optimize=True)
     height, width = pixels.shape[:2]
-    return Picture(name, alt, _uri("image/png", stream.getvalue()), width, height)
+    return Picture(name, alt, data_uri(stream.getvalue(), "image/png"), width, height)
 
 
-def _uri(kind: str, data: bytes) -> str:
-    return f"data:{kind};base64,{base64.b64encode(data).decode()}"
+def data_uri(data: bytes, kind: str = "text/plain") -> str:
+    """An address that is the data itself; of text, in UTF-8."""
+    charset = ";charset=utf-8" if kind.startswith("text/") else ""
+    return f"data:{kind}{charset};base64,{base64.b64encode(data).decode()}"
 
 
-# The report's own: the readings, and how their ratio gives the scattering.
+def efficiencies_csv(sections: Sections) -> bytes:
+    """The light collection efficiency of every reading, with its configuration."""
+    known = sections.campaign.measurements.columns
+    rows = [
+        (each.label, *map(each.parameters.get, known), each.eta, each.sigma, row.pull)
+        for each, row in zip(sections.efficiencies, sections.calibration.rows, strict=True)
+    ]
+    columns = ("label", *known, "eta", "eta_sigma", "pull")
+    return style.numbers_text(columns, rows).encode()
 
-_PER_READING, _TALLEST = 0.24, 14.0
 
-
-@style.styled
-def _draw_readings(measurements: Measurements) -> style.Drawing:
-    """Every reading with its error, from top to bottom as in the file."""
-    readings = measurements.readings
-    height = min(1.1 + _PER_READING * len(readings), _TALLEST)
-    figure = style.canvas(7.2, height)
-    axes = figure.subplots()
-    places = np.arange(len(readings))
-    units = style.units_of_signals([(r.signal, r.of_beam) for r in readings])
-    signals, sigmas = units * [r.signal for r in readings], units * [r.sigma for r in readings]
-    for used, face in ((True, style.DARK), (False, "white")):
-        at = [i for i, reading in enumerate(readings) if reading.use is used]
-        if at:
-            axes.errorbar(
-                signals[at], at, xerr=sigmas[at],
-                fmt="o", ms=5.5, color=style.DARK, mfc=face, capsize=3, lw=1.4,
-                label="reading with its error" if used else "not used in the fit",
-            )  # fmt: skip
-    names = [style.shortened(reading.label, 40) for reading in readings]
-    crowded = height == _TALLEST
-    axes.set_yticks(places, names, parse_math=False, fontsize=6 if crowded else 10)
-    axes.set(ylim=(len(readings) - 0.5, -0.5), xlim=(0, None))
-    axes.set_xlabel("signal (unit of the measurement file)")
-    style.open_axes(axes, "both")
-    of_beam = [reading.of_beam for reading in readings]
-    if any(of_beam):
-        style.second_scale(axes, float(units[of_beam.index(True)]), below=True)
-    if any(not reading.use for reading in readings):
-        style.legend(axes)
-    own = ("label", "signal", "sigma", "use", "group", "group_sigma")
-    known = measurements.columns
-    rows = [(*attrgetter(*own)(r), *map(r.parameters.get, known)) for r in readings]
-    return style.Drawing(figure, (*own, *known), rows)
+# The report's own: how a ratio of readings gives the scattering, and the bench for its beginning.
 
 
 @style.styled
@@ -163,7 +143,6 @@ def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
 # All pictures of a report; those that a campaign has no use for are left out.
 
 _SHOWN = {
-    "readings": "every reading with its error",
     "cross-section": "vertical cut through the bench, to scale",
     "comparison": "readings beside what the model predicts, and the differences in standard errors",
     "histograms": "histograms of photons per event with their peaks",
@@ -177,12 +156,24 @@ _SHOWN = {
     "error-budget": "parts of each parameter's error by origin",
     "fates": "what becomes of the light in each coupling",
     "arrival": "where and under which angle light reaches the detector",
-    "bench": "picture of the bench",
+    "bench": "picture of the bench, whole, taken apart and cut open",
+    "view": "the bench as it stands",
 }
 
 
 def album_of(sections: Sections) -> dict[str, Picture]:
-    """The pictures by name."""
+    """The pictures by name; they are kept, so that they are drawn once."""
+    if sections.drawn is not None:
+        kept = json.loads(sections.drawn.arrays["pictures"].tobytes())
+        return {name: Picture(**each) for name, each in kept.items()}
+    made = _drawn(sections)
+    if "bench" in made:
+        content = json.dumps({name: asdict(each) for name, each in made.items()}).encode()
+        sections.album.write(0, {"pictures": np.frombuffer(content, np.uint8)}, {})
+    return made
+
+
+def _drawn(sections: Sections) -> dict[str, Picture]:
     drawings = _drawings(sections)
     made = {name: of_drawing(name, drawn, _SHOWN[name]) for name, drawn in drawings.items()}
     if sections.lights:
@@ -192,30 +183,36 @@ def album_of(sections: Sections) -> dict[str, Picture]:
         arrival = replace(arrival, rows=[row for row in arrival.rows if row[part] != "map"])
         of_map = _map(sections.lights)
         made["arrival"] = of_drawing("arrival", arrival, _SHOWN["arrival"], map=of_map)
-    photograph = sections.bench.photograph.picture  # last: it may have to be waited for
-    if photograph is not None:
-        made["bench"] = of_pixels("bench", photograph, _SHOWN["bench"])
+    # last: it may have to be waited for
+    photograph = sections.bench.photograph
+    if photograph is not None and (sheet := photograph.picture) is not None:
+        left, top, wide, high = (round(PICTURE_SCALE * side) for side in BENCH_PANEL)
+        view = sheet[top : top + high, left : left + wide]
+        for name, pixels in (("bench", sheet), ("view", view)):
+            made[name] = of_pixels(name, pixels, _SHOWN[name])
     return made
 
 
 def _drawings(sections: Sections) -> dict[str, style.Drawing]:
     """By name, as in `_SHOWN`."""
     diagnosis, fit, baseline = sections.diagnosis, sections.calibration, sections.diagnosis.baseline
+    unit = sections.campaign.unit
     made = {
-        "readings": _draw_readings(sections.campaign.measurements),
-        "cross-section": style.Drawing(sections.bench.cross_section, (), ()),
-        "comparison": draw_comparison(baseline),
+        "comparison": draw_comparison(baseline, unit=unit),
     }
+    if sections.bench.cross_section is not None:
+        made["cross-section"] = style.Drawing(sections.bench.cross_section, (), ())
     if sections.campaign.raw is not None:
-        for kind, drawing in draw_raw_data(sections.campaign.raw).items():
+        for kind in sections.campaign.raw.kinds:
+            drawing = draw_raw_data(sections.campaign.raw, kind)
             made["detector-efficiency" if kind == "spectra" else kind] = drawing
     if diagnosis.candidates:
         made["ranking"] = draw_ranking(diagnosis, brief=True)
     if sections.effects:
         if not sections.chosen_by_hand:
             made["staircase"] = draw_staircase(diagnosis.repair, fit)
-        added = together(sections.effects)
-        made["before-and-after"] = draw_comparison(baseline, fit, added=added)
+        added = in_words(diagnosis, sections.effects)
+        made["before-and-after"] = draw_comparison(baseline, fit, added=added, unit=unit)
     if sections.ratio is not None:
         made["ratio"] = _draw_ratio(sections.ratio)
     if sections.profiles:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -18,7 +20,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.reduction import LIMIT_MB
-from mcrim_mitsuba.core.files import attributes, read_bytes
+from mcrim_mitsuba.core.files import attributes, json_text, read_bytes
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.lighting import Light, follow_light
@@ -29,6 +31,8 @@ from mcrim_mitsuba.inference.profiles import Profile, profiles_of
 from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
 from mcrim_mitsuba.output import photographer
 from mcrim_mitsuba.output.findings import errors_apart, plain_headline
+from mcrim_mitsuba.runs.cache import RecordCache, record_versions, rooms_hash
+from mcrim_mitsuba.runs.cache_files import Chunk
 from mcrim_mitsuba.scene.check_text import CheckReport
 from mcrim_mitsuba.scene.scene_file import DefaultParameter, SceneFile
 
@@ -51,11 +55,15 @@ class Sections:
     ratio: RatioOfSignals | None
     #: With the effects that were added.
     bench: BenchDescription
+    #: Where the pictures are kept, and these where they were drawn before: then no light is
+    #: followed, and no cross-section and no photograph is made.
+    album: RecordCache
+    drawn: Chunk | None
     #: Of the couplings, by the label of a reading.
     lights: tuple[tuple[str, Light], ...]
     #: The files, as they were read.
     sources: tuple[SourceFile, ...]
-    #: Campaign and scene with the effects that were added; empty where none was.
+    #: Campaign and scene with the effects that were added; none where none was.
     mended: tuple[SourceFile, ...]
     #: What makes this report again.
     command: str
@@ -127,21 +135,49 @@ def gather(
     profiles = profiles_of(repaired.model, calibration)
     stage("picture of the bench")
     couplings = _couplings(campaign)
+    sources = sources_of(campaign)
+    album = RecordCache(_behind_pictures(repaired, sources, chosen_by_hand))
+    drawn = album.read(0)
     # a filled gap shows what may be in it
-    bench = describe(campaign.with_effects(repaired.effects), scene, couplings[-1], run)
+    shown = campaign.with_effects(repaired.effects)
+    bench = describe(shown, scene, couplings[-1], run, draw=drawn is None)
     return Sections(
         repaired=repaired,
         efficiencies=efficiencies(repaired.model, calibration),
         profiles=profiles,
         ratio=ratio_curve(repaired.model, calibration),
         bench=bench,
-        lights=_lights(couplings, scene, run, stage),
-        sources=sources_of(campaign),
+        album=album,
+        drawn=drawn,
+        lights=_lights(couplings, scene, run, stage) if drawn is None else (),
+        sources=sources,
         mended=_mended(campaign, repaired),
         command=command,
         made=made,
         chosen_by_hand=chosen_by_hand,
     )
+
+
+def _behind_pictures(
+    repaired: Repaired, sources: Sequence[SourceFile], chosen_by_hand: bool
+) -> dict[str, object]:
+    """All that the pictures depend on, as a cache's key."""
+    run = repaired.bench.run
+    told = {
+        # how long it took is in no picture
+        "diagnosis": asdict(replace(repaired.diagnosed.diagnosis, seconds=0.0)),
+        "calibration": repaired.calibration.to_json(),
+    }
+    return {
+        "what": "pictures of a report",
+        "files": [[source.role, source.path.name, source.sha256] for source in sources],
+        "told": hashlib.sha256(json_text(told).encode()).hexdigest(),
+        "effects": [*repaired.effects, chosen_by_hand],
+        "light_photons": LIGHT_PHOTONS,
+        "seed": run.seed,
+        "versions": record_versions(run.variant) | {"matplotlib": matplotlib.__version__},
+        "drawing": rooms_hash("output"),
+    }
 
 
 def scene_of_the_result(
@@ -186,12 +222,18 @@ def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
     if not repaired.effects:
         return ()
     target = campaign.path.with_name(f"{campaign.path.stem}_mended.toml")
-    scene, text = mended_files(campaign, repaired.model.campaign, repaired.calibration, target)
-    beside = Path(target.with_suffix(".xml").name)
-    return (
-        source_of("mended campaign", Path(target.name), text.encode()),
-        source_of("mended scene", beside, scene_text(scene).encode()),
+    averaged = repaired.diagnosed.diagnosis.light_yield_averaged
+    scene, text = mended_files(
+        campaign, repaired.model.campaign, repaired.calibration, target, averaged
     )
+    before = read_bytes(campaign.path, _LIMIT_MB).decode("utf-8-sig", errors="replace")
+    return (
+        changed("campaign", campaign.path.name, before, target.name, text),
+        changed(
+            "scene", campaign.scene.path.name, scene_text(campaign.scene),
+            target.with_suffix(".xml").name, scene_text(scene),
+        ),
+    )  # fmt: skip
 
 
 # The ratio of two signals, and the efficiency of every reading.
@@ -293,12 +335,14 @@ def efficiencies(model: ResponseModel, calibration: Calibration) -> tuple[Effici
     return tuple(found)
 
 
-# Files that a report shows in full, as they were read.
+# Files that a report has inside, as they were read.
 
-#: Characters of all files together that a report shows: it must stay easy to mail.
-MOST_CHARACTERS = 250_000
-#: Of one file with raw data: a list of events would fill hundreds of printed pages.
-MOST_OF_RAW_DATA = 4_000
+#: Bytes of all files together that a report has inside: it must stay easy to mail.
+MOST_BYTES = 1_000_000
+#: Characters that are shown of a file, and of one with raw data, such as a list of events.
+MOST_CHARACTERS, MOST_OF_RAW_DATA = 100_000, 4_000
+#: Lines around a change that are shown with it.
+_AROUND = 1
 _LIMIT_MB = 10
 
 
@@ -311,10 +355,12 @@ class SourceFile:
     path: Path
     #: Of its bytes, hexadecimal.
     sha256: str
-    #: What it holds, or its beginning.
+    #: None where the report has no room for them.
+    data: bytes | None
+    #: What is shown: what it holds, its beginning, or what was changed in it.
     text: str
     #: Characters that are not in `text`.
-    left_out: int
+    left_out: int = 0
 
 
 def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
@@ -335,22 +381,35 @@ def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
     own = () if folder is None else sorted(folder.glob("*.py"))
     found += [("own effect", path, read_bytes(path, _LIMIT_MB)) for path in own]
     raw = () if campaign.raw is None else campaign.raw.files
-    most = [MOST_CHARACTERS] * len(found) + [MOST_OF_RAW_DATA] * len(raw)
+    shown = [MOST_CHARACTERS] * len(found) + [MOST_OF_RAW_DATA] * len(raw)
     found += [(file.role, file.path, read_bytes(file.path, LIMIT_MB)) for file in raw]
-    sources, room = [], MOST_CHARACTERS
-    for file, at_most in zip(found, most, strict=True):
-        sources.append(source_of(*file, min(room, at_most)))
-        room -= len(sources[-1].text)
+    sources, room = [], MOST_BYTES
+    for (role, path, data), most in zip(found, shown, strict=True):
+        text = data.decode("utf-8-sig", errors="replace").replace("\r\n", "\n")
+        text = text.replace("\r", "\n")
+        kept = data if len(data) <= room else None
+        room -= 0 if kept is None else len(data)
+        sources.append(
+            SourceFile(
+                role, path, _sha256(data), kept, text[:most], max(len(text) - most, 0)
+            )
+        )  # fmt: skip
     return tuple(sources)
 
 
-def source_of(role: str, path: Path, data: bytes, room: int = MOST_CHARACTERS) -> SourceFile:
-    """One file from its bytes, its text cut to so many characters."""
-    text = data.decode("utf-8-sig", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
-    left_out = max(len(text) - max(room, 0), 0)
-    return SourceFile(
-        role, path, hashlib.sha256(data).hexdigest(), text[: len(text) - left_out], left_out
+def changed(role: str, name: str, before: str, new_name: str, after: str) -> SourceFile:
+    """A mended file, of whose text is shown what tells it from the one before."""
+    lines = difflib.unified_diff(
+        before.splitlines(), after.splitlines(), name, new_name, n=_AROUND, lineterm=""
     )
+    data = after.encode()
+    return SourceFile(
+        f"mended {role}", Path(new_name), _sha256(data), data, "\n".join(lines)
+    )  # fmt: skip
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
 
 
 # The bench: what it is made of, its parameters, its cross-section and picture.
@@ -368,14 +427,16 @@ class BenchDescription:
     #: Of every scene parameter its name, value (as fitted, where it was), default as it is
     #: written, and role: ``fitted``, ``held``, ``differs from reading to reading`` or none.
     parameters: tuple[tuple[str, Value, DefaultParameter, str], ...]
-    cross_section: Figure
     #: Label of the reading whose configuration is drawn.
     reading: str
-    #: Of this configuration.
-    photograph: photographer.Photograph
+    #: Of this configuration; None where they were drawn before.
+    cross_section: Figure | None
+    photograph: photographer.Photograph | None
 
 
-def describe(campaign: Campaign, scene: SceneFile, reading: Reading, run: Run) -> BenchDescription:
+def describe(
+    campaign: Campaign, scene: SceneFile, reading: Reading, run: Run, *, draw: bool
+) -> BenchDescription:
     """Look at a scene.
 
     Parameters
@@ -386,6 +447,8 @@ def describe(campaign: Campaign, scene: SceneFile, reading: Reading, run: Run) -
         With these effects in it, at the fitted values.
     reading : Reading
         Whose configuration is drawn.
+    draw : bool
+        Whether there are to be a cross-section and a photograph.
 
     Raises
     ------
@@ -405,14 +468,14 @@ def describe(campaign: Campaign, scene: SceneFile, reading: Reading, run: Run) -
         name: "held" if known.fixed else "fitted" for name, known in campaign.parameters.items()
     }
     # drawn in another process while what follows is made
-    photograph = photographer.photograph(drawn, run, PICTURE_SCALE)
+    photograph = photographer.photograph(drawn, run, PICTURE_SCALE) if draw else None
     return BenchDescription(
         report=report,
         parameters=tuple(
             (name, value, scene.defaults[name], roles.get(name, ""))
             for name, value in scene.parameters.items()
         ),
-        cross_section=cross_section_figure(simulation, report.interfaces),
         reading=reading.label,
+        cross_section=cross_section_figure(simulation, report.interfaces) if draw else None,
         photograph=photograph,
     )

@@ -5,8 +5,10 @@ They stand apart from those on campaigns, whose sentences take half a second to 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.output.described import (
@@ -16,12 +18,14 @@ from mcrim_mitsuba.output.described import (
     Part,
     Sentence,
     Table,
+    measured,
     row,
     shown,
     table,
 )
 
 if TYPE_CHECKING:
+    from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
     from mcrim_mitsuba.efficiency.table import EtaTable
     from mcrim_mitsuba.reference.crosscheck import Crosscheck
     from mcrim_mitsuba.scene.check_text import CheckReport
@@ -42,6 +46,27 @@ def of_simulation(result: SimulationResult) -> Described:
     found = f"eta = {pdg(result.eta, result.eta_sigma)}   ({found}, {result.transport})"
     fates = table("where the light ends", ("fate", "fraction", "error"), rows)
     return Described("light collection efficiency", (Sentence(found), fates), notes=result.notes)
+
+
+def of_map(mapped: EtaMap, spreads: Sequence[Spread]) -> Described:
+    """What the efficiency varies by over the crystal, and what that does to a peak."""
+    rows = (
+        (one.source, measured(one.eta, one.eta_sigma),
+         Cell(pdg(100.0 * one.relative_rms, 100.0 * one.relative_rms_sigma), one.relative_rms),
+         shown(100.0 * one.fwhm, ".2g"))
+        for one in spreads
+    )  # fmt: skip
+    columns = ("gammas stop", "eta", Column("rms (%)", "relative_rms"), Column("FWHM (%)", "fwhm"))
+    cells = " x ".join(str(n) for n in mapped.eta.shape)
+    error = float(np.nanmedian(mapped.eta_sigma / mapped.eta))
+    said = (
+        f"by where light is born: {cells} cells, {mapped.photons:,} photons, {100 * error:.2g} % "
+        "error of one; FWHM is what a peak gets from the place alone"
+    )
+    return Described(
+        "map of the light collection efficiency",
+        (Sentence(said), table("efficiency where gammas stop", columns, rows)),
+    )
 
 
 def of_table(
@@ -72,8 +97,11 @@ def seconds_text(seconds: float | None) -> str:
     return "" if seconds is None else f"{seconds:.1f} s, "
 
 
-def of_check(report: CheckReport) -> Described:
-    """What a scene means, its faces, and what is wrong with it."""
+def of_check(report: CheckReport, *, first: bool = True) -> Described:
+    """What a scene means, its faces, and what is wrong with it.
+
+    The command raises the first problem, and shows the others.
+    """
     parts: list[Part] = [Sentence(f"- {sentence}") for sentence in report.words]
     if report.interfaces:
         columns = ("face", "kind", "behind it", Column("n", "n_behind"), "in front of it",
@@ -86,8 +114,11 @@ def of_check(report: CheckReport) -> Described:
             for face in report.interfaces
         )  # fmt: skip
         parts.append(table("", columns, rows))
-    also = (f"also: {problem}" for problem in report.problems[1:])
-    return Described("check of a scene", (*parts, *map(Sentence, also)), notes=report.notes)
+    wrong = [
+        f"{'also: ' if place else ''}{problem}" for place, problem in enumerate(report.problems)
+    ]
+    parts += map(Sentence, wrong if first else wrong[1:])
+    return Described("check of a scene", tuple(parts), notes=report.notes)
 
 
 def of_installation(found: Mapping[str, object]) -> Described:

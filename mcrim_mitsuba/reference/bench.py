@@ -20,6 +20,13 @@ PLATE_DISTANCE_MM = 0.005
 #: Width of the narrow collar of liquid around the foot of a crystal.
 NARROW_COLLAR_WIDTH_MM = 1.0
 
+#: What is nothing to a crystal alone in air.
+NOT_IN_A_BEAM = (
+    "wrap_reflectance", "top_reflectance", "bubble_fraction", "bubble_area_fraction",
+    "aperture_at_detector", "detector_reflectance", "detector_specular", "cathode_nm",
+    "angular_falloff", "radial_falloff", "mask_offset_mm", "housing_reflectance",
+    "collar_mm", "narrow_collar_mm",
+)  # fmt: skip
 #: Axes that a beam may fly along.
 BEAM_AXES = ("x", "y", "z")
 
@@ -258,13 +265,7 @@ class Bench:
         assert beam is not None
         expected = f"less than the crystal's side, {narrowest:g} mm"
         _require(beam < narrowest, "beam_diameter_mm", beam, expected)
-        self._refuse_beside(
-            "beam_diameter_mm", "in a beam",
-            "wrap_reflectance", "top_reflectance", "bubble_fraction", "bubble_area_fraction",
-            "aperture_at_detector", "detector_reflectance", "detector_specular", "cathode_nm",
-            "angular_falloff", "radial_falloff", "mask_offset_mm", "housing_reflectance",
-            "collar_mm", "narrow_collar_mm",
-        )  # fmt: skip
+        self._refuse_beside("beam_diameter_mm", "in a beam", *NOT_IN_A_BEAM)
 
     def _refuse_beside(self, there: str, where: str, *others: str) -> None:
         """Refuse what the tracer does not know beside another parameter."""

@@ -110,10 +110,15 @@ class Track:
 
     def tell(self, what: str, remark: str = "") -> None:
         """Say how far a part is, and what there is to be said of it."""
-        if self._progress is not None:
-            units = f"{self._done[what]} of {self._count[what]} units"
-            note = f"{units}, {remark}" if remark else units
-            self._progress(what, self._photons[what], self._total[what], note)
+        if self._progress is None:
+            return
+        done, count = self._done[what], self._count[what]
+        if not self._total[what]:  # what is solved follows no photons
+            self._progress(what, done, count, remark)
+            return
+        units = f"{done} of {count} units"
+        note = f"{units}, {remark}" if remark else units
+        self._progress(what, self._photons[what], self._total[what], note)
 
     def _id(self, index: int) -> str:
         task = self._tasks[index]

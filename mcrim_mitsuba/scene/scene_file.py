@@ -170,11 +170,13 @@ class SceneFile:
     def content_hash(self) -> str:
         """SHA-256 (hexadecimal) of what `root` says, whatever its blanks and attribute order.
 
-        The contents of the files that it names (meshes, spectra) enter as they are when this is
-        first asked, from every folder in which Mitsuba may look for them.
+        A sensor is no part of it: it changes nothing of what is simulated. The contents of the
+        files that it names (meshes, spectra) enter as they are when this is first asked, from
+        every folder in which Mitsuba may look for them.
         """
         text = etree.tostring(self.root, encoding="unicode")
-        digest = hashlib.sha256(etree.canonicalize(text, strip_text=True).encode())
+        said = etree.canonicalize(text, strip_text=True, exclude_tags=["sensor"])
+        digest = hashlib.sha256(said.encode())
         home = self.path.parent
         folders = [home, *(home / e.get("value", "") for e in self.root.iter("path")), Path()]
         for element in self.root.iter("string"):

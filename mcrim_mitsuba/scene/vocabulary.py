@@ -46,6 +46,7 @@ PLUGIN_TYPES = {
     "integrator": ("light_collection",),
     "medium": ("bulk", "homogeneous", "heterogeneous"),
     "phase": ("hg", "isotropic", "rayleigh"),
+    "sensor": ("light_meter",),
     "shape": (
         "beam_detector", "chamfers", "frame", "gap_sides", "panel", "round_wall", "wrapping",
         "cube", "cylinder", "disk", "obj", "ply", "rectangle", "sphere",

@@ -1,8 +1,8 @@
-"""Where light arrives: the plane of a flat detector, what is seen in it, and photons' arrivals."""
+"""Where light arrives and where it was born: a flat detector's plane, and photons one by one."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, FateTally
 from mcrim_mitsuba.transport.loop import Launch
-from mcrim_mitsuba.transport.record_store import ARRIVAL_PLACE
+from mcrim_mitsuba.transport.record_store import ARRIVAL_PLACE, BIRTH_PLACE
 from mcrim_mitsuba.transport.scene_model import DETECTOR, SceneModel
 from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -169,14 +169,34 @@ def arrivals(
     the medium before it), the tally of all so far, and where the detected photons arrive: float64,
     shape (detected, 3), mm.
     """
+    for found, tally in launches(simulation, photons, seed, (*ARRIVAL_PLACE, "arrival_angle_deg")):
+        yield found, tally, _place(found, ARRIVAL_PLACE)
+
+
+def births(
+    simulation: Simulation, photons: int, *, seed: int = 0
+) -> Iterator[tuple[Launch, FateTally, np.ndarray]]:
+    """The same, with where the detected photons were born: float64, shape (detected, 3), mm."""
+    crystal = simulation.crystal
+    corner = np.array([*crystal.lower[:2], crystal.upper[2]])
+    for found, tally in launches(simulation, photons, seed, BIRTH_PLACE):
+        yield found, tally, corner + _place(found, BIRTH_PLACE) * (1.0, 1.0, -1.0)
+
+
+def launches(
+    simulation: Simulation, photons: int, seed: int, columns: Sequence[str]
+) -> Iterator[tuple[Launch, FateTally]]:
+    """Launches of so many photons with these columns of records, and the tally of all so far."""
     launcher = simulation.launcher()
     done = number = 0
     while done < photons:
         chunk = min(launcher.size if number else FIRST_LAUNCH, photons - done)
         found = launcher.launch(
-            chunk, seed=seed, number=number, max_depth=simulation.depth_limit,
-            columns=(*ARRIVAL_PLACE, "arrival_angle_deg"),
-        )  # fmt: skip
+            chunk, seed=seed, number=number, max_depth=simulation.depth_limit, columns=columns
+        )
         done, number = done + chunk, number + 1
-        place = np.column_stack([found.records[name] for name in ARRIVAL_PLACE])
-        yield found, launcher.tally, place.astype(np.float64)
+        yield found, launcher.tally
+
+
+def _place(found: Launch, names: Sequence[str]) -> np.ndarray:
+    return np.column_stack([found.records[name] for name in names]).astype(np.float64)

@@ -15,6 +15,7 @@ cosine.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,10 +27,12 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.transport.convex import convex_solids
 from mcrim_mitsuba.transport.launch_plan import BATCHES, LanePlan
 from mcrim_mitsuba.transport.scene_model import (
+    DETECTOR,
     OUTSIDE,
     SceneModel,
     opaque,
     opaque_vector,
+    read_scene_model,
     surface_numbers,
 )
 
@@ -126,6 +129,8 @@ class BirthLattice:
 
 #: Candidates per wanted birth after which a volume counts as empty.
 MOST_ROUNDS = 1000
+#: Points along each side of a cell at which it is looked whether it lies inside.
+POINTS_ALONG_A_CELL = 12
 #: Height of the volume, over the depth of the source, below which births are even to 1e-6.
 EVEN_BELOW = 1e-6
 #: Depth of the uppermost births over the height: born on the face itself, light could miss it.
@@ -224,6 +229,28 @@ class CrystalVolume:
 
         `rng` (``mitsuba.PCG32`` of this width) is advanced in place.
         """
+        point, rounds = self._searched(rng, count)
+        if int(dr.max(rounds)[0]) >= MOST_ROUNDS:
+            raise InputError(
+                f"the shapes around medium {self.model.volumes[self.volume].name!r} enclose no "
+                "volume",
+                "close the crystal: every face needs the medium on its inner side",
+            )
+        return point
+
+    def born_from(self, a, b, c):
+        """A birth (Point3f, mm) in any closed solid that three uniforms (Float) fix.
+
+        Where they cannot be its coordinates, they seed the rejection.
+        """
+        if self.direct:
+            return self.from_uniforms(a, b, c)
+        bits = [dr.reinterpret_array(mi.UInt32, uniform) for uniform in (a, b, c)]
+        start, stream = (mi.sample_tea_64(bits[i], bits[i + 1], HASH_ROUNDS) for i in (0, 1))
+        return self._searched(mi.PCG32(initstate=start, initseq=stream), dr.width(start))[0]
+
+    def _searched(self, rng, count: int):
+        """As `sample`, with the rounds it took (UInt32); `MOST_ROUNDS` where nothing was found."""
         lower, extent = opaque_vector(self.lower), opaque_vector(self.upper - self.lower)
         inside = self._sees_itself() if self._solid is None else self._solid.test()
 
@@ -244,13 +271,35 @@ class CrystalVolume:
             body=body,
             labels=("point", "searching", "rng", "rounds"),
         )  # fmt: skip
-        if int(dr.max(rounds)[0]) >= MOST_ROUNDS:
-            raise InputError(
-                f"the shapes around medium {self.model.volumes[self.volume].name!r} enclose no "
-                "volume",
-                "close the crystal: every face needs the medium on its inner side",
-            )
-        return point
+        return point, rounds
+
+    def part_inside(self, edges_mm: Sequence[np.ndarray]) -> np.ndarray:
+        """Part of the volume of each cell of a grid that lies inside, by its edges along x, y, z.
+
+        float64, one dimension per axis: 1 throughout a box, and to a per cent at the borders of
+        other shapes, from a lattice of points.
+        """
+        shape = tuple(len(edges) - 1 for edges in edges_mm)
+        if self.frame is not None and all(np.count_nonzero(e) == 1 for e in self.frame[1:]):
+            return np.ones(shape)
+        inside = self._sees_itself() if self._solid is None else self._solid.test()
+        share = (np.arange(POINTS_ALONG_A_CELL) + 0.5) / POINTS_ALONG_A_CELL
+        along = [(e[:-1, None] + share * np.diff(e)[:, None]).ravel() for e in edges_mm]
+        points = np.stack(np.meshgrid(*along, indexing="ij")).reshape(3, -1)
+        found = np.array(inside(mi.Point3f(*points.astype(np.float32))))
+        lattice = [side for n in shape for side in (n, POINTS_ALONG_A_CELL)]
+        return found.reshape(lattice).mean(axis=(1, 3, 5))
+
+    def birth_density(self, edges_mm: Sequence[np.ndarray]) -> np.ndarray:
+        """Of births in each cell of such a grid over the bounding box; float64, its mean is 1."""
+        density = np.ones([len(edges) - 1 for edges in edges_mm])
+        if self._steepness:
+            low, high = self.lower[self._axis], self.upper[self._axis]
+            depth = (edges_mm[self._axis] - low) / (high - low)
+            born_before = np.expm1(-self._steepness * (1.0 - depth if self._from_high else depth))
+            along = np.abs(np.diff(born_before)) / np.diff(depth) / -np.expm1(-self._steepness)
+            density *= np.expand_dims(along, [i for i in range(3) if i != self._axis])
+        return density
 
     def _sees_itself(self):
         """A function that tells of points (Point3f, mm) whether they lie in the volume (Mask)."""
@@ -329,6 +378,26 @@ class CollimatedBeam(CrystalVolume):
         sine, cosine = dr.sincos(dr.two_pi * b)
         one, other = self._across
         return mi.Point3f(self._begin + one * (radius * cosine) + other * (radius * sine))
+
+
+def read_crystal(scene) -> CrystalVolume:
+    """Where light is born in a loaded scene, with the model of that scene.
+
+    Raises
+    ------
+    InputError
+        If the scene has no detector, or not one emitter; and as `read_scene_model`.
+    """
+    emitters = [e for e in scene.emitters() if hasattr(e, "volume")]
+    if len(emitters) != 1:
+        problem = f"the scene has {len(emitters)} scintillation emitters, not one"
+        mend = 'write one <emitter type="scintillation"><ref id="crystal"/></emitter>'
+        raise InputError(problem, mend)
+    crystal = emitters[0].volume(read_scene_model(scene))
+    if not any(surface.kind == DETECTOR for surface in crystal.model.surfaces):
+        problem = "no shape of the scene is a detector"
+        raise InputError(problem, 'give the detecting face <bsdf type="photodetector"/>')
+    return crystal
 
 
 def _along(axis: int, frame):

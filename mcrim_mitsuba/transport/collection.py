@@ -6,7 +6,7 @@ Every run is a row of launches (`Launcher`). `collect` counts fates until enough
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -147,6 +147,37 @@ def collect(
             raise
         return True
     return False
+
+
+def slope_along(
+    launcher: Launcher,
+    tangent: Mapping[int, Sequence[float]],
+    photons: int,
+    *,
+    seed: int,
+    max_depth: int,
+) -> tuple[float, float]:
+    """Derivative of eta along a change of the volumes' coefficients, and its standard error.
+
+    Parameters
+    ----------
+    launcher : Launcher
+    tangent : mapping of int to (float, float)
+        See `loop.Loop`.
+    photons, seed, max_depth
+        As for `collect`.
+    """
+    refuse_arguments(photons, seed)
+    slopes, number = FateTally(head_on=launcher.tally.head_on), 0
+    while slopes.photons < photons:
+        chunk = min(launcher.size, photons - slopes.photons)
+        found = launcher.launch(
+            chunk, seed=seed, number=number, max_depth=max_depth, tangent=tangent
+        )
+        assert found.detected_slope is not None
+        slopes.add(found.photons_per_batch, {"detected": found.detected_slope})
+        number += 1
+    return slopes.eta, slopes.eta_sigma
 
 
 class Recorder:

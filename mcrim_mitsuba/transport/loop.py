@@ -9,7 +9,7 @@ the coefficients of scattering and absorption (1/mm), u and v numbers even in [0
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -139,10 +139,11 @@ class Loop:
     columns : sequence of str, optional
         Return the detected photons' histories, with these columns besides scatterings, path,
         weight and batch (see `RecordStore`); what is not asked for costs nothing.
-    tangent : tuple of float, optional
-        Also differentiate the detected weight, by Dr.Jit's forward mode, along this change of the
-        crystal's scattering and absorption, 1/mm per unit of whatever varies: photons' ways stay
-        as they are drawn, their probabilities and weights are differentiated.
+    tangent : mapping of int to (float, float), optional
+        Also differentiate the detected weight, by Dr.Jit's forward mode, along this change of
+        volumes' scattering and absorption, 1/mm per unit of whatever varies: photons' ways stay
+        as they are drawn, their probabilities and weights are differentiated. Of a volume that
+        does not scatter they tell the absorption's part only.
     trails : TrailStore, optional
         Also write down where every photon flies. Absorption then takes photons whole, so that each
         has one fate; other photons than without are absorbed, but their random numbers are alike.
@@ -156,8 +157,8 @@ class Loop:
     def __init__(
         self, path, emitter: CrystalVolume, plan: LanePlan, *, seed: int, number: int,
         max_depth: int, proposals: ScatteringProposals | None = None,
-        columns: Sequence[str] | None = None, tangent: tuple[float, float] | None = None,
-        trails: TrailStore | None = None,
+        columns: Sequence[str] | None = None,
+        tangent: Mapping[int, Sequence[float]] | None = None, trails: TrailStore | None = None,
     ) -> None:  # fmt: skip
         lanes, photons = plan.lanes, int(plan.photons.sum())
         self.path, self.emitter, self.plan = path, emitter, plan
@@ -193,7 +194,7 @@ class Loop:
             {
                 n: opaque([alpha])
                 for n, volume in enumerate(path.model.volumes)
-                if (alpha := getattr(volume, name)) > 0.0 or n == source
+                if (alpha := getattr(volume, name)) > 0.0 or n == source or n in (tangent or ())
             }
             for name in ("alpha_scat_per_mm", "alpha_abs_per_mm")
         )
@@ -201,11 +202,11 @@ class Loop:
             scat = np.array(proposals.alpha_scat_per_cm) / MM_PER_CM
             self._scat[source] = opaque(scat[plan.proposal])
             self._absorb[source] = opaque([proposals.alpha_abs_per_cm / MM_PER_CM])
-        if tangent is not None:
-            for known, slope in zip((self._scat, self._absorb), tangent, strict=True):
-                known[source] = mi.Float(known[source])
-                dr.enable_grad(known[source])
-                dr.set_grad(known[source], slope)
+        for number, slopes in (tangent or {}).items():
+            for known, slope in zip((self._scat, self._absorb), slopes, strict=True):
+                known[number] = mi.Float(known[number])
+                dr.enable_grad(known[number])
+                dr.set_grad(known[number], slope)
         self._scattering = Scattering(path.model, self._scat)
 
     def start(self) -> Photon:
@@ -385,8 +386,8 @@ class Loop:
         """What the loop found, when it has run."""
         slope: Any = None
         if self._tangent is not None:
-            source = self.emitter.volume
-            dr.enqueue(dr.ADMode.Forward, self._scat[source], self._absorb[source])
+            varied = [known[n] for known in (self._scat, self._absorb) for n in self._tangent]
+            dr.enqueue(dr.ADMode.Forward, varied)
             dr.traverse(dr.ADMode.Forward)
             slope = dr.grad(final.fates[physics.DETECTED])
         totals = final.fates | self._rare

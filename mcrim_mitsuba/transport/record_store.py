@@ -79,6 +79,8 @@ SCATTERING_PATH = "scattering_path_cm"
 #: Largest distance from the axis of a mask at which its face was met; 0 if none.
 MASK_RADIUS = "mask_radius_mm"
 ARRIVAL_PLACE = ("arrival_x_mm", "arrival_y_mm", "arrival_z_mm")
+#: Of a birth, along x, y and downwards; other than ``birth_depth_mm`` in full precision.
+BIRTH_PLACE = ("birth_from_left_mm", "birth_from_front_mm", "birth_from_top_mm")
 #: What every scene can give besides.
 COLUMNS = {
     # internal ones at the crystal's polished faces
@@ -111,6 +113,10 @@ COLUMNS = {
     **{
         name: Recorded(np.float32, arrival=lambda step, birth, axis=axis: step.position[axis])
         for axis, name in enumerate(ARRIVAL_PLACE)
+    },
+    **{
+        name: Recorded(np.float32, arrival=lambda step, birth, axis=axis: birth()[axis])
+        for axis, name in enumerate(BIRTH_PLACE)
     },
     "arrival_angle_deg": Recorded(
         np.float32, arrival=lambda step, birth: dr.rad2deg(dr.safe_acos(step.outcome.cosine))

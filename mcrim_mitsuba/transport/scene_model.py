@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import MM_PER_CM
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, MM_PER_CM
 from mcrim_mitsuba.optics.thin_film import ThinFilm
 
 #: Index of the volume outside everything: a face without a medium on a side touches it.
@@ -283,13 +283,19 @@ class SceneModel:
 
 
 def read_scene_model(scene) -> SceneModel:
-    """Translate a scene that was loaded with ``optimize=False``: every shape keeps its id.
+    """Translate a scene; every shape keeps its id where it was loaded with ``optimize=False``.
 
     Raises
     ------
     InputError
         For a medium, a phase function or a shape that the transport cannot follow.
     """
+    box = mi.ScalarBoundingBox3f()
+    for shape in scene.shapes():
+        if shape.is_mesh() and not shape.bbox().valid():
+            # made of several by Mitsuba, which forgets where it is
+            shape.recompute_bbox()
+        box.expand(shape.bbox())
     shapes = tuple(shape for shape in scene.shapes() if not getattr(shape, "empty", False))
     volumes = [Volume(RESERVED_NAMES[OUTSIDE], 0.0, 0.0)]
     for shape in shapes:
@@ -320,7 +326,6 @@ def read_scene_model(scene) -> SceneModel:
     if len({(s.film, s.head_on) for s in surfaces if s.kind == DETECTOR}) > 1:
         problem = "the detectors differ in what they take of light that arrives head-on"
         raise InputError(problem, "let all have the same cathode_nm and angular_falloff")
-    box = scene.bbox()
     size = float(max(np.abs(np.array(box.min)).max(), np.abs(np.array(box.max)).max()))
     return SceneModel(
         scene, shapes, tuple(volumes), tuple(surfaces), tuple(faces), tuple(curved), size,
@@ -337,10 +342,15 @@ def _volume(medium) -> Volume:
     """The volume of a medium, and how it scatters."""
     scattering = _phase(medium)
     if hasattr(medium, "alpha_scat_per_cm"):
-        scat, absorption = medium.alpha_scat_per_cm, medium.alpha_abs_per_cm
+        # Mitsuba's own way may have set them
+        alphas = {name: getattr(medium, name)[0] for name in (ALPHA_SCAT, ALPHA_ABS)}
+        for name, alpha in alphas.items():
+            if not 0.0 <= alpha < math.inf:
+                problem = f"{name} of medium {medium.id()!r} is {alpha:g}"
+                raise InputError(problem, "give a number of 0 or more")
         scattering["scattering_gradient"] = medium.scattering_gradient
         scattering["endless"] = medium.endless
-        return Volume(medium.id(), scat / MM_PER_CM, absorption / MM_PER_CM, **scattering)
+        return Volume(medium.id(), *(alpha / MM_PER_CM for alpha in alphas.values()), **scattering)
     parameters = mi.traverse(medium)
     try:
         sigma_t = _first(parameters["sigma_t.value.value"]) * _first(parameters["scale"])

@@ -108,24 +108,16 @@ class Simulation:
             _refuse(problems_of_text(self.file))
         mi = use_variant(variant, threads)
         self.variant = variant
-        from mcrim_mitsuba.transport.scene_model import DETECTOR, read_scene_model
+        from mcrim_mitsuba.transport.bulk import read_crystal
 
         self.scene = load_scene(mi, self.file)
         self.integrator = self.scene.integrator()
         if not hasattr(self.integrator, "depth_limit"):
             problem = "the scene has no light collection integrator"
             raise self._lacks(problem, 'add <integrator type="light_collection"/>')
-        emitters = [e for e in self.scene.emitters() if hasattr(e, "volume")]
-        if len(emitters) != 1:
-            problem = f"the scene has {len(emitters)} scintillation emitters, not one"
-            mend = 'write one <emitter type="scintillation"><ref id="crystal"/></emitter>'
-            raise self._lacks(problem, mend)
         with said_by(self._lacks):
-            self.model = read_scene_model(self.scene)
-            self.crystal = emitters[0].volume(self.model)
-        if not any(surface.kind == DETECTOR for surface in self.model.surfaces):
-            problem = "no shape of the scene is a detector"
-            raise self._lacks(problem, 'give the detecting face <bsdf type="photodetector"/>')
+            self.crystal = read_crystal(self.scene)
+        self.model = self.crystal.model
         if check:
             from mcrim_mitsuba.transport.check import check_simulation
 

@@ -83,9 +83,7 @@ def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
     if name not in mi.variants():
         mend = f"use one of {', '.join(v for v in SUPPORTED_VARIANTS if v in mi.variants())}"
         raise InputError(f"the installed Mitsuba {mi.__version__} has no variant {name!r}", mend)
-    if not _state["callback"]:
-        mi.detail.add_variant_callback(_on_variant_change)
-        _state["callback"] = True
+    join_mitsuba()
     if mi.variant() != name:
         try:
             mi.set_variant(name)
@@ -154,9 +152,29 @@ def register_plugins(variant: str) -> None:
     _state["plugins"] = variant
 
 
-def _on_variant_change(_old: str | None, new: str) -> None:
-    if new is not None and not new.startswith("scalar"):
-        register_plugins(new)
+def join_mitsuba() -> None:
+    """Have the plugins in the active variant of Mitsuba, and in every one it switches to.
+
+    Raises
+    ------
+    InputError
+        If the active variant computes with an LLVM that is too old.
+    """
+    import mitsuba as mi
+
+    if _state["callback"]:
+        return
+    mi.detail.add_variant_callback(_on_variant_change)
+    _state["callback"] = True
+    _on_variant_change(None, mi.variant())
+
+
+def _on_variant_change(_old: str | None, new: str | None) -> None:
+    if new is None or new.startswith("scalar"):
+        return
+    if new.startswith("llvm"):
+        selected_llvm()
+    register_plugins(new)
 
 
 def versions(variant: str, threads: int | None = None) -> dict[str, str]:

@@ -42,7 +42,7 @@ def edit(editor):
 
 EFFECT = Effect(
     name="black_spot",
-    title="Black spot on the top face",
+    title="black spot on the top face",
     physics=(
         "A label, a drop of glue or a fingerprint in optical contact with the top face absorbs "
         "light that total reflection would have kept in the crystal."

@@ -41,7 +41,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.files import plain, write_text
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.inference.diagnose import UNEXPLAINED
-from mcrim_mitsuba.reference.bench import FILLED_ABOVE, Bench
+from mcrim_mitsuba.reference.bench import FILLED_ABOVE, NOT_IN_A_BEAM, Bench
 from mcrim_mitsuba.reference.tracer import trace
 from trials.hidden_histories import (
     COLUMNS,
@@ -208,9 +208,10 @@ def readings_of(store: HistoryStore, hidden: Hidden, truth: Truth, design: Desig
 
 def with_transmittance(readings: Readings, hidden: Hidden, truth: Truth, seed: int) -> Readings:
     """Readings with the transmittance of the same crystal, without error of measurement, last."""
+    seen = {n: value for n, value in changes_of(hidden).items() if n not in NOT_IN_A_BEAM}
     beam = Bench(
         alpha_scat_per_cm=truth.alpha_scat_per_cm, alpha_abs_per_cm=truth.alpha_abs_per_cm,
-        beam_diameter_mm=BEAM_DIAMETER_MM, acceptance_deg=ACCEPTANCE_DEG, **changes_of(hidden),
+        beam_diameter_mm=BEAM_DIAMETER_MM, acceptance_deg=ACCEPTANCE_DEG, **seen,
     )  # fmt: skip
     found = trace(beam, _BEAM_PHOTONS, seed)
     sigma = math.hypot(TRANSMITTANCE_SIGMA * found.eta, found.eta_sigma)
@@ -363,7 +364,8 @@ def write_campaign(
 
 def labels(design: Design) -> list[str]:
     """Labels of the readings: what each differs in from the bench's own values."""
-    liquids = {1.0: "air", 1.333: "water", 1.4: "silicone", 1.46: "gel", 1.515: "oil", 1.6: "resin"}
+    liquids = {1.0: "air", 1.333: "water", 1.4: "silicone", 1.46: "gel", 1.515: "oil", 1.6: "resin",
+               1.74: "iodide"}  # fmt: skip
     usual = dict(zip((" hole", " height", " gap"), list(_USUAL.values())[1:], strict=True))
     return [
         liquids[n_gap]

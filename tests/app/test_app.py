@@ -66,15 +66,15 @@ def test_from_readings_to_the_mended_scene(browser, campaign, shared_cache, scen
 
         browser.wait_for(diagnosed, "verdict", LONGEST_SIMULATION_S)
         assert len([words for words in seen if words.startswith("diagnosing")]) > 1, seen
-        assert "gap_bubble" in browser.text("#verdict")
+        assert "Air bubble in the gap explains" in browser.text("#verdict")
         app.settled()
         browser.screenshot_whole("2 diagnosed")
 
         leading = browser.find("#diagnosis button.main")
-        assert leading.get_attribute("aria-label") == "add gap_bubble and fit"
+        assert leading.get_attribute("aria-label") == "add air bubble in the gap and fit"
         leading.click()
         browser.wait_for(
-            lambda: "The last fit, with gap_bubble" in browser.text("#fitted"),
+            lambda: "The last fit, with air bubble in the gap" in browser.text("#fitted"),
             "fit",
             LONGEST_SIMULATION_S,
         )
@@ -226,10 +226,10 @@ def test_without_a_mouse(browser, campaign, shared_cache):
             lambda: not app.control("number", "background").is_displayed(), "the background's end"
         )
         browser.find("#table-details summary").send_keys(KEYS["enter"])
-        browser.wait_for(lambda: "gel" in browser.text("#rows"), "table")
+        browser.wait_for(lambda: browser.find("#rows .name").is_displayed(), "table")
         app.settled()
         browser.find("#diagnose").send_keys(KEYS["enter"])
-        browser.wait_for(lambda: "too_few_readings" in browser.text("#diagnosis"), "verdict", 60)
+        browser.wait_for(lambda: "Too few readings" in browser.text("#diagnosis"), "verdict", 60)
         # Enter asks for a file
         browser.driver.execute_cdp_cmd("Page.setInterceptFileChooserDialog", {"enabled": True})
         browser.driver.get_log("performance")

@@ -38,7 +38,9 @@ def test_jobs_wait_and_stop(browser, scenes):
         # what is asked for meanwhile waits; all of it stays in sight
         for effect in ("gap_bubble", "edge_chamfer", "background"):
             app.control("effect", effect).click()
-        browser.wait_for(lambda: "; then simulating gap_bubble and 2 more" in status(), "queue")
+        browser.wait_for(
+            lambda: "; then simulating air bubble in the gap and 2 more" in status(), "queue"
+        )
         fit, box = browser.find("#fit"), app.control("effect", "edge_chamfer")
         assert fit.text == "Stop" and fit.get_attribute("aria-label") == "Stop: Fit"
         browser.screenshot("jobs wait")
@@ -57,10 +59,10 @@ def test_jobs_wait_and_stop(browser, scenes):
         # what was stopped is off again, and its numbers are not said to be the model's
         app.control("effect", "edge_chamfer").click()
         words = browser.wait_for(lambda: browser.text("#pending"), "words")
-        assert "without edge_chamfer" in words and browser.all("body.stale")
+        assert "without bevel of the edges" in words and browser.all("body.stale")
         browser.find('[data-key="effect edge_chamfer"]').click()
         browser.wait_for(lambda: not box.is_selected() and app.is_idle(), "switch", 30)
-        assert "edge_chamfer: stopped" in browser.text("#error")
+        assert "bevel of the edges: stopped" in browser.text("#error")
 
 
 def test_a_lost_connection_is_said(browser, campaign, shared_cache):
@@ -145,7 +147,7 @@ def test_each_error_and_each_axis_says_what_it_is(browser, campaign, shared_cach
     with running(campaign, shared_cache, browser) as app:
         app.switch_on("gap_bubble")
         browser.find("#fit").click()
-        browser.wait_for(lambda: "with gap_bubble" in browser.text("#fitted"), "fit")
+        browser.wait_for(lambda: "with air bubble in the gap" in browser.text("#fitted"), "fit")
         app.settled()
         assert "whole error" in browser.text("#fitted")
         ticks = [float(tick.text) for tick in browser.all("#falling-chart .tick")]
@@ -202,17 +204,23 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(
         app.tab_to("#diagnosis button.main")
         app.press(KEYS["enter"])
         browser.wait_for(
-            lambda: "with gap_bubble" in browser.text("#fitted"), "fit", LONGEST_SIMULATION_S
+            lambda: "with air bubble in the gap" in browser.text("#fitted"),
+            "fit",
+            LONGEST_SIMULATION_S,
         )
         app.settled()
         assert app.chi2 < 25 and app.control("effect", "gap_bubble").is_selected()
         app.tab_to("[data-do=remove]")
         browser.screenshot(f"{wide} 4 fits")
         app.press(KEYS["enter"])
-        browser.wait_for(lambda: "with gap_bubble" not in browser.text("#fitted"), "removal")
+        browser.wait_for(
+            lambda: "with air bubble in the gap" not in browser.text("#fitted"), "removal"
+        )
         app.tab_to("#undo")
         app.press(KEYS["enter"])
-        browser.wait_for(lambda: "with gap_bubble" in browser.text("#fitted"), "what was removed")
+        browser.wait_for(
+            lambda: "with air bubble in the gap" in browser.text("#fitted"), "what was removed"
+        )
 
         # the reading under the pointer, without a pointer
         app.tab_to("#readings-chart")
@@ -235,11 +243,36 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(
             lambda: browser.find("#chi2-words").get_property("textContent") != freedom, "ndf"
         )
         assert len(browser.all("tr.unused")) == 1 and not browser.text("#averaged")
-        app.tab_to("#rows [data-column=sigma]")
-        app.type(browser.driver.switch_to.active_element, "-1")
-        browser.wait_for(lambda: "sigma = -1 is not above 0" in browser.text("#rows-wrong"), "no")
-        app.type(browser.driver.switch_to.active_element, "0,2")
-        browser.wait_for(lambda: not browser.text("#rows-wrong"), "yes")
+        for column, wrong, said, right in (
+            ("sigma", "-1", "sigma = -1 is not above 0", "0,2"),
+            ("n_gap", "0.5", "n_gap = 0.5: this is no refractive index", "1,1"),
+        ):
+            app.tab_to(f"#rows [data-column={column}]")
+            app.type(browser.driver.switch_to.active_element, wrong)
+            beside = f"td:has([data-column={column}]) .wrong"
+            browser.wait_for(lambda at=beside, it=said: it in browser.text(at), said)
+            assert browser.all("body.stale")
+            if column == "n_gap":
+                browser.screenshot(f"{wide} 6 cell")
+            app.type(browser.driver.switch_to.active_element, right)
+            browser.wait_for(lambda at=beside: not browser.text(at), right)
+            app.settled()
+        eta = app.table()[0][-1]
+        app.tab_to("#rows tr:first-child [data-do=copy]")
+        app.press(KEYS["enter"])
+        browser.wait_for(lambda: app.is_about("(17)"), "copy")
+        app.settled()
+        assert app.table()[16] == ["air (2)", *app.table()[0][1:]]
+        app.press("new", KEYS["enter"])  # in the field of its name, all of which is chosen
+        browser.wait_for(lambda: app.table()[16][0] == "new", "name")
+        app.tab_to("#rows tr:last-child [data-do=drop]")
+        app.press(KEYS["enter"])
+        browser.wait_for(lambda: app.is_about("(16)"), "removal")
+        for readings in (17, 17, 16, 16):  # removed, named, added, of another index
+            app.tab_to("#undo")
+            app.press(KEYS["enter"])
+            browser.wait_for(lambda n=readings: app.is_about(f"({n})"), "undone")
+        browser.wait_for(lambda: app.is_idle() and app.table()[0][-1] != eta, "former index", 60)
         browser.screenshot(f"{wide} 6 table")
 
         # what is known of a parameter, and what it is

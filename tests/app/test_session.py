@@ -2,6 +2,7 @@
 
 import io
 import json
+import threading
 import time
 import zipfile
 from contextlib import contextmanager
@@ -93,18 +94,21 @@ def test_readings_are_edited_in_the_table(files):
     folder, text = files
     with opened(folder / "bench.toml", folder) as session:
         place = 15  # gel hole 4, which the bench explains worst
-        before = session.state.ready
-        session.edit_reading(place, {"use": False})
-        session.edit_reading(0, {"signal": 13.5})
-        assert session.jobs.status.job is None and session.state.ready is before
+        before = session.bench
+        session.edit_reading(place, "use", "0")
+        session.edit_reading(0, "signal", "13.5")
+        assert session.jobs.status.job is None and session.bench is before
         found = fitted(session)
         assert session.state.steps[-1].words == "air 13.5 ± 0.0924, without gel hole 4"
-        for column, value, said in (
-            ("sigma", -1.0, "line 4, column sigma: sigma = -1 is not above 0"),
-            ("signal", 0.0, "signal = 0, but a light signal is above 0"),
+        for column, cell, said in (
+            ("sigma", "-1", "^sigma = -1 is not above 0; give"),
+            ("signal", "0", "^signal = 0, but a light signal is above 0"),
+            ("n_gap", "0.5", "^n_gap = 0.5: this is no refractive index; give a number from 1"),
+            ("n_gap", "treacle", "^n_gap = 'treacle' is not a finite number"),
+            ("label", "water", "^the label water is on line .* already"),
         ):
-            with pytest.raises(InputError, match="camoo4_misfit.csv.*" + said):
-                session.edit_reading(0, {column: value})
+            with pytest.raises(InputError, match=said):
+                session.edit_reading(0, column, cell)
         shown = session.show(session.state.settings)
         assert shown.chi2 == pytest.approx(found.chi2, rel=1e-5)
     # the same file, written by hand, says the same
@@ -115,6 +119,64 @@ def test_readings_are_edited_in_the_table(files):
     with opened(folder / "edited.toml", folder) as other:
         same = fitted(other)
         assert (same.chi2, same.ndf) == (pytest.approx(found.chi2, rel=1e-5), found.ndf)
+
+
+def test_other_configurations_are_simulated(files):
+    folder, text = files
+    lines = (folder / "camoo4_misfit.csv").read_text().splitlines()
+    rows = [lines[place] for place in (2, 3, 5, 17, 18)]
+    (folder / "four.csv").write_text("\n".join(rows) + "\n")
+    (folder / "bench.toml").write_text(text.replace("camoo4_misfit.csv", "four.csv"))
+    with opened(folder / "bench.toml", folder) as session:
+        asked, first = session.state.settings, session.bench
+        with session.lock:  # nothing is shown of readings that are not simulated yet
+            session.edit_reading(3, "aperture_radius_mm", "3")
+            assert session.show(asked) is None
+            session.edit_reading(3, "aperture_radius_mm", "5.5")  # nor is the former waited for
+        wait(session)
+        assert session.bench is not first and session.bench_number == 1
+        eta = session.show(asked).rows[3].eta
+        session.copy_reading(3)
+        wait(session)
+        shown = session.show(asked)
+        assert [row.label for row in shown.rows[2:]] == [
+            "air hole 4",
+            "gel hole 4",
+            "gel hole 4 (2)",
+        ]
+        assert shown.rows[4].eta == shown.rows[3].eta == eta and not shown.rows[4].use
+        session.drop_reading(0)
+        wait(session)
+        found = fitted(session)
+        assert session.state.steps[-1].words == "without air, gel hole 4 at aperture radius 5.5"
+        assert [row.label for row in found.rows][-1] == "gel hole 4 (2)"
+        session.compare_with(session.state.steps[0].number)
+        assert "Pulls of both" in layout.state(session, -1)["parts"]["fitted"]
+        session.offer("session", session.state.settings)
+        wait(session)
+        file = session.state.file
+
+        # what is not to be simulated is not in the table
+        going_on = threading.Event()
+        session.jobs.start(Job("other", "other", going_on.wait))
+        session.edit_reading(0, "gap_mm", "0.0731")  # of water now
+        assert session.state.campaign.measurements.readings[0].parameters["gap_mm"] == 0.0731
+        session.jobs.stop("readings")
+        assert session.state.campaign.measurements.readings[0].parameters["gap_mm"] == 0.05
+        going_on.set()
+        for _ in range(5):  # fitted, removed, added, edited twice
+            session.undo()
+        wait(session)
+        assert not session.can_undo and len(session.show(asked).rows) == 4
+        with pytest.raises(InputError, match="not there any more"):
+            session.drop_reading(4)
+
+        session.take_session(*file)
+        wait(session)
+        again = session.state.steps[-1]
+        assert again.words == "without air, gel hole 4 at aperture radius 5.5"
+        assert again.calibration.chi2 == pytest.approx(found.chi2, rel=1e-4)
+        assert len(session.show(session.state.settings).rows) == 4
 
 
 def test_parameters_are_held_or_known(files):
@@ -152,7 +214,7 @@ def test_a_size_that_is_held_is_simulated_where_it_is_held(files):
             known={"bubble_fraction": Known(HELD)},
         )  # fmt: skip
         assert found.fixed == {"bubble_fraction": 0.4} and "surface_loss" in found.names
-        [anchor] = session.state.anchors.values()
+        [anchor] = session.bench._anchors.values()
         assert anchor.values["bubble_fraction"] == 0.4
         settings = session.state.settings
         shown = session.show(settings)
@@ -166,10 +228,10 @@ def test_fits_are_kept_compared_removed_and_undone(files):
     with opened(folder / "bench.toml", folder) as session:
         first = session.state
         fitted(session, effects=("gap_bubble",))
-        session.edit_reading(15, {"use": False})
+        session.edit_reading(15, "use", "0")
         fitted(session, effects=())
         names = [layout.step_name(step) for step in session.state.steps]
-        assert names == ["as it came", "with gap_bubble", "without gel hole 4"]
+        assert names == ["as it came", "with air bubble in the gap", "without gel hole 4"]
         one, two, three = (step.number for step in session.state.steps)
         session.compare_with(two)
         step, shown = session.shown_beside()
@@ -195,7 +257,7 @@ def test_a_session_is_kept_in_a_file(files, scenes):
     folder, _ = files
     with opened(folder / "bench.toml", folder) as session:
         fitted(session, effects=("gap_bubble",))
-        session.edit_reading(15, {"use": False})
+        session.edit_reading(15, "use", "0")
         fitted(session, known={"alpha_abs_per_cm": Known(HELD)})
         session.compare_with(session.state.steps[1].number)
         session.offer("session", session.state.settings)

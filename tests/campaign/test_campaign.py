@@ -11,6 +11,7 @@ from places import SCENES, cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput, read_campaign
+from mcrim_mitsuba.campaign.editor import campaign_with_effects
 from mcrim_mitsuba.campaign.entries import json_schema
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.trust import UntrustedEffectsError, fingerprint, trust
@@ -196,6 +197,16 @@ def test_an_effect_that_is_only_in_the_scene_is_held(folder):
     text = CAMPAIGN.replace("effects = []", 'effects = ["anisotropic_scattering"]')
     with pytest.raises(InputError, match="scattering_g is fitted here and a column"):
         campaign(folder, text)
+
+
+def test_title_and_unit_are_kept_where_a_campaign_goes_on(folder):
+    assert (campaign(folder, CAMPAIGN).title, campaign(folder, CAMPAIGN).unit) == ("campaign", "")
+    words = 'title = "CaMoO4,\\n air\\u202e"\nunit = "electrons"\n'
+    first = campaign(folder, words + CAMPAIGN)
+    assert (first.title, first.unit) == ("CaMoO4, air<U+202E>", "electrons")
+    text = campaign_with_effects(first, folder / "mended.toml", first.scene.path, {})
+    again = campaign(folder, text)
+    assert (again.title, again.unit) == (first.title, first.unit)
 
 
 def test_effects_of_the_users_own(folder, monkeypatch):

@@ -11,6 +11,7 @@ import click
 import findings_by_hand as by
 import numpy as np
 import pytest
+from places import SCENES
 
 from mcrim_mitsuba.cli.options import FURTHER_PHOTONS, PHOTONS
 from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR
@@ -19,17 +20,20 @@ from mcrim_mitsuba.inference import diagnose as diagnosing
 from mcrim_mitsuba.inference import repair as repairing
 from mcrim_mitsuba.inference.compare import Compared
 from mcrim_mitsuba.inference.diagnose import Diagnosed
+from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.hypotheses import (
     NAMES,
     FittedHypothesis,
     HypothesesCompared,
     SideBySide,
 )
+from mcrim_mitsuba.inference.next_measurements import configuration_words
 from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.repair import Repaired
 from mcrim_mitsuba.output import described, descriptions, findings
 from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
 from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_hypotheses
+from mcrim_mitsuba.scene.scene_file import read_scene
 
 
 def overlap(artists, figure) -> list[str]:
@@ -117,22 +121,23 @@ def test_compare_says_what_chi2_means(mcrim, campaign, found, p_value, says, fol
     assert "before physics is blamed" not in out
 
 
+FIRST = "Absorbing crystal surface"
 AVERAGED = (
     "Light yield: 7.7 ± 0.9 ph/keV (within models 0.78, between them 0.34, for what is in no "
     "catalogue 0.12), averaged over all that the readings allow; 7.52 ± 0.20 with "
-    "surface_absorption (70 %)"
+    "absorbing crystal surface (70 %)"
 )
 FIRST_LINES = {
-    "missing_effect": "missing_effect: surface_absorption (surface_loss = 0.0123 ± 0.0008) "
-    "explains the misfit: chi2 64.2 -> 12.1 (ndf 11, p = 0.44)",
-    **{
-        verdict: f"{verdict}: as {by.MARKUP} shows"
-        for verdict in ("ambiguous", "adequate", "unexplained", "too_few_readings")
-    },
+    "missing_effect": "Absorbing crystal surface explains the misfit (surface_absorption: "
+    "surface_loss = 0.0123 ± 0.0008): chi2 64.2 -> 12.1 (ndf 11, p = 0.44)",
+    "ambiguous": f"Ambiguous: as {by.MARKUP} shows",
+    "adequate": f"Adequate: as {by.MARKUP} shows",
+    "unexplained": f"Unexplained: as {by.MARKUP} shows",
+    "too_few_readings": f"Too few readings: as {by.MARKUP} shows",
 }
 LAST_LINES = {
     "missing_effect": "Next: mcrim repair camoo4_campaign.toml -o camoo4_campaign_mended.toml",
-    "ambiguous": "Next: measure n_gap = 1.333, gap_mm = 0.5 and n_gap = 1.46, ",
+    "ambiguous": "Next: measure water, gap of 0.5 mm; and gel, mask of 7 mm radius, add ",
     "adequate": "Next: mcrim calibrate camoo4_campaign.toml",
     "unexplained": "Next: measure more configurations",
     "too_few_readings": "Next: measure more configurations",
@@ -147,37 +152,39 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
     assert lines[0] == AVERAGED
     assert lines[1] == FIRST_LINES[verdict]
     assert lines[-1].startswith(LAST_LINES[verdict])
-    assert row_of(out, by.FIRST) == [
-        by.FIRST, "70 %", "surface_loss = 0.0123 ± 0.0008", "usual size", "7.52 (-9.5 %)",
-        "52.1 ± 0.8", "0.44", "1.3",
+    assert row_of(out, FIRST) == [
+        FIRST, "70 %", "surface_loss = 0.0123 ± 0.0008", "usual size", "7.52 (-9.5 %)",
+        "52.1 ± 0.8", "0.44", "1.3", by.FIRST,
     ]  # fmt: skip
-    assert row_of(out, by.SECOND)[3] == "unusual size"
-    assert row_of(out, "gap_absorption")[2:4] == [
+    assert row_of(out, "Air bubble in the gap")[3] == "unusual size"
+    assert row_of(out, "Absorbing liquid in the gap")[2:4] == [
         "gap_absorption_per_cm = 20, at its bound", "end of its range",
     ]  # fmt: skip
-    assert row_of(out, by.OFF)[1:6:2] == ["", "on or off", "-2.2 ± 0.8"]
+    assert row_of(out, "Polarisation of the light")[1:6:2] == ["", "on or off", "-2.2 ± 0.8"]
     named = verdict in ("missing_effect", "ambiguous")
     assert ("How to look for it, without a fit:" in lines) == named
-    assert (f"- {by.FIRST}: Polish it again." in lines) == named
+    assert (f"- {FIRST}: Polish it again." in lines) == named
     assert "By family: surface 70 %, gap 29 %, nothing missing 1 %" in lines
-    assert "not tried: saturation: excluded" in lines
+    assert "not tried: saturation of the readout (saturation): excluded" in lines
     assert ("what the readings allow" in out) == (verdict == "adequate")
     if verdict == "adequate":
         # the table of effects comes first, that of limits last
         out = out[out.index("what the readings allow") :]
         for name, text in {
-            by.FIRST: "< 0.0021", "source_depth": "> 3.25", "gap_index": "-0.02 to 0.031",
-            "crystal_index": "no limit within its range",
-            by.OFF: "excluded (chi2 rises by 9.3 with it)",
+            FIRST: "< 0.0021", "Source near the top face": "> 3.25",
+            "Wrong index of the liquid": "-0.02 to 0.031",
+            "Wrong index of the crystal": "no limit within its range",
+            "Polarisation of the light": "excluded (chi2 rises by 9.3 with it)",
         }.items():  # fmt: skip
-            assert row_of(out, name)[2] == text
+            assert row_of(out, name)[1] == text
+        assert row_of(out, "Source near the top face")[2:] == ["source_depth_mm", "source_depth"]
     if verdict == "ambiguous":
-        assert row_of(out, "n_gap = 1.333, gap_mm = 0.5")[1:] == [
+        assert row_of(out, "water, gap of 0.5 mm;")[1:] == [
             "1 h",
             "8.3 %",
             "94 %",
             "12.3",
-            f"{by.FIRST} from {by.SECOND}",
+            "absorbing crystal surface from air bubble in the gap",
         ]
 
 
@@ -186,8 +193,9 @@ def test_a_pair_and_suspect_readings_are_named(mcrim, campaign, found):
     found["diagnose"] = replace(found["diagnose"], diagnosis=pair)
     out = mcrim.shown("diagnose", campaign)
     assert out.splitlines()[1].startswith(
-        "missing_effect: surface_absorption and gap_bubble (surface_loss = 0.0100 ± 0.0010; "
-        "bubble_fraction = 0.100 ± 0.020) explain the misfit: chi2 64.2 -> 9.2"
+        "Absorbing crystal surface and air bubble in the gap explain the misfit "
+        "(surface_absorption and gap_bubble: surface_loss = 0.0100 ± 0.0010; bubble_fraction = "
+        "0.100 ± 0.020): chi2 64.2 -> 9.2"
     )
     suspect = by.diagnosis("unexplained", suspect_readings=(by.BAD,))
     found["diagnose"] = replace(found["diagnose"], diagnosis=suspect)
@@ -204,7 +212,7 @@ def test_repair_shows_the_error_fall_and_how_to_go_on(mcrim, campaign, found):
     assert lines[:2] == [
         "step 0, as it came: chi2 / ndf 64.2 / 12 = 5.35, p = 2.3e-09, rms pull 2.1, left-out "
         "error 2.6, light yield (ph/keV) 8.31 ± 0.25, alpha_scat 0.620 ± 0.030 /cm",
-        "step 1, + surface_absorption: chi2 / ndf 12.1 / 11 = 1.1, p = 0.36, rms pull 0.9, "
+        "step 1, + absorbing crystal surface: chi2 / ndf 12.1 / 11 = 1.1, p = 0.36, rms pull 0.9, "
         "left-out error 1.1, light yield (ph/keV) 7.52 ± 0.22, alpha_scat 0.543 ± 0.021 /cm",
     ]
     assert lines[2:4] == [AVERAGED, FIRST_LINES["missing_effect"]]
@@ -218,9 +226,9 @@ def test_an_unusual_size_is_told_and_not_added(mcrim, campaign, found):
         next_measurements=(), repair=by.STEPS[:1],
     )  # fmt: skip
     told = (
-        "The likeliest explanation, gap_bubble (bubble_fraction = 0.200 ± 0.010), has a size that "
-        "a laboratory does not usually meet, and is not added. If you have seen it, say --effect "
-        "gap_bubble."
+        "The likeliest explanation, air bubble in the gap (bubble_fraction = 0.200 ± 0.010), has a "
+        "size that a laboratory does not usually meet, and is not added. If you have seen it, say "
+        "--effect gap_bubble."
     )
     found["diagnose"] = replace(found["diagnose"], diagnosis=aside)
     lines = mcrim.shown("diagnose", campaign).splitlines()
@@ -235,7 +243,9 @@ def test_an_unusual_size_is_told_and_not_added(mcrim, campaign, found):
         found["repair"], diagnosed=usual, undetermined="the readings do not determine scale"
     )
     out = mcrim.shown("repair", campaign, "-o", "new.toml")
-    assert "With surface_absorption, the readings do not determine scale: diagnose says" in out
+    assert (
+        "With absorbing crystal surface, the readings do not determine scale: diagnose says" in out
+    )
 
 
 def test_what_is_alike_is_said_by_family():
@@ -247,9 +257,56 @@ def test_what_is_alike_is_said_by_family():
     first, second = (replace(one, mimics=tuple(families)) for one in leading)
     found = by.diagnosis("ambiguous", candidates=(first, second, *alike))
     assert findings.mistakable(found) == (
-        "By these readings surface_absorption and gap_bubble could be mistaken for each other, "
-        "effect_6 or one of gap (4), bulk (2)."
+        "By these readings absorbing crystal surface and air bubble in the gap could be mistaken "
+        "for each other, effect_6 or one of gap (4), bulk (2)."
     )
+
+
+def test_what_to_measure_next_is_named_with_its_part_of_the_error():
+    contributions = {"statistical": 0.1, "prior": 0.29, "detector_efficiency": 0.75}
+    light = replace(by.estimate(7.5, 0.81), contributions=contributions)
+    fit = by.calibration({"light_yield_ph_per_keV": light})
+    assert findings.next_for_fit(fit, ()) == (
+        "What to measure next: the detector's efficiency: 10.0 of the light yield's 10.8 %, in "
+        "quadrature. What helps: the tube's calibration against a standard, an emission spectrum "
+        "of one's own."
+    )
+    known = replace(light, efficiency_contributions={"tube scale": 0.2, "emission spectrum": 0.1})
+    fit = by.calibration({"light_yield_ph_per_keV": known})
+    said = findings.next_for_fit(fit, ["alpha_abs_per_cm"])
+    assert "next: the absorption of the crystal: 3.9 of the light yield's 5.1 %, in" in said
+    bound = by.estimate(7.5, 0.8, "max")
+    assert findings.next_for_fit(by.calibration({"light_yield_ph_per_keV": bound}), ()) == ""
+    assert findings.next_for_fit(by.calibration({}), ()) == ""
+    # what no reading determines has the error that is plausible
+    known = replace(light, contributions={"plausible": 0.75, "detector_efficiency": 0.3})
+    said = findings.next_for_fit(by.calibration({"light_yield_ph_per_keV": known}), ())
+    assert "the size of what is missing: 10.0 of the light yield's 10.8 %" in said
+    # which explanation is right may count for more than anything that they have in common
+    found = by.diagnosis("ambiguous", light_yield_averaged=AveragedYield(7.5, 1.1, 0.2, 1.05, 0.3))
+    said = findings.next_for_average(found)
+    assert "next: which explanation is right: 14.0 of the averaged light yield's 14.8 %, in" in said
+
+
+CAMOO4 = read_scene(SCENES / "camoo4.xml")
+COMMENTS = {name: known.comment for name, known in CAMOO4.defaults.items()}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "comments", "words"),
+    [
+        ({"n_gap": 1.46, "aperture_radius_mm": 4.0}, COMMENTS,
+         "optical gel (n = 1.46), mask of 4 mm radius"),
+        ({"n_gap": 1.333, "gap_mm": 0.5}, COMMENTS, "liquid (n = 1.333), gap of 0.5 mm"),
+        ({"n_gap": 1.0, "crystal_height_mm": 20.0}, {}, "air (n = 1), crystal 20 mm high"),
+        ({"n_window": 1.5, "spot_mm": 2.0}, COMMENTS,
+         "Refractive index of the window (BK7 glass) 1.5, spot_mm = 2"),
+        ({"kind": "transmittance", "acceptance_deg": 5.0, "beam_axis": "z"}, {},
+         "transmittance, within 5 degrees, beam along z"),
+    ],
+)  # fmt: skip
+def test_configurations_are_told_in_words(parameters, comments, words):
+    assert configuration_words(parameters, comments) == words
 
 
 def test_transmittances_are_shown_in_per_cent_and_on_a_scale_of_their_own():
@@ -374,7 +431,8 @@ def test_labels_of_figures_do_not_overlap():
     assert lower.get_xticklabels()[0].get_text().startswith("[bold red]gel")
     legends = [text for axes in figure.axes for text in axes.get_legend().get_texts()]
     assert overlap([*lower.get_xticklabels(), lower.xaxis.label, *legends], figure) == []
-    long = replace(by.CANDIDATES[3], effect="an_effect_of_my_own_with_a_very_long_name" * 2)
+    name = "an_effect_of_my_own_with_a_very_long_name" * 2
+    long = replace(by.CANDIDATES[3], effect=name, effects=(name,))
     figure = draw_ranking(
         by.diagnosis("ambiguous", candidates=(*by.CANDIDATES * 4, long), pairs=(by.PAIR,) * 3)
     ).figure
@@ -386,6 +444,10 @@ def test_labels_of_figures_do_not_overlap():
         *figure.legends[0].get_texts(),
     ]
     assert overlap(texts, figure) == []
+    pair = by.diagnosis("missing_effect", pairs=(by.PAIR,), leading_sets=((by.FIRST, by.SECOND),))
+    figure = draw_ranking(pair, brief=True).entitled("A title that is far too long. " * 9).figure
+    figure.draw_without_rendering()
+    assert figure.bbox.width > figure._suptitle.get_window_extent().x1
     steps = [replace(by.STEPS[1], step=i, added="anisotropic_scattering") for i in range(1, 5)]
     figure = draw_staircase([by.STEPS[0], *steps], by.calibration(by.MENDED, 0.3)).figure
     for axes in figure.axes[-2:]:

@@ -123,8 +123,12 @@ def test_effects_together_are_simulated_together(campaign, made):
 
 def test_the_bench_as_it_is_needs_no_photons(campaign):
     """Between the nodes it is what the solver has there."""
-    maker = ResponseMaker(campaign, Run(8 * LANES, check=False))
+    told = []
+    report = lambda what, done, total, note="": told.append((what, done, total))  # noqa: E731
+    maker = ResponseMaker(campaign, Run(8 * LANES, check=False, progress=report))
     responses = maker.make([])
+    of_benches = [each for each in told if each[0] == "simulation, without photons"]
+    assert of_benches[0][1:] == (0, 3) and of_benches[-1][1:] == (3, 3)
     assert responses.photons == 0 and not responses.deviations.any()
     model = ResponseModel(campaign, responses, [])
     values = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 1.0}

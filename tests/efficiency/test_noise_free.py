@@ -34,6 +34,15 @@ def test_a_table_lies_over_its_axes():
     assert len(made.rows) == 12
 
 
+def test_progress_is_told_bench_by_bench():
+    told = []
+    run = mcrim.Run(progress=lambda what, done, total, note="": told.append((what, done, total)))
+    mcrim.simulate(SCENE, method="modes", run=run)
+    mcrim.table(SCENE, method="modes", gap_mm=[0.02, 0.05], run=run)
+    counted = [(0, 1), (1, 1), (0, 2), (1, 2), (2, 2)]
+    assert told == [("solving without photons", *each) for each in counted]
+
+
 def test_one_point_is_a_table_too():
     made = mcrim.table(SCENE, method="modes", n_gap=[1.0]).found
     assert made.eta.shape == (1,)

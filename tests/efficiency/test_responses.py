@@ -10,7 +10,7 @@ import pytest
 from mcrim_mitsuba.efficiency.eta_grid import BATCHES, Gathering, Grid
 from mcrim_mitsuba.efficiency.responses import Point, covariance_of, stack
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface
-from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
+from mcrim_mitsuba.efficiency.surface import Cubics, Lagrange, chebyshev_nodes
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords
 
 GRID = Grid((0.05, 5.0), (0.004, 0.15), (17, 6))
@@ -23,6 +23,24 @@ def test_polynomials_are_exact_and_so_are_their_slopes():
         weights, slopes = nodes.weights(x)
         assert weights @ cubic(nodes.nodes) == pytest.approx(cubic(x), abs=1e-12)
         assert slopes @ cubic(nodes.nodes) == pytest.approx(cubic.deriv()(x), abs=1e-11)
+
+
+def test_cubics_follow_a_bend_without_waves_far_from_it():
+    nodes = Cubics([0.0, 0.4, 0.1, 0.25, 0.9, 0.6])
+    parabola = np.polynomial.Polynomial([1.0, -2.0, 3.0])
+    for x in (0.0, 0.07, 0.25, 0.5, 0.83, 0.9):
+        weights, slopes = nodes.weights(x)
+        assert weights @ parabola(nodes.nodes) == pytest.approx(parabola(x), abs=1e-12)
+        assert slopes @ parabola(nodes.nodes) == pytest.approx(parabola.deriv()(x), abs=1e-11)
+        further = (nodes.weights(x + 1e-6)[0] - nodes.weights(x - 1e-6)[0]) / 2e-6
+        assert np.allclose(slopes, further, atol=1e-4)  # no jump of the slope at a node
+        assert np.allclose(nodes.weights_at(np.array([x])), weights)
+    # one node that is off is felt two intervals away at most, and beyond the ends there are lines
+    assert not nodes.weights_at(np.linspace(0.4, 0.9, 9))[:, 0].any()
+    ends = [nodes.weights(x)[0] @ nodes.nodes**2 for x in (0.9, 1.0, 1.1)]
+    assert ends[2] - ends[1] == pytest.approx(ends[1] - ends[0])
+    line = Cubics([2.0, 1.0])
+    assert line.weights(1.25)[0] == pytest.approx([0.25, 0.75])
 
 
 def test_chebyshev_interpolation_converges_geometrically():

@@ -54,7 +54,7 @@ def test_evidences_are_those_of_a_diagnosis_and_the_right_one_is_preferred(with_
         odds = sum(math.exp(log - logs[name]) for log in logs.values())
         assert one.probability == pytest.approx(1.0 / odds)
     assert (found.verdict, found.leading) == ("preferred", ("B",))
-    assert found.reason.startswith("B (gap_bubble) is the likeliest of those compared, ")
+    assert found.reason.startswith("B (air bubble in the gap) is the likeliest of those compared, ")
     sizes = [one.parameters.get("bubble_fraction") for one in found.hypotheses]
     assert sizes[0] is sizes[2] is None and abs(sizes[1].value - 0.25) < 4 * sizes[1].sigma
     models = np.array([[row.model for row in one.rows] for one in found.hypotheses])
@@ -165,7 +165,7 @@ def test_side_by_side_from_files(mcrim, files):
     a, b = told["hypotheses"]
     assert (a["name"], a["effects"], b["effects"]) == ("A", [], ["background", "gap_bubble"])
     assert told["leading"] == ["B"] and out.startswith(
-        f"{told['verdict']}: B (background with gap_bubble)"
+        "Preferred: B (constant background with air bubble in the gap)"
     )
     assert a["chi2"] > 60 > b["chi2"] and b["ndf"] == a["ndf"] - 2
     assert a["probability"] + b["probability"] == pytest.approx(1.0) and b["log_evidence"] == 0.0

@@ -3,14 +3,19 @@
 Seeds are fixed.
 """
 
+import tracemalloc
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import synthetic_bench as bench
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.inference.compare import find_suspects, likely_swaps
 from mcrim_mitsuba.inference.diagnose import diagnose_models
 from mcrim_mitsuba.inference.evidence import Hypothesis
 from mcrim_mitsuba.inference.explanations import Explanations
+from mcrim_mitsuba.inference.least_squares import settle
 from mcrim_mitsuba.inference.next_measurements import next_measurements
 from mcrim_mitsuba.inference.unexplained import UNKNOWN, of_instrument, unnamed, unnamed_at
 from mcrim_mitsuba.inference.workbench import MeasurementProposals
@@ -83,6 +88,40 @@ def test_swapped_rows_are_named():
     assert found.suspect_readings[0].kind == "swapped_rows"
     assert found.suspect_readings[0].labels == ("row4", "row9")
     assert found.families[0].family == "instrument"
+
+
+def test_many_readings_are_searched_in_little_memory():
+    """Three mountings of every configuration, two unlike readings exchanged.
+
+    Their own errors go with them: to first order, too, the best pairs are those of whole fits.
+    """
+    of_one, noise = bench.readings(bench.signals(TRUTH)), bench.simulation_noise(1)
+    errors = bench.SIGMA * np.random.default_rng(1).standard_normal((3, len(of_one)))
+    rows = [
+        replace(row, label=f"{row.label} {mounting}", signal=row.signal * (1.0 + error))
+        for mounting, own in enumerate(errors)
+        for row, error in zip(of_one, own, strict=True)
+    ]
+    for place, other in ((20, rows[41]), (41, rows[20])):
+        rows[place] = replace(rows[place], signal=other.signal, sigma=other.sigma)
+    explanations = Explanations(
+        lambda added: bench.Model(tuple(rows), added, noise, TRUTH["alpha_abs_per_cm"]), {}
+    )
+    fit = explanations.baseline
+    tracemalloc.start()
+    found, (_, instrument) = find_suspects(fit), of_instrument(explanations)[0]
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found[0].labels == instrument.labels == ("row5 1", "row10 2")
+    assert peak < 20e6, peak
+
+    def chi2(pair):
+        order = np.arange(len(rows))
+        order[list(pair)] = pair[::-1]
+        return settle(fit.problem.exchanged(order), fit.theta).chi2
+
+    best = likely_swaps(fit, 5)
+    assert sorted(best, key=chi2) == best
 
 
 def test_the_truth_is_in_no_catalogue():

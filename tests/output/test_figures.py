@@ -188,7 +188,7 @@ def test_hostile_labels_break_no_figure(scenes, tmp_path):
     for i, figure in enumerate([
         comparison.draw_comparison(compared).figure,
         comparison.draw_comparison(compared, hostile, added=HOSTILE[1]).figure,
-        comparison.draw_comparison(hostile).figure,
+        comparison.draw_comparison(hostile, unit=HOSTILE[1]).entitled(HOSTILE[0]).figure,
         staircase.draw_staircase(steps, hostile).figure,
         profiles.draw_profiles(curves).figure,
         budget.draw_budget(hostile).figure,
@@ -218,6 +218,18 @@ def test_a_suspicion_is_history_after_the_repair(scenes, tmp_path):
     assert "suspected bad reading" in legend(compared)
     assert "suspected bad reading" not in legend(compared, found)
     assert "suspected bad reading before the repair" in legend(compared, found)
+
+
+def test_figures_carry_title_and_unit(scenes, tmp_path):
+    _, found = fitted(scenes, tmp_path)
+    readings = comparison.draw_comparison(found, unit="electrons").entitled("air and gel").figure
+    assert readings.get_suptitle() == "air and gel"
+    assert readings.axes[0].get_ylabel() == "signal\n(electrons)"
+    # over what a figure says there itself
+    own = budget.draw_budget(found).figure.get_suptitle()
+    assert own.startswith("Light yield ")
+    entitled = budget.draw_budget(found).entitled("air and gel").figure.get_suptitle()
+    assert entitled == f"air and gel\n{own}"
 
 
 def test_nothing_to_draw_is_said(scenes, tmp_path):

@@ -1,9 +1,13 @@
 """The report: what users typed stays text, nothing is loaded, the numbers are those of the fit."""
 
+import base64
+import hashlib
 import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +16,13 @@ from findings_by_hand import diagnosis, quick_report
 from lxml import html
 from refusals import refusal
 
+from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.rounding import pdg_parts
-from mcrim_mitsuba.output import photographer
+from mcrim_mitsuba.output import photographer, report_sections
 from mcrim_mitsuba.output import report as reporting
 from mcrim_mitsuba.output.report import in_full, said, visible
+from mcrim_mitsuba.output.report_sections import changed
 
 MB = 1_000_000
 SCRIPT = "<script>window.hacked = 1</script>"
@@ -28,8 +34,8 @@ SECTIONS = ["summary", "measured", "bench", "baseline", "explanations", "repair"
 #: All that the page may hold: nothing that runs, loads or sends.
 ELEMENTS = set(
     "html head meta title style body header main section nav h1 h2 h3 p a br ol ul li dl dt dd "
-    "div table caption thead tbody tr th td figure figcaption img pre code "
-    "span strong sub bdi".split()
+    "div table caption thead tbody tr th td figure figcaption img pre code details summary "
+    "span strong small sub bdi".split()
 )
 
 
@@ -53,13 +59,18 @@ def write_campaign(folder: Path, scenes: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory, scenes):
+def by_hand():
+    return diagnosis("ambiguous", not_tried={"saturation": BREAKOUT})
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, scenes, by_hand):
     """A report of hostile files, its fit of few photons, its diagnosis made by hand."""
     folder = tmp_path_factory.mktemp("report")
     campaign = write_campaign(folder, scenes)
 
-    by_hand = diagnosis("ambiguous", not_tried={"saturation": BREAKOUT})
-    with quick_report(by_hand):
+    with quick_report(by_hand) as patch:
+        patch.setenv("MCRIM_CACHE", str(folder / "cache"))
         page, numbers = folder / "report.html", folder / "report.json"
         assert main(["report", str(campaign), "-o", str(page), "--json", str(numbers)]) == 0
     return page, json.loads(numbers.read_text())
@@ -79,7 +90,9 @@ def test_nothing_in_the_page_runs_or_is_loaded(made, parsed):
     assert not [name for name in names if name.startswith("on") or name == "style"]
     assert all(e.get("src").startswith("data:image/") for e in parsed.iter("img"))
     hrefs = {e.get("href").partition(",")[0] for e in parsed.iter("a")}
-    assert {h for h in hrefs if h[0] != "#"} == {"data:text/csv;charset=utf-8;base64"}
+    kinds = {f"data:text/{kind};charset=utf-8;base64" for kind in ("csv", "plain")}
+    assert {h for h in hrefs if h[0] != "#"} == kinds
+    assert all(e.get("download") for e in parsed.iter("a") if e.get("href")[0] != "#")
     assert all(parsed.get_element_by_id(h[1:]) is not None for h in hrefs if h[0] == "#")
     policy = parsed.xpath("//meta[@http-equiv='Content-Security-Policy']/@content")[0]
     assert policy.startswith("default-src 'none'; img-src data:; style-src 'sha256-")
@@ -118,11 +131,54 @@ def test_the_story_is_told_in_order_with_the_numbers_of_the_fit(made, parsed):
     assert f"{found['photons']:,}, seed 0" in shown
     assert found["verdict"] == "ambiguous" and "the readings cannot tell which" in shown
     pictures = {e.get("id") for e in parsed.iter("figure")}
-    assert {f"figure-{n}" for n in ("readings", "bench", "cross-section", "comparison", "ranking",
+    assert {f"figure-{n}" for n in ("view", "bench", "cross-section", "comparison", "ranking",
             "ratio", "profiles", "error-budget", "fates", "arrival")} == pictures  # fmt: skip
 
 
-def test_the_page_is_quiet_in_a_browser(made, browser):
+def test_files_are_inside_as_they_were_read(made, parsed):
+    page, found = made
+    links = {a.get("download"): a.get("href") for a in parsed.iter("a") if a.get("download")}
+    for path, digest in found["files"].items():
+        attached = base64.b64decode(links[Path(path).name].partition(",")[2])
+        assert attached == (page.parent / Path(path).name).read_bytes()
+        assert hashlib.sha256(attached).hexdigest() == digest
+    # listings are folded, and not printed
+    assert not parsed.xpath("//pre[contains(., '<scene')][not(ancestor::details)]")
+    assert {e.get("class") for e in parsed.iter("details")} == {"onscreen"}
+
+
+def test_what_was_mended_is_told_as_a_difference():
+    one = changed("scene", "a.xml", "same\n" * 50 + "old\n", "b.xml", "same\n" * 50 + "new\n")
+    assert one.text.splitlines() == [
+        "--- a.xml",
+        "+++ b.xml",
+        "@@ -50,2 +50,2 @@",
+        " same",
+        "-old",
+        "+new",
+    ]
+    assert one.data is not None and one.data.endswith(b"new\n") and one.role == "mended scene"
+
+
+def test_files_too_large_for_a_mail_are_left_out(campaign_here, monkeypatch):
+    monkeypatch.setattr(report_sections, "MOST_BYTES", 2000)
+    known = {f.role: f for f in report_sections.sources_of(read_campaign(campaign_here))}
+    assert known["scene"].data is None and known["scene"].text.startswith("<?xml")
+    assert known["measurements"].data == Path("camoo4_measured.csv").read_bytes()
+
+
+def test_first_comes_what_was_found(made, parsed):
+    """Title, date, verdict, a picture and the yield, with the effect that was added and without."""
+    first = parsed.get_element_by_id("summary")
+    assert "camp<script>" in first.find("h1").text_content()
+    made_on = datetime.fromisoformat(made[1]["made"]).strftime("%d %B %Y").lstrip("0")
+    assert made_on in first.find("p").text_content()
+    assert first.xpath(".//figure//img/@src")[0].startswith("data:image/png")
+    without = first.xpath(".//*[@id='light-yield-without']")
+    assert bool(without) == bool(made[1]["effects"])
+
+
+def test_the_page_is_quiet_in_a_browser_and_prints_on_few_pages(made, browser):
     browser.driver.get(made[0].as_uri())
     assert browser.run("return window.hacked === undefined && document.scripts.length === 0")
     assert browser.run("return [...document.images].every(i => i.complete && i.naturalWidth > 0)")
@@ -132,6 +188,14 @@ def test_the_page_is_quiet_in_a_browser(made, browser):
         browser.screenshot(f"report-{width}")
     assert browser.complaints() == []
     assert browser.requests() == [made[0].as_uri()]
+    # it prints on few pages, without listings
+    printed = base64.b64decode(
+        browser.driver.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})["data"]
+    )
+    assert 3 < len(re.findall(rb"/Type\s*/Page\b", printed)) <= 10
+    browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    seen = "return [...document.querySelectorAll('details')].filter(e => e.getClientRects().length)"
+    assert browser.run(seen) == []
 
 
 def test_only_pages_are_replaced(mcrim, campaign_here):
@@ -176,3 +240,21 @@ def test_a_report_does_without_a_picture_that_cannot_be_drawn():
         )
         drawn = photographer.Photograph(process)
         assert (drawn.picture, drawn.trouble) == (None, trouble)
+
+
+def test_pictures_are_drawn_once(made, parsed, by_hand, monkeypatch):
+    page, found = made
+    campaign = next(path for path in found["files"] if path.endswith(".toml"))
+    monkeypatch.setenv("MCRIM_CACHE", str(page.parent / "cache"))
+    again = page.with_name("again.html")
+    # it takes another time, and could draw nothing
+    with quick_report(replace(by_hand, seconds=by_hand.seconds + 1.0)) as patch:
+        patch.setattr(photographer, "photograph", None)
+        patch.setattr(report_sections, "_lights", None)
+        reporting.report(campaign, again)
+    pictures = [[e.get("src") for e in t.iter("img")] for t in (parsed, html.parse(again))]
+    assert len(pictures[0]) > 8 and pictures[0] == pictures[1]
+    # of other files there would be others
+    keys = [json.loads(key.read_text()) for key in page.parent.glob("cache/*/key.json")]
+    (known,) = (key for key in keys if key["what"] == "pictures of a report")
+    assert {digest for *_, digest in known["files"]} == set(found["files"].values())

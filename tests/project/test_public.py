@@ -15,7 +15,7 @@ from mcrim_mitsuba.transport.llvm import ENVIRONMENT_VARIABLE, selected_llvm
 BENCH = SCENES / "camoo4.xml"
 VERBS = {
     "simulate", "table", "calibrate", "compare", "diagnose", "repair", "budget", "plan", "check",
-    "render", "report", "crosscheck", "add",
+    "reduce", "render", "report", "crosscheck", "add",
 }  # fmt: skip
 
 
@@ -122,3 +122,14 @@ def test_answers_and_fitted_parameters_can_be_copied():
 def test_axes_that_cannot_be_are_refused(axis, said, mcrim):
     lists = ["--alpha-scat", "0.5", "--alpha-abs", "0.039", "--n-gap", "1"]
     assert said in mcrim.refused("table", BENCH, *lists, "--axis", axis)
+
+
+def test_what_is_wrong_with_a_scene_is_shown(tmp_path):
+    scene = tmp_path / "bench.xml"
+    scene.write_text(BENCH.read_text().replace('value="10"', 'value="10,0"', 1))
+    found = mcrim.check(scene)
+    assert not found.ok and str(found).startswith(f"{scene}, line ") and "10,0" in str(found)
+    with pytest.raises(mcrim.InputError) as refused:
+        mcrim.simulate(scene)
+    # all that a notebook shows of it
+    assert refused.value._render_traceback_() == [f"InputError: {refused.value}"]

@@ -13,6 +13,7 @@ from trials import hidden_trials as trials
 
 from mcrim_mitsuba.campaign.campaign import as_campaign
 from mcrim_mitsuba.effects.catalogue import catalogue
+from mcrim_mitsuba.inference.workbench import USUAL_LIQUIDS
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
@@ -163,6 +164,21 @@ def test_what_is_measured_on_advice_is_the_same_bench():
     drifted = (1.0 + 0.05 * np.array([1.0, 1.5])) / (1.0 + 0.05 * np.array([0.0, 0.5]))
     np.testing.assert_allclose(signal[3:5] / signal[1:3], drifted, rtol=Z_MAX * 0.008)
     assert 0.2 < signal[5] < 0.7
+
+
+def test_whatever_may_be_proposed_can_be_measured(monkeypatch):
+    """Every usual liquid has a name; a beam sees no more of a hidden detector than there is."""
+    truth = trials.Truth(0.4, 0.039, 40.0, 0.04)
+    design, signal = histories.STANDARD[:2], np.array([10.0, 20.0])
+    monkeypatch.setattr(trials, "_FURTHER_PHOTONS", 2_000)
+    monkeypatch.setattr(trials, "_BEAM_PHOTONS", 4_000)
+    for effect, size in (("detector_specular", 0.3), ("top_reflector", 0.5)):
+        trial = trials.Trial("advice", 0, 1, ((effect, size),), (), "", truth, 50.0, design, signal,
+                             0.007 * signal)  # fmt: skip
+        proposed = [{"n_gap": n} for n in USUAL_LIQUIDS] + [{"kind": "transmittance"}]
+        rows, signals, _ = trials.measured(trial, proposed)
+        assert len(rows) == 2 + len(USUAL_LIQUIDS) and 0.2 < signals[-1] < 0.7
+        assert len(set(trials.labels(rows[2:]))) == len(USUAL_LIQUIDS)
 
 
 def test_two_effects_are_both_found(run):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare, kstest
 
-from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.output.photograph import render
 from mcrim_mitsuba.transport.bulk import PhotonSeeds, lane_generators
 from mcrim_mitsuba.transport.collection import Recorder
@@ -48,27 +47,9 @@ def test_births_fill_the_crystal_and_nothing_else(scenes, mi):
             assert chisquare(counts).pvalue > 1e-4
 
 
-def test_emitter_gives_mitsuba_rays_of_unit_weight(scenes, mi):
-    scene = mi.load_file(str(scenes / "camoo4.xml"), optimize=False)
-    emitter = scene.emitters()[0]
-    volume = emitter.volume(read_scene_model(scene))
-    rng = mi.PCG32(1000)
-    one, *two = (
-        rng.next_float32(),
-        *(mi.Point2f(rng.next_float32(), rng.next_float32()) for _ in range(2)),
-    )
-    ray, weight = emitter.sample_ray(0.0, one, *two)
-    assert np.allclose(np.array(weight), 1.0)
-    assert np.allclose(np.linalg.norm(np.array(ray.d), axis=0), 1.0, atol=1e-5)
-    inside = np.abs(np.array(ray.o) - np.array([[0], [0], [5]])) <= 5.0 + 1e-5
-    assert inside.all()
-    # the emitter does not keep its scene alive: whoever wants births keeps their volume
-    del volume
-    with pytest.raises(InputError, match="keep what it gives"):
-        emitter.sample_ray(0.0, mi.Float(0.5), mi.Point2f(0.5), mi.Point2f(0.5))
-
-
-@pytest.mark.parametrize("use", ["load", "collect", "general", "record", "follow", "render"])
+@pytest.mark.parametrize(
+    "use", ["load", "collect", "general", "record", "follow", "emit", "render"]
+)
 def test_a_simulation_that_is_dropped_takes_its_scene_along(scenes, mi, use):
     """Mitsuba's virtual calls compile code for all shapes, BSDFs, media and emitters that live.
 
@@ -83,11 +64,11 @@ def test_a_simulation_that_is_dropped_takes_its_scene_along(scenes, mi, use):
         return [int(dr.reinterpret_array(mi.UInt32, pointer)[0]) for pointer in pointers]
 
     before = lowest_free_numbers()
-    _use(scenes / "camoo4.xml", use)
+    _use(mi, scenes / "camoo4.xml", use)
     assert lowest_free_numbers() == before
 
 
-def _use(path, use) -> None:
+def _use(mi, path, use) -> None:
     """Use a simulation as the package does."""
     if use == "render":
         render(path, samples=1, scale=0.25)
@@ -99,6 +80,9 @@ def _use(path, use) -> None:
         Recorder(simulation).record(
             ScatteringProposals((0.54,), (UNITS,), 0.039), LANES, seed=1, number=0
         )
+    elif use == "emit":
+        middle = mi.Point2f(0.5)
+        simulation.scene.emitters()[0].sample_ray(0.0, 0.5, middle, middle)
     elif use == "follow":
         follow_trails(simulation, 1000)
 

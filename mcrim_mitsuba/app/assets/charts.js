@@ -138,7 +138,7 @@ function frame(place, chart, extents) {
   grid(svg, ticks(-pull, pull), made.pull, 0, right, axis);
   const zero = made.pull(0);
   element("line", { class: "zero", x1: 0, x2: right, y1: zero, y2: zero }, svg);
-  title(axis, "signal", 14, TOP + SIGNALS / 2);
+  title(axis, chart.unit ? `signal (${chart.unit})` : "signal", 14, TOP + SIGNALS / 2);
   title(axis, "pull (σ)", 14, pullsTop + PULLS / 2);
   if (chart.percent !== null) {
     for (const value of ticks(bottom / chart.percent, top / chart.percent)) {
@@ -262,6 +262,9 @@ export function mark(place, i) {
 
 // bring a reading into sight where there are many
 export function scrollTo(place, i) {
+  if (!place.made) {
+    return;
+  }
   const { scrolled, x } = place.made;
   const seen = scrolled.clientWidth - LEFT;
   if (x(i) < scrolled.scrollLeft + 20 || x(i) > scrolled.scrollLeft + seen - 20) {

@@ -1,110 +1,14 @@
 // The page's behaviour: its controls, what they ask the server, and how the session is.
 import { drawFalling, drawReadings, mark, readingAt, scrollTo } from "./charts.js";
+import { $, Control, read, shownNumber, swap, write } from "./controls.js";
+import { cellText, refuseCell, rows, showReadings } from "./table.js";
 
-const STEPS = Number(document.body.dataset.steps);
 // between looks at the running job, and when there is none; an answer that takes longer is lost
 const BUSY_MS = 300;
 const IDLE_MS = 1500;
 const PATIENCE_MS = 15000;
 // what may be sent to the page, and what the server takes (base64 is a third longer)
 const MOST_UPLOADED = 10e6;
-
-const $ = (id) => document.getElementById(id);
-const idOf = (kind, name) => JSON.stringify({ kind: kind, name: name });
-
-function write(place, text) {
-  if (place && place.textContent !== text) {
-    place.textContent = text;
-  }
-}
-
-// ---- numbers as people type them ----
-
-const NUMBER = /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i;
-const THOUSANDS = /^[+-]?[1-9]\d{0,2}(,\d{3})+$/;
-
-// [number, what is wrong with it]
-function read(text) {
-  let plain = text.trim().replace("\u2212", "-");
-  if (THOUSANDS.test(plain)) {
-    const [whole, part] = [plain.replaceAll(",", ""), plain.replace(",", ".")];
-    return [null, `${plain} can be read in two ways: write ${whole} or ${part}0`];
-  }
-  if (!plain.includes(".") && plain.split(",").length === 2) {
-    plain = plain.replace(",", ".");
-  }
-  if (!NUMBER.test(plain) || !isFinite(Number(plain))) {
-    const given = text.trim() ? `${text.trim()} is not a number` : "the field is empty";
-    return [null, `${given}: write for example 0.3`];
-  }
-  return [Number(plain), ""];
-}
-
-const shownNumber = (value) => String(Number(value.toPrecision(6)));
-
-// ---- where a value lies on its slider ----
-
-const coordinateOf = {
-  linear: (value) => value,
-  reciprocal: (value, scale) => 1 / (value + scale),
-  logarithmic: (value, scale) => Math.log1p(value / scale),
-};
-const valueOf = {
-  linear: (x) => x,
-  reciprocal: (x, scale) => 1 / x - scale,
-  logarithmic: (x, scale) => scale * Math.expm1(x),
-};
-
-class Control {
-  constructor(element) {
-    const given = element.dataset;
-    this.element = element;
-    this.name = given.name;
-    [this.minimum, this.maximum, this.scale] = [
-      given.minimum, given.maximum, given.scale,
-    ].map(Number);
-    this.coordinate = given.coordinate;
-    this.range = given.range;
-    this.slider = $(idOf("slider", this.name));
-    this.field = $(idOf("number", this.name));
-    this.how = $(idOf("known", this.name));
-    this.ends = [this.minimum, this.maximum].map((v) => this.coordinateOf(v));
-    this.priors = element.querySelectorAll(".prior input");
-    this.wrong = element.querySelector(".wrong");
-  }
-
-  coordinateOf(value) {
-    return coordinateOf[this.coordinate](value, this.scale);
-  }
-
-  // values of neighbouring steps differ in four digits
-  get slid() {
-    const [low, high] = this.ends;
-    const x = low + ((high - low) * Number(this.slider.value)) / STEPS;
-    const value = valueOf[this.coordinate](x, this.scale);
-    const inside = Math.min(Math.max(value, this.minimum), this.maximum);
-    return Number(inside.toPrecision(4));
-  }
-
-  show(value, force = false) {
-    const [low, high] = this.ends;
-    this.slider.value = Math.round((STEPS * (this.coordinateOf(value) - low)) / (high - low));
-    this.slider.setAttribute("aria-valuetext", shownNumber(value));
-    if (force || document.activeElement !== this.field || !this.field.dataset.typing) {
-      this.field.value = shownNumber(value);
-      this.refuse(this.field, "");
-    }
-  }
-
-  // what is wrong with a field, in words below it
-  refuse(field, problem) {
-    field.setAttribute("aria-invalid", String(Boolean(problem)));
-    field.dataset.problem = problem;
-    delete field.dataset.typing;
-    const all = [this.field, ...this.priors].map((each) => each.dataset.problem);
-    write(this.wrong, all.filter(Boolean).join("; "));
-  }
-}
 
 const controls = new Map(
   [...document.querySelectorAll(".control")].map((one) => [one.dataset.name, new Control(one)])
@@ -129,7 +33,7 @@ function sent() {
 }
 
 function isEntered() {
-  return !document.querySelector(".typed[aria-invalid=true]:not([data-column])");
+  return !document.querySelector(".typed[aria-invalid=true]");
 }
 
 // numbers that belong to other values than those beside them are grey
@@ -265,9 +169,9 @@ function present(told) {
     pending = true;
     return;
   }
-  const rows = document.querySelectorAll("#rows tbody tr");
   told.cells.forEach(function (row, i) {
-    row.forEach((text, j) => write(rows[i] && rows[i].cells[j + 4], text));
+    const places = rows.rows[i] ? rows.rows[i].querySelectorAll(".of-model") : [];
+    row.forEach((text, j) => write(places[j], text));
   });
   drawReadings(readingsChart, told.chart);
   cells = told.cells;
@@ -280,21 +184,6 @@ function present(told) {
 }
 
 // ---- how the session is ----
-
-function swap(id, html) {
-  const place = $(id);
-  if (place.given === html) {
-    return;
-  }
-  const focus = place.contains(document.activeElement) ? document.activeElement : null;
-  const at = focus && (focus.id || focus.dataset.key);
-  place.given = html;
-  place.innerHTML = html;
-  if (at) {
-    const same = [...place.querySelectorAll("[id], [data-key]")];
-    (same.find((one) => one.id === at || one.dataset.key === at) || place).focus();
-  }
-}
 
 function takeOver(told) {
   settings = told.settings;
@@ -324,13 +213,13 @@ function showKnown(control, known, force) {
   }
 }
 
-let shownReadings = "";
 function update(told) {
   if (!told) {
     return;
   }
   if (told.bench_number !== Number(document.body.dataset.bench)) {
     window.sessionStorage.setItem("focus", document.activeElement.id);
+    window.sessionStorage.setItem("table", $("table-details").open ? "open" : "");
     window.location.reload();
     return;
   }
@@ -340,24 +229,19 @@ function update(told) {
     if (told.settings_number !== before.settings_number) {
       takeOver(told);
     }
-    const readings = JSON.stringify(told.readings);
-    if (readings !== shownReadings) {
-      shownReadings = readings;
+    const isFirst = !rows.rows.length;
+    if (showReadings(told.readings, told.settings_number !== before.settings_number)) {
       benches.clear();
     }
-    document.querySelectorAll("#rows tbody tr").forEach(function (row, i) {
-      const reading = told.readings[i];
-      row.classList.toggle("unused", !reading.use);
-      for (const field of row.querySelectorAll("input")) {
-        if (field.type === "checkbox") {
-          field.checked = reading.use;
-        } else if (!field.dataset.typing && !field.dataset.problem) {
-          field.value = shownNumber(reading[field.dataset.column]);
-        }
-      }
-    });
+    selected = Math.min(selected, told.readings.length - 1);
     for (const [id, html] of Object.entries(told.parts)) {
       swap(id, html);
+    }
+    if (isFirst) {
+      // who did by the keyboard what loads the page anew goes on where that was
+      $("table-details").open ||= window.sessionStorage.getItem("table") === "open";
+      $(window.sessionStorage.getItem("focus") || "")?.focus();
+      window.sessionStorage.clear();
     }
     drawFalling($("falling-chart"), told.steps);
     $("undo").disabled = !told.can_undo;
@@ -430,10 +314,7 @@ function act(what, name = "", more = {}) {
   const body = { ...sent(), ...more, what: what, name: name, known: numbers.number };
   return ask("do", body).then(function (told) {
     update(told);
-    // who opened a file by the keyboard goes on where that was
-$(window.sessionStorage.getItem("focus") || "")?.focus();
-window.sessionStorage.removeItem("focus");
-look();
+    look();
     return told;
   });
 }
@@ -453,7 +334,11 @@ document.addEventListener("click", function (event) {
     act("stop", button.dataset.key);
   } else if (button.dataset.do) {
     if (isEntered() || ["stop", "undo", "back", "show"].includes(button.dataset.do)) {
-      act(button.dataset.do, button.dataset.name);
+      act(button.dataset.do, button.dataset.name).then(function (told) {
+        if (button.dataset.do === "copy" && told && !told.slip) {
+          rows.lastElementChild.querySelector(".name").select();
+        }
+      });
     } else {
       write($("slip"), "a field holds a value that cannot be used: mend it first");
     }
@@ -523,29 +408,23 @@ function know(control) {
 }
 
 function edited(field) {
-  const row = field.closest("tr");
-  const at = { column: field.dataset.column, value: field.checked };
-  if (field.type !== "checkbox") {
-    const [value, problem] = read(field.value);
-    field.setAttribute("aria-invalid", String(Boolean(problem)));
-    field.dataset.problem = problem;
-    write($("rows-wrong"), problem);
-    if (problem) {
+  const [text, problem] = cellText(field);
+  if (problem) {
+    refuseCell(field, problem);
+    shade();
+    return;
+  }
+  field.dataset.typing = field.dataset.problem = ""; // it shows what is answered
+  act("edit", field.dataset.name, { column: field.dataset.column, value: text }).then(function (told) {
+    if (!told) {
       return;
     }
-    at.value = value;
-  }
-  act("edit", String(row.sectionRowIndex), at).then(function (told) {
-    const slip = (told && told.slip) || "";
-    if (slip && field.type === "checkbox") {
+    if (field.type === "checkbox" && told.slip) {
       field.checked = !field.checked;
-    } else if (field.type !== "checkbox") {
-      field.setAttribute("aria-invalid", String(Boolean(slip)));
-      field.dataset.problem = slip;
-      delete field.dataset.typing;
-      field.value = slip ? field.value : shownNumber(at.value);
     }
-    write($("rows-wrong"), slip);
+    write($("slip"), "");
+    refuseCell(field, told.slip);
+    shade();
   });
 }
 
@@ -610,7 +489,4 @@ for (const kind of ["dragover", "dragleave", "drop"]) {
   });
 }
 
-// who opened a file by the keyboard goes on where that was
-$(window.sessionStorage.getItem("focus") || "")?.focus();
-window.sessionStorage.removeItem("focus");
 look();

@@ -1,20 +1,25 @@
-"""Plugins through which light goes its way: medium bulk, emitter scintillation, integrator."""
+"""Plugins through which light goes its way: medium bulk, emitters, integrator, and its sensor."""
 
 from __future__ import annotations
 
-import weakref
-from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import drjit as dr
 import mitsuba as mi
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import MM_PER_CM
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, MM_PER_CM
 from mcrim_mitsuba.scene.check_text import is_filled
-from mcrim_mitsuba.transport.bulk import CollimatedBeam, CrystalVolume
-from mcrim_mitsuba.transport.collection import Launcher, collect
+from mcrim_mitsuba.transport.bulk import CollimatedBeam, CrystalVolume, read_crystal
+from mcrim_mitsuba.transport.collection import Launcher, collect, slope_along
+from mcrim_mitsuba.transport.launch_plan import FateTally
 from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis, described, number
 from mcrim_mitsuba.transport.scene_model import read_scene_model
+
+#: Of a medium: what eta has derivatives by.
+COEFFICIENTS = (ALPHA_SCAT, ALPHA_ABS)
+#: That ``mitsuba.render`` follows where nobody says how many.
+PHOTONS = 1_000_000
 
 
 class BulkMedium(mi.Medium):
@@ -40,20 +45,22 @@ class BulkMedium(mi.Medium):
     nested ``phase``
         Phase function of the scattering, ``isotropic``, ``hg`` or ``rayleigh``; isotropic when
         absent.
+
+    The coefficients are differentiable parameters of ``mitsuba.traverse``, in double precision.
     """
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        self.alpha_scat_per_cm = float(props.get("alpha_scat_per_cm", 0.0))
-        self.alpha_abs_per_cm = float(props.get("alpha_abs_per_cm", 0.0))
+        given = [float(props.get(name, 0.0)) for name in COEFFICIENTS]
         self.scattering_gradient = number(props, "scattering_gradient", 0.0, low=-1.0)
         self.endless = bool(props.get("endless", False))
-        if self.endless and (self.alpha_scat_per_cm or self.alpha_abs_per_cm):
+        if self.endless and any(given):
             raise ValueError(
                 "an endless medium neither scatters nor absorbs: take its numbers away"
             )
         if "index" in props and not is_filled(float(props["index"])):
-            self.alpha_scat_per_cm = self.alpha_abs_per_cm = 0.0
+            given = [0.0, 0.0]
+        self.alpha_scat_per_cm, self.alpha_abs_per_cm = map(mi.Float64, given)
         self.m_is_homogeneous = True
         self.m_has_spectral_extinction = False
 
@@ -61,18 +68,23 @@ class BulkMedium(mi.Medium):
         return mi.Mask(True), mi.Float(0.0), mi.Float(mi.math.RayEpsilon)
 
     def get_majorant(self, mei, active=True):
-        return mi.UnpolarizedSpectrum((self.alpha_scat_per_cm + self.alpha_abs_per_cm) / MM_PER_CM)
+        extinction = self.alpha_scat_per_cm + self.alpha_abs_per_cm
+        return mi.UnpolarizedSpectrum(mi.Float(extinction / MM_PER_CM))
 
     def get_scattering_coefficients(self, mei, active=True):
-        scattering = mi.UnpolarizedSpectrum(self.alpha_scat_per_cm / MM_PER_CM)
+        scattering = mi.UnpolarizedSpectrum(mi.Float(self.alpha_scat_per_cm / MM_PER_CM))
         return scattering, mi.UnpolarizedSpectrum(0.0), self.get_majorant(mei, active)
 
-    traverse, _ = described("alpha_scat_per_cm", "alpha_abs_per_cm", "scattering_gradient")
+    def traverse(self, callback) -> None:
+        for name in COEFFICIENTS:
+            callback.put(name, getattr(self, name), mi.ParamFlags.Differentiable)
+        gradient = "scattering_gradient"
+        callback.put(gradient, self.scattering_gradient, mi.ParamFlags.NonDifferentiable)
 
     def to_string(self) -> str:
         return (
-            f"BulkMedium[alpha_scat = {self.alpha_scat_per_cm} /cm, "
-            f"alpha_abs = {self.alpha_abs_per_cm} /cm]"
+            f"BulkMedium[alpha_scat = {self.alpha_scat_per_cm[0]} /cm, "
+            f"alpha_abs = {self.alpha_abs_per_cm[0]} /cm]"
         )
 
 
@@ -110,37 +122,48 @@ class ScintillationEmitter(mi.Emitter):
         self.m_flags = +mi.EmitterFlags.Empty
         self.m_needs_sample_2 = True
         self.m_needs_sample_3 = True
-        self._volume: Callable[[], CrystalVolume | None] = lambda: None  # or a weak reference
+        self._crystal: CrystalVolume | None = None
 
     def volume(self, model) -> CrystalVolume:
         """The crystal's volume in a scene (`transport.scene_model.SceneModel`).
 
-        Whoever asks must keep it: it holds the scene, and the scene holds this emitter through
+        The emitter does not keep it: it holds the scene, and the scene holds this emitter through
         C++, where Python's garbage collector cannot see a cycle.
         """
-        volume = self._volume()
-        if volume is None or volume.model is not model:
-            volume = self._born_in(model, model.volume_index(self.medium))
-            self._volume = weakref.ref(volume)
-        return volume
-
-    def _born_in(self, model, number: int) -> CrystalVolume:
+        number = model.volume_index(self.medium)
         return CrystalVolume(model, number, self.source_depth_mm, self.side_depth_mm)
+
+    def _among_all_shapes(self) -> CrystalVolume:
+        """The same without a scene, from those of all living shapes that border the medium.
+
+        Mitsuba does not tell Python's emitters their scene. Dr.Jit has a list of the shapes, which
+        a call to one that is not known before compiles code for.
+        """
+        faces: dict[str, mi.Shape] = {}
+
+        def meet(shape):
+            if self.medium in (shape.interior_medium(), shape.exterior_medium()):
+                faces[shape.id() or f"face_{len(faces)}"] = shape
+            return mi.Float(0.0)
+
+        dr.dispatch(dr.reinterpret_array(mi.ShapePtr, dr.opaque(mi.UInt32, 0)), meet)
+        around = mi.load_dict({"type": "scene"} | faces, parallel=False, optimize=False)
+        return self.volume(read_scene_model(around))
 
     def sample_ray(self, time, sample1, sample2, sample3, active=True):
         """A photon's birth as a ray; its weight is 1 whatever the wavelength.
 
         `sample1` gives the third coordinate that `sample2` lacks: light is monochromatic here.
         """
-        volume = self._volume()
-        if volume is None:
-            problem = "the emitter has not seen its scene"
-            raise InputError(problem, "call emitter.volume(model) first, and keep what it gives")
-        position = volume.from_uniforms(sample1, sample2.x, sample2.y)
+        # This thread may be recording a call to the emitter, and can read nothing from shapes then.
+        # The crystal is kept while its rays are used; of its shapes none holds this emitter.
+        with ThreadPoolExecutor(1) as apart:
+            self._crystal = apart.submit(self._among_all_shapes).result()
         ray = dr.zeros(mi.Ray3f)
-        ray.o, ray.d = position, mi.warp.square_to_uniform_sphere(sample3)
-        if volume.aim is not None:
-            ray.d = mi.Vector3f(volume.aim)
+        ray.o = self._crystal.born_from(mi.Float(sample1), sample2.x, sample2.y)
+        ray.d = mi.warp.square_to_uniform_sphere(sample3)
+        if self._crystal.aim is not None:
+            ray.d = mi.Vector3f(self._crystal.aim)
         ray.maxt, ray.time = dr.inf, time
         return ray, mi.Spectrum(1.0)
 
@@ -187,8 +210,10 @@ class CollimatedBeamEmitter(ScintillationEmitter):
         if not self.diameter_mm > 0.0:
             raise ValueError(f"the beam's diameter is {self.diameter_mm:g}; give a positive number")
 
-    def _born_in(self, model, number: int) -> CrystalVolume:
-        return CollimatedBeam(model, number, BEAM_AXES.index(self.axis), self.diameter_mm)
+    def volume(self, model) -> CrystalVolume:
+        """See `ScintillationEmitter.volume`."""
+        number, axis = model.volume_index(self.medium), BEAM_AXES.index(self.axis)
+        return CollimatedBeam(model, number, axis, self.diameter_mm)
 
     traverse, to_string = described("axis", "diameter_mm")
 
@@ -211,6 +236,14 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
         light comes out, and 2,000 where it does not: light that is trapped there stays.
     ``polarization`` : boolean, default false
         Whether Fresnel reflection follows each photon's polarisation.
+
+    Attributes
+    ----------
+    tally : FateTally or None
+        Of the last `render`: eta with its standard error, and what became of the light.
+    slopes : dict of str to tuple of float
+        Of the last derivatives: by the name of a coefficient, that of eta (cm) and its
+        standard error.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -219,6 +252,8 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
         self.polarization = bool(props.get("polarization", False))
         if self.max_depth is not None and self.max_depth < 1:
             raise ValueError(f"max_depth is {self.max_depth}; give at least 1")
+        self.tally: FateTally | None = None
+        self.slopes: dict[str, tuple[float, float]] = {}
 
     def depth_limit(self, scatters: bool) -> int:
         """Free flights after which a photon is given up, in a crystal that scatters or not."""
@@ -229,14 +264,60 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
         """Mitsuba's entrance: the light collection efficiency as a tensor of shape (1, 1, 1).
 
-        ``spp`` is the number of photons; 0 stands for a million.
+        ``spp`` is the number of photons; 0 stands for what the sensor's sampler says, and for a
+        million where the scene has no sensor. What the sensor's film shows does not matter.
         """
-        emitter = next(e for e in scene.emitters() if hasattr(e, "volume"))
-        crystal = emitter.volume(read_scene_model(scene))
-        launcher = Launcher(crystal, self.polarization)
-        limit = self.depth_limit(crystal.scatters)
-        collect(launcher, spp or 10**6, seed=seed, max_depth=limit)
-        return mi.TensorXf([launcher.tally.eta], (1, 1, 1))
+        launcher, plan = self._planned(scene, sensor, seed, spp)
+        collect(launcher, **plan)
+        self.tally = launcher.tally
+        return mi.TensorXf([self.tally.eta], (1, 1, 1))
+
+    def render_forward(self, scene, params, sensor=0, seed=0, spp=0):
+        """Change of the efficiency, shape (1, 1, 1), along the coefficients' gradients.
+
+        Raises InputError for gradients of parameters that eta has no derivative by here.
+        """
+        slopes = self._differentiate(scene, params, sensor, seed, spp)
+        change = sum(slope * float(dr.grad(params[name])[0]) for name, slope in slopes.items())
+        return mi.TensorXf([change], (1, 1, 1))
+
+    def render_backward(self, scene, params, grad_in, sensor=0, seed=0, spp=0):
+        """Add to the coefficients' gradients what `grad_in`, shape (1, 1, 1), makes of them.
+
+        Raises InputError as `render_forward`.
+        """
+        for name, slope in self._differentiate(scene, params, sensor, seed, spp).items():
+            dr.accum_grad(params[name], mi.Float64(slope * float(grad_in.array[0])))
+
+    def _planned(self, scene, sensor, seed, spp):
+        """What launches photons, and which ones it shall, as keyword arguments."""
+        crystal = read_crystal(scene)
+        if isinstance(sensor, int):
+            sensor = scene.sensors()[sensor] if scene.sensors() else None
+        photons = spp or (sensor.sampler().sample_count() if sensor else PHOTONS)
+        plan = {"photons": photons, "seed": int(mi.UInt32(seed)[0])}
+        plan["max_depth"] = self.depth_limit(crystal.scatters)
+        return Launcher(crystal, self.polarization), plan
+
+    def _differentiate(self, scene, params, sensor, seed, spp) -> dict[str, float]:
+        """Derivatives of eta (cm) by the parameters whose gradients are on."""
+        launcher, plan = self._planned(scene, sensor, seed, spp)
+        volumes, self.slopes = launcher.path.model.volumes, {}
+        for name, value in params.items():
+            if not dr.grad_enabled(value):
+                continue
+            medium, coefficient = params.properties[name][2], name.rpartition(".")[2]
+            if not isinstance(medium, BulkMedium):
+                problem = f"there is no derivative of eta by {name}"
+                mend = f"enable gradients of {' and '.join(COEFFICIENTS)} only"
+                raise InputError(problem, mend)
+            volume = launcher.path.model.volume_index(medium)
+            if coefficient == ALPHA_SCAT and not volumes[volume].alpha_scat_per_mm:
+                problem = f"{name} is 0, and light that does not scatter tells no derivative by it"
+                raise InputError(problem, "give it a value above 0")
+            along = [float(coefficient == each) / MM_PER_CM for each in COEFFICIENTS]
+            self.slopes[name] = slope_along(launcher, tangent={volume: along}, **plan)
+        return {name: slope for name, (slope, _) in self.slopes.items()}
 
     def aov_names(self) -> list[str]:
         return []
@@ -245,3 +326,32 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
 
 
 mi.register_integrator("light_collection", LightCollectionIntegrator)
+
+
+class LightMeter(mi.Sensor):
+    """What Mitsuba wants in a scene that it renders: one pixel, which shows the efficiency.
+
+    XML: ``<sensor type="light_meter"/>``; it may have
+
+    ``photons`` : integer, default 1,000,000
+        How many to follow where ``spp`` does not say it.
+
+    Light is detected by the shapes that wear a photodetector; this has no place in the scene.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        photons = int(props.get("photons", PHOTONS))
+        if photons < 1:
+            raise ValueError(f"photons is {photons}; give at least 1")
+        film = {"type": "hdrfilm", "width": 1, "height": 1, "pixel_format": "luminance"}
+        film |= {"rfilter": {"type": "box"}}
+        props["film"] = mi.load_dict(film, parallel=False)
+        sampler = {"type": "independent", "sample_count": photons}
+        props["sampler"] = mi.load_dict(sampler, parallel=False)
+        super().__init__(props)
+
+    def to_string(self) -> str:
+        return f"LightMeter[photons = {self.sampler().sample_count()}]"
+
+
+mi.register_sensor("light_meter", LightMeter)

@@ -71,6 +71,9 @@ class Polygons(mi.Mesh):
         """
         raise NotImplementedError
 
+    def to_string(self) -> str:
+        return f"{type(self).__name__}[id = {self.id()}, triangles = {self.face_count()}]"
+
 
 def rectangle(x: tuple[float, float], y: tuple[float, float]) -> np.ndarray:
     """The corners of a rectangle in the plane z = 0, normal along +z."""

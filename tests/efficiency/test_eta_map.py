@@ -1,0 +1,98 @@
+"""Maps of eta by place of birth, against simulations of light that is born in one place.
+
+Random tests have fixed seeds; thresholds are stated where they stand.
+"""
+
+import numpy as np
+import pytest
+from places import SCENES
+
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.eta_map import FWHM, map_eta
+from mcrim_mitsuba.efficiency.simulate import collect
+from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.transport.scene_model import opaque_vector
+from mcrim_mitsuba.transport.simulation import Simulation
+
+BENCH = SCENES / "camoo4.xml"
+#: Of the largest of ten |z|: a right map fails in one run in 1,000.
+LARGEST_Z = 3.9
+
+
+@pytest.fixture(scope="module")
+def mapped():
+    return map_eta(Simulation(read_scene(BENCH, {})), run=Run(photons=6_000_000, seed=1))
+
+
+def test_map_agrees_with_light_that_is_born_in_one_cell(mapped):
+    assert float(np.nansum(mapped.eta * mapped.volume)) == pytest.approx(
+        collect(Simulation(read_scene(BENCH, {})), run=Run(photons=500_000)).eta, abs=0.0025
+    )
+    at = [(0, 0, 0), (9, 9, 9), (4, 5, 0), (5, 5, 2), (0, 5, 3), (9, 0, 6), (2, 7, 8), (5, 4, 9)]
+    zs = []
+    for number, cell in enumerate(at):
+        simulation = Simulation(read_scene(BENCH, {}))
+        edges = [e[i : i + 2] for e, i in zip(mapped.edges_mm, cell, strict=True)]
+        crystal = simulation.crystal
+        corner = [low for low, _ in edges]
+        sides = np.diag([high - low for low, high in edges])
+        crystal._corner, *crystal._edges = map(opaque_vector, (corner, *sides))
+        alone = collect(simulation, run=Run(photons=400_000, seed=10 + number))
+        error = np.hypot(alone.eta_sigma, mapped.eta_sigma[cell])
+        zs.append((mapped.eta[cell] - alone.eta) / error)
+    assert max(map(abs, zs)) < LARGEST_Z, zs
+
+
+def test_noise_is_no_spread(mapped):
+    """Cells of one eta with errors as the map's: the rms is 0 within its error."""
+    rng = np.random.default_rng(3)
+    noise = mapped.eta_sigma * rng.standard_normal(mapped.eta.shape)
+    flat = type(mapped)(**{**vars(mapped), "eta": 0.25 + noise})
+    (everywhere, *_) = flat.spreads(1.0)
+    assert everywhere.relative_rms < 3.0 * everywhere.relative_rms_sigma
+    # and what is there is found: eta that rises by 4 % (rms) along z
+    rising = 1.0 + 0.04 * np.sqrt(3.0) * np.linspace(-0.9, 0.9, 10) / 0.9 * 0.9
+    tilted = type(mapped)(**{**vars(mapped), "eta": 0.25 * rising + noise})
+    found = tilted.spreads(1.0)[0]
+    expected = rising.std() / rising.mean()
+    assert abs(found.relative_rms - expected) < 3.5 * found.relative_rms_sigma
+    assert found.fwhm == pytest.approx(FWHM * found.relative_rms)
+
+
+@pytest.mark.parametrize("effect", ["source_depth", "side_source"])
+def test_births_that_fall_with_depth_give_the_same_map(mapped, effect):
+    depth = {"source_depth": "source_depth_mm", "side_source": "side_depth_mm"}[effect]
+    scene = mcrim.add(effect, BENCH, **{depth: 4.0})
+    other = map_eta(Simulation(scene), run=Run(photons=3_000_000, seed=2))
+    z = (other.eta - mapped.eta) / np.hypot(other.eta_sigma, mapped.eta_sigma)
+    # sums of 125 cells each: chi2 of 8 exceeds 26 in one run in 1,000
+    by_eighth = z.reshape(2, 5, 2, 5, 2, 5).sum(axis=(1, 3, 5)) / np.sqrt(125.0)
+    assert (by_eighth**2).sum() < 26.0
+    assert 0.7 < z.std() < 1.4
+
+
+def test_deposits_outside_are_refused_with_their_line(mapped, tmp_path):
+    file = tmp_path / "deposits.csv"
+    file.write_text("x_mm,y_mm,z_mm,energy_keV\n0,0,5,59.5\n0,0,9.5,30\n")
+    spread = mapped.of_deposits(file)
+    cells = mapped.eta[5, 5, [5, 9]]
+    assert spread.eta == pytest.approx(np.average(cells, weights=[59.5, 30.0]))
+    for row, told in {"0,0,11,3": "z_mm = 11", "0,0,5,-3": "energy_keV = -3"}.items():
+        file.write_text(f"x_mm,y_mm,z_mm,energy_keV\n0,0,5,59.5\n{row}\n")
+        with pytest.raises(InputError, match=told) as refused:
+            mapped.of_deposits(file)
+        assert refused.value.line == 3
+    with pytest.raises(InputError, match="in each of 1,000 cells"):
+        mcrim.eta_map(BENCH, photons=5000)
+
+
+def test_map_as_a_dataset_with_a_picture(tmp_path):
+    made = mcrim.eta_map(BENCH, cells=(2, 2, 3), n_gap=1.46, photons=200_000, seed=4)
+    data = made.to_xarray()
+    assert data.eta.dims == ("x_mm", "y_mm", "z_mm") and data.z_mm.attrs["units"] == "mm"
+    assert float((data.eta * data.volume).sum()) == pytest.approx(0.4335, abs=0.006)
+    assert "everywhere" in str(made) and len(made.document["spreads"]) == 3
+    figure, numbers = made.plot(), made.draw(tmp_path / "map.png")[1]
+    assert len(figure.axes) == 7 and len(numbers.read_text().splitlines()) == 13
