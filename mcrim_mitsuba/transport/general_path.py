@@ -206,7 +206,7 @@ def _scene_of(shapes):
     """A scene of some of another scene's shapes."""
     names = [shape.id() for shape in shapes]
     members = {f"shape_{number}": shape for number, shape in enumerate(shapes)}
-    scene = mi.load_dict({"type": "scene", **members}, optimize=False)
+    scene = mi.load_dict({"type": "scene", **members}, parallel=False, optimize=False)
     # loading gave them the keys as ids
     for shape, name in zip(shapes, names, strict=True):
         shape.set_id(name)

@@ -285,9 +285,9 @@ def _studio(bodies: Sequence[Body], camera: Camera, floor_z_mm: float):
         if body.finish.kind == GLASS and abs(body.finish.index_ratio - 1.0) < _ALIKE:
             continue
         if body.finish not in finishes:
-            finishes[body.finish] = mi.load_dict(_bsdf(body.finish))
+            finishes[body.finish] = mi.load_dict(_bsdf(body.finish), parallel=False)
         described[f"body_{number}"] = _mesh(f"body_{number}", body, finishes[body.finish])
-    return mi.load_dict(described)
+    return mi.load_dict(described, parallel=False)
 
 
 def _mesh(name: str, body: Body, bsdf):

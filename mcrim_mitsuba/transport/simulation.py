@@ -301,16 +301,18 @@ def _clean(line: str) -> str:
 def _load(mi, file: SceneFile):
     """What Mitsuba makes of the file, or of the text that stands for it."""
     overrides = file.overrides_for_mitsuba()
-    # Optimising merges shapes, and with that their ids and faces.
+    # Optimising merges shapes, and with that their ids and faces. Mitsuba 3.9 races with itself
+    # when it makes the first plugins of a process in parallel: one load of some 300 was refused for
+    # garbage in a name ("basic_string::_M_create").
     if file.unwritten_text is None:
-        return mi.load_file(str(file.path), optimize=False, **overrides)
+        return mi.load_file(str(file.path), parallel=False, optimize=False, **overrides)
     outside = mi.file_resolver()
     folder = mi.FileResolver(outside)
     folder.prepend(str(file.path.parent))
     mi.set_file_resolver(folder)
     try:
         text = file.unwritten_text.removeprefix("\ufeff")
-        return mi.load_string(text, optimize=False, **overrides)
+        return mi.load_string(text, parallel=False, optimize=False, **overrides)
     finally:
         mi.set_file_resolver(outside)
 

@@ -40,7 +40,7 @@ def load(mi, scenes):
 
     def load(name="camoo4.xml", **parameters):
         texts = {name: str(value) for name, value in parameters.items()}
-        return mi.load_file(str(scenes / name), optimize=False, **texts)
+        return mi.load_file(str(scenes / name), parallel=False, optimize=False, **texts)
 
     return load
 

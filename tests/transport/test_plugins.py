@@ -1,6 +1,7 @@
 """The plugins as Mitsuba sees them: registered in every variant, usable from any XML."""
 
 import gc
+import threading
 
 import drjit as dr
 import numpy as np
@@ -8,11 +9,12 @@ import pytest
 from scipy.stats import chisquare, kstest
 
 from mcrim_mitsuba.output.photograph import render
+from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.bulk import PhotonSeeds, lane_generators
 from mcrim_mitsuba.transport.collection import Recorder
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals
 from mcrim_mitsuba.transport.scene_model import read_scene_model
-from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.transport.simulation import Simulation, load_scene
 from mcrim_mitsuba.transport.trails import follow_trails
 from mcrim_mitsuba.transport.variants import use_variant
 
@@ -27,7 +29,9 @@ def mi():
 def test_mitsubas_own_switch_of_variant_keeps_the_plugins(scenes, mi, variant):
     """Python classes belong to one variant's base classes: a switch defines them again."""
     mi.set_variant(variant)
-    scene = mi.load_file(str(scenes / "camoo4_wrapped.xml"), optimize=False, n_gap="1.46")
+    scene = mi.load_file(
+        str(scenes / "camoo4_wrapped.xml"), parallel=False, optimize=False, n_gap="1.46"
+    )
     assert isinstance(scene.integrator(), mi.Integrator)
     image = scene.integrator().render(scene, spp=20_000, seed=1)
     assert float(np.array(image).squeeze()) == pytest.approx(0.6925, abs=0.02)
@@ -91,11 +95,15 @@ def test_flat_faces_are_read_from_the_scene_and_merged(scenes, mi):
     """The frame is four rectangles, a cube six: triangles would be tested twice as often."""
     box = """<scene version="3.0.0"><shape type="cube" id="box"><transform name="to_world">
         <rotate x="0.6" y="0.8" angle="40"/><translate x="7"/></transform></shape>"""
-    curved = mi.load_string(box + '<shape type="sphere" id="ball"/></scene>', optimize=False)
+    curved = mi.load_string(
+        box + '<shape type="sphere" id="ball"/></scene>', parallel=False, optimize=False
+    )
     assert read_scene_model(curved).faces is None
-    bench = read_scene_model(mi.load_file(str(scenes / "camoo4.xml"), optimize=False))
+    bench = read_scene_model(
+        mi.load_file(str(scenes / "camoo4.xml"), parallel=False, optimize=False)
+    )
     assert len(bench.faces) == 20 and not any(face.triangle for face in bench.faces)
-    box = mi.load_string(box + "</scene>", optimize=False)
+    box = mi.load_string(box + "</scene>", parallel=False, optimize=False)
     faces = read_scene_model(box).faces
     assert len(faces) == 6 and not any(face.triangle for face in faces)
     centre = np.mean([f.corner + (f.edge_u + f.edge_v) / 2 for f in faces], axis=0)
@@ -154,3 +162,22 @@ def test_bsdfs_are_good_for_pictures(mi, variant):
     pdf = detector.pdf(context, si, sample.wo)
     assert np.allclose(np.array(value / pdf), 0.3, rtol=1e-4)
     assert np.allclose(np.array(pdf), np.array(sample.pdf), rtol=1e-4)
+
+
+def test_plugins_are_made_one_after_the_other(scenes, mi, monkeypatch):
+    """Mitsuba's threads race when they make plugins: one load of some 300 was refused."""
+    from mcrim_mitsuba.transport.plugins.shapes import Polygons  # wants a variant
+
+    makers = []
+    made = Polygons.__init__
+
+    def noted(self, props):
+        makers.append(threading.get_ident())
+        made(self, props)
+
+    monkeypatch.setattr(Polygons, "__init__", noted)
+    file = read_scene(scenes / "camoo4_wrapped.xml")
+    for bench in (file, file.edited(file.source(file.path).decode())):
+        for _ in range(20):
+            load_scene(mi, bench)
+    assert set(makers) == {threading.get_ident()}
