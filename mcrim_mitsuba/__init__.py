@@ -18,7 +18,8 @@ from typing import Any
 _HOMES = {
     "output.public": (
         "Answer", "add", "budget", "calibrate", "check", "compare", "crosscheck", "diagnose",
-        "eta_map", "plan", "reduce", "render", "repair", "report", "simulate", "table",
+        "eta_map", "eta_spectrum", "plan", "reduce", "render", "repair", "report", "simulate",
+        "table",
     ),
     "campaign.campaign": ("Campaign", "read_campaign"),
     "core.errors": ("InputError",),

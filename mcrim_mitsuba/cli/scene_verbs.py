@@ -110,21 +110,34 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
 @click.option("--deposits", type=click.Path(), metavar="FILE.csv",
               help="Where gammas stop, for --map: x_mm, y_mm, z_mm, energy_keV, a deposit a row.",
               )  # fmt: skip
+@click.option("--spectrum", type=click.Path(), metavar="EMISSION.csv",
+              help="Light over wavelengths: wavelength_nm, emission, if known efficiency, and "
+              "parameters of the scene that vary; its picture is NAME_spectrum of --figure.",
+              )  # fmt: skip
+@click.option("--quantum-efficiency", type=click.Path(), metavar="QE.csv",
+              help="The detector's efficiency over wavelengths, for --spectrum.",
+              )  # fmt: skip
 @options.work
 def simulate(
-    scene, overrides, method, figure, map_file, depth_mm, deposits, json_file, work
-) -> None:
+    scene, overrides, method, figure, map_file, depth_mm, deposits, spectrum, quantum_efficiency,
+    json_file, work,
+) -> None:  # fmt: skip
     """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
-    for option, given in {"--figure": figure, "--map": map_file}.items():
+    photons_of = {"--figure": figure, "--map": map_file, "--spectrum": spectrum}
+    for option, given in photons_of.items():
         if given and method == "modes":
             problem = f"{option} follows photons, and --method modes none"
             raise InputError(problem, "leave one of them out")
     if deposits and not map_file:
         raise InputError("--deposits says where light is born in a map", "give --map FILE.nc too")
+    if quantum_efficiency and not spectrum:
+        problem = "--quantum-efficiency says what the detector sees of an emission"
+        raise InputError(problem, "give --spectrum EMISSION.csv too")
     written = {"--map": (map_file, (".nc",))} if map_file else {}
-    inputs = [scene, *filter(None, [deposits])]
+    inputs = [scene, *filter(None, [deposits, spectrum, quantum_efficiency])]
     if figure:
-        endings = ("fates", "map") if map_file else ("fates",)
+        further = {"map": map_file, "spectrum": spectrum}
+        endings = ["fates", *(name for name, given in further.items() if given)]
         showing.refuse_places(json_file, inputs, figure, *endings, written=written)
         from mcrim_mitsuba.efficiency.lighting import refuse_curved
         from mcrim_mitsuba.transport.simulation import Simulation
@@ -133,13 +146,17 @@ def simulate(
         refuse_curved(Simulation(scene, overrides, variant=run.variant, threads=run.threads))
     else:
         showing.refuse_places(json_file, inputs, written=written)
-    file, mapped = mcrim.read_scene(scene, overrides), None
+    file, mapped, coloured = mcrim.read_scene(scene, overrides), None, None
     with work.begin() as run:
         found = mcrim.simulate(file, run=run, method=method)
         if map_file and not found.interrupted:
             own = replace(run, precision=None)
             mapped = mcrim.eta_map(file, depth_mm=depth_mm, deposits=deposits, run=own)
+        if spectrum and not found.interrupted:
+            light = {"quantum_efficiency": quantum_efficiency}
+            coloured = mcrim.eta_spectrum(file, spectrum, run=run, **light)
     document = found.document | ({"map": mapped.document} if mapped else {})
+    document |= {"spectrum": coloured.document} if coloured else {}
     terminal.write_json(json_file, document)
     screen = terminal.console(json_file)
     figure = None if found.interrupted else figure
@@ -150,6 +167,9 @@ def simulate(
         write_bytes(map_file, netcdf_bytes(mapped.to_xarray()))
         drawn = mapped.draw(showing.further_picture(figure, "map")) if figure else ()
         showing.show(screen, mapped.described, [Path(map_file), *drawn])
+    if coloured:
+        drawn = coloured.draw(showing.further_picture(figure, "spectrum")) if figure else ()
+        showing.show(screen, coloured.described, drawn)
 
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"

@@ -125,7 +125,7 @@ class EtaSurface(EfficiencySurface):
             scattered = float(np.exp(left).sum())
         return EtaPoint(
             eta=float(total / self.photons),
-            sigma=math.sqrt(_covariance(*[self._batches(*target)] * 2)) if errors else math.nan,
+            sigma=math.sqrt(_covariance(*[self.batches(*target)] * 2)) if errors else math.nan,
             gradient={
                 ALPHA_SCAT: float((scattered - with_path) / self.photons),
                 ALPHA_ABS: float(-with_path / self.photons),
@@ -146,7 +146,7 @@ class EtaSurface(EfficiencySurface):
 
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
         return _covariance(
-            *(self._batches(point[ALPHA_SCAT], point[ALPHA_ABS]) for point in (first, second))
+            *(self.batches(point[ALPHA_SCAT], point[ALPHA_ABS]) for point in (first, second))
         )
 
     def answer(self, point: Coefficients) -> EtaPoint | None:
@@ -206,7 +206,7 @@ class EtaSurface(EfficiencySurface):
         paths = (densities * cells.total) @ path / self.photons
         return densities, squares, 1.0 + paths / paths.mean()
 
-    def _batches(self, alpha_scat: float, alpha_abs: float) -> NDArray[np.float64]:
+    def batches(self, alpha_scat: float, alpha_abs: float) -> NDArray[np.float64]:
         """(batches,) eta as every batch alone finds it."""
         density = _exp(self._log_batch_density(alpha_scat, alpha_abs))
         sums = self._batch_cells.weight

@@ -11,6 +11,7 @@ from mcrim_mitsuba.core.files import attributes
 if TYPE_CHECKING:
     from mcrim_mitsuba.core.run import Provenance
     from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
+    from mcrim_mitsuba.efficiency.eta_spectrum import EtaSpectrum
     from mcrim_mitsuba.efficiency.table import EtaTable
     from mcrim_mitsuba.inference.budget import Budget
     from mcrim_mitsuba.inference.calibrate import CampaignResult
@@ -44,6 +45,24 @@ def of_map(mapped: EtaMap, spreads: Sequence[Spread]) -> Document:
         "spreads": [attributes(one, names) for one in spreads],
         "cells": mapped.eta.shape,
         **attributes(mapped, "photons seed parameters scene_hash"),
+    }
+
+
+def of_spectrum(found: EtaSpectrum) -> Document:
+    light = found.light
+    columns = {"eta": found.eta, "eta_sigma": found.eta_sigma, "detected_part": found.detected_part}
+    known = {"emission": light.emission, "efficiency": light.efficiency, **light.parameters}
+    every = zip(light.wavelength_nm, *columns.values(), *known.values(), strict=True)
+    names = ("wavelength_nm", *columns, *known)
+    return attributes(
+        found,
+        "eta_emitted eta_emitted_sigma eta_detected eta_detected_sigma efficiency_emitted "
+        "efficiency_arriving efficiency_arriving_sigma eta_at_mean eta_at_mean_sigma "
+        "one_wavelength_off one_wavelength_off_sigma interpolation_error nodes_nm photons "
+        "cached_photons seed parameters scene_hash",
+    ) | {
+        "mean_wavelength_nm": light.mean_nm,
+        "wavelengths": [dict(zip(names, map(float, one), strict=True)) for one in every],
     }
 
 

@@ -20,6 +20,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import unit_of
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
+from mcrim_mitsuba.efficiency.eta_spectrum import EtaSpectrum
 from mcrim_mitsuba.efficiency.lighting import Binned, Light
 from mcrim_mitsuba.efficiency.table import EtaTable
 from mcrim_mitsuba.output import figure_style as style
@@ -248,6 +249,47 @@ def _draw_spreads(axes: Axes, mapped: EtaMap, spreads: Sequence[Spread]) -> None
     axes.set(xlabel="η (%) where gammas stop", ylabel="light (% per bin)", ylim=(0, None))
     style.open_axes(axes)
     style.legend_above(axes, ncols=1, handlelength=2.6)
+
+
+# Wavelengths: eta, what it depends on, and the light that is left.
+
+
+@style.styled
+def draw_spectrum(found: EtaSpectrum) -> style.Drawing:
+    """Eta over the wavelength above; below, the light as it is emitted and as it is detected."""
+    light = found.light
+    at = light.wavelength_nm
+    figure = style.canvas(8.4, 6.4)
+    above, below = figure.subplots(2, 1, sharex=True)
+    eta, sigma = 100.0 * found.eta, 100.0 * found.eta_sigma
+    above.fill_between(at, eta - sigma, eta + sigma, color=style.DARK, alpha=0.25, lw=0)
+    above.plot(at, eta, color=style.DARK, lw=1.8, label="by wavelength")
+    mean = 100.0 * (found.eta_detected if light.detected else found.eta_emitted)
+    words = "detected" if light.detected else "emitted"
+    above.axhline(mean, color=style.WARM, lw=1.4, ls=_LINES[1],
+                  label=f"mean of the {words} light: {mean:.4g} %")  # fmt: skip
+    above.axvline(light.mean_nm, **_LIMIT)
+    above.plot([light.mean_nm], [100.0 * found.eta_at_mean], "o", ms=6, color=style.DARK,
+               label=f"at {light.mean_nm:.0f} nm, the mean")  # fmt: skip
+    above.set(ylabel="η (%)")
+    below.plot(at, light.emission / light.emission.max(), color=style.DARK, lw=1.8,
+               label="emitted")  # fmt: skip
+    below.plot(at, found.detected_part / found.detected_part.max(), color=style.WARM, lw=1.8,
+               ls=_LINES[1], label="detected")  # fmt: skip
+    if light.detected:
+        below.plot(at, light.efficiency, color=style.GREY, lw=1.4, ls=_LINES[2],
+                   label="the detector's efficiency")  # fmt: skip
+    below.axvline(light.mean_nm, **_LIMIT)
+    below.set(xlabel="wavelength (nm)", ylabel="light over its maximum", ylim=(0, None),
+              xlim=(at[0], at[-1]))  # fmt: skip
+    for axes in (above, below):
+        style.open_axes(axes)
+        style.legend_above(axes, ncols=3, handlelength=2.6)
+    names = ("wavelength_nm", "eta", "eta_sigma", "emission", "efficiency", "detected_part")
+    columns = [at, found.eta, found.eta_sigma, light.emission, light.efficiency,
+               found.detected_part, *light.parameters.values()]  # fmt: skip
+    rows = [tuple(map(float, row)) for row in zip(*columns, strict=True)]
+    return style.Drawing(figure, (*names, *light.parameters), rows)
 
 
 # Fates: one stacked bar per configuration.

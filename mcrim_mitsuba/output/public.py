@@ -386,6 +386,47 @@ def eta_map(
     )  # fmt: skip
 
 
+def eta_spectrum(
+    scene: Scene, spectrum: str | Path, *, quantum_efficiency: str | Path | None = None,
+    run: Run | None = None, **given: Any,
+) -> Answer:  # fmt: skip
+    """Light collection efficiency over the emission's wavelengths, and its means over the light.
+
+    Parameters
+    ----------
+    spectrum : str or Path
+        Table of wavelength_nm and emission (per nm), and if known efficiency (the detector's) and
+        any parameters of the scene at these wavelengths; or an emission spectrum. Indices that
+        name a material follow its dispersion.
+    quantum_efficiency : str or Path, optional
+        Spectrum of the detector's efficiency, where the table has none.
+    run : Run, optional
+        2 million photons of each simulation: one, or four where an index varies.
+    **given
+        Scene parameters that differ from the file's (``n_gap=1.46``), and fields of the run.
+
+    Returns
+    -------
+    Answer
+        With the fields of `efficiency.eta_spectrum.EtaSpectrum`; picture ``spectrum``; `to_xarray`.
+
+    Raises
+    ------
+    InputError
+        If a file or the scene is not sound, a parameter is wrong, or photons cannot answer a
+        wavelength.
+    """
+    from mcrim_mitsuba.efficiency.eta_spectrum import eta_over, read_light
+
+    run, parameters = _split(run, given)
+    file = read_scene(scene, parameters)
+    found = eta_over(file, read_light(spectrum, file, quantum_efficiency), run=run)
+    return Answer(
+        found, scene_descriptions.of_spectrum(found), documents.of_spectrum(found),
+        {"spectrum": lambda: _drawn("light_figures.draw_spectrum", found)},
+    )  # fmt: skip
+
+
 #: Photons of figures, at most: more would not be seen.
 MOST_FOR_FIGURES = 4_000_000
 

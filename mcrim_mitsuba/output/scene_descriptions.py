@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.core.numbers import unit_of, without_unit
+from mcrim_mitsuba.core.rounding import counted, pdg
 from mcrim_mitsuba.output.described import (
     Cell,
     Column,
@@ -26,10 +27,15 @@ from mcrim_mitsuba.output.described import (
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
+    from mcrim_mitsuba.efficiency.eta_spectrum import EtaSpectrum
     from mcrim_mitsuba.efficiency.table import EtaTable
     from mcrim_mitsuba.reference.crosscheck import Crosscheck
     from mcrim_mitsuba.scene.check_text import CheckReport
     from mcrim_mitsuba.transport.simulation import SimulationResult
+
+
+#: Of a spectrum, that a table shows.
+_MOST_WAVELENGTHS = 9
 
 
 def of_simulation(result: SimulationResult) -> Described:
@@ -67,6 +73,58 @@ def of_map(mapped: EtaMap, spreads: Sequence[Spread]) -> Described:
         "map of the light collection efficiency",
         (Sentence(said), table("efficiency where gammas stop", columns, rows)),
     )
+
+
+def of_spectrum(found: EtaSpectrum) -> Described:
+    """Means over the light, what one wavelength is off by, and some wavelengths."""
+    light, off = found.light, (found.one_wavelength_off, found.one_wavelength_off_sigma)
+    eta = pdg(found.eta_detected, found.eta_detected_sigma)
+    arriving = _percent(found.efficiency_arriving, found.efficiency_arriving_sigma)
+    simulated = f"{counted(len(found.nodes_nm), 'simulation')}, {found.photons:,} photons"
+    said = [
+        f"eta = {eta} of the light as it is {'detected' if light.detected else 'emitted'} "
+        f"({simulated})"
+    ]
+    if light.detected:
+        said += [
+            f"eta = {pdg(found.eta_emitted, found.eta_emitted_sigma)} of the light as it is "
+            "emitted",
+            f"the detector sees {pdg(*arriving)} % of the light that arrives; of all that is "
+            f"emitted it would see {100 * found.efficiency_emitted:.4g} % (Eq. 3)",
+        ]
+    said.append(
+        f"one wavelength, {light.mean_nm:.0f} nm: eta = "
+        f"{pdg(found.eta_at_mean, found.eta_at_mean_sigma)}; what is detected would be off by "
+        f"{pdg(*_percent(*off))} %"
+    )
+    some = np.unique(np.linspace(0, len(light.wavelength_nm) - 1, _MOST_WAVELENGTHS).astype(int))
+    varying = list(light.parameters)
+    rows = (
+        (shown(light.wavelength_nm[i], ".0f"),
+         *(shown(light.parameters[name][i], ".4g") for name in varying),
+         measured(float(found.eta[i]), float(found.eta_sigma[i])))
+        for i in some.tolist()
+    )  # fmt: skip
+    first = Column("wavelength (nm)", "wavelength_nm")
+    columns: list[str | Column] = [first, *(Column(_titled(n), n) for n in varying), "eta"]
+    notes: tuple[str, ...] = ()
+    if found.interpolation_error > 0.0:
+        nodes = ", ".join(f"{each:.0f}" for each in found.nodes_nm)
+        notes = (
+            f"simulated at {nodes} nm; between them eta may be wrong by "
+            f"{100 * found.interpolation_error:.2g} %, the noise of the simulations included",
+        )
+    parts: list[Part] = [*map(Sentence, said), table("some wavelengths", columns, rows)]
+    return Described("light collection efficiency over wavelengths", tuple(parts), notes=notes)
+
+
+def _titled(name: str) -> str:
+    unit = unit_of(name)
+    return without_unit(name) + (f" ({unit})" if unit else "")
+
+
+def _percent(value: float, sigma: float) -> tuple[float, float]:
+    return 100.0 * value, 100.0 * sigma
 
 
 def of_table(

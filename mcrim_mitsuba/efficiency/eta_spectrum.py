@@ -1,0 +1,352 @@
+"""The light collection efficiency over the emission's wavelengths, from few simulations.
+
+Coefficients of scattering and absorption only weight photons' histories, so that one simulation
+answers every wavelength. Indices bend light and cannot be weighted: the bench is simulated at a few
+nodes in 1 / wavelength^2, in which dispersion is nearly a line, with the same random numbers, and
+eta is a polynomial between them.
+
+Light of a wavelength counts as it is emitted, collected and detected: the signal is the integral of
+emission, eta and quantum efficiency (Eqs. 2 and 3 of V. Alenkov et al., JINST 8 (2013) P06002, with
+eta inside of the integral).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mcrim_mitsuba.core.data_table import DataTable, read_data_table
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
+from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
+from mcrim_mitsuba.optics.spectrum import Spectrum
+from mcrim_mitsuba.optics.spectrum_file import read_spectrum
+from mcrim_mitsuba.scene.scene_file import SceneFile
+
+if TYPE_CHECKING:
+    import xarray
+
+#: Photons of a simulation unless asked otherwise.
+PHOTONS = 2_000_000
+#: Simulations where an index varies.
+NODES = 4
+#: Columns of a table that are no parameters of the scene.
+WAVELENGTH, EMISSION, EFFICIENCY = "wavelength_nm", "emission", "efficiency"
+#: Step of integrals, and light over its maximum below which a wavelength is left out.
+_STEP_NM, _FAINT = 5.0, 1e-3
+_COEFFICIENTS = (ALPHA_SCAT, ALPHA_ABS)
+
+
+@dataclass(frozen=True, eq=False)
+class EmittedLight:
+    """Light over its wavelengths, and what the bench is like at each.
+
+    All arrays are (wavelengths,) float64.
+    """
+
+    #: Rising.
+    wavelength_nm: Array
+    #: Photons per nm, in any unit.
+    emission: Array
+    #: Of the detector, a fraction; 1 where it is not known.
+    efficiency: Array
+    #: Scene parameters that vary.
+    parameters: Mapping[str, Array]
+    #: Whether the efficiency was given.
+    detected: bool
+
+    @property
+    def weights(self) -> Array:
+        """Of wavelengths in integrals over the emission, by trapezoids; their sum is 1."""
+        step = np.diff(self.wavelength_nm)
+        weights = self.emission * (np.append(step, 0.0) + np.insert(step, 0, 0.0)) / 2.0
+        return np.asarray(weights / weights.sum(), float)
+
+    @property
+    def mean_nm(self) -> float:
+        """Mean wavelength of the light as it is detected."""
+        seen = self.weights * self.efficiency
+        return float(seen @ self.wavelength_nm / seen.sum())
+
+    def at(self, wavelength_nm: float) -> dict[str, float]:
+        """The parameters at one wavelength, between the points by straight lines."""
+        return {
+            name: float(np.interp(wavelength_nm, self.wavelength_nm, values))
+            for name, values in self.parameters.items()
+        }
+
+
+def read_light(
+    path: str | Path, scene: SceneFile, quantum_efficiency: str | Path | None = None
+) -> EmittedLight:
+    """Light over wavelengths, from a table.
+
+    Indices of the scene that name a material follow its dispersion, beyond the formula's range that
+    at its end.
+
+    Parameters
+    ----------
+    path : str or Path
+        Columns ``wavelength_nm`` and ``emission`` (per nm, any unit), and if known ``efficiency``
+        (of the detector, a fraction) and any parameters of the scene, such as
+        ``alpha_abs_per_cm``, at these wavelengths. Or an emission spectrum as campaigns name one.
+    scene : SceneFile
+    quantum_efficiency : str or Path, optional
+        Spectrum of the detector's efficiency, for a table without.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, or a column is none of the scene's parameters.
+    """
+    table = read_data_table(path, roles=(WAVELENGTH, EMISSION))
+    names = [_as_named(table, column) for column in range(table.values.shape[1])]
+    columns: dict[str, Array] = {}
+    if EMISSION in names and WAVELENGTH in names:
+        at, columns = _columns(table, names, scene)
+        emission = Spectrum(at, columns.pop(EMISSION), name=str(path))
+    else:
+        emission = read_spectrum(path, "emission")
+    grid = _grid(emission)
+    light = np.clip(emission.at(grid), 0.0, None)
+    if not light.max() > 0.0:
+        raise emission.refusal("the emission has no area", "give intensities above 0")
+    detected = quantum_efficiency is not None or EFFICIENCY in columns
+    efficiency = np.ones_like(grid)
+    if EFFICIENCY in columns:
+        if quantum_efficiency is not None:
+            problem = "the detector's efficiency is given twice"
+            mend = f"leave the column {EFFICIENCY} or the other file out"
+            raise InputError(problem, mend, path=table.path)
+        efficiency = np.interp(grid, emission.wavelength_nm, columns.pop(EFFICIENCY))
+    elif quantum_efficiency is not None:
+        curve = read_spectrum(quantum_efficiency, "quantum_efficiency")
+        efficiency = np.interp(grid, curve.wavelength_nm, curve.values, left=0.0, right=0.0)
+    varying = {
+        name: known.material.held_index(grid)
+        for name, known in scene.materials.items()
+        if name not in columns
+    }
+    varying |= {n: np.interp(grid, emission.wavelength_nm, v) for n, v in columns.items()}
+    varying = {name: values for name, values in varying.items() if np.ptp(values) > 0.0}
+    return EmittedLight(grid, light, efficiency, varying, detected)
+
+
+def _as_named(table: DataTable, column: int) -> str:
+    """Name of a column with its unit, as scenes have it."""
+    if table.names is None:
+        return ""
+    name, unit = table.names[column].strip(), table.units[column]
+    return f"{name}_nm" if unit == "nm" and not name.endswith("nm") else name
+
+
+def _columns(
+    table: DataTable, names: list[str], scene: SceneFile
+) -> tuple[Array, dict[str, Array]]:
+    """Wavelengths, rising, and the other columns by name."""
+    found: dict[str, Array] = {}
+    for column, name in enumerate(names):
+        numbers = [n for n, value in scene.parameters.items() if isinstance(value, float)]
+        if name not in (WAVELENGTH, EMISSION, EFFICIENCY, *numbers):
+            mend = did_you_mean(name, [EMISSION, EFFICIENCY, *numbers])
+            problem = f"{scene.path.name} has no parameter {name!r}"
+            raise table.refusal(None, column, problem, mend)
+        values = table.values[:, column]
+        low, high = (0.0, 1.0) if name == EFFICIENCY else (0.0, math.inf)
+        wrong = (values < low) | (values > high)
+        if name in (EFFICIENCY, *_COEFFICIENTS) and wrong.any():
+            row = int(wrong.argmax())
+            problem = f"{name} = {values[row]:g} is out of range"
+            raise table.refusal(row, column, problem, f"give {low:g} to {high:g}")
+        found[name] = values
+    order = np.argsort(found[WAVELENGTH], kind="stable")
+    same = np.diff(found[WAVELENGTH][order]) <= 0.0
+    if same.any():
+        row = int(order[int(same.argmax()) + 1])
+        problem = f"{found[WAVELENGTH][row]:g} nm stands there twice"
+        raise table.refusal(row, names.index(WAVELENGTH), problem, "keep one of the rows")
+    columns = {name: values[order] for name, values in found.items()}
+    return columns.pop(WAVELENGTH), columns
+
+
+def _grid(emission: Spectrum) -> Array:
+    """Wavelengths at which eta is asked for: steps of `_STEP_NM`, where there is light."""
+    steps = max(math.ceil((emission.last_nm - emission.first_nm) / _STEP_NM), 2)
+    grid = np.linspace(emission.first_nm, emission.last_nm, steps + 1)
+    bright = np.flatnonzero(emission.at(grid) > _FAINT * emission.values.max())
+    if len(bright) < 2:
+        return grid
+    first, last = max(int(bright[0]) - 1, 0), min(int(bright[-1]) + 2, len(grid))
+    return np.asarray(grid[first:last], float)
+
+
+@dataclass(frozen=True, eq=False)
+class EtaSpectrum:
+    """Efficiency by wavelength, and its means over the light; errors are Monte Carlo's."""
+
+    light: EmittedLight
+    #: (wavelengths,) float64
+    eta: Array
+    eta_sigma: Array
+    #: Mean over the emitted light, and over the light as it is detected.
+    eta_emitted: float
+    eta_emitted_sigma: float
+    eta_detected: float
+    eta_detected_sigma: float
+    #: Mean of the detector's efficiency over the emission (Eq. 3), which is that of the light that
+    #: arrives only if eta is the same at all wavelengths; and over the light that arrives.
+    efficiency_emitted: float
+    efficiency_arriving: float
+    efficiency_arriving_sigma: float
+    #: Eta at the light's mean wavelength alone.
+    eta_at_mean: float
+    eta_at_mean_sigma: float
+    #: What is detected at the mean wavelength, times Eq. 3, over what is, less 1.
+    one_wavelength_off: float
+    one_wavelength_off_sigma: float
+    #: Largest relative error that the polynomial between nodes may make; 0 with one simulation.
+    interpolation_error: float
+    #: Wavelengths that were simulated; one where no index varies.
+    nodes_nm: tuple[float, ...]
+    photons: int
+    cached_photons: int
+    seed: int
+    #: Of the scene.
+    parameters: Mapping[str, Value]
+    scene_hash: str
+
+    @property
+    def detected_part(self) -> Array:
+        """(wavelengths,) light that is detected, per nm; its integral by trapezoids is 1."""
+        seen = self.light.emission * self.eta * self.light.efficiency
+        area = float(np.trapezoid(seen, self.light.wavelength_nm))
+        return np.asarray(seen / area, float)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Over wavelength_nm; attributes make it reproducible."""
+        import xarray
+
+        light, names = self.light, ("eta", "eta_sigma", "detected_part")
+        made = xarray.Dataset(
+            {name: ("wavelength_nm", getattr(self, name)) for name in names}
+            | {name: ("wavelength_nm", getattr(light, name)) for name in (EMISSION, EFFICIENCY)}
+            | {name: ("wavelength_nm", values) for name, values in light.parameters.items()},
+            {"wavelength_nm": light.wavelength_nm},
+            {"photons": self.photons, "seed": self.seed, "scene_hash": self.scene_hash}
+            | {n: str(v) if isinstance(v, bool) else v for n, v in self.parameters.items()},
+        )
+        made.wavelength_nm.attrs["units"] = "nm"
+        made.eta.attrs["long_name"] = "light collection efficiency"
+        return made
+
+
+def eta_over(scene: SceneFile, light: EmittedLight, *, run: Run = Run()) -> EtaSpectrum:
+    """Efficiency at every wavelength.
+
+    Parameters
+    ----------
+    scene : SceneFile
+    light : EmittedLight
+    run : Run
+        `PHOTONS` of each simulation where it says nothing; with a precision, as many as it takes
+        for every wavelength.
+
+    Raises
+    ------
+    InputError
+        If the scene is not sound or lacks coefficients, photons cannot answer a wavelength, or a
+        value is out of range.
+    """
+    if run.photons is None and run.precision is None:
+        run = Run(PHOTONS, None, run.seed, run.threads, run.variant, run.progress, run.check)
+    at = light.wavelength_nm
+    mean_nm = light.mean_nm
+    asked = np.append(at, mean_nm)
+    points = [_coefficients(scene, light, float(each)) for each in asked]
+    bending = [name for name in light.parameters if name not in _COEFFICIENTS]
+    nodes = np.array([mean_nm])
+    if bending:
+        low, high = 1.0 / at[-1] ** 2, 1.0 / at[0] ** 2
+        nodes = 1.0 / np.sqrt(chebyshev_nodes(low, high, NODES))
+    wishes = []
+    for each in nodes.tolist():
+        own = {name: value for name, value in light.at(each).items() if name in bending}
+        held = scene.with_overrides(own)
+        wishes.append(SurfaceWish(f"{each:.0f} nm", held, points, run))
+    found = record_surfaces(wishes)
+    answers = [surface.evaluate_all(points) for surface, _ in found]
+    for row, each in enumerate(asked.tolist()):
+        if any(answer[row] is None for answer in answers):
+            problem = f"too few photons tell eta at {each:.0f} nm"
+            raise InputError(problem, "follow more, or cut the spectrum there", path=scene.path)
+    # (nodes, batches, wavelengths); batches of one number belong together
+    batches = np.array([
+        [surface.batches(*point) for point in points] for surface, _ in found
+    ]).transpose(0, 2, 1)  # fmt: skip
+    weights, fewer = _between(nodes, asked)
+    eta_batches = np.einsum("wn,nbw->bw", weights, batches)
+    eta = eta_batches.mean(axis=0)
+    off = np.abs(np.einsum("wn,nbw->w", fewer - weights, batches) / len(eta_batches) / eta)
+
+    emitted = light.weights
+    seen = emitted * light.efficiency
+    per_batch = eta_batches[:, :-1]
+    of_emitted, product, at_mean = per_batch @ emitted, per_batch @ seen, eta_batches[:, -1]
+    efficiency = float(seen.sum())
+    ratio = _with_error(product.mean() / of_emitted.mean(), product / product.mean()
+                        - of_emitted / of_emitted.mean())  # fmt: skip
+    one = at_mean.mean() * efficiency / product.mean()
+    one_off = _with_error(one, at_mean / at_mean.mean() - product / product.mean())
+    return EtaSpectrum(
+        light, eta[:-1], _error(per_batch), *_with_error(of_emitted.mean(), of_emitted /
+        of_emitted.mean()), *_with_error(product.mean() / efficiency, product / product.mean()),
+        efficiency, *ratio, float(at_mean.mean()), float(_error(at_mean)), one_off[0] - 1.0,
+        one_off[1], float(off.max()), tuple(nodes.tolist()),
+        sum(each.photons for _, each in found), sum(each.cached_photons for _, each in found),
+        run.seed, dict(scene.parameters), scene.content_hash,
+    )  # fmt: skip
+
+
+def _coefficients(
+    scene: SceneFile, light: EmittedLight, wavelength_nm: float
+) -> tuple[float, float]:
+    """Scattering and absorption at a wavelength, 1/cm."""
+    own = light.at(wavelength_nm)
+    values = []
+    for name in _COEFFICIENTS:
+        value = own.get(name, scene.parameters.get(name))
+        if not isinstance(value, float):
+            problem = f"the scene has no parameter {name}"
+            raise InputError(problem, "declare the crystal's coefficients", path=scene.path)
+        values.append(value)
+    return values[0], values[1]
+
+
+def _between(nodes_nm: Array, wavelength_nm: Array) -> tuple[Array, Array]:
+    """(wavelengths, nodes) weights of the nodes, and those without the farthest node of each."""
+    x, at = 1.0 / nodes_nm**2, 1.0 / wavelength_nm**2
+    if len(x) == 1:
+        return np.ones((len(at), 1)), np.ones((len(at), 1))
+    fewer = np.zeros((len(at), len(x)))
+    for row, place in zip(fewer, at, strict=True):
+        kept = np.sort(np.argsort(np.abs(x - place), kind="stable")[:-1])
+        row[kept] = Lagrange(x[kept]).weights(float(place))[0]
+    return Lagrange(x).weights_at(at), fewer
+
+
+def _error(batches: Array) -> Array:
+    """Standard error of the mean of (batches, ...) values."""
+    return np.asarray(batches.std(axis=0, ddof=1) / math.sqrt(len(batches)), float)
+
+
+def _with_error(value: float, relative: Array) -> tuple[float, float]:
+    """A value and its error, from what batches say of it, relative."""
+    return float(value), float(value * _error(relative))
