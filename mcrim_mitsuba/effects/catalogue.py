@@ -27,6 +27,7 @@ BUILT_IN = (
     "anisotropic_scattering",
     "rayleigh_scattering",
     "scattering_gradient",
+    "spectral_scattering",
     "source_depth",
     "side_source",
     "surface_roughness",

@@ -188,7 +188,7 @@ class Effect:
     Raises
     ------
     ValueError
-        If it has none of `edit`, `weight` and `reading`, or contradicts itself.
+        If it has none of `edit`, `weight`, `colours` and `reading`, or contradicts itself.
     """
 
     #: Its id.
@@ -222,6 +222,9 @@ class Effect:
     #: Parameter values at which the records to be reweighted are simulated; None: without the
     #: effect.
     proposal: Mapping[str, float] | None = field(default=None, hash=False)
+    #: ``colours(values, parameters)`` -> parts of the light, which sum to 1, and factors on its
+    #: alpha_scat, (colours,) float64 each: in place of a `weight`, of the same arguments.
+    colours: Callable[[Values, Parameters], tuple[np.ndarray, np.ndarray]] | None = None
     #: The radius that a smaller aperture cuts at.
     mask_column: str = "mask_radius_mm"
     #: ``reading(signals, value, rows)`` -> reading, d reading / d signal, d reading / d value, all
@@ -253,8 +256,10 @@ class Effect:
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
             raise ValueError(f"the name {self.name!r} is not letters, digits and _")
-        if self.edit is None and self.weight is None and self.reading is None:
-            raise ValueError(f"{self.name} has none of edit, weight and reading: it does nothing")
+        acts = (self.edit, self.weight, self.colours, self.reading)
+        if all(each is None for each in acts):
+            problem = "has none of edit, weight, colours and reading: it does nothing"
+            raise ValueError(f"{self.name} {problem}")
         for parameter in self.parameters:
             if not isinstance(parameter, EffectParameter):
                 raise ValueError(f"{self.name}: parameters must be a tuple of EffectParameter")

@@ -96,12 +96,14 @@ class EtaGrid:
 class Gathering:
     """Records of one launch, prepared for being summed on a grid with several weights.
 
-    Photons that are `kept`, (detected,) bool, count; all when it is not given.
+    Photons that are `kept`, (detected,) bool, count; all when it is not given. Of `colours`, parts
+    of the light and factors on its alpha_scat, the mean is taken.
     """
 
     def __init__(
-        self, records: PhotonRecords, grid: Grid, kept: NDArray[np.bool_] | None = None
-    ) -> None:
+        self, records: PhotonRecords, grid: Grid, kept: NDArray[np.bool_] | None = None,
+        colours: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+    ) -> None:  # fmt: skip
         batch = records.batch % BATCHES
         order = np.argsort(batch, kind="stable")
         if kept is not None:
@@ -116,11 +118,16 @@ class Gathering:
         shares = records.photons_per_proposal / records.photons
         log_mixture = _log_mixture(k, scattering_path, shares, records.alpha_scat_proposals_per_cm)
         self._scattering = np.empty((grid.counts[0], len(order)), dtype=np.float32)
+        parts, factors = colours or (np.ones(1), np.ones(1))
+        one = np.empty_like(self._scattering[0])
         for row, alpha in zip(self._scattering, np.exp(grid.scattering.nodes), strict=True):
-            np.multiply(k, np.float32(np.log(alpha)), out=row)
-            row -= np.float32(alpha) * scattering_path
-            row -= log_mixture
-            np.exp(np.maximum(row, _LEAST_LOG, out=row), out=row)
+            row[:] = 0.0
+            for part, own in zip(parts, alpha * factors, strict=True):
+                np.multiply(k, np.float32(np.log(own)), out=one)
+                one -= np.float32(own) * scattering_path
+                one -= log_mixture
+                np.exp(np.maximum(one, _LEAST_LOG, out=one), out=one)
+                row += np.float32(part) * one
         self._absorption = np.empty((grid.counts[1], len(order)), dtype=np.float32)
         w = records.w[order]
         _, alpha_abs_per_cm = grid.coefficients_per_cm()
@@ -270,14 +277,17 @@ class TableUnit(SceneUnit):
         columns = {name: column[gathering.order] for name, column in records.further.items()}
         made: list[tuple[int, Content]] = []
         for request in group:
-            weight = None
-            if request.effect is not None:
-                assert request.effect.weight is not None
-                weight = request.effect.weight(columns, request.values, request.parameters)
+            weight, of_request = None, gathering
+            if (effect := request.effect) is not None:
+                if effect.colours is not None:
+                    colours = effect.colours(request.values, request.parameters)
+                    of_request = Gathering(records, self.grids[first.coarse], kept, colours)
+                if effect.weight is not None:
+                    weight = effect.weight(columns, request.values, request.parameters)
             if request.of_beam and request.radius_mm is not None:
                 within = columns[ANGLE] <= request.radius_mm
                 weight = within if weight is None else within * weight
-            table = gathering.table(weight)
+            table = of_request.table(weight)
             made.append((request.number, ({n: getattr(table, n).ravel() for n in _COLUMNS}, {})))
         return made
 

@@ -68,7 +68,8 @@ _LAYOUT = 3
 #: Points at which shares are judged.
 _MOST_DESIGN_POINTS = 16
 
-_GRADIENT = "scattering_gradient"
+#: What lets some places, or some of the light, scatter more than others.
+_UNEVEN = ("scattering_gradient", "scattering_exponent")
 
 
 class RecordRun:
@@ -156,15 +157,16 @@ class RecordRun:
 
 
 def surfaces_answer(scene: SceneFile) -> bool:
-    """Whether `record_surface` serves a scene: not where scattering has a gradient.
+    """Whether `record_surface` serves a scene: not where scattering is uneven.
 
     There the path that scattering counts is another one than that which absorption does, and a
     surface knows one path only. (Tables of responses know both.)
     """
     for element in scene.root.iter("float"):
-        if element.get("name") == _GRADIENT:
+        name = element.get("name")
+        if name in _UNEVEN:
             path, line = scene.place_of(element)
-            if parse_number(_GRADIENT, element.get("value", ""), path=path, line=line) != 0.0:
+            if parse_number(name, element.get("value", ""), path=path, line=line) != 0.0:
                 return False
     return True
 
@@ -231,7 +233,7 @@ class _Look(RecordRun):
 
     def __init__(self, wish: SurfaceWish) -> None:
         if not surfaces_answer(wish.scene):
-            problem = "one surface cannot answer for scattering with a gradient"
+            problem = "one surface cannot answer for scattering that is uneven"
             raise InputError(problem, "simulate each point on its own", path=wish.scene.path)
         self.wish, self.most = wish, wish.run.photons_or(MOST_PHOTONS)
         self._scattering, self._absorption = (

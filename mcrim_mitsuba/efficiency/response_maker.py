@@ -146,8 +146,9 @@ class _Simulation:
         if effect is not None:
             known = self.parameters.items()
             parameters = {n: v for n, v in known if n not in (ALPHA_SCAT, ALPHA_ABS)}
-            assert effect.weight is not None
-            source = _source_hash(effect.weight.__code__.co_filename)
+            written = effect.weight or effect.colours
+            assert written is not None
+            source = _source_hash(written.__code__.co_filename)
             identity += [effect.name, source, dict(values or {}), parameters]
         number = number_of(*identity)
         request = TableRequest(
@@ -413,7 +414,7 @@ class ResponseMaker:
     def _weighs(self, effect: Effect) -> bool:
         """Whether an effect is predicted by weighting photon records."""
         # a mask cannot be taken off records that were made with it
-        return effect.weight is not None and (
+        return (effect.weight or effect.colours) is not None and (
             self._open_mask or effect.mask_column == "mask_radius_mm"
         )
 

@@ -38,6 +38,8 @@ _RANGES = {
     "wrap_reflectance": (0.0, 1.0),
     "scattering_g": (-0.99, 0.99),
     "scattering_gradient": (-1.0, 1.0),
+    "scattering_exponent": (0.0, 4.0),
+    "bandwidth_nm": (0.0, 1e4),
     "source_depth_mm": (math.ulp(0.0), math.inf),
     "side_depth_mm": (math.ulp(0.0), math.inf),
     "roughness_alpha": (0.0, 1.0),
@@ -115,6 +117,11 @@ class Bench:
     #: q, from -1 to 1: the scattering coefficient is that given, times
     #: 1 + q (2 z / height - 1).
     scattering_gradient: float = 0.0
+    #: p, from 0 to 4: the scattering coefficient is that given, at ``wavelength_nm``, times
+    #: (wavelength_nm / wavelength)^p; and the full width at half maximum of the light's Gaussian
+    #: band about wavelength_nm, cut off at 1.5 widths.
+    scattering_exponent: float = 0.0
+    bandwidth_nm: float = 150.0
     #: Emission falls off below the top face as exp(-depth / source_depth_mm), or from the face at
     #: x = -width/2 as exp(-distance / side_depth_mm); infinity for uniform emission.
     source_depth_mm: float = math.inf
@@ -211,6 +218,9 @@ class Bench:
             ("gap_offset_mm", self.gap_thickness_mm > 0.0, f"more than -gap_mm = -{self.gap_mm}"),
             ("gap_index_offset", self.gap_index >= 1.0,
              f"an offset that leaves an index of at least 1 (n_gap = {self.n_gap})"),
+            ("bandwidth_nm",
+             not self.scattering_exponent or self.bandwidth_nm < self.wavelength_nm / 1.5,
+             f"less than two thirds of wavelength_nm = {self.wavelength_nm:g}"),
             ("chamfer_mm", self.chamfer_mm < half,
              f"less than half of the crystal's width and height, {half:g} mm"),
             ("narrow_collar_mm", wet < height, f"less than crystal_height_mm = {height}"),

@@ -65,6 +65,9 @@ class PhotonArrays:
     #: (3, n) complex128 or None: Polarisation states (see `interface`), None when they are not
     #: tracked.
     field: Complexes | None
+    #: (n,) float64 or None: Scattering in the crystal over that at the band's maximum, by the
+    #: photon's wavelength; None where all scatter alike.
+    strength: Floats | None
     #: (4, n) float64 or None: What `DetectedHistories` is made of, by `Record`, in mm; None when
     #: nobody asks for it.
     record: Floats | None
@@ -252,8 +255,21 @@ class Flights:
             touched=np.full(count, self.birthplace, dtype=np.int8),
             flights=np.zeros(count, dtype=np.int32),
             field=random_polarisation(self._rng, direction) if self._bench.polarization else None,
+            strength=self._strengths(count),
             record=np.zeros((len(Record), count)) if self._records else None,
         )
+
+    def _strengths(self, count: int) -> Floats | None:
+        """Of photons whose wavelengths are drawn from the band; that of a beam has one."""
+        bench = self._bench
+        if not bench.scattering_exponent or bench.beam_diameter_mm is not None:
+            return None
+        width = bench.bandwidth_nm / bench.wavelength_nm
+        sigma, cut = width / math.sqrt(8.0 * math.log(2.0)), 1.5 * width
+        away = sigma * self._rng.standard_normal(count)
+        while (beyond := np.flatnonzero(np.abs(away) > cut)).size:
+            away[beyond] = sigma * self._rng.standard_normal(beyond.size)
+        return np.asarray((1.0 + away) ** -bench.scattering_exponent, float)
 
     @property
     def birthplace(self) -> Place:
@@ -314,7 +330,8 @@ class Flights:
             np.minimum(distance, to_other, out=distance)
             strayed |= inside
         if medium.extinction_per_mm > 0.0:
-            free_path = medium.free_path(self._rng, position, direction)
+            strength = photons.strength if region == Place.CRYSTAL else None
+            free_path = medium.free_path(self._rng, position, direction, strength)
             arrives = free_path >= distance
             np.minimum(distance, free_path, out=distance)
         else:
@@ -322,6 +339,8 @@ class Flights:
         if photons.record is not None and region == Place.CRYSTAL:
             photons.record[Record.PATH] += distance
             weighted = medium.scattering_path(position, direction, distance)
+            if photons.strength is not None:
+                weighted = weighted * photons.strength
             photons.record[Record.SCATTERING_PATH] += weighted
         position += distance * direction
 
@@ -342,7 +361,11 @@ class Flights:
         region, photons, place = flock
         if not who.size:
             return
-        scatters = self._layout.media[region].scatters(self._rng, photons.position[:, who])
+        strength = photons.strength if region == Place.CRYSTAL else None
+        if strength is not None:
+            strength = strength[who]
+        medium = self._layout.media[region]
+        scatters = medium.scatters(self._rng, photons.position[:, who], strength)
         place[who[~scatters]] = _ABSORBED_IN[region]
         who = who[scatters]
         self._launch(photons, who, self._scattered(photons.direction.take(who, axis=1)))

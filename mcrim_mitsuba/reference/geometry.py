@@ -304,32 +304,44 @@ class Medium:
         """Absorption and scattering together, at middle height."""
         return self.absorption_per_mm + self.scattering_per_mm
 
-    def free_path(self, rng: np.random.Generator, position: Floats, direction: Floats) -> Floats:
+    def free_path(
+        self, rng: np.random.Generator, position: Floats, direction: Floats,
+        strength: Floats | None = None,
+    ) -> Floats:  # fmt: skip
         """Draw the distances to the next absorption or scattering: (n,), mm.
+
+        Scattering is ``strength``, (n,), times as strong, if that is given.
 
         With a gradient the optical depth after s mm is A s + B s^2; the root of
         A s + B s^2 = depth is taken in the form that does not cancel. Where the parabola never
         gets so high, which is outside of 0 <= z <= height, the distance is infinite.
         """
         depth: Floats = rng.standard_exponential((position.shape[1],))
+        scattering: float | Floats = self.scattering_per_mm
+        if strength is not None:
+            scattering = scattering * strength
         if not self.gradient:
-            depth /= self.extinction_per_mm
+            depth /= self.absorption_per_mm + scattering
             return depth
-        at_start = self.absorption_per_mm + self.scattering_per_mm * self._strength(position)
-        growth = self.scattering_per_mm * self._growth_per_mm(direction)
+        at_start = self.absorption_per_mm + scattering * self._strength(position)
+        growth = scattering * self._growth_per_mm(direction)
         discriminant = at_start**2 + 4.0 * growth * depth
         denominator = at_start + np.sqrt(np.maximum(discriminant, 0.0))
         never = (discriminant < 0.0) | (denominator == 0.0)
         return np.where(never, np.inf, 2.0 * depth / np.where(never, 1.0, denominator))
 
-    def scatters(self, rng: np.random.Generator, position: Floats) -> Flags:
+    def scatters(
+        self, rng: np.random.Generator, position: Floats, strength: Floats | None = None
+    ) -> Flags:
         """Draw for collisions at these points whether they scatter (or absorb): (n,) bool.
 
-        The two exponential laws share one free path.
+        The two exponential laws share one free path; ``strength`` is as of `free_path`.
         """
         if not self.absorption_per_mm:
             return np.ones(position.shape[1], dtype=bool)
         scattering: float | Floats = self.scattering_per_mm
+        if strength is not None:
+            scattering = scattering * strength
         if self.gradient:
             scattering = scattering * self._strength(position)
         draw: Floats = rng.random((position.shape[1],))

@@ -126,6 +126,7 @@ def _described(model: SceneModel) -> dict[str, list[tuple]]:
             surface.mask_reflectance, *_film_numbers(surface.film),
             *(v.alpha_scat_per_mm for v in sides), *(v.alpha_abs_per_mm for v in sides),
             *(v.scattering_g for v in sides), *(v.scattering_gradient for v in sides),
+            *(v.scattering_exponent for v in sides), *(v.relative_bandwidth for v in sides),
         ]  # fmt: skip
         # there is one, whatever it is called
         name = "detector" if surface.kind == DETECTOR else surface.name

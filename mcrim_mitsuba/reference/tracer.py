@@ -30,7 +30,7 @@ class DetectedHistories:
     #: (detected,) float64: Path in the crystal.
     path_cm: Floats
     #: (detected,) float64: The same, weighted with the scattering's strength relative to that at
-    #: middle height; equal to ``path_cm`` where there is no gradient.
+    #: middle height, at the band's maximum; equal to ``path_cm`` where all is even.
     scattering_path_cm: Floats
     #: (detected,) float64: Largest distance from the axis at which the photon met the mask's plane,
     #: from either side: the plate's entrance face or, with ``aperture_at_detector``, its back face.

@@ -15,6 +15,7 @@ cosine.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +25,7 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.optics.colours import CUT_WIDTHS, FWHM
 from mcrim_mitsuba.transport.convex import convex_solids
 from mcrim_mitsuba.transport.launch_plan import BATCHES, LanePlan
 from mcrim_mitsuba.transport.scene_model import (
@@ -39,7 +41,7 @@ from mcrim_mitsuba.transport.scene_model import (
 #: Rounds of the cipher that spreads the lanes' seeds over all states.
 HASH_ROUNDS = 8
 #: Of the lattice, per coordinate: three of the position, two of the direction, the angle of
-#: polarisation.
+#: polarisation, the wavelength; others are not used yet.
 GENERATORS = (1, 182_667, 469_891, 498_753, 110_745, 446_247, 250_185, 118_627, 245_333, 283_199)
 
 
@@ -436,6 +438,10 @@ def _parallelepiped(faces):
     return None
 
 
+#: Part of a Gaussian band that is not cut off.
+_WITHIN_CUT = math.erf(CUT_WIDTHS * FWHM / math.sqrt(2.0))
+
+
 @dataclass
 class Strength:
     """Scattering relative to the volume's coefficient, along a straight flight."""
@@ -462,27 +468,47 @@ class Scattering:
 
     def __init__(self, model: SceneModel, scattering) -> None:
         self._mean_cosine, self._rayleigh, self._graded = {}, [], {}
+        self._coloured = {}
         for number in scattering:
             volume = model.volumes[number]
             if volume.phase == "hg":
                 self._mean_cosine[number] = opaque([volume.scattering_g])
             if volume.phase == "rayleigh":
                 self._rayleigh.append(number)
+            if volume.scattering_exponent:
+                width = [volume.relative_bandwidth / FWHM * math.sqrt(2.0)]
+                self._coloured[number] = (opaque([-volume.scattering_exponent]), opaque(width))
             if volume.scattering_gradient:
                 bottom, top = (float(corner[2]) for corner in model.bounds(number))
                 slope = 2.0 * volume.scattering_gradient / (top - bottom)
                 middle = (top + bottom) / 2.0
                 self._graded[number] = (opaque([1.0 - slope * middle]), opaque([slope]))
 
-    def strength(self, inside, origin, direction) -> Strength | None:
-        """Along a flight in the volume that `inside` (list of Mask) tells; ``None`` if 1."""
-        if not self._graded:
+    @property
+    def coloured(self) -> bool:
+        """Whether light of other wavelengths scatters otherwise."""
+        return bool(self._coloured)
+
+    def strength(self, inside, origin, direction, colour=None) -> Strength | None:
+        """Along a flight in the volume that `inside` (list of Mask) tells; ``None`` if 1.
+
+        `colour` (Float, even in [0, 1)) tells the photon's wavelength; without it that is where
+        the coefficients are given.
+        """
+        coloured = {} if colour is None else self._coloured
+        if not self._graded and not coloured:
             return None
         here, per_mm = mi.Float(1.0), mi.Float(0.0)
         for number, (at_zero, slope) in self._graded.items():
             own = dr.maximum(dr.fma(slope, origin.z, at_zero), 0.0)
             here = dr.select(inside[number], own, here)
             per_mm = dr.select(inside[number], slope * direction.z, per_mm)
+        for number, (power, width) in coloured.items():
+            # erfinv turns even numbers into those of a Gaussian
+            z = dr.erfinv(_WITHIN_CUT * dr.fma(2.0, colour, -1.0))
+            factor = dr.power(dr.fma(width, z, 1.0), power)
+            factor = dr.select(inside[number], factor, 1.0)
+            here, per_mm = here * factor, per_mm * factor
         return Strength(here, per_mm)
 
     def direction(self, inside, old, uniforms, afresh):

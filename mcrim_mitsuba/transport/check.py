@@ -300,6 +300,11 @@ def _scattering(volume: Volume) -> str:
     said = [phases[volume.phase]] if volume.phase in phases else []
     if volume.scattering_gradient:
         said.append(f"{100 * volume.scattering_gradient:+g} % of it at the top")
+    if volume.scattering_exponent:
+        said.append(
+            f"falling as wavelength^-{volume.scattering_exponent:g} over a band that is "
+            f"{100 * volume.relative_bandwidth:.3g} % wide"
+        )
     return f" ({', '.join(said)})" if said else ""
 
 

@@ -256,7 +256,10 @@ class Loop:
         nowhere = ahead == dr.inf
         drawn = dr.detach(a_s)
         to_scatter = -dr.log(1.0 - free) / drawn
-        strength = self._scattering.strength(inside, p.o, p.d)
+        colour = None
+        if self._scattering.coloured and self._aim is None:
+            colour = self._lattice.coordinate(self._lattice.mirrored(p.serial), 6)
+        strength = self._scattering.strength(inside, p.o, p.d, colour)
         if strength is not None:
             to_scatter = strength.until(to_scatter)
         to_scatter = dr.select(drawn > 0.0, to_scatter, dr.inf)

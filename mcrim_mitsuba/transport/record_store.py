@@ -157,7 +157,7 @@ class RecordStore:
             if name not in known:
                 problem = f"photon records have no column {name!r}"
                 raise InputError(problem, f"use one of {', '.join(known)}")
-        if volumes[emitter.volume].scattering_gradient:
+        if volumes[emitter.volume].uneven:
             columns = (*columns, SCATTERING_PATH)
         self._columns = _OF_ALL | {name: known[name] for name in columns}
         self._source, self._photons = emitter.volume, photons

@@ -48,8 +48,17 @@ class Volume:
     #: q of the scattering coefficient alpha (1 + q u); u runs from -1 at the bottom of the
     #: volume to 1 at its top, of the shapes that border it.
     scattering_gradient: float = 0.0
+    #: p of the coefficient's fall as wavelength^-p, and the band's full width at half maximum over
+    #: the wavelength of its maximum.
+    scattering_exponent: float = 0.0
+    relative_bandwidth: float = 0.0
     #: Whether it is nowhere but for light that has entered it, which goes on as outside.
     endless: bool = False
+
+    @property
+    def uneven(self) -> bool:
+        """Whether some places, or some of its light, scatter more than others."""
+        return bool(self.scattering_gradient or self.scattering_exponent)
 
 
 @dataclass(frozen=True)
@@ -348,8 +357,10 @@ def _volume(medium) -> Volume:
             if not 0.0 <= alpha < math.inf:
                 problem = f"{name} of medium {medium.id()!r} is {alpha:g}"
                 raise InputError(problem, "give a number of 0 or more")
-        scattering["scattering_gradient"] = medium.scattering_gradient
-        scattering["endless"] = medium.endless
+        for name in ("scattering_gradient", "scattering_exponent", "endless"):
+            scattering[name] = getattr(medium, name)
+        if medium.scattering_exponent:
+            scattering["relative_bandwidth"] = medium.relative_bandwidth
         return Volume(medium.id(), *(alpha / MM_PER_CM for alpha in alphas.values()), **scattering)
     parameters = mi.traverse(medium)
     try:

@@ -24,7 +24,8 @@ KNOWN = catalogue()
 EDITS = [name for name, effect in KNOWN.items() if effect.edit is not None]
 #: Effects that change the same parts of a scene.
 NEIGHBOURS = [
-    ("anisotropic_scattering", "rayleigh_scattering", "scattering_gradient"),
+    ("anisotropic_scattering", "rayleigh_scattering", "scattering_gradient",
+     "spectral_scattering"),
     ("source_depth", "side_source"),
     ("surface_roughness", "surface_absorption", "gap_index", "gap_bubble", "edge_chamfer",
      "aperture_at_detector"),
@@ -89,7 +90,7 @@ def added(scene, *names):
 
 def test_every_effect_of_the_definitions_is_there():
     assert list(KNOWN) == list(BUILT_IN)
-    assert len(KNOWN) == 34
+    assert len(KNOWN) == 35
     for name, effect in KNOWN.items():
         assert effect.name == name
         assert (
@@ -100,7 +101,7 @@ def test_every_effect_of_the_definitions_is_there():
     assert KNOWN["anisotropic_scattering"].excludes == ("rayleigh_scattering",)
     ranges = {p.name: (p.minimum, p.maximum) for e in KNOWN.values() for p in e.parameters}
     assert ranges == {
-        "scattering_g": (-0.5, 0.95), "scattering_gradient": (-1, 1),
+        "scattering_g": (-0.5, 0.95), "scattering_gradient": (-1, 1), "scattering_exponent": (0, 4),
         "source_depth_mm": (0.2, 100), "side_depth_mm": (0.2, 100),
         "roughness_alpha": (0, 0.3), "surface_loss": (0, 0.05),
         "rms_roughness_nm": (0, 30), "top_roughness_alpha": (0, 0.5),
@@ -133,8 +134,8 @@ def test_an_effect_adds_itself_and_changes_nothing_else(bench, name):
             known = scene.defaults[parameter.name]
             assert scene.parameters[parameter.name] == parameter.start
             assert known.comment.startswith(parameter.meaning)
-            # haze and film bring the wavelength too
-            assert parameter.name in list(scene.defaults)[-2:]
+            # haze and film bring the wavelength too, colours the width of their band besides
+            assert parameter.name in list(scene.defaults)[-3:]
     # it is there now
     with pytest.raises(InputError):
         if name == "crystal_index":

@@ -575,6 +575,7 @@ def test_histories_of_an_open_mask_predict_every_aperture(gap, at_detector, offs
 
 EFFECTS = {
     "scattering_g": 0.8, "rayleigh_scattering": True, "scattering_gradient": -1.0,
+    "scattering_exponent": 4.0,
     "source_depth_mm": 0.5, "side_depth_mm": 0.5, "roughness_alpha": 0.3, "surface_loss": 0.05,
     "n_crystal": 1.91,
     "gap_index_offset": 0.1, "gap_offset_mm": -0.04, "gap_absorption_per_cm": 20.0,

@@ -15,7 +15,10 @@ from scipy.stats import kstest
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.catalogue import add, catalogue
+from mcrim_mitsuba.optics.colours import scattering_of_colours
 from mcrim_mitsuba.optics.thin_film import ThinFilm, cathode_index
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport import collection, surface_physics
 from mcrim_mitsuba.transport import loop as transport
@@ -172,6 +175,40 @@ def test_a_graded_crystal_answers_for_other_coefficients_and_slopes(bench):
     automatic, error = eta_slope(simulation, "alpha_scat_per_cm", photons=10**6, seed=6)
     assert abs(automatic - slope) < Z * np.hypot(sigma, error)
     assert abs(slope) > 10 * sigma
+
+
+@pytest.mark.parametrize("gap, alpha_scat", [({}, 1.5), (GEL, 0.54)], ids=["air", "gel"])
+def test_colours_scatter_by_their_wavelengths(bench, gap, alpha_scat):
+    """Against single wavelengths, and the NumPy tracer, which draws them itself."""
+    own = bench("colours", {"alpha_scat_per_cm": alpha_scat} | gap)
+    drawn = own.collect(10**6, seed=1)
+    parts, factors = scattering_of_colours(4.0, 540.0, 150.0)
+    each = [
+        bench("", {"alpha_scat_per_cm": alpha_scat * float(factor)} | gap).collect(200_000, seed=2)
+        for factor in factors
+    ]
+    mean = sum(part * one.eta for part, one in zip(parts, each, strict=True))
+    # those of one seed go together: their errors add up
+    sigma = sum(part * one.eta_sigma for part, one in zip(parts, each, strict=True))
+    assert_compatible(drawn.eta, drawn.eta_sigma, mean, sigma, z_max=Z)
+    known = Bench(alpha_scat_per_cm=alpha_scat, scattering_exponent=4.0, **gap)
+    numpy = trace(known, 60_000, 3)
+    assert_compatible(drawn.eta, drawn.eta_sigma, numpy.eta, numpy.eta_sigma, z_max=Z)
+
+
+def test_coloured_light_answers_for_other_coefficients(bench):
+    """As a graded crystal does; and the mean over colours is that of their weights."""
+    records = record(bench("colours", GEL), seed=4)
+    k, weighted = records.k, records.further["scattering_path_cm"]
+    direct = bench("colours", {"alpha_scat_per_cm": 0.3} | GEL).collect(10**6, seed=5)
+    assert_eta(records, (0.3 / 0.54) ** k * np.exp(0.24 * weighted), direct)
+    plain = record(bench("", GEL), seed=6)
+    parts, factors = scattering_of_colours(4.0, 540.0, 150.0)
+    weight = sum(
+        part * f ** plain.k.astype(float) * np.exp(0.54 * (1.0 - f) * plain.path_cm)
+        for part, f in zip(parts, factors, strict=True)
+    )
+    assert_eta(plain, weight, bench("colours", GEL).collect(10**6, seed=7))
 
 
 def test_stock_media_scatter_as_ours_do(bench):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 
 import drjit as dr
@@ -9,6 +10,7 @@ import mitsuba as mi
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, MM_PER_CM
+from mcrim_mitsuba.optics.colours import CUT_WIDTHS, USUAL_NM, USUAL_WIDTH_NM
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.transport.bulk import CollimatedBeam, CrystalVolume, read_crystal
 from mcrim_mitsuba.transport.collection import Launcher, collect, slope_along
@@ -35,6 +37,12 @@ class BulkMedium(mi.Medium):
         The scattering coefficient is alpha_scat (1 + q u), where u runs from -1 at the bottom of
         the volume to 1 at its top (z extent of the shapes that border it). Only the transport
         knows that extent; for pictures scattering is even.
+    ``scattering_exponent`` : float p from 0 to 4, default 0
+        Of light that is born in it the scattering coefficient is alpha_scat times
+        (wavelength_nm / wavelength)^p.
+    ``wavelength_nm``, ``bandwidth_nm`` : float, default 540 and 150
+        Maximum and full width at half maximum of this light's Gaussian band, cut off at 1.5 widths.
+        Only the transport draws wavelengths; for pictures they are all alike.
     ``index`` : float, optional
         Index of refraction of what may fill the volume; where it is that of air (up to
         1.0005) nothing does, and the volume neither scatters nor absorbs.
@@ -53,6 +61,12 @@ class BulkMedium(mi.Medium):
         super().__init__(props)
         given = [float(props.get(name, 0.0)) for name in COEFFICIENTS]
         self.scattering_gradient = number(props, "scattering_gradient", 0.0, low=-1.0)
+        self.scattering_exponent = number(props, "scattering_exponent", 0.0, high=4.0)
+        wavelength = number(props, "wavelength_nm", USUAL_NM, low=100.0, high=1e4)
+        # no wavelength of the band is 0
+        widest = 0.99 * wavelength / CUT_WIDTHS if self.scattering_exponent else math.inf
+        width = number(props, "bandwidth_nm", USUAL_WIDTH_NM, high=widest)
+        self.relative_bandwidth = width / wavelength
         self.endless = bool(props.get("endless", False))
         if self.endless and any(given):
             raise ValueError(
@@ -78,8 +92,8 @@ class BulkMedium(mi.Medium):
     def traverse(self, callback) -> None:
         for name in COEFFICIENTS:
             callback.put(name, getattr(self, name), mi.ParamFlags.Differentiable)
-        gradient = "scattering_gradient"
-        callback.put(gradient, self.scattering_gradient, mi.ParamFlags.NonDifferentiable)
+        for name in ("scattering_gradient", "scattering_exponent", "relative_bandwidth"):
+            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
 
     def to_string(self) -> str:
         return (
