@@ -182,6 +182,11 @@ def campaign_archive(
             own.mkdir()
             for file in theirs.glob("*.py"):
                 shutil.copyfile(file, own / file.name)
+        light = campaign.spectrum
+        if light is not None:
+            copied = folder / safe_name(light.path.name, ".csv")
+            shutil.copyfile(light.path, copied)
+            light = replace(light, path=copied)
         for included in scene.included:
             beside = Path(included).resolve()
             root = scene.path.parent.resolve()
@@ -191,8 +196,9 @@ def campaign_archive(
                 shutil.copyfile(beside, copy)
         target, scene_path = folder / f"{stem}.toml", folder / f"{stem}.xml"
         moved = replace(
-            campaign, effects_folder=own, measurements=replace(campaign.measurements, path=readings)
-        )
+            campaign, effects_folder=own, spectrum=light,
+            measurements=replace(campaign.measurements, path=readings),
+        )  # fmt: skip
         fitted = {n: v for n, v in values.items() if n in campaign.parameters}
         added = [p.name for e in effects for p in campaign.catalogue[e].parameters]
         sizes = fitted | {name: values[name] for name in added}

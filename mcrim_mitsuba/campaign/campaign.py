@@ -18,6 +18,7 @@ from mcrim_mitsuba.campaign.entries import (
     NEXT_ENTRIES,
     NEXT_MINUTES,
     NEXT_SIGMA,
+    SPECTRUM,
     number_within,
 )
 from mcrim_mitsuba.campaign.measurements import Measurements, read_table
@@ -33,12 +34,13 @@ from mcrim_mitsuba.campaign.raw_data import file_in
 from mcrim_mitsuba.campaign.reduction import RawData, reduce_raw_data
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by, visible
 from mcrim_mitsuba.core.files import is_there
-from mcrim_mitsuba.core.numbers import Value, judge, value_text
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, judge, value_text, without_unit
 from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
 from mcrim_mitsuba.effects.catalogue import catalogue, effect_of, exclude_each_other
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.effects.trust import refuse_untrusted, trust, whose
+from mcrim_mitsuba.scene.emitted_light import EmittedLight, read_light
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.spectrophotometer import (
     BEAM_AXIS,
@@ -83,6 +85,8 @@ class Campaign:
     raw: RawData | None = None
     #: Parameters of the spectrophotometer; none where no reading is a transmittance.
     beam: dict[str, Value] = field(default_factory=dict)
+    #: Light over wavelengths, over which eta is averaged; None: it has one wavelength.
+    spectrum: EmittedLight | None = None
     #: Whose Python was executed to read it.
     executed: tuple[str, ...] = ()
     #: What it is called: as its file says, else by the file's name.
@@ -105,7 +109,8 @@ class Campaign:
     def notes(self) -> tuple[str, ...]:
         """What the reader must know of scene, effects and raw data before using the numbers."""
         of_raw_data = () if self.raw is None else self.raw.notes
-        return (*self.scene.notes, *self.executed, *of_raw_data)
+        of_light = () if self.spectrum is None else (_averaged(self.spectrum),)
+        return (*self.scene.notes, *self.executed, *of_raw_data, *of_light)
 
     @property
     def ndf(self) -> int:
@@ -230,6 +235,7 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
         catalogue=known,
         raw=raw,
         beam=beam,
+        spectrum=_read_spectrum(entries, scene, raw),
         executed=() if folder is None else (whose(folder),),
         title=_words(entries, "title") or document.path.stem,
         unit=_words(entries, "unit"),
@@ -312,6 +318,37 @@ def _sibling(entries: TomlTable, name: str) -> Path:
     if name not in entries:
         raise entries.refusal("", f"the campaign names no {name}", f'add {name} = "..." at the top')
     return file_in(entries, name, entries[name])
+
+
+def _read_spectrum(
+    entries: TomlTable, scene: SceneFile, raw: RawData | None
+) -> EmittedLight | None:
+    """Light over wavelengths; None where the campaign names none.
+
+    Where the table has no efficiency of the detector, that of ``[light_yield]`` stands in.
+    """
+    if SPECTRUM not in entries:
+        return None
+    known = None if raw is None or raw.efficiency is None else raw.efficiency.entry
+    light = read_light(file_in(entries, SPECTRUM, entries[SPECTRUM]), scene)
+    if known is not None and not light.detected:
+        light = read_light(light.path, scene, known.quantum_efficiency)
+    if not {ALPHA_SCAT, ALPHA_ABS} & light.parameters.keys():
+        problem = f"neither {ALPHA_SCAT} nor {ALPHA_ABS} varies in {light.path.name}"
+        mend = f"add a column, or remove {SPECTRUM}: one wavelength says the same"
+        raise entries.refusal(SPECTRUM, problem, mend)
+    return light
+
+
+def _averaged(light: EmittedLight) -> str:
+    """What is done with light over wavelengths."""
+    named = [without_unit(n) for n in (ALPHA_SCAT, ALPHA_ABS) if n in light.parameters]
+    indices = [name for name in light.parameters if name not in (ALPHA_SCAT, ALPHA_ABS)]
+    said = (
+        f"eta is averaged over the light of {light.path.name}, by its {' and '.join(named)}: those "
+        f"that are fitted are at {light.mean_nm:.0f} nm, the mean wavelength"
+    )
+    return said + (f"; {', '.join(indices)} stay at the scene's value" if indices else "")
 
 
 def _words(entries: TomlTable, name: str) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 import tomlkit
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
-from mcrim_mitsuba.campaign.entries import FILE_ENTRIES, HISTOGRAMS, RAW_TABLES
+from mcrim_mitsuba.campaign.entries import FILE_ENTRIES, HISTOGRAMS, RAW_TABLES, SPECTRUM
 from mcrim_mitsuba.campaign.measurements import KIND, Measurements
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.campaign.reduction import RawData, ReducedAbsorption, ReducedReading
@@ -112,6 +112,8 @@ def _document(
 
     document["scene"] = relative(scene)
     document["measurements"] = relative(measurements)
+    if campaign.spectrum is not None:
+        document[SPECTRUM] = relative(campaign.spectrum.path)
     if campaign.effects_folder is not None:
         document["effects_folder"] = relative(campaign.effects_folder)
     for key, name in FILE_ENTRIES:

@@ -20,6 +20,8 @@ SCALE = "scale"
 #: The parameter that a transmittance gives, and the one that the source's gammas give.
 ABSORPTION, SOURCE_DEPTH = "alpha_abs_per_cm", "source_depth_mm"
 #: Tables.
+#: Names the light over wavelengths.
+SPECTRUM = "spectrum"
 LIGHT_YIELD, HISTOGRAMS, NEXT, BEAM_TABLE = "light_yield", "histograms", "next_measurements", "beam"
 #: Relative error of a further measurement, beside the lists of values.
 NEXT_SIGMA = "sigma_relative"
@@ -125,6 +127,7 @@ CAMPAIGN: Entries = {
     "unit": _words("Unit of the signals of light, such as photoelectrons per event"),
     "scene": _file("The scene (XML)"),
     "measurements": _file("The readings (CSV)"),
+    SPECTRUM: _file("Light over wavelengths, and how the coefficients vary over them (CSV)"),
     "effects": {
         "type": "array",
         "description": "Effects that are switched on, their parameters fitted",

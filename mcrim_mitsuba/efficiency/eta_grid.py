@@ -22,6 +22,7 @@ from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
 from mcrim_mitsuba.runs.executors import Content
 from mcrim_mitsuba.runs.scene_units import PHOTONS_PER_S, PortableScene, SceneUnit
+from mcrim_mitsuba.scene.emitted_light import Colours
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords, ScatteringProposals
 
 if TYPE_CHECKING:
@@ -63,6 +64,10 @@ class Grid:
         alpha_abs = np.exp(self.absorption.nodes) - self.OFFSET_PER_CM
         return np.exp(self.scattering.nodes)[:, None], alpha_abs[None, :]
 
+    def place_of_absorption(self, alpha_abs_per_cm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where absorptions lie on the axis of `absorption`."""
+        return np.asarray(np.log(alpha_abs_per_cm + self.OFFSET_PER_CM), np.float64)
+
     def weights_at(
         self, alpha_scat_per_cm: NDArray[np.float64], alpha_abs_per_cm: NDArray[np.float64]
     ) -> NDArray[np.float64]:
@@ -71,7 +76,7 @@ class Grid:
         One coefficient may stand for all points.
         """
         scattering = self.scattering.weights_at(np.log(alpha_scat_per_cm))
-        absorption = self.absorption.weights_at(np.log(alpha_abs_per_cm + self.OFFSET_PER_CM))
+        absorption = self.absorption.weights_at(self.place_of_absorption(alpha_abs_per_cm))
         both = scattering[:, :, None] * absorption[:, None, :]
         return both.reshape(len(both), -1)
 
@@ -91,6 +96,26 @@ class EtaGrid:
         """Relative standard error of eta in the middle of the grid."""
         _, rows, columns = self.deviations.shape
         return float(self.deviations[:, rows // 2, columns // 2].std(ddof=1) / np.sqrt(BATCHES))
+
+
+def averaged(table: EtaGrid, grid: Grid, colours: Colours) -> EtaGrid:
+    """The table of light of several colours; beyond the grid coefficients are those at its end."""
+    scattering, absorption = (each.ravel() for each in grid.coefficients_per_cm())
+    ranges = grid.alpha_scat_range_per_cm, grid.alpha_abs_range_per_cm
+    every = table.deviations.astype(np.float64)
+    eta, of_batches = np.zeros_like(table.log_eta), np.zeros_like(every)
+    for part, *factors in zip(colours.parts, colours.scattering, colours.absorption, strict=True):
+        along, across = (
+            axis.weights_at(place(np.clip(factor * own, *ends)))
+            for axis, place, factor, own, ends in (
+                (grid.scattering, np.log, factors[0], scattering, ranges[0]),
+                (grid.absorption, grid.place_of_absorption, factors[1], absorption, ranges[1]),
+            )
+        )
+        one = part * np.exp(along @ table.log_eta @ across.T)
+        eta += one
+        of_batches += one * (along @ every @ across.T)
+    return EtaGrid(np.log(eta), (of_batches / eta).astype(np.float32))
 
 
 class Gathering:

@@ -38,6 +38,7 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     Grid,
     TableRequest,
     TableUnit,
+    averaged,
     table_of,
 )
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
@@ -94,6 +95,8 @@ _ACCEPTANCE_NODES, _ACCEPTANCE_SCALE_DEG = 7, 2.0
 _AS_GOOD_AS_INFINITE = 1e9
 #: Half angle that takes all that leaves a face.
 _HALF_SPACE_DEG = 90.0
+#: Pieces of a band of light, each with as much of it.
+_MOST_COLOURS = 24
 #: Number of what a chunk holds; another layout gets another one.
 _LAYOUT = 1
 #: Part of once scattered light that a beam's detector may take where the closed form of the
@@ -193,6 +196,8 @@ class ResponseMaker:
         self._run = run
         self.grid, self.coarse, self._proposals = _coverage(campaign)
         self._open_mask = _has_open_mask(campaign.scene)
+        light = campaign.spectrum
+        self._colours = None if light is None else light.colours(_MOST_COLOURS)
         self._made: dict[int, EtaGrid] = {}
         # simulations that responses rest on, by effect, and those that the cache had
         self._rests_on: dict[str, set[_Identity]] = {}
@@ -355,7 +360,8 @@ class ResponseMaker:
         found: dict[int, list[EtaGrid | None]] = {}
         for row, number in numbers.items():
             arrays = chunks[number][number].arrays
-            found[row] = [solved_table(arrays, solved, grid) for grid in grids]
+            made_of = [(solved_table(arrays, solved, grid), grid) for grid in grids]
+            found[row] = [each and self._of_light(each, grid) for each, grid in made_of]
         for row, run in enumerate(plain):
             if run.of_beam:
                 found[row] = [self._closed_form(row, run, grid) for grid in grids]
@@ -572,6 +578,10 @@ class ResponseMaker:
 
     # ---- simulation --------------------------------------------------------------------------
 
+    def _of_light(self, table: EtaGrid, grid: Grid) -> EtaGrid:
+        """A table averaged over the light's wavelengths, where the campaign has a spectrum."""
+        return table if self._colours is None else averaged(table, grid, self._colours)
+
     def _rest_on(self, what: str, wanted: Sequence[_Wanted]) -> None:
         """Keep what something rests on, in place of what it rested on before."""
         self._rests_on[what] = {each.simulation.identity for each in wanted}
@@ -608,6 +618,8 @@ class ResponseMaker:
             for each in groups[done.index]:
                 grid = self.coarse if each.request.coarse else self.grid
                 table = table_of(done.chunks[each.number].arrays, grid)
+                if not each.request.of_beam:
+                    table = self._of_light(table, grid)
                 self._made[each.number] = table
                 errors.append(table.usual_error)
         return self._made

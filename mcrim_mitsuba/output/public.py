@@ -416,7 +416,8 @@ def eta_spectrum(
         If a file or the scene is not sound, a parameter is wrong, or photons cannot answer a
         wavelength.
     """
-    from mcrim_mitsuba.efficiency.eta_spectrum import eta_over, read_light
+    from mcrim_mitsuba.efficiency.eta_spectrum import eta_over
+    from mcrim_mitsuba.scene.emitted_light import read_light
 
     run, parameters = _split(run, given)
     file = read_scene(scene, parameters)

@@ -378,6 +378,9 @@ def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
         ("scene", scene.path, scene.source(scene.path)),
         *(("included by the scene", path, scene.source(path)) for path in scene.included),
     ]
+    if campaign.spectrum is not None:
+        light = campaign.spectrum.path
+        found.append(("light over wavelengths", light, read_bytes(light, _LIMIT_MB)))
     own = () if folder is None else sorted(folder.glob("*.py"))
     found += [("own effect", path, read_bytes(path, _LIMIT_MB)) for path in own]
     raw = () if campaign.raw is None else campaign.raw.files

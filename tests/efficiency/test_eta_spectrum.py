@@ -10,8 +10,9 @@ from places import SCENES
 import mcrim_mitsuba
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.eta_spectrum import eta_over, read_light
+from mcrim_mitsuba.efficiency.eta_spectrum import eta_over
 from mcrim_mitsuba.optics.materials import material
+from mcrim_mitsuba.scene.emitted_light import read_light
 from mcrim_mitsuba.scene.scene_file import read_scene
 
 BENCH = SCENES / "camoo4.xml"
@@ -138,3 +139,54 @@ def test_the_command_shows_and_draws_it(tenfold, mcrim, here):
     assert "one_wavelength_off" in (here / "light.json").read_text()
     said = mcrim("simulate", str(BENCH), "--quantum-efficiency", "x.csv")
     assert said.status == 2 and "give --spectrum" in said.err
+
+
+CAMPAIGN = """scene = "{scene}"
+measurements = "readings.csv"
+{spectrum}
+[parameters.alpha_scat_per_cm]
+start = 0.5
+min = 0.01
+max = 8.0
+[parameters.alpha_abs_per_cm]
+start = 0.04
+min = 0.0
+max = 1.0
+"""
+
+
+def test_a_campaign_averages_over_its_light(tenfold, here):
+    """Readings by weights of photons; the fit goes by tables of noise-free solutions."""
+    file = read_scene(BENCH, {})
+    light = read_light(tenfold, file)
+    readings, rng = [], np.random.default_rng(5)
+    benches = [(1.0, 14, 10), (1.46, 14, 10), (1.0, 7, 10), (1.46, 7, 10), (1.0, 14, 3)]
+    for seed, (n_gap, radius, height) in enumerate(benches):
+        values = {"n_gap": n_gap, "aperture_radius_mm": radius, "crystal_height_mm": height}
+        bench = file.with_overrides({name: float(value) for name, value in values.items()})
+        found = eta_over(bench, light, run=Run(photons=2_000_000, seed=seed))
+        signal = 100.0 * found.eta_detected * (1.0 + 0.003 * rng.standard_normal())
+        readings.append(f"r{seed},{signal:.5f},{0.004 * signal:.5f},{n_gap},{radius},{height}")
+    header = "label,signal,sigma,n_gap,aperture_radius_mm,crystal_height_mm"
+    (here / "readings.csv").write_text("\n".join([header, *readings]) + "\n")
+    fits = {}
+    for name, spectrum in {"with": f'spectrum = "{tenfold}"', "without": ""}.items():
+        text = CAMPAIGN.format(scene=BENCH.as_posix(), spectrum=spectrum)
+        (here / f"{name}.toml").write_text(text)
+        fits[name] = mcrim_mitsuba.calibrate(here / f"{name}.toml", photons=4_000_000)
+    own, fit = light.at(light.mean_nm), fits["with"]
+    # each within 3.5 errors: a right program fails in one run in 700
+    for name in ("alpha_scat_per_cm", "alpha_abs_per_cm"):
+        known = fit.found.calibration.parameters[name]
+        assert abs(known.value - own[name]) < 3.5 * known.sigma, (name, known, own)
+    scale = fit.found.calibration.parameters["scale"]
+    assert abs(scale.value - 100.0) < 3.5 * scale.sigma
+    assert any("averaged over the light of light.csv" in note for note in fit.described.notes)
+    # one wavelength fits as well, with another absorption
+    absorption = [fits[n].found.calibration.parameters["alpha_abs_per_cm"] for n in fits]
+    assert absorption[1].value > absorption[0].value + absorption[0].sigma
+    (here / "flat.csv").write_text("wavelength_nm,emission\n400,0.1\n500,1\n600,0.1\n")
+    text = CAMPAIGN.format(scene=BENCH.as_posix(), spectrum='spectrum = "flat.csv"')
+    (here / "flat.toml").write_text(text)
+    with pytest.raises(InputError, match=r"line 3.*neither alpha_scat_per_cm nor"):
+        mcrim_mitsuba.calibrate(here / "flat.toml")

@@ -1,0 +1,202 @@
+"""Light over its wavelengths: what is emitted, what a detector sees, what the bench is like."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mcrim_mitsuba.core.data_table import DataTable, read_data_table
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.optics.spectrum import Spectrum
+from mcrim_mitsuba.optics.spectrum_file import read_spectrum
+from mcrim_mitsuba.scene.scene_file import SceneFile
+
+#: Columns of a table that are no parameters of the scene.
+WAVELENGTH, EMISSION, EFFICIENCY = "wavelength_nm", "emission", "efficiency"
+#: Step of integrals, and light over its maximum below which a wavelength is left out.
+_STEP_NM, _FAINT = 5.0, 1e-3
+_COEFFICIENTS = (ALPHA_SCAT, ALPHA_ABS)
+
+
+@dataclass(frozen=True, eq=False)
+class Colours:
+    """Light of several colours: all (colours,) float64."""
+
+    #: Of the light; they sum to 1.
+    parts: Array
+    #: Coefficients over those that are named.
+    scattering: Array
+    absorption: Array
+
+
+@dataclass(frozen=True, eq=False)
+class EmittedLight:
+    """Light over its wavelengths, and what the bench is like at each.
+
+    All arrays are (wavelengths,) float64.
+    """
+
+    #: Rising.
+    wavelength_nm: Array
+    #: Photons per nm, in any unit.
+    emission: Array
+    #: Of the detector, a fraction; 1 where it is not known.
+    efficiency: Array
+    #: Scene parameters that vary.
+    parameters: Mapping[str, Array]
+    #: Whether the efficiency was given.
+    detected: bool
+    #: The file.
+    path: Path
+
+    @property
+    def weights(self) -> Array:
+        """Of wavelengths in integrals over the emission, by trapezoids; their sum is 1."""
+        step = np.diff(self.wavelength_nm)
+        weights = self.emission * (np.append(step, 0.0) + np.insert(step, 0, 0.0)) / 2.0
+        return np.asarray(weights / weights.sum(), float)
+
+    @property
+    def mean_nm(self) -> float:
+        """Mean wavelength of the light as it is detected."""
+        seen = self.weights * self.efficiency
+        return float(seen @ self.wavelength_nm / seen.sum())
+
+    def colours(self, most: int) -> Colours:
+        """Parts of the detected light, and coefficients over those at the mean wavelength.
+
+        Of `most` pieces of the band at most, each with as much light as any other.
+        """
+        seen = self.weights * self.efficiency
+        upto = np.concatenate(([0.0], np.cumsum(seen))) / seen.sum()
+        pieces = min(most, len(seen))
+        middle = 0.5 * (upto[1:] + upto[:-1])
+        piece = np.minimum((middle * pieces).astype(int), pieces - 1)
+        parts = np.bincount(piece, seen, pieces)
+        own = self.at(self.mean_nm)
+
+        def over_mean(name: str) -> Array:
+            if name not in self.parameters:
+                return np.ones(np.count_nonzero(parts))
+            means = np.bincount(piece, seen * self.parameters[name], pieces)
+            return np.asarray(means[parts > 0.0] / parts[parts > 0.0] / own[name], float)
+
+        shares = parts[parts > 0.0] / parts.sum()
+        return Colours(np.asarray(shares, float), *map(over_mean, _COEFFICIENTS))
+
+    def at(self, wavelength_nm: float) -> dict[str, float]:
+        """The parameters at one wavelength, between the points by straight lines."""
+        return {
+            name: float(np.interp(wavelength_nm, self.wavelength_nm, values))
+            for name, values in self.parameters.items()
+        }
+
+
+def read_light(
+    path: str | Path, scene: SceneFile, quantum_efficiency: str | Path | None = None
+) -> EmittedLight:
+    """Light over wavelengths, from a table.
+
+    Indices of the scene that name a material follow its dispersion, beyond the formula's range that
+    at its end.
+
+    Parameters
+    ----------
+    path : str or Path
+        Columns ``wavelength_nm`` and ``emission`` (per nm, any unit), and if known ``efficiency``
+        (of the detector, a fraction) and any parameters of the scene, such as
+        ``alpha_abs_per_cm``, at these wavelengths. Or an emission spectrum as campaigns name one.
+    scene : SceneFile
+    quantum_efficiency : str or Path, optional
+        Spectrum of the detector's efficiency, for a table without.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, or a column is none of the scene's parameters.
+    """
+    table = read_data_table(path, roles=(WAVELENGTH, EMISSION))
+    names = [_as_named(table, column) for column in range(table.values.shape[1])]
+    columns: dict[str, Array] = {}
+    if EMISSION in names and WAVELENGTH in names:
+        at, columns = _columns(table, names, scene)
+        emission = Spectrum(at, columns.pop(EMISSION), name=str(path))
+    else:
+        emission = read_spectrum(path, "emission")
+    grid = _grid(emission)
+    light = np.clip(emission.at(grid), 0.0, None)
+    if not light.max() > 0.0:
+        raise emission.refusal("the emission has no area", "give intensities above 0")
+    detected = quantum_efficiency is not None or EFFICIENCY in columns
+    efficiency = np.ones_like(grid)
+    if EFFICIENCY in columns:
+        if quantum_efficiency is not None:
+            problem = "the detector's efficiency is given twice"
+            mend = f"leave the column {EFFICIENCY} or the other file out"
+            raise InputError(problem, mend, path=table.path)
+        efficiency = np.interp(grid, emission.wavelength_nm, columns.pop(EFFICIENCY))
+    elif quantum_efficiency is not None:
+        curve = read_spectrum(quantum_efficiency, "quantum_efficiency")
+        efficiency = np.interp(grid, curve.wavelength_nm, curve.values, left=0.0, right=0.0)
+    varying = {
+        name: known.material.held_index(grid)
+        for name, known in scene.materials.items()
+        if name not in columns
+    }
+    varying |= {n: np.interp(grid, emission.wavelength_nm, v) for n, v in columns.items()}
+    varying = {name: values for name, values in varying.items() if np.ptp(values) > 0.0}
+    return EmittedLight(grid, light, efficiency, varying, detected, Path(path))
+
+
+def _as_named(table: DataTable, column: int) -> str:
+    """Name of a column with its unit, as scenes have it."""
+    if table.names is None:
+        return ""
+    name, unit = table.names[column].strip(), table.units[column]
+    return f"{name}_nm" if unit == "nm" and not name.endswith("nm") else name
+
+
+def _columns(
+    table: DataTable, names: list[str], scene: SceneFile
+) -> tuple[Array, dict[str, Array]]:
+    """Wavelengths, rising, and the other columns by name."""
+    found: dict[str, Array] = {}
+    for column, name in enumerate(names):
+        numbers = [n for n, value in scene.parameters.items() if isinstance(value, float)]
+        if name not in (WAVELENGTH, EMISSION, EFFICIENCY, *numbers):
+            mend = did_you_mean(name, [EMISSION, EFFICIENCY, *numbers])
+            problem = f"{scene.path.name} has no parameter {name!r}"
+            raise table.refusal(None, column, problem, mend)
+        values = table.values[:, column]
+        low, high = (0.0, 1.0) if name == EFFICIENCY else (0.0, math.inf)
+        wrong = (values < low) | (values > high)
+        if name in (EFFICIENCY, *_COEFFICIENTS) and wrong.any():
+            row = int(wrong.argmax())
+            problem = f"{name} = {values[row]:g} is out of range"
+            raise table.refusal(row, column, problem, f"give {low:g} to {high:g}")
+        found[name] = values
+    order = np.argsort(found[WAVELENGTH], kind="stable")
+    same = np.diff(found[WAVELENGTH][order]) <= 0.0
+    if same.any():
+        row = int(order[int(same.argmax()) + 1])
+        problem = f"{found[WAVELENGTH][row]:g} nm stands there twice"
+        raise table.refusal(row, names.index(WAVELENGTH), problem, "keep one of the rows")
+    columns = {name: values[order] for name, values in found.items()}
+    return columns.pop(WAVELENGTH), columns
+
+
+def _grid(emission: Spectrum) -> Array:
+    """Wavelengths at which eta is asked for: steps of `_STEP_NM`, where there is light."""
+    steps = max(math.ceil((emission.last_nm - emission.first_nm) / _STEP_NM), 2)
+    grid = np.linspace(emission.first_nm, emission.last_nm, steps + 1)
+    bright = np.flatnonzero(emission.at(grid) > _FAINT * emission.values.max())
+    if len(bright) < 2:
+        return grid
+    first, last = max(int(bright[0]) - 1, 0), min(int(bright[-1]) + 2, len(grid))
+    return np.asarray(grid[first:last], float)
