@@ -15,7 +15,7 @@ from mcrim_mitsuba.app.state import HELD, Control, FitStep, Settings, Shown
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.files import plain
-from mcrim_mitsuba.core.numbers import unit_of, without_unit
+from mcrim_mitsuba.core.numbers import titled
 from mcrim_mitsuba.core.rounding import (
     capital,
     counted,
@@ -77,7 +77,7 @@ def page(session: Session) -> str:
     campaign = session.state.campaign
     return _TEMPLATES.get_template("page.html").render(
         session=session, campaign=campaign, range_text=range_text,
-        columns=[(name, _column_title(name)) for name in campaign.measurements.columns],
+        columns=[(name, titled(name)) for name in campaign.measurements.columns],
         merits={"chi2": "χ²", "p-value": "p", "light-yield": _light_title(session),
                 "averaged": "averaged over models"},
     )  # fmt: skip
@@ -87,11 +87,6 @@ def range_text(control: Control) -> str:
     """What a field takes, in words."""
     unit = f" {control.unit}" if control.unit and control.name != SCALE else ""
     return f"from {number(control.minimum, 4)} to {number(control.maximum, 4)}{unit}"
-
-
-def _column_title(name: str) -> str:
-    unit = unit_of(name)
-    return f"{without_unit(name)} ({unit})" if unit else without_unit(name)
 
 
 def _light_title(session: Session) -> str:

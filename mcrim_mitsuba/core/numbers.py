@@ -43,6 +43,12 @@ def without_unit(name: str) -> str:
     return name.removesuffix(ending).replace("_", " ")
 
 
+def titled(name: str) -> str:
+    """A parameter's name in words with its unit: ``gap (mm)`` for ``gap_mm``."""
+    unit = unit_of(name)
+    return without_unit(name) + (f" ({unit})" if unit else "")
+
+
 def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> float:
     """Finite number from text.
 

@@ -22,7 +22,7 @@ from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge, titled
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.calibrate import calibrate_without_noise
 from mcrim_mitsuba.inference.estimates import ParameterEstimate
@@ -77,6 +77,10 @@ class Conditions:
         return configurations * mountings * each
 
 
+def _called(name: str) -> str:
+    return "gap index" if name == "n_gap" else titled(name)
+
+
 @dataclass(frozen=True)
 class PlanCandidate:
     """A configuration that may be measured."""
@@ -91,8 +95,8 @@ class PlanCandidate:
 
     @property
     def name(self) -> str:
-        """``n_gap = 1.46``."""
-        return ", ".join(f"{name} = {value:g}" for name, value in self.parameters.items())
+        """``gap index 1.46``."""
+        return ", ".join(f"{_called(name)} {value:g}" for name, value in self.parameters.items())
 
 
 @dataclass(frozen=True)
@@ -199,12 +203,12 @@ class Planning:
         return min(self.floors.items(), key=lambda item: (item[1].total, len(item[0])))
 
     def name(self, configurations: Sequence[int]) -> str:
-        """``n_gap = 1, 1.46``."""
+        """``gap index 1, 1.46``."""
         chosen = [self.candidates[i] for i in configurations]
         names = {name for each in chosen for name in each.parameters}
         if len(names) == 1:
             (name,) = names
-            return f"{name} = {', '.join(f'{each.parameters[name]:g}' for each in chosen)}"
+            return f"{_called(name)} {', '.join(f'{each.parameters[name]:g}' for each in chosen)}"
         return "; ".join(each.name for each in chosen)
 
 

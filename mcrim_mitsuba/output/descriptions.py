@@ -19,6 +19,7 @@ from mcrim_mitsuba.core.rounding import (
     probability,
 )
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+from mcrim_mitsuba.inference.next_measurements import configuration_words
 from mcrim_mitsuba.inference.profiles import profiles_of
 from mcrim_mitsuba.output import findings
 from mcrim_mitsuba.output.described import (
@@ -55,6 +56,8 @@ if TYPE_CHECKING:
 
 # Fits.
 
+#: What parameters are called in files, and by programs.
+_TYPED = Column("id", "id", left=True, small=True)
 _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 
 
@@ -64,19 +67,20 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
     light = fit.parameters.get(LIGHT_YIELD)
     by_detector = (None if light is None else light.efficiency_contributions) or {}
     listing = ", ".join(f"{name} {part:.2g}" for name, part in by_detector.items())
-    of_detector = f"detector efficiency in {LIGHT_YIELD}: {listing}"
+    of_detector = f"detector efficiency in {findings.title_of(LIGHT_YIELD)}: {listing}"
     values: list[Iterable[str | Cell]] = []
     errors: list[Iterable[str | Cell]] = []
     for name, known in fit.parameters.items():
         open_end = None in (known.lower, known.upper)
         interval = "" if open_end else f"{known.lower:.4g} to {known.upper:.4g}"
-        values.append((name, _estimated(known), interval))
+        titled = Cell(findings.title_of(name), name)
+        values.append((titled, _estimated(known), interval, name))
         contributions = {} if known.at_bound else known.contributions
-        errors.append((name, *(shown(contributions.get(origin), ".2g") for origin in _ORIGINS)))
+        errors.append((titled, *(shown(contributions.get(origin), ".2g") for origin in _ORIGINS)))
     origins = ("parameter", *(name.replace("_", " ") for name in _ORIGINS))
     parts: list[Part] = [
         *([] if light is None else [Sentence(_light_yield(fit, light), strong=True)]),
-        table("parameters", ("parameter", "value", "68.3 % interval"), values),
+        table("parameters", ("parameter", "value", "68.3 % interval", _TYPED), values),
         *_shapes(result.profiles),
         table("where the errors come from", origins, errors),
         *([Sentence(of_detector)] if by_detector else []),
@@ -87,9 +91,11 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         ),
     ]  # fmt: skip
     if result.spent:
+        declared = result.model.campaign.scene.defaults.items()
+        said = {name: default.comment or "" for name, default in declared}
         rows = (
             (
-                ", ".join(f"{n} = {v}" for n, v in each.parameters.items()) or "the scene's own",
+                configuration_words(each.parameters, said) or "the scene's own",
                 shown(each.photons, ","),
                 shown(each.cached_photons, ","),
                 Cell(f"{100 * each.eta_relative_sigma:.2g} %", each.eta_relative_sigma),
@@ -148,8 +154,11 @@ def _name(one: FittedRow) -> str:
 
 def parameters_table(parameters: Mapping[str, ParameterEstimate]) -> Table:
     """Every fitted parameter with its error."""
-    rows = ((name, _estimated(known)) for name, known in parameters.items())
-    return table("parameters", ("parameter", "value"), rows)
+    rows = (
+        (Cell(findings.title_of(name), name), _estimated(known), name)
+        for name, known in parameters.items()
+    )
+    return table("parameters", ("parameter", "value", _TYPED), rows)
 
 
 def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[Table]:
@@ -243,7 +252,10 @@ def of_hypotheses(found: HypothesesCompared) -> Described:
         told = (Cell(findings.prediction_text(x), x.model, x.model_sigma) for x in of_all)
         predictions.append(row(label, measured_cell, *told, strong=strong))
     fitted = (
-        (size, *(_estimated(known) if known else "" for known in each))
+        (
+            Cell(findings.title_of(size), size),
+            *(_estimated(known) if known else "" for known in each),
+        )
         for size, each in sizes.items()
     )
     parts: list[Part] = [
@@ -494,7 +506,8 @@ def contributions_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table
         for name in ("statistical", "systematic", "total")
     )  # fmt: skip
     left = (Column(name, left=True) for name in ("kind", "reducible", "by"))
-    return table(title, ("contribution", *(f"{name}, %" for name in budgets), *left), rows, sums)
+    values = (Column(f"{findings.quantity(name)}, %", f"{name}, %") for name in budgets)
+    return table(title, ("contribution", *values, *left), rows, sums)
 
 
 def _part(name: str, budget: ErrorBudget) -> Cell:
@@ -524,7 +537,8 @@ def _shifts(found: Budget) -> Iterator[Part]:
             for piece in found.pieces
         )  # fmt: skip
         title = f"what the model leaves out would move, %, {how}"
-        yield table(title, ("left out", *names), rows)
+        moves = (Column(findings.quantity(name), name) for name in names)
+        yield table(title, ("left out", *moves), rows)
     if found.pieces:
         yield Sentence(
             "Errors: of the simulation, by the differences of its batches with and without; then "
@@ -562,7 +576,7 @@ def _totals(found: Budget) -> Iterator[Part]:
                  for sigma in (total.sigma, total.sigma_with_neglected)]  # fmt: skip
         if total.corrected is not None and total.corrected_sigma is not None:
             cells.append(_two_digits(total.corrected, total.corrected_sigma))
-        rows.append(row(name, *cells))
+        rows.append(row(Cell(findings.title_of(name), name), *cells))
     yield table("results, with all errors", columns, rows)
     if corrected:
         yield Sentence(
@@ -583,7 +597,8 @@ _MOST_PLANS = 16
 def of_plan(found: Planning) -> Described:
     """What would be measured, what errors plans would leave, and the cheapest plan."""
     at = ", ".join(
-        f"{name} = {pdg(known.value, known.sigma)}" for name, known in found.solution.items()
+        f"{findings.title_of(name)} {pdg(known.value, known.sigma)}"
+        for name, known in found.solution.items()
     )
     rows: Iterable[Any] = (
         (each.name, shown(each.signal, ".1f"), _relative(each.event_sigma / each.signal / 100))

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.campaign.parameter import SCALE
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, unit_of
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, titled, unit_of, without_unit
 from mcrim_mitsuba.core.rounding import (
     capital,
     counted,
@@ -491,7 +491,24 @@ _NO_EFFECT = Contribution("what is in no catalogue", 0.0, "systematic", False, "
 
 def called(name: str) -> str:
     """A fitted parameter in words: ``light yield``."""
-    return NAMES[name][0].partition(":")[0] if name in NAMES else name
+    return NAMES[name][0].partition(":")[0] if name in NAMES else without_unit(name)
+
+
+#: Of tables, whose columns are narrow.
+_TITLES = {
+    LIGHT_YIELD: "light yield (ph/keV)", ALPHA_SCAT: "scattering (1/cm)",
+    ALPHA_ABS: "absorption (1/cm)",
+}  # fmt: skip
+
+
+def title_of(name: str) -> str:
+    """A fitted parameter in words with its unit: ``light yield (ph/keV)``."""
+    return _TITLES.get(name) or titled(name)
+
+
+def quantity(name: str) -> str:
+    """The same without the unit, of what is told in per cent."""
+    return title_of(name).partition(" (")[0]
 
 
 def what_next(budget: ErrorBudget, of: str) -> str:
@@ -602,7 +619,7 @@ def plan_text(found: Planning, plan: Plan, more: int = 0) -> str:
     )
     if scattering is None:
         return text
-    return f"{text}, alpha_scat to {percent(scattering.total)}"
+    return f"{text}, scattering to {percent(scattering.total)}"
 
 
 def _forbidden(found: Planning, sets: tuple[int, ...], floor: ExpectedError) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mcrim_mitsuba.core.numbers import unit_of, without_unit
+from mcrim_mitsuba.core.numbers import titled
 from mcrim_mitsuba.core.rounding import counted, pdg
 from mcrim_mitsuba.output.described import (
     Cell,
@@ -106,7 +106,7 @@ def of_spectrum(found: EtaSpectrum) -> Described:
         for i in some.tolist()
     )  # fmt: skip
     first = Column("wavelength (nm)", "wavelength_nm")
-    columns: list[str | Column] = [first, *(Column(_titled(n), n) for n in varying), "eta"]
+    columns: list[str | Column] = [first, *(Column(titled(n), n) for n in varying), "eta"]
     notes: tuple[str, ...] = ()
     if found.interpolation_error > 0.0:
         nodes = ", ".join(f"{each:.0f}" for each in found.nodes_nm)
@@ -116,11 +116,6 @@ def of_spectrum(found: EtaSpectrum) -> Described:
         )
     parts: list[Part] = [*map(Sentence, said), table("some wavelengths", columns, rows)]
     return Described("light collection efficiency over wavelengths", tuple(parts), notes=notes)
-
-
-def _titled(name: str) -> str:
-    unit = unit_of(name)
-    return without_unit(name) + (f" ({unit})" if unit else "")
 
 
 def _percent(value: float, sigma: float) -> tuple[float, float]:

@@ -157,9 +157,9 @@ def test_a_parameter_at_its_bound_gets_no_error(mcrim, monkeypatch, tmp_path):
     assert estimate.at_bound == "max"
     values, budget = (
         [cell.strip() for cell in line.split("│")[1:-1]]
-        for line in out.splitlines() if "│ alpha_scat_per_cm" in line
+        for line in out.splitlines() if "│ scattering (1/cm)" in line
     )  # fmt: skip
-    assert values[1:] == ["0.3, at its bound", f"{estimate.lower:.4g} to 0.3"]
+    assert values[1:3] == ["0.3, at its bound", f"{estimate.lower:.4g} to 0.3"]
     assert not any(budget[1:])
     # its notes are seen beside JSON too
     _, out, err = mcrim("calibrate", campaign, "--json", "-")

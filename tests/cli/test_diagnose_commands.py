@@ -99,7 +99,7 @@ def test_compare_shows_where_the_misfit_lies(mcrim, campaign, found):
     )
     assert wrong < swapped < out.index("along n_gap: 1: -2.1, 1.46: +2.2 (a trend, p = 0.0002)")
     assert "alpha_abs = 0.07 is +2.6 sigma off" in out
-    assert row_of(out, "alpha_scat_per_cm")[1] == "0.620 ± 0.030"
+    assert row_of(out, "scattering (1/cm)")[1] == "0.620 ± 0.030"
     assert out.splitlines()[-1].startswith(f"Next: check {by.MARKUP} in camoo4_measured.csv")
     assert out.splitlines()[-1].endswith(f"or mcrim diagnose {campaign}")
     assert "note: from afar" in out
@@ -216,7 +216,7 @@ def test_repair_shows_the_error_fall_and_how_to_go_on(mcrim, campaign, found):
         "left-out error 1.1, light yield (ph/keV) 7.52 ± 0.22, alpha_scat 0.543 ± 0.021 /cm",
     ]
     assert lines[2:4] == [AVERAGED, FIRST_LINES["missing_effect"]]
-    assert row_of(out, "surface_loss")[1] == "0.0123 ± 0.0008"
+    assert row_of(out, "surface loss")[1] == "0.0123 ± 0.0008"
     assert lines[-1] == "new.toml and new.xml were written. Next: mcrim calibrate new.toml"
 
 
@@ -491,7 +491,7 @@ def test_hypotheses_fit_a_terminal_and_their_figure(width):
         assert all(cell.text in whole for row in table.rows for cell in row.cells)
     for table in (shown.tables["pulls"], shown.tables["predictions"]):
         assert all(cell.text in whole for row in table.rows for cell in row.cells[1:])
-    assert row_of(whole, "bottom_roughness_alpha")[1] == ""
+    assert row_of(whole, "bottom roughness alpha")[1] == ""
     most = (
         f"They differ most at {by.MARKUP}: 18.80, 19.28 and 19.76 where 20.00 ± 0.20 was measured"
     )

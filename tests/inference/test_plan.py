@@ -193,7 +193,7 @@ def test_plans_are_ordered_and_add_up(article, without_photons):
     assert many.parts["events"] == pytest.approx(few.parts["events"] / math.sqrt(10), rel=0.05)
     assert planned.cheapest is planned.plans[0]
     (line,) = verdict(planned)
-    assert line.startswith("Cheapest plan for a light yield to 20.0 %: n_gap = 1, 1.46; 1 mounting")
+    assert line.startswith("Cheapest plan for a light yield to 20.0 %: gap index 1, 1.46; 1 mounting")
 
 
 def test_what_forbids_a_precision_is_named(article, without_photons):
@@ -203,7 +203,7 @@ def test_what_forbids_a_precision_is_named(article, without_photons):
     assert "cannot be reached, however many events and mountings" in first
     assert "What forbids it first is the detector efficiency" in first
     assert "quantum efficiency is calibrated better" in first
-    assert second.startswith("The statistical part alone reaches 9.0 % with n_gap = 1, 1.46")
+    assert second.startswith("The statistical part alone reaches 9.0 % with gap index 1, 1.46")
     # as much as is said there suffices
     told = float(first.partition("would have to fall to ")[2].split()[0]) / 100
     efficiency = article.light_yield.detector_efficiency
