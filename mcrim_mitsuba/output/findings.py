@@ -83,9 +83,9 @@ def light_yield_text(parameters: dict[str, ParameterEstimate]) -> tuple[str, str
 
 
 def size_text(candidate: Candidate, separator: str = "; ") -> str:
-    """What a fit makes of an effect: ``surface_loss = 0.0123 ± 0.0008``; ``on`` without a size."""
+    """What a fit makes of an effect: ``surface loss = 0.0123 ± 0.0008``; ``on`` without a size."""
     sizes = [
-        f"{name} = {estimate_text(candidate.parameters[name])}"
+        f"{title_of(name)} = {estimate_text(candidate.parameters[name])}"
         for name in candidate.effect_parameters
         if name in candidate.parameters
     ]

@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import unit_of
+from mcrim_mitsuba.core.numbers import titled
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
 from mcrim_mitsuba.efficiency.eta_spectrum import EtaSpectrum
@@ -409,15 +409,14 @@ def draw_table(made: EtaTable) -> style.Drawing:
     at = values if numbers else range(len(values))
     combinations = product(*(made.axes[name] for name in others))
     for line, combination in enumerate(combinations):
-        said = ", ".join(f"{n} = {v}" for n, v in zip(others, combination, strict=True))
+        said = ", ".join(f"{titled(n)} {v}" for n, v in zip(others, combination, strict=True))
         axes.errorbar(
             at, etas[line], sigmas[line], label=said, marker=_MARKERS[line], ms=5, lw=1.2,
             color=str(0.75 * line / lines) if lines > 4 else _COLOURS[line],
         )  # fmt: skip
     if not numbers:
         axes.set_xticks(at, [str(value) for value in values], parse_math=False)
-    unit = unit_of(along)
-    axes.set_xlabel(f"{along} ({unit})" if unit else along, parse_math=False)
+    axes.set_xlabel(titled(along), parse_math=False)
     axes.set_ylabel("light collection efficiency")
     style.open_axes(axes)
     if others:

@@ -129,7 +129,7 @@ AVERAGED = (
 )
 FIRST_LINES = {
     "missing_effect": "Absorbing crystal surface explains the misfit (surface_absorption: "
-    "surface_loss = 0.0123 ± 0.0008): chi2 64.2 -> 12.1 (ndf 11, p = 0.44)",
+    "surface loss = 0.0123 ± 0.0008): chi2 64.2 -> 12.1 (ndf 11, p = 0.44)",
     "ambiguous": f"Ambiguous: as {by.MARKUP} shows",
     "adequate": f"Adequate: as {by.MARKUP} shows",
     "unexplained": f"Unexplained: as {by.MARKUP} shows",
@@ -153,12 +153,12 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
     assert lines[1] == FIRST_LINES[verdict]
     assert lines[-1].startswith(LAST_LINES[verdict])
     assert row_of(out, FIRST) == [
-        FIRST, "70 %", "surface_loss = 0.0123 ± 0.0008", "usual size", "7.52 (-9.5 %)",
+        FIRST, "70 %", "surface loss = 0.0123 ± 0.0008", "usual size", "7.52 (-9.5 %)",
         "52.1 ± 0.8", "0.44", "1.3", by.FIRST,
     ]  # fmt: skip
     assert row_of(out, "Air bubble in the gap")[3] == "unusual size"
     assert row_of(out, "Absorbing liquid in the gap")[2:4] == [
-        "gap_absorption_per_cm = 20, at its bound", "end of its range",
+        "gap absorption (1/cm) = 20, at its bound", "end of its range",
     ]  # fmt: skip
     assert row_of(out, "Polarisation of the light")[1:6:2] == ["", "on or off", "-2.2 ± 0.8"]
     named = verdict in ("missing_effect", "ambiguous")
@@ -194,7 +194,7 @@ def test_a_pair_and_suspect_readings_are_named(mcrim, campaign, found):
     out = mcrim.shown("diagnose", campaign)
     assert out.splitlines()[1].startswith(
         "Absorbing crystal surface and air bubble in the gap explain the misfit "
-        "(surface_absorption and gap_bubble: surface_loss = 0.0100 ± 0.0010; bubble_fraction = "
+        "(surface_absorption and gap_bubble: surface loss = 0.0100 ± 0.0010; bubble fraction = "
         "0.100 ± 0.020): chi2 64.2 -> 9.2"
     )
     suspect = by.diagnosis("unexplained", suspect_readings=(by.BAD,))
@@ -226,7 +226,7 @@ def test_an_unusual_size_is_told_and_not_added(mcrim, campaign, found):
         next_measurements=(), repair=by.STEPS[:1],
     )  # fmt: skip
     told = (
-        "The likeliest explanation, air bubble in the gap (bubble_fraction = 0.200 ± 0.010), has a "
+        "The likeliest explanation, air bubble in the gap (bubble fraction = 0.200 ± 0.010), has a "
         "size that a laboratory does not usually meet, and is not added. If you have seen it, say "
         "--effect gap_bubble."
     )

@@ -193,7 +193,9 @@ def test_plans_are_ordered_and_add_up(article, without_photons):
     assert many.parts["events"] == pytest.approx(few.parts["events"] / math.sqrt(10), rel=0.05)
     assert planned.cheapest is planned.plans[0]
     (line,) = verdict(planned)
-    assert line.startswith("Cheapest plan for a light yield to 20.0 %: gap index 1, 1.46; 1 mounting")
+    assert line.startswith(
+        "Cheapest plan for a light yield to 20.0 %: gap index 1, 1.46; 1 mounting"
+    )
 
 
 def test_what_forbids_a_precision_is_named(article, without_photons):
