@@ -1,6 +1,6 @@
 """Volumes that are convex: light inside one needs only the planes of its faces, not their bounds.
 
-The way out of a convex solid is the nearest plane ahead that looks along the flight, and the way in
+They are enclosed by flat faces, or by a round wall and the two ends across it. The way out of a convex solid is the nearest plane ahead that looks along the flight, and the way in
 is the farthest plane that looks against it, where that comes before the way out (M. Cyrus and
 J. Beck, Computers and Graphics 3 (1978) 23). Parallel planes are tested together, as a slab,
 and no light is lost between two faces, because they have no edges.
@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from mcrim_mitsuba.transport.scene_model import OUTSIDE, SceneModel, opaque
+from mcrim_mitsuba.transport.scene_model import OUTSIDE, Circle, RoundWall, SceneModel, opaque
 
 #: A volume of more planes than this is left to others: a tree is faster.
 MOST_PLANES = 64
@@ -52,8 +52,14 @@ class Solid:
     #: Index among ``model.volumes``.
     volume: int
     planes: tuple[Plane, ...]
-    #: The volume that is not convex from which light can come in; ``None`` where there is none.
-    around: int | None
+    #: The volumes that are not convex from which light can come in. One at most, but for what
+    #: clings to a round wall.
+    around: tuple[int, ...]
+    #: Indices among ``model.walls`` of the round wall between the planes, which are its ends then.
+    #: Where there are two, the second is what the first leaves out above it.
+    walls: tuple[int, ...] = ()
+    #: Where this wall is.
+    circle: Circle | None = None
 
     def test(self):
         """A function that tells of points (Point3f, mm) whether they lie in it (Mask)."""
@@ -61,9 +67,10 @@ class Solid:
             (plane, [opaque([value]) for value in plane.axis], opaque([plane.offset]))
             for plane in self.planes
         ]
+        disc = None if self.circle is None else Disc(self.circle, lambda value: opaque([value]))
 
         def inside(point):
-            held = mi.Mask(True)
+            held = mi.Mask(True) if disc is None else disc.holds(point)
             for plane, weights, offset in known:
                 level = _component(point, plane.axis, weights)
                 held &= (level <= offset) if plane.high else (level >= offset)
@@ -88,31 +95,78 @@ def convex_solids(model: SceneModel) -> list[Solid]:
 
 def _find_convex_solids(model: SceneModel) -> list[Solid]:
     axes: list[np.ndarray] = []
+    round_walls = {
+        number: walls
+        for number in range(len(model.volumes))
+        if number != OUTSIDE and (walls := _round_wall(model, number))
+    }
+    # what is around a round solid
+    hollow = {model.around(model.walls[wall]) for walls in round_walls.values() for wall in walls}
     found = {
         number: planes
         for number in range(len(model.volumes))
-        if number != OUTSIDE and (planes := _planes(model, number, axes)) is not None
+        if number not in {OUTSIDE, *hollow}
+        and (planes := _planes(model, number, axes, round_walls.get(number, ()))) is not None
     }
+    clinging = hollow - {OUTSIDE}
     while True:
         around = {
             number: {
                 side
-                for plane in planes
-                for face in plane.faces
-                for side in _sides(model, face)
+                for sides in (
+                    *(_sides(model, face) for plane in planes for face in plane.faces),
+                    *(_wall_sides(model, wall) for wall in round_walls.get(number, ())),
+                )
+                for side in sides
                 # no light comes back from a liquid without end
                 if side not in found and side != model.endless
             }
             for number, planes in found.items()
         }
-        kept = {number: found[number] for number, others in around.items() if len(others) <= 1}
+        kept = {
+            number: found[number]
+            for number, others in around.items()
+            if len(others - clinging) <= 1
+        }
         if len(kept) == len(found):
             break
         found = kept
-    return [
-        Solid(number, tuple(planes), next(iter(around[number]), None))
-        for number, planes in found.items()
-    ]
+    solids = []
+    for number, planes in found.items():
+        walls = round_walls.get(number, ())
+        circle = model.walls[walls[0]].circle if walls else None
+        solids.append(Solid(number, tuple(planes), tuple(sorted(around[number])), walls, circle))
+    return solids
+
+
+def _round_wall(model: SceneModel, volume: int) -> tuple[int, ...]:
+    """Indices of the walls that are all of the round wall around a volume; none if it has none."""
+    own = [i for i, wall in enumerate(model.walls) if model.within(wall) == volume]
+    # in the order of their heights
+    own.sort(key=lambda i: -np.inf if (above := model.walls[i].above_mm) is None else above)
+    walls = [model.walls[i] for i in own]
+    if not walls or any(volume == model.around(wall) for wall in model.walls):
+        return ()
+    same = all(
+        np.allclose(_ends_and_circle(wall), _ends_and_circle(walls[0]), atol=slack_of(model))
+        for wall in walls
+    )
+    heights = [(wall.above_mm, wall.below_mm) for wall in walls]
+    if len(walls) == 1:
+        whole = heights == [(None, None)]
+    else:
+        whole = len(walls) == 2 and heights[0] == (None, heights[1][0]) and heights[1][1] is None
+    return tuple(own) if same and whole else ()
+
+
+def _ends_and_circle(wall: RoundWall) -> list[float]:
+    circle = wall.circle
+    return [circle.axis, *circle.centre_mm, circle.radius_mm, wall.low_mm, wall.high_mm]
+
+
+def _wall_sides(model: SceneModel, wall: int) -> tuple[int, int]:
+    """Volumes on the two sides of a round wall."""
+    return model.surfaces[model.walls[wall].surface].sides
 
 
 def _sides(model: SceneModel, face: int) -> tuple[int, int]:
@@ -120,10 +174,12 @@ def _sides(model: SceneModel, face: int) -> tuple[int, int]:
     return model.surfaces[model.flat_faces[face].surface].sides
 
 
-def _planes(model: SceneModel, volume: int, axes: list[np.ndarray]) -> list[Plane] | None:
-    """The planes around a volume, or ``None`` if its flat faces do not enclose a convex solid.
+def _planes(
+    model: SceneModel, volume: int, axes: list[np.ndarray], walls: tuple[int, ...]
+) -> list[Plane] | None:
+    """The planes around a volume, or ``None`` if its faces do not enclose a convex solid.
 
-    `axes` are those known so far; new ones are added.
+    `axes` are those known so far; new ones are added. `walls` are of its round wall.
     """
     slack, area = slack_of(model), 0.0
     # what stands in it is tested for itself: it leaves a hole in what encloses it
@@ -151,6 +207,8 @@ def _planes(model: SceneModel, volume: int, axes: list[np.ndarray]) -> list[Plan
                 return None
     if not planes:
         return None
+    if walls:
+        return planes if _are_ends(model, planes, model.walls[walls[0]]) else None
     corners = np.concatenate(own_corners)
     for plane in planes:
         beyond = (corners @ plane.axis - plane.offset) * (1.0 if plane.high else -1.0)
@@ -162,6 +220,34 @@ def _planes(model: SceneModel, volume: int, axes: list[np.ndarray]) -> list[Plan
         return None
     # Faces on the hull that cover all of it: less than a strip along the edges may be missing.
     return planes if abs(area - hull.area) <= 4.0 * slack * np.sqrt(hull.area) else None
+
+
+def _are_ends(model: SceneModel, planes: list[Plane], wall: RoundWall) -> bool:
+    """Whether planes are the two ends of a round wall, and their faces all of these."""
+    slack, circle = slack_of(model), wall.circle
+    along = tuple(np.eye(3)[circle.axis].tolist())
+    offsets = sorted((plane.offset, plane.high) for plane in planes)
+    if [plane.axis for plane in planes] != [along] * 2 or offsets[0][1]:
+        return False
+    if not np.allclose([one for one, _ in offsets], (wall.low_mm, wall.high_mm), atol=slack):
+        return False
+    for plane in planes:
+        area = 0.0
+        for number in plane.faces:
+            face = model.flat_faces[number]
+            disc = face.circle
+            if disc is None:
+                away = np.hypot(*(face.corners[:, circle.across] - circle.centre_mm).T)
+                held = away.max() <= circle.radius_mm + slack
+            else:
+                off = np.subtract(disc.centre_mm, circle.centre_mm)
+                held = disc.inside and np.hypot(*off) + disc.radius_mm <= circle.radius_mm + slack
+            if not held:
+                return False
+            area += face.area
+        if abs(area - circle.area) > 4.0 * slack * circle.radius_mm:
+            return False
+    return True
 
 
 def _axis(normal, corners, axes: list[np.ndarray], tolerance: float) -> np.ndarray:
@@ -193,6 +279,56 @@ class Ray:
                 reciprocal, _component(self.origin, axis, weights), reciprocal > 0.0
             )  # fmt: skip
         return self._known[axis]
+
+
+class Disc:
+    """A circle in the kernel; `number` makes its numbers."""
+
+    def __init__(self, circle: Circle, number) -> None:
+        self.axis = circle.axis
+        self._across = circle.across
+        self._centre = [number(value) for value in circle.centre_mm]
+        self.radius = number(circle.radius_mm)
+        self._radius2 = number(circle.radius_mm**2)
+        self._inside = circle.inside
+
+    def away(self, point):
+        """From its axis (Vector2f, mm)."""
+        return mi.Vector2f(
+            *(point[i] - at for i, at in zip(self._across, self._centre, strict=True))
+        )
+
+    def outwards(self, point):
+        """Unit vector away from its axis (Vector3f) at points of its circle."""
+        away, normal = self.away(point), mi.Vector3f(0.0)
+        for i, part in zip(self._across, away, strict=True):
+            normal[i] = part
+        return dr.normalize(normal)
+
+    def holds(self, point):
+        """Whether a point of the face's plane (Point3f, mm) lies on the face."""
+        inside = dr.squared_norm(self.away(point)) <= self._radius2
+        return inside if self._inside else ~inside
+
+    def crossings(self, ray: Ray):
+        """Where a ray leaves the wall on the circle, and where it comes in.
+
+        Distances (Float, mm) at which light within leaves, and light around enters, infinite where
+        that misses; and the square of what over the radius is the cosine to the normals there.
+        """
+        away = self.away(ray.origin)
+        along = mi.Vector2f(*(ray.direction[i] for i in self._across))
+        a, b = dr.squared_norm(along), dr.dot(away, along)
+        c = dr.squared_norm(away) - self._radius2
+        root2 = dr.fma(b, b, -a * c)
+        root, outwards = dr.safe_sqrt(root2), b >= 0.0
+        # the roots of a quadratic without cancellation: -q / a and -c / q
+        q = b + dr.select(outwards, root, -root)
+        leaves = dr.select(outwards, -c, -q) / dr.select(outwards, q, a)
+        enters = dr.select(outwards, -dr.inf, -c / q)
+        # what flies along the axis is within it for ever, or never
+        missed = dr.select(c < 0.0, -dr.inf, dr.inf)
+        return leaves, dr.select(root2 > 0.0, enters, missed), root2
 
 
 def _component(vector, axis, weights):
@@ -247,6 +383,7 @@ class ConvexBody:
     def __init__(self, model: SceneModel, solid: Solid, shape_of, number) -> None:
         self.solid = solid
         self._slack = number(slack_of(model))
+        self._wall = None if solid.circle is None else _Mantle(model, solid, number)
         slabs: dict[tuple[float, ...], _Slab] = {}
         for plane in solid.planes:
             if plane.axis not in slabs:
@@ -260,7 +397,8 @@ class ConvexBody:
             rows.setdefault(model.flat_faces[face].surface, []).append(face)
         # What has the most faces is what light meets that meets no other: nothing to test.
         ordered = sorted(rows.values(), key=len)
-        from_around = [row for row in ordered if self.solid.around in _sides(model, row[0])]
+        around = set(self.solid.around)
+        from_around = [row for row in ordered if around & set(_sides(model, row[0]))]
 
         def tests(rows):
             return [(row[0], [shape_of(face) for face in row]) for row in rows[:-1]]
@@ -275,13 +413,14 @@ class ConvexBody:
             enter_rows=tests(from_around),
         )
 
-    def meet(self, ray: Ray, best, which, here):
+    def meet(self, ray: Ray, best, which, here, last_face):
         """Where light leaves the solid, or enters it, if that is nearer than what is known.
 
         `best` (Float) and `which` (UInt32), the distance of the nearest face so far and its number,
         are returned as they are then; `here` tells of every volume whether light is in it (Mask).
+        Light around a round wall that is on it, by `last_face` (UInt32), flies away from it.
         """
-        enters = self.solid.around is not None
+        enters = bool(self.solid.around)
         out, leaving = mi.Float(dr.inf), mi.UInt32(NO_FACE)
         into, entering, slowness = mi.Float(-dr.inf), mi.UInt32(NO_FACE), mi.Float(0.0)
         for slab in self._slabs:
@@ -308,6 +447,18 @@ class ConvexBody:
                 into = dr.select(farther, t, into)
                 entering = dr.select(farther, mi.UInt32(near), entering)
                 slowness = dr.select(farther, reciprocal, slowness)
+        if self._wall is not None:
+            t, t_in, root2 = self._wall.disc.crossings(ray)
+            nearer = t < out
+            out = dr.select(nearer, t, out)
+            leaving = dr.select(nearer, self._wall.met_at(ray, t), leaving)
+            if enters:
+                farther = t_in > into
+                into = dr.select(farther, t_in, into)
+                entering = dr.select(farther, self._wall.met_at(ray, t_in), entering)
+                entering = dr.select(self._wall.is_of(last_face), mi.UInt32(NO_FACE), entering)
+                steep = self._wall.disc.radius * dr.rsqrt(root2)
+                slowness = dr.select(farther, dr.minimum(steep, _GRAZING), slowness)
         inside = here[self.solid.volume]
         for slab in self._slabs:
             for side in slab.sides.values():
@@ -319,10 +470,42 @@ class ConvexBody:
         if enters:
             # what rounding has put just behind a face near an edge still meets that face
             ahead = into >= -self._slack * dr.abs(slowness)
-            met = here[self.solid.around] & ahead & (into <= out) & (into < best)
+            around, *others = (here[volume] for volume in self.solid.around)
+            for other in others:
+                around |= other
+            met = around & ahead & (into <= out) & (into < best)
             met &= entering != NO_FACE
             best, which = dr.select(met, into, best), dr.select(met, entering, which)
         return best, which
+
+
+#: Largest reciprocal of the cosine to a round wall's normal by which its slack grows.
+_GRAZING = 1e3
+
+
+class _Mantle:
+    """The round wall of a solid in the kernel."""
+
+    def __init__(self, model: SceneModel, solid: Solid, number) -> None:
+        assert solid.circle is not None
+        self.disc = Disc(solid.circle, number)
+        self._numbers = [len(model.flat_faces) + wall for wall in solid.walls]
+        below_mm = model.walls[solid.walls[0]].below_mm
+        self._level = None if below_mm is None else number(below_mm)
+
+    def met_at(self, ray: Ray, t):
+        """Number (UInt32) of the face that is met at some distance."""
+        if self._level is None:
+            return mi.UInt32(self._numbers[0])
+        z = dr.fma(t, ray.direction.z, ray.origin.z)
+        return _choice(z <= self._level, *self._numbers)
+
+    def is_of(self, face):
+        """Whether faces of these numbers (UInt32) are this wall (Mask)."""
+        found = face == self._numbers[0]
+        for number in self._numbers[1:]:
+            found |= face == number
+        return found
 
 
 def _choice(mask, one: int, other: int):

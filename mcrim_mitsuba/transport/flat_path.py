@@ -17,11 +17,11 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.transport import surface_physics
-from mcrim_mitsuba.transport.convex import NO_FACE, ConvexBody, Ray, Solid, convex_solids, slack_of
+from mcrim_mitsuba.transport.convex import NO_FACE, ConvexBody, Disc, Ray, Solid, convex_solids, slack_of
 from mcrim_mitsuba.transport.scene_model import (
     OTHER,
     OUTSIDE,
-    Circle,
+    RoundWall,
     SceneModel,
     Surface,
     opaque,
@@ -57,7 +57,7 @@ class _Rectangle:
     middle: dict[int, Any]
     half: dict[int, Any]
     #: What of it is left.
-    circle: _Disc | None = None
+    circle: Disc | None = None
 
     def inside(self, ray, t):
         """Whether a point of the ray, which lies in the plane, lies on the face."""
@@ -70,39 +70,6 @@ class _Rectangle:
         if self.circle is not None:
             inside &= self.circle.holds(dr.fma(ray.direction, t, ray.origin))
         return inside
-
-
-class _Disc:
-    """A circle in the kernel; `number` makes its numbers."""
-
-    def __init__(self, circle: Circle, number) -> None:
-        self._x, self._y = number(circle.x_mm), number(circle.y_mm)
-        self._radius2 = number(circle.radius_mm**2)
-        self._inside = circle.inside
-
-    def away(self, point):
-        """From its axis (Vector2f, mm)."""
-        return mi.Vector2f(point.x - self._x, point.y - self._y)
-
-    def holds(self, point):
-        """Whether a point of the face's plane (Point3f, mm) lies on the face."""
-        inside = dr.squared_norm(self.away(point)) <= self._radius2
-        return inside if self._inside else ~inside
-
-    def meet(self, ray, outwards):
-        """Distance (mm) at which a ray meets the upright wall on it; negative where it does not.
-
-        Light that flies `outwards` (Mask) is within the wall, all other light around it.
-        """
-        away, along = self.away(ray.origin), mi.Vector2f(ray.direction.x, ray.direction.y)
-        a, b = dr.squared_norm(along), dr.dot(away, along)
-        c = dr.squared_norm(away) - self._radius2
-        root2 = dr.fma(b, b, -a * c)
-        # the roots of a quadratic without cancellation: -q / a and -c / q
-        q = b + dr.mulsign(dr.safe_sqrt(root2), b)
-        inner = dr.select(b > 0.0, -c, -q) / dr.select(b > 0.0, q, a)
-        outer = dr.select(b < 0.0, -c / q, -dr.inf)
-        return dr.select(root2 > 0.0, dr.select(outwards, inner, outer), -dr.inf)
 
 
 @dataclass(frozen=True)
@@ -164,10 +131,8 @@ class FlatPath:
             for number in _standing_alone(model, solids)
         ]
         # round walls, whose normals depend on the place, are numbered behind the flat faces
-        self._walls = [
-            (wall, model.surfaces[wall.surface].sides, _Disc(wall.circle, self._number))
-            for wall in model.walls
-        ]
+        self._walls = [(wall, Disc(wall.circle, self._number)) for wall in model.walls]
+        self._walls_alone = _walls_alone(model, solids)
         self._tables = surface_physics.SurfaceTables(*rows_of(model))
         self.surfaces_may_absorb = self._tables.may_absorb
         self.surfaces_scatter = self._tables.may_scatter
@@ -198,7 +163,7 @@ class FlatPath:
             # most faces of a bench are centred on an axis: nothing to subtract there
             middle={i: self._number(middle[i]) for i in others if abs(middle[i]) > self._slack_mm},
             half={i: self._number(half[i] + self._slack_mm) for i in others},
-            circle=None if face.circle is None else _Disc(face.circle, self._number),
+            circle=None if face.circle is None else Disc(face.circle, self._number),
         )
 
     def _oblique(self, face) -> _Oblique:
@@ -240,7 +205,7 @@ class FlatPath:
             here[OUTSIDE] |= here[endless]
         ray = Ray(ray_o, ray_d)
         for body in self._bodies:
-            best, which = body.meet(ray, best, which, here)
+            best, which = body.meet(ray, best, which, here, last_face)
         for face, (interior, exterior), shape in self._alone:
             number = mi.UInt32(face)
             if isinstance(shape, _Rectangle):
@@ -259,20 +224,32 @@ class FlatPath:
             hit = ahead & shape.inside(ray, t) & (t < best) & (last_face != number)
             best = dr.select(hit, t, best)
             which = dr.select(hit, number, which)
-        for number, (wall, (around, within), disc) in enumerate(self._walls):
-            t = disc.meet(ray, here[within])
-            z = dr.fma(t, ray_d.z, ray_o.z)
+        for number, (wall, disc) in enumerate(self._walls):
+            if wall not in self._walls_alone:
+                continue
+            within, around = self.model.within(wall), self.model.around(wall)
+            leaves, enters, _ = disc.crossings(ray)
+            t = dr.select(here[within], leaves, enters)
             index = mi.UInt32(len(self.model.flat_faces) + number)
             # light around it that is on it flies away from it
             hit = here[within] | (here[around] & (last_face != index))
             hit &= (t > behind) & (t < best)
-            hit &= (z >= self._number(wall.low_mm)) & (z <= self._number(wall.high_mm))
+            hit &= self._between(ray, t, disc.axis, wall.low_mm, wall.high_mm)
+            hit &= self._between(ray, t, 2, wall.above_mm, wall.below_mm)
             best = dr.select(hit, t, best)
             which = dr.select(hit, index, which)
         if endless is not None:
             others = here[endless] & (which != NO_FACE)
             which = dr.select(others, which + self._count, which)
         return dr.maximum(best, 0.0), which
+
+    def _between(self, ray: Ray, t, axis: int, low: float | None, high: float | None):
+        """Whether a point of the ray lies between two levels on an axis, as far as there are."""
+        if low is None and high is None:
+            return mi.Mask(True)
+        along = dr.fma(t, ray.direction[axis], ray.origin[axis])
+        above = mi.Mask(True) if low is None else along >= self._number(low)
+        return above if high is None else above & (along <= self._number(high))
 
     @staticmethod
     def face_of(face):
@@ -289,11 +266,10 @@ class FlatPath:
         """Give rows of round walls their normals at the places where light meets them."""
         if self.model.endless is not None:
             face = dr.select(face >= self._count, face - self._count, face)
-        for number, (_, _, disc) in enumerate(self._walls):
-            away = disc.away(position)
-            inwards = -dr.normalize(mi.Vector3f(away.x, away.y, 0.0))
+        for number, (wall, disc) in enumerate(self._walls):
+            outwards = disc.outwards(position)
             mine = face == len(self.model.flat_faces) + number
-            row.normal = dr.select(mine, inwards, row.normal)
+            row.normal = dr.select(mine, outwards if wall.outwards else -outwards, row.normal)
 
     @property
     def _count(self) -> int:
@@ -319,3 +295,9 @@ def _standing_alone(model: SceneModel, solids: list[Solid]) -> list[int]:
     convex = {solid.volume for solid in solids}
     sides = [set(model.surfaces[face.surface].sides) for face in model.flat_faces]
     return [i for i, pair in enumerate(sides) if len(pair) == 1 or not pair & convex]
+
+
+def _walls_alone(model: SceneModel, solids: list[Solid]) -> list[RoundWall]:
+    """Round walls that are no part of the convex solids' tests."""
+    known = {number for solid in solids for number in solid.walls}
+    return [wall for number, wall in enumerate(model.walls) if number not in known]

@@ -128,13 +128,21 @@ class Surface:
 
 @dataclass(frozen=True)
 class Circle:
-    """A circle about a vertical axis, within a horizontal face."""
+    """A circle about a line along one of the scene's axes, within a face across it."""
 
-    x_mm: float
-    y_mm: float
+    #: Where that line is on the two other axes, in their order.
+    centre_mm: tuple[float, float]
     radius_mm: float
     #: Whether the face is what lies inside; else that is missing of it.
     inside: bool = True
+    #: 0, 1 or 2: the axis that the line is along.
+    axis: int = 2
+
+    @property
+    def across(self) -> tuple[int, int]:
+        """The two other axes."""
+        one, other = (axis for axis in range(3) if axis != self.axis)
+        return one, other
 
     @property
     def area(self) -> float:
@@ -143,20 +151,50 @@ class Circle:
 
     def margin(self, points: np.ndarray) -> np.ndarray:
         """How far on the face's side of it points, shape (n, 3), lie, in radii."""
-        away = np.hypot(points[:, 0] - self.x_mm, points[:, 1] - self.y_mm) / self.radius_mm
+        away = np.hypot(*(points[:, self.across] - self.centre_mm).T) / self.radius_mm
         return 1.0 - away if self.inside else away - 1.0
 
 
 @dataclass(frozen=True)
 class RoundWall:
-    """An upright cylinder's mantle, without its ends."""
+    """A cylinder's mantle, without its ends."""
 
     circle: Circle
-    #: Lower and upper end.
+    #: Lower and upper end, along the circle's axis.
     low_mm: float
     high_mm: float
-    #: Its interior is what lies around it: normals point to the axis.
     surface: int
+    #: Whether normals point away from the axis: its interior is what lies within. Else that is what
+    #: lies around it.
+    outwards: bool = False
+    #: Of one that lies, the height up to which it is there; ``None``: all around.
+    below_mm: float | None = None
+    #: The same, from which on it is there.
+    above_mm: float | None = None
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest coordinates: float64, shape (3,), mm."""
+        low, high = np.empty(3), np.empty(3)
+        circle = self.circle
+        low[circle.axis], high[circle.axis] = self.low_mm, self.high_mm
+        centre = np.array(circle.centre_mm)
+        across = list(circle.across)
+        low[across], high[across] = centre - circle.radius_mm, centre + circle.radius_mm
+        if self.below_mm is not None:
+            high[2] = self.below_mm
+        if self.above_mm is not None:
+            low[2] = self.above_mm
+        return low, high
+
+    def margin(self, points: np.ndarray) -> np.ndarray:
+        """How far within its ends and heights points, shape (n, 3), lie, mm."""
+        along = points[:, self.circle.axis]
+        margin = np.minimum(along - self.low_mm, self.high_mm - along)
+        if self.below_mm is not None:
+            margin = np.minimum(margin, self.below_mm - points[:, 2])
+        if self.above_mm is not None:
+            margin = np.minimum(margin, points[:, 2] - self.above_mm)
+        return margin
 
 
 @dataclass(frozen=True)
@@ -274,9 +312,19 @@ class SceneModel:
 
     def bounds(self, volume: int) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest coordinates of a volume: float64, shape (3,), mm."""
-        boxes = [self.shapes[i].bbox() for i in self.bordering(volume)]
-        lower = np.min([np.array(box.min, dtype=np.float64) for box in boxes], axis=0)
-        return lower, np.max([np.array(box.max, dtype=np.float64) for box in boxes], axis=0)
+        walls = {wall.surface: wall.bounds() for wall in self.walls}
+        boxes = [
+            walls[i] if i in walls else _box_of(self.shapes[i]) for i in self.bordering(volume)
+        ]
+        return np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)
+
+    def within(self, wall: RoundWall) -> int:
+        """Index of the volume that lies within a round wall."""
+        return self.surfaces[wall.surface].sides[not wall.outwards]
+
+    def around(self, wall: RoundWall) -> int:
+        """Index of the volume that lies around it."""
+        return self.surfaces[wall.surface].sides[wall.outwards]
 
     def volume_index(self, medium) -> int:
         """Index of a Mitsuba medium among `volumes`; InputError if no face borders it."""
@@ -326,7 +374,7 @@ def read_scene_model(scene) -> SceneModel:
         except InputError as error:
             raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
         surfaces.append(Surface(shape.id(), inner, outer, **properties))
-        wall = getattr(shape, "wall", None)
+        wall = _wall(shape)
         if wall is not None:
             walls.append(replace(wall, surface=number))
         elif own is None:
@@ -482,20 +530,87 @@ def _flat_faces(shape, number: int) -> list[FlatFace] | None:
     Light meets the triangles of a mesh; smooth normals are there for pictures.
     """
     if shape.shape_type() == int(mi.ShapeType.Rectangle):
-        matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64)
-        matrix = matrix.reshape(4, 4)
+        matrix = _matrix(shape)
         centre, half_u, half_v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]
         if shape.has_flipped_normals():
             half_u, half_v = half_v, half_u
         return [_face(centre - half_u - half_v, 2 * half_u, 2 * half_v, False, number)]
-    if getattr(shape, "wall", None) is not None:
+    if shape.shape_type() == int(mi.ShapeType.Disk):
+        return _disk_face(shape, number)
+    if _wall(shape) is not None:
         return None
-    if getattr(shape, "round_face", None) is not None:
-        corner, along, across, circle = shape.round_face
-        return [replace(_face(corner, along, across, False, number), circle=circle)]
+    if getattr(shape, "round_faces", ()):
+        return [
+            replace(_face(corner, along, across, False, number), circle=circle)
+            for corner, along, across, circle in shape.round_faces
+        ]
     if shape.is_mesh():
         return _mesh_faces(shape, number)
     return None
+
+
+#: How far, in parts of its size, a round shape's directions may be off the scene's axes: rounding.
+_ASKEW = 1e-6
+
+
+def _matrix(shape) -> np.ndarray:
+    """A shape's ``to_world``, float64, shape (4, 4)."""
+    values = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64)
+    return values.reshape(4, 4)
+
+
+def _round_axis(matrix: np.ndarray) -> int | None:
+    """The axis of the scene that a shape's own z axis is along, if a circle about it stays one."""
+    one, other, along = matrix[:3, :3].T
+    size = np.linalg.norm([one, other], axis=1)
+    if abs(size[0] - size[1]) > _ASKEW * size[0] or abs(one @ other) > _ASKEW * size[0] ** 2:
+        return None
+    axis = int(np.argmax(np.abs(along)))
+    off = np.delete(np.abs(along), axis).max() > _ASKEW * abs(along[axis])
+    tilted = np.abs(matrix[axis, :2]).max() > _ASKEW * size[0]
+    return None if off or tilted else axis
+
+
+def _disk_face(shape, number: int) -> list[FlatFace] | None:
+    """A round face across an axis of Mitsuba's ``disk``; ``None`` of any other."""
+    matrix = _matrix(shape)
+    centre, half_u, half_v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]
+    across = np.column_stack([half_u, half_v, cross(half_u, half_v), centre])
+    axis = _round_axis(np.vstack([across, (0.0, 0.0, 0.0, 1.0)]))
+    if axis is None:
+        return None
+    if shape.has_flipped_normals():
+        half_u, half_v = half_v, half_u
+    place = np.delete(centre, axis)
+    circle = Circle((float(place[0]), float(place[1])), float(np.linalg.norm(half_u)), axis=axis)
+    # the square around it with its edges along axes, as light is tested soonest
+    u, v = (np.eye(3)[i] * circle.radius_mm for i in circle.across)
+    if cross(u, v) @ cross(half_u, half_v) < 0.0:
+        u, v = v, u
+    face = _face(centre - u - v, 2.0 * u, 2.0 * v, False, number)
+    return [replace(face, circle=circle)]
+
+
+def _wall(shape) -> RoundWall | None:
+    """The round wall that a shape is: one of ours, or Mitsuba's ``cylinder`` along an axis."""
+    known = getattr(shape, "wall", None)
+    if known is not None or shape.shape_type() != int(mi.ShapeType.Cylinder):
+        return known
+    matrix = _matrix(shape)
+    axis = _round_axis(matrix)
+    if axis is None:
+        return None
+    ends = sorted((float(matrix[axis, 3]), float(matrix[axis, 3] + matrix[axis, 2])))
+    place = np.delete(matrix[:3, 3], axis)
+    radius = float(np.linalg.norm(matrix[:3, 0]))
+    circle = Circle((float(place[0]), float(place[1])), radius, axis=axis)
+    return RoundWall(circle, *ends, -1, outwards=not shape.has_flipped_normals())
+
+
+def _box_of(shape) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest coordinates of a shape: float64, shape (3,), mm."""
+    box = shape.bbox()
+    return np.array(box.min, dtype=np.float64), np.array(box.max, dtype=np.float64)
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

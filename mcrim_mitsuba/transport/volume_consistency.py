@@ -107,18 +107,16 @@ def _through_flat_faces(model, origin, direction) -> Crossings:
     rim = RIM * model.size_mm
     for number, (wall, sign) in enumerate(itertools.product(model.walls, (-1.0, 1.0))):
         column, circle = len(model.faces) + number, wall.circle
-        away, along = origin[:, :2] - (circle.x_mm, circle.y_mm), direction[:, :2]
+        away, along = origin[:, circle.across] - circle.centre_mm, direction[:, circle.across]
         a, b = (along**2).sum(axis=1), (away * along).sum(axis=1)
         c = (away**2).sum(axis=1) - circle.radius_mm**2
         with np.errstate(divide="ignore", invalid="ignore"):
             t = (-b + sign * np.sqrt(b * b - a * c)) / a
-            height = origin[:, 2] + t * direction[:, 2]
+            margin = wall.margin(origin + t[:, None] * direction)
             nearest = np.sqrt(np.maximum(c + circle.radius_mm**2 - b * b / a, 0.0))
-        margin = np.minimum(height - wall.low_mm, wall.high_mm - height)
         ambiguous |= (np.abs(margin) <= rim) | (np.abs(nearest - circle.radius_mm) <= rim)
         distance[:, column] = np.where((margin > 0) & (t > 0), t, np.inf)
-        # its interior is around it
-        behind[:, column] = sign < 0
+        behind[:, column] = (sign > 0) == wall.outwards
     origin, direction = origin[~ambiguous], direction[~ambiguous]
     distance, behind = distance[~ambiguous], behind[~ambiguous]
     order = np.argsort(distance, axis=1, kind="stable")

@@ -26,14 +26,14 @@ class Polygons(mi.Mesh):
     ----------
     empty : bool
         Whether there are no polygons.
-    round_face : tuple or None
-        Corner, two edges (float64, shape (3,), mm) and a `Circle`: the face that the polygons are
-        drawn for, where it is round or has a round hole.
+    round_faces : tuple of tuple
+        Corner, two edges (float64, shape (3,), mm) and a `Circle` or None: the faces that the
+        polygons are drawn for, where one is round or has a round hole.
     wall : RoundWall or None
         The wall that they are drawn for.
     """
 
-    round_face: tuple | None = None
+    round_faces: tuple[tuple, ...] = ()
     wall: RoundWall | None = None
 
     def __init__(self, props: mi.Properties) -> None:
@@ -95,6 +95,14 @@ def _ring(radius: float) -> np.ndarray:
     angles = step * np.arange(_AROUND)
     corners = np.column_stack([np.cos(angles), np.sin(angles)])
     return radius * np.sqrt(step / np.sin(step)) * corners
+
+
+def _square_around(ring: np.ndarray, half: float) -> list[np.ndarray]:
+    """What a square of this half width has around a ring of corners, shape (n, 3), in its plane."""
+    # out to the edges in the same directions, those of the corners among them
+    rim = half * ring / np.abs(ring).max(axis=1)[:, None]
+    following = np.roll(np.arange(len(ring)), -1)
+    return [np.array([ring[i], rim[i], rim[j], ring[j]]) for i, j in enumerate(following.tolist())]
 
 
 def _disc_radius(props, width: float) -> float:
@@ -198,18 +206,13 @@ class PanelShape(Polygons):
         middle, half = to_world[:3, 3], to_world[:3, :2].T
         if inside:
             half = half * (2.0 * radius / width)
-        circle = Circle(float(middle[0]), float(middle[1]), radius, inside)
-        self.round_face = (middle - half[0] - half[1], 2.0 * half[0], 2.0 * half[1], circle)
+        circle = Circle((float(middle[0]), float(middle[1])), radius, inside)
+        self.round_faces = (
+            (middle - half[0] - half[1], 2.0 * half[0], 2.0 * half[1], circle),
+        )  # fmt: skip
         ring = _ring(2.0 * radius / width)
         ring = np.column_stack([ring, np.zeros(len(ring))])
-        if inside:
-            return [ring]
-        # out to the edges in the same directions, those of the corners among them
-        rim = ring / np.abs(ring).max(axis=1)[:, None]
-        following = np.roll(np.arange(len(ring)), -1)
-        return [
-            np.array([ring[i], rim[i], rim[j], ring[j]]) for i, j in enumerate(following.tolist())
-        ]
+        return [ring] if inside else _square_around(ring, 1.0)
 
 
 def _level_fraction(props, to_world: np.ndarray) -> tuple[int, float, bool]:
@@ -329,7 +332,7 @@ class RoundWallShape(Polygons):
             )
         if not is_there(0.0, radius, float(props["width"])):
             return []
-        self.wall = RoundWall(Circle(0.0, 0.0, radius), -thickness, 0.0, -1)
+        self.wall = RoundWall(Circle((0.0, 0.0), radius), -thickness, 0.0, -1)
         ring = _ring(radius)
         return [
             np.array([(*other, -thickness), (*one, -thickness), (*one, 0.0), (*other, 0.0)])
