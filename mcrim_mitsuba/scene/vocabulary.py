@@ -48,7 +48,8 @@ PLUGIN_TYPES = {
     "phase": ("hg", "isotropic", "rayleigh"),
     "sensor": ("light_meter",),
     "shape": (
-        "beam_detector", "chamfers", "frame", "gap_sides", "panel", "round_wall", "wrapping",
+        "beam_detector", "chamfers", "frame", "gap_sides", "lying_fillet", "lying_mantle", "panel",
+        "polygon", "prism_sides", "round_wall", "wrapping",
         "cube", "cylinder", "disk", "obj", "ply", "rectangle", "sphere",
     ),
 }  # fmt: skip

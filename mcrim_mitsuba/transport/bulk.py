@@ -143,9 +143,10 @@ class CrystalVolume:
     """The volume inside the shapes that border a medium.
 
     A parallelepiped of flat faces is sampled directly (where births fall with depth, one with two
-    horizontal edges); any other closed solid by rejection from its bounding box. A point is
-    inside a convex solid of flat faces when it is on the inner side of all their planes, and
-    inside another solid when the first face that it sees has the medium on the near side.
+    horizontal edges), and so is a cylinder (where births fall, along its axis); any other closed
+    solid by rejection from its bounding box. A point is inside a convex solid when it is on the
+    inner side of all its planes and of its round wall, and inside another solid when the first face
+    that it sees has the medium on the near side.
 
     Parameters
     ----------
@@ -196,6 +197,16 @@ class CrystalVolume:
             self._solid = next((s for s in convex_solids(model) if s.volume == volume), None)
         if self.frame is not None:
             self._corner, *self._edges = map(opaque_vector, self.frame)
+        #: The circle around a cylinder, if its births are sampled directly.
+        self.circle = None if self._solid is None else self._solid.circle
+        if self.circle is not None and self._steepness and self.circle.axis != self._axis:
+            self.circle = None
+        if self.circle is not None:
+            middle = (self.lower + self.upper) / 2.0
+            middle[self.circle.axis] = self.lower[self.circle.axis]
+            self._corner = opaque_vector(middle)
+            self._radius = opaque([self.circle.radius_mm])
+            self._length = opaque([(self.upper - self.lower)[self.circle.axis]])
 
     @property
     def scatters(self) -> bool:
@@ -205,14 +216,29 @@ class CrystalVolume:
     @property
     def direct(self) -> bool:
         """Whether `from_uniforms` can be used."""
-        return self.frame is not None
+        return self.frame is not None or self.circle is not None
 
     def from_uniforms(self, a, b, c):
-        """A birth (Point3f, mm) in a parallelepiped from three uniforms (Float)."""
+        """A birth (Point3f, mm) in a parallelepiped or cylinder from three uniforms (Float)."""
+        if self.circle is not None:
+            return self._in_cylinder(a, b, c)
         u, v, w = self._edges
         if self._steepness and self.frame is not None:
             c = self._share(c, self._from_high == bool(self.frame[3][self._axis] > 0.0))
         return mi.Point3f(self._corner) + u * a + v * b + w * c
+
+    def _in_cylinder(self, a, b, c):
+        """A birth (Point3f, mm) in a cylinder from three uniforms (Float)."""
+        assert self.circle is not None
+        if self._steepness:
+            c = self._share(c, self._from_high)
+        radius = self._radius * dr.sqrt(a)
+        sine, cosine = dr.sincos(dr.two_pi * b)
+        one, other = self.circle.across
+        away = mi.Vector3f(0.0)
+        away[one], away[other] = radius * cosine, radius * sine
+        away[self.circle.axis] = self._length * c
+        return mi.Point3f(self._corner) + away
 
     def _share(self, uniform, from_high: bool):
         """Where a birth lies along the volume, from 0 to 1, from a uniform."""

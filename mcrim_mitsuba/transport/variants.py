@@ -56,7 +56,7 @@ def _reason(complaint: str, version: tuple[int, int]) -> str:
 
 #: Variants whose transport is tested here; `cuda_ad_rgb` needs an NVIDIA GPU.
 SUPPORTED_VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_mono_polarized", "cuda_ad_rgb")
-PLUGIN_MODULES = ("shapes", "bsdfs", "light")
+PLUGIN_MODULES = ("shapes", "forms", "bsdfs", "light")
 
 #: So far: whether Mitsuba tells of switches, the threads, the variant that plugins belong to.
 _state: dict[str, Any] = {"callback": False, "threads": None, "plugins": None}

@@ -1,4 +1,4 @@
-"""Shape plugins, each a few flat polygons: panel, frame, gap_sides, chamfers, wrapping."""
+"""Shape plugins of a bench around a box: panel, frame, gap_sides, chamfers, wrapping; see `forms`."""
 
 from __future__ import annotations
 
@@ -230,6 +230,29 @@ def _level_fraction(props, to_world: np.ndarray) -> tuple[int, float, bool]:
     return axis, part if upwards else 1.0 - part, upwards
 
 
+def regular_polygon(sides: int, width: float) -> np.ndarray:
+    """Corners, shape (sides, 3), against the clock, of a regular polygon in the plane z = 0.
+
+    `width` is that across flats, twice the distance of a side from the middle; one side is across
+    the x axis.
+    """
+    angles = 2.0 * np.pi / sides * (np.arange(sides) - 0.5)
+    radius = width / 2.0 / np.cos(np.pi / sides)
+    return radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(sides)])
+
+
+def sides_of(props: mi.Properties) -> int:
+    """The number of sides that a shape's ``sides`` is; 4 where it has none."""
+    sides = int(props.get("sides", 4))
+    if not 3 <= sides <= MOST_SIDES:
+        raise ValueError(f"sides is {sides}; give 3 to {MOST_SIDES}, or a cylinder")
+    return sides
+
+
+#: Of a polygon: one of more is better a circle.
+MOST_SIDES = 12
+
+
 class Frame(Polygons):
     """Square frame in the plane z = 0 of its own coordinates, normal along +z.
 
@@ -240,6 +263,12 @@ class Frame(Polygons):
         Outer edge length in the scene's millimetres.
     ``inner_width`` or ``rim`` : float
         Edge length of the hole, or width of the frame itself; a rim of 0 is no frame at all.
+    ``inner_depth`` : float, default ``inner_width``
+        Of the hole along y, where it is not square.
+    ``inner_diameter`` : float
+        In place of ``inner_width``: the hole is round.
+    ``sides`` : integer, default 4
+        The hole is a regular polygon, ``inner_width`` being that across flats.
     ``cut`` : float f, default 0
         What lies at x < -W/2 + f W is left out, W being the outer width.
     ``index`` : float, optional
@@ -248,8 +277,8 @@ class Frame(Polygons):
 
     def polygons(self, props, to_world):
         outer, cut = float(props["outer_width"]), cut_fraction(props)
-        if ("inner_width" in props) == ("rim" in props):
-            raise ValueError("a frame has either an inner_width or a rim")
+        if sum(name in props for name in ("inner_width", "inner_diameter", "rim")) != 1:
+            raise ValueError("a frame has either an inner_width, an inner_diameter or a rim")
         if "rim" in props:
             rim = float(props["rim"])
             if not 0.0 <= rim < outer / 2:
@@ -259,18 +288,61 @@ class Frame(Polygons):
                 )
             inner = outer - 2 * rim
         else:
-            inner = float(props["inner_width"])
+            name = "inner_width" if "inner_width" in props else "inner_diameter"
+            inner = float(props[name])
             if not outer > inner > 0.0:
                 raise ValueError(
-                    f"a frame's outer_width ({outer:g}) must exceed its inner_width ({inner:g})"
+                    f"a frame's outer_width ({outer:g}) must exceed its {name} ({inner:g})"
                 )
+        deep, sides = float(props.get("inner_depth", inner)), sides_of(props)
+        if not outer > deep > 0.0:
+            raise ValueError(
+                f"a frame's outer_width ({outer:g}) must exceed its inner_depth ({deep:g})"
+            )
+        if "inner_diameter" in props or sides != 4:
+            if cut or "inner_depth" in props:
+                raise ValueError("a frame with a cut or an inner_depth has a hole of four sides")
+            return self._around(props, to_world, outer / 2, inner, sides)
         # Four rectangles around the hole, each a quarter turn from the last: rectangles
         # are what the transport tests fastest.
-        o, i = outer / 2, inner / 2
-        sides = [((-o, i), (i, o)), ((-o, -i), (-o, i)), ((-i, o), (-o, -i)), ((i, o), (-i, o))]
+        o, i, k = outer / 2, inner / 2, deep / 2
+        walls = [((-o, i), (k, o)), ((-o, -i), (-o, k)), ((-i, o), (-o, -k)), ((i, o), (-k, o))]
         start = cut * outer - o
-        sides = [((max(x[0], start), x[1]), y) for x, y in sides]
-        return [rectangle(x, y) for x, y in sides if is_there(*x, outer) and is_there(*y, outer)]
+        walls = [((max(x[0], start), x[1]), y) for x, y in walls]
+        return [rectangle(x, y) for x, y in walls if is_there(*x, outer) and is_there(*y, outer)]
+
+    def _around(self, props, to_world, half: float, inner: float, sides: int) -> Sequence:
+        """What is around a round hole, or around one of this number of sides."""
+        if "inner_diameter" not in props:
+            corners = regular_polygon(sides, inner)
+            if np.abs(corners).max() >= half:
+                raise ValueError("a frame's hole reaches beyond its outer_width")
+            return _square_around(_with_diagonals(corners), half)
+        if "sides" in props:
+            raise ValueError("a frame's hole is round, or has sides")
+        if np.abs(to_world[:3, :3] - np.eye(3)).max() > 0.0:
+            raise ValueError("a frame with a round hole lies flat: it can only be moved")
+        middle, edges = to_world[:3, 3], 2.0 * half * np.eye(3)
+        circle = Circle((float(middle[0]), float(middle[1])), inner / 2, inside=False)
+        self.round_faces = ((middle - edges[0] / 2 - edges[1] / 2, edges[0], edges[1], circle),)
+        ring = _ring(inner / 2)
+        return _square_around(np.column_stack([ring, np.zeros(len(ring))]), half)
+
+
+def _with_diagonals(corners: np.ndarray) -> np.ndarray:
+    """Corners around the origin, and where the diagonals of a square meet the edges between."""
+    found = []
+    for one, other in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        found.append(one)
+        for diagonal in ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)):
+            # one + t (other - one) = s diagonal, s > 0
+            edge = np.column_stack([other[:2] - one[:2], -np.array(diagonal)])
+            if abs(np.linalg.det(edge)) < NARROWEST * np.linalg.norm(edge) ** 2:
+                continue
+            t, s = np.linalg.solve(edge, -one[:2])
+            if NARROWEST < t < 1.0 - NARROWEST and s > 0.0:
+                found.append(one + t * (other - one))
+    return np.array(found)
 
 
 class GapSides(Polygons):

@@ -1,0 +1,180 @@
+"""Shape plugins of crystals that are no boxes: polygon, prism_sides, lying_mantle, lying_fillet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mitsuba as mi
+import numpy as np
+
+from mcrim_mitsuba.transport.plugins.shapes import Polygons, regular_polygon, sides_of
+from mcrim_mitsuba.transport.scene_model import Circle, RoundWall
+
+#: Steps around a lying cylinder that is drawn.
+_AROUND = 192
+
+
+class Polygon(Polygons):
+    """A regular polygon in the plane z = 0 of its own coordinates, normal along +z.
+
+    XML: ``<shape type="polygon">`` with
+
+    ``sides`` : integer, default 4
+    ``width`` : float
+        Across flats, in the scene's millimetres; one side is across the x axis. 0 is no polygon.
+    """
+
+    def polygons(self, props, to_world):
+        width, sides = float(props["width"]), sides_of(props)
+        if not width >= 0.0:
+            raise ValueError(f"a polygon's width is {width:g}; give 0 or more")
+        if width == 0.0:
+            return []
+        corners = regular_polygon(sides, width)
+        if sides == 4:
+            return [corners]
+        # rhombi of a hexagon, which are faces each
+        step, middle = 2 - sides % 2, np.zeros((1, 3))
+        around = np.concatenate([corners, corners[:1]])
+        return [
+            np.concatenate([middle, around[i : i + step + 1]]) for i in range(0, sides, step)
+        ]
+
+
+class PrismSides(Polygons):
+    """The sides of an upright prism or of a pyramid, cut or whole, normals outwards.
+
+    Its foot is a regular polygon in the plane z = 0 of its own coordinates. XML:
+    ``<shape type="prism_sides">`` with
+
+    ``sides`` : integer, default 4
+    ``width`` : float
+        Of the foot, across flats, in the scene's millimetres; one side is across the x axis.
+    ``top_width`` : float, default ``width``
+        The same at the top; 0 makes a point.
+    ``height`` : float
+    """
+
+    def polygons(self, props, to_world):
+        width, height, sides = float(props["width"]), float(props["height"]), sides_of(props)
+        top_width = float(props.get("top_width", width))
+        if not min(width, height) > 0.0:
+            raise ValueError("the width and the height of a prism must be positive")
+        if not top_width >= 0.0:
+            raise ValueError(f"a prism's top_width is {top_width:g}; give 0 or more")
+        foot, top = (regular_polygon(sides, each) for each in (width, top_width))
+        top[:, 2] = height
+        found = []
+        for i in range(sides):
+            j = (i + 1) % sides
+            upper = [top[j], top[i]] if top_width else [top[i]]
+            found.append(np.array([foot[i], foot[j], *upper]))
+        return found
+
+
+class _Lying(Polygons):
+    """What is around the lowest line of a cylinder that lies along x on z = 0."""
+
+    def _sizes(self, props: mi.Properties, to_world: np.ndarray) -> tuple[float, float, float]:
+        """Radius, length, and half the width that is wet."""
+        diameter, length = float(props["diameter"]), float(props["length"])
+        wet = float(props["wetted_width"])
+        if np.abs(to_world - np.eye(4)).max() > 0.0:
+            raise ValueError("a lying cylinder lies along x on z = 0: leave to_world out")
+        if not min(diameter, length) > 0.0:
+            raise ValueError("the diameter and the length of a lying cylinder must be positive")
+        if not 0.0 < wet < diameter:
+            raise ValueError(
+                f"a lying cylinder's wetted_width ({wet:g}) must be positive and less than its "
+                f"diameter ({diameter:g})"
+            )
+        return diameter / 2, length, wet / 2
+
+
+def _height(radius: float, y: np.ndarray | float) -> np.ndarray:
+    """Of a lying cylinder's lower half above its lowest line, at a distance from that, mm."""
+    # not the difference of two that are nearly alike
+    return np.square(y) / (radius + np.sqrt(radius**2 - np.square(y)))
+
+
+class LyingMantle(_Lying):
+    """A part of the side of a cylinder that lies along x on z = 0, normals outwards.
+
+    It is drawn as narrow facets; light meets a cylinder. XML: ``<shape type="lying_mantle">`` with
+
+    ``diameter``, ``length`` : float
+        In the scene's millimetres.
+    ``wetted_width`` : float
+        Of the strip along its lowest line, which is what lies at |y| up to half of this.
+    ``keep`` : string
+        ``wet``: the strip; ``dry``: the rest.
+    """
+
+    def polygons(self, props, to_world):
+        radius, length, wet = self._sizes(props, to_world)
+        keep = str(props["keep"])
+        if keep not in ("wet", "dry"):
+            raise ValueError(f"a lying_mantle's keep is {keep!r}; give wet or dry")
+        is_wet, level = keep == "wet", float(_height(radius, wet))
+        circle = Circle((0.0, radius), radius, axis=0)
+        self.wall = RoundWall(
+            circle, -length / 2, length / 2, -1, outwards=True,
+            below_mm=level if is_wet else None, above_mm=None if is_wet else level,
+        )  # fmt: skip
+        edge = float(np.arcsin(wet / radius))
+        # from the lowest line on, against the clock seen from +x
+        start, end = (-edge, edge) if is_wet else (edge, 2.0 * np.pi - edge)
+        angle = np.linspace(start, end, max(2, round(_AROUND * (end - start) / 2.0 / np.pi)) + 1)
+        y, z = radius * np.sin(angle), radius * (1.0 - np.cos(angle))
+        half = length / 2
+        return [
+            np.array([(-half, y[i], z[i]), (half, y[i], z[i]),
+                      (half, y[i + 1], z[i + 1]), (-half, y[i + 1], z[i + 1])])
+            for i in range(len(angle) - 1)
+        ]  # fmt: skip
+
+
+class LyingFillet(_Lying):
+    """The sides of what fills the space below a lying cylinder, down to a plane; normals outwards.
+
+    Two upright walls along it and two ends, which the cylinder bounds above. XML:
+    ``<shape type="lying_fillet">`` with
+
+    ``diameter``, ``length``, ``wetted_width`` : float
+        As of ``lying_mantle``, in the scene's millimetres.
+    ``thickness`` : float
+        Of what is below the cylinder's lowest line.
+    """
+
+    def polygons(self, props, to_world):
+        radius, length, wet = self._sizes(props, to_world)
+        thickness = float(props["thickness"])
+        if not thickness > 0.0:
+            raise ValueError(f"a lying_fillet's thickness is {thickness:g}; it must be positive")
+        half, level = length / 2, float(_height(radius, wet))
+        x, y, z = np.diag([length, 2.0 * wet, thickness + level])
+        low = np.array([-half, -wet, -thickness])
+        circle = Circle((0.0, radius), radius, inside=False, axis=0)
+        self.round_faces = (
+            (low, x, z, None), (low + y, z, x, None),
+            (low, z, y, circle), (low + x, y, z, circle),
+        )  # fmt: skip
+        walls: Sequence = [
+            np.array([low, low + x, low + x + z, low + z]),
+            np.array([low + y, low + y + z, low + y + z + x, low + y + x]),
+        ]
+        across = np.linspace(-wet, wet, 17)
+        under = [(at, float(_height(radius, at))) for at in across]
+        ends = []
+        for (one, up), (other, next_up) in zip(under, under[1:], strict=False):
+            end = np.array([(half, one, -thickness), (half, other, -thickness),
+                            (half, other, next_up), (half, one, up)])  # fmt: skip
+            ends += [end, (end * (-1.0, 1.0, 1.0))[::-1]]
+        return [*walls, *ends]
+
+
+for _shape, _name in {
+    Polygon: "polygon", PrismSides: "prism_sides", LyingMantle: "lying_mantle",
+    LyingFillet: "lying_fillet",
+}.items():  # fmt: skip
+    mi.register_shape(_name, _shape)
