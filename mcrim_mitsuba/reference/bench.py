@@ -27,6 +27,11 @@ NOT_IN_A_BEAM = (
     "angular_falloff", "radial_falloff", "mask_offset_mm", "housing_reflectance",
     "collar_mm", "narrow_collar_mm",
 )  # fmt: skip
+#: What a box has, and a cylinder has not.
+NOT_ON_A_CYLINDER = (
+    "wrap_reflectance", "top_reflectance", "bubble_fraction", "bubble_area_fraction", "chamfer_mm",
+    "collar_mm", "narrow_collar_mm", "black_spot_mm", "beam_diameter_mm",
+)  # fmt: skip
 #: Axes that a beam may fly along.
 BEAM_AXES = ("x", "y", "z")
 
@@ -187,6 +192,14 @@ class Bench:
     beam_diameter_mm: float | None = None
     beam_axis: str = "x"
     acceptance_deg: float = 90.0
+    #: With a diameter, the crystal is a cylinder in place of a box, and ``crystal_width_mm`` is
+    #: without meaning: it stands on z = 0, the gap as round as it is.
+    crystal_diameter_mm: float | None = None
+    #: With a length too, it lies along x, its lowest line on y = z = 0, and ``crystal_height_mm``
+    #: is without meaning. The gap is a box as long as the crystal and this wide, from the window up
+    #: to where it reaches the crystal's side, less the crystal.
+    crystal_length_mm: float | None = None
+    wetted_width_mm: float | None = None
     #: What follows has no place in the catalogue of effects: diagnoses are tried on it.
     #: Where the gap is filled, its liquid stands up to this height around the crystal's four
     #: sides, with an outer wall and a top towards air: a collar `NARROW_COLLAR_WIDTH_MM` wide.
@@ -211,10 +224,15 @@ class Bench:
 
     def _require_compatible(self) -> None:
         """Refuse values that do not fit each other."""
-        width, height, room = self.crystal_width_mm, self.crystal_height_mm, self.window_width_mm
+        height, room = self.height_mm, self.window_width_mm
+        if self.crystal_diameter_mm is None and self.crystal_length_mm is not None:
+            raise InputError("crystal_length_mm is that of a cylinder", "give crystal_diameter_mm")
+        if self.crystal_diameter_mm is not None:
+            self._require_cylinder(self.crystal_diameter_mm)
+        widest, width = max(self._footprint_mm.items(), key=operator.itemgetter(1))
         half, wet = min(width, height) / 2.0, self.narrow_collar_mm
         for name, fits, expected in (
-            ("window_width_mm", room >= width, f"at least crystal_width_mm = {width}"),
+            ("window_width_mm", room >= width, f"at least {widest} = {width}"),
             ("gap_offset_mm", self.gap_thickness_mm > 0.0, f"more than -gap_mm = -{self.gap_mm}"),
             ("gap_index_offset", self.gap_index >= 1.0,
              f"an offset that leaves an index of at least 1 (n_gap = {self.n_gap})"),
@@ -269,6 +287,20 @@ class Bench:
                 "chamfer_mm", "bubble_fraction", "top_reflectance",
             )  # fmt: skip
 
+    def _require_cylinder(self, diameter_mm: float) -> None:
+        """Refuse a lying cylinder that does not fit its gap, and what only a box has."""
+        self._refuse_beside("crystal_diameter_mm", "on a cylinder", *NOT_ON_A_CYLINDER)
+        depths = {"side_depth_mm": self.side_depth_mm}
+        if self.crystal_length_mm is not None:
+            wet = self.wetted_width_mm
+            expected = f"a number below crystal_diameter_mm = {diameter_mm}"
+            _require(wet is not None and wet < diameter_mm, "wetted_width_mm", wet, expected)
+            depths["source_depth_mm"] = self.source_depth_mm
+        for name, depth in depths.items():
+            if depth < math.inf:
+                problem = f"the NumPy tracer has no {name} on such a cylinder"
+                raise InputError(problem, f"leave {name} out")
+
     def _require_beam(self) -> None:
         """Refuse a beam that misses the crystal, and what is nothing to a crystal alone in air."""
         narrowest, beam = min(self._sizes_across_beam), self.beam_diameter_mm
@@ -283,6 +315,36 @@ class Bench:
             if getattr(self, name):
                 problem = f"the NumPy tracer has no {name} {where}"
                 raise InputError(problem, f"leave {name} or {there} out")
+
+    @property
+    def lies(self) -> bool:
+        """Whether the crystal is a cylinder that lies."""
+        return self.crystal_length_mm is not None
+
+    @property
+    def height_mm(self) -> float:
+        """Of the crystal, from z = 0 up."""
+        if self.crystal_diameter_mm is not None and self.lies:
+            return self.crystal_diameter_mm
+        return self.crystal_height_mm
+
+    @property
+    def _footprint_mm(self) -> dict[str, float]:
+        """Sizes of what must have room on the window."""
+        if self.crystal_diameter_mm is None:
+            return {"crystal_width_mm": self.crystal_width_mm}
+        if self.crystal_length_mm is None or self.wetted_width_mm is None:
+            return {"crystal_diameter_mm": self.crystal_diameter_mm}
+        return {
+            "crystal_length_mm": self.crystal_length_mm, "wetted_width_mm": self.wetted_width_mm
+        }  # fmt: skip
+
+    @property
+    def wetted_height_mm(self) -> float:
+        """Height at which the gap's side walls reach a lying cylinder."""
+        assert self.crystal_diameter_mm is not None and self.wetted_width_mm is not None
+        radius, half = self.crystal_diameter_mm / 2.0, self.wetted_width_mm / 2.0
+        return half**2 / (radius + math.sqrt(radius**2 - half**2))
 
     @property
     def _sizes_across_beam(self) -> list[float]:

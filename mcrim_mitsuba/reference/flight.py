@@ -104,7 +104,7 @@ def birth_positions(
     Points of the whole box that are outside of the body `crystal` are drawn again.
     """
     position = _in_box(bench, rng, count)
-    if not bench.chamfer_mm:
+    if not bench.chamfer_mm and bench.crystal_diameter_mm is None:
         return position
     outside = np.flatnonzero(~crystal.contains(position))
     while outside.size:
@@ -114,11 +114,12 @@ def birth_positions(
 
 
 def _in_box(bench: Bench, rng: np.random.Generator, count: int) -> Floats:
-    width, height = bench.crystal_width_mm, bench.crystal_height_mm
+    width, height = bench.crystal_diameter_mm or bench.crystal_width_mm, bench.height_mm
     position = rng.random((3, count))
     if bench.side_depth_mm < math.inf:
         position[0] = _depths(position[0], bench.side_depth_mm, width) / width
-    position[:2] = (position[:2] - 0.5) * width
+    position[0] = (position[0] - 0.5) * (bench.crystal_length_mm or width)
+    position[1] = (position[1] - 0.5) * width
     if math.isinf(bench.source_depth_mm):
         position[2] *= height
     else:

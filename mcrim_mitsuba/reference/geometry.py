@@ -36,7 +36,7 @@ _PARALLEL = 1e-300
 
 # faces of `Box`, in the order of its half-spaces
 BOTTOM, TOP = 4, 5
-#: Of `Cylinder`, beside these.
+#: Of an upright `Cylinder`, beside these.
 WALL = 0
 # the face towards lower x, y and z; the opposite one has the next number
 _FIRST_FACES = np.array([[0], [2], [4]])
@@ -215,67 +215,118 @@ def chamfered_box(half_width: float, height: float, leg: float) -> HalfSpaceBody
 
 
 class Cylinder(HalfSpaceBody):
-    """An upright cylinder about the z axis, which answers for itself.
+    """A cylinder along one of the axes, which answers for itself.
 
-    Its faces are `WALL`, `BOTTOM` and `TOP`.
+    Its ends are the faces of `Box` on that axis, `BOTTOM` and `TOP` of one along z, and its round
+    side is the face `wall`: `WALL` of one along z.
     """
 
-    def __init__(self, radius: float, z_low: float, z_high: float) -> None:
+    def __init__(
+        self, radius: float, low: float, high: float,
+        axis: int = 2, centre: tuple[float, float] = (0.0, 0.0),
+    ) -> None:  # fmt: skip
+        """Make it between two levels on the axis 0, 1 or 2; `centre` is its place on the others."""
         # it has no planes, but ends
         super().__init__(np.zeros((TOP + 1, 3)), np.zeros(TOP + 1))
-        self._radius, self._levels = radius, np.array([z_low, z_high])
+        self._radius, self._levels = radius, np.array([low, high])
+        self._axis, self._across = axis, [other for other in range(3) if other != axis]
+        self._centre = np.array(centre)[:, None]
+        #: Number of the round side.
+        self.wall = 2 * self._across[0]
+        self._low_end = 2 * axis
 
     def exit(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
         """As `HalfSpaceBody.exit`."""
-        a, b, c = self._quadratic(position, direction)
-        ahead = np.where(direction[2] > 0.0, *self._levels[::-1, None])
+        _, to_wall, _ = self._wall_crossings(position, direction)
+        speed = direction[self._axis]
+        ahead = np.where(speed > 0.0, *self._levels[::-1, None])
         with np.errstate(divide="ignore", invalid="ignore"):
-            root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-            # of the two forms of the larger root that which does not cancel
-            to_wall = np.where(b > 0.0, -c / (b + root), (root - b) / a)
-            to_end = (ahead - position[2]) / direction[2]
-        to_wall[np.isnan(to_wall)], to_end[np.isnan(to_end)] = np.inf, np.inf
+            to_end = (ahead - position[self._axis]) / speed
+        to_end[np.isnan(to_end)] = np.inf
         distance = np.maximum(np.minimum(to_wall, to_end), 0.0)
-        face = np.where(to_wall < to_end, WALL, np.where(direction[2] > 0.0, TOP, BOTTOM))
+        face = np.where(to_wall < to_end, self.wall, self._low_end + (speed > 0.0))
         return distance, face, ~self._holds(position, TOLERANCE_MM)
 
     def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
-        """As `HalfSpaceBody.entry`, for what comes through the wall."""
-        a, b, c = self._quadratic(position, direction)
-        root2 = b * b - a * c
+        """As `HalfSpaceBody.entry`."""
+        wall_in, wall_out, misses = self._wall_crossings(position, direction)
+        along, speed = position[self._axis], direction[self._axis]
         with np.errstate(divide="ignore", invalid="ignore"):
-            distance = c / (np.sqrt(np.maximum(root2, 0.0)) - b)
-            height = position[2] + distance * direction[2]
-        met = (root2 > 0.0) & (b < 0.0) & (distance > -TOLERANCE_MM)
-        met &= (height >= self._levels[0]) & (height <= self._levels[1])
-        distance = np.where(met, np.maximum(distance, 0.0), np.inf)
-        face = np.full(distance.size, WALL, dtype=np.intp)
+            times = (self._levels[:, None] - along) / speed
+        end_in, end_out = times.min(axis=0), times.max(axis=0)
+        # a flight in the plane of an end is between the ends, or on the rim
+        end_in[np.isnan(end_in)], end_out[np.isnan(end_out)] = -np.inf, np.inf
+        enters, leaves = np.maximum(wall_in, end_in), np.minimum(wall_out, end_out)
+        # flights along an end plane, on the far side of it
+        outside = (speed == 0.0) & ((along < self._levels[0]) | (along > self._levels[1]))
+        met = ~misses & ~outside & (np.maximum(enters, 0.0) < leaves) & (enters > -TOLERANCE_MM)
+        distance = np.where(met, np.maximum(enters, 0.0), np.inf)
+        face = np.where(wall_in >= end_in, self.wall, self._low_end + (speed < 0.0))
         return distance, face, self._holds(position, -TOLERANCE_MM)
 
     def snap(self, position: Floats, face: Indices) -> tuple[Floats, Floats]:
         """As `HalfSpaceBody.snap`."""
         snapped, normal = position.copy(), np.zeros_like(position)
-        wall, end = face == WALL, face != WALL
-        normal[:2, wall] = position[:2, wall] / np.hypot(*position[:2, wall])
-        normal[2, end] = np.where(face[end] == TOP, 1.0, -1.0)
-        snapped[:2, wall] = self._radius * normal[:2, wall]
-        snapped[2, end] = self._levels[face[end] - BOTTOM]
+        wall, end = np.flatnonzero(face == self.wall), np.flatnonzero(face != self.wall)
+        away = position[np.ix_(self._across, wall)] - self._centre
+        away /= np.hypot(*away)
+        normal[np.ix_(self._across, wall)] = away
+        snapped[np.ix_(self._across, wall)] = self._centre + self._radius * away
+        side = face[end] - self._low_end
+        normal[self._axis, end] = np.where(side == 1, 1.0, -1.0)
+        snapped[self._axis, end] = self._levels[side]
         return snapped, normal
 
     def contains(self, position: Floats) -> Flags:
         """As `HalfSpaceBody.contains`."""
         return self._holds(position, 0.0)
 
-    def _quadratic(self, position: Floats, direction: Floats) -> tuple[Floats, Floats, Floats]:
-        """a, b and c of a t^2 + 2 b t + c = 0, where a ray meets the mantle."""
-        (x, y), (u, v) = position[:2], direction[:2]
-        return u * u + v * v, x * u + y * v, x * x + y * y - self._radius**2
+    def _wall_crossings(
+        self, position: Floats, direction: Floats
+    ) -> tuple[Floats, Floats, Flags]:
+        """Where rays enter and leave the endless mantle, mm; and whether they never do.
+
+        The roots of a t^2 + 2 b t + c = 0, of two forms of each that which does not cancel.
+        """
+        (x, y), (u, v) = position[self._across] - self._centre, direction[self._across]
+        a, b, c = u * u + v * v, x * u + y * v, x * x + y * y - self._radius**2
+        root2 = b * b - a * c
+        with np.errstate(divide="ignore", invalid="ignore"):
+            root = np.sqrt(np.maximum(root2, 0.0))
+            enters = np.where(b > 0.0, -(b + root) / a, c / (root - b))
+            leaves = np.where(b > 0.0, -c / (b + root), (root - b) / a)
+        enters[np.isnan(enters)], leaves[np.isnan(leaves)] = -np.inf, np.inf
+        return enters, leaves, (c > 0.0) & ((root2 <= 0.0) | (b >= 0.0))
 
     def _holds(self, position: Floats, margin: float) -> Flags:
         """True where a point is inside by more than -``margin``."""
-        low, high = self._levels
-        inside = (position[2] >= low - margin) & (position[2] <= high + margin)
-        return inside & (np.hypot(position[0], position[1]) <= self._radius + margin)
+        (low, high), along = self._levels, position[self._axis]
+        inside = (along >= low - margin) & (along <= high + margin)
+        away = position[self._across] - self._centre
+        return inside & (np.hypot(*away) <= self._radius + margin)
+
+
+class BelowCylinder(Box):
+    """The part of a box that lies below a lying cylinder whose ends are in the box's.
+
+    Light inside meets the cylinder by `Cylinder.entry`; light from outside enters by the sides, and
+    by the ends where the cylinder is not.
+    """
+
+    def __init__(
+        self, low: tuple[float, float, float], high: tuple[float, float, float], crystal: Cylinder
+    ) -> None:
+        super().__init__(low, high)
+        self._crystal = crystal
+
+    def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
+        """As `HalfSpaceBody.entry`."""
+        distance, face, strayed = super().entry(position, direction)
+        far = np.isinf(distance)
+        arrival = position + np.where(far, 0.0, distance) * direction
+        arrival[0] = 0.0
+        distance[self._crystal.contains(arrival)] = np.inf
+        return distance, face, strayed & ~self._crystal.contains(position)
 
 
 def dot(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
@@ -422,13 +473,29 @@ class Layout:
     """The bench, or the crystal in a beam, as convex bodies with media and neighbours."""
 
     def __init__(self, bench: Bench) -> None:
-        half, height = bench.crystal_width_mm / 2.0, bench.crystal_height_mm
+        half, height = bench.crystal_width_mm / 2.0, bench.height_mm
         entrance = -bench.gap_thickness_mm
         chamfer, collar = bench.chamfer_mm, bench.narrow_collar_height_mm
+        crystal: HalfSpaceBody
         crystal = chamfered_box(half, height, chamfer) if chamfer else box(half, 0.0, height)
-        gap = box(half + NARROW_COLLAR_WIDTH_MM, entrance, collar)
+        gap: HalfSpaceBody = box(half + NARROW_COLLAR_WIDTH_MM, entrance, collar)
         if not collar:
             gap = Box((bench.gap_left_mm, -half, entrance), (half, half, 0.0))
+        #: Radius of the round foot of a cylinder that stands; half the length and half the width of
+        #: the strip on which one that lies is wet, and how high it reaches.
+        self._foot_mm = self._strip_mm = None
+        if bench.crystal_diameter_mm is not None:
+            radius = bench.crystal_diameter_mm / 2.0
+            if bench.crystal_length_mm is None or bench.wetted_width_mm is None:
+                self._foot_mm = radius
+                crystal, gap = Cylinder(radius, 0.0, height), Cylinder(radius, entrance, 0.0)
+            else:
+                along, across = bench.crystal_length_mm / 2.0, bench.wetted_width_mm / 2.0
+                up = bench.wetted_height_mm
+                self._strip_mm = along, across, up
+                crystal = Cylinder(radius, -along, along, 0, (0.0, radius))
+                low, high = (-along, -across, entrance), (along, across, up)
+                gap = BelowCylinder(low, high, crystal)
         half_window, back = bench.window_width_mm / 2.0, entrance - bench.window_thickness_mm
         window = box(half_window, back, entrance)
         in_beam = bench.beam_diameter_mm is not None
@@ -447,7 +514,7 @@ class Layout:
             self.bodies[Place.FILM] = box(half + film, 0.0, height + film)
             self.seen_from[Place.OUTSIDE] = (Place.FILM, Place.GAP, Place.WINDOW)
             self.seen_from[Place.FILM] = (Place.CRYSTAL,)
-        if collar:
+        if collar or bench.lies:
             self.seen_from[Place.GAP] = (Place.CRYSTAL,)
         self._bubble_mm = bench.bubble_radius_mm
         if self._bubble_mm:
@@ -527,11 +594,12 @@ class Layout:
                 place[(face < BOTTOM) & (position[2] < self._wet_mm)] = Place.LIQUID
             if self._bubble_mm:
                 place[under_bubble] = Place.BUBBLE
+            if self._strip_mm is not None:
+                place[(face >= 2) & (position[2] < self._strip_mm[2])] = Place.GAP
             self._end_on_spot(place, face, position)
             return place
         if body == Place.WINDOW:
-            under_gap = np.maximum(position[0], np.abs(position[1])) <= self._half_gap
-            under_gap &= position[0] >= self._gap_left
+            under_gap = self._under_gap(position)
             place[(face == TOP) & under_gap] = Place.GAP
             if self._bubble_mm:
                 place[under_bubble] = Place.BUBBLE
@@ -540,6 +608,16 @@ class Layout:
             place[(face == TOP) & on_rim] = Place.OUTSIDE
         self._end_on_mask(place, body, face, position)
         return place
+
+    def _under_gap(self, position: Floats) -> Flags:
+        """True where points of the window's entrance face border the gap: (n,) bool."""
+        if self._foot_mm is not None:
+            return np.hypot(position[0], position[1]) <= self._foot_mm
+        if self._strip_mm is not None:
+            along, across, _ = self._strip_mm
+            return (np.abs(position[0]) <= along) & (np.abs(position[1]) <= across)
+        under = np.maximum(position[0], np.abs(position[1])) <= self._half_gap
+        return under & (position[0] >= self._gap_left)
 
     def within(self, body: Place, face: Indices, position: Floats) -> Codes:
         """What light from the air finds on a body's face: the body itself, or an end.

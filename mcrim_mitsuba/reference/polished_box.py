@@ -596,6 +596,9 @@ def refuse_other_boxes(bench: Bench) -> None:
     InputError
         Names the parameter and the mend.
     """
+    if bench.crystal_diameter_mm is not None:
+        problem = "the solver without photons knows boxes only, and this crystal is a cylinder"
+        raise InputError(problem, "simulate photons")
     mend = "leave it out, or simulate photons"
     # modes that are odd in x would be needed for a source at a side
     for name in (*_ABSENT, *(["side_depth_mm"] if bench.side_depth_mm < math.inf else [])):

@@ -22,6 +22,14 @@ if TYPE_CHECKING:
 _SWITCHES = ("rayleigh_scattering", "aperture_at_detector")
 
 
+#: Scenes that are known besides the plain bench, by a parameter that they alone have.
+_BY_PARAMETER = {
+    "wrap_reflectance": "camoo4_wrapped.xml",
+    "crystal_length_mm": "camoo4_cylinder_lying.xml",
+    "crystal_diameter_mm": "camoo4_cylinder.xml",
+}
+
+
 def bench_of(simulation: Simulation) -> Bench:
     """The bench that a loaded scene is.
 
@@ -49,7 +57,7 @@ def _refuse_other_benches(simulation: Simulation, effects: list[str]) -> None:
     from mcrim_mitsuba.transport.simulation import Simulation
 
     parameters = simulation.file.parameters
-    name = "camoo4_wrapped.xml" if "wrap_reflectance" in parameters else "camoo4.xml"
+    name = next((one for known, one in _BY_PARAMETER.items() if known in parameters), "camoo4.xml")
     known = read_scene(scene_path(name))
     for effect in effects:
         known = known.edited(add(effect, known))
@@ -112,13 +120,25 @@ def _described(model: SceneModel) -> dict[str, list[tuple]]:
     from mcrim_mitsuba.transport.scene_model import DETECTOR
 
     found: dict[str, list[tuple]] = {}
-    for face in model.flat_faces:
-        surface = model.surfaces[face.surface]
+    faces = [
+        (face.surface, [
+            *face.corner, *face.edge_u, *face.edge_v,
+            0.0 if face.circle is None else face.circle.radius_mm,
+        ])
+        for face in model.flat_faces
+    ]  # fmt: skip
+    faces += [
+        (wall.surface, [
+            *np.concatenate(wall.bounds()), wall.circle.radius_mm, wall.circle.axis, wall.outwards,
+        ])
+        for wall in model.walls
+    ]  # fmt: skip
+    for number, place in faces:
+        surface = model.surfaces[number]
         sides = [model.volumes[i] for i in (surface.interior, surface.exterior)]
         words = (surface.kind, surface.two_sided, *(v.phase for v in sides))
         numbers = [
-            *face.corner, *face.edge_u, *face.edge_v,
-            0.0 if face.circle is None else face.circle.radius_mm, surface.eta, surface.reflectance,
+            *place, surface.eta, surface.reflectance,
             min(surface.aperture_radius_mm, 1e6), *surface.axis_mm,
             surface.roughness, surface.surface_loss, surface.haze,
             surface.acceptance_deg,
