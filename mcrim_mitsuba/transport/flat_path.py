@@ -113,6 +113,8 @@ class FlatPath:
     name = "flat faces in registers"
 
     def __init__(self, model: SceneModel, polarization: bool) -> None:
+        if any(wall.outwards for wall in model.walls):
+            self.name = "flat and round faces in registers"
         self.model = model
         self.polarization = polarization
         faces = model.flat_faces
