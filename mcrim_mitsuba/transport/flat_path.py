@@ -230,8 +230,9 @@ class FlatPath:
             if wall not in self._walls_alone:
                 continue
             within, around = self.model.within(wall), self.model.around(wall)
-            leaves, enters, _ = disc.crossings(ray)
-            t = dr.select(here[within], leaves, enters)
+            leaves, enters, root2 = disc.crossings(ray)
+            # what lies within may be the outside, whose light need not come near
+            t = dr.select(root2 > 0.0, dr.select(here[within], leaves, enters), -dr.inf)
             index = mi.UInt32(len(self.model.flat_faces) + number)
             # light around it that is on it flies away from it
             hit = here[within] | (here[around] & (last_face != index))
