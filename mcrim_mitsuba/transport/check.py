@@ -195,6 +195,7 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
 
     `transport` is the name of the path that `simulate` will take.
     """
+    from mcrim_mitsuba.transport.form import form_of
     from mcrim_mitsuba.transport.scene_model import DETECTOR
 
     model, crystal = simulation.model, simulation.crystal
@@ -202,8 +203,8 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
     indices = volume_indices(interfaces)
     for number, volume in enumerate(model.volumes[1:], start=1):
         lower, upper = model.bounds(number)
-        size = " x ".join(f"{v:.4g}" for v in upper - lower)
-        text = f"{volume.name}: {size} mm, z from {_tidy(lower[2])} to {_tidy(upper[2])} mm"
+        form = form_of(model, number)
+        text = f"{volume.name}: {form}, z from {_tidy(lower[2])} to {_tidy(upper[2])} mm"
         if volume.name in indices:
             text += f", index {indices[volume.name]:g}"
         if volume.alpha_scat_per_mm or volume.alpha_abs_per_mm:

@@ -184,6 +184,11 @@ class RoundWall:
             high[2] = self.below_mm
         if self.above_mm is not None:
             low[2] = self.above_mm
+        if circle.axis != 2:
+            # a strip that does not reach as far up, or down, as the axis is narrower
+            away = max(low[2] - centre[1], centre[1] - high[2], 0.0)
+            half = math.sqrt(max(circle.radius_mm**2 - away**2, 0.0))
+            low[across[0]], high[across[0]] = centre[0] - half, centre[0] + half
         return low, high
 
     def margin(self, points: np.ndarray) -> np.ndarray:

@@ -333,7 +333,7 @@ def _with_diagonals(corners: np.ndarray) -> np.ndarray:
     """Corners around the origin, and where the diagonals of a square meet the edges between."""
     found = []
     for one, other in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        found.append(one)
+        met = [0.0]
         for diagonal in ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)):
             # one + t (other - one) = s diagonal, s > 0
             edge = np.column_stack([other[:2] - one[:2], -np.array(diagonal)])
@@ -341,7 +341,8 @@ def _with_diagonals(corners: np.ndarray) -> np.ndarray:
                 continue
             t, s = np.linalg.solve(edge, -one[:2])
             if NARROWEST < t < 1.0 - NARROWEST and s > 0.0:
-                found.append(one + t * (other - one))
+                met.append(float(t))
+        found += [one + t * (other - one) for t in sorted(met)]
     return np.array(found)
 
 

@@ -1,0 +1,97 @@
+"""What form a volume has, in words: a box, a cylinder, a prism, a pyramid; of others the size."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from mcrim_mitsuba.transport.convex import Solid, convex_solids
+from mcrim_mitsuba.transport.scene_model import SceneModel
+
+#: Names of regular prisms and pyramids by the number of their sides.
+_BY_SIDES = {3: "triangular", 4: "square", 5: "pentagonal", 6: "hexagonal", 8: "octagonal"}
+#: What is alike to this part of the size is the same: positions are of single precision.
+_ALIKE = 1e-5
+#: A cylinder that is lower than this part of its diameter is a disc.
+_FLAT = 0.1
+
+
+def form_of(model: SceneModel, volume: int) -> str:
+    """Form and size of a volume, such as ``cylinder of 10 mm diameter, 20 mm high``.
+
+    Of one that has no name here, and of a box, the widths along x, y and z.
+    """
+    lower, upper = model.bounds(volume)
+    solid = next((one for one in convex_solids(model) if one.volume == volume), None)
+    words = None
+    if solid is not None and solid.circle is not None:
+        words = _cylinder(solid, upper - lower)
+    elif solid is not None:
+        words = _prism(model, solid)
+    return words or " x ".join(f"{v:.4g}" for v in upper - lower) + " mm"
+
+
+def _cylinder(solid: Solid, sizes: np.ndarray) -> str:
+    assert solid.circle is not None
+    axis, diameter = solid.circle.axis, 2.0 * solid.circle.radius_mm
+    length = float(sizes[axis])
+    if axis != 2:
+        words = f"cylinder of {diameter:.4g} mm diameter, {length:.4g} mm long"
+        return f"{words}, lying along {'xyz'[axis]}"
+    if length < _FLAT * diameter:
+        return f"disc of {diameter:.4g} mm diameter, {length:.4g} mm thick"
+    return f"cylinder of {diameter:.4g} mm diameter, {length:.4g} mm high"
+
+
+def _prism(model: SceneModel, solid: Solid) -> str | None:
+    """An upright regular prism or pyramid; ``None`` for any other form, a box among them."""
+    ends: dict[bool, np.ndarray] = {}
+    leaning = []
+    for plane in solid.planes:
+        x, y, z = plane.axis
+        corners = np.concatenate([model.flat_faces[number].corners for number in plane.faces])
+        if (x, y) == (0.0, 0.0):
+            ends[plane.high == (z > 0.0)] = corners
+        else:
+            leaning.append((bool(z), corners))
+    foot = ends.get(False)
+    every = np.concatenate([corners for _, corners in leaning])
+    if foot is None:
+        return None
+    size, sides = np.ptp(every, axis=0).max(), len(leaning)
+    top = ends.get(True)
+    if top is None:
+        tip = every[every[:, 2] >= every[:, 2].max() - _ALIKE * size]
+        if np.ptp(tip, axis=0).max() > _ALIKE * size:
+            return None
+        top = tip
+    across = [_across_flats(corners, sides, size) for corners in (foot, top)]
+    upright = not any(leans for leans, _ in leaning)
+    if across[0] is None or across[1] is None or (upright and sides == 4):
+        return None
+    kind, height = _BY_SIDES.get(sides, f"{sides}-sided"), f"{np.ptp(every[:, 2]):.4g} mm high"
+    flats = "" if sides == 4 else " across flats"
+    if upright:
+        return f"{kind} prism of {across[0]:.4g} mm{flats}, {height}"
+    if abs(across[0] - across[1]) <= _ALIKE * size:
+        return None
+    if min(across) == 0.0:
+        return f"{kind} pyramid, its base {across[0]:.4g} mm{flats or ' wide'}, {height}"
+    return (
+        f"cut {kind} pyramid, {across[0]:.4g} mm{flats or ' wide'} at the bottom and "
+        f"{across[1]:.4g} mm at the top, {height}"
+    )
+
+
+def _across_flats(corners: np.ndarray, sides: int, size: float) -> float | None:
+    """Width across flats of the regular polygon that these make up in a plane; 0 of a point."""
+    points = corners[:, :2]
+    if np.ptp(points, axis=0).max() <= _ALIKE * size:
+        return 0.0
+    found = points[ConvexHull(points).vertices]
+    away = np.linalg.norm(found - (found.min(axis=0) + found.max(axis=0)) / 2, axis=1)
+    if sides % 2:
+        away = np.linalg.norm(found - found.mean(axis=0), axis=1)
+    edges = np.linalg.norm(found - np.roll(found, 1, axis=0), axis=1)
+    regular = len(found) == sides and max(np.ptp(away), np.ptp(edges)) <= 10.0 * _ALIKE * size
+    return float(2.0 * away[0] * np.cos(np.pi / sides)) if regular else None
