@@ -116,7 +116,12 @@ def outline_of(model: SceneModel, volume: int, plane: DetectorPlane) -> np.ndarr
     owned = model.bordering(volume)
     if set(owned) & set(model.curved):
         return None
-    faces = [face.corners for face in model.flat_faces if face.surface in owned]
+    faces = []
+    for face in model.flat_faces:
+        if face.surface in owned:
+            circle = face.circle
+            whole = circle is None or not circle.inside
+            faces.append(face.corners if whole else circle.points(face.corner[circle.axis]))
     points = plane.coordinates(np.concatenate(faces))
     hull = ConvexHull(points).vertices
     return points[np.append(hull, hull[0])]

@@ -9,7 +9,7 @@ from mcrim_mitsuba.transport.convex import Solid, convex_solids
 from mcrim_mitsuba.transport.scene_model import SceneModel
 
 #: Names of regular prisms and pyramids by the number of their sides.
-_BY_SIDES = {3: "triangular", 4: "square", 5: "pentagonal", 6: "hexagonal", 8: "octagonal"}
+_BY_SIDES = {4: "square", 6: "hexagonal", 8: "octagonal"}
 #: What is alike to this part of the size is the same: positions are of single precision.
 _ALIKE = 1e-5
 #: A cylinder that is lower than this part of its diameter is a disc.
@@ -22,13 +22,18 @@ def form_of(model: SceneModel, volume: int) -> str:
     Of one that has no name here, and of a box, the widths along x, y and z.
     """
     lower, upper = model.bounds(volume)
+    return named_form(model, volume) or " x ".join(f"{v:.4g}" for v in upper - lower) + " mm"
+
+
+def named_form(model: SceneModel, volume: int) -> str | None:
+    """The same of a cylinder, a prism or a pyramid; ``None`` of any other form."""
     solid = next((one for one in convex_solids(model) if one.volume == volume), None)
-    words = None
-    if solid is not None and solid.circle is not None:
-        words = _cylinder(solid, upper - lower)
-    elif solid is not None:
-        words = _prism(model, solid)
-    return words or " x ".join(f"{v:.4g}" for v in upper - lower) + " mm"
+    if solid is None:
+        return None
+    if solid.circle is None:
+        return _prism(model, solid)
+    lower, upper = model.bounds(volume)
+    return _cylinder(solid, upper - lower)
 
 
 def _cylinder(solid: Solid, sizes: np.ndarray) -> str:
@@ -44,7 +49,10 @@ def _cylinder(solid: Solid, sizes: np.ndarray) -> str:
 
 
 def _prism(model: SceneModel, solid: Solid) -> str | None:
-    """An upright regular prism or pyramid; ``None`` for any other form, a box among them."""
+    """An upright regular prism or pyramid of an even number of sides; ``None`` for other forms.
+
+    A box is one of these.
+    """
     ends: dict[bool, np.ndarray] = {}
     leaning = []
     for plane in solid.planes:
@@ -56,7 +64,7 @@ def _prism(model: SceneModel, solid: Solid) -> str | None:
             leaning.append((bool(z), corners))
     foot = ends.get(False)
     every = np.concatenate([corners for _, corners in leaning])
-    if foot is None:
+    if foot is None or len(leaning) % 2:
         return None
     size, sides = np.ptp(every, axis=0).max(), len(leaning)
     top = ends.get(True)
@@ -70,17 +78,15 @@ def _prism(model: SceneModel, solid: Solid) -> str | None:
     if across[0] is None or across[1] is None or (upright and sides == 4):
         return None
     kind, height = _BY_SIDES.get(sides, f"{sides}-sided"), f"{np.ptp(every[:, 2]):.4g} mm high"
-    flats = "" if sides == 4 else " across flats"
+    flats = "wide" if sides == 4 else "across flats"
     if upright:
-        return f"{kind} prism of {across[0]:.4g} mm{flats}, {height}"
+        return f"{kind} prism, {across[0]:.4g} mm {flats}, {height}"
     if abs(across[0] - across[1]) <= _ALIKE * size:
         return None
-    if min(across) == 0.0:
-        return f"{kind} pyramid, its base {across[0]:.4g} mm{flats or ' wide'}, {height}"
-    return (
-        f"cut {kind} pyramid, {across[0]:.4g} mm{flats or ' wide'} at the bottom and "
-        f"{across[1]:.4g} mm at the top, {height}"
-    )
+    if across[1] == 0.0:
+        return f"{kind} pyramid, {across[0]:.4g} mm {flats}, {height}"
+    widths = f"{across[0]:.4g} mm {flats} below and {across[1]:.4g} mm above"
+    return f"cut {kind} pyramid, {widths}, {height}"
 
 
 def _across_flats(corners: np.ndarray, sides: int, size: float) -> float | None:
@@ -90,8 +96,6 @@ def _across_flats(corners: np.ndarray, sides: int, size: float) -> float | None:
         return 0.0
     found = points[ConvexHull(points).vertices]
     away = np.linalg.norm(found - (found.min(axis=0) + found.max(axis=0)) / 2, axis=1)
-    if sides % 2:
-        away = np.linalg.norm(found - found.mean(axis=0), axis=1)
     edges = np.linalg.norm(found - np.roll(found, 1, axis=0), axis=1)
     regular = len(found) == sides and max(np.ptp(away), np.ptp(edges)) <= 10.0 * _ALIKE * size
     return float(2.0 * away[0] * np.cos(np.pi / sides)) if regular else None

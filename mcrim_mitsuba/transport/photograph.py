@@ -37,16 +37,25 @@ def surface_triangles(model: SceneModel) -> tuple[Triangles, ...]:
         For a curved shape of which Mitsuba knows no points.
     """
     flat: dict[int, list[np.ndarray]] = {}
+    round_ones = {face.surface for face in model.flat_faces if face.circle is not None}
     for face in model.flat_faces:
-        if face.circle is not None:
+        if face.surface in round_ones:
             continue
         around = face.corners
         own = [around[[0, i, i + 1]] for i in range(1, len(around) - 1)]
         flat.setdefault(face.surface, []).extend(own)
-    return tuple(
-        Triangles(np.array(flat[number])) if number in flat else _curved(shape)
-        for number, shape in enumerate(model.shapes)
-    )
+    mantles = {wall.surface: wall for wall in model.walls if wall.outwards}
+    found = []
+    for number, shape in enumerate(model.shapes):
+        made = Triangles(np.array(flat[number])) if number in flat else _curved(shape)
+        if shape.is_mesh() and number in mantles:
+            circle = mantles[number].circle
+            normals = np.zeros_like(made.corners)
+            normals[..., circle.across] = made.corners[..., circle.across] - circle.centre_mm
+            normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+            made = _orderly(made.corners, normals)
+        found.append(made)
+    return tuple(found)
 
 
 def _curved(shape) -> Triangles:

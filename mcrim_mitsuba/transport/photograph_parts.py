@@ -287,6 +287,8 @@ class PhotographedBench:
 
     def _volume(self, number: int) -> BenchPart:
         """A volume, enclosed by all faces that border it."""
+        from mcrim_mitsuba.transport.form import named_form
+
         volume = self._model.volumes[number]
         own = self._enclosing(number)
         points = _points(own)
@@ -298,7 +300,8 @@ class PhotographedBench:
         details = [f"n = {index:g}"] if index else []
         if index and size[2] < 0.03 * size[:2].max():
             details[0] += " (air)" if air else " (filled)"
-        details.append(wide)
+        named = named_form(self._model, number)
+        details += [wide] if named is None else named.split(", ")
         scat, absorb = (MM_PER_CM * a for a in (volume.alpha_scat_per_mm, volume.alpha_abs_per_mm))
         if scat or absorb:
             details += [f"scatters {scat:.3g} /cm", f"absorbs {absorb:.3g} /cm"]

@@ -149,6 +149,14 @@ class Circle:
         """In mm2."""
         return math.pi * self.radius_mm**2
 
+    def points(self, level_mm: float, count: int = 180) -> np.ndarray:
+        """Points around it at a level on its axis, shape (count, 3), mm."""
+        angle = 2.0 * np.pi * np.arange(count) / count
+        found = np.full((count, 3), level_mm)
+        away = self.radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
+        found[:, self.across] = away + self.centre_mm
+        return found
+
     def margin(self, points: np.ndarray) -> np.ndarray:
         """How far on the face's side of it points, shape (n, 3), lie, in radii."""
         away = np.hypot(*(points[:, self.across] - self.centre_mm).T) / self.radius_mm

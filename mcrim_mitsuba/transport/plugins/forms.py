@@ -128,8 +128,8 @@ class LyingMantle(_Lying):
         y, z = radius * np.sin(angle), radius * (1.0 - np.cos(angle))
         half = length / 2
         return [
-            np.array([(-half, y[i], z[i]), (half, y[i], z[i]),
-                      (half, y[i + 1], z[i + 1]), (-half, y[i + 1], z[i + 1])])
+            np.array([(half, y[i], z[i]), (-half, y[i], z[i]),
+                      (-half, y[i + 1], z[i + 1]), (half, y[i + 1], z[i + 1])])
             for i in range(len(angle) - 1)
         ]  # fmt: skip
 
