@@ -281,9 +281,7 @@ class Cylinder(HalfSpaceBody):
         """As `HalfSpaceBody.contains`."""
         return self._holds(position, 0.0)
 
-    def _wall_crossings(
-        self, position: Floats, direction: Floats
-    ) -> tuple[Floats, Floats, Flags]:
+    def _wall_crossings(self, position: Floats, direction: Floats) -> tuple[Floats, Floats, Flags]:
         """Where rays enter and leave the endless mantle, mm; and whether they never do.
 
         The roots of a t^2 + 2 b t + c = 0, of two forms of each that which does not cancel.

@@ -17,7 +17,15 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.transport import surface_physics
-from mcrim_mitsuba.transport.convex import NO_FACE, ConvexBody, Disc, Ray, Solid, convex_solids, slack_of
+from mcrim_mitsuba.transport.convex import (
+    NO_FACE,
+    ConvexBody,
+    Disc,
+    Ray,
+    Solid,
+    convex_solids,
+    slack_of,
+)
 from mcrim_mitsuba.transport.scene_model import (
     OTHER,
     OUTSIDE,
@@ -231,16 +239,26 @@ class FlatPath:
                 continue
             within, around = self.model.within(wall), self.model.around(wall)
             leaves, enters, root2 = disc.crossings(ray)
-            # what lies within may be the outside, whose light need not come near
-            t = dr.select(root2 > 0.0, dr.select(here[within], leaves, enters), -dr.inf)
             index = mi.UInt32(len(self.model.flat_faces) + number)
-            # light around it that is on it flies away from it
-            hit = here[within] | (here[around] & (last_face != index))
-            hit &= (t > behind) & (t < best)
-            hit &= self._between(ray, t, disc.axis, wall.low_mm, wall.high_mm)
-            hit &= self._between(ray, t, 2, wall.above_mm, wall.below_mm)
-            best = dr.select(hit, t, best)
-            which = dr.select(hit, index, which)
+            if within == around:
+                # a sheet, met from either side; of light on it, what flies inwards meets it again
+                fresh, inwards = last_face != index, enters > -dr.inf
+                times = [
+                    (enters, fresh & (enters > 0.0)),
+                    (leaves, (fresh | inwards) & (leaves > 0.0)),
+                ]
+            else:
+                t = dr.select(here[within], leaves, enters)
+                # light around it that is on it flies away from it
+                faced = here[within] | (here[around] & (last_face != index))
+                times = [(t, faced & (t > behind))]
+            for t, ahead in times:
+                # what lies within may be the outside, whose light need not come near
+                hit = ahead & (root2 > 0.0) & (t < best)
+                hit &= self._between(ray, t, disc.axis, wall.low_mm, wall.high_mm)
+                hit &= self._between(ray, t, 2, wall.above_mm, wall.below_mm)
+                best = dr.select(hit, t, best)
+                which = dr.select(hit, index, which)
         if endless is not None:
             others = here[endless] & (which != NO_FACE)
             which = dr.select(others, which + self._count, which)

@@ -36,9 +36,7 @@ class Polygon(Polygons):
         # rhombi of a hexagon, which are faces each
         step, middle = 2 - sides % 2, np.zeros((1, 3))
         around = np.concatenate([corners, corners[:1]])
-        return [
-            np.concatenate([middle, around[i : i + step + 1]]) for i in range(0, sides, step)
-        ]
+        return [np.concatenate([middle, around[i : i + step + 1]]) for i in range(0, sides, step)]
 
 
 class PrismSides(Polygons):
