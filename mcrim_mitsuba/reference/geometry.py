@@ -229,10 +229,11 @@ class Cylinder(HalfSpaceBody):
         # it has no planes, but ends
         super().__init__(np.zeros((TOP + 1, 3)), np.zeros(TOP + 1))
         self._radius, self._levels = radius, np.array([low, high])
-        self._axis, self._across = axis, [other for other in range(3) if other != axis]
+        self._axis = axis
+        self._across: Indices = np.array([other for other in range(3) if other != axis])
         self._centre = np.array(centre)[:, None]
         #: Number of the round side.
-        self.wall = 2 * self._across[0]
+        self.wall = 2 * int(self._across[0])
         self._low_end = 2 * axis
 
     def exit(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
@@ -479,21 +480,21 @@ class Layout:
         gap: HalfSpaceBody = box(half + NARROW_COLLAR_WIDTH_MM, entrance, collar)
         if not collar:
             gap = Box((bench.gap_left_mm, -half, entrance), (half, half, 0.0))
-        #: Radius of the round foot of a cylinder that stands; half the length and half the width of
-        #: the strip on which one that lies is wet, and how high it reaches.
-        self._foot_mm = self._strip_mm = None
+        #: Radius of the round foot of a cylinder that stands.
+        self._foot_mm: float | None = None
+        #: Half the length and half the width of the strip on which a cylinder that lies is wet, and
+        #: how high it reaches.
+        self._strip_mm: tuple[float, float, float] | None = None
         if bench.crystal_diameter_mm is not None:
             radius = bench.crystal_diameter_mm / 2.0
             if bench.crystal_length_mm is None or bench.wetted_width_mm is None:
                 self._foot_mm = radius
                 crystal, gap = Cylinder(radius, 0.0, height), Cylinder(radius, entrance, 0.0)
             else:
-                along, across = bench.crystal_length_mm / 2.0, bench.wetted_width_mm / 2.0
-                up = bench.wetted_height_mm
-                self._strip_mm = along, across, up
-                crystal = Cylinder(radius, -along, along, 0, (0.0, radius))
-                low, high = (-along, -across, entrance), (along, across, up)
-                gap = BelowCylinder(low, high, crystal)
+                reach, wet = bench.crystal_length_mm / 2.0, bench.wetted_width_mm / 2.0
+                self._strip_mm = reach, wet, bench.wetted_height_mm
+                crystal = Cylinder(radius, -reach, reach, 0, (0.0, radius))
+                gap = BelowCylinder((-reach, -wet, entrance), self._strip_mm, crystal)
         half_window, back = bench.window_width_mm / 2.0, entrance - bench.window_thickness_mm
         window = box(half_window, back, entrance)
         in_beam = bench.beam_diameter_mm is not None

@@ -118,10 +118,13 @@ def outline_of(model: SceneModel, volume: int, plane: DetectorPlane) -> np.ndarr
         return None
     faces = []
     for face in model.flat_faces:
-        if face.surface in owned:
-            circle = face.circle
-            whole = circle is None or not circle.inside
-            faces.append(face.corners if whole else circle.points(face.corner[circle.axis]))
+        if face.surface not in owned:
+            continue
+        circle = face.circle
+        if circle is None or not circle.inside:
+            faces.append(face.corners)
+        else:
+            faces.append(circle.points(float(face.corner[circle.axis])))
     points = plane.coordinates(np.concatenate(faces))
     hull = ConvexHull(points).vertices
     return points[np.append(hull, hull[0])]

@@ -1,9 +1,10 @@
 """Volumes that are convex: light inside one needs only the planes of its faces, not their bounds.
 
-They are enclosed by flat faces, or by a round wall and the two ends across it. The way out of a convex solid is the nearest plane ahead that looks along the flight, and the way in
-is the farthest plane that looks against it, where that comes before the way out (M. Cyrus and
-J. Beck, Computers and Graphics 3 (1978) 23). Parallel planes are tested together, as a slab,
-and no light is lost between two faces, because they have no edges.
+They are enclosed by flat faces, or by a round wall and the two ends across it. The way out of a
+convex solid is the nearest plane ahead that looks along the flight, and the way in is the farthest
+plane that looks against it, where that comes before the way out (M. Cyrus and J. Beck, Computers
+and Graphics 3 (1978) 23). Parallel planes are tested together, as a slab, and no light is lost
+between two faces, because they have no edges.
 """
 
 from __future__ import annotations

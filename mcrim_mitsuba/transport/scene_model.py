@@ -613,11 +613,11 @@ def _wall(shape) -> RoundWall | None:
     axis = _round_axis(matrix)
     if axis is None:
         return None
-    ends = sorted((float(matrix[axis, 3]), float(matrix[axis, 3] + matrix[axis, 2])))
+    low, high = sorted((float(matrix[axis, 3]), float(matrix[axis, 3] + matrix[axis, 2])))
     place = np.delete(matrix[:3, 3], axis)
     radius = float(np.linalg.norm(matrix[:3, 0]))
     circle = Circle((float(place[0]), float(place[1])), radius, axis=axis)
-    return RoundWall(circle, *ends, -1, outwards=not shape.has_flipped_normals())
+    return RoundWall(circle, low, high, -1, outwards=not shape.has_flipped_normals())
 
 
 def _box_of(shape) -> tuple[np.ndarray, np.ndarray]:

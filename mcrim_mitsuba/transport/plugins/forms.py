@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import mitsuba as mi
@@ -164,7 +165,7 @@ class LyingFillet(_Lying):
         across = np.linspace(-wet, wet, 17)
         under = [(at, float(_height(radius, at))) for at in across]
         ends = []
-        for (one, up), (other, next_up) in zip(under, under[1:], strict=False):
+        for (one, up), (other, next_up) in itertools.pairwise(under):
             end = np.array([(half, one, -thickness), (half, other, -thickness),
                             (half, other, next_up), (half, one, up)])  # fmt: skip
             ends += [end, (end * (-1.0, 1.0, 1.0))[::-1]]

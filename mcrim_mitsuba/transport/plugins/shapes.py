@@ -1,4 +1,4 @@
-"""Shape plugins of a bench around a box: panel, frame, gap_sides, chamfers, wrapping; see `forms`."""
+"""Shape plugins, each a few flat polygons: panel, frame, gap_sides, chamfers, wrapping."""
 
 from __future__ import annotations
 
