@@ -33,7 +33,9 @@ def recipes() -> list[tuple[str, str, float]]:
         for line, eta in re.findall(r"^\| [^|]+ \| `(mcrim [^`]+)` \| (0\.\d+) \|$", PAGE, re.M)
     ]
     pieces = re.split(r"^```(sh|xml)\n(.*?)^```$", PAGE, flags=re.M | re.S)
-    for before, kind, piece, after in zip(pieces[::3], pieces[1::3], pieces[2::3], pieces[3::3]):
+    for before, kind, piece, after in zip(
+        pieces[::3], pieces[1::3], pieces[2::3], pieces[3::3], strict=False
+    ):
         scene = re.findall(r"In `(\w+\.xml)`", before)
         found.append((scene[-1] if kind == "xml" else kind, piece, eta_on_the_page(after)))
     return found
