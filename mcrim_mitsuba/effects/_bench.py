@@ -164,11 +164,14 @@ def birth_weight(depths_mm: np.ndarray, length_mm: float, depth_mm: float) -> np
 
 
 def roughen(editor: SceneEditor, side: str) -> None:
-    """Give a side of the crystal (``top``, ``bottom`` or the four ``side`` faces) GGX facets."""
-    # which may stand in a beam, without a gap
-    box = crystal_box(editor, (WIDTH, HEIGHT))
-    names = [side] if side in box else ["right", "left", "back", "front"]
-    faces = [face for name in names for face in box[name]]
+    """Give a side of the crystal (``top``, ``bottom`` or the ``side`` faces) GGX facets."""
+    if WIDTH in editor.scene.parameters:
+        # which may stand in a beam, without a gap
+        box = crystal_box(editor, (WIDTH, HEIGHT))
+        names = [side] if side in box else ["right", "left", "back", "front"]
+        faces = [face for name in names for face in box[name]]
+    else:
+        faces = _faces_of_any_form(editor, side)
     copies: dict[Node, str] = {}
     for face in faces:
         bsdf = editor.bsdf(face)
@@ -186,6 +189,28 @@ def roughen(editor: SceneEditor, side: str) -> None:
         # what no face wears any more
         if all(shape in faces or editor.bsdf(shape) is not bsdf for shape in editor.shapes):
             editor.remove(bsdf)
+
+
+def _faces_of_any_form(editor: SceneEditor, side: str) -> list[Node]:
+    """Faces of a crystal that is no box: those at the gap, flat ones that look up, or the rest."""
+    found = []
+    resolved = editor.resolved()
+    for face in editor.crystal_faces:
+        if editor.gap in editor.media(face):
+            where = "bottom"
+        else:
+            transform = resolved[face].find("transform")
+            matrix = np.eye(4) if transform is None else _matrix(transform)
+            flat = face.type in (*_FLAT, "disk", "polygon") and matrix is not None
+            up = np.cross(matrix[:3, 0], matrix[:3, 1]) if flat and matrix is not None else None
+            looks_up = up is not None and up[2] > (1.0 - _TOLERANCE_MM) * np.linalg.norm(up)
+            where = "top" if looks_up else "side"
+        if where == side:
+            found.append(face)
+    if not found:
+        problem = f"the crystal has no {side} face of its own"
+        raise editor.refusal(problem, "use surface_roughness, which is of all faces")
+    return found
 
 
 def roughness_of(side: str, what: str) -> EffectParameter:

@@ -296,6 +296,10 @@ class Bench:
             expected = f"a number below crystal_diameter_mm = {diameter_mm}"
             _require(wet is not None and wet < diameter_mm, "wetted_width_mm", wet, expected)
             depths["source_depth_mm"] = self.source_depth_mm
+            self._refuse_beside(
+                "crystal_length_mm", "on a cylinder that lies",
+                "top_roughness_alpha", "side_roughness_alpha", "bottom_roughness_alpha",
+            )  # fmt: skip
         for name, depth in depths.items():
             if depth < math.inf:
                 problem = f"the NumPy tracer has no {name} on such a cylinder"

@@ -481,3 +481,25 @@ def test_a_broken_distribution_is_named(distribution, point, module, says):
         catalogue()
     assert str(refusal.value).startswith("distribution mcrim-spots: ")
     assert says in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+#: Effects that are written for a box.
+OF_A_BOX = {
+    "edge_chamfer", "gap_bubble", "gap_bubble_round", "gap_thickness", "gel_creep", "top_reflector",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", ["cylinder", "cylinder_lying", "hexagonal", "pyramid"])
+def test_effects_on_a_crystal_that_is_no_box(scenes, form):
+    """What needs no box is added; the rest is refused in a line that says why."""
+    scene = read_scene(scenes / f"camoo4_{form}.xml")
+    refused = {}
+    for name in EDITS:
+        try:
+            add(name, scene)
+        except InputError as error:
+            refused[name] = error.problem
+    reasons = dict.fromkeys(OF_A_BOX, "the scene has no parameter crystal_width_mm")
+    if form == "cylinder_lying":
+        reasons["top_roughness"] = "the crystal has no top face of its own"
+    assert refused == reasons

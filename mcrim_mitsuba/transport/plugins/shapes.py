@@ -278,7 +278,7 @@ class Frame(Polygons):
     def polygons(self, props, to_world):
         outer, cut = float(props["outer_width"]), cut_fraction(props)
         if sum(name in props for name in ("inner_width", "inner_diameter", "rim")) != 1:
-            raise ValueError("a frame has either an inner_width, an inner_diameter or a rim")
+            raise ValueError("a frame has either an inner_diameter, an inner_width or a rim")
         if "rim" in props:
             rim = float(props["rim"])
             if not 0.0 <= rim < outer / 2:
@@ -295,7 +295,7 @@ class Frame(Polygons):
                     f"a frame's outer_width ({outer:g}) must exceed its {name} ({inner:g})"
                 )
         deep, sides = float(props.get("inner_depth", inner)), sides_of(props)
-        if not outer > deep > 0.0:
+        if "inner_depth" in props and not outer > deep > 0.0:
             raise ValueError(
                 f"a frame's outer_width ({outer:g}) must exceed its inner_depth ({deep:g})"
             )
