@@ -39,7 +39,13 @@ def bench_of(simulation: Simulation) -> Bench:
         If the scene has parameters that `Bench` does not know, or is another bench than they
         describe.
     """
+    from mcrim_mitsuba.transport.form import named_form
+
     with placed(path=simulation.file.path):
+        form = named_form(simulation.model, simulation.crystal.volume)
+        if form is not None and not form.startswith(("cylinder", "disc")):
+            problem = f"the independent programs know boxes and cylinders; this is a {form}"
+            raise InputError(problem, "take a crystal of such a form")
         effects = [e.name for e in catalogue().values() if e.is_in(simulation.file)]
         switches = {name: True for name in effects if name in _SWITCHES}
         beam = BEAM_PARAMETERS if _beam_axis(simulation) is not None else {}

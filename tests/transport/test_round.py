@@ -15,7 +15,9 @@ from comparisons import (
 from scipy.integrate import dblquad
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.crosscheck import crosscheck
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.convex import convex_solids
 from mcrim_mitsuba.transport.form import form_of
@@ -117,6 +119,11 @@ def test_mitsubas_own_intersections_agree(scenes, name, form, transport):
     assert fast.transport == transport != traced.transport
     assert_all_light_is_told(fast)
     assert_same_fates(fast, traced, z_max=Z)
+
+
+def test_a_prism_has_no_crosscheck(scenes):
+    with pytest.raises(InputError, match="boxes and cylinders; this is a hexagonal prism, 10 mm"):
+        crosscheck(scenes / "camoo4_hexagonal.xml", run=Run(1000))
 
 
 def test_a_lying_cylinder_is_whole_although_its_side_is_in_two_parts(scenes):
