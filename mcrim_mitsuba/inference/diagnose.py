@@ -84,6 +84,9 @@ _BARELY_EXPLAINS = 1e-4
 _SIGNIFICANT = 0.01
 # Logarithm of the odds from which one explanation is no rival of another.
 _RIVAL = 3.0
+# The same of what has no name beside the only effect that leads: it has been there where a relative
+# of what was missing fitted well, at a usual size (trials with effects left out of the catalogue).
+_DOUBT = 2.7
 # Effects added at most.
 _MOST_EFFECTS = 4
 
@@ -198,7 +201,7 @@ class Judgement:
                     suspects,
                 )
         if leading:
-            return self._of_leading(leading, best)
+            return self._of_leading(leading, best, pairs)
         return Verdict(
             UNEXPLAINED,
             f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom, and something that "
@@ -206,12 +209,22 @@ class Judgement:
             f"{best.chi2:.3g} for {best.ndf} at best",
         )
 
-    def _of_leading(self, leading: tuple[tuple[str, ...], ...], best: Fit) -> Verdict:
+    def _of_leading(
+        self, leading: tuple[tuple[str, ...], ...], best: Fit, pairs: Ranking | None
+    ) -> Verdict:
         p, titles = best.p_value, self._titles(leading)
         quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
         quality += f" (p = {p:.2g})" if p is not None else ""
         if len(leading) == 1:
-            return Verdict(MISSING_EFFECT, f"{titles} explains the misfit: {quality}", leading)
+            reason = f"{titles} explains the misfit: {quality}"
+            unknown, others = (
+                [h.log_weight for h in self.hypotheses(pairs) if (h.besides == UNKNOWN) is of_none]
+                for of_none in (True, False)
+            )
+            if unknown and logsumexp(unknown) - logsumexp(others) > -_DOUBT:
+                reason += "; but so may something that is in no catalogue"
+                return Verdict(AMBIGUOUS, reason, leading)
+            return Verdict(MISSING_EFFECT, reason, leading)
         reason = f"the readings cannot tell apart {titles}: {quality} with the first"
         return Verdict(AMBIGUOUS, reason, leading)
 
