@@ -17,9 +17,9 @@ from typing import Any
 #: Where the public names are defined.
 _HOMES = {
     "output.public": (
-        "Answer", "add", "budget", "calibrate", "check", "compare", "crosscheck", "diagnose",
-        "eta_map", "eta_spectrum", "plan", "reduce", "render", "repair", "report", "simulate",
-        "table",
+        "Answer", "add", "arrival_times", "budget", "calibrate", "check", "compare", "crosscheck",
+        "diagnose", "eta_map", "eta_spectrum", "plan", "reduce", "render", "repair", "report",
+        "simulate", "table",
     ),
     "campaign.campaign": ("Campaign", "read_campaign"),
     "core.errors": ("InputError",),

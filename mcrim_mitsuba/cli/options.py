@@ -188,11 +188,11 @@ def _sigma(what: str, text: str, number: float) -> float:
     return sigma
 
 
-def read_defines(ctx, param, values) -> dict[str, str]:
-    """The dictionary of all ``-D`` or ``--axis``, as a callback of click."""
+def read_defines(ctx, param, values, example: str = "n_gap=1.46") -> dict[str, str]:
+    """The dictionary of all ``-D``, ``--axis`` and others, as a callback of click."""
     found: dict[str, str] = {}
     for text in values:
-        name, value = parse_define(text, param.opts[0])
+        name, value = parse_define(text, param.opts[0], example)
         if name in found:
             raise InputError(f"{param.opts[0]} {name} is given twice", "give it once")
         found[name] = value

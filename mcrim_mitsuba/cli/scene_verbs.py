@@ -6,6 +6,7 @@ import math
 import shlex
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import click
@@ -13,7 +14,7 @@ import click
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_bytes
+from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_bytes, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.output import documents, scene_descriptions
 from mcrim_mitsuba.transport.launch_plan import LANES
@@ -117,14 +118,30 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
 @click.option("--quantum-efficiency", type=click.Path(), metavar="QE.csv",
               help="The detector's efficiency over wavelengths, for --spectrum.",
               )  # fmt: skip
+@click.option("--times", "times_file", type=click.Path(), metavar="FILE.csv",
+              help="Histogram of the times at which the run's photons arrive (the first 4e7 of "
+              "more), with their mean and the first photons; its picture is NAME_times of "
+              "--figure.")  # fmt: skip
+@click.option("--decay-ns", type=options.Number(1e-6, 1e9), metavar="NS",
+              help="Decay time of the scintillation, for --times; left out: all light is emitted "
+              "at once.")  # fmt: skip
+@click.option("--detected", type=options.Whole(1, 10**9), metavar="COUNT",
+              help="Detected photons of an event, for the first ones of --times (default: 1000).",
+              )  # fmt: skip
+@click.option("--group-index", multiple=True, metavar="MEDIUM=INDEX",
+              callback=partial(options.read_defines, example="crystal=2.08"),
+              help="Group index of a medium for --times, or a material such as CaMoO4@540nm (may "
+              "be repeated; default: that of the scene's materials).")  # fmt: skip
 @options.work
 def simulate(
     scene, overrides, method, figure, map_file, depth_mm, deposits, spectrum, quantum_efficiency,
-    json_file, work,
+    times_file, json_file, work, **of_times,
 ) -> None:  # fmt: skip
     """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
-    photons_of = {"--figure": figure, "--map": map_file, "--spectrum": spectrum}
-    for option, given in photons_of.items():
+    followed = {
+        "--figure": figure, "--map": map_file, "--spectrum": spectrum, "--times": times_file
+    }  # fmt: skip
+    for option, given in followed.items():
         if given and method == "modes":
             problem = f"{option} follows photons, and --method modes none"
             raise InputError(problem, "leave one of them out")
@@ -133,43 +150,60 @@ def simulate(
     if quantum_efficiency and not spectrum:
         problem = "--quantum-efficiency says what the detector sees of an emission"
         raise InputError(problem, "give --spectrum EMISSION.csv too")
-    written = {"--map": (map_file, (".nc",))} if map_file else {}
+    of_times = {name: given for name, given in of_times.items() if given}
+    if of_times and not times_file:
+        option = f"--{next(iter(of_times)).replace('_', '-')}"
+        raise InputError(f"{option} is for arrival times", "give --times FILE.csv too")
+    wanted = {"map": (map_file, (".nc",)), "times": (times_file, (".csv",))}
+    written = {f"--{name}": one for name, one in wanted.items() if one[0]}
     inputs = [scene, *filter(None, [deposits, spectrum, quantum_efficiency])]
     if figure:
-        further = {"map": map_file, "spectrum": spectrum}
-        endings = ["fates", *(name for name, given in further.items() if given)]
+        drawn = {"map": map_file, "spectrum": spectrum, "times": times_file}
+        endings = ["fates", *(name for name, given in drawn.items() if given)]
         showing.refuse_places(json_file, inputs, figure, *endings, written=written)
+    else:
+        showing.refuse_places(json_file, inputs, written=written)
+    if figure or times_file:
+        # what would be found wrong after the run
+        from mcrim_mitsuba.efficiency.arrival_times import group_indices
         from mcrim_mitsuba.efficiency.lighting import refuse_curved
         from mcrim_mitsuba.transport.simulation import Simulation
 
         run = work.run
-        refuse_curved(Simulation(scene, overrides, variant=run.variant, threads=run.threads))
-    else:
-        showing.refuse_places(json_file, inputs, written=written)
-    file, mapped, coloured = mcrim.read_scene(scene, overrides), None, None
+        loaded = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
+        if figure:
+            refuse_curved(loaded)
+        if times_file:
+            group_indices(loaded, of_times.get("group_index", {}))
+    file, further = mcrim.read_scene(scene, overrides), {}
     with work.begin() as run:
         found = mcrim.simulate(file, run=run, method=method)
+        own = replace(run, precision=None)
         if map_file and not found.interrupted:
-            own = replace(run, precision=None)
-            mapped = mcrim.eta_map(file, depth_mm=depth_mm, deposits=deposits, run=own)
+            further["map"] = mcrim.eta_map(file, depth_mm=depth_mm, deposits=deposits, run=own)
         if spectrum and not found.interrupted:
             light = {"quantum_efficiency": quantum_efficiency}
-            coloured = mcrim.eta_spectrum(file, spectrum, run=run, **light)
-    document = found.document | ({"map": mapped.document} if mapped else {})
-    document |= {"spectrum": coloured.document} if coloured else {}
+            further["spectrum"] = mcrim.eta_spectrum(file, spectrum, run=run, **light)
+        if times_file and not found.interrupted:
+            own = replace(own, photons=found.photons)
+            further["times"] = mcrim.arrival_times(file, run=own, **of_times)
+    document = found.document | {name: one.document for name, one in further.items()}
     terminal.write_json(json_file, document)
     screen = terminal.console(json_file)
     figure = None if found.interrupted else figure
     showing.show(screen, found.described, found.draw(figure) if figure else ())
-    if mapped:
-        from mcrim_mitsuba.output.result_writing import netcdf_bytes
+    for name, one in further.items():
+        if name == "map":
+            from mcrim_mitsuba.output.result_writing import netcdf_bytes
 
-        write_bytes(map_file, netcdf_bytes(mapped.to_xarray()))
-        drawn = mapped.draw(showing.further_picture(figure, "map")) if figure else ()
-        showing.show(screen, mapped.described, [Path(map_file), *drawn])
-    if coloured:
-        drawn = coloured.draw(showing.further_picture(figure, "spectrum")) if figure else ()
-        showing.show(screen, coloured.described, drawn)
+            write_bytes(map_file, netcdf_bytes(one.to_xarray()))
+        elif name == "times":
+            from mcrim_mitsuba.output.result_writing import csv_lines
+
+            write_text(times_file, csv_lines(("time_ps", "part", "part_sigma"), one.rows))
+        files = [Path(wanted[name][0])] if name in wanted else []
+        drawn = one.draw(showing.further_picture(figure, name)) if figure else ()
+        showing.show(screen, one.described, [*files, *drawn])
 
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"

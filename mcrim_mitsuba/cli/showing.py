@@ -19,7 +19,7 @@ from mcrim_mitsuba.output.described import Described
 #: Outputs by option, each with the suffixes that it may have.
 Written = Mapping[str, tuple[str, tuple[str, ...]]]
 #: Of pictures after the first.
-_ORDINALS = ("second", "third")
+_ORDINALS = ("second", "third", "fourth", "fifth")
 
 
 def further_picture(figure: str, ending: str) -> str:

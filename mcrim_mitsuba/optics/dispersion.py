@@ -118,7 +118,18 @@ class Dispersion:
             )
         return self.formula(wavelength_nm / NM_PER_UM)
 
+    def group_index(self, wavelength_nm: ArrayLike, material: str) -> Array:
+        """n - lambda dn/dlambda, the speed of light in vacuum over that of a pulse.
 
+        Parameters and errors as `index`.
+        """
+        index, um = self.index(wavelength_nm, material), np.asarray(wavelength_nm) / NM_PER_UM
+        ends = (self.formula(um * (1.0 + step)) for step in (_STEP, -_STEP))
+        return index - np.subtract(*ends) / (2.0 * _STEP)
+
+
+#: Relative step of a derivative by the wavelength: right to 1e-9, also beside a range's end.
+_STEP = 1e-4
 #: Directions over which the extraordinary wave is averaged: exact to the twelfth digit.
 _DIRECTIONS = 8
 

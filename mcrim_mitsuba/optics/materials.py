@@ -62,6 +62,20 @@ class Material:
             return ordinary
         return (2.0 * ordinary + self.extraordinary.index(wavelength_nm, self.name)) / 3.0
 
+    def group_index(self, wavelength_nm: ArrayLike) -> Array:
+        """n - lambda dn/dlambda of `index`; parameters and errors as there."""
+        ordinary = self.ordinary.group_index(wavelength_nm, self.name)
+        if self.extraordinary is None:
+            return ordinary
+        extraordinary = self.extraordinary.group_index(wavelength_nm, self.name)
+        return (2.0 * ordinary + extraordinary) / 3.0
+
+    @property
+    def is_dispersive(self) -> bool:
+        """Whether its index is known at more than one wavelength."""
+        formula = self.ordinary.formula
+        return not (isinstance(formula, Cauchy) and len(formula.coefficients) == 1)
+
     def held_index(self, wavelength_nm: ArrayLike) -> Array:
         """`index`, and beyond the ends of its range that at the end."""
         return self.index(np.clip(wavelength_nm, *self.range_nm))

@@ -10,6 +10,7 @@ from mcrim_mitsuba.core.files import attributes
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.core.run import Provenance
+    from mcrim_mitsuba.efficiency.arrival_times import ArrivalTimes
     from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
     from mcrim_mitsuba.efficiency.eta_spectrum import EtaSpectrum
     from mcrim_mitsuba.efficiency.table import EtaTable
@@ -63,6 +64,19 @@ def of_spectrum(found: EtaSpectrum) -> Document:
     ) | {
         "mean_wavelength_nm": light.mean_nm,
         "wavelengths": [dict(zip(names, map(float, one), strict=True)) for one in every],
+    }
+
+
+def of_times(found: ArrivalTimes) -> Document:
+    first = "born mean_ps mean_ps_sigma rms_ps rms_ps_sigma"
+    return {
+        **attributes(found, "mean_ps mean_ps_sigma rms_ps rms_ps_sigma begin_ps begin_ps_sigma"),
+        **attributes(found, "rise_ps rise_ps_sigma decay_ns detected"),
+        "first": [attributes(one, first) for one in found.first],
+        "parts": [
+            attributes(one, "name group_index origin mean_ps mean_ps_sigma") for one in found.parts
+        ],
+        **attributes(found, "photons seed parameters scene_hash notes"),
     }
 
 

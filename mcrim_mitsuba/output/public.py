@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import importlib
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -425,6 +426,58 @@ def eta_spectrum(
     return Answer(
         found, scene_descriptions.of_spectrum(found), documents.of_spectrum(found),
         {"spectrum": lambda: _drawn("light_figures.draw_spectrum", found)},
+    )  # fmt: skip
+
+
+def arrival_times(
+    scene: Scene, *, group_index: Mapping[str, float | str] | None = None,
+    decay_ns: float | None = None, detected: int = 1000, run: Run | None = None, **given: Any,
+) -> Answer:  # fmt: skip
+    """When detected photons arrive: by their paths and the group index of every part.
+
+    Parameters
+    ----------
+    group_index : mapping, optional
+        By medium (``outside`` is what lies around all of them): numbers, or materials
+        (``{"crystal": "CaMoO4@540nm"}``). By default that of the scene's materials at their
+        wavelengths; of indices that are plain numbers the index, which a note says.
+    decay_ns : float, optional
+        Decay time of the scintillation, folded in; all light is emitted at once without it.
+    detected : int
+        Detected photons of an event: when the first ten of them arrive is computed.
+    run : Run, optional
+        2 million photons, 40 million at most.
+    **given
+        Scene parameters that differ from the file's (``n_gap=1.46``), and fields of the run.
+
+    Returns
+    -------
+    Answer
+        With the fields of `efficiency.arrival_times.ArrivalTimes`; picture ``times``; `to_xarray`
+        gives the histogram.
+
+    Raises
+    ------
+    InputError
+        If the scene is not sound, a parameter is wrong, no light is detected, or a group index is
+        not known.
+    """
+    from mcrim_mitsuba.efficiency.arrival_times import follow_times
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    run, parameters = _split(run, given)
+    if decay_ns is not None and not 0.0 < decay_ns < math.inf:
+        raise InputError(f"decay_ns = {decay_ns:g} is no decay time", "give one above 0")
+    if detected < 1 or detected != int(detected):
+        raise InputError(f"detected = {detected:g} photons", "give a whole number from 1")
+    file = read_scene(scene, parameters)
+    simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
+    found = follow_times(
+        simulation, group_index=group_index, decay_ns=decay_ns, detected=int(detected), run=run
+    )
+    return Answer(
+        found, scene_descriptions.of_times(found), documents.of_times(found),
+        {"times": lambda: _drawn("time_figures.draw_times", found)},
     )  # fmt: skip
 
 

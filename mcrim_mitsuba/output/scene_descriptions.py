@@ -26,6 +26,7 @@ from mcrim_mitsuba.output.described import (
 )
 
 if TYPE_CHECKING:
+    from mcrim_mitsuba.efficiency.arrival_times import ArrivalTimes
     from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
     from mcrim_mitsuba.efficiency.eta_spectrum import EtaSpectrum
     from mcrim_mitsuba.efficiency.table import EtaTable
@@ -120,6 +121,57 @@ def of_spectrum(found: EtaSpectrum) -> Described:
 
 def _percent(value: float, sigma: float) -> tuple[float, float]:
     return 100.0 * value, 100.0 * sigma
+
+
+def of_times(found: ArrivalTimes) -> Described:
+    """When detected light arrives, in which parts it was, and when the first photons do."""
+    numbers = (
+        ("mean", measured(found.mean_ps, found.mean_ps_sigma)),
+        ("rms", measured(found.rms_ps, found.rms_ps_sigma)),
+        ("10 % have arrived", measured(found.begin_ps, found.begin_ps_sigma)),
+        ("from 10 to 90 %", measured(found.rise_ps, found.rise_ps_sigma)),
+    )
+    parts = (
+        (one.name, shown(one.group_index, ".5g"), one.origin,
+         measured(one.mean_ps, one.mean_ps_sigma))
+        for one in found.parts
+    )  # fmt: skip
+    columns: list[str | Column] = ["photon"]
+    for one in found.first:
+        name = one.born.replace(" ", "_")
+        columns += [Column(f"{one.born}, mean (ps)", f"mean_ps_{name}"),
+                    Column(f"{one.born}, rms (ps)", f"rms_ps_{name}")]  # fmt: skip
+    values = [
+        pair
+        for one in found.first
+        for pair in ((one.mean_ps, one.mean_ps_sigma), (one.rms_ps, one.rms_ps_sigma))
+    ]
+    first = (
+        (
+            Cell(str(place + 1), place + 1),
+            *(measured(float(value[place]), float(sigma[place])) for value, sigma in values),
+        )
+        for place in range(len(found.first[0].mean_ps))
+    )
+    emitted = "all emitted at once" if found.decay_ns is None else (
+        f"emitted with a decay of {found.decay_ns:g} ns"
+    )  # fmt: skip
+    said = Sentence(f"arrival of detected light, {emitted}: {found.photons:,} photons followed")
+    tables = (
+        table("times", ("detected light", "ps"), numbers),
+        table("where light is meanwhile",
+              ("part", "group index", Column("from", left=True), Column("mean (ps)", "mean_ps")),
+              parts),
+        table(f"first of {found.detected:,} detected photons", columns, first),
+    )  # fmt: skip
+    births = Sentence(
+        "light of one event is born everywhere in the crystal, or, as that of a gamma, at one "
+        "depth, which is another one in every event"
+    )
+    below = (births,) if len(found.first) > 1 else ()
+    return Described(
+        "arrival times of detected light", (said, *tables, *below), notes=found.notes
+    )  # fmt: skip
 
 
 def of_table(

@@ -247,7 +247,9 @@ def read_scene(
     return _assemble(Path(path), overrides or {}, {}, {})
 
 
-def parse_define(text: str, option: str = "-D") -> tuple[str, str]:
+def parse_define(
+    text: str, option: str = "-D", example: str = "n_gap=1.46"
+) -> tuple[str, str]:  # fmt: skip
     """Split ``name=value``, what follows ``-D`` (or another `option`) on the command line.
 
     Raises
@@ -257,7 +259,7 @@ def parse_define(text: str, option: str = "-D") -> tuple[str, str]:
     """
     name, equals, value = (part.strip() for part in text.partition("="))
     if not equals or not _NAME.fullmatch(name) or not value:
-        mend = f"write for example {option} n_gap=1.46"
+        mend = f"write for example {option} {example}"
         raise InputError(f"{option} {text} is not name=value", mend)
     return name, value
 

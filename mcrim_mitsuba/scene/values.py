@@ -53,6 +53,21 @@ class MaterialIndex:
     notes: tuple[str, ...] = ()
 
     @property
+    def group_index(self) -> float:
+        """n - lambda dn/dlambda of the material, at the wavelength or over the emission."""
+        if self.wavelength_nm is not None:
+            return float(self.material.group_index(self.wavelength_nm))
+        assert self.emission is not None  # one of the two is given
+        from mcrim_mitsuba.optics.spectrum import average_over
+        from mcrim_mitsuba.optics.spectrum_file import read_spectrum
+
+        # at wavelengths where the index is not known, that of the end, as for the index
+        def held(wavelength_nm: np.ndarray) -> np.ndarray:
+            return self.material.group_index(np.clip(wavelength_nm, *self.material.range_nm))
+
+        return average_over(read_spectrum(self.emission, "emission"), held)[0]
+
+    @property
     def words(self) -> str:
         """Material, wavelength, error and source."""
         known = self.material

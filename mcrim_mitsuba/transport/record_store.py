@@ -13,7 +13,7 @@ import numpy as np
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.transport.launch_plan import LanePlan
-from mcrim_mitsuba.transport.scene_model import OUTSIDE, opaque, opaque_vector
+from mcrim_mitsuba.transport.scene_model import opaque, opaque_vector
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.bulk import CrystalVolume
@@ -125,7 +125,7 @@ COLUMNS = {
 
 
 def _path_in(volume: int) -> Recorded:
-    """Path in a volume that does not emit, cm."""
+    """Path in a volume that does not emit, cm: that of light outside all others, too."""
     return Recorded(
         np.float16, lambda step, mine: dr.select(step.inside[volume], step.distance, 0.0), kept=_cm
     )
@@ -140,8 +140,8 @@ class RecordStore:
     photons : int
     columns : sequence of str
         Wanted besides those of all records: of `COLUMNS`, or ``path_<medium>_cm`` of a medium that
-        does not emit. Where the emitting volume scatters unevenly, `SCATTERING_PATH` is
-        always among them.
+        does not emit (``path_outside_cm`` of light outside all of them). Where the emitting volume
+        scatters unevenly, `SCATTERING_PATH` is always among them.
 
     Raises
     ------
@@ -151,7 +151,7 @@ class RecordStore:
 
     def __init__(self, emitter: CrystalVolume, photons: int, columns: Sequence[str]) -> None:
         volumes = emitter.model.volumes
-        others = [n for n in range(len(volumes)) if n not in (OUTSIDE, emitter.volume)]
+        others = [n for n in range(len(volumes)) if n != emitter.volume]
         known = COLUMNS | {f"path_{volumes[n].name}_cm": _path_in(n) for n in others}
         for name in columns:
             if name not in known:
