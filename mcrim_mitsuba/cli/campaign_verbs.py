@@ -10,6 +10,7 @@ from rich.console import Group
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
+from mcrim_mitsuba.core.errors import InputError
 
 
 @click.command(short_help="Reduce a campaign's raw data, every step with its errors.")
@@ -269,11 +270,20 @@ def report(campaign, path, json_file, work) -> None:
 )  # fmt: skip
 @click.option("--wavelength-nm", type=options.Number(200, 2000), metavar="NM",
               help="Maximum of that Gaussian band (default: the material's).")  # fmt: skip
+@click.option("--map", "map_file", type=click.Path(), metavar="FILE.nc",
+              help="Map of eta by `mcrim simulate --map`, of a reading's bench: say what it does "
+              "to eta and the light yield where gammas stop.")  # fmt: skip
+@click.option("--depth", "depth_mm", type=options.Number(1e-6), metavar="MM",
+              help="1/e depth of gammas that stop near a face, for --map (default: the material's, "
+              "else 1).")  # fmt: skip
+@click.option("--deposits", type=click.Path(), metavar="FILE.csv",
+              help="Where gammas stop, for --map: x_mm, y_mm, z_mm, energy_keV, a deposit a row.",
+              )  # fmt: skip
 @options.figure("the budget, with what the model leaves out")
 @options.photons("5e5 of each simulation with another index, fewer for many configurations",
                  further=options.FURTHER_PHOTONS)  # fmt: skip
 @options.work
-def budget(campaign, figure, json_file, work, **crystal) -> None:
+def budget(campaign, figure, json_file, work, map_file, **crystal) -> None:
     """Show where the errors of CAMPAIGN (TOML) come from, and which can be reduced.
 
     The fit is repeated with every piece of physics that the model leaves out: where the source's
@@ -282,8 +292,11 @@ def budget(campaign, figure, json_file, work, **crystal) -> None:
     describe is added to the errors.
     """
     read, files = showing.read_campaign(campaign, json_file, figure)
-    if crystal["emission"]:
-        showing.refuse_places(json_file, [*files, crystal["emission"]], figure)
+    if map_file is None and (crystal["deposits"] or crystal["depth_mm"]):
+        problem = "--depth and --deposits say where gammas stop on a map"
+        raise InputError(problem, "give --map FILE.nc too")
+    if further := [file for file in (crystal["emission"], map_file, crystal["deposits"]) if file]:
+        showing.refuse_places(json_file, [*files, *further], figure)
     with work.begin() as run:
-        found = mcrim.budget(read, run=run, **crystal)
+        found = mcrim.budget(read, run=run, eta_map=map_file, **crystal)
     showing.answer(found, json_file, figure)

@@ -16,6 +16,8 @@ from mcrim_mitsuba.core.errors import InputError
 
 #: Millimetres per centimetre; coefficients are converted once, where a scene is read.
 MM_PER_CM = 10.0
+#: Full width at half maximum of a Gaussian over its standard deviation.
+FWHM = 2.0 * math.sqrt(2.0 * math.log(2.0))
 
 ALPHA_SCAT = "alpha_scat_per_cm"
 ALPHA_ABS = "alpha_abs_per_cm"

@@ -19,7 +19,8 @@ import numpy as np
 from mcrim_mitsuba.core.data_table import read_data_table
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.files import is_there
+from mcrim_mitsuba.core.numbers import FWHM, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.lighting import Bins, bin_of
 
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
 #: where a quarter of the light is detected.
 CELLS, PHOTONS_PER_CELL = (10, 10, 10), 100_000
 _FEWEST_PER_CELL = 100
-#: Full width at half maximum of a Gaussian over its standard deviation.
-FWHM = 2.0 * math.sqrt(2.0 * math.log(2.0))
 _AXES = ("x_mm", "y_mm", "z_mm")
 _DEPOSITS = ("x_mm", "y_mm", "z_mm", "energy_keV")
 
@@ -119,9 +118,9 @@ class EtaMap:
         from_side = _falling(x - x[0], depth_mm)
         return (
             self.spread("everywhere", self.volume),
-            self.spread(f"below the top, 1/e in {depth_mm:g} mm", self.volume * downwards),
+            self.spread(f"below the top, 1/e in {depth_mm:.3g} mm", self.volume * downwards),
             self.spread(
-                f"behind a side, 1/e in {depth_mm:g} mm", self.volume * from_side[:, None, None]
+                f"behind a side, 1/e in {depth_mm:.3g} mm", self.volume * from_side[:, None, None]
             ),
         )
 
@@ -222,6 +221,62 @@ def map_eta(simulation: Simulation, cells: Sequence[int] = CELLS, *, run: Run = 
         edges, light.light / share, light.sigma / share, inside / inside.sum(), tally.photons,
         run.seed, dict(simulation.file.parameters), simulation.file.content_hash,
     )  # fmt: skip
+
+
+_OF_MAP = ("eta", "eta_sigma", "volume")
+_OF_RUN = ("photons", "seed", "scene_hash")
+
+
+def read_map(path: str | Path) -> EtaMap:
+    """A map as `EtaMap.to_xarray` gives it, from the NetCDF file that ``simulate --map`` writes.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or is something else.
+    """
+    import xarray
+
+    path = Path(path)
+    mend = "name a file that `mcrim simulate --map FILE.nc` wrote"
+    if not is_there(path):
+        raise InputError("this file does not exist", mend, path=path)
+    try:
+        with xarray.open_dataset(path, engine="scipy") as data:
+            tables = [data[name].to_numpy().astype(float) for name in _OF_MAP]
+            centres = [data[name].to_numpy().astype(float) for name in _AXES]
+            known = dict(data.attrs)
+            photons, seed, scene_hash = (known.pop(name) for name in _OF_RUN)
+            dims = {data[name].dims for name in _OF_MAP}
+    except (KeyError, OSError, TypeError, ValueError):
+        raise InputError("this is no map of eta", mend, path=path) from None
+    if dims != {_AXES} or min(len(one) for one in centres) < 2:
+        problem = "this is no map of eta over x, y and z, of two cells along each at least"
+        raise InputError(problem, mend, path=path)
+    x, y, z = (
+        np.append(one - 0.5 * (one[1] - one[0]), 1.5 * one[-1] - 0.5 * one[-2]) for one in centres
+    )
+    eta, sigma, volume = tables
+    plain = {n: v.item() if isinstance(v, np.generic) else v for n, v in known.items()}
+    return EtaMap(
+        (x, y, z), eta, sigma, volume, int(photons), int(seed), plain, str(scene_hash)
+    )  # fmt: skip
+
+
+def all_spreads(
+    mapped: EtaMap, depth_mm: float, deposits: str | Path | None = None
+) -> tuple[Spread, ...]:
+    """Of gammas that stop everywhere, near a face, and as a file says, where one is named.
+
+    Raises
+    ------
+    InputError
+        If the depth is not above 0, and as `EtaMap.of_deposits`.
+    """
+    if not depth_mm > 0.0:
+        raise InputError(f"depth_mm = {depth_mm:g} is no depth", "give one above 0")
+    own = () if deposits is None else (mapped.of_deposits(deposits),)
+    return (*mapped.spreads(depth_mm), *own)
 
 
 def _falling(depths_mm: Array, length_mm: float) -> Array:

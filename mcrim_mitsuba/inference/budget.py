@@ -28,6 +28,7 @@ from mcrim_mitsuba.inference.neglected import (
     Refit,
     fitted,
 )
+from mcrim_mitsuba.inference.places import USUAL_DEPTH_MM, Places, places_of
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, contribution
 
 #: Parts of an error smaller than this, relative to the largest, are rounding.
@@ -153,6 +154,8 @@ class Budget:
     #: Pieces that were not put in, and why.
     not_estimated: dict[str, str]
     provenance: Provenance
+    #: What it does to the readings where gammas stop, by a map; None without one.
+    places: Places | None = None
 
     @property
     def pieces(self) -> tuple[Neglected, ...]:
@@ -176,6 +179,7 @@ class Budget:
                 for name, total in self.totals.items()
             },
             "not_estimated": self.not_estimated,
+            **({} if self.places is None else {"places": self.places.to_json()}),
         }
 
 
@@ -194,6 +198,9 @@ def budget(
     material: str | None = None,
     emission: str | Path | None = None,
     wavelength_nm: float | None = None,
+    eta_map: str | Path | None = None,
+    depth_mm: float | None = None,
+    deposits: str | Path | None = None,
     run: Run = Run(),
 ) -> Budget:
     """Fit a campaign, and fit it again with every piece of physics that it leaves out.
@@ -211,6 +218,8 @@ def budget(
         File with the emission spectrum; without it the campaign's own, else a Gaussian band.
     wavelength_nm : float, optional
         Maximum of that band.
+    eta_map, depth_mm, deposits : optional
+        See `places.places_of`.
     run : Run
         Its photons are those of every configuration's simulation with another index; those with
         the scene's own get nine times as many. Its seed is the same for all of them: what they
@@ -225,6 +234,10 @@ def budget(
     start = time.perf_counter()
     campaign = as_campaign(campaign)
     known = KnownCrystal.of(campaign, material, emission, wavelength_nm)
+    places = None
+    if eta_map is not None:
+        depth = known.depth.length_mm if known.depth is not None else USUAL_DEPTH_MM
+        places = places_of(campaign, eta_map, depth if depth_mm is None else depth_mm, deposits)
     configurations = {tuple(r.parameters.items()) for r in campaign.measurements.readings}
     each = run.photons_or(max(DEFAULT_PHOTONS // len(configurations), FEWEST_PHOTONS))
     work = NeglectWork(campaign, known, replace(run, photons=each))
@@ -241,4 +254,5 @@ def budget(
         totals=totals(own, contributions, neglected, work.corrected),
         not_estimated=work.refused,
         provenance=replace(work.provenance(), seconds=time.perf_counter() - start),
+        places=places,
     )

@@ -16,6 +16,7 @@ import numpy as np
 from mcrim_mitsuba.core.data_table import DataTable, read_data_table
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import FWHM
 
 #: Part of its height to which the counts must fall beside a peak that is alone.
 SHALLOW = 0.5
@@ -24,7 +25,6 @@ SHALLOW = 0.5
 _STANDS_OUT, _LARGE = 5.0, 0.25
 # Of the counts, standard deviation in bins.
 _SMOOTHINGS = (1.0, 1.4, 2.0, 2.8, 4.0, 5.7, 8.0)
-_FWHM = 2.0 * math.sqrt(2.0 * math.log(2.0))
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def main_peak(values: Array, counts: Array) -> Found | None:
     main = np.flatnonzero(areas >= _LARGE * areas.max())[-1]
     top, bin_width = found[main], values[1] - values[0]
     height, half_width = _half_width(smooth, top)
-    width = max(2.0 * half_width / _FWHM, 1.0) * bin_width
+    width = max(2.0 * half_width / FWHM, 1.0) * bin_width
     below = np.arange(max(0, top - math.ceil(4 * width / bin_width)), top + 1)
     low = below[np.argmin(smooth[below])]
     high = top + np.argmin(smooth[top : found[main + 1]]) if main + 1 < len(found) else top
@@ -108,7 +108,7 @@ def peak_inside(values: Array, counts: Array) -> Found | None:
     near = smooth > background + 0.5 * height
     if not near.any():
         return None
-    width = max(np.ptp(values[near]) / _FWHM, values[1] - values[0])
+    width = max(np.ptp(values[near]) / FWHM, values[1] - values[0])
     centroid = float(np.average(values[near], weights=smooth[near]))
     return Found(height, centroid, float(width), background, -math.inf, math.inf)
 

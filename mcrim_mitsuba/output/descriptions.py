@@ -477,7 +477,7 @@ def of_budget(found: Budget) -> Described:
     main = next((name for name in (LIGHT_YIELD, SCALE) if name in budgets), None)
     if main is not None:
         origins += _next(findings.what_next(budgets[main], findings.called(main)))
-    parts: list[Part] = [*origins, *_shifts(found), *_totals(found)]
+    parts: list[Part] = [*origins, *_shifts(found), *_totals(found), *_places(found)]
     return _described("error budget of a campaign", parts, found.calibration, found.provenance)
 
 
@@ -583,6 +583,37 @@ def _totals(found: Budget) -> Iterator[Part]:
             "A correction is no error: make it in the scene or the campaign. The errors of "
             "corrected values have those of the corrections' sizes in them."
         )
+
+
+def _places(found: Budget) -> Iterator[Part]:
+    """What it does to readings where gammas stop."""
+    if found.places is None:
+        return
+    columns = ("gammas stop", "eta", Column("eta (%)", "eta_shift"),
+               Column("light yield (%)", "yield_shift"))  # fmt: skip
+    everywhere, *_ = found.places.shifts
+    rows = (
+        row(
+            one.source, measured(one.eta, one.eta_sigma),
+            *(Cell("") if one is everywhere else _signed(100.0 * moved, 100.0 * one.sigma)
+              for moved in (one.eta_shift, one.yield_shift)),
+        )
+        for one in found.places.shifts
+    )  # fmt: skip
+    yield table("where gammas stop, instead of everywhere", columns, rows)
+    yield Sentence(
+        f"By the map of {', '.join(found.places.readings)}, at its coefficients, beside a model "
+        "whose light is born everywhere. Where nobody knows which of these the source does, half "
+        f"of what lies between them, {100.0 * found.places.half_range:.2g} %, is a systematic "
+        "error of the light yield that no total above has; where it is known, put it into the "
+        "model instead (effect source_depth or side_source)."
+    )
+
+
+def _signed(value: float, sigma: float) -> Cell:
+    """A shift with its sign and error."""
+    text = pdg(value, sigma)
+    return Cell(text if text.startswith("-") else f"+{text}", value, sigma)
 
 
 def _two_digits(value: float, sigma: float) -> Cell:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     )
     from mcrim_mitsuba.laboratory.peak import Repeated
     from mcrim_mitsuba.laboratory.peak_band import Peak
+    from mcrim_mitsuba.laboratory.peak_width import WidthParts
     from mcrim_mitsuba.optics.absorption import Absorption
     from mcrim_mitsuba.optics.gammas import AttenuationLength
     from mcrim_mitsuba.optics.materials import Material
@@ -178,9 +179,10 @@ def _there(found: Absorption) -> dict[str, float]:
 
 
 def of_peaks(
-    fitted: Sequence[FittedHistogram], combined: Repeated | None, notes: Sequence[str]
-) -> Described:
-    """The main peak of every histogram, and what several mountings make together."""
+    fitted: Sequence[FittedHistogram], combined: Repeated | None, notes: Sequence[str],
+    widths: Mapping[str, Sequence[WidthParts]],
+) -> Described:  # fmt: skip
+    """The main peak of every histogram, what several mountings make together, and the widths."""
     parts: list[Part] = []
     found = sum(each.peak is not None for each in fitted)
     if found:
@@ -195,7 +197,42 @@ def of_peaks(
             f"p = {p_text(combined.p_value)}"
             + ("" if combined.consistent else "; the set is inconsistent")
         ))  # fmt: skip
-    return Described("peaks of histograms", tuple(parts), notes=tuple(notes))
+    said = list(notes)
+    if widths:
+        parts += _widths(widths)
+        said += [
+            f"{name}: counting and gammas that stop {one.source} alone would make the peak wider "
+            f"than it is, by {one.excess:.2g} standard errors: they do not stop so, the map is of "
+            "another bench, or the bins are no photoelectrons"
+            for name, several in widths.items()
+            for one in several
+            if one.excess > _MUCH_TOO_WIDE
+        ]
+    return Described("peaks of histograms", tuple(parts), notes=tuple(said))
+
+
+#: Standard errors by which parts may exceed the whole without a word.
+_MUCH_TOO_WIDE = 2.0
+
+
+def _widths(widths: Mapping[str, Sequence[WidthParts]]) -> tuple[Part, ...]:
+    """A row for every peak and place, per cent of the centroid."""
+    columns = ("histogram", Column("gammas stop", left=True), "whole", "counting", "place", "rest")
+
+    def cells(one: WidthParts) -> list[Cell]:
+        several = one.total, one.counting, one.place, one.rest
+        return [measured(100.0 * each.fwhm, 100.0 * each.sigma) for each in several]
+
+    rows = (
+        row(name, one.source, *cells(one)) for name, several in widths.items() for one in several
+    )
+    return (
+        table("full width at half maximum, % of the centroid, by origin", columns, rows),
+        Sentence(
+            "In quadrature: photoelectrons that are counted, eta that differs from place to place, "
+            "and the rest, which is the crystal's non-proportionality, the tube and electronics."
+        ),
+    )
 
 
 def of_efficiency(found: DetectorEfficiency, notes: Sequence[str]) -> Described:

@@ -369,7 +369,7 @@ def eta_map(
         If the scene is not sound, a parameter is wrong, photons are too few, or a deposit is
         outside the crystal.
     """
-    from mcrim_mitsuba.efficiency.eta_map import CELLS, map_eta
+    from mcrim_mitsuba.efficiency.eta_map import CELLS, all_spreads, map_eta
     from mcrim_mitsuba.transport.simulation import Simulation
 
     run, parameters = _split(run, given)
@@ -378,9 +378,7 @@ def eta_map(
     file = read_scene(scene, parameters)
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
     found = map_eta(simulation, cells or CELLS, run=run)
-    spreads = list(found.spreads(depth_mm))
-    if deposits is not None:
-        spreads.append(found.of_deposits(deposits))
+    spreads = all_spreads(found, depth_mm, deposits)
     return Answer(
         found, scene_descriptions.of_map(found, spreads), documents.of_map(found, spreads),
         {"map": lambda: _drawn("light_figures.draw_map", found, spreads)},
@@ -845,7 +843,8 @@ def repair(
 def budget(
     campaign: str | Path | Campaign, *, material: str | None = None,
     emission: str | Path | None = None, wavelength_nm: float | None = None,
-    run: Run | None = None, **given: Any,
+    eta_map: str | Path | None = None, depth_mm: float | None = None,
+    deposits: str | Path | None = None, run: Run | None = None, **given: Any,
 ) -> Answer:  # fmt: skip
     """Where all errors of a campaign come from, and what its model leaves out.
 
@@ -857,6 +856,13 @@ def budget(
         File with the emission spectrum; the campaign's own by default.
     wavelength_nm : float, optional
         Maximum of a Gaussian band, where there is no spectrum.
+    eta_map : str or Path, optional
+        File that ``simulate --map`` wrote, of the bench of a reading: what it does to the light
+        yield where gammas stop is then said.
+    depth_mm : float, optional
+        1/e depth of gammas that stop near a face; by default the material's, or 1 mm.
+    deposits : str or Path, optional
+        Table of where gammas stop, as for `eta_map`.
     run : Run, optional
         As for `diagnose`.
 
@@ -875,7 +881,7 @@ def budget(
     campaign = _read(campaign)
     found = budgeted(
         campaign, material=material, emission=emission, wavelength_nm=wavelength_nm,
-        run=_run(run, given),
+        eta_map=eta_map, depth_mm=depth_mm, deposits=deposits, run=_run(run, given),
     )  # fmt: skip
     pictures = {"neglected": lambda: _drawn("budget_figures.draw_neglected", found)}
     return _answer("budget", found, _of_campaign(campaign, pictures))

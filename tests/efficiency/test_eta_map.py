@@ -9,9 +9,11 @@ from places import SCENES
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import FWHM
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.eta_map import FWHM, map_eta
+from mcrim_mitsuba.efficiency.eta_map import map_eta, read_map
 from mcrim_mitsuba.efficiency.simulate import collect
+from mcrim_mitsuba.output.result_writing import netcdf_bytes
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.scene_model import opaque_vector
 from mcrim_mitsuba.transport.simulation import Simulation
@@ -96,3 +98,24 @@ def test_map_as_a_dataset_with_a_picture(tmp_path):
     assert "everywhere" in str(made) and len(made.document["spreads"]) == 3
     figure, numbers = made.plot(), made.draw(tmp_path / "map.png")[1]
     assert len(figure.axes) == 7 and len(numbers.read_text().splitlines()) == 13
+
+
+def test_a_written_map_is_read_as_it_was(mapped, tmp_path):
+    file = tmp_path / "eta.nc"
+    file.write_bytes(netcdf_bytes(mapped.to_xarray()))
+    again = read_map(file)
+    for one, other in zip(again.edges_mm, mapped.edges_mm, strict=True):
+        assert one == pytest.approx(other, abs=1e-9)
+    assert again.eta == pytest.approx(mapped.eta) and again.photons == mapped.photons
+    assert again.parameters["n_gap"] == 1.0 and again.scene_hash == mapped.scene_hash
+    assert again.spreads(1.0)[1].eta == pytest.approx(mapped.spreads(1.0)[1].eta)
+    others = {"text.nc": b"CDF or not", "empty.nc": b"", "other.nc": other_dataset()}
+    for name, content in others.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match="no map of eta"):
+            read_map(tmp_path / name)
+
+
+def other_dataset() -> bytes:
+    made = mcrim.table(BENCH, alpha_scat_per_cm=[0.5, 0.6], photons=20_000)
+    return netcdf_bytes(made.to_xarray())

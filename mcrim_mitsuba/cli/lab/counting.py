@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -47,9 +48,18 @@ class _Window(options.Written):
     "--window", type=_Window(), metavar="LOW:HIGH",
     help="Bins to fit, in photons (default: chosen about the peak).",
 )  # fmt: skip
+@click.option("--map", "map_file", type=click.Path(), metavar="FILE.nc",
+              help="Map of eta by `mcrim simulate --map`: split the peaks' widths into counted "
+              "photoelectrons, where gammas stop, and the rest; drawn as NAME_widths.")  # fmt: skip
+@click.option("--depth", "depth_mm", type=options.Number(1e-6), default="1", show_default=True,
+              metavar="MM", help="1/e depth of gammas that stop near a face, for --map.",
+              )  # fmt: skip
+@click.option("--deposits", type=click.Path(), metavar="FILE.csv",
+              help="Where gammas stop, for --map: x_mm, y_mm, z_mm, energy_keV, a deposit a row.",
+              )  # fmt: skip
 @options.figure("the histograms with their fits")
 @options.json_output
-def peak(files, shape, window, figure, json_file) -> None:
+def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) -> None:
     """Centroid of the main peak in each histogram, in photons per event.
 
     \b
@@ -62,14 +72,19 @@ def peak(files, shape, window, figure, json_file) -> None:
     """
     from mcrim_mitsuba.laboratory.histogram import read_histogram
     from mcrim_mitsuba.laboratory.peak import combine
+    from mcrim_mitsuba.laboratory.peak_width import width_parts
     from mcrim_mitsuba.output.laboratory_figures import FittedHistogram, draw_histograms
 
     if shape not in _SHAPES:
         meant = closest(shape, _SHAPES)
         mend = f"did you mean {meant}?" if meant else f"give one of {', '.join(_SHAPES)}"
         raise InputError(f"--shape {shape} is not known", mend)
-    showing.refuse_places(json_file, files, figure)
+    if deposits and not map_file:
+        raise InputError("--deposits says where gammas stop on a map", "give --map FILE.nc too")
+    inputs = [*files, *filter(None, (map_file, deposits))]
+    showing.refuse_places(json_file, inputs, figure, *(["widths"] if map_file else []))
     _refuse_duplicates(files)
+    spreads = _spreads(map_file, depth_mm, deposits)
     names = [Path(file).name for file in files]
     if len(set(names)) < len(names):
         names = list(files)
@@ -101,10 +116,22 @@ def peak(files, shape, window, figure, json_file) -> None:
         "combined": of_all,
         "notes": notes,
     }
-    described = of_peaks(fitted, combined, notes)
-    answer = mcrim.Answer(
-        fitted, described, document, {"histograms": lambda: draw_histograms(fitted)}
-    )
+    pictures = {"histograms": lambda: draw_histograms(fitted)}
+    widths = {
+        name: [width_parts(one, each.source, each.relative_rms, each.relative_rms_sigma)
+               for each in spreads]
+        for name, one in peaks.items()
+        if spreads
+    }  # fmt: skip
+    if widths:
+        from mcrim_mitsuba.output.width_figures import draw_widths
+
+        pictures["widths"] = lambda: draw_widths(widths)
+        document["widths"] = [
+            {"histogram": name, **asdict(one)} for name, parts in widths.items() for one in parts
+        ]
+    described = of_peaks(fitted, combined, notes, widths)
+    answer = mcrim.Answer(fitted, described, document, pictures)
     showing.answer(answer, json_file, figure)
     if without:
         raise InputError(
@@ -113,6 +140,15 @@ def peak(files, shape, window, figure, json_file) -> None:
             else "let --window have the whole peak, and some background beside it",
             path=without[0].histogram.path,
         )  # fmt: skip
+
+
+def _spreads(map_file: str | None, depth_mm: float, deposits: str | None):
+    """What a map of eta varies by over where gammas stop; nothing without one."""
+    if map_file is None:
+        return ()
+    from mcrim_mitsuba.efficiency.eta_map import all_spreads, read_map
+
+    return all_spreads(read_map(map_file), depth_mm, deposits)
 
 
 def _fit(histogram, shape, window):
