@@ -172,7 +172,9 @@ def first_photons(times_ps: Array, light: Array, detected: int, most: int) -> Ar
     for number in range(most):
         fewer = fewer + chance
         part = -np.diff(fewer, prepend=1.0)
-        mean = float(part @ times_ps)
-        found[:, number] = mean, math.sqrt(max(float(part @ (times_ps - mean) ** 2), 0.0))
+        # no products of BLAS, whose threads wait for each other
+        mean = float((part * times_ps).sum())
+        variance = float((part * (times_ps - mean) ** 2).sum())
+        found[:, number] = mean, math.sqrt(max(variance, 0.0))
         chance = chance * odds * ((detected - number) / (number + 1))
     return found

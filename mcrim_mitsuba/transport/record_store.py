@@ -226,6 +226,9 @@ class RecordStore:
         """
         every = dr.arange(mi.UInt32, self._photons)
         seen = dr.compress(dr.gather(mi.Float, self.tables[0], 4 * every) > 0.0)
+        kinds = {"batch": np.uint8} | {name: c.kind for name, c in self._columns.items()}
+        if not dr.width(seen):
+            return {name: np.zeros(0, kind) for name, kind in kinds.items()}
         rows = [c for table in self.tables for c in dr.gather(mi.Vector4f, table, seen)]
         # the first lanes may follow one photon more
         each, more = divmod(self._photons, plan.lanes)
@@ -244,5 +247,4 @@ class RecordStore:
         if self._head_on != 1.0:
             found["w"] /= self._head_on
         dr.eval(found)
-        kinds = {"batch": np.uint8} | {name: c.kind for name, c in self._columns.items()}
         return {name: np.asarray(column).astype(kinds[name]) for name, column in found.items()}

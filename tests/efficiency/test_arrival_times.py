@@ -174,11 +174,12 @@ def test_group_indices_are_those_of_the_materials():
         ({"group_index": {"crystal": "slow"}}, "slow"),
         ({"decay_ns": -1.0}, "no decay time"),
         ({"detected": 0}, "detected = 0"),
+        ({"photons": 1}, "0 of 1 photons are detected"),
     ],
 )
 def test_wrong_input_is_refused(given, told):
     with pytest.raises(InputError, match=told):
-        mcrim.arrival_times(BENCH, photons=1000, **given)
+        mcrim.arrival_times(BENCH, **{"photons": 1000} | given)
 
 
 def test_times_as_a_dataset_and_beside_a_simulation(here, mcrim):
