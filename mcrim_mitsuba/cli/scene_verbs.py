@@ -158,8 +158,8 @@ def simulate(
     written = {f"--{name}": one for name, one in wanted.items() if one[0]}
     inputs = [scene, *filter(None, [deposits, spectrum, quantum_efficiency])]
     if figure:
-        drawn = {"map": map_file, "spectrum": spectrum, "times": times_file}
-        endings = ["fates", *(name for name, given in drawn.items() if given)]
+        pictures = {"map": map_file, "spectrum": spectrum, "times": times_file}
+        endings = ["fates", *(name for name, given in pictures.items() if given)]
         showing.refuse_places(json_file, inputs, figure, *endings, written=written)
     else:
         showing.refuse_places(json_file, inputs, written=written)
