@@ -300,7 +300,7 @@ def _drawn(
 
 #: Part of a distribution whose width counts as its error, and how many standard deviations it is
 #: of a Gaussian.
-INTERVAL = 0.85
+INTERVAL = 0.9
 WIDTH = float(2.0 * ndtri(0.5 + 0.5 * INTERVAL))
 
 
@@ -309,7 +309,7 @@ class AveragedYield:
     """The light yield averaged over the models that the data allow, photons per keV.
 
     The average is no Gaussian: an unlikely model may be far from the others. So its error is the
-    width of the interval that holds 85 % of it, in standard deviations of a Gaussian.
+    width of the interval that holds 90 % of it, in standard deviations of a Gaussian.
     """
 
     value: float

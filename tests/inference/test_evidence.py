@@ -144,12 +144,12 @@ def test_probabilities_and_the_averaged_yield():
     values = np.array([8.0, 7.0, 6.0])
     mean = p @ values
     assert found.light_yield.value == pytest.approx(mean)
-    # the interval that holds 85 %, by drawing; its parts as the variances are
+    # the interval that holds 90 %, by drawing; its parts as the variances are
     rng = np.random.default_rng(4)
     model = rng.choice(3, 400_000, p=p)
     sigmas = np.hypot(0.2, 0.05 * values * [0, 1, 1])
     drawn = values[model] + sigmas[model] * rng.standard_normal(len(model))
-    width = np.ptp(np.quantile(drawn, [0.075, 0.925])) / (2.0 * 1.439531)
+    width = np.ptp(np.quantile(drawn, [0.05, 0.95])) / (2.0 * 1.644854)
     parts = np.array(
         [0.2, math.sqrt(p @ (values - mean) ** 2), 0.05 * math.sqrt(p[1:] @ values[1:] ** 2)]
     )
