@@ -13,15 +13,18 @@ from mcrim_mitsuba.campaign.entries import (
     BEAM,
     BEAM_TABLE,
     CAMPAIGN,
+    KNOWN_YIELD,
+    LIGHT_YIELD,
     LONGEST_WORDS,
     NEXT,
     NEXT_ENTRIES,
     NEXT_MINUTES,
     NEXT_SIGMA,
+    SHARED_SIGMA,
     SPECTRUM,
     number_within,
 )
-from mcrim_mitsuba.campaign.measurements import Measurements, read_table
+from mcrim_mitsuba.campaign.measurements import Measurements, Reading, read_table
 from mcrim_mitsuba.campaign.parameter import (
     SCALE,
     CampaignParameter,
@@ -32,6 +35,15 @@ from mcrim_mitsuba.campaign.parameter import (
 )
 from mcrim_mitsuba.campaign.raw_data import file_in
 from mcrim_mitsuba.campaign.reduction import RawData, reduce_raw_data
+from mcrim_mitsuba.campaign.samples import (
+    EFFICIENCY_FACTOR,
+    Sample,
+    efficiency_factor,
+    own_name,
+    read_samples,
+    shared_efficiency,
+    without_shared,
+)
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by, visible
 from mcrim_mitsuba.core.files import is_there
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, judge, value_text, without_unit
@@ -63,8 +75,8 @@ class Campaign:
     scene: SceneFile
     #: The readings.
     measurements: Measurements
-    #: Scene parameters that the campaign names, and all of the effects that are switched on;
-    #: `scale` is not among them.
+    #: Scene parameters that the campaign names, and all of the effects that are switched on, and
+    #: what samples have of their own; `scale` is not among them.
     parameters: dict[str, CampaignParameter]
     #: The common scale; None where the campaign says nothing: free, without a prior.
     scale: CampaignParameter | None
@@ -93,6 +105,35 @@ class Campaign:
     title: str = ""
     #: Unit of the signals of light; empty where the file does not say it.
     unit: str = ""
+    #: Crystals among the readings besides the campaign's own.
+    samples: dict[str, Sample] = field(default_factory=dict)
+
+    def parameter_of(self, reading: Reading, name: str) -> str:
+        """The parameter that is alpha_scat_per_cm, alpha_abs_per_cm or the scale of a reading."""
+        sample = self.samples.get(reading.sample)
+        return name if sample is None else sample.named(name)
+
+    def stands_for(self, name: str) -> str:
+        """The parameter of the campaign's own crystal that one of a sample is in place of."""
+        return next(
+            (of for s in self.samples.values() for of in s.own if s.named(of) == name), name
+        )
+
+    @property
+    def light_yields(self) -> dict[str, tuple[str, LightYieldInput]]:
+        """Scales that turn into light yields: these by name, and by what they do so."""
+        found = {} if self.light_yield is None else {SCALE: (KNOWN_YIELD, self.light_yield)}
+        for sample in self.samples.values():
+            if sample.light_yield is not None:
+                name = own_name(KNOWN_YIELD, sample.name)
+                found[sample.named(SCALE)] = name, sample.light_yield
+        return found
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Scene parameters that differ from reading to reading, by row or by sample."""
+        of_samples = (name for sample in self.samples.values() for name in sample.scene)
+        return tuple(dict.fromkeys([*self.measurements.columns, *of_samples]))
 
     @property
     def values(self) -> dict[str, Value]:
@@ -170,7 +211,7 @@ class Campaign:
         ranges = known_ranges(self.catalogue, names, self.values)
         added = {}
         for name in (p.name for effect in names for p in self.catalogue[effect].parameters):
-            if name in self.parameters or name in self.measurements.columns:
+            if name in self.parameters or name in self.varied:
                 place = "the campaign" if name in self.parameters else "the measurements"
                 raise InputError(f"{name} is in {place} already", "remove it there", path=self.path)
             known = ranges[name]
@@ -205,6 +246,10 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
     scene = read_scene(_sibling(entries, "scene"))
     table = read_table(_sibling(entries, "measurements"), scene.parameters)
     document, measurements, raw = reduce_raw_data(document, table, scene)
+    of_effects = {p.name for effect in known.values() for p in effect.parameters}
+    samples, measurements = read_samples(
+        document, scene, measurements, of_effects | {*scene.parameters, EFFICIENCY_FACTOR}
+    )
     _refuse_rows_the_scene_cannot_take(scene, measurements)
     beam = _read_beam(document, scene, measurements)
     effects = _read_effects(entries, known, scene, measurements, beam)
@@ -219,9 +264,19 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
     _refuse_ranges_of_beam(document, parameters, values)
     scale = parameters.pop(SCALE, None)
     light_yield = read_light_yield(document)
+    for sample in samples.values():
+        parameters |= {own.name: own for own in sample.own.values()}
     if light_yield is not None and raw is not None and raw.efficiency is not None:
         parts = dict(raw.efficiency.found.contributions)
         light_yield = replace(light_yield, efficiency_parts=parts)
+    if light_yield is not None and (shared := shared_efficiency(document)) is not None:
+        table_of_yield = document.table(LIGHT_YIELD)
+        if not any(SCALE in sample.own for sample in samples.values()):
+            problem = "no sample has a scale of its own, and shares the efficiency's error"
+            mend = "remove it: it is a part of detector_efficiency_sigma"
+            raise table_of_yield.refusal(SHARED_SIGMA, problem, mend)
+        light_yield = without_shared(table_of_yield, light_yield, shared)
+        parameters[EFFICIENCY_FACTOR] = efficiency_factor(shared)
     campaign = Campaign(
         path=document.path,
         scene=scene,
@@ -239,13 +294,9 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
         executed=() if folder is None else (whose(folder),),
         title=_words(entries, "title") or document.path.stem,
         unit=_words(entries, "unit"),
+        samples=samples,
     )
-    if SCALE in campaign.free and all(reading.of_beam for reading in measurements.in_use):
-        raise InputError(
-            "all readings in use are transmittances, which say nothing of the scale",
-            "add a reading of light, or hold it: [parameters.scale] with start = 1, fixed = true",
-            path=campaign.path,
-        )
+    _refuse_scales_without_light(campaign)
     if campaign.ndf < 0:
         raise InputError(
             f"{counted(len(campaign.free), 'free parameter')} ({', '.join(campaign.free)}) but "
@@ -255,6 +306,25 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
             path=campaign.path,
         )
     return campaign
+
+
+def _refuse_scales_without_light(campaign: Campaign) -> None:
+    """Refuse fitted scales of which no reading in use says anything."""
+    used = campaign.measurements.in_use
+    read = {campaign.parameter_of(r, SCALE) for r in used if not r.of_beam}
+    if SCALE in campaign.free and not read:
+        raise InputError(
+            "all readings in use are transmittances, which say nothing of the scale",
+            "add a reading of light, or hold it: [parameters.scale] with start = 1, fixed = true",
+            path=campaign.path,
+        )
+    scales = (SCALE, *(sample.named(SCALE) for sample in campaign.samples.values()))
+    for name in scales:
+        if name in campaign.free and name not in read and name not in campaign.priors:
+            problem = f"no reading of light in use says anything of {name}"
+            whose = "samples have their own: " if name == SCALE else ""
+            mend = f"{whose}let one share it, or hold it with fixed = true"
+            raise InputError(problem, mend, path=campaign.path)
 
 
 def _read_beam(

@@ -18,9 +18,10 @@ import tomlkit
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.entries import FILE_ENTRIES, HISTOGRAMS, RAW_TABLES, SPECTRUM
-from mcrim_mitsuba.campaign.measurements import KIND, Measurements
+from mcrim_mitsuba.campaign.measurements import KIND, SAMPLE, Measurements
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.campaign.reduction import RawData, ReducedAbsorption, ReducedReading
+from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import attributes, read_text, write_text
 from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
@@ -45,8 +46,18 @@ def campaign_with_effects(
     # a key that is new goes before the first table, or it would belong to the last one
     document["effects"] = list(campaign.effects)
     parameters = document.setdefault("parameters", tomlkit.table(is_super_table=True))
+    # what samples have of their own stands in their tables, with what is known of it
+    own = {
+        known.name: f"samples.{sample.name}.parameters.{of}"
+        for sample in campaign.samples.values()
+        for of, known in sample.own.items()
+    }
     for name, start in starts.items():
         value = float(f"{start:.6g}")
+        if name in own or name == EFFICIENCY_FACTOR:
+            if name in own and (given := _table(document, own[name])) is not None:
+                given["start"] = value
+            continue
         if name in parameters:
             parameters[name]["start"] = value
             continue
@@ -269,6 +280,8 @@ def measurement_cells(measurements: Measurements) -> dict[str, list[str]]:
     }
     if any(reading.of_beam for reading in readings):
         cells[KIND] = [reading.kind for reading in readings]
+    if any(reading.sample for reading in readings):
+        cells[SAMPLE] = [reading.sample for reading in readings]
     for name in measurements.columns:
         # beams leave cells of the bench empty, and light those of the beam
         known = (reading.parameters.get(name) for reading in readings)

@@ -19,10 +19,16 @@ Entries = dict[str, dict[str, Any]]
 SCALE = "scale"
 #: The parameter that a transmittance gives, and the one that the source's gammas give.
 ABSORPTION, SOURCE_DEPTH = "alpha_abs_per_cm", "source_depth_mm"
+SCATTERING = "alpha_scat_per_cm"
 #: Tables.
 #: Names the light over wavelengths.
 SPECTRUM = "spectrum"
 LIGHT_YIELD, HISTOGRAMS, NEXT, BEAM_TABLE = "light_yield", "histograms", "next_measurements", "beam"
+#: Crystals that are measured beside the campaign's own, and their scene parameters.
+SAMPLES, SAMPLE_SCENE = "samples", "scene"
+#: Light yield of a sample that is known, its error; the efficiency's error that samples share.
+KNOWN_YIELD, KNOWN_YIELD_SIGMA = "light_yield_ph_per_keV", "light_yield_ph_per_keV_sigma"
+SHARED_SIGMA = "shared_efficiency_sigma"
 #: Relative error of a further measurement, beside the lists of values.
 NEXT_SIGMA = "sigma_relative"
 #: What it takes to change a scene parameter, beside the mounting itself.
@@ -45,6 +51,17 @@ def _words(meaning: str) -> dict[str, Any]:
 
 def _file(meaning: str) -> dict[str, Any]:
     return {**_FILE, "description": f"{meaning}; paths are relative to the campaign"}
+
+
+def _table(meaning: str, *entries: Entries) -> dict[str, Any]:
+    """The schema of a table that holds nothing but these entries."""
+    properties = {name: entry for known in entries for name, entry in known.items()}
+    return {
+        "type": "object",
+        "description": meaning,
+        "properties": properties,
+        "additionalProperties": False,
+    }
 
 
 #: Of every ``[parameters.NAME]``.
@@ -90,6 +107,19 @@ YIELD: Entries = {
     ),
     "detector_efficiency_sigma": _number("Standard error of the efficiency", minimum=0),
 }
+#: Of ``[light_yield]`` of a campaign with samples.
+SHARED: Entries = {
+    SHARED_SIGMA: _number(
+        "Relative error of the efficiency that all samples share, such as the tube's scale",
+        exclusiveMinimum=0,
+        exclusiveMaximum=1,
+    ),
+}
+#: Of ``[samples.NAME.light_yield]``, besides `YIELD`.
+KNOWN: Entries = {
+    KNOWN_YIELD: _number("Light yield of a reference, photons per keV", exclusiveMinimum=0),
+    KNOWN_YIELD_SIGMA: _number("Its standard error", exclusiveMinimum=0),
+}
 #: Of ``[light_yield]``, in the place of the efficiency.
 EFFICIENCY: Entries = {
     "emission": _file("Emission spectrum of the crystal"),
@@ -97,6 +127,15 @@ EFFICIENCY: Entries = {
     "quantum_efficiency_scale_sigma": _number(
         "Relative error of the whole efficiency curve", minimum=0, exclusiveMaximum=1
     ),
+}
+#: Of ``[samples.NAME]``.
+SAMPLE: Entries = {
+    SAMPLE_SCENE: {"type": "object", "description": "Scene parameters of its readings"},
+    "parameters": _table(
+        "What it does not share with the campaign's own crystal",
+        {name: _table("Its own", PARAMETER) for name in (SCATTERING, ABSORPTION, SCALE)},
+    ),
+    LIGHT_YIELD: _table("What turns its own scale into photons per keV", YIELD, KNOWN),
 }
 #: Of ``[beam]``.
 BEAM: Entries = {
@@ -135,6 +174,7 @@ CAMPAIGN: Entries = {
     "effects_folder": _file("A folder with effects of your own, which are executed"),
     "parameters": {"type": "object", "description": "What is known of fitted parameters"},
     LIGHT_YIELD: {"description": "What turns the fitted scale into photons per keV"},
+    SAMPLES: {"type": "object", "description": "Other crystals among the readings, by name"},
     NEXT: {
         "type": "object",
         "description": "Values of scene parameters among which further measurements are proposed",
@@ -182,6 +222,9 @@ _BEYOND = {
     "detector_efficiency_sigma": ("is negative", "give the standard error of detector_efficiency"),
     "quantum_efficiency_scale_sigma": (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),
     NEXT_SIGMA: (_BETWEEN, "it is a relative error: write 0.007 for 0.7 %"),
+    SHARED_SIGMA: (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),
+    KNOWN_YIELD: ("is not above 0", "give photons per keV"),
+    KNOWN_YIELD_SIGMA: ("is not above 0", "give the standard error of the light yield"),
 }
 
 
@@ -224,7 +267,8 @@ def json_schema() -> dict[str, Any]:
             "properties": parameters,
             "additionalProperties": _table("A scene parameter, in its name's unit", PARAMETER),
         },
-        LIGHT_YIELD: _table(CAMPAIGN[LIGHT_YIELD]["description"], YIELD, EFFICIENCY),
+        LIGHT_YIELD: _table(CAMPAIGN[LIGHT_YIELD]["description"], YIELD, EFFICIENCY, SHARED),
+        SAMPLES: {"additionalProperties": _table("A crystal and what it does not share", SAMPLE)},
         HISTOGRAMS: _table(CAMPAIGN[HISTOGRAMS]["description"], PEAKS),
         BEAM_TABLE: _table(CAMPAIGN[BEAM_TABLE]["description"], BEAM),
     }
@@ -234,15 +278,4 @@ def json_schema() -> dict[str, Any]:
         "title": "Campaign of mcrim",
         "required": ["scene", "measurements"],
         **_table("A scene, its measurements and what is known beforehand", entries),
-    }
-
-
-def _table(meaning: str, *entries: Entries) -> dict[str, Any]:
-    """The schema of a table that holds nothing but these entries."""
-    properties = {name: entry for known in entries for name, entry in known.items()}
-    return {
-        "type": "object",
-        "description": meaning,
-        "properties": properties,
-        "additionalProperties": False,
     }

@@ -27,13 +27,14 @@ _LIMIT_MB, _MOST_ROWS, _MOST_COLUMNS = 10, 10_000, 1000
 _NUMBERS = ("signal", "sigma")
 _HISTOGRAM, _WINDOW = "histogram", ("window_low", "window_high")
 #: Columns that hold no numbers.
-_TEXTS = ("label", "histogram", "group", "kind")
+_TEXTS = ("label", "histogram", "group", "kind", "sample")
 _OPTIONAL = ("use", "group", "group_sigma")
 #: Labels are written into CSV that people open in spreadsheets.
 _FORMULA = re.compile(r"[=@]|[+-][^(|]*[(|]")
 KIND, LIGHT, TRANSMITTANCE = "kind", "light", "transmittance"
+SAMPLE = "sample"
 _SIGNALS = {LIGHT: "light signal", TRANSMITTANCE: TRANSMITTANCE}
-_FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL, KIND)
+_FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL, KIND, SAMPLE)
 _HEADERS = "the header is label,signal,sigma,... or label,histogram,..."
 
 
@@ -65,6 +66,8 @@ class Reading:
     #: ``light``, a signal of the bench, or ``transmittance``, the part of a spectrophotometer's
     #: beam that the crystal lets through, without the campaign's scale.
     kind: str = LIGHT
+    #: Which crystal was measured; empty: the campaign's own.
+    sample: str = ""
 
     @property
     def of_beam(self) -> bool:
@@ -138,8 +141,8 @@ def read_table(
         or tabs, decimal points or commas, in the encodings of `core.files.read_table_text`.
         Columns: label; signal and sigma, or histogram (a file; relative paths begin at
         this file's folder) with window_low and window_high, or all of them, with the cells of
-        one kind empty; optionally use, group with group_sigma, and any scene parameters. Lines
-        that begin with # are comments.
+        one kind empty; optionally use, group with group_sigma, sample, and any scene parameters.
+        Lines that begin with # are comments.
     scene_parameters : mapping of str to value, optional
         Parameters of the scene (`SceneFile.parameters`): a column must be one of them and
         its cells of the same kind. Without it every further column is accepted.
@@ -288,7 +291,7 @@ class _Cells(dict[str, str]):
             raise self.refusal("use", problem, "write 1 to fit it, 0 not to")
         return Reading(
             self["label"], signal, sigma, parameters, use == "1", group, group_sigma, self.line,
-            histogram, window, kind,
+            histogram, window, kind, self.get(SAMPLE, ""),
         )  # fmt: skip
 
     def write_points(self) -> None:
@@ -372,6 +375,8 @@ class _Cells(dict[str, str]):
                 continue
             if not cell and (name in BEAM_PARAMETERS) != (kind == TRANSMITTANCE):
                 continue  # the bench has no beam, and the beam no gap
+            if not cell and self.get(SAMPLE):
+                continue  # as the campaign says of the sample
             if not cell:
                 raise self.refusal(name, "the cell is empty", "write the parameter's value")
             if name in BEAM_PARAMETERS and kind == LIGHT:
@@ -393,6 +398,9 @@ def _check_labels(table: Measurements) -> None:
             if first.histogram is None or row.histogram is None:
                 problem = f"the label {label} is on line {first.line} already"
                 raise table.refusal(row, "label", problem, "give every reading its own label")
+            if row.sample != first.sample:
+                problem = f"{label} is of another sample here than on line {first.line}"
+                raise table.refusal(row, SAMPLE, problem, "give every sample's readings own labels")
             for name, value in row.parameters.items():
                 if value != first.parameters.get(name):
                     raise table.refusal(

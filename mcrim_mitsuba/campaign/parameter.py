@@ -11,7 +11,9 @@ from mcrim_mitsuba.campaign.entries import (
     PARAMETER,
     RAW_TABLES,
     SCALE,
+    SHARED,
     YIELD,
+    Entries,
     number_within,
 )
 from mcrim_mitsuba.campaign.measurements import Measurements
@@ -21,12 +23,15 @@ from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
+#: How names of scattering coefficients begin.
+_SCATTERING = "alpha_scat"
+
 
 @dataclass(frozen=True)
 class CampaignParameter:
     """One ``[parameters.NAME]``, in the unit of its name."""
 
-    #: A scene parameter, one of an effect, or ``scale``.
+    #: A scene parameter, one of an effect, ``scale``, or a sample's own.
     name: str
     #: Where a fit begins and its bounds; these may be infinite.
     start: float
@@ -37,6 +42,11 @@ class CampaignParameter:
     prior_sigma: float | None = None
     #: Held at `start`.
     fixed: bool = False
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether fits search it in its logarithm: eta changes with scattering over decades."""
+        return self.name.startswith(_SCATTERING) and self.minimum > 0.0
 
 
 @dataclass(frozen=True)
@@ -75,8 +85,11 @@ def read_parameter(
     values: Mapping[str, Value],
     measurements: Measurements,
     known: Mapping[str, KnownRange],
+    within: str = "parameters",
 ) -> CampaignParameter:
     """Read ``[parameters.NAME]`` and check it by itself and against scene and columns.
+
+    Or a table of that name within another one than ``[parameters]``.
 
     What the table leaves out, or all if there is none: start and bounds are the catalogue's for
     parameters of effects (`known`); else the start is the scene's value, the bounds are the
@@ -84,13 +97,13 @@ def read_parameter(
 
     Raises InputError with the line in the campaign file, if anything in it cannot be used.
     """
-    key = f"parameters.{name}"
+    key = f"{within}.{name}"
     own = known.get(name)
     if name != SCALE and name not in values and own is None:
         problem = f"{name} is not a parameter of {scene.path.name}, nor of an effect in effects"
         raise document.refusal(key, problem, did_you_mean(name, [*values, *known, SCALE]))
     if name in measurements.columns:
-        named = name in document.table("parameters")
+        named = name in document.table(within)
         problem = f"{name} is fitted here and a column of {measurements.path.name}"
         mend = f"remove [{key}] or the column" if named else "remove the effect or the column"
         raise document.refusal(key if named else "effects", problem, mend)
@@ -145,7 +158,7 @@ def _usual_range(name: str, in_scene: float | None) -> tuple[float, float] | Non
     """Range of a free parameter for which the campaign gives none; None if nothing is known."""
     if name == SCALE:
         return 0.0, math.inf
-    if name.startswith("alpha_scat") and unit_of(name) == "1/cm":
+    if name.startswith(_SCATTERING) and unit_of(name) == "1/cm":
         # without any scattering the trapped light never comes out
         return 1e-3, 20.0
     if name.startswith("alpha_abs") and unit_of(name) == "1/cm":
@@ -176,18 +189,23 @@ class LightYieldInput:
         return 1.0 / (self.energy_keV * self.detector_efficiency)
 
 
-def read_light_yield(document: TomlDocument) -> LightYieldInput | None:
-    """``[light_yield]``, or None without one.
+def read_light_yield(
+    document: TomlDocument, key: str = LIGHT_YIELD, further: Entries | None = None
+) -> LightYieldInput | None:
+    """``[light_yield]``, or another table of that kind; None without one.
+
+    That one takes no raw data, but `further` entries.
 
     Raises InputError with the line, if an entry is unknown, missing or impossible.
     """
-    if LIGHT_YIELD not in document.content:
-        return None
     # raw entries are numbers by now; here they only serve the hint about a slip
-    table = document.table(LIGHT_YIELD, (*YIELD, *dict(RAW_TABLES)[LIGHT_YIELD]))
+    more = {**dict(RAW_TABLES)[LIGHT_YIELD], **SHARED} if further is None else further
+    table = document.table(key, (*YIELD, *more))
+    if LIGHT_YIELD not in document.table(key.removesuffix(LIGHT_YIELD).rstrip(".")):
+        return None
     energy, efficiency, sigma = map(table.number, YIELD)
     if energy is None or efficiency is None:
-        problem = "[light_yield] needs energy_keV and detector_efficiency"
+        problem = f"[{key}] needs energy_keV and detector_efficiency"
         raise table.refusal("", problem, "add the missing one or remove the table")
     for name in YIELD:
         number_within(table, name, YIELD)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
@@ -384,9 +385,11 @@ class ResponseMaker:
             free = _seen(scene, reading.of_beam).parameters.keys() - reading.parameters.keys()
             if reading.of_beam:
                 free -= {GAP_INDEX}
-            named.append(
-                {**self._left(scene, own), **{n: v for n, v in values.items() if n in free}}
-            )
+            there = {**self._left(scene, own), **{n: v for n, v in values.items() if n in free}}
+            for name in (ALPHA_SCAT, ALPHA_ABS):  # a sample may have its own
+                if (of := self.campaign.parameter_of(reading, name)) != name:
+                    there[name] = values[of]
+            named.append(there)
         runs = [
             self._simulation(scene, own, photons, of_beam=reading.of_beam).table(coarse=False)
             for reading, own in zip(readings, named, strict=True)
@@ -414,7 +417,10 @@ class ResponseMaker:
         return [
             name
             for name, known in self.campaign.parameters.items()
-            if not known.fixed and name not in (ALPHA_SCAT, ALPHA_ABS) and name not in of_effects
+            if not known.fixed
+            and name in self.campaign.values
+            and name not in (ALPHA_SCAT, ALPHA_ABS)
+            and name not in of_effects
         ]
 
     def _weighs(self, effect: Effect) -> bool:
@@ -737,22 +743,26 @@ def _coverage(campaign: Campaign) -> tuple[Grid, Grid, ScatteringProposals]:
 
     Most campaigns get the same, so that the cache serves them all.
     """
-    known = campaign.parameters.get(ALPHA_SCAT)
-    start = known.start if known is not None else float(campaign.scene.parameters[ALPHA_SCAT])
-    factor = 1.0
-    if not _STARTS_PER_CM[0] <= start <= _STARTS_PER_CM[1]:
-        factor = float(f"{start / USUAL_ALPHA_SCAT_PER_CM:.1g}")
+    starts = [known.start for known in _of_all(campaign, ALPHA_SCAT)]
+    if ALPHA_SCAT not in campaign.parameters:
+        starts.append(float(campaign.scene.parameters[ALPHA_SCAT]))
+    factor, usual = 1.0, _STARTS_PER_CM[0] <= min(starts) <= max(starts) <= _STARTS_PER_CM[1]
+    if not usual and len(starts) == 1:
+        factor = float(f"{starts[0] / USUAL_ALPHA_SCAT_PER_CM:.1g}")
     least, most = _RANGE_PER_CM
     scattering = (factor * least, factor * most)
     fine, coarse, drawn, shares = _FINE, _COARSE, _PROPOSALS_PER_CM, _SHARES
     low, high = _ABSORPTION_PER_CM
-    if campaign.beam:
-        # a transmittance may allow next to no losses, and the readings of light much scattering
+    if campaign.beam or (len(starts) > 1 and not usual):
+        # a transmittance may allow next to no losses, and the readings of light much scattering;
+        # crystals may be as unlike
         scattering, (fine, coarse) = _BEAM_RANGE_PER_CM, _BEAM_COUNTS
         factor, drawn, shares = 1.0, _BEAM_PROPOSALS_PER_CM, _BEAM_SHARES
         low = _LEAST_ABSORPTION_PER_CM
-    known = campaign.parameters.get(ALPHA_ABS)
-    own = [float(campaign.scene.parameters[ALPHA_ABS]) if known is None else known.start]
+    of_all = _of_all(campaign, ALPHA_ABS)
+    own = [known.start for known in of_all]
+    if ALPHA_ABS not in campaign.parameters:
+        own.append(float(campaign.scene.parameters[ALPHA_ABS]))
     # a column of absorptions, one per crystal
     own += [
         float(reading.parameters[ALPHA_ABS])
@@ -762,7 +772,9 @@ def _coverage(campaign: Campaign) -> tuple[Grid, Grid, ScatteringProposals]:
     if min(own) < _LEAST_REACH * low:
         low = max(float(f"{min(own) / _LEAST_REACH:.1g}"), _LEAST_ABSORPTION_PER_CM)
     highest = max(own)
-    if known is not None and not known.fixed:
+    for known in of_all:
+        if known.fixed:
+            continue
         spread = known.maximum
         if known.prior is not None and known.prior_sigma is not None:
             spread = known.prior + 4 * known.prior_sigma
@@ -771,6 +783,13 @@ def _coverage(campaign: Campaign) -> tuple[Grid, Grid, ScatteringProposals]:
         high *= 2.0
     proposals = ScatteringProposals(tuple(factor * a for a in drawn), shares, low)
     return Grid(scattering, (low, high), fine), Grid(scattering, (low, high), coarse), proposals
+
+
+def _of_all(campaign: Campaign, name: str) -> list[CampaignParameter]:
+    """What a campaign says of a coefficient, and of those that samples have in its place."""
+    samples = [sample.own[name] for sample in campaign.samples.values() if name in sample.own]
+    named = [name, *(own.name for own in samples)]
+    return [campaign.parameters[each] for each in named if each in campaign.parameters]
 
 
 @functools.lru_cache(maxsize=64)

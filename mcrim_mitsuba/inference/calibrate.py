@@ -103,6 +103,7 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
     if (
         campaign.effects
         or campaign.beam
+        or campaign.samples
         or campaign.spectrum is not None
         or not all(
             surfaces_answer(scene.with_overrides(reading.parameters)) for reading in readings

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
-from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.estimates import (
     LIGHT_YIELD,
@@ -17,7 +16,7 @@ from mcrim_mitsuba.inference.estimates import (
     error_of_difference,
     estimates,
     left_out_error,
-    light_yield,
+    light_yields,
 )
 from mcrim_mitsuba.inference.evidence import Evidence
 from mcrim_mitsuba.inference.explanations import (
@@ -202,7 +201,7 @@ class CandidateMaker:
 
 def determined_estimates(fit: Fit, evidence: Evidence) -> dict[str, ParameterEstimate]:
     """Parameters of a fit; what readings do not determine has the error that evidence leaves."""
-    parameters, known = estimates(fit), fit.problem.model.campaign.light_yield
+    parameters = estimates(fit)
     for name in fit.names:
         own, sigma = parameters[name], evidence.sigma[name]
         if own.sigma > _UNDETERMINED * sigma:
@@ -210,9 +209,7 @@ def determined_estimates(fit: Fit, evidence: Evidence) -> dict[str, ParameterEst
                 own, sigma=sigma, lower=own.value - sigma, upper=own.value + sigma,
                 contributions={"plausible": sigma},
             )  # fmt: skip
-    if known is not None and SCALE in fit.names:
-        parameters[LIGHT_YIELD] = light_yield(parameters[SCALE], known)
-    return parameters
+    return parameters | light_yields(parameters, fit.problem.model.campaign)
 
 
 def _likeness(one: Curve, other: Curve) -> float:

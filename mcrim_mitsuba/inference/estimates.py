@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput
 from mcrim_mitsuba.campaign.measurements import LIGHT, TRANSMITTANCE, Reading
-from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.least_squares import Fit
 from mcrim_mitsuba.inference.likelihood import ErrorMatrices, Interval, Likelihood
@@ -153,6 +152,17 @@ def light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEs
     )
 
 
+def light_yields(
+    found: Mapping[str, ParameterEstimate], campaign: Campaign
+) -> dict[str, ParameterEstimate]:
+    """`light_yield` of every fitted scale of which the campaign says how to get it, by name."""
+    return {
+        name: light_yield(found[scale], known)
+        for scale, (name, known) in campaign.light_yields.items()
+        if scale in found
+    }
+
+
 def fitted_rows(
     readings: Sequence[Reading], prediction: Prediction, eta_sigmas: Sequence[float]
 ) -> tuple[FittedRow, ...]:
@@ -200,13 +210,9 @@ def estimates(fit: Fit) -> dict[str, ParameterEstimate]:
     ]
     response = covariance @ fit.slopes.T @ fit.weights.inverse
     found = propagated(fit.problem, fit.theta, fit.errors, covariance, response, fit.at_bound, ends)
-    known = fit.problem.model.campaign.light_yield
-    if known is not None and SCALE in found:
-        of_light = light_yield(found[SCALE], known)
+    for name, of_light in light_yields(found, fit.problem.model.campaign).items():
         lower, upper = of_light.value - of_light.sigma, of_light.value + of_light.sigma
-        found[LIGHT_YIELD] = replace(
-            of_light, lower=lower, upper=upper, efficiency_contributions=None
-        )
+        found[name] = replace(of_light, lower=lower, upper=upper, efficiency_contributions=None)
     return found
 
 

@@ -71,9 +71,9 @@ class Explanations:
         See `Models`.
     effects : mapping of str to Effect
         That may be added.
-    scale : float, optional
-        Around which the scale's prior lies; that of the baseline by default. Evidences of several
-        campaigns compare where it is the same for all.
+    scales : mapping of str to float
+        Around which the priors of the scale, and of those of samples, lie; where the baseline has
+        them by default. Evidences of several campaigns compare where they are the same for all.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Explanations:
     """
 
     def __init__(
-        self, models: Models, effects: Mapping[str, Effect], scale: float | None = None
+        self, models: Models, effects: Mapping[str, Effect], scales: Mapping[str, float] = {}
     ) -> None:
         self._models = models
         self.effects = dict(effects)
@@ -99,7 +99,10 @@ class Explanations:
         # an effect may be one of the scene's parameters off its nominal value
         self._scene = self.problem(()).model.campaign.values
         self.baseline = fit_from_scratch(self.problem(()))
-        self.scale = self.baseline.values.get(SCALE) if scale is None else scale
+        campaign = self.problem(()).model.campaign
+        found = self.baseline.values
+        self.scales = {n: v for n, v in found.items() if campaign.stands_for(n) == SCALE}
+        self.scales |= scales
         self._fits[()] = self.baseline
 
     def problem(self, added: Iterable[str]) -> LeastSquaresProblem:
@@ -229,9 +232,8 @@ class Explanations:
                 else:
                     absent = effect.origin(self._scene) + effect.absent
                     found[known.name] = size(absent, usual, low, high)
-            elif known.name == SCALE and known.prior is None:
-                assert self.scale is not None  # it is free
-                found[known.name] = around(self.scale)
+            elif known.name in self.scales and known.prior is None:
+                found[known.name] = around(self.scales[known.name])
             else:
                 found[known.name] = of_parameter(known)
         return found

@@ -18,11 +18,10 @@ from mcrim_mitsuba.core.files import attributes, plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.estimates import (
     ACCEPTABLE_P,
-    LIGHT_YIELD,
     FittedRow,
     ParameterEstimate,
     fitted_rows,
-    light_yield,
+    light_yields,
     propagated,
 )
 from mcrim_mitsuba.inference.likelihood import (
@@ -173,11 +172,9 @@ def fit_model(model: Model, *, profile: bool = True) -> Calibration:
         *_notes_of_simulation(parameters),
         *_notes_of_interpolation(likelihood, prediction),
     ]
-    if campaign.light_yield is not None:
-        if SCALE in parameters:
-            parameters[LIGHT_YIELD] = light_yield(parameters[SCALE], campaign.light_yield)
-        else:
-            notes.append("no light yield: the scale is held, not fitted")
+    if campaign.light_yield is not None and SCALE not in parameters:
+        notes.append("no light yield: the scale is held, not fitted")
+    parameters |= light_yields(parameters, campaign)
     return Calibration(
         parameters=parameters,
         fixed=held(campaign),

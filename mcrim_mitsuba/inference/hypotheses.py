@@ -44,7 +44,7 @@ NAMES = ("A", "B", "C")
 PREFERRED = "preferred"
 # What makes a row of a measurement file, its scene parameters besides, and how far numbers may
 # differ that were read from histograms in one campaign and written out in the other.
-_OF_A_ROW = ("label", "kind", "signal", "sigma", "use", "group", "group_sigma")
+_OF_A_ROW = ("label", "kind", "sample", "signal", "sigma", "use", "group", "group_sigma")
 _ROUNDED = 1e-6
 
 
@@ -150,9 +150,9 @@ def compare_hypotheses(
     _simulate(benches.values())
     for name, bench in benches.items():
         effects = bench.campaign.effects
-        scale = next((each.scale for each in made.values()), None)
+        scales = next((each.scales for each in made.values()), {})
         own = {each.name: each for each in bench.campaign.switched_on}
-        made[name] = Explanations(bench.reduced_model, own, scale)
+        made[name] = Explanations(bench.reduced_model, own, scales)
         # refused where the readings do not determine its parameters
         fit = fit_model(bench.model(starts=made[name].fit(effects).values), profile=False)
         notes += [f"{name}: {note}" for note in fit.notes]

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.descent import Array, minimise
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.likelihood import (
@@ -77,8 +77,8 @@ class LeastSquaresProblem(Likelihood):
     def __init__(self, model: Model, coordinates: Mapping[str, str] | None = None) -> None:
         super().__init__(model)
         kinds = [
-            "log" if name == ALPHA_SCAT else (coordinates or {}).get(name, "linear")
-            for name in self.names
+            "log" if parameter.logarithmic else (coordinates or {}).get(parameter.name, "linear")
+            for parameter in self.free
         ]
         self.logarithmic = np.array([kind == "log" for kind in kinds], bool)
         self._reciprocal = np.array([kind == "reciprocal" for kind in kinds], bool)
@@ -336,12 +336,12 @@ def best_of(
 def fit_from_scratch(problem: LeastSquaresProblem) -> Fit:
     """The best fit of a model about which nothing is known: alpha_scat is scanned."""
     theta = problem.theta({})
-    if SCALE in problem.names:
-        place = problem.index(SCALE)
+    for name, rows in problem.scales.items():
+        place = problem.index(name)
         theta[place] = 1.0
         predicted = problem.model.predict(theta).signal[problem.used]
         # the statistic is nearly quadratic in the scale: the descent mends what is left
-        theta[place] = float(np.median(problem.signal / predicted))
+        theta[place] = float(np.median((problem.signal / predicted)[rows]))
     if not len(theta):
         return settle(problem, theta)
     first = problem.errors_before_any_fit()

@@ -82,6 +82,8 @@ class Likelihood:
         Which of the model's readings the statistic uses.
     labels : tuple of str
         Of these.
+    scales : dict of str to (used,) bool
+        The free scales, the campaign's and those of samples, with the readings they are of.
     signal, variance : (used,) float64
         The readings, and the squares of their own errors.
     prior, prior_weight : (free,) float64
@@ -96,6 +98,8 @@ class Likelihood:
         self.used = np.array([reading.use for reading in model.readings])
         used = [reading for reading in model.readings if reading.use]
         self.labels = tuple(reading.label for reading in used)
+        named = np.array([model.campaign.parameter_of(reading, SCALE) for reading in used])
+        self.scales = {n: named == n for n in dict.fromkeys(named.tolist()) if n in self.names}
         self.signal = np.array([reading.signal for reading in used])
         self.variance = np.array([reading.sigma for reading in used]) ** 2
         # group_sigma^2 where two readings share a mounting, else 0; one 0 where none do
@@ -145,13 +149,14 @@ class Likelihood:
         shared = self._shared * np.outer(self.signal, self.signal)
         return ErrorMatrices(np.diag(self.variance) + shared, np.zeros_like(shared))
 
-    def best_scale(self, eta: Array, errors: ErrorMatrices) -> float:
+    def best_scale(self, eta: Array, errors: ErrorMatrices, name: str = SCALE) -> float:
         """The scale that fits (readings,) efficiencies best: the statistic is quadratic in it."""
-        eta = eta[self.used]
-        weighted = np.linalg.solve(errors.total, eta)
-        place = self.names.index(SCALE)
+        rows = self.scales[name]
+        eta = eta[self.used][rows]
+        weighted = np.linalg.solve(errors.total[np.ix_(rows, rows)], eta)
+        place = self.names.index(name)
         weight, prior = self.prior_weight[place], self.prior[place]
-        return float((weighted @ self.signal + weight * prior) / (weighted @ eta + weight))
+        return float((weighted @ self.signal[rows] + weight * prior) / (weighted @ eta + weight))
 
     def prior_pulls(self, theta: Array) -> Array:
         """(free,) distance from the prior in its sigmas; 0 without a prior."""
@@ -293,11 +298,12 @@ def _starts(likelihood: Likelihood) -> list[Array]:
         values = np.geomspace(known.minimum, known.maximum, _SCAN_POINTS)
         for theta, value in zip(grid, values, strict=True):
             theta[names.index(ALPHA_SCAT)] = value
-    if SCALE in names:
-        known = free[names.index(SCALE)]
+    for name in likelihood.scales:
+        place = names.index(name)
+        known = free[place]
         for theta in grid:
-            best = likelihood.best_scale(likelihood.model.predict(theta).eta, errors)
-            theta[names.index(SCALE)] = min(max(best, known.minimum), known.maximum)
+            best = likelihood.best_scale(likelihood.model.predict(theta).eta, errors, name)
+            theta[place] = min(max(best, known.minimum), known.maximum)
     heights = [statistic.chi2(theta) for theta in grid]
     return [grid[i] for i in local_minima(heights)[:_MOST_STARTS]]
 
@@ -350,7 +356,7 @@ def _minuit(statistic: FrozenStatistic, start: Array) -> Minuit:
         # clear of the bounds, on which MINUIT's transformation has no slope
         margin = 0.01 * (high - low if math.isfinite(high - low) else max(abs(x), 1e-6))
         inside.append(min(max(x, low + margin), high - margin))
-        own = 0.1 if parameter.name == ALPHA_SCAT else parameter.prior_sigma
+        own = 0.1 if parameter.logarithmic else parameter.prior_sigma
         first_steps.append(0.05 * abs(inside[-1]) or 0.01 if own is None else own)
 
     def chi2(x: Array) -> float:
@@ -359,7 +365,7 @@ def _minuit(statistic: FrozenStatistic, start: Array) -> Minuit:
     def gradient(x: Array) -> Array:
         theta = _external(statistic, x)
         # d alpha_scat / d log(alpha_scat) = alpha_scat
-        chain = [v if p.name == ALPHA_SCAT else 1.0 for p, v in zip(free, theta, strict=True)]
+        chain = [v if p.logarithmic else 1.0 for p, v in zip(free, theta, strict=True)]
         return statistic.gradient(theta) * chain
 
     minuit = Minuit(chi2, np.array(inside), grad=gradient, name=[p.name for p in free])
@@ -371,11 +377,11 @@ def _minuit(statistic: FrozenStatistic, start: Array) -> Minuit:
 
 
 def _internal(parameter: CampaignParameter, value: float) -> float:
-    return math.log(value) if parameter.name == ALPHA_SCAT else float(value)
+    return math.log(value) if parameter.logarithmic else float(value)
 
 
 def _external_value(parameter: CampaignParameter, x: float) -> float:
-    return math.exp(x) if parameter.name == ALPHA_SCAT else float(x)
+    return math.exp(x) if parameter.logarithmic else float(x)
 
 
 def _external(statistic: FrozenStatistic, x: Array) -> Array:

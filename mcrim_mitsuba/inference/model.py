@@ -18,6 +18,7 @@ import numpy as np
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
@@ -36,7 +37,7 @@ from mcrim_mitsuba.efficiency.surface import (
 class Prediction:
     """What a point in parameter space predicts for every reading, used or not."""
 
-    #: Signal per eta.
+    #: Signal per eta, of the campaign's own crystal.
     scale: float
     #: (readings,) float64
     eta: Array
@@ -291,7 +292,8 @@ def _rows(campaign: Campaign) -> Rows:
     position = np.full(len(readings), 0.5)
     position[read] = np.linspace(-0.5, 0.5, len(read)) if len(read) > 1 else 0.0
     others = [
-        any(n in each.parameters and each.parameters[n] != scene.get(n) for n in _CRYSTAL_SIZES)
+        campaign.parameter_of(each, SCALE) == SCALE
+        and any(n in each.parameters and each.parameters[n] != scene.get(n) for n in _CRYSTAL_SIZES)
         for each in readings
     ]
     return Rows(position, np.array(others, dtype=bool))
@@ -333,6 +335,11 @@ class ResponseModel:
         self.responses, self.anchor = responses, anchor
         self._of_light = np.array([not reading.of_beam for reading in self.readings])
         self._measured = _rows(campaign)
+        # by coefficient and scale, what stands for it in every reading
+        self._named = {
+            name: [campaign.parameter_of(reading, name) for reading in self.readings]
+            for name in (ALPHA_SCAT, ALPHA_ABS, SCALE)
+        }
         # name of the one parameter, and what it does to signals
         self._of_readings = [
             (effect.parameters[0].name, effect.reading)
@@ -348,7 +355,8 @@ class ResponseModel:
         named = {axis.name for axis in axes} - set(campaign.parameters)
         self._held = {**{n: float(campaign.values[n]) for n in named}, **held(campaign)}
         grid = responses.grid
-        ranges = {ALPHA_SCAT: grid.alpha_scat_range_per_cm, ALPHA_ABS: grid.alpha_abs_range_per_cm}
+        covered = {ALPHA_SCAT: grid.alpha_scat_range_per_cm, ALPHA_ABS: grid.alpha_abs_range_per_cm}
+        ranges = {own: covered[name] for name in covered for own in (name, *self._named[name])}
         for axis in axes:
             ends = [axis.nominal + value for value in axis.values if math.isfinite(value)]
             high = math.inf if any(map(math.isinf, axis.values)) else max(ends)
@@ -369,7 +377,8 @@ class ResponseModel:
 
     def _at(self, values: Mapping[str, float]) -> _Place:
         """What the responses say at these values; who asks next often asks for another scale."""
-        values = {name: value for name, value in values.items() if name != SCALE}
+        of_signal = {SCALE, *self._named[SCALE], EFFICIENCY_FACTOR}
+        values = {name: value for name, value in values.items() if name not in of_signal}
         latest = self._latest  # other threads may replace it meanwhile
         if latest is None or latest.values != values:
             latest = self._latest = _Place(self, values)
@@ -377,18 +386,25 @@ class ResponseModel:
 
     def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
         values, place = self._values(theta), {p.name: i for i, p in enumerate(self.free)}
-        scale, at = values[SCALE], self._at(values)
+        at, scales, common = (
+            self._at(values),
+            self._named[SCALE],
+            values.get(EFFICIENCY_FACTOR, 1.0),
+        )
         eta = np.exp(at.log_eta if self._shift is None else at.log_eta + self._shift)
         eta_slopes = np.zeros((len(eta), len(self.free)))
         for name in at.slopes.keys() & place.keys():
             eta_slopes[:, place[name]] = eta * at.slopes[name]
         # a transmittance is the efficiency itself, and no photomultiplier read it
         light = self._of_light
-        per_eta = np.where(light, scale, 1.0)
+        per_eta = np.where(light, [common * values[name] for name in scales], 1.0)
         signal = per_eta * eta
         signal_slopes = per_eta[:, None] * eta_slopes
-        if SCALE in place:
-            signal_slopes[:, place[SCALE]] = np.where(light, eta, 0.0)
+        for row in np.flatnonzero(light):
+            if scales[row] in place:
+                signal_slopes[row, place[scales[row]]] = common * eta[row]
+            if EFFICIENCY_FACTOR in place:
+                signal_slopes[row, place[EFFICIENCY_FACTOR]] = values[scales[row]] * eta[row]
         for name, reading in self._of_readings:
             read, by_signal, by_value = reading(signal, values[name], self._measured)
             signal = np.where(light, read, signal)
@@ -402,7 +418,7 @@ class ResponseModel:
             eta_covariance = np.outer(eta, eta) * covariance_of(at.deviations)
             eta_sigma = np.sqrt(np.diag(eta_covariance))
         return Prediction(
-            scale=scale,
+            scale=values[SCALE],
             eta=eta,
             eta_slopes=eta_slopes,
             signal=signal,
@@ -438,7 +454,9 @@ class ResponseModel:
             log_eta[:, rows] = found
         if self._shift is not None:
             log_eta += self._shift
-        signal = np.where(self._of_light, values[SCALE][:, None], 1.0) * np.exp(log_eta)
+        scales = np.stack(np.broadcast_arrays(*(values[n] for n in self._named[SCALE])), axis=-1)
+        scales = scales * values.get(EFFICIENCY_FACTOR, np.ones(1))[:, None]
+        signal = np.where(self._of_light, scales, 1.0) * np.exp(log_eta)
         for name, reading in self._of_readings:
             # formulas of effects take numbers, and as well a column of them
             size: Any = values[name][:, None]
@@ -455,10 +473,19 @@ class ResponseModel:
 
     def coefficients(self, values: Mapping[str, Any], name: str) -> list[Any]:
         """Every reading's own coefficient: fitted, held, its column's or the scene's."""
-        if name in values:
-            return [values[name]] * len(self.readings)
         default = self.campaign.values[name]
-        return [float(reading.parameters.get(name, default)) for reading in self.readings]
+        return [
+            values[own] if own in values else float(reading.parameters.get(name, default))
+            for own, reading in zip(self._named[name], self.readings, strict=True)
+        ]
+
+    def by_name(self, name: str, slopes: Array) -> dict[str, Array]:
+        """Slopes by every reading's own coefficient as those by the parameters that stand for it.
+
+        `slopes` are (readings,); a parameter that is not a reading's own has none there.
+        """
+        named = np.array(self._named[name])
+        return {own: np.where(named == own, slopes, 0.0) for own in dict.fromkeys(named.tolist())}
 
 
 class _Place:
@@ -489,7 +516,7 @@ class _Place:
                 # a beam's parameter may be one of several effects' responses
                 self.slopes[axis.name] = self.slopes.get(axis.name, 0.0) + by_axis[:, i]
         self.log_eta = log_eta
-        self.slopes |= {ALPHA_SCAT: by_scat, ALPHA_ABS: by_abs}
+        self.slopes |= model.by_name(ALPHA_SCAT, by_scat) | model.by_name(ALPHA_ABS, by_abs)
 
     @cached_property
     def deviations(self) -> Array:

@@ -16,9 +16,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq, minimize_scalar
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
-from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, Weights, descend
 from mcrim_mitsuba.inference.model import Model
@@ -105,9 +103,9 @@ def profiles_of(model: Model, calibration: Calibration) -> tuple[Profile, ...]:
         parameter.name: _profile(problem, weights, best, least, index)
         for index, parameter in enumerate(problem.free)
     }
-    known = model.campaign.light_yield
-    if known is not None and SCALE in profiles and LIGHT_YIELD in calibration.parameters:
-        profiles[LIGHT_YIELD] = _of_light_yield(profiles[SCALE], known)
+    for scale, (name, known) in model.campaign.light_yields.items():
+        if scale in profiles and name in calibration.parameters:
+            profiles[name] = _of_light_yield(profiles[scale], name, known)
     return tuple(profiles.values())
 
 
@@ -216,7 +214,7 @@ def _joined(sides: list[_Points], start: float, slope: float) -> tuple[Array, Ar
     return rows[:, 0], rows[:, 1], rows[:, 2]
 
 
-def _of_light_yield(scale: Profile, known: LightYieldInput) -> Profile:
+def _of_light_yield(scale: Profile, name: str, known: LightYieldInput) -> Profile:
     """Of scale / (energy efficiency): over the scale, with a Gaussian factor for the efficiency."""
     per_scale = known.per_scale
     relative = known.detector_efficiency_sigma / known.detector_efficiency
@@ -224,7 +222,7 @@ def _of_light_yield(scale: Profile, known: LightYieldInput) -> Profile:
     sigma = math.hypot(scale.sigma * per_scale, value * relative)
     if relative == 0:
         return Profile(
-            LIGHT_YIELD, scale.values * per_scale, scale.delta_chi2, scale.slopes / per_scale,
+            name, scale.values * per_scale, scale.delta_chi2, scale.slopes / per_scale,
             value, sigma, None, None, scale.ends,
         )  # fmt: skip
     curve, low, high = scale.curve, float(scale.values[0]), float(scale.values[-1])
@@ -241,4 +239,4 @@ def _of_light_yield(scale: Profile, known: LightYieldInput) -> Profile:
         return float(found.fun), 2 * (factor - 1) / (relative**2 * found.x * per_scale)
 
     sides = [_walk(height, value, bound, sigma) for bound in (0.0, math.inf)]
-    return Profile(LIGHT_YIELD, *_joined(sides, value, 0.0), value, sigma, None, None, (None, None))
+    return Profile(name, *_joined(sides, value, 0.0), value, sigma, None, None, (None, None))

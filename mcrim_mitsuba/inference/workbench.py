@@ -272,6 +272,8 @@ class Workbench:
             measured = (
                 {KIND: reading.kind, **reading.parameters}
                 for reading in campaign.measurements.readings
+                if reading.sample not in campaign.samples
+                or not campaign.samples[reading.sample].own
             )
             own = {KIND: LIGHT, **proposal}
             return not any(
