@@ -94,11 +94,6 @@ def read_samples(
                 "letters, digits and _, a letter first",
             )
             raise declared.refusal(name, problem, mend)
-        if name not in used:
-            raise declared.refusal(
-                name, f"no reading of {measurements.path.name} is of the sample {name}",
-                f"write {name} into a column {COLUMN} of its rows, or remove [{SAMPLES}.{name}]",
-            )  # fmt: skip
     for reading in measurements.readings:
         if reading.sample and reading.sample not in declared:
             problem = f"{reading.sample} is no sample of {document.path.name}"
@@ -106,6 +101,12 @@ def read_samples(
             if declared:
                 mend = f"{did_you_mean(reading.sample, declared)}; or {mend}"
             raise measurements.refusal(reading, COLUMN, problem, mend)
+    for name in declared:
+        if name not in used:
+            raise declared.refusal(
+                name, f"no reading of {measurements.path.name} is of the sample {name}",
+                f"write {name} into a column {COLUMN} of its rows, or remove [{SAMPLES}.{name}]",
+            )  # fmt: skip
     samples = {name: _read_sample(document, name, scene, measurements) for name in declared}
     _refuse_clashes(document, samples.values(), taken)
     return samples, replace(

@@ -15,7 +15,6 @@ import numpy as np
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.run import Provenance, Run
-from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.likelihood import Likelihood
 from mcrim_mitsuba.inference.model import ResponseModel
@@ -55,13 +54,13 @@ def contributions_to(
             parts[origin] = np.abs(moved)
     parts["monte_carlo"] = quantities.sigmas
     budgets = {}
-    known = model.campaign.light_yield
+    yields = dict(model.campaign.light_yields.values())
     for i, (name, value) in enumerate(
         zip(quantities.names, quantities.values.tolist(), strict=True)
     ):
         errors = {origin: float(part[i]) for origin, part in parts.items()}
-        if name == LIGHT_YIELD and known is not None:
-            yield_value = found.parameters[LIGHT_YIELD].value
+        if (known := yields.get(name)) is not None:
+            yield_value = found.parameters[name].value
             own = known.efficiency_parts or {"detector_efficiency": known.detector_efficiency_sigma}
             errors |= {
                 origin: yield_value * sigma / known.detector_efficiency

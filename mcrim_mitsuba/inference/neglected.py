@@ -100,10 +100,10 @@ def fitted(model: ResponseModel, found: Calibration) -> Quantities:
     slopes = prediction.eta_slopes
     etas = _of_eta(model, prediction.eta, own + moved @ slopes.T, slopes)
     names, parameters = list(found.names), np.eye(len(theta))
-    known = model.campaign.light_yield
-    if known is not None and SCALE in names:
-        place = names.index(SCALE)
-        names[place], parameters[place, place] = LIGHT_YIELD, known.per_scale
+    for scale, (name, known) in model.campaign.light_yields.items():
+        if scale in names:
+            place = names.index(scale)
+            names[place], parameters[place, place] = name, known.per_scale
     return Quantities(
         (*names, *etas.names),
         np.concatenate([parameters @ theta, etas.values]),
@@ -327,16 +327,18 @@ class NeglectWork:
                 self._depth = None
         if (band := known.band) is not None:
             fitted = CRYSTAL_INDEX in effects or INDEX in campaign.parameters
+            reason = f"{INDEX} is a parameter of the campaign" if fitted else None
+            if INDEX in campaign.varied:
+                reason = f"{INDEX} differs from reading to reading"
             if not self._may_have(
-                "indices", CRYSTAL_INDEX,
-                f"{INDEX} is a parameter of the campaign" if fitted else None,
+                "indices", CRYSTAL_INDEX, reason,
                 lambda: refuse_far(campaign, band),
             ):  # fmt: skip
                 self._band = None
         present = scene.get(POLARIZATION)
         if POLARIZATION in effects or present is True:
             self.refused[POLARIZATION] = _IN_THE_MODEL
-        elif present is not False or POLARIZATION in campaign.measurements.columns:
+        elif present is not False or POLARIZATION in campaign.varied:
             self.refused[POLARIZATION] = "the scene has no parameter polarization to be set"
         self._index = (CRYSTAL_INDEX,) * (self._band is not None)
         # births can be weighted too: that tells what the depth's error does

@@ -249,6 +249,10 @@ def plan(
     """
     campaign = as_campaign(campaign)
     configurations = _couplings(campaign, n_gap)
+    if campaign.samples:
+        problem = "the campaign has several samples, and a plan is of one crystal"
+        mend = "plan with a campaign that leaves [samples] and their rows out"
+        raise InputError(problem, mend, path=campaign.path)
     if SCALE not in campaign.free:
         problem = "the scale is held, so that there is no light yield to plan for"
         raise InputError(problem, "plan with a campaign that fits it", path=campaign.path)

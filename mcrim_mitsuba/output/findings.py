@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR, own_name
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, titled, unit_of, without_unit
 from mcrim_mitsuba.core.rounding import (
     capital,
@@ -693,6 +694,13 @@ def parameter_words(campaign: Campaign, name: str) -> tuple[str, str]:
     if name in NAMES:
         meaning, unit = NAMES[name]
         return meaning, (name == SCALE and campaign.unit) or unit
+    if name == EFFICIENCY_FACTOR:
+        return "factor on the detector's efficiency, one for all samples", ""
+    for sample in campaign.samples.values():
+        for of in (*sample.own, LIGHT_YIELD):
+            if name == own_name(of, sample.name):
+                meaning, unit = parameter_words(campaign, of)
+                return f"{meaning}, of {sample.name}", unit
     for effect in campaign.catalogue.values():
         for parameter in effect.parameters:
             if parameter.name == name:

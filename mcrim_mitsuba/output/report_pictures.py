@@ -95,7 +95,7 @@ def data_uri(data: bytes, kind: str = "text/plain") -> str:
 
 def efficiencies_csv(sections: Sections) -> bytes:
     """The light collection efficiency of every reading, with its configuration."""
-    known = sections.campaign.measurements.columns
+    known = sections.campaign.varied
     rows = [
         (each.label, *map(each.parameters.get, known), each.eta, each.sigma, row.pull)
         for each, row in zip(sections.efficiencies, sections.calibration.rows, strict=True)

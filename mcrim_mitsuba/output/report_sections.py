@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
-from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.campaign.measurements import SAMPLE, Reading
 from mcrim_mitsuba.campaign.reduction import LIMIT_MB
 from mcrim_mitsuba.core.files import attributes, json_text, read_bytes
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
@@ -304,9 +304,13 @@ def _pair(campaign: Campaign) -> tuple[Reading, Reading] | None:
         return float(reading.parameters.get(_COUPLING, nominal[_COUPLING]))
 
     def elsewhere(reading: Reading) -> dict:
-        return {**nominal, **reading.parameters, _COUPLING: None}
+        return {**nominal, **reading.parameters, _COUPLING: None, SAMPLE: reading.sample}
 
-    light = [reading for reading in campaign.measurements.in_use if not reading.of_beam]
+    light = [
+        reading
+        for reading in campaign.measurements.in_use
+        if not reading.of_beam and campaign.parameter_of(reading, ALPHA_SCAT) == ALPHA_SCAT
+    ]
     pairs = (sorted(p, key=index) for p in itertools.combinations(light, 2))
     alike = [(a, b) for a, b in pairs if index(b) > index(a) and elsewhere(a) == elsewhere(b)]
     return max(alike, key=lambda pair: index(pair[1]) - index(pair[0]), default=None)
@@ -467,7 +471,7 @@ def describe(
     report = check_simulation(simulation, light=False)
     if report.problems:
         raise report.problems[0].error()
-    roles = dict.fromkeys(campaign.measurements.columns, "differs from reading to reading") | {
+    roles = dict.fromkeys(campaign.varied, "differs from reading to reading") | {
         name: "held" if known.fixed else "fitted" for name, known in campaign.parameters.items()
     }
     # drawn in another process while what follows is made
