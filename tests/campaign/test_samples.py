@@ -89,7 +89,8 @@ def test_a_known_light_yield_is_a_prior_of_the_scale(read):
 @pytest.mark.parametrize(
     ("old", "new", "place", "says"),
     [
-        ("[samples.thin.scene]", "[samples.third]\n[samples.thin.scene]", "line 12", "no reading of rows.csv"),
+        ("[samples.thin.scene]", "[samples.c]\n[samples.thin.scene]", "line 12",
+         "no reading of rows.csv"),
         ("[samples.thin.scene]", "[samples.t-hin.scene]", "line 12", "letters, digits"),
         ("crystal_height_mm = 5", "crystal_heigth_mm = 5", "line 13", "mean crystal_height_mm?"),
         ("crystal_height_mm = 5", "crystal_height_mm = 0.005", "line 13", "in mm: 5"),
