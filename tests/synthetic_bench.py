@@ -141,9 +141,12 @@ class Model:
         self._error = self.noise.mean(axis=0)[self._at]
         self._error_sigma = self.noise.std(axis=0, ddof=1)[self._at] / np.sqrt(BATCHES)
         self._names = [p.name for p in free]
+        known = self.light_yield
         self.campaign = SimpleNamespace(
-            path=None, light_yield=self.light_yield, switched_on=[],
-            values=SCENE,
+            path=None, light_yield=known, switched_on=[], values=SCENE,
+            # of one crystal
+            light_yields={} if known is None else {"scale": ("light_yield_ph_per_keV", known)},
+            parameter_of=lambda reading, name: name, stands_for=lambda name: name,
         )  # fmt: skip
 
     def predict(self, theta, *, check=False, covariance=False) -> Prediction:

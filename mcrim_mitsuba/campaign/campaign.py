@@ -20,6 +20,7 @@ from mcrim_mitsuba.campaign.entries import (
     NEXT_ENTRIES,
     NEXT_MINUTES,
     NEXT_SIGMA,
+    SAMPLES,
     SHARED_SIGMA,
     SPECTRUM,
     number_within,
@@ -297,6 +298,11 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
         samples=samples,
     )
     _refuse_scales_without_light(campaign)
+    if campaign.spectrum is not None:
+        for sample in samples.values():
+            if own := {ALPHA_SCAT, ALPHA_ABS} & sample.own.keys():
+                problem = f"{SPECTRUM} is of one crystal, and {sample.name} has its own {min(own)}"
+                raise document.refusal(f"{SAMPLES}.{sample.name}", problem, f"remove {SPECTRUM}")
     if campaign.ndf < 0:
         raise InputError(
             f"{counted(len(campaign.free), 'free parameter')} ({', '.join(campaign.free)}) but "

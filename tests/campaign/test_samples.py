@@ -16,6 +16,7 @@ thin,thin,26,0.4,
 other,other,30,0.4,1.46
 other air,other,20,0.4,1
 """
+SPECTRUM = f"spectrum = '{SCENES / 'camoo4_light.csv'}'"
 CAMPAIGN = f"""scene = '{SCENES / "camoo4.xml"}'
 measurements = "rows.csv"
 [parameters.alpha_scat_per_cm]
@@ -101,6 +102,8 @@ def test_a_known_light_yield_is_a_prior_of_the_scale(read):
          "did you mean alpha_abs_per_cm?"),
         ("[parameters.alpha_abs_per_cm]", "[parameters.n_crystal]\n[parameters.alpha_abs_per_cm]",
          "line 17", "n_crystal is fitted"),
+        ("[parameters.alpha_scat", f"{SPECTRUM}\n[parameters.alpha_scat",
+         "line 16", "spectrum is of one crystal"),
         ("= 0.026", "= 0.009", "line 23", "5 % that samples share"),
         ("= 0.026", "= 0.026\nlight_yield_ph_per_keV = 16", "line 20", "both or none"),
         ("shared_efficiency_sigma = 0.05", "shared_efficiency_sigma = 5", "line 11", "0.05 for 5"),

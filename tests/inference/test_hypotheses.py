@@ -33,8 +33,8 @@ def explained(model, **effects):
     """Explanations by name, with one prior of the scale."""
     made = {}
     for name, own in effects.items():
-        scale = next((each.scale for each in made.values()), None)
-        made[name] = Explanations(model, {each: bench.EFFECTS[each] for each in own}, scale)
+        scales = next((each.scales for each in made.values()), {})
+        made[name] = Explanations(model, {each: bench.EFFECTS[each] for each in own}, scales)
     return made
 
 
