@@ -76,6 +76,16 @@ def own_name(name: str, sample: str) -> str:
     return f"{name.removesuffix(ending)}_{sample}{ending}"
 
 
+def of_sample(name: str) -> tuple[str, str] | None:
+    """What `own_name` makes a name of: the shared parameter and the sample; None of others."""
+    for of in (*_OWN, KNOWN_YIELD):
+        before, after = own_name(of, "\0").split("\0")
+        sample = name.removeprefix(before).removesuffix(after)
+        if sample and name == own_name(of, sample):
+            return of, sample
+    return None
+
+
 def read_samples(
     document: TomlDocument, scene: SceneFile, measurements: Measurements, taken: Container[str]
 ) -> tuple[dict[str, Sample], Measurements]:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.campaign.parameter import SCALE
-from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR, own_name
+from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR, of_sample
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, titled, unit_of, without_unit
 from mcrim_mitsuba.core.rounding import (
     capital,
@@ -492,6 +492,8 @@ _NO_EFFECT = Contribution("what is in no catalogue", 0.0, "systematic", False, "
 
 def called(name: str) -> str:
     """A fitted parameter in words: ``light yield``."""
+    if (own := of_sample(name)) is not None:
+        return f"{called(own[0]).removesuffix(' of the crystal')} of {own[1]}"
     return NAMES[name][0].partition(":")[0] if name in NAMES else without_unit(name)
 
 
@@ -504,6 +506,9 @@ _TITLES = {
 
 def title_of(name: str) -> str:
     """A fitted parameter in words with its unit: ``light yield (ph/keV)``."""
+    if (own := of_sample(name)) is not None:
+        words, bracket, unit = title_of(own[0]).partition(" (")
+        return f"{words} of {own[1]}{bracket}{unit}"
     return _TITLES.get(name) or titled(name)
 
 
@@ -696,11 +701,10 @@ def parameter_words(campaign: Campaign, name: str) -> tuple[str, str]:
         return meaning, (name == SCALE and campaign.unit) or unit
     if name == EFFICIENCY_FACTOR:
         return "factor on the detector's efficiency, one for all samples", ""
-    for sample in campaign.samples.values():
-        for of in (*sample.own, LIGHT_YIELD):
-            if name == own_name(of, sample.name):
-                meaning, unit = parameter_words(campaign, of)
-                return f"{meaning}, of {sample.name}", unit
+    own = of_sample(name)
+    if own is not None and own[1] in campaign.samples:
+        meaning, unit = parameter_words(campaign, own[0])
+        return f"{meaning}, of {own[1]}", unit
     for effect in campaign.catalogue.values():
         for parameter in effect.parameters:
             if parameter.name == name:

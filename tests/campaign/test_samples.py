@@ -7,6 +7,7 @@ from refusals import refusal
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects, measurements_text
 from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.campaign.samples import of_sample
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 
 CSV = """label,sample,signal,sigma,n_gap
@@ -74,6 +75,9 @@ def test_what_samples_share_and_what_is_their_own(read):
     # what is shared of the efficiency's error is taken out of it: sqrt(0.1^2 - 0.05^2)
     name, known = campaign.light_yields["scale_other"]
     assert name == "light_yield_other_ph_per_keV"
+    assert of_sample(name) == ("light_yield_ph_per_keV", "other")
+    assert of_sample("alpha_abs_other_per_cm") == (ALPHA_ABS, "other")
+    assert all(of_sample(name) is None for name in (*shared, "gap_mm", "sample_scale"))
     assert known.detector_efficiency_sigma == pytest.approx(0.2 * (0.13**2 - 0.05**2) ** 0.5)
     assert campaign.priors == {"efficiency_factor": (1.0, 0.05)}
 
