@@ -84,12 +84,9 @@ def bench_words(
     told = [n for n in columns if n in reading.parameters]
     if not reading.of_beam:
         told += [n for n in _TOLD if n in values and n not in told]
-    return [(_named(n), _text(n, reading.parameters.get(n, values.get(n)), values)) for n in told]
-
-
-def _named(name: str) -> str:
-    known = {"n_gap": "index in the gap", "aperture_radius_mm": "radius of the mask's hole"}
-    return known.get(name, without_unit(name))
+    return [
+        (without_unit(n), _text(n, reading.parameters.get(n, values.get(n)), values)) for n in told
+    ]
 
 
 def _text(name: str, value: Value | None, values: Mapping[str, Value]) -> str:

@@ -24,6 +24,11 @@ ALPHA_ABS = "alpha_abs_per_cm"
 
 Value = float | bool | int | str
 
+#: What names say less well than words do.
+_CALLED = {
+    "n_gap": "gap index", "n_crystal": "crystal index", "n_window": "window index",
+    "aperture_radius_mm": "mask radius",
+}  # fmt: skip
 _UNITS = {"_per_cm": "1/cm", "_mm": "mm", "_nm": "nm", "_keV": "keV", "_deg": "degrees"}
 #: Longer ones are floats: Mitsuba's integers have 64 bits.
 INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
@@ -41,6 +46,8 @@ def unit_of(name: str) -> str | None:
 
 def without_unit(name: str) -> str:
     """A parameter's name without its unit, in words: ``alpha scat`` for ``alpha_scat_per_cm``."""
+    if name in _CALLED:
+        return _CALLED[name]
     ending = next((ending for ending in _UNITS if name.endswith(ending)), "")
     return name.removesuffix(ending).replace("_", " ")
 

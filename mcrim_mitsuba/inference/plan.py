@@ -77,10 +77,6 @@ class Conditions:
         return configurations * mountings * each
 
 
-def _called(name: str) -> str:
-    return "gap index" if name == "n_gap" else titled(name)
-
-
 @dataclass(frozen=True)
 class PlanCandidate:
     """A configuration that may be measured."""
@@ -96,7 +92,7 @@ class PlanCandidate:
     @property
     def name(self) -> str:
         """``gap index 1.46``."""
-        return ", ".join(f"{_called(name)} {value:g}" for name, value in self.parameters.items())
+        return ", ".join(f"{titled(name)} {value:g}" for name, value in self.parameters.items())
 
 
 @dataclass(frozen=True)
@@ -208,7 +204,7 @@ class Planning:
         names = {name for each in chosen for name in each.parameters}
         if len(names) == 1:
             (name,) = names
-            return f"{_called(name)} {', '.join(f'{each.parameters[name]:g}' for each in chosen)}"
+            return f"{titled(name)} {', '.join(f'{each.parameters[name]:g}' for each in chosen)}"
         return "; ".join(each.name for each in chosen)
 
 

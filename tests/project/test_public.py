@@ -93,7 +93,7 @@ def test_any_parameter_is_an_axis():
     assert np.isclose(there.eta, row["eta"], rtol=0.02)
     assert len(table.rows) == len(table.to_dataframe()) == 12
     labels = [line.get_label() for line in table.plot().axes[0].containers]
-    assert labels[0] == "gap_mm = 0.02, n_gap = 1.0"
+    assert labels[0] == "gap (mm) 0.02, gap index 1.0"
     with pytest.raises(mcrim.InputError, match=r"no parameter gap_m.*did you mean gap_mm"):
         mcrim.table(BENCH, gap_m=[0.1])
 
