@@ -217,7 +217,10 @@ def averaged_yield(diagnosis: Diagnosis) -> str:
     if likeliest is None and names != NOTHING_MISSING:
         what = IN_NO_CATALOGUE if names == UNKNOWN else f"a {names}"
         least = f"{alone} with nothing missing; the likeliest is {what} ({probability(p)})"
-    return f"Light yield: {averaged}, averaged over all that the readings allow; {least}"
+    return (
+        f"Light yield: {averaged}, averaged over all explanations and sizes that the readings "
+        f"allow: the one to quote; the best fit alone gives {least}"
+    )
 
 
 def family_probabilities(diagnosis: Diagnosis) -> str:

@@ -124,7 +124,8 @@ def test_compare_says_what_chi2_means(mcrim, campaign, found, p_value, says, fol
 FIRST = "Absorbing crystal surface"
 AVERAGED = (
     "Light yield: 7.7 ± 0.9 ph/keV (within models 0.78, between them 0.34, for what is in no "
-    "catalogue 0.12), averaged over all that the readings allow; 7.52 ± 0.20 with "
+    "catalogue 0.12), averaged over all explanations and sizes that the readings allow: the one to "
+    "quote; the best fit alone gives 7.52 ± 0.20 with "
     "absorbing crystal surface (70 %)"
 )
 FIRST_LINES = {
