@@ -20,7 +20,7 @@ from shared import one_after_another, refuse_foreign, status_of
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
-from mcrim_mitsuba.cli.scene_verbs import AXES, axes_options
+from mcrim_mitsuba.cli.scene_verbs import axes_options, read_axes
 from mcrim_mitsuba.core.files import json_text, make_folder, refuse_outputs, write_text
 from mcrim_mitsuba.core.numbers import value_text
 from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
@@ -44,7 +44,8 @@ def main(scenes, variations, folder, run, log, **lists) -> int:
 
     Comments in each say what it rests on. Kept is a table whose photons the cache has.
     """
-    axes = {name: parse_list(option, lists[name], name) for name, (option, _) in AXES.items()}
+    axes, notes = read_axes(lists)
+    terminal.console().say_notes(notes)
     tables = wanted(scenes, axes, variations, Path(folder))
 
     def make(place: Path, progress) -> dict[str, str]:
@@ -98,7 +99,7 @@ def _comments(scene: mcrim.SceneFile, made: mcrim.Answer, run: mcrim.Run) -> lis
         "source": f"mcrim_mitsuba {mcrim.__version__}",
         "units": "coefficients in 1/cm; eta, a fraction, with its standard error",
         "scene": scene.path,
-        "parameters": json_text({n: v for n, v in made.parameters.items() if n not in AXES}),
+        "parameters": json_text({n: v for n, v in made.parameters.items() if n not in made.axes}),
         **{name: getattr(made, name) for name in ("scene_hash", "photons", "seed")},
         "versions": json_text(versions(run.variant, run.threads)),
         **({"notes": json_text(list(made.notes))} if made.notes else {}),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -207,13 +208,16 @@ def simulate(
 
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
+_OWN = "default: the scene's value"
 _COUPLINGS = "such as 1.0,1.46 or 1.0:1.6:7 (start:stop:count) or 1.0,glycerol@540nm"
 _MOST_SHOWN = 6
+#: Endings of tables.
+_TABLES = (".csv", ".txt", ".nc")
 #: Axes of every table: option and help, by parameter.
 AXES = {
-    "n_gap": ("--n-gap", f"Index of the gap: {_COUPLINGS}."),
-    ALPHA_ABS: ("--alpha-abs", f"Absorption, 1/cm: {_LIST}."),
-    ALPHA_SCAT: ("--alpha-scat", f"Scattering, 1/cm: {_LIST}."),
+    "n_gap": ("--n-gap", f"Index of the gap: {_COUPLINGS}; {_OWN}."),
+    ALPHA_ABS: ("--alpha-abs", f"Absorption, 1/cm: {_LIST}; {_OWN}."),
+    ALPHA_SCAT: ("--alpha-scat", f"Scattering, 1/cm: {_LIST}; {_OWN}."),
 }
 _NO_CAP = (
     f"Photon records come in launches of {LANES:,} photons: numbers are rounded up. Each point "
@@ -224,8 +228,41 @@ _NO_CAP = (
 def axes_options(function):
     """Options of `AXES`, as texts."""
     for name, (option, what) in AXES.items():
-        function = click.option(option, name, required=True, metavar="LIST", help=what)(function)
+        function = click.option(option, name, metavar="LIST", help=what)(function)
     return function
+
+
+def read_axes(
+    given: Mapping[str, str | None],
+    more: Mapping[str, str] | None = None,
+    folder: Path | None = None,
+) -> tuple[dict[str, list[float]], list[str]]:
+    """Values by parameter, and notes on how they were understood.
+
+    Parameters
+    ----------
+    given : mapping of str to str or None
+        Texts of the options of `AXES` by parameter; None of those that were left out.
+    more : mapping of str to str, optional
+        Texts of ``--axis`` by parameter.
+    folder : Path, optional
+        That paths of spectra start from.
+
+    Raises
+    ------
+    InputError
+        If none is given, or one is no list of numbers.
+    """
+    from mcrim_mitsuba.scene.values import parse_list, told_of_comma
+
+    typed = [(f"--axis {name}", name, text) for name, text in (more or {}).items()]
+    typed += [(AXES[name][0], name, text) for name in AXES if (text := given[name]) is not None]
+    if not typed:
+        problem = "a table needs values of one parameter at least"
+        options_of_axes = ", ".join(option for option, _ in AXES.values())
+        raise InputError(problem, f"give {options_of_axes} or another, such as 0.1,0.5")
+    notes = [note for option, _, text in typed for note in told_of_comma(option, text)]
+    return {name: parse_list(option, text, name, folder) for option, name, text in typed}, notes
 
 
 @click.command(short_help="Table of the light collection efficiency of a scene.")
@@ -234,30 +271,36 @@ def axes_options(function):
 @click.option("--axis", "axes", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
               help="Values of any other parameter of the scene (may be repeated).")  # fmt: skip
 @click.option("-o", "--output", "path", type=click.Path(), metavar="FILE",
-              help="CSV (or NetCDF, .nc) to write; - for the screen.")  # fmt: skip
+              help="CSV (.csv, .txt) or NetCDF (.nc) to write; - for the screen.")  # fmt: skip
 @options.defines
 @options.photons("2e6 per coupling", at_most=True, further=_NO_CAP)
 @options.precision
 @options.method
 @options.work
 def table(scene, axes, path, overrides, method, json_file, work, **own) -> None:
-    """Table of the light collection efficiency of SCENE, one simulation per coupling."""
-    from mcrim_mitsuba.scene.values import parse_list, refuse_many_points
+    """Table of the light collection efficiency of SCENE, one simulation per coupling.
 
-    folder = Path(scene).parent
+    Parameters that no list is given for keep the scene's values.
+    """
+    from mcrim_mitsuba.scene.values import refuse_many_points
+
     for name, (option, _) in AXES.items():
         if name in axes:
             raise InputError(f"--axis {name} has an option of its own", f"give {option} only")
-    lists = {name: parse_list(f"--axis {name}", text, name, folder) for name, text in axes.items()}
-    lists |= {
-        name: parse_list(option, own[name], name, folder) for name, (option, _) in AXES.items()
-    }
+    lists, notes = read_axes(own, axes, Path(scene).parent)
     refuse_many_points(math.prod(map(len, lists.values())))
-    refuse_outputs({"--output": path, "--json": json_file}, [scene])
+    # a name without an ending tells of no other format
+    suffixes = {"--output": _TABLES} if path and Path(path).suffix else {}
+    refuse_outputs({"--output": path, "--json": json_file}, [scene], suffixes=suffixes)
     file = mcrim.read_scene(scene, overrides)
     screen = terminal.console(json_file, path)
+    screen.say_notes(notes)
     coefficients = {"alpha_scat": ALPHA_SCAT, "alpha_abs": ALPHA_ABS}
-    said = [f"{word} {_abbreviated(lists[name])} /cm" for word, name in coefficients.items()]
+    said = [
+        f"{word} {_abbreviated(lists[name])} /cm"
+        for word, name in coefficients.items()
+        if name in lists
+    ]
     said += [f"{n} {_abbreviated(v)}" for n, v in lists.items() if n not in coefficients.values()]
     screen.line("; ".join(said))
     with work.begin() as run:

@@ -231,6 +231,8 @@ MOST_POINTS = 1_000_000
 # no number begins so, but the decimals of one may: 0,039
 _STEP_DECIMALS = re.compile(r"0[0-9]+")
 _COUNT = re.compile(r"\s*[0-9]{1,9}\s*")
+#: Two whole numbers with a comma between, or one with decimals.
+_TWO_OR_ONE = re.compile(r"([+-]?[0-9]+),([0-9]+)")
 _FORMS = "give 0.1,0.5 or start:stop:count, such as 0.01:2:40 or log:0.01:2:40"
 
 
@@ -239,7 +241,8 @@ def parse_list(option: str, text: str, name: str = "", folder: Path | None = Non
 
     Messages name the `option` where it was typed. If `name`, the parameter that takes the
     numbers, is an index (``n_...``), they may be materials, such as ``1.0,BK7@540nm``; relative
-    paths of spectra (``CaMoO4@emission.csv``) start from `folder`.
+    paths of spectra (``CaMoO4@emission.csv``) start from `folder`. Between semicolons numbers may
+    have decimal commas: ``0,1;0,5``.
 
     Raises
     ------
@@ -258,8 +261,14 @@ def parse_list(option: str, text: str, name: str = "", folder: Path | None = Non
     if not logarithmic and ":" not in body:
         if not body:
             raise InputError(f"{option} is empty", _FORMS)
-        elements = body.split(",")
-        _refuse_decimal_commas(option, elements)
+        if ";" in body:
+            elements = [
+                part.replace(",", ".") if DECIMAL_COMMA.fullmatch(part.strip()) else part
+                for part in body.split(";")
+            ]
+        else:
+            elements = body.split(",")
+            _refuse_decimal_commas(option, elements)
         return [number(part) for part in elements]
     parts = body.removeprefix("log:").split(":")
     if len(parts) != 3:
@@ -271,6 +280,28 @@ def parse_list(option: str, text: str, name: str = "", folder: Path | None = Non
     if logarithmic and min(start, stop) <= 0:
         raise InputError(f"{option}: a logarithmic range cannot touch 0", "start above 0")
     return (np.geomspace if logarithmic else np.linspace)(start, stop, count).tolist()
+
+
+def told_of_comma(option: str, text: str | None) -> list[str]:
+    """What a comma was taken for in a list such as ``0,5``; nothing where there is no doubt.
+
+    Raises
+    ------
+    InputError
+        If it is surely a decimal comma, or as likely as not: lists go up.
+    """
+    found = _TWO_OR_ONE.fullmatch((text or "").strip())
+    if found is None:
+        return []
+    first, second = found.groups()
+    if int(second) <= int(first):
+        problem = f"{option} = '{text}' may be one number with a decimal comma, or two"
+        mend = f"write {first}.{second} for one, {first};{second} for two"
+        raise InputError(problem, mend)
+    return [
+        f"{option} = {first},{second} is two values, {first} and {second}; for one write "
+        f"{first}.{second}"
+    ]
 
 
 def refuse_many_points(points: int) -> None:

@@ -35,6 +35,25 @@ def test_table_agrees_with_the_solution_without_photons(mcrim, tmp_path):
         assert abs(float(row["eta"]) - own["eta"]) < 4 * float(row["eta_sigma"]), row
 
 
+def test_a_table_keeps_the_scenes_values_where_no_list_is_given(mcrim, tmp_path):
+    path = tmp_path / "T.csv"
+    mcrim.shown("table", BENCH, "--alpha-scat", "0,2;0,5", "--method", "modes", "-o", path)
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    assert rows[0] == ["alpha_scat_per_cm", "eta", "eta_sigma"]
+    assert [row[0] for row in rows[1:]] == ["0.2", "0.5"]
+    own = mcrim.json("simulate", BENCH, "-D", "alpha_scat_per_cm=0.2", "--method", "modes")
+    assert float(rows[1][1]) == pytest.approx(own["eta"], rel=1e-6)
+    assert "give --n-gap, --alpha-abs, --alpha-scat" in mcrim.refused("table", BENCH)
+
+
+def test_a_comma_that_may_be_a_decimal_one_is_told_or_refused(mcrim):
+    line = ["table", BENCH, "--method", "modes", "--alpha-scat"]
+    said = mcrim.shown(*line, "0,5")
+    assert "--alpha-scat = 0,5 is two values, 0 and 5; for one write 0.5" in said
+    assert "two values" not in mcrim.shown(*line, "0.1,0.5")
+    assert "write 1.0 for one, 1;0 for two" in mcrim.refused(*line[:2], "--n-gap", "1,0")
+
+
 def test_check_says_what_is_installed(mcrim):
     out = mcrim.shown("check")
     for words in ("mitsuba", "llvm library", "variants", "threads"):
