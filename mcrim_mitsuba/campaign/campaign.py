@@ -237,9 +237,14 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
     if there are more free parameters than readings in use and priors.
     """
     path = Path(path)
-    if path.suffix.lower() == ".xml" and is_there(path) and path.is_file():
-        mend = f'name a campaign (.toml) with scene = "{path.name}" and its measurements'
-        raise InputError("this is a scene, not a campaign", mend, path=path)
+    others = {
+        ".xml": ("a scene", f'scene = "{path.name}" and its measurements'),
+        ".csv": ("a table", f'measurements = "{path.name}" and their scene'),
+    }
+    if path.suffix.lower() in others and is_there(path) and path.is_file():
+        kind, entries_of_it = others[path.suffix.lower()]
+        mend = f"name a campaign (.toml) with {entries_of_it}"
+        raise InputError(f"this is {kind}, not a campaign", mend, path=path)
     document = read_toml(path)
     entries = document.table("", CAMPAIGN)
     folder = _folder(entries, trust_effects)

@@ -10,7 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.files import first_duplicates, is_there, read_table_text, resolved
+from mcrim_mitsuba.core.files import (
+    first_duplicates,
+    is_there,
+    look_around,
+    read_table_text,
+    resolved,
+)
 from mcrim_mitsuba.core.numbers import Value, parse_number
 from mcrim_mitsuba.core.table_text import (
     csv_cells,
@@ -324,7 +330,8 @@ class _Cells(dict[str, str]):
         path = self.path.parent / name
         if not is_there(path):
             problem = f"{name} does not exist"
-            raise self.refusal(_HISTOGRAM, problem, f"paths are relative to {self.path.name}")
+            mend = look_around(path, f"paths are relative to {self.path.name}")
+            raise self.refusal(_HISTOGRAM, problem, mend)
         return path
 
     def _signal(self, kind: str) -> tuple[float, float]:

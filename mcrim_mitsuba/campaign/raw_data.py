@@ -23,7 +23,7 @@ from mcrim_mitsuba.campaign.entries import (
     number_within,
 )
 from mcrim_mitsuba.core.errors import did_you_mean
-from mcrim_mitsuba.core.files import is_there, resolved
+from mcrim_mitsuba.core.files import is_there, look_around, resolved
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
 from mcrim_mitsuba.laboratory.peak import SHAPES
 from mcrim_mitsuba.optics.absorption import LARGEST_SIGMA
@@ -246,7 +246,8 @@ def file_in(table: TomlTable, name: str, given: Any) -> Path:
     path = table.path_of(name, given)
     if not is_there(path):
         problem = f"{path} does not exist"
-        raise table.refusal(name, problem, "paths are relative to the campaign file")
+        mend = look_around(path, "paths are relative to the campaign file")
+        raise table.refusal(name, problem, mend)
     return path
 
 

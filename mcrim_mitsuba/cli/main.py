@@ -10,6 +10,7 @@ import click
 
 from mcrim_mitsuba import __version__
 from mcrim_mitsuba.cli.terminal import DONE, run
+from mcrim_mitsuba.core.errors import closest
 from mcrim_mitsuba.core.files import silence_stdout
 
 #: Verbs by the module of this folder that has them.
@@ -37,6 +38,12 @@ class _Commands(click.Group):
             return None
         home = importlib.import_module(f"mcrim_mitsuba.cli.{_HOME_OF[cmd_name]}")
         return getattr(home, cmd_name)
+
+    def resolve_command(self, ctx, args):
+        alike = closest(args[0], _HOME_OF) if args and args[0] not in _HOME_OF else None
+        if alike and not args[0].startswith("-"):
+            ctx.fail(f"No such command '{args[0]}'. Did you mean '{alike}'?")
+        return super().resolve_command(ctx, args)
 
     def make_context(self, *arguments, **options):
         with _reader_may_leave():

@@ -87,7 +87,7 @@ def read_bytes(path: Path, limit_mb: int) -> bytes:
     except IsADirectoryError:
         raise InputError("this is a folder", "name a file in it", path=path) from None
     except (FileNotFoundError, NotADirectoryError):
-        raise InputError("no such file", _look_around(path), path=path) from None
+        raise InputError("no such file", look_around(path), path=path) from None
     except (OSError, ValueError) as error:
         problem = f"cannot be read ({_reason(error)})"
         raise InputError(problem, "name another file", path=path) from None
@@ -174,8 +174,11 @@ def _checked(text: str, path: Path, mend: str) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _look_around(path: Path) -> str:
-    """Hint for a file that is not there: its likely namesake, or that the folder is missing."""
+def look_around(path: Path, otherwise: str = "check the path") -> str:
+    """Hint for a file that is not there: its likely namesake, or that the folder is missing.
+
+    Where there is none: `otherwise`.
+    """
     try:
         if not path.parent.is_dir():
             return f"the folder {path.parent} does not exist: check the path"
@@ -184,7 +187,7 @@ def _look_around(path: Path) -> str:
         alike = closest(path.name, itertools.islice(entries, _MOST_COMPARED))
     except OSError:  # a folder whose names may not be read
         alike = None
-    return f"did you mean {alike}?" if alike else "check the path"
+    return f"did you mean {alike}?" if alike else otherwise
 
 
 def first_duplicates(paths: Sequence[Path]) -> tuple[int, int] | None:

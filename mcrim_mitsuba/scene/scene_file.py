@@ -19,7 +19,7 @@ from typing import Any
 from lxml import etree
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.files import BYTES_PER_MB, is_there, read_bytes, resolved
+from mcrim_mitsuba.core.files import BYTES_PER_MB, is_there, look_around, read_bytes, resolved
 from mcrim_mitsuba.core.numbers import Value, unit_of, value_text
 from mcrim_mitsuba.scene.values import MaterialIndex, parse_like, parse_material, parse_value
 from mcrim_mitsuba.scene.vocabulary import misspelt
@@ -32,6 +32,8 @@ _MOST_FILES, _MOST_NESTED, _MOST_ELEMENTS = 100, 8, 50_000
 _MOST_REFERENCES, _MOST_CHARACTERS = 50_000, 5_000_000
 _LARGEST_NAMED_FILE_MB = 1000
 _MEANT = "is this the scene you meant?"
+#: What other files of this package are, by their endings.
+_OTHERS = {".toml": "a campaign", ".csv": "a table"}
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _REFERENCE = re.compile(rf"\$({_NAME.pattern})?")
 # by parameter and text
@@ -244,7 +246,10 @@ def read_scene(
     """
     if isinstance(path, SceneFile):
         return path.with_overrides(overrides) if overrides else path
-    return _assemble(Path(path), overrides or {}, {}, {})
+    path = Path(path)
+    if (kind := _OTHERS.get(path.suffix.lower())) and is_there(path) and path.is_file():
+        raise InputError(f"this is {kind}, not a scene", "name a scene (.xml)", path=path)
+    return _assemble(path, overrides or {}, {}, {})
 
 
 def parse_define(
@@ -456,7 +461,8 @@ class _Assembly:
             problem = f"{filename} includes itself, directly or through others"
             raise InputError(problem, "remove one of the <include>s", **place)
         if not is_there(target):
-            raise InputError(f"{filename} does not exist", "check <include filename>", **place)
+            mend = look_around(target, "check <include filename>")
+            raise InputError(f"{filename} does not exist", mend, **place)
         self.included += 1
         if self.included > _MOST_FILES or len(chain) > _MOST_NESTED:
             raise InputError(

@@ -54,6 +54,16 @@ def test_a_comma_that_may_be_a_decimal_one_is_told_or_refused(mcrim):
     assert "write 1.0 for one, 1;0 for two" in mcrim.refused(*line[:2], "--n-gap", "1,0")
 
 
+def test_a_file_of_another_kind_and_a_slip_in_a_verb_are_told(mcrim, campaign_here):
+    table = mcrim.refused("calibrate", "camoo4_measured.csv")
+    assert 'this is a table, not a campaign; name a campaign (.toml) with measurements = "' in table
+    assert "this is a campaign, not a scene" in mcrim.refused("simulate", campaign_here)
+    assert "this is a table, not a scene" in mcrim.refused("check", "camoo4_measured.csv")
+    assert mcrim.refused("simulat", BENCH) == (
+        "mcrim: No such command 'simulat'. Did you mean 'simulate'? See `mcrim --help`\n"
+    )
+
+
 def test_check_says_what_is_installed(mcrim):
     out = mcrim.shown("check")
     for words in ("mitsuba", "llvm library", "variants", "threads"):
