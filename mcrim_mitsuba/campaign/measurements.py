@@ -34,6 +34,8 @@ _NUMBERS = ("signal", "sigma")
 _HISTOGRAM, _WINDOW = "histogram", ("window_low", "window_high")
 #: Columns that hold no numbers.
 _TEXTS = ("label", "histogram", "group", "kind", "sample")
+#: An error in per cent.
+_SHARE = re.compile(r"([0-9]+\.?[0-9]*) ?%")
 _OPTIONAL = ("use", "group", "group_sigma")
 #: Labels are written into CSV that people open in spreadsheets.
 _FORMULA = re.compile(r"[=@]|[+-][^(|]*[(|]")
@@ -257,9 +259,14 @@ class _Cells(dict[str, str]):
             cells = cells[: max(len(columns), len(without_empty_end(cells)))]
         if len(cells) != len(columns):
             uncertain = separator == "," and len(cells) > len(columns)
-            decimals = "; decimals take a point, not a comma" if uncertain else ""
             problem = f"{len(cells)} cells under {len(columns)} columns"
-            raise InputError(problem, f"give each column one cell{decimals}", path=path, line=line)
+            mend = "give each column one cell"
+            if uncertain:
+                mend += (
+                    ": separate columns with semicolons, then decimal commas may stay, or write "
+                    "points"
+                )
+            raise InputError(problem, mend, path=path, line=line)
         super().__init__(zip(columns, cells, strict=True))
 
     def row(self, scene_parameters: Mapping[str, Value] | None) -> Reading:
@@ -310,6 +317,11 @@ class _Cells(dict[str, str]):
         return {"path": self.path, "line": self.line, "column": name}
 
     def number(self, name: str) -> float:
+        share = _SHARE.fullmatch(self[name]) if name == "sigma" else None
+        if share and is_number(self["signal"]):
+            sigma = float(share[1]) / 100 * float(self["signal"])
+            problem = f"sigma = {self[name]} is in per cent"
+            raise self.refusal(name, problem, f"write it in the unit of the signal: {sigma:.3g}")
         return parse_number(name, self[name], **self.place(name))
 
     def refusal(self, name: str, problem: str, mend: str) -> InputError:

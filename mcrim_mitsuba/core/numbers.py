@@ -36,6 +36,9 @@ INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?")
 NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
+#: Parameters and options whose values may be materials.
+_INDEX = re.compile(r"(^|[ -])n[_-]")
+_MATERIAL = ", or a material at a wavelength, such as glycerol@540nm (`mcrim lab index` lists them)"
 BOOLEANS = {"true": True, "false": False}
 
 
@@ -83,7 +86,8 @@ def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> 
     refuse_decimal_comma(what, stripped, given=given, **place)
     if not NUMBER.fullmatch(stripped) or not math.isfinite(float(stripped)):
         problem = f"{as_said(what, stripped, given)} is not a finite number"
-        raise InputError(problem, "write a plain number such as 1.46, without a unit", **place)
+        mend = "write a plain number such as 1.46, without a unit"
+        raise InputError(problem, mend + (_MATERIAL if _INDEX.search(what) else ""), **place)
     number = float(stripped)
     if number and not SMALLEST <= abs(number) <= LARGEST:
         raise InputError(

@@ -17,6 +17,11 @@ from mcrim_mitsuba.core.numbers import parse_number
 _LIMIT_MB = 1
 _POSITION = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 _TABLE = re.compile(r"\s*\[\[?([^\]]+)\]")
+#: An entry whose number has a unit.
+_WITH_UNIT = re.compile(
+    r"[ \t]*[\w.-]+[ \t]*=[ \t]*([+-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)"
+    r"[ \t]*[^\W\d_][^#,\"']*(?:#.*)?"
+)
 _KEY = re.compile(r"\s*([\w.\"'-]+)\s*=")
 #: Levels of tables and lists: no entry of ours is deeper than four. tomllib's time grows with the
 #: square of a dotted name's length, so that long ones must not reach it.
@@ -138,11 +143,14 @@ def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:
     except tomllib.TOMLDecodeError as error:
         position = _POSITION.search(str(error))
         line, column = position.groups() if position else (None, None)
+        number = int(line) if line else len(text.rstrip().split("\n"))
+        unit = _WITH_UNIT.fullmatch(text.split("\n")[number - 1])
+        mend = 'entries are name = value, text in "quotes", decimals with a point'
         raise InputError(
             f"not TOML: {_POSITION.sub('', str(error))}",
-            'entries are name = value, text in "quotes", decimals with a point',
+            f"write {unit[1]}, without a unit" if unit else mend,
             path=path,
-            line=int(line) if line else len(text.rstrip().split("\n")),
+            line=number,
             column=int(column) if column else None,
         ) from None
     except ValueError:  # Python's limit of the digits of a whole number
