@@ -13,6 +13,7 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_text
 from mcrim_mitsuba.core.rounding import capital
+from mcrim_mitsuba.effects.trust import execute_allowed
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 _COLOURS = {"+": "green", "-": "red", "@": "cyan"}
@@ -45,6 +46,7 @@ def _listing() -> str:
               help="A value of the effect (may be repeated); mm, 1/cm.")  # fmt: skip
 @click.option("--effects-folder", "folder", type=click.Path(), metavar="DIR",
               help="Folder of effects of your own (*.py, which are executed).")  # fmt: skip
+@options.trust_effects("--effects-folder")
 def add(effect, scene, path, values, folder) -> None:
     """Write SCENE with EFFECT in it as a new scene, and show what changed.
 
@@ -54,7 +56,12 @@ def add(effect, scene, path, values, folder) -> None:
     refuse_outputs({"--output": path}, [scene], suffixes=suffixes)
     screen = terminal.console(path)
     old = read_scene(scene)
-    text = effects.add(effect, old, values, folder)
+
+    def added(trusted: bool) -> str:
+        execute_allowed(folder, trusted=trusted)
+        return effects.add(effect, old, values, folder)
+
+    text = showing.when_trusted(added, "Effects of somebody else are programs of theirs.")
     new = old.edited(text)
     if path not in STDOUT:
         _refuse_place(new, Path(path))

@@ -294,12 +294,17 @@ def _remember_trust(ctx, param, value) -> None:
     ctx.meta[TRUST] = value
 
 
+def trust_effects(where: str):
+    """``--trust-effects`` for `showing.when_trusted`; `where` the effects are."""
+    return click.option(
+        "--trust-effects", is_flag=True, expose_value=False, callback=_remember_trust,
+        help=f"Execute the Python in {where} without being asked.",
+    )  # fmt: skip
+
+
 def _reads_campaigns(argument: Callable) -> Callable:
     """An argument, with ``--trust-effects`` for `showing.read_campaign`."""
-    trust = click.option(
-        "--trust-effects", is_flag=True, expose_value=False, callback=_remember_trust,
-        help="Execute the Python in the campaign's effects_folder without being asked.",
-    )  # fmt: skip
+    trust = trust_effects("the campaign's effects_folder")
     return lambda function: argument(trust(function))
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import TypeVar
 
 import click
 
@@ -16,6 +17,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there
 from mcrim_mitsuba.output.described import Described
 
+_Read = TypeVar("_Read")
 #: Outputs by option, each with the suffixes that it may have.
 Written = Mapping[str, tuple[str, tuple[str, ...]]]
 #: Of pictures after the first.
@@ -37,7 +39,10 @@ def read_campaign(
     They are looked at before the campaign is read, and again when its files are known.
     """
     refuse_places(json_file, [campaign], figure, *endings, written=written)
-    read = _read_trusted(campaign)
+    read = when_trusted(
+        lambda trusted: mcrim.read_campaign(campaign, trust_effects=trusted),
+        "A campaign of somebody else is a program of theirs.",
+    )
     raw = () if read.raw is None else read.raw.files
     files = [
         campaign, read.scene.path, *read.scene.included, read.measurements.path,
@@ -47,22 +52,25 @@ def read_campaign(
     return read, files
 
 
-def _read_trusted(campaign: str):
-    """A campaign; where it brings Python that nobody has allowed yet, the user is asked."""
+def when_trusted(read: Callable[[bool], _Read], warning: str) -> _Read:
+    """What `read` gives; where it executes Python that nobody has allowed yet, the user is asked.
+
+    It is told whether ``--trust-effects`` was given.
+    """
     from mcrim_mitsuba.effects.trust import UntrustedEffectsError, trust
 
     trusted = click.get_current_context().meta[options.TRUST]
     try:
-        return mcrim.read_campaign(campaign, trust_effects=trusted)
+        return read(trusted)
     except UntrustedEffectsError as error:
         if not (sys.stdin.isatty() and sys.stderr.isatty()):
             raise
-        terminal.console("-").say(f"{error.place}: {error.problem}")
-        asked = "A campaign of somebody else is a program of theirs. Execute it, now and later?"
-        if not click.confirm(asked, err=True):
+        place = f"{error.place}: " if error.place else ""
+        terminal.console("-").say(f"{place}{error.problem}")
+        if not click.confirm(f"{warning} Execute it, now and later?", err=True):
             raise
         trust(error.folder, keep=True)
-    return mcrim.read_campaign(campaign)
+    return read(False)
 
 
 def refuse_places(

@@ -59,6 +59,18 @@ def refuse_untrusted(folder: Path, path: str | None = None, line: int | None = N
     raise error
 
 
+def execute_allowed(folder: str | Path | None, *, trusted: bool) -> None:
+    """Refuse a folder of effects as `refuse_untrusted`, unless its user says that it is `trusted`.
+
+    What is no folder is its reader's to refuse.
+    """
+    if folder is None or not Path(folder).is_dir():
+        return
+    if trusted:
+        trust(Path(folder))
+    refuse_untrusted(Path(folder))
+
+
 def trust(folder: Path, *, keep: bool = False) -> None:
     """Allow a folder's files, as they are now, to be executed; for good where they are to be kept.
 

@@ -623,7 +623,7 @@ def render(scene: Scene, *, run: Run | None = None, **given: Any) -> Any:
 
 def add(
     effect: str, scene: Scene, output: str | Path | None = None, *,
-    effects_folder: str | Path | None = None, **values: float | str,
+    effects_folder: str | Path | None = None, trust_effects: bool = False, **values: float | str,
 ) -> SceneFile:  # fmt: skip
     """A scene with a physical effect of the catalogue in it.
 
@@ -636,18 +636,23 @@ def add(
     output : str or Path, optional
         File to write the new scene to (``.xml``).
     effects_folder : str or Path, optional
-        Of effects of your own.
+        Of effects of your own: Python, which is executed.
+    trust_effects : bool
+        Execute it; without, only files that were allowed before.
     **values
         Of the effect's parameters; the catalogue's start where not given.
 
     Raises
     ------
     InputError
-        If the effect is not known, is one of the readings, or cannot be put into this scene.
+        If the effect is not known, is one of the readings, or cannot be put into this scene; if
+        nobody has allowed the folder's Python to be executed.
     """
     from mcrim_mitsuba.effects.catalogue import add as added
+    from mcrim_mitsuba.effects.trust import execute_allowed
 
     file = read_scene(scene)
+    execute_allowed(effects_folder, trusted=trust_effects)
     text = added(effect, file, values, effects_folder)
     if output is None:
         return file.edited(text)

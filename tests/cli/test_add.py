@@ -2,8 +2,11 @@
 
 import shutil
 
+import pytest
 from places import cases_of
 
+from mcrim_mitsuba import add as added
+from mcrim_mitsuba.effects.trust import UntrustedEffectsError
 from mcrim_mitsuba.scene.scene_file import read_scene
 
 cases = cases_of(__file__)
@@ -27,6 +30,26 @@ def test_the_scene_itself_is_never_replaced(mcrim, tmp_path, scenes):
     scene = shutil.copy(scenes / "camoo4.xml", tmp_path / "bench.xml")
     refused = mcrim.refused("add", "gap_index", scene, "-o", scene)
     assert "would replace what this command reads" in refused
+
+
+def test_effects_of_ones_own_are_executed_when_the_user_says_so(mcrim, here, scenes):
+    (here / "theirs").mkdir()
+    (here / "theirs/mine.py").write_text(
+        "from mcrim_mitsuba.effects import Effect, EffectParameter\n"
+        "from pathlib import Path\nPath('ran').touch()\n"
+        "def edit(editor, values):\n    return None\n"
+        'EFFECT = Effect("mine", "M", "...", "...", (), edit=edit)\n'
+    )
+    line = ["add", "mine", scenes / "camoo4.xml", "--effects-folder", "theirs", "-o", "-"]
+    refused = mcrim.refused(*line)
+    assert "the Python in theirs would be executed (mine.py)" in refused
+    assert "--trust-effects" in refused
+    with pytest.raises(UntrustedEffectsError):
+        added("mine", scenes / "camoo4.xml", effects_folder="theirs")
+    assert not (here / "ran").exists()
+    mcrim(*line, "--trust-effects")
+    assert (here / "ran").exists()
+    assert "name a folder" in mcrim.refused(*line[:4], "nowhere", *line[5:])
 
 
 def test_what_was_included_stands_in_the_new_scene(mcrim, tmp_path, scenes):
