@@ -21,6 +21,7 @@ from lxml import etree
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
 from mcrim_mitsuba.core.files import BYTES_PER_MB, is_there, look_around, read_bytes, resolved
 from mcrim_mitsuba.core.numbers import Value, unit_of, value_text
+from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.scene.values import MaterialIndex, parse_like, parse_material, parse_value
 from mcrim_mitsuba.scene.vocabulary import misspelt
 from mcrim_mitsuba.scene.xml_tree import comment_of, parse_scene_xml
@@ -441,9 +442,27 @@ class _Assembly:
                 f"silently read it as '{silently}'"
             )
             return InputError(problem, f"write ${start} or declare {name}", **place)
+        if (meant := self.misdeclared(name)) is not None:
+            problem = (
+                f"{meant.name} is declared, and used nowhere; ${name} is used, and not declared"
+            )
+            mend = f"if {name} is meant here, write it so"
+            return InputError(problem, mend, path=meant.path, line=meant.line)
         guess = f"{did_you_mean(name, self.texts)}; or " if closest(name, self.texts) else ""
         mend = f'{guess}add <default name="{name}" value="..."/> at the top'
         return InputError(f"${name} is not declared above this line", mend, **place)
+
+    def misdeclared(self, name: str) -> DefaultParameter | None:
+        """The default that is meant by a name and has another: that of no bench, used nowhere."""
+        alike = closest(name, self.defaults)
+        if alike is None:
+            return None
+        shipped = scene_path("camoo4.xml").read_text(encoding="utf-8")
+        if f'<default name="{name}"' not in shipped or f'<default name="{alike}"' in shipped:
+            return None
+        uses = re.compile(rf"\${alike}(?![A-Za-z0-9_])".encode())
+        used = any(uses.search(source) for source in self.sources.values())
+        return None if used else self.defaults[alike]
 
     def include(
         self, element: etree._Element, chain: tuple[Path, ...], place: dict[str, Any]

@@ -79,6 +79,8 @@ _MENDS = (
     ("encoding", 'save the file as UTF-8 and declare encoding="UTF-8"'),
     ("UTF-8", 'save the file as UTF-8 and declare encoding="UTF-8"'),
     ("Start tag expected", f"{_MEANT} It does not begin with an <element>"),
+    ("attribute", "close the quotes of its attributes, perhaps on a line before"),
+    ("AttValue", "put the attribute's value into quotes"),
     ("tag", "give every <element> its end: </element> or <element/>"),
     ("hyphen", "write a comment without -- in it"),
     ("", "mend the file at this place"),

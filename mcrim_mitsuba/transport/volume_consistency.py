@@ -337,7 +337,14 @@ class _Judge:
         name = self._model.volume_names[volume]
         if (tilted := self._tilted(volume)) is not None:
             return tilted
-        text = f"the volume {name!r} is not closed {self._unguarded_side(lines, volume)}: "
+        side = self._unguarded_side(lines, volume)
+        where = "somewhere" if side is None else f"at {'xyz'[side[0]]} = {side[1]:.4g} mm"
+        text = f"the volume {name!r} is not closed {where}: "
+        if side is not None and (silent := self._silent_face(volume, *side)) is not None:
+            face, ref = silent
+            text += f"{face.surface} lies there and does not name it"
+            mend = f'add <ref name="{ref}" id="{name}"/> to {face.surface}'
+            return _at(face, "missing_face", text, mend)
         if fraction > FACE_MISSING:
             kind, text = "missing_face", text + "a face is missing"
             mend = f"add the missing face, with {name!r} as its interior"
@@ -374,8 +381,26 @@ class _Judge:
         mend = "turn it back in its <transform>: as it lies, it does not meet its neighbours"
         return _at(face_of, "tilted_face", text, mend)
 
-    def _unguarded_side(self, lines: np.ndarray, volume: int) -> str:
-        """Side of a volume's box that lines pass without meeting one of its faces."""
+    def _silent_face(self, volume: int, axis: int, place: float) -> tuple[Interface, str] | None:
+        """A face on a side of a volume's box that says nothing of it; and which side of it is."""
+        lower, upper = self._model.bounds(volume)
+        near = RIM * self._model.size_mm
+        others = [i for i in range(3) if i != axis]
+        for face in self._model.flat_faces:
+            sides = self._model.surfaces[face.surface].sides
+            corners = face.corners
+            if volume in sides or (np.abs(corners[:, axis] - place) > near).any():
+                continue
+            low, high = corners.min(axis=0)[others], corners.max(axis=0)[others]
+            if (np.minimum(high, upper[others]) - np.maximum(low, lower[others]) < near).any():
+                continue
+            in_front = bool(((lower + upper)[axis] / 2 - place) * face.normal[axis] > 0)
+            if sides[in_front] == 0:
+                return self._interfaces[face.surface], "exterior" if in_front else "interior"
+        return None
+
+    def _unguarded_side(self, lines: np.ndarray, volume: int) -> tuple[int, float] | None:
+        """Axis and place in mm of the side of a volume's box that lines pass without a face."""
         crossings, sides = self._crossings, Counter[tuple[int, bool]]()
         lower, upper = self._model.bounds(volume)
         size = (upper - lower).max()
@@ -395,10 +420,10 @@ class _Judge:
                     high = abs((o + distance * d)[axis] - upper[axis]) < 1e-6 * size
                     sides[axis, bool(high)] += 1
         if not sides:
-            return "somewhere"
+            return None
         (axis, high), _ = sides.most_common(1)[0]
         place = (upper if high else lower)[axis]
-        return f"at {'xyz'[axis]} = {round(place, 5) + 0.0:.4g} mm"
+        return axis, round(float(place), 5) + 0.0
 
     def neighbours(self) -> list[SceneProblem]:
         """Neighbouring faces that give the space between them different indices."""
