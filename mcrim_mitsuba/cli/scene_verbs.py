@@ -276,8 +276,9 @@ def read_axes(
 @options.photons("2e6 per coupling", at_most=True, further=_NO_CAP)
 @options.precision
 @options.method
+@options.figure("the efficiency over the longest list, a line for each combination of the others")
 @options.work
-def table(scene, axes, path, overrides, method, json_file, work, **own) -> None:
+def table(scene, axes, path, overrides, method, figure, json_file, work, **own) -> None:
     """Table of the light collection efficiency of SCENE, one simulation per coupling.
 
     Parameters that no list is given for keep the scene's values.
@@ -290,8 +291,13 @@ def table(scene, axes, path, overrides, method, json_file, work, **own) -> None:
     lists, notes = read_axes(own, axes, Path(scene).parent)
     refuse_many_points(math.prod(map(len, lists.values())))
     # a name without an ending tells of no other format
-    suffixes = {"--output": _TABLES} if path and Path(path).suffix else {}
-    refuse_outputs({"--output": path, "--json": json_file}, [scene], suffixes=suffixes)
+    endings = _TABLES if path and Path(path).suffix else ()
+    written = {"--output": (path, endings)} if path else {}
+    showing.refuse_places(json_file, [scene], figure, written=written)
+    if figure:
+        from mcrim_mitsuba.output.light_figures import lines_of_table
+
+        lines_of_table(lists)
     file = mcrim.read_scene(scene, overrides)
     screen = terminal.console(json_file, path)
     screen.say_notes(notes)
@@ -316,7 +322,7 @@ def table(scene, axes, path, overrides, method, json_file, work, **own) -> None:
     described = scene_descriptions.of_table(made.found, seconds=seconds, written=path)
     if path in STDOUT:
         screen.say(described.spent)  # unlike the JSON, the CSV has no place for it
-    showing.show(screen, described)
+    showing.show(screen, described, made.draw(figure) if figure else ())
 
 
 def _abbreviated(values: list[float]) -> str:

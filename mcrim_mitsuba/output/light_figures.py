@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Any
 
@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import titled
+from mcrim_mitsuba.core.numbers import Value, titled
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
 from mcrim_mitsuba.efficiency.eta_spectrum import EtaSpectrum
@@ -381,23 +381,32 @@ MOST_LINES = 12
 _MARKERS = "os^vDPX*<>ph"
 
 
-@style.styled
-def draw_table(made: EtaTable) -> style.Drawing:
-    """Eta along the table's longest axis, a line for every combination of the other values.
+def lines_of_table(axes: Mapping[str, Sequence[Value]]) -> tuple[str, list[str], int]:
+    """The longest axis of a table, the others, and how many combinations of values these have.
 
     Raises
     ------
     InputError
-        If there are more than `MOST_LINES` lines, or nothing varies.
+        If there are more than `MOST_LINES`, or nothing varies.
     """
-    along = max(made.axes, key=lambda name: len(made.axes[name]), default="")
-    others = [name for name in made.axes if name != along]
-    lines = math.prod(len(made.axes[name]) for name in others)
+    along = max(axes, key=lambda name: len(axes[name]), default="")
+    others = [name for name in axes if name != along]
+    lines = math.prod(len(axes[name]) for name in others)
     if not along or lines > MOST_LINES:
         raise InputError(
             f"a figure of {lines} lines would tell nothing" if along else "nothing varies",
             f"choose values of {', '.join(others)}: to_xarray() has all" if along else "print it",
         )
+    return along, others, lines
+
+
+@style.styled
+def draw_table(made: EtaTable) -> style.Drawing:
+    """Eta along the table's longest axis, a line for every combination of the other values.
+
+    Raises InputError as `lines_of_table`.
+    """
+    along, others, lines = lines_of_table(made.axes)
     place = list(made.axes).index(along)
     etas, sigmas = (
         np.moveaxis(values, place, -1).reshape(lines, -1) for values in (made.eta, made.eta_sigma)

@@ -46,6 +46,14 @@ def test_a_table_keeps_the_scenes_values_where_no_list_is_given(mcrim, tmp_path)
     assert "give --n-gap, --alpha-abs, --alpha-scat" in mcrim.refused("table", BENCH)
 
 
+def test_a_table_is_drawn_where_that_tells_something(mcrim, here):
+    line = ["table", BENCH, "--method", "modes", "--alpha-scat", "0.1:1:20", "--figure", "t.png"]
+    assert "drawn to t.png and t.csv" in mcrim.shown(*line)
+    assert Path("t.csv").read_text().startswith("alpha_scat_per_cm,eta,eta_sigma\n")
+    assert "both write t.csv" in mcrim.refused(*line, "-o", "t.csv")
+    assert "lines would tell nothing" in mcrim.refused(*line, "--alpha-abs", "0:1:20")
+
+
 def test_a_comma_that_may_be_a_decimal_one_is_told_or_refused(mcrim):
     line = ["table", BENCH, "--method", "modes", "--alpha-scat"]
     said = mcrim.shown(*line, "0,5")
