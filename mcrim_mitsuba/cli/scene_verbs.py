@@ -192,6 +192,8 @@ def simulate(
     terminal.write_json(json_file, document)
     screen = terminal.console(json_file)
     figure = None if found.interrupted else figure
+    if "spectrum" in further:
+        screen.line("at the scene's own values, of one wavelength:", style="bold")
     showing.show(screen, found.described, found.draw(figure) if figure else ())
     for name, one in further.items():
         if name == "map":

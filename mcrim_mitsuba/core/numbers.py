@@ -61,6 +61,14 @@ def titled(name: str) -> str:
     return without_unit(name) + (f" ({unit})" if unit else "")
 
 
+def said(name: str, value: object) -> str:
+    """A parameter's value in words: ``gap 0.05 mm``, ``polarization off``."""
+    if isinstance(value, (bool, np.bool_)):
+        return f"{without_unit(name)} {'on' if value else 'off'}"
+    shown = f"{value:g}" if isinstance(value, numbers.Real) else str(value)
+    return " ".join(filter(None, (without_unit(name), shown, unit_of(name))))
+
+
 def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> float:
     """Finite number from text.
 

@@ -22,6 +22,7 @@ from scipy.ndimage import binary_erosion
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_suffix
+from mcrim_mitsuba.core.numbers import said
 from mcrim_mitsuba.output.figure_style import fate_style, ordered
 from mcrim_mitsuba.transport.check import volume_indices
 from mcrim_mitsuba.transport.cut import CrossSection, cross_section, masked
@@ -413,10 +414,12 @@ def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ..
     height_in = below_in + main_in + 1.75 + 0.22 * -(-len(handles) // _PER_ROW)
     figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor="white")
     FigureCanvasAgg(figure)  # which measures texts
-    words = {n: f"{v:g}" if isinstance(v, float) else v for n, v in file.parameters.items()}
-    changed = ", ".join(f"{name}={words[name]}" for name in file.overrides)
+    changed = ", ".join(said(name, file.parameters[name]) for name in file.overrides)
     title = textwrap.shorten(f"{file.path.name} {changed and 'with'} {changed}", 90)
-    shown = textwrap.fill(",  ".join(map("{0[0]}={0[1]}".format, words.items())), 150, max_lines=3)
+    # in small print, what may be typed
+    typed = (f"{n}={v:g}" if isinstance(v, float) else f"{n}={str(v).lower()}"
+             for n, v in file.parameters.items())  # fmt: skip
+    shown = textwrap.fill(",  ".join(typed), 150, max_lines=3)
     style: dict[str, Any] = {
         "ha": "center", "va": "top", "color": INK, "linespacing": 1.4, "parse_math": False,
     }  # fmt: skip

@@ -22,6 +22,7 @@ from mcrim_mitsuba.core.files import refuse_suffix, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.result_writing import csv_lines
+from mcrim_mitsuba.output.scene_descriptions import fate_words
 
 #: Columns and rows of the CSV beside a figure.
 Numbers = tuple[Sequence[str], Sequence[Sequence[object]]]
@@ -241,28 +242,25 @@ class FateStyle:
 
 _DASHED, _DOTTED, _MIXED = (0, (6, 1.5)), (0, (1.2, 1.2)), (0, (4, 1.2, 1, 1.2))
 _LOOKS: dict[str, tuple[Any, ...]] = {
-    "detected": ("detected", DARK, DARK, "", "o", "-", _INK, "white"),
-    "absorbed_crystal": ("absorbed in the crystal", "#7a1f5c", "#c9a0bd", "//", "X", _DASHED),
-    "absorbed_gap": ("absorbed in the gap", "#00625a", "#8fd0c8", "\\\\", "P", _MIXED),
-    "absorbed_window": ("absorbed in the window", "#31572c", "#b5d0a4", "..", "p", _MIXED),
-    "absorbed_aperture": (
-        "absorbed by the mask", "#111111", "#555555", "xx", "s", _DOTTED, "black", "white",
-    ),
-    "absorbed_reflector": ("absorbed by the reflector", "#6b4a00", "#d8b365", "++", "D", _DOTTED),
-    "absorbed_surface": ("lost at a surface", "#37474f", "#a9bcc6", "oo", "h", _MIXED),
-    "escaped": ("escaped", WARM, "#f6dccd", "", "^", (0, (3, 1.3))),
-    "truncated": ("under way at the depth limit", "#3d3d3d", "#9a9a9a", "--", "*", ":"),
-    "lost": ("lost by rounding", "#3d3d3d", "white", "**", "v", ":"),
+    "detected": (DARK, DARK, "", "o", "-", _INK, "white"),
+    "absorbed_crystal": ("#7a1f5c", "#c9a0bd", "//", "X", _DASHED),
+    "absorbed_gap": ("#00625a", "#8fd0c8", "\\\\", "P", _MIXED),
+    "absorbed_window": ("#31572c", "#b5d0a4", "..", "p", _MIXED),
+    "absorbed_aperture": ("#111111", "#555555", "xx", "s", _DOTTED, "black", "white"),
+    "absorbed_reflector": ("#6b4a00", "#d8b365", "++", "D", _DOTTED),
+    "absorbed_surface": ("#37474f", "#a9bcc6", "oo", "h", _MIXED),
+    "escaped": (WARM, "#f6dccd", "", "^", (0, (3, 1.3))),
+    "truncated": ("#3d3d3d", "#9a9a9a", "--", "*", ":"),
+    "lost": ("#3d3d3d", "white", "**", "v", ":"),
 }  # fmt: skip
-_KNOWN_FATES = {fate: FateStyle(*look) for fate, look in _LOOKS.items()}
+_KNOWN_FATES = {fate: FateStyle(fate_words(fate), *look) for fate, look in _LOOKS.items()}
 
 
 def fate_style(fate: str) -> FateStyle:
     """That of a fate as in `results.SimulationResult.budget`; of any medium's absorption too."""
     if fate in _KNOWN_FATES:
         return _KNOWN_FATES[fate]
-    medium = fate.removeprefix("absorbed_")
-    return FateStyle(f"absorbed in {medium}", "#004a7c", "#9cc7e0", "||", "d", _DASHED)
+    return FateStyle(fate_words(fate), "#004a7c", "#9cc7e0", "||", "d", _DASHED)
 
 
 def ordered(fates: Iterable[str]) -> list[str]:

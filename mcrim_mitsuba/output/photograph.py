@@ -20,7 +20,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
-from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.numbers import Value, said
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.scene.check_text import is_filled
@@ -144,10 +144,17 @@ def apart(wanted: ArrayLike, heights: ArrayLike, low: float, high: float) -> np.
     return np.clip(spread, low, max(low, high - ends[-1])) + ends[:-1]
 
 
-def heading(name: str, overrides: Iterable[str], words: Mapping[str, str]) -> tuple[str, str]:
+def heading(
+    name: str, overrides: Iterable[str], parameters: Mapping[str, Value]
+) -> tuple[str, str]:
     """Title and parameters of a scene as they stand above its picture."""
-    changed = ", ".join(f"{key}={words[key]}" for key in overrides)
+    changed = ", ".join(said(key, parameters[key]) for key in overrides)
     title = textwrap.shorten(f"{name} {changed and 'with'} {changed}", 90)
+    # in small print, as they stand in a scene
+    words = {
+        key: f"{value:g}" if isinstance(value, float) else str(value).lower()
+        for key, value in parameters.items()
+    }
     shown = ",  ".join(f"{key} = {value}" for key, value in words.items())
     return title, textwrap.fill(shown, 190, max_lines=2, placeholder=" …")
 
@@ -396,11 +403,7 @@ def render(
             own, panel.camera, floor, samples=samples, seed=run.seed, progress=report
         )
         sheet.put(light, panel)
-    words = {  # as they stand in a scene
-        name: f"{value:g}" if isinstance(value, float) else str(value).lower()
-        for name, value in file.parameters.items()
-    }
-    title, parameters = heading(file.path.name, file.overrides, words)
+    title, parameters = heading(file.path.name, file.overrides, file.parameters)
     sheet.text(24 * scale, 20 * scale, title, 19, weight="bold")
     sheet.text(24 * scale, 56 * scale, parameters, 9.5, color=QUIET)
     times = magnification(panels[0], panels[1], block)

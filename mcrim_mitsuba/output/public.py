@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import json_text, plain, write_text
-from mcrim_mitsuba.core.numbers import unit_of
+from mcrim_mitsuba.core.numbers import said, unit_of
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output import described, documents, scene_descriptions
 from mcrim_mitsuba.output.described import Described
@@ -324,7 +324,7 @@ def simulate(
         # the run's own numbers, also where it has more photons than are followed again
         names = ("eta", "eta_sigma", "budget", "budget_sigma", "photons")
         light = dataclasses.replace(light, **{name: getattr(found, name) for name in names})
-        changed = [f"{name}={file.parameters[name]}" for name in file.overrides]
+        changed = [said(name, file.parameters[name]) for name in file.overrides]
         return [(", ".join([file.path.name, *changed]), light)]
 
     return Answer(

@@ -39,10 +39,29 @@ if TYPE_CHECKING:
 _MOST_WAVELENGTHS = 9
 
 
+#: Fates in words; of any medium's absorption too.
+_FATES = {
+    "absorbed_aperture": "absorbed by the mask",
+    "absorbed_reflector": "absorbed by the reflector",
+    "absorbed_surface": "lost at a surface",
+    "truncated": "under way at the depth limit",
+    "lost": "lost by rounding",
+}
+
+
+def fate_words(fate: str) -> str:
+    """A fate as in `SimulationResult.budget`, in words: ``absorbed in the crystal``."""
+    if fate in _FATES:
+        return _FATES[fate]
+    medium = fate.removeprefix("absorbed_")
+    the = "the " if medium in ("crystal", "gap", "window") else ""
+    return f"absorbed in {the}{medium}" if fate != medium else fate
+
+
 def of_simulation(result: SimulationResult) -> Described:
     """Efficiency, and what becomes of the light."""
     rows = (
-        (fate, shown(part, ".6f"), shown(result.budget_sigma[fate], ".6f"))
+        (Cell(fate_words(fate), fate), shown(part, ".6f"), shown(result.budget_sigma[fate], ".6f"))
         for fate, part in result.budget.items() if part > 0
     )  # fmt: skip
     found = (
@@ -246,7 +265,7 @@ def of_crosscheck(found: Crosscheck) -> Described:
         columns += ("modes", Column("error", "modes_sigma"), Column("z", "modes_z"))
     rows = (
         row(
-            one.quantity,
+            Cell(fate_words(one.quantity), one.quantity),
             *(shown(value, ".6f")
               for value in (one.mitsuba, one.mitsuba_sigma, one.numpy, one.numpy_sigma)),
             Cell("too few" if one.z is None else f"{one.z:+.2f}", one.z),

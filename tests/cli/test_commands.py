@@ -12,7 +12,9 @@ import pytest
 from click.shell_completion import BashComplete
 from places import SCENES, tables_of
 
+from mcrim_mitsuba import simulate
 from mcrim_mitsuba.cli.main import mcrim as command_line
+from mcrim_mitsuba.core.numbers import said
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference import calibrate as campaigns
 from mcrim_mitsuba.transport.launch_plan import LANES
@@ -60,6 +62,24 @@ def test_a_comma_that_may_be_a_decimal_one_is_told_or_refused(mcrim):
     assert "--alpha-scat = 0,5 is two values, 0 and 5; for one write 0.5" in said
     assert "two values" not in mcrim.shown(*line, "0.1,0.5")
     assert "write 1.0 for one, 1;0 for two" in mcrim.refused(*line[:2], "--n-gap", "1,0")
+
+
+def test_fates_and_changed_parameters_are_told_in_words(mcrim, here):
+    shown = mcrim.shown("simulate", BENCH, "--method", "modes")
+    assert "absorbed in the crystal" in shown and "absorbed_" not in shown
+    found = simulate(BENCH, method="modes")
+    assert "absorbed_crystal" in set(found.to_dataframe()["fate"])
+    assert (
+        said("gap_mm", 0.02) == "gap 0.02 mm" and said("polarization", False) == "polarization off"
+    )
+
+
+def test_a_spectrum_says_what_one_wavelength_is(mcrim, here):
+    Path("light.csv").write_text("wavelength_nm,emission\n500,1\n540,2\n580,1\n")
+    line = ["simulate", BENCH, "--photons", "2e4"]
+    label = "at the scene's own values, of one wavelength:"
+    assert label in mcrim.shown(*line, "--spectrum", "light.csv")
+    assert label not in mcrim.shown(*line)
 
 
 def test_a_file_of_another_kind_and_a_slip_in_a_verb_are_told(mcrim, campaign_here):
