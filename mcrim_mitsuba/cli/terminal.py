@@ -19,12 +19,14 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import (
     BarColumn,
     Progress,
+    Task,
     TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
 from rich.segment import Segment
+from rich.table import Column
 from rich.text import Text
 
 from mcrim_mitsuba.core.errors import InputError, visible
@@ -192,6 +194,34 @@ class _Progress(Progress):
         yield from super().get_renderables()
 
 
+class _Words(TextColumn):
+    """Words that are cut in a narrow terminal, before any number beside them is."""
+
+    def __init__(self, text_format: str) -> None:
+        # rich takes room from columns that may wrap, and from others only if that is not enough
+        super().__init__(text_format, table_column=Column(no_wrap=False))
+
+    def render(self, task: Task) -> Text:
+        words = super().render(task)
+        words.no_wrap, words.overflow = True, "ellipsis"
+        return words
+
+
+def progress_bar(console: Console, *, disable: bool = False) -> _Progress:
+    """Bars of tasks that have a field `note`."""
+    return _Progress(
+        _Words("{task.description}"),
+        BarColumn(20),
+        TextColumn("{task.percentage:>3.0f} %"),
+        _Words("{task.fields[note]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=disable,
+    )
+
+
 @contextlib.contextmanager
 def photon_progress(
     above: RenderableType | None = None, log: str | None = None
@@ -201,17 +231,7 @@ def photon_progress(
     What stands `above` it is shown again and again as it changes; the progress is appended to a
     `log`, unit by unit. Raises InputError if that cannot be written.
     """
-    bar = _Progress(
-        TextColumn("{task.description}"),
-        BarColumn(20),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TextColumn("{task.fields[note]}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-        disable=not sys.stderr.isatty(),
-    )
+    bar = progress_bar(Console(stderr=True), disable=not sys.stderr.isatty())
     bar.above = above
     tasks: dict[str, TaskID] = {}
 

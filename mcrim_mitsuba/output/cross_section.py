@@ -5,6 +5,7 @@ A few photons' paths, traced by the transport itself, show which fates light mee
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from mcrim_mitsuba.core.numbers import said
 from mcrim_mitsuba.output.figure_style import fate_style, ordered
 from mcrim_mitsuba.transport.check import volume_indices
 from mcrim_mitsuba.transport.cut import CrossSection, cross_section, masked
+from mcrim_mitsuba.transport.launch_plan import LANES
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.scene.check_text import Interface
@@ -208,7 +210,10 @@ _AWAY = 0.16
 #: Length over the scene's size that is long enough to be seen, and photons to choose from.
 _SEEN, _CANDIDATES = 0.4, 50
 _PER_ROW = 5
-_TITLE = "Photons' paths, projected on the plane, and how much of the light meets the same fate"
+_TITLE = (
+    "Photons' paths, projected on the plane, and how much of the light meets the same fate "
+    f"(of {LANES:,} photons)"
+)
 _HALO = patheffects.withStroke(linewidth=2.6, foreground="white", alpha=0.75)
 
 
@@ -354,7 +359,9 @@ def _handles(paths: tuple[DrawnTrail, ...], shares: dict[str, float]) -> list[Li
     handles = [Line2D([], [], label="birth", **_BIRTH)] if paths else []
     for fate in ordered(shares):
         style, percent = fate_style(fate), 100 * shares[fate]
-        label = f"{style.words}, {percent:.{0 if percent >= 9.95 else 1}f} %"
+        # no digit that so few photons do not know
+        sigma = 100 * math.sqrt(shares[fate] * (1.0 - shares[fate]) / LANES)
+        label = f"{style.words}, {percent:.{0 if sigma > 0.1 else 1}f} %"
         look = _end(fate, False) | {"color": style.line, "lw": 1.4, "ls": style.dashes}
         handles.append(Line2D([], [], label=label, **look))
     if any(path.trapped for path in paths):

@@ -86,7 +86,8 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         *([Sentence(of_detector)] if by_detector else []),
         *_next(findings.next_for_fit(fit, result.model.campaign.priors)),
         table(
-            "readings", ("reading", "measured", "model", "pull", "eta"),
+            "readings",
+            ("reading", "measured", "model", "pull", Column("eta (simulation's error)", "eta")),
             ((*_reading(one), measured(one.eta, one.eta_sigma or None)) for one in fit.rows),
         ),
     ]  # fmt: skip

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
 from mcrim_mitsuba.core.files import json_text, plain, write_text
 from mcrim_mitsuba.core.numbers import said, unit_of
 from mcrim_mitsuba.core.run import Run
@@ -256,12 +256,23 @@ def _split(run: Run | None, given: Mapping[str, Any]) -> tuple[Run, dict[str, An
     return dataclasses.replace(run or Run(), **own), others
 
 
+def _with_parameters(scene: Scene, parameters: Mapping[str, Any]) -> SceneFile:
+    """A scene with parameters changed; one that it has not may be a misspelt field of a run."""
+    file = read_scene(scene)
+    for name in parameters:
+        meant = None if name in file.defaults else closest(name, [*file.defaults, *_OF_RUN])
+        if meant in _OF_RUN:
+            problem = f"{name} is neither a parameter of this scene nor a field of a run"
+            raise InputError(problem, f"did you mean {meant}?", path=file.path)
+    return read_scene(file, parameters)
+
+
 def _run(run: Run | None, given: Mapping[str, Any]) -> Run:
     """A run with the fields that were given, where nothing else may be."""
     made, others = _split(run, given)
     if others:
         problem = f"{next(iter(others))} is no field of a run"
-        raise InputError(problem, f"give {', '.join(sorted(_OF_RUN))}")
+        raise InputError(problem, did_you_mean(next(iter(others)), sorted(_OF_RUN)))
     return made
 
 
@@ -308,7 +319,7 @@ def simulate(
 
     run, parameters = _split(run, given)
     refuse_method(method, run)
-    file = read_scene(scene, parameters)
+    file = _with_parameters(scene, parameters)
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
     if method == "modes":
         found = _noted(solve_simulation(simulation, run), file)
@@ -375,7 +386,7 @@ def eta_map(
     run, parameters = _split(run, given)
     if not depth_mm > 0.0:
         raise InputError(f"depth_mm = {depth_mm:g} is no depth", "give one above 0")
-    file = read_scene(scene, parameters)
+    file = _with_parameters(scene, parameters)
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
     found = map_eta(simulation, cells or CELLS, run=run)
     spreads = all_spreads(found, depth_mm, deposits)
@@ -419,7 +430,7 @@ def eta_spectrum(
     from mcrim_mitsuba.scene.emitted_light import read_light
 
     run, parameters = _split(run, given)
-    file = read_scene(scene, parameters)
+    file = _with_parameters(scene, parameters)
     found = eta_over(file, read_light(spectrum, file, quantum_efficiency), run=run)
     return Answer(
         found, scene_descriptions.of_spectrum(found), documents.of_spectrum(found),
@@ -468,7 +479,7 @@ def arrival_times(
         raise InputError(f"decay_ns = {decay_ns:g} is no decay time", "give one above 0")
     if detected < 1 or detected != int(detected):
         raise InputError(f"detected = {detected:g} photons", "give a whole number from 1")
-    file = read_scene(scene, parameters)
+    file = _with_parameters(scene, parameters)
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
     found = follow_times(
         simulation, group_index=group_index, decay_ns=decay_ns, detected=int(detected), run=run
@@ -521,7 +532,7 @@ def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **gi
         for name, values in parameters.items()
         if hasattr(values, "__iter__") and not isinstance(values, str)
     }
-    file = read_scene(scene, {n: v for n, v in parameters.items() if n not in axes})
+    file = _with_parameters(scene, {n: v for n, v in parameters.items() if n not in axes})
     start = time.perf_counter()
     tabulated = noise_free_table if method == "modes" else eta_table
     made = _noted(tabulated(file, axes, run=run), file)

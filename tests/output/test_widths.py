@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 from click import Context
+from rich.console import Console
 
 from mcrim_mitsuba.cli.main import mcrim
-from mcrim_mitsuba.cli.terminal import Screen
+from mcrim_mitsuba.cli.terminal import Screen, progress_bar
 from mcrim_mitsuba.output.described import Column, Part, Sentence, Table, table
 
 GOLDEN = sorted((Path(__file__).parents[1] / "golden").glob("*.json"))
@@ -98,3 +99,16 @@ def test_summaries_of_commands_are_whole_sentences(group):
     for name in names:
         summary = commands.get_command(context, name).short_help
         assert summary.endswith(".") and f"{name:10}  {summary}\n" in f"{listing}\n"
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_bar_cuts_no_number(width):
+    stream = io.StringIO()
+    console = Console(file=stream, width=width, force_terminal=True, color_system=None)
+    bar = progress_bar(console)
+    note = "262 of 262 million photons, eta to 0.052 %"
+    bar.add_task(
+        "n_gap = 1.46, crystal_height_mm = 10, gap_bubble", total=10, completed=10, note=note
+    )
+    console.print(bar.get_renderable())
+    assert "100 %" in stream.getvalue() and "0:00:00" in stream.getvalue()

@@ -103,6 +103,11 @@ def test_fitted_parameters_say_their_units():
     assert str(fit.light_yield_ph_per_keV) == "7.5 ± 0.8 ph/keV"
     assert str(fit.alpha_scat_per_cm).endswith("1/cm") and fit.ndf == 0
     assert set(fit.to_dataframe()["parameter"]) >= {"alpha_scat_per_cm", "light_yield_ph_per_keV"}
+    for verb in ("simulate", "table"):
+        with pytest.raises(mcrim.InputError, match="did you mean photons"):
+            getattr(mcrim, verb)(BENCH, photon=10)
+    with pytest.raises(mcrim.InputError, match="did you mean n_gap"):
+        mcrim.simulate(BENCH, n_gab=1.2)
     with pytest.raises(mcrim.InputError, match="n_gap is no field of a run"):
         mcrim.calibrate(SCENES / "camoo4_campaign.toml", n_gap=1.0)
 
