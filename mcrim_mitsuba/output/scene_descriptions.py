@@ -70,7 +70,8 @@ def of_simulation(result: SimulationResult) -> Described:
         if result.photons else f"no photons, {result.seconds:.2f} s"
     )  # fmt: skip
     found = f"eta = {pdg(result.eta, result.eta_sigma)}   ({found}, {result.transport})"
-    fates = table("where the light ends", ("fate", "fraction", "error"), rows)
+    columns = ("fate", "fraction", Column("error", "fraction_sigma"))
+    fates = table("where the light ends", columns, rows)
     return Described("light collection efficiency", (Sentence(found), fates), notes=result.notes)
 
 

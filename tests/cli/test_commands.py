@@ -68,7 +68,11 @@ def test_fates_and_changed_parameters_are_told_in_words(mcrim, here):
     shown = mcrim.shown("simulate", BENCH, "--method", "modes")
     assert "absorbed in the crystal" in shown and "absorbed_" not in shown
     found = simulate(BENCH, method="modes")
-    assert "absorbed_crystal" in set(found.to_dataframe()["fate"])
+    frame = found.to_dataframe()
+    assert "absorbed_crystal" in set(frame["fate"]) and list(frame)[1:] == [
+        "fraction",
+        "fraction_sigma",
+    ]
     assert (
         said("gap_mm", 0.02) == "gap 0.02 mm" and said("polarization", False) == "polarization off"
     )
