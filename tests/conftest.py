@@ -22,6 +22,8 @@ from mcrim_mitsuba.cli.main import main  # comes before mitsuba
 
 # Tests simulate what they test; those of the cache name a folder of their own.
 os.environ["MCRIM_CACHE"] = "off"
+# Stored results are as wide as a pipe is.
+os.environ.pop("COLUMNS", None)
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ import errno
 import io
 import logging
 import os
+import re
 import signal
 import stat
 import sys
@@ -138,7 +139,7 @@ class Screen(Console):
     @property
     def room(self) -> int:
         """Characters of a line; in a terminal, sentences are broken between words."""
-        return min(self.width, UNLIMITED - 1) if self.is_terminal else UNLIMITED
+        return min(self.width, UNLIMITED - 1 if self.is_terminal else UNLIMITED)
 
     def say(self, line: str) -> None:
         """One line that must be seen: on standard error where standard output is a file's."""
@@ -167,8 +168,10 @@ def console(*files: str | None) -> Screen:
     """Where a command writes for people: standard output, unless one of its `files` goes there."""
     if any(file in STDOUT for file in files):
         return Screen(stderr=True, highlight=False, quiet=True)
-    # A pipe or a file has no width: tables are never cut there.
-    return Screen(highlight=False, width=None if sys.stdout.isatty() else UNLIMITED)
+    # A pipe or a file has no width, and tables are never cut there, unless COLUMNS says so.
+    piped = os.environ.get("COLUMNS", "")
+    width = int(piped) if _WIDTH.fullmatch(piped) else UNLIMITED
+    return Screen(highlight=False, width=None if sys.stdout.isatty() else width)
 
 
 def write_json(json_file: str | None, result: dict) -> None:
@@ -192,6 +195,10 @@ class _Progress(Progress):
         if self.above is not None:
             yield self.above
         yield from super().get_renderables()
+
+
+#: Characters of a line, from the environment.
+_WIDTH = re.compile(r"[1-9][0-9]{1,3}")
 
 
 class _Words(TextColumn):

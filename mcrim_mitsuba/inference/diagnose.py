@@ -87,6 +87,8 @@ _RIVAL = 3.0
 # The same of what has no name beside the only effect that leads: it has been there where a relative
 # of what was missing fitted well, at a usual size (trials with effects left out of the catalogue).
 _DOUBT = 2.7
+# Explanations that a sentence names.
+_MOST_SAID = 4
 # Effects added at most.
 _MOST_EFFECTS = 4
 
@@ -229,7 +231,10 @@ class Judgement:
         return Verdict(AMBIGUOUS, reason, leading)
 
     def _titles(self, leading: tuple[tuple[str, ...], ...]) -> str:
+        """What leads, in words; of many the likeliest: the ranking has them all."""
         *first, last = map(self.explanations.title, leading)
+        if len(leading) > _MOST_SAID:
+            first, last = first[:_MOST_SAID], f"{len(leading) - _MOST_SAID} others"
         return f"{', '.join(first)} and {last}" if first else last
 
     def _leading(self, pairs: Ranking | None) -> tuple[tuple[tuple[str, ...], ...], Fit]:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy import stats
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.files import plain
 from mcrim_mitsuba.inference.compare import comparison_of, find_trends
-from mcrim_mitsuba.inference.diagnose import diagnose_models
+from mcrim_mitsuba.inference.diagnose import Judgement, diagnose_models
 from mcrim_mitsuba.inference.estimates import left_out, left_out_error
 from mcrim_mitsuba.inference.explanations import (
     Explanations,
@@ -285,3 +286,10 @@ def test_left_out_error_sees_what_a_useless_parameter_costs():
     fit = explanations.fit(("anisotropic_scattering",))
     assert fit.chi2 <= explanations.baseline.chi2 + 0.01
     assert left_out_error(fit) > left_out_error(explanations.baseline)
+
+
+def test_a_sentence_names_some_of_many_explanations():
+    judge = SimpleNamespace(explanations=SimpleNamespace(title=" with ".join))
+    leading = tuple((name,) for name in "abcdefg")
+    assert Judgement._titles(judge, leading[:4]) == "a, b, c and d"
+    assert Judgement._titles(judge, leading) == "a, b, c, d and 3 others"

@@ -11,7 +11,7 @@ from click import Context
 from rich.console import Console
 
 from mcrim_mitsuba.cli.main import mcrim
-from mcrim_mitsuba.cli.terminal import Screen, progress_bar
+from mcrim_mitsuba.cli.terminal import Screen, console, progress_bar
 from mcrim_mitsuba.output.described import Column, Part, Sentence, Table, table
 
 GOLDEN = sorted((Path(__file__).parents[1] / "golden").glob("*.json"))
@@ -104,11 +104,18 @@ def test_summaries_of_commands_are_whole_sentences(group):
 @pytest.mark.parametrize("width", WIDTHS)
 def test_a_bar_cuts_no_number(width):
     stream = io.StringIO()
-    console = Console(file=stream, width=width, force_terminal=True, color_system=None)
-    bar = progress_bar(console)
+    narrow = Console(file=stream, width=width, force_terminal=True, color_system=None)
+    bar = progress_bar(narrow)
     note = "262 of 262 million photons, eta to 0.052 %"
     bar.add_task(
         "n_gap = 1.46, crystal_height_mm = 10, gap_bubble", total=10, completed=10, note=note
     )
-    console.print(bar.get_renderable())
+    narrow.print(bar.get_renderable())
     assert "100 %" in stream.getvalue() and "0:00:00" in stream.getvalue()
+
+
+def test_a_pipe_is_as_wide_as_columns_says(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "90")
+    assert console().room == 90
+    monkeypatch.delenv("COLUMNS")
+    assert console().room == 200
