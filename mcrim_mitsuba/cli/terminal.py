@@ -139,7 +139,7 @@ class Screen(Console):
     @property
     def room(self) -> int:
         """Characters of a line; in a terminal, sentences are broken between words."""
-        return min(self.width, UNLIMITED - 1 if self.is_terminal else UNLIMITED)
+        return min(self.width, UNLIMITED - 1) if self.is_terminal else _piped_width()
 
     def say(self, line: str) -> None:
         """One line that must be seen: on standard error where standard output is a file's."""
@@ -169,9 +169,7 @@ def console(*files: str | None) -> Screen:
     if any(file in STDOUT for file in files):
         return Screen(stderr=True, highlight=False, quiet=True)
     # A pipe or a file has no width, and tables are never cut there, unless COLUMNS says so.
-    piped = os.environ.get("COLUMNS", "")
-    width = int(piped) if _WIDTH.fullmatch(piped) else UNLIMITED
-    return Screen(highlight=False, width=None if sys.stdout.isatty() else width)
+    return Screen(highlight=False, width=None if sys.stdout.isatty() else _piped_width())
 
 
 def write_json(json_file: str | None, result: dict) -> None:
@@ -199,6 +197,12 @@ class _Progress(Progress):
 
 #: Characters of a line, from the environment.
 _WIDTH = re.compile(r"[1-9][0-9]{1,3}")
+
+
+def _piped_width() -> int:
+    """Characters of a line in a pipe or a file: as many as wanted, but for what COLUMNS says."""
+    said = os.environ.get("COLUMNS", "")
+    return min(int(said), UNLIMITED) if _WIDTH.fullmatch(said) else UNLIMITED
 
 
 class _Words(TextColumn):
