@@ -374,15 +374,18 @@ class ResponseMaker:
 
     def anchor(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Anchor:
         """All effects at once, simulated at values of the free parameters, the scale left out."""
-        scene = self.campaign.scene
         physical = [effect for effect in effects if effect.reading is None]
-        for effect in physical:
-            scene = _with_effect(scene, effect)
         photons = min(ANCHOR_FACTOR * self._effect_photons, _MOST_PHOTONS)
         readings = self.campaign.measurements.readings
-        named = []
+        named, runs = [], []
         for reading, own in zip(readings, configurations(self.campaign), strict=True):
+            # where an effect does nothing its edit would do something: it does not ask where it is
+            idle = [each for each in physical if each.filled_only and not filled(own)]
+            scene = self.campaign.scene
+            for effect in physical:
+                scene = scene if effect in idle else _with_effect(scene, effect)
             free = _seen(scene, reading.of_beam).parameters.keys() - reading.parameters.keys()
+            free -= {p.name for effect in idle for p in effect.parameters}
             if reading.of_beam:
                 free -= {GAP_INDEX}
             there = {**self._left(scene, own), **{n: v for n, v in values.items() if n in free}}
@@ -390,10 +393,8 @@ class ResponseMaker:
                 if (of := self.campaign.parameter_of(reading, name)) != name:
                     there[name] = values[of]
             named.append(there)
-        runs = [
-            self._simulation(scene, own, photons, of_beam=reading.of_beam).table(coarse=False)
-            for reading, own in zip(readings, named, strict=True)
-        ]
+            run = self._simulation(scene, there, photons, of_beam=reading.of_beam)
+            runs.append(run.table(coarse=False))
         tables = self._tables(runs)
         self._rest_on(" ".join((_PLAIN, *(effect.name for effect in effects))), runs)
         log_eta, deviations = stack([tables[wanted.number] for wanted in runs])

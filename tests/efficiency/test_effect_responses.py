@@ -193,6 +193,22 @@ def test_an_effect_that_a_switch_of_the_scene_is_acts(campaign):
     assert (without != with_it).all()
 
 
+def test_an_effect_of_filled_gaps_is_in_no_empty_one(campaign):
+    """What an edit does in air does not count: alone it was left out, beside others it was not."""
+
+    def edit(editor):
+        editor.insert_last(
+            editor.gap, '<float name="alpha_abs_per_cm" value="$gap_absorption_per_cm"/>'
+        )
+
+    effect = replace(campaign.catalogue["gap_absorption"], edit=edit, weight=None, columns=())
+    maker = ResponseMaker(campaign, Run(LANES, check=False))
+    values = {"alpha_scat_per_cm": 0.5, "alpha_abs_per_cm": 0.039, "gap_absorption_per_cm": 9.0}
+    without, with_it = (maker.anchor(effects, values).log_eta for effects in ([], [effect]))
+    assert with_it[0] == without[0]
+    assert (with_it[1:] < without[1:] - 0.01).all()
+
+
 def test_few_photons_are_not_the_usual_number(campaign):
     """A share that rounds to none is the least that records can have."""
     reflected = campaign.with_effects(["top_reflector"])

@@ -1,5 +1,6 @@
 """The documentation: it builds without a warning, leaves nothing out, and its notebooks run."""
 
+import dataclasses
 import io
 import json
 import re
@@ -15,6 +16,7 @@ from places import ROOT
 
 from mcrim_mitsuba.cli.main import mcrim
 from mcrim_mitsuba.effects.catalogue import catalogue
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 
 sphinx_application = pytest.importorskip("sphinx.application", reason="extra docs")
 nbclient = pytest.importorskip("nbclient")
@@ -64,6 +66,15 @@ class Site:
 @pytest.fixture(scope="module")
 def site(tmp_path_factory) -> Site:
     return Site(tmp_path_factory.mktemp("docs"))
+
+
+def test_every_field_of_an_effect_is_explained():
+    """Who writes a file of one's own reads this page."""
+    text = (ROOT / "docs" / "effects.md").read_text()
+    for owner in (Effect, EffectParameter):
+        (told,) = re.findall(rf"\| field of `{owner.__name__}` .*?\n\n", text, re.DOTALL)
+        for each in dataclasses.fields(owner):
+            assert f"`{each.name}`" in told, each.name
 
 
 def test_the_site_builds_without_a_warning(site):
