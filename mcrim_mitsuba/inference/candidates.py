@@ -244,7 +244,7 @@ class Limit:
     upper: float | None
     #: Fall of chi2 with the effect; negative where it makes the fit worse.
     delta_chi2: float
-    #: Of an effect that is on or off: whether the data refuse it.
+    #: Of an effect that is on or off, or cannot be absent: whether the data refuse it at any size.
     excluded: bool
 
 
@@ -265,29 +265,54 @@ def upper_limits(explanations: Explanations) -> dict[str, Limit]:
         for name in names:
             absent, known = explanations.absent(effect)[name], fit.problem.parameter(name)
             below, above = absent > known.minimum, absent < known.maximum
+            best, least = _lowest(explanations, fit, explanations.absent(effect))
             # not nested where the range ends before the effect is absent
-            height = min(fit.chi2, baseline.chi2)
+            nested = known.minimum <= absent <= known.maximum
+            height = least if nested else min(least, baseline.chi2)
             height += TWO_SIDED if below and above else _ONE_SIDED
             nodes = [node[name] for node in explanations.nodes((effect,), effect)]
-            lower = _end(fit, name, known.minimum, nodes, height) if below else None
-            upper = _end(fit, name, known.maximum, nodes, height) if above else None
+            lower = upper = None
+            always = all(p.absent is None for p in explanations.effects[effect].parameters)
+            if not (excluded := always and least >= height):
+                walk = (fit, best, least, name, nodes, height)
+                lower = _end(*walk, known.minimum) if below else None
+                upper = _end(*walk, known.maximum) if above else None
             key = effect if len(names) == 1 else f"{effect}.{name}"
-            found[key] = Limit(name, absent, lower, upper, gain, excluded=False)
+            found[key] = Limit(name, absent, lower, upper, gain, excluded)
     return found
 
 
-def _end(fit: Fit, name: str, bound: float, nodes: list[float], height: float) -> float:
+def _lowest(
+    explanations: Explanations, fit: Fit, absent: dict[str, float]
+) -> tuple[Array, float]:
+    """Parameters and chi2 where limits begin: the lowest with the fit's own weights.
+
+    The fit is the best of its deviance, in which larger errors of the simulation cost something;
+    with weights that stay as they are chi2 may be lower where the effect is absent.
+    """
+    best, least, free = fit.theta, fit.chi2, {p.name: p for p in fit.problem.free}
+    if all(n not in free or free[n].minimum <= v <= free[n].maximum for n, v in absent.items()):
+        start = fit.problem.theta({**explanations.baseline.values, **absent})
+        theta, chi2, _ = descend(fit.problem, start, fit.weights, precision=0.01)
+        if chi2 < least:
+            best, least = theta, chi2
+    return best, least
+
+
+def _end(
+    fit: Fit, lowest: Array, least: float, name: str, nodes: list[float], height: float,
+    bound: float,
+) -> float:  # fmt: skip
     """Where the profile passes a height on the way to a bound; infinite if nowhere."""
     problem, place = fit.problem, fit.problem.index(name)
-    best, theta = float(fit.theta[place]), fit.theta.copy()
-    if fit.chi2 >= height:
-        # even the best value is refused: the range ends before the effect is absent, or the
-        # simulation's error is smaller without it
+    best, theta = float(lowest[place]), lowest.copy()
+    if least >= height:
+        # even the best value is refused: the range ends before the effect is absent
         return best
     sign = math.copysign(1.0, bound - best)
 
     def internal(value: float) -> float:
-        start = fit.theta.copy()
+        start = lowest.copy()
         start[place] = value
         return float(problem.internal(start)[place])
 
@@ -299,7 +324,7 @@ def _end(fit: Fit, name: str, bound: float, nodes: list[float], height: float) -
 
     # a profile depends a little on where it comes from: every point keeps its first height, so
     # that the ends of a search have the signs that they were chosen for
-    known = {internal(best): fit.chi2 - height}
+    known = {internal(best): least - height}
 
     def above(x: float) -> float:
         nonlocal theta

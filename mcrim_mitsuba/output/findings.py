@@ -411,7 +411,7 @@ def trend_text(trend: Trend) -> str:
 
 def limit_text(limit: Limit) -> str:
     """What adequate data allow at 95 % confidence."""
-    if limit.parameter is None:
+    if limit.parameter is None or limit.excluded:
         change = f"chi2 {'rises' if limit.delta_chi2 < 0 else 'falls'} by "
         change += number(abs(limit.delta_chi2))
         return f"excluded ({change} with it)" if limit.excluded else f"not excluded ({change})"

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy import stats
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.files import plain
+from mcrim_mitsuba.inference.candidates import upper_limits
 from mcrim_mitsuba.inference.compare import comparison_of, find_trends
 from mcrim_mitsuba.inference.diagnose import Judgement, diagnose_models
 from mcrim_mitsuba.inference.estimates import left_out, left_out_error
@@ -27,6 +29,7 @@ from mcrim_mitsuba.inference.least_squares import (
 from mcrim_mitsuba.inference.likelihood import Likelihood, find_minima
 from mcrim_mitsuba.inference.race import contenders
 from mcrim_mitsuba.inference.workbench import MeasurementProposals
+from mcrim_mitsuba.output.findings import limit_text
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 #: A part of the catalogue, where all of it would only take longer.
@@ -143,6 +146,33 @@ def test_nothing_hidden_is_adequate_with_limits():
     at = fit.problem.theta({**fit.values, "bubble_fraction": bubble.upper})
     _, there, _ = descend(fit.problem, at, fit.weights, held=[place])
     assert there - fit.chi2 == pytest.approx(2.706, abs=0.1)
+
+
+def test_limits_do_not_begin_at_a_worse_minimum():
+    """Where a fit ended above the bench as it is, its limits were that value, twice."""
+    explanations = Explanations(campaign(3), {"gap_thickness": bench.EFFECTS["gap_thickness"]})
+    right = upper_limits(explanations)["gap_thickness"]
+    key = ("gap_thickness",)
+    fit = explanations.fit(key)
+    place = fit.problem.index("gap_offset_mm")
+    at = fit.problem.theta({**fit.values, "gap_offset_mm": 0.4})
+    theta, chi2, _ = descend(fit.problem, at, fit.weights, held=[place])
+    assert chi2 > explanations.baseline.chi2 + 3.841
+    explanations._fits[key] = replace(fit, theta=theta, chi2=chi2)
+    found = upper_limits(explanations)["gap_thickness"]
+    for ours, theirs in ((found.lower, right.lower), (found.upper, right.upper)):
+        assert ours == pytest.approx(theirs, abs=0.01)
+    assert found.lower < 0.0 < found.upper
+
+
+def test_what_cannot_be_absent_is_excluded_not_limited():
+    film = {"photocathode_film": bench.EFFECTS["photocathode_film"]}
+    explanations = Explanations(campaign(3), film)
+    fit = explanations.fit(tuple(film))
+    explanations._fits[tuple(film)] = replace(fit, chi2=explanations.baseline.chi2 + 20.0)
+    (limit,) = upper_limits(explanations).values()
+    assert limit.excluded and limit.lower is None and limit.upper is None
+    assert limit_text(limit) == "excluded (chi2 rises by 20 with it)"
 
 
 @pytest.fixture(scope="module")
