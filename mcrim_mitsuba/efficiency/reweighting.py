@@ -253,8 +253,9 @@ class EtaSurface(EfficiencySurface):
             )
         if sample < _LEAST_EFFECTIVE_SAMPLE or variance_sample < _LEAST_VARIANCE_SAMPLE:
             raise InputError(
-                f"at {where} eta rests on {sample:.0f} photons and its error on "
-                f"{variance_sample:.0f} (needed: {_LEAST_EFFECTIVE_SAMPLE:.0f} and "
+                f"at {where} eta rests on {sample:.0f} photons (needed: "
+                f"{_LEAST_EFFECTIVE_SAMPLE:.0f}), and the estimate of its error on "
+                f"{variance_sample:.0f}, those that weigh most there (needed: "
                 f"{_LEAST_VARIANCE_SAMPLE:.0f})",
                 "simulate more photons, or a scattering and an absorption nearer to these",
             )

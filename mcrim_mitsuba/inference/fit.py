@@ -219,7 +219,8 @@ def _checked_prediction(best: Optimum) -> Prediction:
     except InputError as error:
         problem, mend = (
             f"the fit ended where the simulation says too little: {error.problem}",
-            "check the readings and priors; min and max keep the fit where it can be simulated",
+            f"the readings do not fit this bench; mcrim compare {likelihood.model.campaign.path} "
+            "shows which",
         )
         if wish := _wish(best):
             problem, mend = f"{wish}, and there {error.problem}", _SWAPPED
