@@ -9,13 +9,14 @@ simulation's error counts as none: photons are cheap. What the model neglects co
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations, product
 from pathlib import Path
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
@@ -25,7 +26,8 @@ from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge, titled
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.calibrate import calibrate_without_noise
-from mcrim_mitsuba.inference.estimates import ParameterEstimate
+from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, ParameterEstimate
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.likelihood import Likelihood, undetermined
 from mcrim_mitsuba.inference.model import CampaignModel, Prediction, ResponseModel
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
@@ -289,6 +291,7 @@ def plan(
         solution=found.parameters,
         undetermined=tuple(undetermined),
         notes=(
+            *_doubt(found, without=len(candidates)),
             *(
                 f"the campaign's own fit ended with {name} at its bound: the plans start from there"
                 for name, known in found.parameters.items()
@@ -297,6 +300,17 @@ def plan(
             *result.provenance.notes,
         ),
     )
+
+
+def _doubt(found: Calibration, without: int) -> Iterator[str]:
+    """Whether the campaign's own fit fails; its candidates, which carry no weight, do not count."""
+    ndf = found.ndf - without
+    p = float(chdtrc(ndf, found.chi2)) if ndf > 0 else 1.0
+    if p < ACCEPTABLE_P:
+        yield (
+            f"the model does not describe the readings: chi2 = {found.chi2:.3g}, p = {p:.2g}: the "
+            "doubt about the model is not in these plans"
+        )
 
 
 def _couplings(campaign: Campaign, n_gap: Sequence[float]) -> list[dict[str, float]]:

@@ -54,6 +54,14 @@ def formulas(parameters):
     return FormulaSurface(eta)
 
 
+@pytest.mark.parametrize("chi2, told", [(11.0, True), (9.0, False)])
+def test_a_campaign_whose_fit_fails_says_so(chi2, told):
+    """Two degrees of freedom: candidates, which are readings of no weight, would hide it."""
+    notes = list(measuring._doubt(SimpleNamespace(ndf=5, chi2=chi2), without=3))
+    assert bool(notes) is told
+    assert not told or "chi2 = 11, p = 0.0041: the doubt about the model is not in" in notes[0]
+
+
 @pytest.fixture
 def article(scenes):
     return read_campaign(scenes / "camoo4_campaign.toml")
