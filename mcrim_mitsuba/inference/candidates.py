@@ -282,9 +282,7 @@ def upper_limits(explanations: Explanations) -> dict[str, Limit]:
     return found
 
 
-def _lowest(
-    explanations: Explanations, fit: Fit, absent: dict[str, float]
-) -> tuple[Array, float]:
+def _lowest(explanations: Explanations, fit: Fit, absent: dict[str, float]) -> tuple[Array, float]:
     """Parameters and chi2 where limits begin: the lowest with the fit's own weights.
 
     The fit is the best of its deviance, in which larger errors of the simulation cost something;

@@ -49,6 +49,9 @@ SETTLED, MOST_ANCHORS = 0.5, 2
 OPEN = 2.0
 #: Most configurations that are simulated to see what they would tell.
 MOST_PROPOSALS = 40
+#: How much worse than by responses chi2 may be where effects are simulated together before a note
+#: tells: by this factor and by this much.
+NOT_ADDING_UP, _WORSE = 2.0, 10.0
 #: Time that a mounting takes.
 MINUTES_PER_MOUNTING = 30.0
 #: Relative error of a proposed reading, where the campaign's readings do not say.
@@ -70,11 +73,15 @@ class MeasurementProposals:
     minutes: Mapping[str, float] = field(default_factory=dict)
     #: What the scene says of its parameters, by name.
     comments: Mapping[str, str] = field(default_factory=dict)
+    #: The scene's own values, from which nothing is changed.
+    own: Mapping[str, Value] = field(default_factory=dict)
 
     def hours(self, *places: int) -> float:
         """To mount some of the configurations; what two have in common is changed once."""
         changes = {item for i in places for item in self.configurations[i].items()}
-        further = sum(self.minutes.get(name, 0.0) for name, _ in changes)
+        further = sum(
+            self.minutes.get(name, 0.0) for name, value in changes if self.own.get(name) != value
+        )
         return (MINUTES_PER_MOUNTING * len(places) + further) / 60.0
 
 
@@ -203,13 +210,23 @@ class Workbench:
         if self.own_maker.is_exact(campaign.switched_on):
             return model, fit_model(model)
         found = fit_model(model, profile=False)
+        by_responses = found.chi2
         for _ in range(MOST_ANCHORS):
             model = self._anchored(campaign, found.values)
             before, found = found, fit_model(model, profile=False)
             sigmas = np.array([found.parameters[name].sigma for name in found.names])
             if np.all(np.abs(found.theta - before.theta) / np.maximum(sigmas, 1e-300) < SETTLED):
                 break
-        return model, fit_model(model)
+        found = fit_model(model)
+        if found.chi2 < max(NOT_ADDING_UP * by_responses, by_responses + _WORSE):
+            return model, found
+        names = " and ".join(campaign.effects)
+        note = (
+            f"with {names} simulated together chi2 is {number(found.chi2)}, not "
+            f"{number(by_responses)} as their responses, simulated one by one, had it: the effects "
+            "do not add up, or an effect's file acts otherwise alone than beside others"
+        )
+        return model, replace(found, notes=(*found.notes, note))
 
     def proposals(self) -> MeasurementProposals:
         """What could be measured next; it is simulated when it is asked for."""
@@ -223,7 +240,10 @@ class Workbench:
         sigmas += [self._usual_sigma(of_beam=True)] * len(beams)
         minutes = self.campaign.next_measurements.get(NEXT_MINUTES, {})
         comments = {n: known.comment for n, known in self.campaign.scene.defaults.items()}
-        return MeasurementProposals([*light, *beams], predict, np.array(sigmas), minutes, comments)
+        return MeasurementProposals(
+            [*light, *beams], predict, np.array(sigmas), minutes, comments,
+            {**BEAM_PARAMETERS, **self.campaign.values},
+        )  # fmt: skip
 
     def _usual_sigma(self, *, of_beam: bool) -> float:
         """Relative error of a proposed reading of a kind."""

@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy import stats
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.files import plain
+from mcrim_mitsuba.inference import workbench
 from mcrim_mitsuba.inference.candidates import upper_limits
 from mcrim_mitsuba.inference.compare import comparison_of, find_trends
 from mcrim_mitsuba.inference.diagnose import Judgement, diagnose_models
@@ -263,6 +264,17 @@ def test_too_few_readings_are_said_to_be():
     assert found.baseline.p_value is None and found.baseline.ndf == 0
 
 
+@dataclass(frozen=True)
+class Fitted:
+    """A fit as far as settling needs it."""
+
+    chi2: float
+    notes: tuple = ()
+    names: tuple = ()
+    values: tuple = ()
+    theta: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+
 def test_few_readings_are_ambiguous_and_ask_for_more():
     rows = bench.readings(bench.signals({**TRUTH, "bubble_fraction": 0.3}, ("gap_bubble",)))
     few = tuple(rows[i] for i in (0, 2, 4, 6, 8))
@@ -282,6 +294,30 @@ def test_few_readings_are_ambiguous_and_ask_for_more():
     assert together.separates and together.expected_delta_chi2 > 4 and together.hours == 1.0
     sure = max(found.probabilities.values())
     assert sure + 0.05 < best.probability < together.probability < 1.0
+
+
+def test_what_is_as_in_the_scene_takes_no_time_to_change():
+    rows, own = [{"n_gap": 1.46, "gap_mm": 0.05}, {"gap_mm": 0.5}], {"n_gap": 1.0, "gap_mm": 0.05}
+    minutes = {"n_gap": 6.0, "gap_mm": 60.0}
+    proposals = MeasurementProposals(rows, lambda *_: np.zeros(0), 0.01, minutes, own=own)
+    assert proposals.hours(0) == pytest.approx(0.6)
+    assert proposals.hours(0, 1) == pytest.approx(0.6 + 1.5)
+
+
+@pytest.mark.parametrize("together, told", [(103.0, True), (12.0, False)])
+def test_effects_that_do_not_add_up_are_told(monkeypatch, together, told):
+    """chi2 = 10.3 by responses; the note is one of the fit, for terminal, JSON and report."""
+    heights = iter([10.3, together, together])
+    fitted = lambda *_, **__: Fitted(next(heights))  # noqa: E731
+    monkeypatch.setattr(workbench, "fit_model", fitted)
+    monkeypatch.setattr(workbench.Workbench, "_model", lambda *_: None)
+    monkeypatch.setattr(workbench.Workbench, "_anchored", lambda *_: None)
+    own = object.__new__(workbench.Workbench)
+    own.own_maker = SimpleNamespace(is_exact=lambda effects: False)
+    effects = SimpleNamespace(switched_on=(), effects=("one", "other"))
+    _, found = own._settled(effects)
+    assert bool(found.notes) is told
+    assert not told or "one and other simulated together chi2 is 103, not 10.3" in found.notes[0]
 
 
 def test_a_trend_is_that_of_the_bench_parameter():
