@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -176,10 +177,9 @@ def _described(
 
 
 def _spent(provenance: Provenance) -> str:
-    return (
-        f"{provenance.photons:,} photons ({provenance.cached_photons:,} of the cache), seed "
-        f"{provenance.seed}, {provenance.seconds:.1f} s"
-    )
+    photons = f"{provenance.photons:,} photons ({provenance.cached_photons:,} of the cache)"
+    spent = photons if provenance.photons else "without photons"
+    return f"{spent}, seed {provenance.seed}, {provenance.seconds:.1f} s"
 
 
 # Where a model fails, and what explains it.
@@ -310,11 +310,18 @@ def of_diagnosis(found: Diagnosed) -> Described:
         *_explanations(diagnosis),
         *_set_aside(diagnosis),
         *([limits_table(diagnosis)] if diagnosis.upper_limits else []),
-        *_next(findings.next_for_average(diagnosis)),
+        *_next(_beside_the_table(diagnosis, findings.next_for_average(diagnosis))),
         *([table("what to measure next", columns, rows)] if diagnosis.next_measurements else []),
         *(Sentence(f"not tried: {one}") for one in findings.not_tried(diagnosis)),
     ]
     return _described("what explains a campaign's misfit", parts, found.baseline, found.provenance)
+
+
+def _beside_the_table(diagnosis: Diagnosis, what: str) -> str:
+    """What makes most of the error, by another name than the table of further readings."""
+    if not diagnosis.next_measurements:
+        return what
+    return re.sub("^What to (measure|simulate) next:", "Largest part of the error:", what)
 
 
 def _averaged(diagnosis: Diagnosis) -> list[Sentence]:
@@ -475,6 +482,9 @@ def of_budget(found: Budget) -> Described:
     budgets = {name: found.contributions[name] for name in found.main if name in found.totals}
     title = "where the errors come from, in the model as it is"
     origins: list[Part] = [contributions_table(title, budgets)] if budgets else []
+    if not budgets and found.main:
+        # a standard error knows nothing of the bound
+        origins.append(Sentence("A parameter ended at its bound: no budget.", strong=True))
     main = next((name for name in (LIGHT_YIELD, SCALE) if name in budgets), None)
     if main is not None:
         origins += _next(findings.what_next(budgets[main], findings.called(main)))

@@ -434,7 +434,7 @@ def bought(measurement: NextMeasurement) -> tuple[str, str, str]:
     error = measurement.light_yield_sigma
     return (
         f"{measurement.hours:.2g} h",
-        "-" if error is None else f"{100.0 * error:.2g} %",
+        "-" if error is None else f"{100.0 * error:.1f} %",
         f"{100.0 * measurement.probability:.0f} %",
     )
 
@@ -757,7 +757,8 @@ def gain_text(candidate: Candidate) -> str:
     """Fall of χ² with an effect, and the simulation's error; what is not worth a digit is 0."""
     if max(abs(candidate.delta_chi2), candidate.delta_chi2_sigma) < _NO_GAIN:
         return "0"
-    return pdg(candidate.delta_chi2, candidate.delta_chi2_sigma or None)
+    sigma = candidate.delta_chi2_sigma
+    return pdg(candidate.delta_chi2, max(sigma, _NO_GAIN) if sigma else None)
 
 
 def change_text(change: float) -> str:
@@ -781,7 +782,7 @@ def plain_headline(diagnosis: Diagnosis, effects: tuple[str, ...]) -> str:
             "is as described."
         )
     if diagnosis.verdict == ADEQUATE:
-        return "The bench as described explains the readings: nothing is missing."
+        return "The bench as described explains the readings: nothing needs to be added."
     if diagnosis.verdict == MISSING_EFFECT and leading:
         return f"With {leading[0]} the bench explains the readings; as described it does not."
     if diagnosis.verdict == AMBIGUOUS and len(leading) > 1:

@@ -76,6 +76,8 @@ class Answer:
 
     def __dir__(self) -> list[str]:
         names = {name for part in _parts(self.found) for name in dir(part) if name[0] != "_"}
+        fitted = (getattr(part, "parameters", None) for part in _parts(self.found))
+        names |= {name for each in fitted if isinstance(each, Mapping) for name in each}
         return sorted({*super().__dir__(), *names})
 
     def __str__(self) -> str:
