@@ -171,6 +171,9 @@ def evidence_of(
         Whether no more than its order of magnitude matters.
     """
     sampled = _Sampled(fit, [priors[name] for name in fit.names])
+    if not fit.names:  # all is held: the likelihood itself
+        log = float(sampled.log_likelihood(np.empty((1, 0)))[0])
+        return Evidence(log, 0.0, {}, {}, math.inf, np.empty((_DRAWS, 0)))
     modes = [sampled.maximum(fit.theta)]
     # models are compared: the same points for all
     rng = np.random.default_rng(0)

@@ -66,7 +66,7 @@ def test_between_nodes_the_index_follows_the_dispersion():
     file = read_scene(BENCH, named)
     light = read_light(RAW / "emission.csv", file, RAW / "quantum_efficiency.csv")
     assert set(light.parameters) == set(named)
-    found = eta_over(file, light, run=Run(photons=1_000_000, seed=2))
+    found = eta_over(file, light, run=Run(photons=500_000, seed=2))
     assert len(found.nodes_nm) == 4
     z = []
     for number, nm in enumerate((440.0, 520.0, 660.0)):
@@ -74,7 +74,7 @@ def test_between_nodes_the_index_follows_the_dispersion():
             "n_crystal": float(material("CaMoO4").held_index(nm)),
             "n_window": float(material("BK7").index(nm)),
         }
-        one = mcrim_mitsuba.simulate(BENCH, photons=2_000_000, seed=20 + number, **indices)
+        one = mcrim_mitsuba.simulate(BENCH, photons=1_000_000, seed=20 + number, **indices)
         i = int(np.abs(light.wavelength_nm - nm).argmin())
         assert light.wavelength_nm[i] == pytest.approx(nm)
         z.append((found.eta[i] - one.eta) / np.hypot(found.eta_sigma[i], one.eta_sigma))
@@ -164,7 +164,7 @@ def test_a_campaign_averages_over_its_light(tenfold, here):
     for seed, (n_gap, radius, height) in enumerate(benches):
         values = {"n_gap": n_gap, "aperture_radius_mm": radius, "crystal_height_mm": height}
         bench = file.with_overrides({name: float(value) for name, value in values.items()})
-        found = eta_over(bench, light, run=Run(photons=2_000_000, seed=seed))
+        found = eta_over(bench, light, run=Run(photons=1_000_000, seed=seed))
         signal = 100.0 * found.eta_detected * (1.0 + 0.003 * rng.standard_normal())
         readings.append(f"r{seed},{signal:.5f},{0.004 * signal:.5f},{n_gap},{radius},{height}")
     header = "label,signal,sigma,n_gap,aperture_radius_mm,crystal_height_mm"

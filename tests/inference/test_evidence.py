@@ -7,6 +7,7 @@ import pytest
 import synthetic_bench as bench
 from scipy import special, stats
 
+import mcrim_mitsuba
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.inference.evidence import (
     Evidence,
@@ -179,3 +180,12 @@ def test_an_unlikely_model_far_away_is_no_error():
     assert light_yield(math.log(0.02)).sigma < 1.2 * alone.sigma
     # where it is as likely as one in eleven it is one
     assert light_yield(math.log(0.1)).sigma > 10.0 * alone.sigma
+
+
+def test_a_model_without_free_parameters_is_its_likelihood(scenes):
+    """The article's Table 1 has none: all is held, or a column."""
+    found = mcrim_mitsuba.diagnose(
+        scenes / "camoo4_table1.toml", only="gap_thickness", photons=20_000
+    )
+    assert found.probabilities.keys() >= {"none", "gap_thickness"}
+    assert sum(found.probabilities.values()) == pytest.approx(1.0)

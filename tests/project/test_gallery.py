@@ -21,10 +21,7 @@ from mcrim_mitsuba.cli.main import mcrim as command
 GALLERY = ROOT / "docs" / "gallery"
 RENEW = os.environ.get("MCRIM_GALLERY") == "renew"
 #: Done with few photons in every test; others take long, and are only read.
-QUICK = {
-    "check": (), "simulate": ("--photons", "20000"), "reduce": (),
-    "calibrate": ("--photons", "200000"), "lab": (),
-}  # fmt: skip
+QUICK = {"check": (), "simulate": ("--photons", "20000"), "reduce": ()}
 WIDTH, MOST_BYTES = 900, 60_000
 
 
