@@ -47,7 +47,15 @@ from mcrim_mitsuba.campaign.samples import (
 )
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by, visible
 from mcrim_mitsuba.core.files import is_there
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, judge, value_text, without_unit
+from mcrim_mitsuba.core.numbers import (
+    ALPHA_ABS,
+    ALPHA_SCAT,
+    COEFFICIENTS,
+    Value,
+    judge,
+    value_text,
+    without_unit,
+)
 from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
 from mcrim_mitsuba.effects.catalogue import catalogue, effect_of, exclude_each_other
@@ -305,7 +313,7 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
     _refuse_scales_without_light(campaign)
     if campaign.spectrum is not None:
         for sample in samples.values():
-            if own := {ALPHA_SCAT, ALPHA_ABS} & sample.own.keys():
+            if own := sample.own.keys() & set(COEFFICIENTS):
                 problem = f"{SPECTRUM} is of one crystal, and {sample.name} has its own {min(own)}"
                 raise document.refusal(f"{SAMPLES}.{sample.name}", problem, f"remove {SPECTRUM}")
     if campaign.ndf < 0:
@@ -410,11 +418,10 @@ def _read_spectrum(
     """
     if SPECTRUM not in entries:
         return None
-    known = None if raw is None or raw.efficiency is None else raw.efficiency.entry
     light = read_light(file_in(entries, SPECTRUM, entries[SPECTRUM]), scene)
-    if known is not None and not light.detected:
-        light = read_light(light.path, scene, known.quantum_efficiency)
-    if not {ALPHA_SCAT, ALPHA_ABS} & light.parameters.keys():
+    if raw is not None and raw.efficiency is not None and not light.detected:
+        light = light.seen_by(raw.efficiency.quantum_efficiency)
+    if not light.parameters.keys() & set(COEFFICIENTS):
         problem = f"neither {ALPHA_SCAT} nor {ALPHA_ABS} varies in {light.path.name}"
         mend = f"add a column, or remove {SPECTRUM}: one wavelength says the same"
         raise entries.refusal(SPECTRUM, problem, mend)
@@ -423,8 +430,8 @@ def _read_spectrum(
 
 def _averaged(light: EmittedLight) -> str:
     """What is done with light over wavelengths."""
-    named = [without_unit(n) for n in (ALPHA_SCAT, ALPHA_ABS) if n in light.parameters]
-    indices = [name for name in light.parameters if name not in (ALPHA_SCAT, ALPHA_ABS)]
+    named = [without_unit(name) for name in COEFFICIENTS if name in light.parameters]
+    indices = [name for name in light.parameters if name not in COEFFICIENTS]
     said = (
         f"eta is averaged over the light of {light.path.name}, by its {' and '.join(named)}: those "
         f"that are fitted are at {light.mean_nm:.0f} nm, the mean wavelength"

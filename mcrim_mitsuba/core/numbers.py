@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import numbers
 import re
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ FWHM = 2.0 * math.sqrt(2.0 * math.log(2.0))
 
 ALPHA_SCAT = "alpha_scat_per_cm"
 ALPHA_ABS = "alpha_abs_per_cm"
+COEFFICIENTS = ALPHA_SCAT, ALPHA_ABS
 
 Value = float | bool | int | str
 
@@ -59,6 +61,11 @@ def titled(name: str) -> str:
     """A parameter's name in words with its unit: ``gap (mm)`` for ``gap_mm``."""
     unit = unit_of(name)
     return without_unit(name) + (f" ({unit})" if unit else "")
+
+
+def as_attributes(parameters: Mapping[str, Value]) -> dict[str, Value]:
+    """Parameters as attributes of a dataset: NetCDF has no true and false."""
+    return {n: str(v) if isinstance(v, bool) else v for n, v in parameters.items()}
 
 
 def said(name: str, value: object) -> str:

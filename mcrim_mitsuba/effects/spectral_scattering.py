@@ -6,7 +6,7 @@ import numpy as np
 
 from mcrim_mitsuba.effects._bench import WAVELENGTH, wavelength_of
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter, Parameters, Values
-from mcrim_mitsuba.optics.colours import USUAL_NM, USUAL_WIDTH_NM, scattering_of_colours
+from mcrim_mitsuba.optics.emission_band import USUAL_NM, USUAL_WIDTH_NM, scattering_of_colours
 from mcrim_mitsuba.scene.editor import SceneEditor
 
 _EXPONENT, _BANDWIDTH = "scattering_exponent", "bandwidth_nm"

@@ -20,7 +20,7 @@ import numpy as np
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
-from mcrim_mitsuba.core.numbers import MM_PER_CM, Value, parse_number
+from mcrim_mitsuba.core.numbers import MM_PER_CM, Value, as_attributes, parse_number
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency import time_distribution as distribution
 from mcrim_mitsuba.efficiency.lighting import bin_of
@@ -149,7 +149,7 @@ class ArrivalTimes:
                 "photon": np.arange(1, len(self.first[0].mean_ps) + 1),
             },
             attributes
-            | {n: str(v) if isinstance(v, bool) else v for n, v in self.parameters.items()},
+            | as_attributes(self.parameters),
         )  # fmt: skip
         made.part.attrs["long_name"] = "part of the detected light"
         made.time_ps.attrs["units"] = "ps"

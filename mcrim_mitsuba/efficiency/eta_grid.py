@@ -121,14 +121,12 @@ def averaged(table: EtaGrid, grid: Grid, colours: Colours) -> EtaGrid:
 class Gathering:
     """Records of one launch, prepared for being summed on a grid with several weights.
 
-    Photons that are `kept`, (detected,) bool, count; all when it is not given. Of `colours`, parts
-    of the light and factors on its alpha_scat, the mean is taken.
+    Photons that are `kept`, (detected,) bool, count; all when it is not given.
     """
 
     def __init__(
-        self, records: PhotonRecords, grid: Grid, kept: NDArray[np.bool_] | None = None,
-        colours: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
-    ) -> None:  # fmt: skip
+        self, records: PhotonRecords, grid: Grid, kept: NDArray[np.bool_] | None = None
+    ) -> None:
         batch = records.batch % BATCHES
         order = np.argsort(batch, kind="stable")
         if kept is not None:
@@ -136,23 +134,16 @@ class Gathering:
         self.order = order
         self._ends = np.searchsorted(batch[order], np.arange(BATCHES + 1))
         self._photons = records.photons
-        k = records.k[order].astype(np.float32)
+        self._k = records.k[order].astype(np.float32)
         path = records.path_cm[order]
         flown = records.further.get("scattering_path_cm")
-        scattering_path = path if flown is None else flown[order].astype(np.float32)
+        self._scattering_path = path if flown is None else flown[order].astype(np.float32)
         shares = records.photons_per_proposal / records.photons
-        log_mixture = _log_mixture(k, scattering_path, shares, records.alpha_scat_proposals_per_cm)
-        self._scattering = np.empty((grid.counts[0], len(order)), dtype=np.float32)
-        parts, factors = colours or (np.ones(1), np.ones(1))
-        one = np.empty_like(self._scattering[0])
-        for row, alpha in zip(self._scattering, np.exp(grid.scattering.nodes), strict=True):
-            row[:] = 0.0
-            for part, own in zip(parts, alpha * factors, strict=True):
-                np.multiply(k, np.float32(np.log(own)), out=one)
-                one -= np.float32(own) * scattering_path
-                one -= log_mixture
-                np.exp(np.maximum(one, _LEAST_LOG, out=one), out=one)
-                row += np.float32(part) * one
+        self._log_mixture = _log_mixture(
+            self._k, self._scattering_path, shares, records.alpha_scat_proposals_per_cm
+        )
+        self._alpha_scat_per_cm = np.exp(grid.scattering.nodes)
+        self._scattering = self._densities(1.0)
         self._absorption = np.empty((grid.counts[1], len(order)), dtype=np.float32)
         w = records.w[order]
         _, alpha_abs_per_cm = grid.coefficients_per_cm()
@@ -161,14 +152,35 @@ class Gathering:
             np.exp(np.maximum(row, _LEAST_LOG, out=row), out=row)
             row *= w
 
-    def table(self, weight: NDArray | None = None) -> EtaGrid:
-        """Eta on the grid, every photon's weight times `weight`, (kept,) in the order `order`."""
-        by_batch = np.empty((BATCHES, len(self._scattering), len(self._absorption)))
-        absorption = self._absorption
+    def _densities(self, factor: float) -> NDArray[np.float32]:
+        """(nodes, kept) density at so many times alpha_scat, over that of the proposals."""
+        found = np.empty((len(self._alpha_scat_per_cm), len(self._k)), dtype=np.float32)
+        for row, alpha in zip(found, factor * self._alpha_scat_per_cm, strict=True):
+            np.multiply(self._k, np.float32(np.log(alpha)), out=row)
+            row -= np.float32(alpha) * self._scattering_path
+            row -= self._log_mixture
+            np.exp(np.maximum(row, _LEAST_LOG, out=row), out=row)
+        return found
+
+    def table(
+        self, weight: NDArray | None = None,
+        colours: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+    ) -> EtaGrid:  # fmt: skip
+        """Eta on the grid.
+
+        Every photon's weight is times `weight`, (kept,) in the order `order`. Of `colours`, parts
+        of the light and factors on its alpha_scat, the mean is taken.
+        """
+        scattering, absorption = self._scattering, self._absorption
+        if colours is not None:
+            scattering = np.zeros_like(self._scattering)
+            for part, factor in zip(*colours, strict=True):
+                scattering += np.float32(part) * self._densities(factor)
+        by_batch = np.empty((BATCHES, len(scattering), len(absorption)))
         if weight is not None:
             absorption = absorption * weight.astype(np.float32)
         for batch, (first, last) in enumerate(zip(self._ends, self._ends[1:], strict=False)):
-            by_batch[batch] = self._scattering[:, first:last] @ absorption[:, first:last].T
+            by_batch[batch] = scattering[:, first:last] @ absorption[:, first:last].T
         total = by_batch.sum(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             deviations = by_batch * BATCHES / total - 1.0
@@ -302,17 +314,16 @@ class TableUnit(SceneUnit):
         columns = {name: column[gathering.order] for name, column in records.further.items()}
         made: list[tuple[int, Content]] = []
         for request in group:
-            weight, of_request = None, gathering
+            weight = colours = None
             if (effect := request.effect) is not None:
                 if effect.colours is not None:
                     colours = effect.colours(request.values, request.parameters)
-                    of_request = Gathering(records, self.grids[first.coarse], kept, colours)
                 if effect.weight is not None:
                     weight = effect.weight(columns, request.values, request.parameters)
             if request.of_beam and request.radius_mm is not None:
                 within = columns[ANGLE] <= request.radius_mm
                 weight = within if weight is None else within * weight
-            table = of_request.table(weight)
+            table = gathering.table(weight, colours)
             made.append((request.number, ({n: getattr(table, n).ravel() for n in _COLUMNS}, {})))
         return made
 

@@ -20,7 +20,7 @@ from mcrim_mitsuba.core.data_table import read_data_table
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there
-from mcrim_mitsuba.core.numbers import FWHM, Value
+from mcrim_mitsuba.core.numbers import FWHM, Value, as_attributes
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.lighting import Bins, bin_of
 
@@ -161,7 +161,7 @@ class EtaMap:
             {name: (_AXES, getattr(self, name)) for name in ("eta", "eta_sigma", "volume")},
             dict(zip(_AXES, self.centres_mm, strict=True)),
             {"photons": self.photons, "seed": self.seed, "scene_hash": self.scene_hash}
-            | {n: str(v) if isinstance(v, bool) else v for n, v in self.parameters.items()},
+            | as_attributes(self.parameters),
         )
         made.eta.attrs["long_name"] = "light collection efficiency by place of birth"
         made.volume.attrs["long_name"] = "part of the crystal's volume"

@@ -14,14 +14,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
+from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, as_attributes
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
 from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 PHOTONS = 2_000_000
 #: Simulations where an index varies.
 NODES = 4
-_COEFFICIENTS = (ALPHA_SCAT, ALPHA_ABS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +90,7 @@ class EtaSpectrum:
             | {name: ("wavelength_nm", values) for name, values in light.parameters.items()},
             {"wavelength_nm": light.wavelength_nm},
             {"photons": self.photons, "seed": self.seed, "scene_hash": self.scene_hash}
-            | {n: str(v) if isinstance(v, bool) else v for n, v in self.parameters.items()},
+            | as_attributes(self.parameters),
         )
         made.wavelength_nm.attrs["units"] = "nm"
         made.eta.attrs["long_name"] = "light collection efficiency"
@@ -116,12 +115,12 @@ def eta_over(scene: SceneFile, light: EmittedLight, *, run: Run = Run()) -> EtaS
         value is out of range.
     """
     if run.photons is None and run.precision is None:
-        run = Run(PHOTONS, None, run.seed, run.threads, run.variant, run.progress, run.check)
+        run = replace(run, photons=PHOTONS)
     at = light.wavelength_nm
     mean_nm = light.mean_nm
     asked = np.append(at, mean_nm)
     points = [_coefficients(scene, light, float(each)) for each in asked]
-    bending = [name for name in light.parameters if name not in _COEFFICIENTS]
+    bending = [name for name in light.parameters if name not in COEFFICIENTS]
     nodes = np.array([mean_nm])
     if bending:
         low, high = 1.0 / at[-1] ** 2, 1.0 / at[0] ** 2
@@ -171,7 +170,7 @@ def _coefficients(
     """Scattering and absorption at a wavelength, 1/cm."""
     own = light.at(wavelength_nm)
     values = []
-    for name in _COEFFICIENTS:
+    for name in COEFFICIENTS:
         value = own.get(name, scene.parameters.get(name))
         if not isinstance(value, float):
             problem = f"the scene has no parameter {name}"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import write_text
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, judge, unit_of
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, as_attributes, judge, unit_of
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import (
     MOST_PHOTONS,
@@ -82,8 +82,7 @@ class EtaTable:
             {name: (tuple(self.axes), getattr(self, name)) for name in ("eta", "eta_sigma")},
             {name: list(values) for name, values in self.axes.items()},
             {"photons": self.photons, "seed": self.seed, "scene_hash": self.scene_hash}
-            | {n: str(v) if isinstance(v, bool) else v for n, v in self.parameters.items()
-               if n not in self.axes},
+            | as_attributes({n: v for n, v in self.parameters.items() if n not in self.axes}),
         )  # fmt: skip
         made.eta.attrs["long_name"] = "light collection efficiency"
         for name in self.axes:

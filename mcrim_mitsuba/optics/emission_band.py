@@ -9,6 +9,7 @@ import numpy as np
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import FWHM
 from mcrim_mitsuba.optics.dispersion import Dispersion
 from mcrim_mitsuba.optics.materials import Material, material
 from mcrim_mitsuba.optics.spectrum import Spectrum, average_over, detected_light
@@ -129,8 +130,12 @@ def _beyond_the_end(known: Material, wavelength_nm: Array) -> Array:
 USUAL_BANDS_NM = {"CaMoO4": (540.0, 150.0)}
 #: Width of a band of which only the maximum is given: self-trapped excitons in oxides.
 _USUAL_WIDTH_NM = 150.0
+#: The maximum and the width of light of which nothing else is said.
+USUAL_NM, USUAL_WIDTH_NM = USUAL_BANDS_NM["CaMoO4"]
 #: How far a Gaussian band is followed, in widths, and the step of all integrals.
-_WIDTHS, _STEP_NM = 1.5, 1.0
+WIDTHS, _STEP_NM = 1.5, 1.0
+#: Points of Gauss and Legendre over a band.
+_POINTS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +205,27 @@ def _gaussian(found: Material, wavelength_nm: float | None) -> tuple[Spectrum, s
     if maximum is None:
         mend = "give its emission (--emission) or the maximum of its band (--wavelength-nm)"
         raise InputError(f"nothing tells where {found.name} emits", mend)
-    at = maximum + width * np.linspace(-_WIDTHS, _WIDTHS, round(2 * _WIDTHS * width / _STEP_NM) + 1)
+    at = maximum + width * np.linspace(-WIDTHS, WIDTHS, round(2 * WIDTHS * width / _STEP_NM) + 1)
     values = np.exp(-4.0 * math.log(2.0) * ((at - maximum) / width) ** 2)
     words = f"an assumed Gaussian band about {maximum:g} nm, {width:g} nm wide"
     return Spectrum(at, values), words
+
+
+def scattering_of_colours(
+    exponent: float, wavelength_nm: float, bandwidth_nm: float
+) -> tuple[Array, Array]:
+    """Parts of the light of a Gaussian band, and scattering over that at its maximum.
+
+    alpha_scat goes as wavelength to the power of -exponent; the band is cut off at `WIDTHS`.
+    By Gauss and Legendre: means of what is smooth over the band are right to 1e-5.
+
+    Returns
+    -------
+    parts, factors : (points,) float64
+        Parts sum to 1.
+    """
+    x, weights = np.polynomial.legendre.leggauss(_POINTS)
+    z = WIDTHS * FWHM * x
+    parts = weights * np.exp(-0.5 * z**2)
+    relative = 1.0 + z / FWHM * bandwidth_nm / wavelength_nm
+    return parts / parts.sum(), relative**-exponent

@@ -488,7 +488,7 @@ def arrival_times(
     )
     return Answer(
         found, scene_descriptions.of_times(found), documents.of_times(found),
-        {"times": lambda: _drawn("time_figures.draw_times", found)},
+        {"times": lambda: _drawn("light_figures.draw_times", found)},
     )  # fmt: skip
 
 

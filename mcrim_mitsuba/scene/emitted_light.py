@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from mcrim_mitsuba.core.data_table import DataTable, read_data_table
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.core.numbers import COEFFICIENTS
 from mcrim_mitsuba.optics.spectrum import Spectrum
 from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -21,7 +21,6 @@ from mcrim_mitsuba.scene.scene_file import SceneFile
 WAVELENGTH, EMISSION, EFFICIENCY = "wavelength_nm", "emission", "efficiency"
 #: Step of integrals, and light over its maximum below which a wavelength is left out.
 _STEP_NM, _FAINT = 5.0, 1e-3
-_COEFFICIENTS = (ALPHA_SCAT, ALPHA_ABS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +67,12 @@ class EmittedLight:
         seen = self.weights * self.efficiency
         return float(seen @ self.wavelength_nm / seen.sum())
 
+    def seen_by(self, efficiency: Spectrum) -> EmittedLight:
+        """The same light before a detector of another efficiency, 0 beyond its points."""
+        at, known = self.wavelength_nm, efficiency
+        seen = np.interp(at, known.wavelength_nm, known.values, left=0.0, right=0.0)
+        return replace(self, efficiency=seen, detected=True)
+
     def colours(self, most: int) -> Colours:
         """Parts of the detected light, and coefficients over those at the mean wavelength.
 
@@ -88,7 +93,7 @@ class EmittedLight:
             return np.asarray(means[parts > 0.0] / parts[parts > 0.0] / own[name], float)
 
         shares = parts[parts > 0.0] / parts.sum()
-        return Colours(np.asarray(shares, float), *map(over_mean, _COEFFICIENTS))
+        return Colours(np.asarray(shares, float), *map(over_mean, COEFFICIENTS))
 
     def at(self, wavelength_nm: float) -> dict[str, float]:
         """The parameters at one wavelength, between the points by straight lines."""
@@ -133,17 +138,11 @@ def read_light(
     light = np.clip(emission.at(grid), 0.0, None)
     if not light.max() > 0.0:
         raise emission.refusal("the emission has no area", "give intensities above 0")
-    detected = quantum_efficiency is not None or EFFICIENCY in columns
-    efficiency = np.ones_like(grid)
-    if EFFICIENCY in columns:
-        if quantum_efficiency is not None:
-            problem = "the detector's efficiency is given twice"
-            mend = f"leave the column {EFFICIENCY} or the other file out"
-            raise InputError(problem, mend, path=table.path)
-        efficiency = np.interp(grid, emission.wavelength_nm, columns.pop(EFFICIENCY))
-    elif quantum_efficiency is not None:
-        curve = read_spectrum(quantum_efficiency, "quantum_efficiency")
-        efficiency = np.interp(grid, curve.wavelength_nm, curve.values, left=0.0, right=0.0)
+    seen = columns.pop(EFFICIENCY, None)
+    if seen is not None and quantum_efficiency is not None:
+        problem = "the detector's efficiency is given twice"
+        mend = f"leave the column {EFFICIENCY} or the other file out"
+        raise InputError(problem, mend, path=table.path)
     varying = {
         name: known.material.held_index(grid)
         for name, known in scene.materials.items()
@@ -151,7 +150,12 @@ def read_light(
     }
     varying |= {n: np.interp(grid, emission.wavelength_nm, v) for n, v in columns.items()}
     varying = {name: values for name, values in varying.items() if np.ptp(values) > 0.0}
-    return EmittedLight(grid, light, efficiency, varying, detected, Path(path))
+    found = EmittedLight(grid, light, np.ones_like(grid), varying, False, Path(path))
+    if seen is not None:
+        return found.seen_by(Spectrum(emission.wavelength_nm, seen))
+    if quantum_efficiency is not None:
+        return found.seen_by(read_spectrum(quantum_efficiency, "quantum_efficiency"))
+    return found
 
 
 def _as_named(table: DataTable, column: int) -> str:
@@ -176,7 +180,7 @@ def _columns(
         values = table.values[:, column]
         low, high = (0.0, 1.0) if name == EFFICIENCY else (0.0, math.inf)
         wrong = (values < low) | (values > high)
-        if name in (EFFICIENCY, *_COEFFICIENTS) and wrong.any():
+        if name in (EFFICIENCY, *COEFFICIENTS) and wrong.any():
             row = int(wrong.argmax())
             problem = f"{name} = {values[row]:g} is out of range"
             raise table.refusal(row, column, problem, f"give {low:g} to {high:g}")

@@ -25,7 +25,8 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.optics.colours import CUT_WIDTHS, FWHM
+from mcrim_mitsuba.core.numbers import FWHM
+from mcrim_mitsuba.optics.emission_band import WIDTHS
 from mcrim_mitsuba.transport.convex import convex_solids
 from mcrim_mitsuba.transport.launch_plan import BATCHES, LanePlan
 from mcrim_mitsuba.transport.scene_model import (
@@ -465,7 +466,7 @@ def _parallelepiped(faces):
 
 
 #: Part of a Gaussian band that is not cut off.
-_WITHIN_CUT = math.erf(CUT_WIDTHS * FWHM / math.sqrt(2.0))
+_WITHIN_CUT = math.erf(WIDTHS * FWHM / math.sqrt(2.0))
 
 
 @dataclass

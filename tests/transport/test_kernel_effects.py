@@ -15,7 +15,7 @@ from scipy.stats import kstest
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.catalogue import add, catalogue
-from mcrim_mitsuba.optics.colours import scattering_of_colours
+from mcrim_mitsuba.optics.emission_band import scattering_of_colours
 from mcrim_mitsuba.optics.thin_film import ThinFilm, cathode_index
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace

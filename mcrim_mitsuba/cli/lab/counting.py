@@ -73,7 +73,11 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
     from mcrim_mitsuba.laboratory.histogram import read_histogram
     from mcrim_mitsuba.laboratory.peak import combine
     from mcrim_mitsuba.laboratory.peak_width import width_parts
-    from mcrim_mitsuba.output.laboratory_figures import FittedHistogram, draw_histograms
+    from mcrim_mitsuba.output.laboratory_figures import (
+        FittedHistogram,
+        draw_histograms,
+        draw_widths,
+    )
 
     if shape not in _SHAPES:
         meant = closest(shape, _SHAPES)
@@ -124,8 +128,6 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
         if spreads
     }  # fmt: skip
     if widths:
-        from mcrim_mitsuba.output.width_figures import draw_widths
-
         pictures["widths"] = lambda: draw_widths(widths)
         document["widths"] = [
             {"histogram": name, **asdict(one)} for name, parts in widths.items() for one in parts

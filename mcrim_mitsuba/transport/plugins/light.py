@@ -9,8 +9,8 @@ import drjit as dr
 import mitsuba as mi
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, MM_PER_CM
-from mcrim_mitsuba.optics.colours import CUT_WIDTHS, USUAL_NM, USUAL_WIDTH_NM
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT, COEFFICIENTS, MM_PER_CM
+from mcrim_mitsuba.optics.emission_band import USUAL_NM, USUAL_WIDTH_NM, WIDTHS
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.transport.bulk import CollimatedBeam, CrystalVolume, read_crystal
 from mcrim_mitsuba.transport.collection import Launcher, collect, slope_along
@@ -18,8 +18,6 @@ from mcrim_mitsuba.transport.launch_plan import FateTally
 from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis, described, number
 from mcrim_mitsuba.transport.scene_model import read_scene_model
 
-#: Of a medium: what eta has derivatives by.
-COEFFICIENTS = (ALPHA_SCAT, ALPHA_ABS)
 #: That ``mitsuba.render`` follows where nobody says how many.
 PHOTONS = 1_000_000
 
@@ -64,7 +62,7 @@ class BulkMedium(mi.Medium):
         self.scattering_exponent = number(props, "scattering_exponent", 0.0, high=4.0)
         wavelength = number(props, "wavelength_nm", USUAL_NM, low=100.0, high=1e4)
         # no wavelength of the band is 0
-        widest = 0.99 * wavelength / CUT_WIDTHS if self.scattering_exponent else math.inf
+        widest = 0.99 * wavelength / WIDTHS if self.scattering_exponent else math.inf
         width = number(props, "bandwidth_nm", USUAL_WIDTH_NM, high=widest)
         self.relative_bandwidth = width / wavelength
         self.endless = bool(props.get("endless", False))
