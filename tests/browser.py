@@ -32,7 +32,7 @@ class Browser:
         """What `found` returns, as soon as that is true; fails naming `what`."""
         from selenium.common.exceptions import WebDriverException
 
-        end = time.monotonic() + seconds
+        end, pause = time.monotonic() + seconds, 0.02
         while True:
             try:
                 if result := found():
@@ -43,7 +43,8 @@ class Browser:
             if time.monotonic() > end:
                 self.screenshot("waiting")
                 raise AssertionError(f"no {what} within {seconds} s")
-            time.sleep(0.05)
+            # what takes long is looked at seldom: looking takes time from what is waited for
+            time.sleep(pause := min(1.2 * pause, 0.5))
 
     def find(self, selector: str, seconds: float = LONGEST_WAIT_S):
         """The first element of a CSS selector, waited for."""

@@ -19,7 +19,7 @@ from itertools import combinations
 
 import numpy as np
 from scipy.special import logsumexp
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE
 from mcrim_mitsuba.campaign.parameter import SCALE
@@ -251,7 +251,7 @@ class _Cloud:
         for effects in leading:
             own = self.of == self.names.index(" + ".join(effects))
             # by quantiles: one point far away would make up most of a variance
-            low, middle, high = np.quantile(self.signals[own], norm.cdf((-1.0, 0.0, 1.0)), axis=0)
+            low, middle, high = np.quantile(self.signals[own], ndtr((-1.0, 0.0, 1.0)), axis=0)
             means.append(middle)
             variances.append((0.5 * (high - low)) ** 2)
         found = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import importlib.metadata
 import os
@@ -128,13 +129,17 @@ def software_versions(variant: str) -> dict[str, str]:
     InputError
         If the variant needs LLVM or an NVIDIA GPU and there is none.
     """
-    found = {
-        name: importlib.metadata.version(name)
-        for name in ("mcrim-mitsuba", "mitsuba", "drjit", "numpy")
-    }
+    found = _package_versions()
     if variant.startswith("llvm"):
         return found | {"llvm": ".".join(map(str, selected_llvm().version))}
     return found | cuda_versions()
+
+
+@functools.cache
+def _package_versions() -> dict[str, str]:
+    """Read once: it takes as long as a small simulation."""
+    names = ("mcrim-mitsuba", "mitsuba", "drjit", "numpy")
+    return {name: importlib.metadata.version(name) for name in names}
 
 
 def register_plugins(variant: str) -> None:
