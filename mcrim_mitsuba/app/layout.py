@@ -290,7 +290,7 @@ def _diagnosis_panel(found: Diagnosed | None) -> str:
                 for one in (ranked.values() if diagnosis.candidates else ())
             ],
             "set_aside": set_aside_text(diagnosis), "looks": looks(diagnosis),
-            "limits": _cells(limits_table(diagnosis)) if diagnosis.upper_limits else None,
+            "limits": _cells(limits_table(diagnosis).seen) if diagnosis.upper_limits else None,
             "next": [(m.words, *bought(m)) for m in diagnosis.next_measurements],
         }  # fmt: skip
     return _TEMPLATES.get_template("diagnosis.html").render(context)
