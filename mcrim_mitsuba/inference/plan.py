@@ -23,7 +23,7 @@ from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge, said, titled
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge, said
 from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.calibrate import calibrate_without_noise
@@ -207,7 +207,7 @@ class Planning:
         names = {name for each in chosen for name in each.parameters}
         if len(names) == 1:
             (name,) = names
-            return f"{titled(name)} {', '.join(f'{each.parameters[name]:g}' for each in chosen)}"
+            return said(name, ", ".join(f"{each.parameters[name]:g}" for each in chosen))
         return "; ".join(each.name for each in chosen)
 
 
