@@ -20,6 +20,7 @@ from mcrim_mitsuba.core.rounding import (
     capital,
     counted,
     number,
+    p_equals,
     p_text,
     pdg,
     pdg_parts,
@@ -290,7 +291,7 @@ def _diagnosis_panel(found: Diagnosed | None) -> str:
                 for one in (ranked.values() if diagnosis.candidates else ())
             ],
             "set_aside": set_aside_text(diagnosis), "looks": looks(diagnosis),
-            "limits": _cells(limits_table(diagnosis)) if diagnosis.upper_limits else None,
+            "limits": _cells(limits_table(diagnosis).seen) if diagnosis.upper_limits else None,
             "next": [(m.words, *bought(m)) for m in diagnosis.next_measurements],
         }  # fmt: skip
     return _TEMPLATES.get_template("diagnosis.html").render(context)
@@ -323,7 +324,7 @@ def _listed(session: Session, step: FitStep) -> dict[str, Any]:
     light = fit.parameters.get(name)
     return {
         "number": step.number, "name": step_name(step), "chi2": _chi2_text(fit.chi2),
-        "ndf": fit.ndf, "p": p_text(fit.p_value),
+        "ndf": fit.ndf, "p": p_text(fit.p_value), "chance": p_equals(fit.p_value),
         "light": "held" if light is None else estimate_text(light),
         "light_title": _light_title(session),
     }  # fmt: skip

@@ -10,7 +10,7 @@ from typing import Any
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.files import attributes
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, unit_of, without_unit
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, said, unit_of, without_unit
 from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.inference.diagnose import Diagnosed
 from mcrim_mitsuba.inference.estimates import FittedRow
@@ -270,23 +270,23 @@ def difference(
 
     Of a campaign since it was the `first`, and of what its `controls` said of parameters.
     """
-    said = []
+    told = []
     before, after = (
         {one.label: one for one in each.measurements.readings} for each in (first, campaign)
     )
     for label in dict.fromkeys((*before, *after)):
         old, new = before.get(label), after.get(label)
         if new is None or not new.use:
-            said += [f"without {label}"] if old is not None and old.use else []
+            told += [f"without {label}"] if old is not None and old.use else []
             continue
         if old is None or not old.use:
-            said.append(f"with {label}")
+            told.append(f"with {label}")
         if old is None:
             continue
         if (old.signal, old.sigma) != (new.signal, new.sigma):
-            said.append(f"{label} {new.signal:g} ± {new.sigma:g}")
-        said += [
-            f"{label} at {without_unit(name)} {new.parameters[name]}"
+            told.append(f"{label} {new.signal:g} ± {new.sigma:g}")
+        told += [
+            f"{label} at {said(name, new.parameters[name])}"
             for name in new.parameters.keys() & old.parameters.keys()
             if new.parameters[name] != old.parameters[name]
         ]
@@ -298,5 +298,5 @@ def difference(
             HELD: f"held at {settings.values[control.name]:.4g}",
             PRIOR: f"known to be {now.prior} ± {now.prior_sigma}",
         }.get(now.how, "free")
-        said.append(f"{without_unit(control.name)} {how}")
-    return ", ".join(said)
+        told.append(f"{without_unit(control.name)} {how}")
+    return ", ".join(told)

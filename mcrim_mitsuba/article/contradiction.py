@@ -7,7 +7,6 @@ are fitted together, the misfit is diagnosed, and the light yield is averaged ov
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -15,6 +14,7 @@ from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.published import ArticleRow, compare
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.diagnose import Diagnosis, diagnose
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
@@ -88,7 +88,7 @@ def rows(found: Contradiction) -> list[ArticleRow]:
         ),
         compare(
             "chi2 of 14.3, 24.5 and 76 % in one fit, 1 degree of freedom", None, baseline.chi2,
-            unit="", remark=f"p = {baseline.p_value or math.nan:.2g}; errors as in {CAMPAIGN}",
+            unit="", remark=f"{p_equals(baseline.p_value)}; errors as in {CAMPAIGN}",
         ),
     ]  # fmt: skip
     if averaged is not None:

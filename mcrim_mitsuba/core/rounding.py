@@ -102,6 +102,14 @@ def p_text(p_value: float | None) -> str:
     return f"{p_value:.2g}" if p_value >= 1e-99 else "< 1e-99"
 
 
+def p_equals(p_value: float | None) -> str:
+    """The same in a sentence: ``p = 0.33``, ``p < 1e-99``, ``no p-value``."""
+    if p_value is None:
+        return "no p-value"
+    text = p_text(p_value)
+    return f"p {text}" if text.startswith("<") else f"p = {text}"
+
+
 def percent(fraction: float, more: int = 0) -> str:
     """``0.50 %``, ``10.0 %``: two digits, three from 10 % on, and `more` where asked for."""
     value = 100 * fraction

@@ -12,6 +12,7 @@ from scipy.special import chdtrc, logsumexp
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import effect_of
 from mcrim_mitsuba.effects.effect import Effect
@@ -183,9 +184,9 @@ class Judgement:
         if self.is_adequate:
             return Verdict(
                 ADEQUATE,
-                f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom (p = "
-                f"{baseline.p_value:.2g}), and no effect gains more than chance would (p = "
-                f"{self.p_of_best_gain:.2g})",
+                f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom ("
+                f"{p_equals(baseline.p_value)}), and no effect gains more than chance would ("
+                f"{p_equals(self.p_of_best_gain)})",
             )
         leading, best = self._leading(pairs)
         if suspects:
@@ -216,7 +217,7 @@ class Judgement:
     ) -> Verdict:
         p, titles = best.p_value, self._titles(leading)
         quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
-        quality += f" (p = {p:.2g})" if p is not None else ""
+        quality += f" ({p_equals(p)})" if p is not None else ""
         if len(leading) == 1:
             reason = f"{titles} explains the misfit: {quality}"
             unknown, others = (

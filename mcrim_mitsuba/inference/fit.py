@@ -16,6 +16,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes, plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.inference.estimates import (
     ACCEPTABLE_P,
     FittedRow,
@@ -282,7 +283,7 @@ def _notes_of_disagreement(
     if p is None:
         agrees, chance = abs(worst.pull) <= _LARGEST_PULL, f"ndf = {ndf}"
     else:
-        agrees, chance = p >= ACCEPTABLE_P, f"p = {p:.2g}"
+        agrees, chance = p >= ACCEPTABLE_P, p_equals(p)
     if not agrees:
         yield (
             f"the model does not describe the readings: chi2 = {chi2:.3g}, {chance}; the largest "

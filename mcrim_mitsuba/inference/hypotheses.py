@@ -18,7 +18,7 @@ from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.core.rounding import counted, probability
+from mcrim_mitsuba.core.rounding import counted, p_equals, probability
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.diagnose import AMBIGUOUS, UNEXPLAINED, explains
 from mcrim_mitsuba.inference.estimates import (
@@ -235,7 +235,7 @@ def _verdict(leading: Sequence[FittedHypothesis], fit: Fit) -> tuple[str, str]:
     quality = f"chi2 = {fit.chi2:.3g} without degrees of freedom"
     if fit.p_value is not None:
         degrees = f"{counted(fit.ndf, 'degree')} of freedom"
-        quality = f"chi2 = {fit.chi2:.3g} for {degrees} (p = {fit.p_value:.2g})"
+        quality = f"chi2 = {fit.chi2:.3g} for {degrees} ({p_equals(fit.p_value)})"
     likeliest = f"{best.words} is the likeliest of those compared, {probability(best.probability)}"
     if not explains(fit, ACCEPTABLE_P):
         return UNEXPLAINED, f"{likeliest}, but it does not describe the readings: {quality}"

@@ -23,7 +23,8 @@ from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge, titled
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge, said
+from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.calibrate import calibrate_without_noise
 from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, ParameterEstimate
@@ -94,7 +95,7 @@ class PlanCandidate:
     @property
     def name(self) -> str:
         """``gap index 1.46``."""
-        return ", ".join(f"{titled(name)} {value:g}" for name, value in self.parameters.items())
+        return ", ".join(said(name, value) for name, value in self.parameters.items())
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,7 @@ class Planning:
         names = {name for each in chosen for name in each.parameters}
         if len(names) == 1:
             (name,) = names
-            return f"{titled(name)} {', '.join(f'{each.parameters[name]:g}' for each in chosen)}"
+            return said(name, ", ".join(f"{each.parameters[name]:g}" for each in chosen))
         return "; ".join(each.name for each in chosen)
 
 
@@ -308,8 +309,8 @@ def _doubt(found: Calibration, without: int) -> Iterator[str]:
     p = float(chdtrc(ndf, found.chi2)) if ndf > 0 else 1.0
     if p < ACCEPTABLE_P:
         yield (
-            f"the model does not describe the readings: chi2 = {found.chi2:.3g}, p = {p:.2g}: the "
-            "doubt about the model is not in these plans"
+            f"the model does not describe the readings: chi2 = {found.chi2:.3g}, {p_equals(p)}: "
+            "the doubt about the model is not in these plans"
         )
 
 

@@ -27,6 +27,7 @@ from scipy.special import chdtrc, stdtr
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.laboratory.histogram import SHALLOW, Found, main_peak, peak_inside
 from mcrim_mitsuba.laboratory.peak_band import LEAST_P, Peak, fit_band
 from mcrim_mitsuba.laboratory.peak_shapes import COUNTING, GAUSSIAN, numbers_per_bin
@@ -220,7 +221,7 @@ def _doubts_of_fit(
         )
     if peak.p_value < LEAST_P:
         said.append(
-            f"the fit is bad (chi2 = {peak.chi2:.1f}, ndf = {peak.ndf}, p = {peak.p_value:.1g}): "
+            f"the fit is bad (chi2 = {peak.chi2:.1f}, ndf = {peak.ndf}, {p_equals(peak.p_value)}): "
             f"its errors are {math.sqrt(peak.chi2 / peak.ndf):.2g} times those of the counts"
         )
     if (

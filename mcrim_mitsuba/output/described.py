@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
@@ -40,16 +40,18 @@ class Column:
     left: bool = False
     #: In small print: what has to be typed, such as an id.
     small: bool = False
+    #: Of data frames alone.
+    hidden: bool = False
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A text and what it stands for."""
+    """A text and what it stands for; several things as a tuple, each a row of a data frame."""
 
     text: str
     value: object = None
     #: Standard error of the value, where the text has one.
-    sigma: float | None = None
+    sigma: float | tuple[float | None, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,8 @@ class TableRow:
     cells: tuple[Cell, ...]
     #: Whether it is to be looked at first.
     strong: bool = False
+    #: Whether data frames alone have it.
+    hidden: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,22 @@ class Table:
     #: Rows below a rule.
     sums: tuple[TableRow, ...] = ()
 
+    @property
+    def seen(self) -> Table:
+        """What people are shown of it."""
+        columns = tuple(column for column in self.columns if not column.hidden)
+
+        def of(rows: tuple[TableRow, ...]) -> tuple[TableRow, ...]:
+            return tuple(
+                replace(one, cells=tuple(
+                    cell for cell, column in zip(one.cells, self.columns, strict=True)
+                    if not column.hidden
+                ))
+                for one in rows if not one.hidden
+            )  # fmt: skip
+
+        return Table(self.title, columns, of(self.rows), of(self.sums))
+
     def frame(self) -> pandas.DataFrame:
         """Numbers of the rows, errors in columns of their own: ``NAME_sigma`` after ``NAME``."""
         import pandas
@@ -81,7 +101,12 @@ class Table:
             columns[name] = [cell.value for cell in cells]
             if any(cell.sigma is not None for cell in cells):
                 columns[f"{name}_sigma"] = [cell.sigma for cell in cells]
-        return pandas.DataFrame(columns)
+        several = [n for n, each in columns.items() if any(isinstance(v, tuple) for v in each)]
+        frame = pandas.DataFrame(columns)
+        if several:
+            frame = frame.explode(several, ignore_index=True).infer_objects()
+        # what is known nowhere is a number that is none
+        return frame.astype(dict.fromkeys(frame.columns[frame.isna().all()], float))
 
 
 @dataclass(frozen=True)
@@ -130,9 +155,10 @@ def table(
     return Table(title, heads, above, below)
 
 
-def row(*cells: str | Cell, strong: bool = False) -> TableRow:
+def row(*cells: str | Cell, strong: bool = False, hidden: bool = False) -> TableRow:
     """A row; a text stands for itself."""
-    return TableRow(tuple(Cell(c, c or None) if isinstance(c, str) else c for c in cells), strong)
+    made = tuple(Cell(c, c or None) if isinstance(c, str) else c for c in cells)
+    return TableRow(made, strong, hidden)
 
 
 def measured(value: float, sigma: float | None) -> Cell:
@@ -204,6 +230,7 @@ def rich_tables(given: Table, width: int) -> Iterator[RichTable]:
 
     Its cells are shown as they are, what looks like markup or an emoji too.
     """
+    given = given.seen
     lines = [[column.title for column in given.columns]]
     lines += [[cell.text for cell in one.cells] for one in (*given.rows, *given.sums)]
     columns = [[visible(content, keep="\n") for content in one] for one in zip(*lines, strict=True)]
@@ -224,17 +251,18 @@ def rich_tables(given: Table, width: int) -> Iterator[RichTable]:
             wide[at], room = wide[at] + more, room - more
         title = f"{given.title}, continued" if place and given.title else given.title
         made = RichTable(title=title or None, title_justify="left", title_style="bold")
+        # the first column has another width in every one
+        broken = {at: [wrapped(content, wide[at]) for content in columns[at]] for at in block}
         for at in block:
-            columns[at] = [wrapped(content, wide[at]) for content in columns[at]]
             side: JustifyMethod = "left" if at == 0 or given.columns[at].left else "right"
             made.add_column(
-                Text(columns[at][0]), justify=side, no_wrap=True, overflow="fold",
+                Text(broken[at][0]), justify=side, no_wrap=True, overflow="fold",
                 style="dim" if given.columns[at].small else "",
             )  # fmt: skip
         for number, one in enumerate((*given.rows, *given.sums), start=1):
             if number == len(given.rows) + 1:
                 made.add_section()
-            texts = [columns[at][number] for at in block]
+            texts = [broken[at][number] for at in block]
             if place == 0 or any(texts[1:]):
                 made.add_row(*map(Text, texts), style="bold" if one.strong else "")
         yield made
@@ -296,6 +324,7 @@ def _html_table(given: Table) -> Markup:
         )  # fmt: skip
         return Markup("<tr>{}</tr>").format(Markup("").join(cells))
 
+    given = given.seen
     title = Markup("<caption>{}</caption>").format(visible(given.title)) if given.title else ""
     head = line("th", (column.title for column in given.columns))
     rows = [line("td", (c.text for c in r.cells), r.strong) for r in (*given.rows, *given.sums)]

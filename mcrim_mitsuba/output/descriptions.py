@@ -13,6 +13,7 @@ from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import (
     capital,
     number,
+    p_equals,
     p_text,
     pdg,
     pdg_parts,
@@ -107,9 +108,8 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         columns = ("configuration", "photons", "of the cache", "eta to")
         parts.append(table("photons spent", columns, rows))
     chance = (
-        "no p-value without degrees of freedom" if fit.p_value is None
-        else f"p = {fit.p_value:.3g}"
-    )  # fmt: skip
+        "no p-value without degrees of freedom" if fit.p_value is None else p_equals(fit.p_value)
+    )
     time = "" if seconds is None else f", {seconds:.1f} s"
     parts.append(Sentence(
         f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {spent.photons:,} photons in "
@@ -293,10 +293,15 @@ def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
 def of_diagnosis(found: Diagnosed) -> Described:
     """The averaged yield, the verdict, effects as explanations, limits, what to measure next."""
     diagnosis = found.diagnosis
-    columns = ("configuration", "time", "yield to", "sure to", "gain in chi2", "tells apart")
+    columns = (
+        "configuration", Column("time", "hours"), Column("yield to", "light_yield_sigma"),
+        Column("sure to", "probability"), Column("gain in chi2", "expected_delta_chi2"),
+        Column("tells apart", "separates"),
+    )  # fmt: skip
     rows = (
         (
-            one.words, *findings.bought(one),
+            one.words,
+            *map(Cell, findings.bought(one), (one.hours, one.light_yield_sigma, one.probability)),
             shown(one.expected_delta_chi2, number),
             "; ".join(findings.told_apart(diagnosis, one)),
         )
@@ -309,7 +314,7 @@ def of_diagnosis(found: Diagnosed) -> Described:
         *_suspects(diagnosis.suspect_readings),
         *_explanations(diagnosis),
         *_set_aside(diagnosis),
-        *([limits_table(diagnosis)] if diagnosis.upper_limits else []),
+        *(_brief(limits_table(diagnosis), diagnosis) if diagnosis.upper_limits else ()),
         *_next(_beside_the_table(diagnosis, findings.next_for_average(diagnosis))),
         *([table("what to measure next", columns, rows)] if diagnosis.next_measurements else []),
         *(Sentence(f"not tried: {one}") for one in findings.not_tried(diagnosis)),
@@ -336,9 +341,12 @@ def _set_aside(diagnosis: Diagnosis) -> list[Sentence]:
 
 
 _ID = Column("id", "effect", left=True, small=True)
+_LIGHT = Column("light yield", LIGHT_YIELD)
 _CANDIDATE = (
-    Column("effect", "title"), "probability", Column("size", left=True),
-    Column("plausible?", left=True), "light yield", "gain in chi2", "p, fit", "left out", _ID,
+    Column("effect", "title"), "probability", Column("", "parameter", hidden=True),
+    Column("size", left=True), Column("plausible?", "plausibility", left=True), _LIGHT,
+    Column("gain in chi2", "delta_chi2"), Column("p, fit", "p_value"),
+    Column("left out", "left_out_error"), _ID,
 )  # fmt: skip
 _EXPLANATION = (
     "probability: among all that was tried and nothing, averaged over plausible sizes; light "
@@ -358,7 +366,10 @@ def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
     for candidates, title in titles:
         if candidates:
             rows = (row(*_candidate(diagnosis, one), strong=one in leading) for one in candidates)
-            yield table(title, _CANDIDATE, rows)
+            # a scale is no light yield
+            dark = all(one.light_yield_ph_per_keV is None for one in candidates)
+            columns = (replace(_LIGHT, hidden=dark) if c is _LIGHT else c for c in _CANDIDATE)
+            yield from _brief(table(title, columns, rows), diagnosis)
     if diagnosis.candidates:
         yield Sentence(_EXPLANATION)
     if diagnosis.families:
@@ -368,15 +379,43 @@ def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
     yield from listed("How to look for it, without a fit:", findings.looks(diagnosis))
 
 
+def _brief(given: Table, diagnosis: Diagnosis) -> Iterator[Part]:
+    """A table of effects, of which people see those that matter, and how many they do not see."""
+    behind = {
+        one.effect
+        for one in (
+            *diagnosis.candidates[findings.MOST_EFFECTS :],
+            *diagnosis.pairs[findings.MOST_PAIRS :],
+        )
+    } - {one.effect for one in findings.leading_candidates(diagnosis)}
+    rows = [
+        # a limit is named EFFECT or EFFECT.PARAMETER
+        replace(one, hidden=str(one.cells[-1].value).partition(".")[0] in behind)
+        for one in given.rows
+    ]
+    yield replace(given, rows=tuple(rows))
+    if more := sum(one.hidden for one in rows):
+        yield Sentence(
+            f"and {more} more, less likely than these: the file of --json has all {len(rows)}, "
+            "and so has to_dataframe in Python"
+        )
+
+
 def _candidate(diagnosis: Diagnosis, one: Candidate) -> tuple[str | Cell, ...]:
     p = diagnosis.probabilities.get(one.effect)
     light = one.light_yield_ph_per_keV or {}
     change = light.get("change")
     changed = "" if change is None else f" ({findings.change_text(change)})"
+    sizes = {n: _estimated(one.parameters[n]) for n in one.effect_parameters if n in one.parameters}
     return (
         capital(" + ".join(findings.titles_of(diagnosis, one.effects))),
         "" if p is None else Cell(probability(p), p),
-        findings.size_text(one, "\n"),
+        Cell("", tuple(sizes) or None),
+        Cell(
+            findings.size_text(one, "\n"),
+            tuple(cell.value for cell in sizes.values()) or None,
+            tuple(cell.sigma for cell in sizes.values()) or None,
+        ),
         findings.plausibility(one),
         Cell(number(light["value"]) + changed, light["value"], light.get("sigma")) if light else "",
         Cell(findings.gain_text(one), one.delta_chi2, one.delta_chi2_sigma or None),
@@ -390,12 +429,16 @@ def limits_table(diagnosis: Diagnosis) -> Table:
     """How large each effect may be, where the readings need none."""
     rows = (
         (
-            capital(findings.in_words(diagnosis, [name])), findings.limit_text(limit),
-            limit.parameter or "on or off", name,
+            capital(findings.in_words(diagnosis, [name])), Cell("", limit.lower),
+            Cell(findings.limit_text(limit), limit.upper), Cell("", limit.excluded),
+            Cell(limit.parameter or "on or off", limit.parameter), name,
         )
         for name, limit in diagnosis.upper_limits.items()
     )  # fmt: skip
-    columns = (Column("effect", "title"), "size", Column("parameter", left=True, small=True), _ID)
+    columns = (
+        Column("effect", "title"), Column("", "lower", hidden=True), Column("size", "upper"),
+        Column("", "excluded", hidden=True), Column("parameter", left=True, small=True), _ID,
+    )  # fmt: skip
     return table("what the readings allow, 95 % confidence", columns, rows)
 
 
@@ -415,7 +458,7 @@ def of_repair(found: Repaired, *, with_steps: bool = True) -> Described:
         parts.append(Sentence(text))
     if found.effects:
         together = f"With {findings.in_words(diagnosis, found.effects)} simulated together: "
-        quality = f"chi2 = {number(fit.chi2)} (ndf {fit.ndf}, p = {p_text(fit.p_value)})"
+        quality = f"chi2 = {number(fit.chi2)} (ndf {fit.ndf}, {p_equals(fit.p_value)})"
         parts += [Sentence(together + quality), *_parameters(fit.parameters)]
         parts += _shapes(profiles_of(found.model, fit))
         if findings.fails(fit):
@@ -428,36 +471,47 @@ def of_repair(found: Repaired, *, with_steps: bool = True) -> Described:
 
 def steps_table(steps: Iterable[RepairStep]) -> Table:
     """How the misfit falls while effects are added."""
-    columns = ("added", "chi2 / ndf", "p", "rms pull", "left out", "light yield or scale",
-               "alpha_scat (1/cm)")  # fmt: skip
-    return table("repair, step by step", columns, (_step(one).values() for one in steps))
+    made = tuple(steps)
+    light = LIGHT_YIELD if any(LIGHT_YIELD in one.parameters for one in made) else SCALE
+    columns = (
+        "added", "chi2", "ndf", Column("chi2 / ndf", "chi2_per_ndf"), Column("p", "p_value"),
+        Column("rms pull", "rms_pull"), Column("left out", "left_out_error"),
+        *(Column(findings.title_of(name), name) for name in (light, ALPHA_SCAT)),
+    )  # fmt: skip
+    rows = (
+        (
+            Cell(_added(one), one.added),
+            shown(one.chi2, number),
+            shown(one.ndf, "d"),
+            shown(one.chi2 / one.ndf if one.ndf > 0 else None, number),
+            shown(one.p_value, p_text),
+            shown(one.rms_pull, number),
+            shown(one.left_out_error, number),
+            *(
+                _estimated(one.parameters[name]) if name in one.parameters else Cell("fixed")
+                for name in (light, ALPHA_SCAT)
+            ),
+        )
+        for one in made
+    )
+    return table("repair, step by step", columns, rows)
 
 
-def _step(one: RepairStep) -> dict[str, str]:
-    """A step's figures in words."""
-    _, light = findings.light_yield_text(one.parameters)
-    scattering = one.parameters.get(ALPHA_SCAT)
-    return {
-        "added": "as it came" if one.added is None else f"+ {one.title or one.added}",
-        "chi2": f"{number(one.chi2)} / {one.ndf}"
-        + (f" = {number(one.chi2 / one.ndf)}" if one.ndf > 0 else ""),
-        "p": p_text(one.p_value),
-        "rms_pull": number(one.rms_pull),
-        "left_out": number(one.left_out_error),
-        "light": light,
-        "scattering": "fixed" if scattering is None else findings.estimate_text(scattering),
-    }
+def _added(one: RepairStep) -> str:
+    return "as it came" if one.added is None else f"+ {one.title or one.added}"
 
 
 def step_text(one: RepairStep) -> str:
     """A step in one line."""
-    cells, (name, _) = _step(one), findings.light_yield_text(one.parameters)
-    if ALPHA_SCAT in one.parameters:
-        cells["scattering"] += " /cm"
+    name, light = findings.light_yield_text(one.parameters)
+    known = one.parameters.get(ALPHA_SCAT)
+    scattering = "fixed" if known is None else f"{findings.estimate_text(known)} /cm"
+    per_ndf = f" = {number(one.chi2 / one.ndf)}" if one.ndf > 0 else ""
     return (
-        "step {step}, {added}: chi2 / ndf {chi2}, p = {p}, rms pull {rms_pull}, left-out "
-        "error {left_out}, {name} {light}, alpha_scat {scattering}"
-    ).format(step=one.step, name=name, **cells)
+        f"step {one.step}, {_added(one)}: chi2 / ndf {number(one.chi2)} / {one.ndf}{per_ndf}, "
+        f"{p_equals(one.p_value)}, rms pull {number(one.rms_pull)}, left-out error "
+        f"{number(one.left_out_error)}, {name} {light}, alpha_scat {scattering}"
+    )
 
 
 def of_report(found: Reported) -> Described:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
@@ -20,7 +21,7 @@ from scipy.special import chdtri
 
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.core.rounding import capital, number, p_text, probability
+from mcrim_mitsuba.core.rounding import capital, number, p_equals, p_text, probability
 from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
@@ -28,6 +29,8 @@ from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.output import figure_style as style
 from mcrim_mitsuba.output.findings import (
     ACCEPTABLE_P,
+    MOST_PAIRS,
+    NO_EFFECTS,
     estimate_text,
     leading_candidates,
     plausibility,
@@ -36,13 +39,18 @@ from mcrim_mitsuba.output.findings import (
     titles_of,
 )
 
-_PAIRS_SHOWN = 6
 #: Inches: a row, the bars without their names, a character.
 _PER_ROW, _BARS_WIDTHS, _LABEL_PER_CHARACTER = 0.34, (2.4, 3.4), 0.088
 _BARS_WIDTH = sum(_BARS_WIDTHS)
+#: Of a line of an effect's title.
+_LETTERS = 34
 #: Height of a size's second line in rows.
 _FURTHER_LINE = 0.5
 _OTHERS = "#b9c4d0"
+#: What is no effect has a row from here on.
+_LEAST_PROBABILITY = 1e-3
+#: The axis of gains reaches at least so far, and for losses so much of that.
+_LEAST_GAIN, _LOSSES = 4.0, 0.6
 _STATISTICS = (
     "delta_chi2", "delta_chi2_sigma", "chi2", "ndf", "p_value", "p_gain", "p_global", "behind",
     "aicc", "left_out_error",
@@ -50,7 +58,7 @@ _STATISTICS = (
 
 
 def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
-    """An effect's parameter a row."""
+    """An effect's parameter a row; below them what is no effect."""
     leading, statistics = leading_candidates(diagnosis), attrgetter(*_STATISTICS)
     rows = [
         (
@@ -65,6 +73,8 @@ def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
         "effect", "leading", "probability", *_STATISTICS, "parameter", "value", "sigma",
         "plausible", "at_bound", "light_yield_ph_per_keV", "mimics",
     )  # fmt: skip
+    found, unknown = diagnosis.probabilities, [None] * (len(columns) - 3)
+    rows += [(name, False, found[name], *unknown) for name in NO_EFFECTS if name in found]
     return columns, rows
 
 
@@ -74,87 +84,130 @@ def _sizes(candidate: Candidate) -> list[tuple[str | None, ParameterEstimate | N
     return [(name, candidate.parameters.get(name)) for name in names] or [(None, None)]
 
 
+@dataclass(frozen=True)
+class _Row:
+    """An effect, a pair, or what is no effect and has a probability alone."""
+
+    name: str
+    probability: float | None
+    leading: bool = False
+    candidate: Candidate | None = None
+
+    @property
+    def weight(self) -> str:
+        return "bold" if self.leading else "normal"
+
+    @property
+    def colour(self) -> str:
+        return style.DARK if self.leading else _OTHERS
+
+
+def _rows(diagnosis: Diagnosis) -> tuple[list[_Row], list[_Row]]:
+    """Effects, among them what is none and how likely it is; and the best pairs."""
+    leading, known = leading_candidates(diagnosis), diagnosis.probabilities
+    singles, pairs = (
+        [
+            _Row(
+                capital("\n+ ".join(map(_broken, titles_of(diagnosis, one.effects)))),
+                known.get(one.effect), one in leading, one,
+            )
+            for one in candidates
+        ]
+        for candidates in (diagnosis.candidates, diagnosis.pairs[:MOST_PAIRS])
+    )  # fmt: skip
+    for name, words in NO_EFFECTS.items():
+        p = known.get(name, 0.0)
+        if p >= _LEAST_PROBABILITY and (singles or pairs):
+            above = [at for at, row in enumerate(singles) if (row.probability or 0.0) > p]
+            singles.insert(max(above, default=-1) + 1, _Row(capital(words), p))
+    return singles, pairs
+
+
+def _broken(title: str) -> str:
+    """A title in lines."""
+    return textwrap.fill(style.shortened(title, 2 * _LETTERS), _LETTERS)
+
+
 @style.styled
 def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     """Every effect alone, below the best pairs if they were tried.
 
     `brief` leaves the sizes to a table beside it: it fits a narrow page.
     """
-    leading, numbers = leading_candidates(diagnosis), _ranking_numbers(diagnosis)
-    shown = [*diagnosis.candidates, *diagnosis.pairs[:_PAIRS_SHOWN]]
-    if not shown:
+    numbers, (singles, pairs) = _ranking_numbers(diagnosis), _rows(diagnosis)
+    rows = [*singles, *pairs]
+    if not rows:
         return style.Drawing(_nothing_tried(diagnosis), *numbers)
     # a row is as high as its effects, and its sizes, have lines
-    further = [max(len(c.effects), 0 if brief else len(c.effect_parameters), 1) - 1 for c in shown]
-    heights = np.array([1 + _FURTHER_LINE * lines for lines in further])
-    places = np.cumsum(heights) - heights / 2
-    table = [
-        ["p of the fit", *(p_text(c.p_value) for c in shown)],
-        ["fitted size", *(size_text(c, "\n") for c in shown)],
-        ["in words", *(plausibility(c) for c in shown)],
-    ][: 1 if brief else None]
-    lines = [[line for text in column for line in text.split("\n")] for column in table]
-    widths = [_LABEL_PER_CHARACTER * max(map(len, column)) + 0.25 for column in lines]
-    words = [map(style.shortened, titles_of(diagnosis, c.effects)) for c in shown]
-    names = [capital("\n+ ".join(each)) for each in words]
-    longest = max(len(line) for name in names for line in name.split("\n"))
+    table = [_beside(row, brief) for row in rows]
+    lines = [
+        max(text.count("\n") for text in (row.name, *texts))
+        for row, texts in zip(rows, table, strict=True)
+    ]
+    heights = 1 + _FURTHER_LINE * np.array(lines)
+    edges = np.cumsum([0.0, *heights])
+    places = edges[1:] - heights / 2
+    columns = list(zip(_BESIDE, *table, strict=False))
+    widths = [
+        _LABEL_PER_CHARACTER * max(len(line) for text in column for line in text.split("\n")) + 0.25
+        for column in columns
+    ]
+    longest = max(len(line) for row in rows for line in row.name.split("\n"))
     room = _LABEL_PER_CHARACTER * longest + 0.4
-    figure = style.canvas(room + _BARS_WIDTH + sum(widths), 1.8 + _PER_ROW * max(heights.sum(), 4))
+    figure = style.canvas(room + _BARS_WIDTH + sum(widths), 1.8 + _PER_ROW * max(edges[-1], 4))
     chances, bars, beside = figure.subplots(
         1, 3, sharey=True, width_ratios=(*_BARS_WIDTHS, sum(widths))
     )
-    _draw_probabilities(chances, places, shown, leading, diagnosis.probabilities)
-    for place, candidate in zip(places, shown, strict=True):
-        bars.barh(
-            place, candidate.delta_chi2, height=0.62, xerr=candidate.delta_chi2_sigma,
-            color=style.DARK if candidate in leading else _OTHERS, edgecolor=style.DARK, lw=0.8,
-            error_kw={"ecolor": style.WARM, "capsize": 3, "lw": 1.5},
-        )  # fmt: skip
-    threshold = _draw_threshold(bars, heights, diagnosis.baseline.chi2, shown)
-    bars.axvline(0, color=style.GREY, lw=0.9)
-    if diagnosis.pairs and diagnosis.candidates:
+    _draw_probabilities(chances, places, rows)
+    threshold = _draw_threshold(bars, edges, diagnosis.baseline.chi2, rows)
+    _draw_gains(bars, places, rows)
+    if singles and pairs:
         for axes in (chances, bars, beside):
-            axes.axhline(len(diagnosis.candidates), color=style.GREY, lw=0.9, ls=":")
-    chances.set_yticks(places, names, fontsize=10, parse_math=False)
-    for tick, candidate in zip(chances.get_yticklabels(), shown, strict=True):
-        tick.set_fontweight("bold" if candidate in leading else "normal")
-    chances.set_ylim(heights.sum() + 0.1, -0.1)
-    bars.set_xlabel("fall of χ² when the effect is added")
-    style.open_axes(bars, "x")
+            axes.axhline(edges[len(singles)], color=style.GREY, lw=0.9, ls=":")
+    chances.set_yticks(places, [row.name for row in rows], fontsize=10, parse_math=False)
+    for tick, row in zip(chances.get_yticklabels(), rows, strict=True):
+        tick.set_fontweight(row.weight)
+    chances.set_ylim(edges[-1] + 0.1, -0.1)
     for axes in (chances, bars):
         axes.tick_params(axis="y", length=0)
     bars.tick_params(axis="y", labelleft=False)
     beside.set_axis_off()
     beside.set_xlim(0, sum(widths))
-    for (title, *column), left in zip(table, np.cumsum([0.1, *widths[:-1]]), strict=True):
+    for (title, *column), left in zip(columns, np.cumsum([0.1, *widths[:-1]]), strict=True):
         beside.text(left, -0.2, title, fontsize=9.5, weight="bold", va="bottom")
-        for place, candidate, text in zip(places, shown, column, strict=True):
+        for place, row, text in zip(places, rows, column, strict=True):
             beside.text(
-                left, place, text, fontsize=9.5, va="center", parse_math=False,
-                weight="bold" if candidate in leading else "normal",
+                left, place, text, fontsize=9.5, va="center", parse_math=False, weight=row.weight
             )  # fmt: skip
-    style.legend_of(figure, _handles(leading, threshold), "lower left", 2 if brief else 4)
+    leading = [row for row in rows if row.leading]
+    style.legend_of(figure, _handles(len(leading), threshold), "lower left", 2 if brief else 4)
     _title_ranking(figure, diagnosis)
     return style.Drawing(figure, *numbers)
 
 
-def _draw_probabilities(
-    axes: Axes,
-    places: np.ndarray,
-    shown: Sequence[Candidate],
-    leading: Sequence[Candidate],
-    known: Mapping[str, float],
-) -> None:
+_BESIDE = "p of the fit", "fitted size", "in words"
+
+
+def _beside(row: _Row, brief: bool) -> tuple[str, ...]:
+    """What stands beside a row's bars."""
+    one = row.candidate
+    texts = (
+        ("", "", "") if one is None
+        else (p_text(one.p_value), size_text(one, "\n"), plausibility(one))
+    )  # fmt: skip
+    return texts[:1] if brief else texts
+
+
+def _draw_probabilities(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
     """How likely each is, in words beside its bar."""
-    for place, candidate in zip(places, shown, strict=True):
-        p = known.get(candidate.effect)
+    for place, row in zip(places, rows, strict=True):
+        p = row.probability
         if p is None:
             continue
-        colour = style.DARK if candidate in leading else _OTHERS
-        axes.barh(place, 100 * p, height=0.62, color=colour, edgecolor=style.DARK, lw=0.8)
+        axes.barh(place, 100 * p, height=0.62, color=row.colour, edgecolor=style.DARK, lw=0.8)
         axes.annotate(
             probability(p), (100 * p, place), (4, 0), textcoords="offset points", va="center",
-            fontsize=9.5, weight="bold" if candidate in leading else "normal",
+            fontsize=9.5, weight=row.weight,
         )  # fmt: skip
     axes.set_xlim(0, 135)
     axes.set_xticks([0, 50, 100])
@@ -162,14 +215,40 @@ def _draw_probabilities(
     style.open_axes(axes, "x")
 
 
+def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
+    """Bars of gains; those of losses that would leave no room end at the axis, with their value."""
+    tried = [(place, row, row.candidate) for place, row in zip(places, rows, strict=True)]
+    gains = [one.delta_chi2 + one.delta_chi2_sigma for _, _, one in tried if one is not None]
+    right = 1.08 * max(*gains, axes.dataLim.x1 if axes.lines else 0.0, _LEAST_GAIN)
+    left = -_LOSSES * right
+    for place, row, one in tried:
+        if one is None:
+            continue
+        ends = one.delta_chi2 - one.delta_chi2_sigma < left
+        axes.barh(
+            place, max(one.delta_chi2, left), height=0.62, color=row.colour, edgecolor=style.DARK,
+            lw=0.8, xerr=None if ends else one.delta_chi2_sigma,
+            error_kw={"ecolor": style.WARM, "capsize": 3, "lw": 1.5},
+        )  # fmt: skip
+        if ends:
+            axes.annotate(
+                f"◂ {number(one.delta_chi2)}", (left, place), (4, 0), textcoords="offset points",
+                va="center", fontsize=9.5,
+            )  # fmt: skip
+    lowest = min(one.delta_chi2 - one.delta_chi2_sigma for _, _, one in tried if one is not None)
+    axes.set_xlim(max(left, 1.08 * min(lowest, 0.0)), right)
+    axes.axvline(0, color=style.GREY, lw=0.9)
+    axes.set_xlabel("fall of χ² when the effect is added")
+    style.open_axes(axes, "x")
+
+
 def _title_ranking(figure: Figure, diagnosis: Diagnosis) -> None:
     baseline = diagnosis.baseline
     title = (
         f"{short_headline(diagnosis)}; without any effect χ² = {number(baseline.chi2)}, "
-        f"ndf {baseline.ndf}, p = {p_text(baseline.p_value)}"
+        f"ndf {baseline.ndf}, {p_equals(baseline.p_value)}"
     )
-    title = textwrap.fill(title, style.letters_across(figure))
-    figure.suptitle(title, x=0.01, ha="left", fontsize=11.5, weight="bold", parse_math=False)
+    style.entitle(figure, title)
 
 
 def _nothing_tried(diagnosis: Diagnosis) -> Figure:
@@ -180,10 +259,10 @@ def _nothing_tried(diagnosis: Diagnosis) -> Figure:
     return figure
 
 
-def _handles(leading: Sequence[Candidate], threshold: bool) -> list[Artist]:
+def _handles(leading: int, threshold: bool) -> list[Artist]:
     handles: list[Artist] = []
     if leading:
-        told = "leading: the data cannot tell these apart" if len(leading) > 1 else "leading"
+        told = "leading: the data cannot tell these apart" if leading > 1 else "leading"
         handles.append(Patch(facecolor=style.DARK, edgecolor=style.DARK, label=told))
     handles += [
         Patch(facecolor=_OTHERS, edgecolor=style.DARK, label="others" if leading else "effects"),
@@ -195,14 +274,16 @@ def _handles(leading: Sequence[Candidate], threshold: bool) -> list[Artist]:
     return handles
 
 
-def _draw_threshold(
-    axes: Axes, heights: np.ndarray, chi2: float, shown: Sequence[Candidate]
-) -> bool:
+def _draw_threshold(axes: Axes, edges: np.ndarray, chi2: float, rows: Sequence[_Row]) -> bool:
     """Gain with which a fit becomes acceptable; it depends on how many parameters are added."""
-    needed = [chi2 - float(chdtri(c.ndf, ACCEPTABLE_P)) if c.ndf > 0 else chi2 for c in shown]
+    tried = [row.candidate for row in rows]
+    needed = [
+        math.nan if one is None
+        else chi2 - (float(chdtri(one.ndf, ACCEPTABLE_P)) if one.ndf > 0 else 0.0)
+        for one in tried
+    ]  # fmt: skip
     if not any(gain > 0 for gain in needed):
         return False
-    edges = np.cumsum([0.0, *heights])
     axes.plot(
         np.repeat(needed, 2), np.repeat(edges, 2)[1:-1], color="black", ls="--", lw=1.4, zorder=4,
         path_effects=[withStroke(linewidth=3.4, foreground="white")],  # seen on dark bars too

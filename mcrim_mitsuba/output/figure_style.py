@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -37,6 +38,8 @@ GREY, PALE, _INK = "#4d4d4d", "0.87", "#222222"
 #: Decorates everything that draws.
 styled = rc_context({"font.size": 11})
 _DPI = 200
+#: In a line of a title; and most in a title of a user's own.
+_FEWEST_LETTERS, _MOST_LETTERS = 16, 300
 
 
 def canvas(width_inches: float = 7.2, height_inches: float = 5.0) -> Figure:
@@ -112,9 +115,17 @@ def shortened(name: str, most: int = 34) -> str:
     return f"{name[:head].rstrip()}…{name[head + 1 - most :].lstrip()}"
 
 
-def letters_across(figure: Figure) -> int:
-    """Of a title, so that it is not cut at the figure's end."""
-    return round(9.5 * figure.get_figwidth())
+def entitle(figure: Figure, words: str, weight: str = "bold") -> None:
+    """A title over a figure, in as many lines as keep it within the figure's width."""
+    lines = words.split("\n")
+    letters = max(map(len, lines))
+    while True:
+        text = "\n".join(textwrap.fill(line, letters) for line in lines)
+        look = {"fontsize": 11.5, "weight": weight, "parse_math": False}
+        made = figure.suptitle(text, x=0.01, ha="left", **look)
+        if made.get_window_extent().x1 <= figure.bbox.width or letters < _FEWEST_LETTERS:
+            return
+        letters = letters * 9 // 10
 
 
 def save(figure: Figure, path: str | Path) -> Path:
@@ -182,10 +193,8 @@ class Drawing:
     def entitled(self, title: str) -> Drawing:
         """The same with a title over it, and over what the figure says there itself."""
         own = self.figure.get_suptitle()
-        words = "\n".join(filter(None, (shortened(title, letters_across(self.figure)), own)))
-        weight = "normal" if "\n" in own else "bold"
-        look = {"fontsize": 11.5, "weight": weight, "parse_math": False}
-        self.figure.suptitle(words, x=0.01, ha="left", **look)
+        words = "\n".join(filter(None, (shortened(title, _MOST_LETTERS), own)))
+        entitle(self.figure, words, "normal" if "\n" in own else "bold")
         return self
 
     def save(self, path: str | Path) -> tuple[Path, Path]:

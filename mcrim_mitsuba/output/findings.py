@@ -15,6 +15,7 @@ from mcrim_mitsuba.core.rounding import (
     capital,
     counted,
     number,
+    p_equals,
     p_text,
     pdg,
     pdg_parts,
@@ -314,7 +315,7 @@ def suspicion(suspect: Suspect) -> str:
     """What may be wrong with readings, in a sentence."""
     gain = (
         f"chi2 falls by {number(suspect.delta_chi2)} to {number(suspect.chi2)} "
-        f"(ndf {suspect.ndf}, p = {p_text(suspect.p_value)})"
+        f"(ndf {suspect.ndf}, {p_equals(suspect.p_value)})"
     )
     chance = f"probability of as much by chance {p_text(suspect.p_gain)}"
     if suspect.kind == "swapped_rows":
@@ -350,7 +351,7 @@ def headline(diagnosis: Diagnosis) -> str:
     return (
         f"{short_headline(diagnosis)} ({together(best.effects)}: {size_text(best)}): chi2 "
         f"{number(diagnosis.baseline.chi2)} -> {number(best.chi2)} "
-        f"(ndf {best.ndf}, p = {p_text(best.p_value)})"
+        f"(ndf {best.ndf}, {p_equals(best.p_value)})"
     )
 
 
@@ -365,7 +366,7 @@ def quality(comparison: Comparison) -> str:
     spread = math.sqrt(2.0 * ndf)
     found = (
         f"chi2 = {chi2} where {ndf} ± {spread:.1f} is expected (ndf = {ndf}), "
-        f"p = {p_text(comparison.p_value)}: "
+        f"{p_equals(comparison.p_value)}: "
     )
     if comparison.p_value < ACCEPTABLE_P:
         return found + "the model does not describe the readings"
@@ -406,7 +407,7 @@ def trend_text(trend: Trend) -> str:
     if trend.p_value is None:
         return f"{found} (chi2 falls by {number(trend.delta_chi2)} without the trend)"
     clear = "a trend" if trend.p_value < 0.05 else "no clear trend"
-    return f"{found} ({clear}, p = {p_text(trend.p_value)})"
+    return f"{found} ({clear}, {p_equals(trend.p_value)})"
 
 
 def limit_text(limit: Limit) -> str:
@@ -430,7 +431,7 @@ def limit_text(limit: Limit) -> str:
 
 
 def bought(measurement: NextMeasurement) -> tuple[str, str, str]:
-    """Hours, the light yield's relative error then, and the likeliest explanation's probability."""
+    """In words: hours, the light yield's relative error then, the likeliest's probability."""
     error = measurement.light_yield_sigma
     return (
         f"{measurement.hours:.2g} h",
@@ -690,8 +691,12 @@ NAMES = {
 }
 #: What has no name, in words.
 IN_NO_CATALOGUE = "something that is in no catalogue"
+#: What has a probability beside effects and readings that are wrong, in words.
+NO_EFFECTS = {UNKNOWN: IN_NO_CATALOGUE, NOTHING_MISSING: "nothing missing"}
 #: Leading effects that are named in a sentence and explained; tables have all.
 MOST_NAMED = 4
+#: Effects and pairs of them that a table or figure shows, besides the leading ones.
+MOST_EFFECTS, MOST_PAIRS = 12, 6
 _REPEATING_LOWERS = ("statistical", "monte_carlo")
 #: Part of an error that is not worth a digit.
 _NOTHING = 1e-3
@@ -817,12 +822,12 @@ def trust(diagnosis: Diagnosis, calibration: Calibration, effects: tuple[str, ..
     of_hundred = f"{100 * p_value:.0f}" if p_value >= 0.015 else "1"
     told = (
         f"If the model is right, readings disagree with it this much or more in "
-        f"{of_hundred} of 100 campaigns ({fit}, p = {p_text(p_value)}): nothing in them "
+        f"{of_hundred} of 100 campaigns ({fit}, {p_equals(p_value)}): nothing in them "
         "speaks against it."
     )
     if p_value > 1.0 - ACCEPTABLE_P / 10:
         told = (
-            f"The readings agree better than their errors allow ({fit}, p = {p_text(p_value)}): "
+            f"The readings agree better than their errors allow ({fit}, {p_equals(p_value)}): "
             "these may be too large."
         )
     if diagnosis.verdict == AMBIGUOUS and effects:

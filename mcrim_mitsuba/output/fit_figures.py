@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from mcrim_mitsuba.core.rounding import number, p_text, pdg
+from mcrim_mitsuba.core.rounding import number, p_equals, pdg
 from mcrim_mitsuba.inference.compare import Comparison, Suspect
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
@@ -214,7 +214,7 @@ def _draw_pulls(axes: Axes, places: np.ndarray, series: Sequence[_Series]) -> No
         # an exact fit's chi2 is rounding
         label = f"{name}: χ² = {number(round(fit.chi2, 6))}, ndf {fit.ndf}"
         if fit.p_value is not None:
-            label += f", p = {p_text(fit.p_value)}"
+            label += f", {p_equals(fit.p_value)}"
         handles.append(Line2D([], [], label=label, **look))
     axes.set_ylim(-extent, extent)
     axes.yaxis.set_major_locator(MaxNLocator(7, integer=True))

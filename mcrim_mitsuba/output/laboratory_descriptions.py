@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from mcrim_mitsuba.core.rounding import number, p_text, pdg
+from mcrim_mitsuba.core.rounding import number, p_equals, p_text, pdg
 from mcrim_mitsuba.output.described import (
     Cell,
     Column,
@@ -194,7 +194,7 @@ def of_peaks(
         parts.append(Sentence(
             f"its error from their scatter {combined.scatter_sigma:.2g}, from the fits "
             f"{combined.internal_sigma:.2g}; chi2 = {number(combined.chi2)}, ndf = {combined.ndf}, "
-            f"p = {p_text(combined.p_value)}"
+            f"{p_equals(combined.p_value)}"
             + ("" if combined.consistent else "; the set is inconsistent")
         ))  # fmt: skip
     said = list(notes)
@@ -372,7 +372,7 @@ def of_yields(
         contributions_table("error budget", budgets),
     ]
     if together.p_value is not None:
-        numbers = f"chi2 = {together.chi2:.2g}, ndf = {together.ndf}, p = {together.p_value:.2g}"
+        numbers = f"chi2 = {together.chi2:.2g}, ndf = {together.ndf}, {p_equals(together.p_value)}"
         agree = together.p_value >= _LEAST_P_VALUE
         parts.append(Sentence(
             f"The couplings {'agree' if agree else 'DISAGREE'}: {numbers} (errors that they share "

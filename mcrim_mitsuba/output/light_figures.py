@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import Value, titled
+from mcrim_mitsuba.core.numbers import Value, said, titled
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.arrival_times import ArrivalTimes
 from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
@@ -475,9 +475,9 @@ def draw_table(made: EtaTable) -> style.Drawing:
     at = values if numbers else range(len(values))
     combinations = product(*(made.axes[name] for name in others))
     for line, combination in enumerate(combinations):
-        said = ", ".join(f"{titled(n)} {v}" for n, v in zip(others, combination, strict=True))
         axes.errorbar(
-            at, etas[line], sigmas[line], label=said, marker=_MARKERS[line], ms=5, lw=1.2,
+            at, etas[line], sigmas[line], label=", ".join(map(said, others, combination)),
+            marker=_MARKERS[line], ms=5, lw=1.2,
             color=str(0.75 * line / lines) if lines > 4 else _COLOURS[line],
         )  # fmt: skip
     if not numbers:

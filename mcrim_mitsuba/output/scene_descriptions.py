@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mcrim_mitsuba.core.numbers import titled
-from mcrim_mitsuba.core.rounding import counted, pdg
+from mcrim_mitsuba.core.rounding import counted, p_equals, pdg
 from mcrim_mitsuba.output.described import (
     Cell,
     Column,
@@ -201,10 +201,11 @@ def of_table(
     parts: tuple[Table, ...] = ()
     if not written:
         rows = (
-            [Cell(f"{v:.5g}" if isinstance(v, float) else str(v), v) for v in one.values()]
-            for one in made.rows
-        )
-        parts = (table("", made.columns, rows),)
+            (*(Cell(f"{v:.5g}" if isinstance(v, float) else str(v), v) for v in at),
+             measured(eta, sigma))
+            for *at, eta, sigma in (one.values() for one in made.rows)
+        )  # fmt: skip
+        parts = (table("", (*made.axes, "eta"), rows),)
     spent = (
         f"{made.eta.size} points{f' written to {written}' if written else ''}: "
         + (
@@ -277,7 +278,7 @@ def of_crosscheck(found: Crosscheck) -> Described:
     )  # fmt: skip
     agreement = (
         f"the {'three' if is_solved else 'two'} {'agree' if found.agrees else 'DISAGREE'}: "
-        f"family-wise p = {found.family_p_value:.3g}, tested at {FAMILY_LEVEL:g}; "
+        f"family-wise {p_equals(found.family_p_value)}, tested at {FAMILY_LEVEL:g}; "
         f"{found.mitsuba_photons:,} and {found.numpy_photons:,} photons"
     )
     parts = (table("", columns, rows), Sentence(agreement))

@@ -118,11 +118,11 @@ class FlatPath:
         As of `surface_physics.SurfaceTables`.
     """
 
-    name = "flat faces in registers"
+    name = "fast path for flat faces"
 
     def __init__(self, model: SceneModel, polarization: bool) -> None:
         if any(wall.outwards for wall in model.walls):
-            self.name = "flat and round faces in registers"
+            self.name = "fast path for flat and round faces"
         self.model = model
         self.polarization = polarization
         faces = model.flat_faces

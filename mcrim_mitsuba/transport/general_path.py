@@ -63,7 +63,7 @@ class GeneralPath:
     """
 
     #: What reports call this path; a scene whose flat faces need no tracing has its own name.
-    name = "any shape, by Mitsuba's ray_intersect"
+    name = "Mitsuba for all shapes"
 
     def __init__(self, model: SceneModel, polarization: bool, *, trace_all: bool = False) -> None:
         self.model = model
@@ -78,7 +78,7 @@ class GeneralPath:
         self._flat = None
         self._scene = model.scene
         if faces:
-            self.name = "flat faces in registers, other shapes by Mitsuba's ray_intersect"
+            self.name = "fast path for flat faces, Mitsuba for other shapes"
             registers = replace(model, flat_faces=faces, walls=walls, curved=())
             self._flat = FlatPath(registers, polarization)
             self._scene = _scene_of([model.shapes[number] for number in self.traced])

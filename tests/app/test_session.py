@@ -148,7 +148,7 @@ def test_other_configurations_are_simulated(files):
         session.drop_reading(0)
         wait(session)
         found = fitted(session)
-        assert session.state.steps[-1].words == "without air, gel hole 4 at mask radius 5.5"
+        assert session.state.steps[-1].words == "without air, gel hole 4 at mask radius 5.5 mm"
         assert [row.label for row in found.rows][-1] == "gel hole 4 (2)"
         session.compare_with(session.state.steps[0].number)
         assert "Pulls of both" in layout.state(session, -1)["parts"]["fitted"]
@@ -174,7 +174,7 @@ def test_other_configurations_are_simulated(files):
         session.take_session(*file)
         wait(session)
         again = session.state.steps[-1]
-        assert again.words == "without air, gel hole 4 at mask radius 5.5"
+        assert again.words == "without air, gel hole 4 at mask radius 5.5 mm"
         assert again.calibration.chi2 == pytest.approx(found.chi2, rel=1e-4)
         assert len(session.show(session.state.settings).rows) == 4
 

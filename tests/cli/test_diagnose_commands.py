@@ -14,6 +14,7 @@ import pytest
 from places import SCENES
 
 from mcrim_mitsuba.cli.options import FURTHER_PHOTONS, PHOTONS
+from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR
 from mcrim_mitsuba.inference import compare as comparing
 from mcrim_mitsuba.inference import diagnose as diagnosing
@@ -410,6 +411,7 @@ def test_figures_come_with_their_numbers(mcrim, campaign, found):
     ranked = tables["diagnose"]
     assert [(row["effect"], row["leading"]) for row in ranked] == [
         (by.FIRST, "1"), (by.SECOND, "0"), ("gap_absorption", "0"), (by.OFF, "0"),
+        ("none", "0"),
     ]  # fmt: skip
     assert (ranked[0]["value"], ranked[0]["mimics"], ranked[3]["value"]) == (
         "0.0123",
@@ -456,6 +458,113 @@ def test_labels_of_figures_do_not_overlap():
     # slanted names: their boxes overlap, their lines must not
     labels = [axes.get_xticklabels() for axes in figure.axes[-2:]]
     assert all(label.get_rotation() == 25 for group in labels for label in group)
+
+
+def test_a_hopeless_effect_hides_no_other_and_what_has_no_name_has_a_row():
+    hopeless = by.candidate((by.OFF,), -480.0, {})
+    found = by.diagnosis(
+        "ambiguous", candidates=(*by.CANDIDATES[:3], hopeless),
+        probabilities={by.FIRST: 0.7, "unknown": 0.2, by.SECOND: 0.0995, "none": 0.0005},
+    )  # fmt: skip
+    drawing = draw_ranking(found)
+    chances, gains, beside = drawing.figure.axes
+    left, right = gains.get_xlim()
+    assert 55 < right < 70 and -right < left < 0
+    assert [text.get_text() for text in gains.texts] == ["◂ -480"]
+    assert overlap([*gains.texts, *chances.texts, *beside.texts], drawing.figure) == []
+    # the second likeliest; what is as good as impossible has none
+    names = [label.get_text() for label in chances.get_yticklabels()]
+    assert names[1] == "Something that is in no catalogue" and len(names) == 5
+    assert [one.get_text() for one in chances.texts] == ["70 %", "20 %", "10 %"]
+    assert {row[0]: row[2] for row in drawing.rows}["unknown"] == 0.2
+    assert {len(row) for row in drawing.rows} == {len(drawing.columns)}
+
+
+@pytest.mark.parametrize("brief", [True, False])
+def test_titles_are_whole_and_within_their_figure(brief):
+    title = "WEIGHT " * 30 + "END"
+    figure = draw_ranking(by.diagnosis("missing_effect"), brief=brief).entitled(title).figure
+    figure.draw_without_rendering()
+    assert figure.bbox.width > figure._suptitle.get_window_extent().x1
+    assert figure.get_suptitle().replace("\n", " ").startswith(f"{title} Absorbing crystal")
+
+
+def test_frames_hold_numbers():
+    """Texts are for people: a data frame has values, errors and names with units."""
+    found = Diagnosed(
+        by.calibration(), by.diagnosis("adequate", pairs=(by.PAIR,)), by.PROVENANCE
+    )  # fmt: skip
+    tables = descriptions.of_diagnosis(found).tables
+    numbers = [
+        "probability", "size", "size_sigma", "light_yield_ph_per_keV",
+        "light_yield_ph_per_keV_sigma", "delta_chi2", "delta_chi2_sigma", "p_value",
+        "left_out_error",
+    ]  # fmt: skip
+    effects = tables["effects, each added alone"].frame()
+    assert [name for name in effects if effects[name].dtype == float] == numbers
+    assert list(effects.columns.difference(numbers)) == [
+        "effect", "parameter", "plausibility", "title"
+    ]  # fmt: skip
+    first, _, at_bound, switched = (row for _, row in effects.iterrows())
+    assert (first["effect"], first["parameter"]) == (by.FIRST, "surface_loss")
+    assert (first["size"], first["size_sigma"]) == (0.0123, 0.0008)
+    # no error at a bound, no size without a parameter
+    assert at_bound["size"] == 20 and math.isnan(at_bound["size_sigma"])
+    assert math.isnan(switched["size"])
+    pairs = tables["the best pairs of effects"].frame()
+    assert list(pairs["parameter"]) == list(by.SIZES) and list(pairs["size"]) == [0.01, 0.1]
+    limits = tables["what the readings allow, 95 % confidence"].frame().set_index("effect")
+    assert limits.loc["gap_index", ["lower", "upper"]].tolist() == [-0.02, 0.031]
+    assert bool(limits.loc[by.OFF, "excluded"])
+    further = Diagnosed(by.calibration(), by.diagnosis("ambiguous"), by.PROVENANCE)
+    following = descriptions.of_diagnosis(further).tables["what to measure next"].frame()
+    assert following.loc[0, ["hours", "light_yield_sigma", "probability"]].tolist() == [
+        1.0, 0.083, 0.94
+    ]  # fmt: skip
+    steps = descriptions.steps_table(by.STEPS).frame()
+    assert list(steps.columns) == [
+        "added", "chi2", "ndf", "chi2_per_ndf", "p_value", "rms_pull", "left_out_error",
+        "light_yield_ph_per_keV", "light_yield_ph_per_keV_sigma", "alpha_scat_per_cm",
+        "alpha_scat_per_cm_sigma",
+    ]  # fmt: skip
+    assert all(steps.drop(columns="added").dtypes.map(lambda each: each.kind in "if"))
+    assert steps.loc[1, "added"] == by.FIRST and steps.loc[1, "alpha_scat_per_cm"] == 0.543
+
+
+def test_what_matters_is_shown_and_the_rest_is_counted():
+    effects = [name for name in by.TITLES if name != by.FIRST][:30]
+    # what leads is shown wherever it stands
+    many = (
+        *(by.candidate((name,), 1.0, {}) for name in effects),
+        by.CANDIDATES[0],
+    )
+    limits = dict.fromkeys((*effects, by.FIRST), by.diagnosis("adequate").upper_limits[by.OFF])
+    of_all = by.diagnosis("missing_effect", candidates=many, upper_limits=limits)
+    shown = descriptions.of_diagnosis(Diagnosed(by.calibration(), of_all, by.PROVENANCE))
+    text = described.text(shown, 100)
+    (more,) = {line for line in text.split("\n") if line.startswith("and ")}
+    assert more.startswith("and 18 more, less likely than these: the file of --json has all 31")
+    assert text.count("and 18 more") == 2
+    for name in ("effects, each added alone", "what the readings allow, 95 % confidence"):
+        assert len(shown.tables[name].frame()) == 31 and len(shown.tables[name].seen.rows) == 13
+    # where a table goes on, its words have the room that is there
+    on = text.partition("each added alone, continued")[2].partition("└")[0]
+    for name in (effects[3], by.FIRST):
+        assert findings.capital(by.TITLES[name]) in on and name in on
+
+
+def test_a_tiny_p_value_is_below_and_equals_nothing():
+    assert p_equals(0.0) == "p < 1e-99" and p_equals(0.0123) == "p = 0.012"
+    assert p_equals(None) == "no p-value"
+    never = by.comparison(p_value=0.0)
+    of_never = by.diagnosis("unexplained", baseline=never)
+    told = [
+        findings.quality(never), descriptions.step_text(replace(by.STEPS[0], p_value=0.0)),
+        draw_ranking(of_never).figure.get_suptitle(),
+        findings.trust(of_never, replace(by.calibration(), p_value=0.0), ()),
+        findings.suspicion(replace(by.BAD, p_value=0.0)),
+    ]  # fmt: skip
+    assert not [text for text in told if "= <" in text]
 
 
 def side_by_side() -> HypothesesCompared:

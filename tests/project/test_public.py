@@ -10,6 +10,7 @@ import pytest
 from places import SCENES
 
 import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.transport.llvm import ENVIRONMENT_VARIABLE, selected_llvm
 
 BENCH = SCENES / "camoo4.xml"
@@ -93,7 +94,13 @@ def test_any_parameter_is_an_axis():
     assert np.isclose(there.eta, row["eta"], rtol=0.02)
     assert len(table.rows) == len(table.to_dataframe()) == 12
     labels = [line.get_label() for line in table.plot().axes[0].containers]
-    assert labels[0] == "gap (mm) 0.02, gap index 1.0"
+    assert labels[0] == "gap 0.02 mm, gap index 1"
+    # the error beside its value, rounded by it; numbers keep columns of their own
+    (shown,) = table.described.tables.values()
+    assert [column.title for column in shown.columns] == [*axes, "eta"]
+    first = table.rows[0]
+    assert shown.rows[0].cells[-1].text == pdg(first["eta"], first["eta_sigma"])
+    assert list(table.to_dataframe()) == [*axes, "eta", "eta_sigma"]
     with pytest.raises(mcrim.InputError, match=r"no parameter gap_m.*did you mean gap_mm"):
         mcrim.table(BENCH, gap_m=[0.1])
 

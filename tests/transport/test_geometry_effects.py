@@ -214,7 +214,7 @@ def test_scenes_with_effects_are_sound(write, effects, overrides, n_gap):
     assert sides["crystal_bottom"] == (2.01, n_gap)
     assert sides["gap_top_rim"] == (n_gap, 1.0)
     assert sides.get("crystal_bottom_bubble", (2.01, 1.0)) == (2.01, 1.0)
-    assert "transport: flat faces in registers" in report.words
+    assert "transport: fast path for flat faces" in report.words
 
 
 POLISH = '<bsdf type="polish" id="{}"><float name="int_offset" value="0.02"/>'
@@ -323,7 +323,7 @@ def test_both_paths_follow_light_alike(write, effects, overrides):
     """Mitsuba asks faces for their bounds, the fast path planes: what comes out agrees."""
     simulation = loaded(write(*effects), **overrides)
     fast = simulation.collect(400_000, seed=3)
-    assert fast.transport == "flat faces in registers"
+    assert fast.transport == "fast path for flat faces"
     assert fast.budget["lost"] == 0
     traced = simulation.collect(150_000, seed=4, general=True)
     assert traced.budget["lost"] < 1e-5

@@ -188,7 +188,7 @@ def test_a_turned_bench_is_the_same_bench(scenes, tmp_path, polarization):
     numbers = {"n_gap": 1.46, "polarization": polarization}
     bench = simulation(tmp_path, turned_bench(scenes), numbers)
     fast = bench.collect(600_000, seed=7)
-    assert fast.transport == "flat faces in registers"
+    assert fast.transport == "fast path for flat faces"
     reference = trace(Bench.from_parameters(numbers | {"aperture_radius_mm": 400}), 200_000, 8)
     assert_same_light(fast, reference, z_max=Z)
     assert_same_light(fast, bench.collect(200_000, seed=9, general=True), z_max=Z)
@@ -199,7 +199,7 @@ def test_a_cube_with_cut_edges_by_either_path_and_in_any_number_of_triangles(tmp
     numbers = {"n": 1.8, "alpha_abs_per_cm": 0.1, "alpha_scat_per_cm": 0.3, "polarization": True}
     coarse = simulation(tmp_path, cut_cube(tmp_path), numbers)
     fast = coarse.collect(600_000, seed=10)
-    assert fast.transport == "flat faces in registers"
+    assert fast.transport == "fast path for flat faces"
     assert any(face.triangle for face in coarse.model.faces)
     traced = coarse.collect(300_000, seed=11, general=True)
     assert_same_light(fast, traced, z_max=Z)
@@ -246,7 +246,7 @@ def test_a_bsdf_of_mitsubas_own_on_a_flat_face_is_asked(scenes, tmp_path):
         1,
     )
     rough = simulation(tmp_path, text[:top] + face).collect(300_000, seed=13)
-    assert "registers" in rough.transport and "ray_intersect" in rough.transport
+    assert rough.transport == "fast path for flat faces, Mitsuba for other shapes"
     smooth = Simulation(scenes / "camoo4.xml").collect(600_000, seed=14)
     assert rough.budget.pop("absorbed_surface") < 1e-3
     assert_same_fates(rough, smooth, z_max=Z)

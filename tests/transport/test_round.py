@@ -24,7 +24,7 @@ from mcrim_mitsuba.transport.form import form_of
 from mcrim_mitsuba.transport.simulation import Simulation
 
 Z = 3.5
-IN_REGISTERS = "flat and round faces in registers"
+IN_REGISTERS = "fast path for flat and round faces"
 
 ROD = """<scene version="3.0.0">
   <default name="n" value="2.01"/>
@@ -106,9 +106,10 @@ def test_a_standing_cylinder_as_the_numpy_tracer_has_it(scenes, n_gap):
     ("name", "form", "transport"),
     [
         ("cylinder", "cylinder of 10 mm diameter, 10 mm high", IN_REGISTERS),
-        ("hexagonal", "hexagonal prism, 10 mm across flats, 10 mm high", "flat faces in registers"),
+        ("hexagonal", "hexagonal prism, 10 mm across flats, 10 mm high",
+         "fast path for flat faces"),
         ("pyramid", "cut square pyramid, 10 mm wide below and 6 mm above, 10 mm high",
-         "flat faces in registers"),
+         "fast path for flat faces"),
     ],
 )  # fmt: skip
 def test_mitsubas_own_intersections_agree(scenes, name, form, transport):
