@@ -15,7 +15,7 @@ from mcrim_mitsuba.efficiency.eta_map import map_eta, read_map
 from mcrim_mitsuba.efficiency.simulate import collect
 from mcrim_mitsuba.output.result_writing import netcdf_bytes
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.transport.scene_model import opaque_vector
+from mcrim_mitsuba.transport.conversion import opaque_vector
 from mcrim_mitsuba.transport.simulation import Simulation
 
 BENCH = SCENES / "camoo4.xml"
