@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+from markupsafe import Markup
 
 from mcrim_mitsuba.app.bench_picture import bench_picture, bench_words
 from mcrim_mitsuba.app.session import Session
@@ -46,6 +47,7 @@ from mcrim_mitsuba.output.findings import (
     signal_text,
     size_text,
     suspicion,
+    title_of,
     together,
 )
 
@@ -307,10 +309,11 @@ def _fits_panel(session: Session) -> str:
     if not now.steps:
         return ""
     last, beside = now.steps[-1], now.beside
+    fixed = last.calibration.fixed.items()
     return _TEMPLATES.get_template("fits.html").render(
         steps=[_listed(session, step) for step in now.steps], compared=beside.number,
         last=_listed(session, last), parameters=_parameters(last.calibration.parameters),
-        held=[f"{n} = {v:.4g}" for n, v in last.calibration.fixed.items()],
+        held=[f"{title_of(n)} = {v:.4g}" for n, v in fixed],
         notes=last.calibration.notes,
         beside=None if beside is last else _side_by_side(session, beside, last),
     )  # fmt: skip
@@ -329,14 +332,20 @@ def _listed(session: Session, step: FitStep) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _titled(name: str) -> str:
+    """A parameter in words, and its name in small print where that is another."""
+    title = title_of(name)
+    return title if title == name else Markup("{} <small>{}</small>").format(title, name)
+
+
 def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[tuple[str, str, str, str]]:
-    """Name, value with the whole error, what repeating lowers of it, and the rest."""
+    """What it is, value with the whole error, what repeating lowers of it, and the rest."""
     found = []
     for name, known in parameters.items():
         apart = ("", "")
         if known.at_bound is None and known.contributions:
             apart = tuple(number(part, 2) for part in errors_apart(known))  # type: ignore[assignment]
-        found.append((name, estimate_text(known), *apart))
+        found.append((_titled(name), estimate_text(known), *apart))
     return found
 
 
@@ -355,7 +364,7 @@ def _side_by_side(session: Session, first: FitStep, second: FitStep) -> dict[str
             known = fit.parameters.get(name)
             held = f"{fit.fixed[name]:.4g}, {HELD}" if name in fit.fixed else "-"
             cells.append(held if known is None else estimate_text(known))
-        rows.append((name, *cells))
+        rows.append((_titled(name), *cells))
     by_label = [{row.label: f"{row.pull:+.2f}" for row in fit.rows} for fit in both]
     labels = dict.fromkeys(label for each in by_label for label in each)
     pulls = [(label, *(each.get(label, "-") for each in by_label)) for label in labels]

@@ -266,7 +266,7 @@ def difference(
     first: Campaign, campaign: Campaign, settings: Settings, known: Mapping[str, Known],
     controls: Iterable[Control],
 ) -> str:  # fmt: skip
-    """What was changed besides effects, in words: ``without air, alpha scat held at 0.5``.
+    """What was changed besides effects, in words: ``without air, scattering held at 0.5``.
 
     Of a campaign since it was the `first`, and of what its `controls` said of parameters.
     """

@@ -287,7 +287,7 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(
         )
         app.tab_to("#fit")
         app.press(KEYS["enter"])
-        browser.wait_for(lambda: "held: alpha_scat_per_cm" in browser.text("#fitted"), "fit")
+        browser.wait_for(lambda: "held: scattering (1/cm)" in browser.text("#fitted"), "fit")
         app.settled()
         if size[0] == 390:  # the numbers that a slider moves are in sight beside it
             app.tab_to(".control[data-name=alpha_abs_per_cm] input[type=range]")

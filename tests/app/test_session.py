@@ -189,7 +189,7 @@ def test_parameters_are_held_or_known(files):
         shown = session.show(session.state.settings)
         assert (shown.chi2, shown.ndf) == (pytest.approx(found.chi2, rel=1e-5), found.ndf)
         assert session.state.steps[-1].words == (
-            "alpha scat known to be 0.4 ± 0.01, alpha abs held at 0.05"
+            "scattering known to be 0.4 ± 0.01, absorption held at 0.05"
         )
         session.offer("campaign", session.state.settings)
         wait(session)
@@ -237,7 +237,13 @@ def test_fits_are_kept_compared_removed_and_undone(files):
         step, shown = session.shown_beside()
         assert step.number == two and not shown.rows[15].use  # beside the readings as they are now
         panel = layout.state(session, -1)["parts"]["fitted"]
-        assert "Two hypotheses side by side" in panel and "bubble_fraction" in panel
+        assert "Two hypotheses side by side" in panel
+        for words in (  # those of the command's tables
+            "scattering (1/cm) <small>alpha_scat_per_cm</small>",
+            "bubble fraction <small>bubble_fraction</small>",
+        ):
+            assert words in panel
+        assert 'title="alpha_scat_per_cm">scattering (1/cm)</label>' in layout.page(session)
 
         session.show_step(two)  # with the readings that it had
         assert session.state.campaign.measurements.readings[15].use
