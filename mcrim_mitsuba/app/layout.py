@@ -13,7 +13,7 @@ from markupsafe import Markup
 from mcrim_mitsuba.app.bench_picture import bench_picture, bench_words
 from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.app.state import HELD, Control, FitStep, Settings, Shown
-from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE, Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.files import plain
 from mcrim_mitsuba.core.numbers import titled
@@ -66,8 +66,14 @@ def _compound_id(kind: str, name: str) -> str:
     return json.dumps({"kind": kind, "name": name}, sort_keys=True, separators=(",", ":"))
 
 
+def _unbroken(said: Any) -> Any:
+    """A number stays on one line with its error."""
+    return said.replace(" ± ", "\xa0±\xa0") if isinstance(said, str) else said
+
+
 _TEMPLATES = jinja2.Environment(
     autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+    finalize=_unbroken,
     loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
 )  # fmt: skip
 _TEMPLATES.filters["capital"] = capital
@@ -80,6 +86,7 @@ def page(session: Session) -> str:
     return _TEMPLATES.get_template("page.html").render(
         session=session, campaign=campaign, range_text=range_text,
         columns=[(name, titled(name)) for name in campaign.measurements.columns],
+        kinds=(LIGHT, TRANSMITTANCE) if session.has_beams else (),
         merits={"chi2": "χ²", "p-value": "p", "light-yield": _light_title(session),
                 "averaged": "averaged over models"},
     )  # fmt: skip
@@ -126,7 +133,7 @@ def state(session: Session, known: int) -> dict[str, Any]:
     told |= {
         "settings": {**settings.to_json(), "known": session.bench.known(settings)},
         "readings": [
-            {"label": r.label, "signal": r.signal, "sigma": r.sigma, "use": r.use,
+            {"label": r.label, "signal": r.signal, "sigma": r.sigma, "use": r.use, KIND: r.kind,
              **{name: r.parameters.get(name, "") for name in now.campaign.measurements.columns}}
             for r in now.campaign.measurements.readings
         ],

@@ -106,6 +106,12 @@ class Session:
                 self.state = replace(self.state, settings=settings)
             return self.state.settings
 
+    @property
+    def has_beams(self) -> bool:
+        """Whether transmittances are, or were, among the readings."""
+        each = (self._opened, self.state.campaign)
+        return any(one.of_beam for campaign in each for one in campaign.measurements.readings)
+
     # ---- what the model says -----------------------------------------------------------------
 
     def show(self, settings: Settings) -> Shown | None:

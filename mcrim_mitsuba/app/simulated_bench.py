@@ -68,9 +68,9 @@ class SimulatedBench:
         self.controls = self._own_controls(campaign, largest_signal)
         # sliders are the bench's
         pairs = zip(configurations(campaign), readings, strict=True)
-        of_bench = [values for values, reading in pairs if not reading.of_beam]
-        scene = campaign.scene.parameters
-        known = (scene, of_bench or [scene], largest_signal)
+        own = campaign.values  # those of a beam too
+        of_bench = [own | values for values, reading in pairs if not reading.of_beam]
+        known = (own, of_bench or [own], largest_signal)
         #: Effects that can be switched on, with their controls.
         self.effects = {
             name: (effect, tuple(effect_control(one, *known) for one in effect.parameters))

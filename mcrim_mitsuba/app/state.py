@@ -283,6 +283,8 @@ def difference(
             said.append(f"with {label}")
         if old is None:
             continue
+        if old.kind != new.kind:
+            said.append(f"{label} as {new.kind}")
         if (old.signal, old.sigma) != (new.signal, new.sigma):
             said.append(f"{label} {new.signal:g} ± {new.sigma:g}")
         said += [

@@ -121,6 +121,43 @@ def test_readings_are_edited_in_the_table(files):
         assert (same.chi2, same.ndf) == (pytest.approx(found.chi2, rel=1e-5), found.ndf)
 
 
+def test_the_kind_of_a_reading_is_chosen_in_the_table(files, scenes):
+    folder, _ = files
+    text = (scenes / "camoo4_three.toml").read_text()
+    text = text.replace('"camoo4.xml"', f"'{scenes / 'camoo4.xml'}'").split("[beam]")
+    text = text[0] + "[parameters" + text[1].partition("[parameters")[2]
+    (folder / "three.toml").write_text(text)
+    table = (scenes / "camoo4_three.csv").read_text()
+    table = table.replace("signal,sigma,n_gap", "signal,sigma,n_gap,beam_axis")
+    table = table.replace("1.00\n", "1.00,\n").replace("1.46\n", "1.46,\n")
+    (folder / "camoo4_three.csv").write_text(table.replace("0.012,", "0.012,,z"))
+    with opened(folder / "three.toml", folder) as session:
+
+        def cells(place):
+            reading = layout.state(session, -1)["readings"][place]
+            return [reading[name] for name in ("kind", "n_gap", "beam_axis")]
+
+        assert '<select data-column="kind"' in layout.page(session)
+        assert [cells(0), cells(2)] == [["light", 1.0, ""], ["transmittance", "", "z"]]
+        for kind, said in (
+            ("transmittance", "^signal = 14.3 of a transmittance; give the fraction"),
+            ("dark", "^kind = 'dark' is neither light nor transmittance; write one"),
+        ):
+            with pytest.raises(InputError, match=said):
+                session.edit_reading(0, "kind", kind)
+        with session.lock:
+            session.edit_reading(2, "kind", "light")
+            assert cells(2) == ["light", 1.0, ""]
+            assert '<select data-column="kind"' in layout.page(session)  # the way back
+            session.edit_reading(2, "kind", "transmittance")
+            assert cells(2) == ["transmittance", "", "x"]
+            session.edit_reading(2, "kind", "light")
+        wait(session)
+        found = fitted(session)
+        assert session.state.steps[-1].words == "transmittance as light"
+        assert [row.of_beam for row in found.rows] == [False] * 3
+
+
 def test_other_configurations_are_simulated(files):
     folder, text = files
     lines = (folder / "camoo4_misfit.csv").read_text().splitlines()
@@ -237,7 +274,7 @@ def test_fits_are_kept_compared_removed_and_undone(files):
         step, shown = session.shown_beside()
         assert step.number == two and not shown.rows[15].use  # beside the readings as they are now
         panel = layout.state(session, -1)["parts"]["fitted"]
-        assert "Two hypotheses side by side" in panel
+        assert "Two hypotheses side by side" in panel and " ± " not in panel  # on one line
         for words in (  # those of the command's tables
             "scattering (1/cm) <small>alpha_scat_per_cm</small>",
             "bubble fraction <small>bubble_fraction</small>",

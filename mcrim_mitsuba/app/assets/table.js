@@ -29,7 +29,7 @@ export function showReadings(readings, force) {
       field.title = `${field.dataset.says} ${reading.label}`;
       field.setAttribute("aria-label", field.title);
     }
-    for (const field of row.querySelectorAll("input")) {
+    for (const field of row.querySelectorAll("input, select")) {
       const value = reading[field.dataset.column];
       if (field.type === "checkbox") {
         field.checked = value;
@@ -63,7 +63,7 @@ export function cellText(field) {
   const { column } = field.dataset;
   const text = field.type === "checkbox" ? String(Number(field.checked)) : field.value.trim();
   const [number, problem] = read(text);
-  // an index may be that of a material
+  // an index may be that of a material, and kinds are words
   const isName = !["signal", "sigma"].includes(column) && /[a-z]/i.test(text);
   if (field.type === "checkbox" || column === "label" || (problem && isName)) {
     return [text, ""];
