@@ -13,7 +13,7 @@ from markupsafe import Markup
 from mcrim_mitsuba.app.bench_picture import bench_picture, bench_words
 from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.app.state import HELD, Control, FitStep, Settings, Shown
-from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE, Reading
+from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, SAMPLE, TRANSMITTANCE, Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.files import plain
 from mcrim_mitsuba.core.numbers import titled
@@ -83,10 +83,20 @@ _TEMPLATES.globals |= {"id_of": _compound_id, "steps": _SLIDER_STEPS}
 def page(session: Session) -> str:
     """The whole page, as the session is now."""
     campaign = session.state.campaign
+    columns = [(name, titled(name)) for name in campaign.measurements.columns]
+    choices: dict[str, tuple[str, ...]] = {}
+    if session.has_beams:
+        choices[KIND] = (LIGHT, TRANSMITTANCE)
+    if campaign.samples:
+        choices[SAMPLE] = ("", *campaign.samples)
+    heads = [
+        ("use", "use"), ("label", "reading"), *((name, name) for name in choices),
+        ("signal", "measured"), ("sigma", "± error"), *columns,
+        *(("", title) for title in ("model", "pull", "η", "")),
+    ]  # fmt: skip
     return _TEMPLATES.get_template("page.html").render(
         session=session, campaign=campaign, range_text=range_text,
-        columns=[(name, titled(name)) for name in campaign.measurements.columns],
-        kinds=(LIGHT, TRANSMITTANCE) if session.has_beams else (),
+        heads=heads, columns=columns, choices=choices,
         merits={"chi2": "χ²", "p-value": "p", "light-yield": _light_title(session),
                 "averaged": "averaged over models"},
     )  # fmt: skip
@@ -134,6 +144,7 @@ def state(session: Session, known: int) -> dict[str, Any]:
         "settings": {**settings.to_json(), "known": session.bench.known(settings)},
         "readings": [
             {"label": r.label, "signal": r.signal, "sigma": r.sigma, "use": r.use, KIND: r.kind,
+             SAMPLE: r.sample,
              **{name: r.parameters.get(name, "") for name in now.campaign.measurements.columns}}
             for r in now.campaign.measurements.readings
         ],

@@ -60,10 +60,6 @@ class Session:
         self._open(campaign)
 
     def _open(self, campaign: Campaign) -> None:
-        if campaign.samples:
-            problem = "the page shows one crystal, and the campaign has several samples"
-            mend = "mcrim calibrate, compare, diagnose, repair, budget and report take it"
-            raise InputError(problem, mend, path=campaign.path)
         # as it came, to the page or from a file
         self._opened = campaign
         self.bench = SimulatedBench(campaign, self._run)

@@ -158,6 +158,51 @@ def test_the_kind_of_a_reading_is_chosen_in_the_table(files, scenes):
         assert [row.of_beam for row in found.rows] == [False] * 3
 
 
+def test_samples_are_fitted_and_shown_side_by_side(files, scenes):
+    folder, _ = files
+    with opened(scenes / "camoo4_cawo4.toml", folder) as session:
+        asked, found = session.state.settings, session.state.steps[0].calibration
+        titles = [control.title for control in session.bench.controls]
+        assert titles == [
+            "scattering", "absorption", "scattering of cawo4", "absorption of cawo4",
+            "scale of cawo4", "scale",
+        ]  # fmt: skip
+        assert asked.known == {} and session.bench.controls[2].known.how == HELD
+        shown = session.show(asked)
+        assert (shown.chi2, shown.ndf) == (pytest.approx(found.chi2, rel=1e-4), found.ndf)
+        light = found.parameters["light_yield_ph_per_keV"]
+        assert shown.light_yield[0] == pytest.approx(light.value, rel=1e-4)
+        # the part that both samples share is among the error of the detector's efficiency
+        assert shown.light_yield[2] == pytest.approx(0.1 * light.value, rel=1e-3)
+        # the scale that follows is that of the campaign's own readings
+        moved = replace(asked, values={**asked.values, "alpha_scat_per_cm": 0.3})
+        best = session.show(moved)
+        assert best.rows[2] == shown.rows[2] and best.rows[0].model != shown.rows[0].model
+        for part in (0.999, 1.001):
+            values = {**moved.values, "scale": part * best.scale}
+            assert session.show(replace(moved, values=values, fit_scale=False)).chi2 > best.chi2
+        assert layout.state(session, -1)["readings"][2]["sample"] == "cawo4"
+        assert "<dt>sample</dt><dd>cawo4</dd>" in layout.reading(session, 2)
+        assert '<select data-column="sample"' in layout.page(session)
+        panel = layout.state(session, -1)["parts"]["fitted"]
+        assert "absorption of cawo4 (1/cm) <small>alpha_abs_cawo4_per_cm</small>" in panel
+
+        known = {"alpha_abs_cawo4_per_cm": Known(HELD), "scale_cawo4": Known(PRIOR, 230.0, 5.0)}
+        held = fitted(session, known=known)
+        assert session.state.steps[-1].words == (
+            "absorption of cawo4 held at 0.05745, scale of cawo4 known to be 230.0 ± 5.0"
+        )
+        session.offer("campaign", session.state.settings)
+        wait(session)
+        with zipfile.ZipFile(io.BytesIO(session.state.file[1])) as packed:
+            packed.extractall(folder / "got")
+    [written] = (folder / "got").rglob("*.toml")
+    with opened(written, folder) as other:  # each in its sample's table
+        same = other.state.steps[0].calibration
+        assert (same.chi2, same.ndf) == (pytest.approx(held.chi2, rel=1e-3), held.ndf)
+        assert same.fixed.keys() == held.fixed.keys()
+
+
 def test_other_configurations_are_simulated(files):
     folder, text = files
     lines = (folder / "camoo4_misfit.csv").read_text().splitlines()

@@ -63,9 +63,9 @@ export function cellText(field) {
   const { column } = field.dataset;
   const text = field.type === "checkbox" ? String(Number(field.checked)) : field.value.trim();
   const [number, problem] = read(text);
-  // an index may be that of a material, and kinds are words
+  // an index may be that of a material
   const isName = !["signal", "sigma"].includes(column) && /[a-z]/i.test(text);
-  if (field.type === "checkbox" || column === "label" || (problem && isName)) {
+  if (field.matches("[type=checkbox], select") || column === "label" || (problem && isName)) {
     return [text, ""];
   }
   return [String(number), problem];
