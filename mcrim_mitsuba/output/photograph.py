@@ -152,7 +152,8 @@ def heading(
         key: f"{value:g}" if isinstance(value, float) else str(value).lower()
         for key, value in parameters.items()
     }
-    shown = ",  ".join(f"{key} = {value}" for key, value in words.items())
+    # a line ends between parameters
+    shown = ",  ".join(f"{key}\xa0=\xa0{value}" for key, value in words.items())
     return title, textwrap.fill(shown, 190, max_lines=2, placeholder=" …")
 
 
