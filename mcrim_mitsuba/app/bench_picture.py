@@ -84,7 +84,7 @@ def bench_words(
     told = [n for n in columns if n in reading.parameters]
     if not reading.of_beam:
         told += [n for n in _TOLD if n in values and n not in told]
-    return [
+    return [("sample", reading.sample)] * bool(reading.sample) + [
         (without_unit(n), _text(n, reading.parameters.get(n, values.get(n)), values)) for n in told
     ]
 

@@ -24,12 +24,15 @@ from mcrim_mitsuba.campaign.editor import (
     table_text,
     write_plain,
 )
+from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import json_text
+from mcrim_mitsuba.core.numbers import value_text
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.repair import mended_scene, rounded, scene_text
 from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.spectrophotometer import GAP_INDEX, spectrophotometer_of
 
 _LONGEST_NAME = 80
 
@@ -103,6 +106,15 @@ def with_cell(campaign: Campaign, folder: Path, place: int, column: str, text: s
     if column not in cells:
         raise InputError(f"the table has no column {column}", "choose another")
     cells[column][place] = text
+    if column == KIND:
+        # the other kind's own cells are emptied, and empty ones of its own as they usually are
+        seen = dict(campaign.scene.parameters)
+        if text == TRANSMITTANCE:
+            seen = {**spectrophotometer_of(campaign.scene).parameters, **campaign.beam}
+            seen.pop(GAP_INDEX, None)
+        for name in campaign.measurements.columns:
+            given = cells[name][place] or value_text(seen.get(name, ""))
+            cells[name][place] = given if name in seen else ""
     return _with_cells(campaign, cells, folder)
 
 
@@ -133,9 +145,11 @@ def without_row(campaign: Campaign, folder: Path, place: int) -> Campaign:
 
 
 def _cells(campaign: Campaign) -> dict[str, list[str]]:
-    """Of its table, by column; whether readings are used is among them."""
+    """Of its table, by column; whether readings are used, and their kind, are among them."""
     measurements = campaign.measurements
-    return {"use": ["1"] * len(measurements.readings), **measurement_cells(measurements)}
+    usual = {"use": "1", KIND: LIGHT}
+    every = {name: [cell] * len(measurements.readings) for name, cell in usual.items()}
+    return every | measurement_cells(measurements)
 
 
 def _with_cells(campaign: Campaign, cells: Mapping[str, list[str]], folder: Path) -> Campaign:

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+from markupsafe import Markup
 
 from mcrim_mitsuba.app.bench_picture import bench_picture, bench_words
 from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.app.state import HELD, Control, FitStep, Settings, Shown
-from mcrim_mitsuba.campaign.measurements import Reading
+from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, SAMPLE, TRANSMITTANCE, Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.files import plain
 from mcrim_mitsuba.core.numbers import titled
@@ -47,6 +48,7 @@ from mcrim_mitsuba.output.findings import (
     signal_text,
     size_text,
     suspicion,
+    title_of,
     together,
 )
 
@@ -65,8 +67,14 @@ def _compound_id(kind: str, name: str) -> str:
     return json.dumps({"kind": kind, "name": name}, sort_keys=True, separators=(",", ":"))
 
 
+def _unbroken(said: Any) -> Any:
+    """A number stays on one line with its error."""
+    return said.replace(" ± ", "\xa0±\xa0") if isinstance(said, str) else said
+
+
 _TEMPLATES = jinja2.Environment(
     autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+    finalize=_unbroken,
     loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
 )  # fmt: skip
 _TEMPLATES.filters["capital"] = capital
@@ -76,9 +84,20 @@ _TEMPLATES.globals |= {"id_of": _compound_id, "steps": _SLIDER_STEPS}
 def page(session: Session) -> str:
     """The whole page, as the session is now."""
     campaign = session.state.campaign
+    columns = [(name, titled(name)) for name in campaign.measurements.columns]
+    choices: dict[str, tuple[str, ...]] = {}
+    if session.has_beams:
+        choices[KIND] = (LIGHT, TRANSMITTANCE)
+    if campaign.samples:
+        choices[SAMPLE] = ("", *campaign.samples)
+    heads = [
+        ("use", "use"), ("label", "reading"), *((name, name) for name in choices),
+        ("signal", "measured"), ("sigma", "± error"), *columns,
+        *(("", title) for title in ("model", "pull", "η", "")),
+    ]  # fmt: skip
     return _TEMPLATES.get_template("page.html").render(
         session=session, campaign=campaign, range_text=range_text,
-        columns=[(name, titled(name)) for name in campaign.measurements.columns],
+        heads=heads, columns=columns, choices=choices,
         merits={"chi2": "χ²", "p-value": "p", "light-yield": _light_title(session),
                 "averaged": "averaged over models"},
     )  # fmt: skip
@@ -125,7 +144,8 @@ def state(session: Session, known: int) -> dict[str, Any]:
     told |= {
         "settings": {**settings.to_json(), "known": session.bench.known(settings)},
         "readings": [
-            {"label": r.label, "signal": r.signal, "sigma": r.sigma, "use": r.use,
+            {"label": r.label, "signal": r.signal, "sigma": r.sigma, "use": r.use, KIND: r.kind,
+             SAMPLE: r.sample,
              **{name: r.parameters.get(name, "") for name in now.campaign.measurements.columns}}
             for r in now.campaign.measurements.readings
         ],
@@ -308,10 +328,11 @@ def _fits_panel(session: Session) -> str:
     if not now.steps:
         return ""
     last, beside = now.steps[-1], now.beside
+    fixed = last.calibration.fixed.items()
     return _TEMPLATES.get_template("fits.html").render(
         steps=[_listed(session, step) for step in now.steps], compared=beside.number,
         last=_listed(session, last), parameters=_parameters(last.calibration.parameters),
-        held=[f"{n} = {v:.4g}" for n, v in last.calibration.fixed.items()],
+        held=[f"{title_of(n)} = {v:.4g}" for n, v in fixed],
         notes=last.calibration.notes,
         beside=None if beside is last else _side_by_side(session, beside, last),
     )  # fmt: skip
@@ -330,14 +351,20 @@ def _listed(session: Session, step: FitStep) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _titled(name: str) -> str:
+    """A parameter in words, and its name in small print where that is another."""
+    title = title_of(name)
+    return title if title == name else Markup("{} <small>{}</small>").format(title, name)
+
+
 def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[tuple[str, str, str, str]]:
-    """Name, value with the whole error, what repeating lowers of it, and the rest."""
+    """What it is, value with the whole error, what repeating lowers of it, and the rest."""
     found = []
     for name, known in parameters.items():
         apart = ("", "")
         if known.at_bound is None and known.contributions:
             apart = tuple(number(part, 2) for part in errors_apart(known))  # type: ignore[assignment]
-        found.append((name, estimate_text(known), *apart))
+        found.append((_titled(name), estimate_text(known), *apart))
     return found
 
 
@@ -356,7 +383,7 @@ def _side_by_side(session: Session, first: FitStep, second: FitStep) -> dict[str
             known = fit.parameters.get(name)
             held = f"{fit.fixed[name]:.4g}, {HELD}" if name in fit.fixed else "-"
             cells.append(held if known is None else estimate_text(known))
-        rows.append((name, *cells))
+        rows.append((_titled(name), *cells))
     by_label = [{row.label: f"{row.pull:+.2f}" for row in fit.rows} for fit in both]
     labels = dict.fromkeys(label for each in by_label for label in each)
     pulls = [(label, *(each.get(label, "-") for each in by_label)) for label in labels]

@@ -60,10 +60,6 @@ class Session:
         self._open(campaign)
 
     def _open(self, campaign: Campaign) -> None:
-        if campaign.samples:
-            problem = "the page shows one crystal, and the campaign has several samples"
-            mend = "mcrim calibrate, compare, diagnose, repair, budget and report take it"
-            raise InputError(problem, mend, path=campaign.path)
         # as it came, to the page or from a file
         self._opened = campaign
         self.bench = SimulatedBench(campaign, self._run)
@@ -105,6 +101,12 @@ class Session:
             if number == self.settings_number:
                 self.state = replace(self.state, settings=settings)
             return self.state.settings
+
+    @property
+    def has_beams(self) -> bool:
+        """Whether transmittances are, or were, among the readings."""
+        each = (self._opened, self.state.campaign)
+        return any(one.of_beam for campaign in each for one in campaign.measurements.readings)
 
     # ---- what the model says -----------------------------------------------------------------
 

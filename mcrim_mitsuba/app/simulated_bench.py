@@ -23,6 +23,7 @@ from mcrim_mitsuba.app.state import (
 )
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run, one_thread
 from mcrim_mitsuba.efficiency.response_maker import configurations
@@ -68,9 +69,9 @@ class SimulatedBench:
         self.controls = self._own_controls(campaign, largest_signal)
         # sliders are the bench's
         pairs = zip(configurations(campaign), readings, strict=True)
-        of_bench = [values for values, reading in pairs if not reading.of_beam]
-        scene = campaign.scene.parameters
-        known = (scene, of_bench or [scene], largest_signal)
+        own = campaign.values  # those of a beam too
+        of_bench = [own | values for values, reading in pairs if not reading.of_beam]
+        known = (own, of_bench or [own], largest_signal)
         #: Effects that can be switched on, with their controls.
         self.effects = {
             name: (effect, tuple(effect_control(one, *known) for one in effect.parameters))
@@ -92,9 +93,11 @@ class SimulatedBench:
             ALPHA_ABS: maker.grid.alpha_abs_range_per_cm,
         }
         own = [
-            parameter_control(known, parameter_words(campaign, name)[0], covered.get(name))
+            parameter_control(known, parameter_words(campaign, name)[0], covered.get(of))
             for name, known in campaign.parameters.items()
-            if not known.fixed or name in covered  # what else is held was not simulated
+            # what else is held was not simulated; the factor of all samples is known beforehand
+            if (of := campaign.stands_for(name)) in covered
+            or not (known.fixed or name == EFFICIENCY_FACTOR)
         ]
         # a quarter of the light is a usual part
         usual, scale = 4.0 * largest_signal, campaign.scale or UNKNOWN_SCALE
@@ -273,6 +276,8 @@ def _light_yield(
     if known is None or SCALE not in campaign.free:
         return None
     relative = known.detector_efficiency_sigma / known.detector_efficiency
+    if (shared := campaign.parameters.get(EFFICIENCY_FACTOR)) is not None:
+        relative = math.hypot(relative, shared.prior_sigma or 0.0)
     return scale * known.per_scale, sigma * known.per_scale, scale * known.per_scale * relative
 
 

@@ -9,12 +9,18 @@ from typing import Any
 
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
+from mcrim_mitsuba.campaign.samples import of_sample
 from mcrim_mitsuba.core.files import attributes
+<<<<<<< HEAD
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, said, unit_of, without_unit
+=======
+from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, unit_of, without_unit
+>>>>>>> e02811978029ac1c95dd19d7b0aaaec8ae873667
 from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.inference.diagnose import Diagnosed
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.output.findings import quantity
 
 #: Smallest value of a slider that runs along a logarithm, as part of the largest.
 _LEAST_PART = 1e-3
@@ -112,12 +118,20 @@ def parameter_control(
     if not math.isfinite(low):
         low = -high
     name, coordinate, scale = parameter.name, "linear", 1.0
-    if name in (ALPHA_SCAT, ALPHA_ABS):
+    if (of_sample(name) or (name,))[0] in COEFFICIENTS:
         # log(1 + value / scale) is as good as log(value) where the scale is small
         coordinate, scale = "logarithmic", max(low, _LEAST_PART * high)
-    title, unit = without_unit(name), unit_of(name) or ""
     return Control(
-        name, title, unit, low, high, start, coordinate, scale, meaning, known_of(parameter)
+        name,
+        quantity(name),
+        unit_of(name) or "",
+        low,
+        high,
+        start,
+        coordinate,
+        scale,
+        meaning,
+        known_of(parameter),
     )
 
 
@@ -266,7 +280,7 @@ def difference(
     first: Campaign, campaign: Campaign, settings: Settings, known: Mapping[str, Known],
     controls: Iterable[Control],
 ) -> str:  # fmt: skip
-    """What was changed besides effects, in words: ``without air, alpha scat held at 0.5``.
+    """What was changed besides effects, in words: ``without air, scattering held at 0.5``.
 
     Of a campaign since it was the `first`, and of what its `controls` said of parameters.
     """
@@ -283,6 +297,8 @@ def difference(
             told.append(f"with {label}")
         if old is None:
             continue
+        if old.kind != new.kind:
+            said.append(f"{label} as {new.kind}")
         if (old.signal, old.sigma) != (new.signal, new.sigma):
             told.append(f"{label} {new.signal:g} ± {new.sigma:g}")
         told += [
@@ -298,5 +314,10 @@ def difference(
             HELD: f"held at {settings.values[control.name]:.4g}",
             PRIOR: f"known to be {now.prior} ± {now.prior_sigma}",
         }.get(now.how, "free")
+<<<<<<< HEAD
         told.append(f"{without_unit(control.name)} {how}")
     return ", ".join(told)
+=======
+        said.append(f"{control.title} {how}")
+    return ", ".join(said)
+>>>>>>> e02811978029ac1c95dd19d7b0aaaec8ae873667

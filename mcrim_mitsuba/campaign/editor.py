@@ -17,9 +17,17 @@ from typing import Any
 import tomlkit
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
-from mcrim_mitsuba.campaign.entries import FILE_ENTRIES, HISTOGRAMS, RAW_TABLES, SPECTRUM
+from mcrim_mitsuba.campaign.entries import (
+    FILE_ENTRIES,
+    HISTOGRAMS,
+    KNOWN_YIELD,
+    KNOWN_YIELD_SIGMA,
+    LIGHT_YIELD,
+    RAW_TABLES,
+    SPECTRUM,
+)
 from mcrim_mitsuba.campaign.measurements import KIND, SAMPLE, Measurements
-from mcrim_mitsuba.campaign.parameter import CampaignParameter
+from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.reduction import RawData, ReducedAbsorption, ReducedReading
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
 from mcrim_mitsuba.core.errors import InputError, visible
@@ -70,13 +78,21 @@ def campaign_with_effects(
         table.add(tomlkit.nl())
         parameters[name] = table
     for parameter in known:
-        table = parameters.setdefault(parameter.name, tomlkit.table())
+        within: Any = document
+        key = own.get(parameter.name, f"parameters.{parameter.name}")
+        for part in key.split("."):
+            within = within.setdefault(part, tomlkit.table())
+        if key in own.values() and key.endswith(f".{SCALE}"):
+            # in place of a light yield that says the same of it
+            given = _table(document, key.replace(f"parameters.{SCALE}", LIGHT_YIELD)) or {}
+            for entry in (KNOWN_YIELD, KNOWN_YIELD_SIGMA):
+                given.pop(entry, None)
         for entry in ("prior", "prior_sigma", "fixed"):
-            table.pop(entry, None)
+            within.pop(entry, None)
         if parameter.fixed:
-            table["start"], table["fixed"] = float(f"{parameter.start:.6g}"), True
+            within["start"], within["fixed"] = float(f"{parameter.start:.6g}"), True
         elif parameter.prior is not None:
-            table["prior"], table["prior_sigma"] = parameter.prior, parameter.prior_sigma
+            within["prior"], within["prior_sigma"] = parameter.prior, parameter.prior_sigma
     return _text(document, campaign)
 
 

@@ -28,6 +28,7 @@ Value = float | bool | int | str
 
 #: What names say less well than words do.
 _CALLED = {
+    ALPHA_SCAT: "scattering", ALPHA_ABS: "absorption",
     "n_gap": "gap index", "n_crystal": "crystal index", "n_window": "window index",
     "aperture_radius_mm": "mask radius",
 }  # fmt: skip
@@ -50,7 +51,7 @@ def unit_of(name: str) -> str | None:
 
 
 def without_unit(name: str) -> str:
-    """A parameter's name without its unit, in words: ``alpha scat`` for ``alpha_scat_per_cm``."""
+    """A parameter's name without its unit, in words: ``scattering`` for ``alpha_scat_per_cm``."""
     if name in _CALLED:
         return _CALLED[name]
     ending = next((ending for ending in _UNITS if name.endswith(ending)), "")

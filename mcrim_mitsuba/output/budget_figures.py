@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator
 
 from mcrim_mitsuba.core.rounding import counted, number, pdg, percent
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
@@ -273,11 +274,14 @@ def draw_plan(found: Planning) -> style.Drawing:
         style.open_axes(axes)
     statistical.set(yscale="log", ylabel="expected error of the light yield (%)")
     statistical.yaxis.set_major_formatter("{x:g}")
+    # others stand too close to the next power of ten
+    statistical.yaxis.set_minor_locator(LogLocator(subs=(2, 3, 4, 5, 7)))
     statistical.yaxis.set_minor_formatter("{x:g}")
     total.set_ylim(bottom=0)
     total.annotate(
-        f"wanted: {percent(found.wanted)}", (0.99, 100 * found.wanted),
-        xycoords=("axes fraction", "data"), ha="right", va="top", fontsize=9.5, color=style.GREY,
+        f"wanted: {percent(found.wanted)}", (0.99, 100 * found.wanted), (0, -3),
+        xycoords=("axes fraction", "data"), textcoords="offset points",
+        ha="right", va="top", fontsize=9.5, color=style.GREY,
     )  # fmt: skip
     times = counted(mountings, "mounting")
     figure.suptitle(f"{times} of each coupling", x=0.01, ha="left", fontsize=11)

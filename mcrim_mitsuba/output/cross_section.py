@@ -28,10 +28,10 @@ from mcrim_mitsuba.output.figure_style import fate_style, ordered
 from mcrim_mitsuba.transport.check import volume_indices
 from mcrim_mitsuba.transport.cut import CrossSection, cross_section, masked
 from mcrim_mitsuba.transport.launch_plan import LANES
+from mcrim_mitsuba.transport.scene_model import SceneModel
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.scene.check_text import Interface
-    from mcrim_mitsuba.transport.scene_model import SceneModel
     from mcrim_mitsuba.transport.simulation import Simulation
     from mcrim_mitsuba.transport.trails import Trail
 

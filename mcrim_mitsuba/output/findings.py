@@ -501,19 +501,13 @@ def called(name: str) -> str:
     return NAMES[name][0].partition(":")[0] if name in NAMES else without_unit(name)
 
 
-#: Of tables, whose columns are narrow.
-_TITLES = {
-    LIGHT_YIELD: "light yield (ph/keV)", ALPHA_SCAT: "scattering (1/cm)",
-    ALPHA_ABS: "absorption (1/cm)",
-}  # fmt: skip
-
-
 def title_of(name: str) -> str:
     """A fitted parameter in words with its unit: ``light yield (ph/keV)``."""
     if (own := of_sample(name)) is not None:
         words, bracket, unit = title_of(own[0]).partition(" (")
         return f"{words} of {own[1]}{bracket}{unit}"
-    return _TITLES.get(name) or titled(name)
+    # columns of tables are narrow
+    return "light yield (ph/keV)" if name == LIGHT_YIELD else titled(name)
 
 
 def quantity(name: str) -> str:

@@ -17,7 +17,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
 from mcrim_mitsuba.core.errors import InputError
+<<<<<<< HEAD
 from mcrim_mitsuba.core.numbers import Value, said, titled
+=======
+from mcrim_mitsuba.core.numbers import FWHM, Value, titled
+>>>>>>> e02811978029ac1c95dd19d7b0aaaec8ae873667
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.arrival_times import ArrivalTimes
 from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
@@ -241,13 +245,16 @@ def _draw_heights(axes: Axes, mapped: EtaMap) -> None:
 def _draw_spreads(axes: Axes, mapped: EtaMap, spreads: Sequence[Spread]) -> None:
     """What gammas see: eta of where they stop, by how much of the light is from there."""
     eta = mapped.eta[mapped.volume > 0.0]
+    noise = 100.0 * np.median(mapped.eta_sigma[mapped.volume > 0.0])
     edges = np.linspace(100.0 * eta.min(), 100.0 * eta.max(), 36)
     for one, colour, dashes in zip(spreads, _COLOURS, _LINES, strict=False):
         light = one.light[mapped.volume > 0.0]
         percent = np.histogram(100.0 * eta, edges, weights=100.0 * light / light.sum())[0]
-        label = f"{style.shortened(one.source, 40)}: FWHM {100 * one.fwhm:.2g} %"
+        width = pdg(100.0 * one.fwhm, 100.0 * FWHM * one.relative_rms_sigma)
+        label = f"{style.shortened(one.source, 40)}: FWHM {width} %"
         axes.stairs(percent, edges, color=colour, ls=dashes, lw=1.6, label=label)
-    axes.set(xlabel="η (%) where gammas stop", ylabel="light (% per bin)", ylim=(0, None))
+    said = f"η (%) where gammas stop\n(each ±{noise:.2g} by the simulation)"
+    axes.set(xlabel=said, ylabel="light (% per bin)", ylim=(0, None))
     style.open_axes(axes)
     style.legend_above(axes, ncols=1, handlelength=2.6)
 

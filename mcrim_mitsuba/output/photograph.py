@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -36,10 +36,7 @@ from mcrim_mitsuba.transport.photograph_parts import (
     framed,
     raised,
 )
-
-if TYPE_CHECKING:
-    from mcrim_mitsuba.transport.scene_model import SceneModel
-
+from mcrim_mitsuba.transport.scene_model import SceneModel
 
 #: Pixels of the sheet.
 WIDTH, HEIGHT = 1800, 1150
@@ -155,7 +152,8 @@ def heading(
         key: f"{value:g}" if isinstance(value, float) else str(value).lower()
         for key, value in parameters.items()
     }
-    shown = ",  ".join(f"{key} = {value}" for key, value in words.items())
+    # a line ends between parameters
+    shown = ",  ".join(f"{key}\xa0=\xa0{value}" for key, value in words.items())
     return title, textwrap.fill(shown, 190, max_lines=2, placeholder=" …")
 
 

@@ -12,10 +12,10 @@ from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, spectrophotometer_of
+from mcrim_mitsuba.transport.scene_model import DETECTOR, SceneModel
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.optics.thin_film import ThinFilm
-    from mcrim_mitsuba.transport.scene_model import SceneModel
     from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Effects without a parameter, which the tracer switches on by name.
@@ -123,8 +123,6 @@ def _film_numbers(film: ThinFilm | None) -> tuple[float, ...]:
 
 def _described(model: SceneModel) -> dict[str, list[tuple]]:
     """Faces of every surface: what they are, and their numbers."""
-    from mcrim_mitsuba.transport.scene_model import DETECTOR
-
     found: dict[str, list[tuple]] = {}
     faces = [
         (face.surface, [

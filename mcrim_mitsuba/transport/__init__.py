@@ -6,14 +6,13 @@ may take
 
 - at any time: `simulation` (`Simulation`, the front door), `launch_plan` (`LANES`, `UNITS`,
   `BATCHES`, `FateTally`, `PhotonRecords`: what a fit gets, and asks for), `check` (is a scene
-  sound, and what does it mean), `cut`, `photograph_parts` (a bench drawn),
-  `variants` and `llvm` (which Mitsuba, LLVM or GPU, and their versions);
+  sound, and what does it mean), `scene_model` (a scene in numbers), `cut`, `photograph_parts`
+  (a bench drawn), `variants` and `llvm` (which Mitsuba, LLVM or GPU, and their versions);
 - inside functions, after `variants.use_variant`, because they import Mitsuba: `collection`
   (`Launcher`, `Recorder`, `collect`), `arrivals` and `trails` (where light arrives,
   and on which ways), `photograph`.
 
 The rest is private: `loop` (a step in photons' lives), two paths through a scene (`flat_path` with
 `convex`, and `general_path`), `surface_physics`, `bulk` (births and scattering), `record_store`,
-`volume_consistency`, `plugins`, and but for its types `scene_model` (a Mitsuba
-scene in numbers).
+`volume_consistency`, `plugins`, and `conversion` (a Mitsuba scene becomes numbers).
 """

@@ -27,17 +27,15 @@ import numpy as np
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import FWHM
 from mcrim_mitsuba.optics.emission_band import WIDTHS
-from mcrim_mitsuba.transport.convex import convex_solids
-from mcrim_mitsuba.transport.launch_plan import BATCHES, LanePlan
-from mcrim_mitsuba.transport.scene_model import (
-    DETECTOR,
-    OUTSIDE,
-    SceneModel,
+from mcrim_mitsuba.transport.conversion import (
     opaque,
     opaque_vector,
     read_scene_model,
     surface_numbers,
 )
+from mcrim_mitsuba.transport.convex import convex_solids
+from mcrim_mitsuba.transport.launch_plan import BATCHES, LanePlan
+from mcrim_mitsuba.transport.scene_model import DETECTOR, OUTSIDE, SceneModel
 
 #: Rounds of the cipher that spreads the lanes' seeds over all states.
 HASH_ROUNDS = 8

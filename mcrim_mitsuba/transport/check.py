@@ -18,6 +18,15 @@ from mcrim_mitsuba.core.numbers import LARGEST_PER_CM, LONGEST_PART_MM, MM_PER_C
 from mcrim_mitsuba.scene import check_text
 from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem
 from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.transport.scene_model import (
+    DETECTOR,
+    KIND_NAMES,
+    OTHER,
+    FlatFace,
+    SceneModel,
+    Surface,
+    Volume,
+)
 from mcrim_mitsuba.transport.volume_consistency import (
     claimed_indices,
     probe_lines,
@@ -28,7 +37,6 @@ from mcrim_mitsuba.transport.volume_consistency import (
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.bulk import CrystalVolume
-    from mcrim_mitsuba.transport.scene_model import FlatFace, SceneModel, Surface, Volume
     from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Photons that look for the detector.
@@ -64,8 +72,6 @@ def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckRepo
 
 def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:
     """Every face with the volumes and indices on its two sides, in the order of the surfaces."""
-    from mcrim_mitsuba.transport.scene_model import KIND_NAMES, OTHER
-
     elements = {e.get("id"): e for e in check_text.shape_elements(file)}
     faces = []
     for surface in model.surfaces:
@@ -172,8 +178,6 @@ def _round_up(value: float) -> float:
 
 def _problems_of_detector(simulation: Simulation) -> list[SceneProblem]:
     """A detector that no light reaches, or light that is lost on the way."""
-    from mcrim_mitsuba.transport.scene_model import DETECTOR
-
     try:
         result = simulation.collect(SCOUTS)
     except InputError as error:
@@ -196,7 +200,6 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
     `transport` is the name of the path that `simulate` will take.
     """
     from mcrim_mitsuba.transport.form import form_of
-    from mcrim_mitsuba.transport.scene_model import DETECTOR
 
     model, crystal = simulation.model, simulation.crystal
     sentences = []

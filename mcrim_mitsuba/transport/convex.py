@@ -18,7 +18,8 @@ import mitsuba as mi
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from mcrim_mitsuba.transport.scene_model import OUTSIDE, Circle, RoundWall, SceneModel, opaque
+from mcrim_mitsuba.transport.conversion import opaque
+from mcrim_mitsuba.transport.scene_model import OUTSIDE, Circle, RoundWall, SceneModel
 
 #: A volume of more planes than this is left to others: a tree is faster.
 MOST_PLANES = 64

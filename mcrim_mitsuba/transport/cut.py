@@ -28,11 +28,11 @@ from mcrim_mitsuba.transport.photograph_parts import (
     Triangles,
     grey_of,
 )
+from mcrim_mitsuba.transport.scene_model import DETECTOR, DIELECTRIC, DIFFUSE, OUTSIDE, SceneModel
 from mcrim_mitsuba.transport.volume_consistency import trace_crossings
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.bulk import CrystalVolume
-    from mcrim_mitsuba.transport.scene_model import SceneModel
 
 #: Lines per direction, before the places where neighbours differ are looked at more closely.
 LINES = 400
@@ -240,8 +240,6 @@ def lower_edge(model: SceneModel, crystal: CrystalVolume, indices: Mapping[str, 
 
     `indices` are those of the volumes by their names.
     """
-    from mcrim_mitsuba.transport.scene_model import DETECTOR, DIELECTRIC, DIFFUSE, OUTSIDE
-
     y = float(crystal.lower[1] + crystal.upper[1]) / 2
     cut = cross_section(model, y)
     outline, size = cut.corners(crystal.volume), float(np.ptp(cut.corners(crystal.volume)))

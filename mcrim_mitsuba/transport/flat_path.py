@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.transport import surface_physics
+from mcrim_mitsuba.transport.conversion import opaque, opaque_vector
 from mcrim_mitsuba.transport.convex import (
     NO_FACE,
     ConvexBody,
@@ -26,15 +27,7 @@ from mcrim_mitsuba.transport.convex import (
     convex_solids,
     slack_of,
 )
-from mcrim_mitsuba.transport.scene_model import (
-    OTHER,
-    OUTSIDE,
-    RoundWall,
-    SceneModel,
-    Surface,
-    opaque,
-    opaque_vector,
-)
+from mcrim_mitsuba.transport.scene_model import OTHER, OUTSIDE, RoundWall, SceneModel, Surface
 
 #: More faces than this, or planes of convex volumes, and a tree is faster.
 MOST_FACES = 64

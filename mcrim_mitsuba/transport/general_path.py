@@ -16,8 +16,9 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.transport import surface_physics
+from mcrim_mitsuba.transport.conversion import opaque, surface_numbers
 from mcrim_mitsuba.transport.flat_path import MOST_FACES, NO_FACE, FlatPath, rows_of
-from mcrim_mitsuba.transport.scene_model import OTHER, OUTSIDE, SceneModel, opaque, surface_numbers
+from mcrim_mitsuba.transport.scene_model import OTHER, OUTSIDE, SceneModel
 
 #: Distance in mm, over (1 + largest coordinate in mm), at which a new ray starts off a traced
 #: surface: some thirty roundings. Mitsuba's own is 47 times larger: inside a curved surface it

@@ -26,10 +26,11 @@ from mcrim_mitsuba.transport.bulk import (
     Scattering,
     lane_generators,
 )
+from mcrim_mitsuba.transport.conversion import opaque, opaque_vector
 from mcrim_mitsuba.transport.convex import NO_FACE
 from mcrim_mitsuba.transport.launch_plan import LanePlan, ScatteringProposals
 from mcrim_mitsuba.transport.record_store import RecordStore
-from mcrim_mitsuba.transport.scene_model import DIFFUSE, OUTSIDE, opaque, opaque_vector
+from mcrim_mitsuba.transport.scene_model import DIFFUSE, OUTSIDE
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.trails import TrailStore

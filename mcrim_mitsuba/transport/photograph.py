@@ -12,6 +12,7 @@ from scipy.ndimage import uniform_filter
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.transport.bulk import GENERATORS, HASH_ROUNDS, seed_words
+from mcrim_mitsuba.transport.conversion import opaque, opaque_vector
 from mcrim_mitsuba.transport.photograph_parts import (
     GLASS,
     GLOSSY,
@@ -22,7 +23,7 @@ from mcrim_mitsuba.transport.photograph_parts import (
     Finish,
     Triangles,
 )
-from mcrim_mitsuba.transport.scene_model import SceneModel, opaque, opaque_vector
+from mcrim_mitsuba.transport.scene_model import SceneModel
 
 #: Steps along each of the two coordinates of a curved surface.
 STEPS = 96

@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.scene.check_text import is_filled
-
-if TYPE_CHECKING:
-    from mcrim_mitsuba.transport.scene_model import SceneModel, Surface
-
+from mcrim_mitsuba.transport.scene_model import DETECTOR, DIELECTRIC, DIFFUSE, SceneModel, Surface
 
 #: Linear red, green and blue.
 Colour = tuple[float, float, float]
@@ -244,8 +240,6 @@ class PhotographedBench:
 
     def assembled(self) -> tuple[Body, ...]:
         """The bench as it stands: every face once, with the light of both its sides."""
-        from mcrim_mitsuba.transport.scene_model import DIELECTRIC, DIFFUSE
-
         bodies: list[Body] = []
         for number in self._volumes:
             if not self._is_air(number):
@@ -264,8 +258,6 @@ class PhotographedBench:
 
     def parts(self) -> list[BenchPart]:
         """Its parts, lowest first."""
-        from mcrim_mitsuba.transport.scene_model import DIELECTRIC
-
         parts = [self._volume(number) for number in self._volumes]
         masks: dict[tuple[float, tuple[float, float], int], list[Body]] = {}
         faces: dict[tuple[object, ...], list[tuple[Surface, Triangles]]] = {}
@@ -341,8 +333,6 @@ class PhotographedBench:
 
 def _face(group: Sequence[tuple[Surface, Triangles]]) -> BenchPart:
     """A detector, a reflector or another opaque face, of one or more surfaces that are alike."""
-    from mcrim_mitsuba.transport.scene_model import DETECTOR, DIFFUSE
-
     surface, _ = group[0]
     more = f" and {len(group) - 1} more" if len(group) > 1 else ""
     percent, finish = f"{100 * surface.reflectance:.3g} %", _opaque(surface)
@@ -363,8 +353,6 @@ def _face(group: Sequence[tuple[Surface, Triangles]]) -> BenchPart:
 
 
 def _opaque(surface: Surface) -> Finish:
-    from mcrim_mitsuba.transport.scene_model import DETECTOR, DIFFUSE
-
     if surface.kind == DETECTOR:
         return Finish(MATTE, RED)
     return Finish(MATTE, grey_of(surface)) if surface.kind == DIFFUSE else Finish(METAL, STEEL)

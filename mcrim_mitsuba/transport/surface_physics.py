@@ -19,7 +19,8 @@ import drjit as dr
 import mitsuba as mi
 
 from mcrim_mitsuba.optics.thin_film import ThinFilm
-from mcrim_mitsuba.transport.scene_model import DETECTOR, DIELECTRIC, DIFFUSE, opaque
+from mcrim_mitsuba.transport.conversion import opaque
+from mcrim_mitsuba.transport.scene_model import DETECTOR, DIELECTRIC, DIFFUSE
 
 # Fates of a photon at a surface or in flight; absorption in volumes is counted apart.
 ALIVE, DETECTED, APERTURE, REFLECTOR, SURFACE, ESCAPED, TRUNCATED, LOST, VOLUME = range(9)

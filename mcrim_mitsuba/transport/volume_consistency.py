@@ -12,15 +12,12 @@ import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mcrim_mitsuba.scene.check_text import Interface, SceneProblem
 from mcrim_mitsuba.scene.scene_file import SceneFile
-
-if TYPE_CHECKING:
-    from mcrim_mitsuba.transport.scene_model import SceneModel
+from mcrim_mitsuba.transport.scene_model import SceneModel
 
 #: Lines that pass closer than this (relative to the scene's size) to a face's rim are left out:
 #: there rounding of single precision positions decides which of two faces is met.
@@ -134,7 +131,7 @@ def _through_any_shapes(model, origin, direction) -> Crossings:
     import drjit as dr
     import mitsuba as mi
 
-    from mcrim_mitsuba.transport.scene_model import surface_numbers
+    from mcrim_mitsuba.transport.conversion import surface_numbers
 
     number_of = surface_numbers(model)
     start = mi.Point3f(origin.T.astype(np.float32))

@@ -159,6 +159,46 @@ def test_each_error_and_each_axis_says_what_it_is(browser, campaign, shared_cach
         browser.screenshot_whole("errors and axes")
 
 
+def test_the_kind_of_a_reading_is_chosen(browser, shared_cache, scenes):
+    with running(scenes / "camoo4_three.toml", shared_cache, browser) as app:
+        browser.find("#table-details summary").click()
+        kinds = browser.all("#rows select")
+        assert [one.get_property("value") for one in kinds] == ["light", "light", "transmittance"]
+        light, beam = kinds[0].find_elements("css selector", "option")
+        beam.click()
+        beside = "#rows tr:first-child td:has(select) .wrong"
+        said = browser.wait_for(lambda: browser.text(beside), "refusal")
+        assert said.startswith("signal = 14.3 of a transmittance") and browser.all("body.stale")
+        browser.screenshot("kind refused")
+        light.click()
+        browser.wait_for(lambda: not browser.text(beside) and app.is_idle(), "what was before")
+        app.type(browser.find("#rows [data-column=signal]"), "0.7")
+        browser.wait_for(app.is_idle, "the signal")
+        browser.find("#rows option:last-child").click()
+        gap = lambda: browser.find("#rows [data-column=n_gap]").get_property("value")  # noqa: E731
+        browser.wait_for(lambda: gap() == "" and app.is_idle(), "beam", LONGEST_SIMULATION_S)
+        assert app.table()[0][1].endswith("%") and browser.complaints() == []
+
+
+# Numbers whose errors stand on the next line.
+SPLIT = """
+const split = [];
+for (const one of document.querySelectorAll("#diagnosis *, #fitted *, .merits *")) {
+  for (const node of one.childNodes) {
+    if (node.nodeType !== Node.TEXT_NODE) { continue; }
+    for (const found of node.data.matchAll(/\\S+\\s±\\s\\S+/g)) {
+      const range = document.createRange();
+      range.setStart(node, found.index);
+      range.setEnd(node, found.index + found[0].length);
+      const lines = new Set([...range.getClientRects()].map((box) => Math.round(box.top)));
+      if (lines.size > 1) { split.push(found[0]); }
+    }
+  }
+}
+return split;
+"""
+
+
 def choose(browser, path) -> None:
     """Choose a file in the dialogue that a key has opened."""
     opened = []
@@ -210,6 +250,7 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(
         )
         app.settled()
         assert app.chi2 < 25 and app.control("effect", "gap_bubble").is_selected()
+        assert " ± " in browser.text("#diagnosis td:nth-child(4)") and browser.run(SPLIT) == []
         app.tab_to("[data-do=remove]")
         browser.screenshot(f"{wide} 4 fits")
         app.press(KEYS["enter"])
@@ -287,7 +328,7 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(
         )
         app.tab_to("#fit")
         app.press(KEYS["enter"])
-        browser.wait_for(lambda: "held: alpha_scat_per_cm" in browser.text("#fitted"), "fit")
+        browser.wait_for(lambda: "held: scattering (1/cm)" in browser.text("#fitted"), "fit")
         app.settled()
         if size[0] == 390:  # the numbers that a slider moves are in sight beside it
             app.tab_to(".control[data-name=alpha_abs_per_cm] input[type=range]")

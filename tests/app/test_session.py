@@ -121,6 +121,88 @@ def test_readings_are_edited_in_the_table(files):
         assert (same.chi2, same.ndf) == (pytest.approx(found.chi2, rel=1e-5), found.ndf)
 
 
+def test_the_kind_of_a_reading_is_chosen_in_the_table(files, scenes):
+    folder, _ = files
+    text = (scenes / "camoo4_three.toml").read_text()
+    text = text.replace('"camoo4.xml"', f"'{scenes / 'camoo4.xml'}'").split("[beam]")
+    text = text[0] + "[parameters" + text[1].partition("[parameters")[2]
+    (folder / "three.toml").write_text(text)
+    table = (scenes / "camoo4_three.csv").read_text()
+    table = table.replace("signal,sigma,n_gap", "signal,sigma,n_gap,beam_axis")
+    table = table.replace("1.00\n", "1.00,\n").replace("1.46\n", "1.46,\n")
+    (folder / "camoo4_three.csv").write_text(table.replace("0.012,", "0.012,,z"))
+    with opened(folder / "three.toml", folder) as session:
+
+        def cells(place):
+            reading = layout.state(session, -1)["readings"][place]
+            return [reading[name] for name in ("kind", "n_gap", "beam_axis")]
+
+        assert '<select data-column="kind"' in layout.page(session)
+        assert [cells(0), cells(2)] == [["light", 1.0, ""], ["transmittance", "", "z"]]
+        for kind, said in (
+            ("transmittance", "^signal = 14.3 of a transmittance; give the fraction"),
+            ("dark", "^kind = 'dark' is neither light nor transmittance; write one"),
+        ):
+            with pytest.raises(InputError, match=said):
+                session.edit_reading(0, "kind", kind)
+        with session.lock:
+            session.edit_reading(2, "kind", "light")
+            assert cells(2) == ["light", 1.0, ""]
+            assert '<select data-column="kind"' in layout.page(session)  # the way back
+            session.edit_reading(2, "kind", "transmittance")
+            assert cells(2) == ["transmittance", "", "x"]
+            session.edit_reading(2, "kind", "light")
+        wait(session)
+        found = fitted(session)
+        assert session.state.steps[-1].words == "transmittance as light"
+        assert [row.of_beam for row in found.rows] == [False] * 3
+
+
+def test_samples_are_fitted_and_shown_side_by_side(files, scenes):
+    folder, _ = files
+    with opened(scenes / "camoo4_cawo4.toml", folder) as session:
+        asked, found = session.state.settings, session.state.steps[0].calibration
+        titles = [control.title for control in session.bench.controls]
+        assert titles == [
+            "scattering", "absorption", "scattering of cawo4", "absorption of cawo4",
+            "scale of cawo4", "scale",
+        ]  # fmt: skip
+        assert asked.known == {} and session.bench.controls[2].known.how == HELD
+        shown = session.show(asked)
+        assert (shown.chi2, shown.ndf) == (pytest.approx(found.chi2, rel=1e-4), found.ndf)
+        light = found.parameters["light_yield_ph_per_keV"]
+        assert shown.light_yield[0] == pytest.approx(light.value, rel=1e-4)
+        # the part that both samples share is among the error of the detector's efficiency
+        assert shown.light_yield[2] == pytest.approx(0.1 * light.value, rel=1e-3)
+        # the scale that follows is that of the campaign's own readings
+        moved = replace(asked, values={**asked.values, "alpha_scat_per_cm": 0.3})
+        best = session.show(moved)
+        assert best.rows[2] == shown.rows[2] and best.rows[0].model != shown.rows[0].model
+        for part in (0.999, 1.001):
+            values = {**moved.values, "scale": part * best.scale}
+            assert session.show(replace(moved, values=values, fit_scale=False)).chi2 > best.chi2
+        assert layout.state(session, -1)["readings"][2]["sample"] == "cawo4"
+        assert "<dt>sample</dt><dd>cawo4</dd>" in layout.reading(session, 2)
+        assert '<select data-column="sample"' in layout.page(session)
+        panel = layout.state(session, -1)["parts"]["fitted"]
+        assert "absorption of cawo4 (1/cm) <small>alpha_abs_cawo4_per_cm</small>" in panel
+
+        known = {"alpha_abs_cawo4_per_cm": Known(HELD), "scale_cawo4": Known(PRIOR, 230.0, 5.0)}
+        held = fitted(session, known=known)
+        assert session.state.steps[-1].words == (
+            "absorption of cawo4 held at 0.05745, scale of cawo4 known to be 230.0 ± 5.0"
+        )
+        session.offer("campaign", session.state.settings)
+        wait(session)
+        with zipfile.ZipFile(io.BytesIO(session.state.file[1])) as packed:
+            packed.extractall(folder / "got")
+    [written] = (folder / "got").rglob("*.toml")
+    with opened(written, folder) as other:  # each in its sample's table
+        same = other.state.steps[0].calibration
+        assert (same.chi2, same.ndf) == (pytest.approx(held.chi2, rel=1e-3), held.ndf)
+        assert same.fixed.keys() == held.fixed.keys()
+
+
 def test_other_configurations_are_simulated(files):
     folder, text = files
     lines = (folder / "camoo4_misfit.csv").read_text().splitlines()
@@ -189,7 +271,7 @@ def test_parameters_are_held_or_known(files):
         shown = session.show(session.state.settings)
         assert (shown.chi2, shown.ndf) == (pytest.approx(found.chi2, rel=1e-5), found.ndf)
         assert session.state.steps[-1].words == (
-            "alpha scat known to be 0.4 ± 0.01, alpha abs held at 0.05"
+            "scattering known to be 0.4 ± 0.01, absorption held at 0.05"
         )
         session.offer("campaign", session.state.settings)
         wait(session)
@@ -237,7 +319,13 @@ def test_fits_are_kept_compared_removed_and_undone(files):
         step, shown = session.shown_beside()
         assert step.number == two and not shown.rows[15].use  # beside the readings as they are now
         panel = layout.state(session, -1)["parts"]["fitted"]
-        assert "Two hypotheses side by side" in panel and "bubble_fraction" in panel
+        assert "Two hypotheses side by side" in panel and " ± " not in panel  # on one line
+        for words in (  # those of the command's tables
+            "scattering (1/cm) <small>alpha_scat_per_cm</small>",
+            "bubble fraction <small>bubble_fraction</small>",
+        ):
+            assert words in panel
+        assert 'title="alpha_scat_per_cm">scattering (1/cm)</label>' in layout.page(session)
 
         session.show_step(two)  # with the readings that it had
         assert session.state.campaign.measurements.readings[15].use

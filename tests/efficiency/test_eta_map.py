@@ -15,7 +15,7 @@ from mcrim_mitsuba.efficiency.eta_map import map_eta, read_map
 from mcrim_mitsuba.efficiency.simulate import collect
 from mcrim_mitsuba.output.result_writing import netcdf_bytes
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.transport.scene_model import opaque_vector
+from mcrim_mitsuba.transport.conversion import opaque_vector
 from mcrim_mitsuba.transport.simulation import Simulation
 
 BENCH = SCENES / "camoo4.xml"
@@ -97,6 +97,9 @@ def test_map_as_a_dataset_with_a_picture(tmp_path):
     assert float((data.eta * data.volume).sum()) == pytest.approx(0.4335, abs=0.006)
     assert "everywhere" in str(made) and len(made.document["spreads"]) == 3
     figure, numbers = made.plot(), made.draw(tmp_path / "map.png")[1]
+    [said, *_] = (text.get_text() for axes in figure.axes if axes.get_legend()
+                  for text in axes.get_legend().get_texts())  # fmt: skip
+    assert "everywhere: FWHM " in said and " ± " in said
     assert len(figure.axes) == 7 and len(numbers.read_text().splitlines()) == 13
 
 

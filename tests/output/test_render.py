@@ -12,7 +12,7 @@ from test_cross_section import TEXTS
 
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.output.photograph import apart, render
+from mcrim_mitsuba.output.photograph import apart, heading, render
 from mcrim_mitsuba.scene.scene_file import read_scene
 
 #: Scene, what is changed, and its parts, lowest first.
@@ -137,3 +137,10 @@ def test_bad_places_are_refused_before_any_work(name, here, mcrim):
 def test_variants_without_colour_are_refused():
     bench = SCENES / "camoo4.xml"
     assert "llvm_ad_rgb" in refusal(render, bench, run=Run(variant="llvm_ad_mono"))
+
+
+def test_parameters_above_a_picture_break_between_each_other():
+    for longer in range(8):
+        parameters = {f"parameter_{'x' * longer}{number:02}": 10.0 for number in range(13)}
+        first, second = heading("bench.xml", [], parameters)[1].split("\n")
+        assert first.endswith(",") and second.startswith("parameter_")

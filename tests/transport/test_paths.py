@@ -21,7 +21,8 @@ from mcrim_mitsuba.optics.fresnel import amplitudes
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport import general_path, surface_physics
-from mcrim_mitsuba.transport.scene_model import Surface, surface_properties
+from mcrim_mitsuba.transport.conversion import surface_properties
+from mcrim_mitsuba.transport.scene_model import Surface
 from mcrim_mitsuba.transport.simulation import Simulation
 from mcrim_mitsuba.transport.variants import use_variant
 

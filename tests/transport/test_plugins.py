@@ -12,8 +12,8 @@ from mcrim_mitsuba.output.photograph import render
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.bulk import PhotonSeeds, lane_generators
 from mcrim_mitsuba.transport.collection import Recorder
+from mcrim_mitsuba.transport.conversion import read_scene_model
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals
-from mcrim_mitsuba.transport.scene_model import read_scene_model
 from mcrim_mitsuba.transport.simulation import Simulation, load_scene
 from mcrim_mitsuba.transport.trails import follow_trails
 from mcrim_mitsuba.transport.variants import use_variant

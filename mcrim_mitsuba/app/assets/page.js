@@ -33,7 +33,7 @@ function sent() {
 }
 
 function isEntered() {
-  return !document.querySelector(".typed[aria-invalid=true]");
+  return !document.querySelector(":is(.typed, select)[aria-invalid=true]");
 }
 
 // numbers that belong to other values than those beside them are grey

@@ -29,7 +29,7 @@ export function showReadings(readings, force) {
       field.title = `${field.dataset.says} ${reading.label}`;
       field.setAttribute("aria-label", field.title);
     }
-    for (const field of row.querySelectorAll("input")) {
+    for (const field of row.querySelectorAll("input, select")) {
       const value = reading[field.dataset.column];
       if (field.type === "checkbox") {
         field.checked = value;
@@ -65,7 +65,7 @@ export function cellText(field) {
   const [number, problem] = read(text);
   // an index may be that of a material
   const isName = !["signal", "sigma"].includes(column) && /[a-z]/i.test(text);
-  if (field.type === "checkbox" || column === "label" || (problem && isName)) {
+  if (field.matches("[type=checkbox], select") || column === "label" || (problem && isName)) {
     return [text, ""];
   }
   return [String(number), problem];

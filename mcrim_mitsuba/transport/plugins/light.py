@@ -14,9 +14,9 @@ from mcrim_mitsuba.optics.emission_band import USUAL_NM, USUAL_WIDTH_NM, WIDTHS
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.transport.bulk import CollimatedBeam, CrystalVolume, read_crystal
 from mcrim_mitsuba.transport.collection import Launcher, collect, slope_along
+from mcrim_mitsuba.transport.conversion import read_scene_model
 from mcrim_mitsuba.transport.launch_plan import FateTally
 from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis, described, number
-from mcrim_mitsuba.transport.scene_model import read_scene_model
 
 #: That ``mitsuba.render`` follows where nobody says how many.
 PHOTONS = 1_000_000

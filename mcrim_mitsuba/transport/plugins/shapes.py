@@ -20,7 +20,7 @@ class Polygons(mi.Mesh):
     """A shape of flat polygons, which may be rotated, scaled and moved by its ``to_world``.
 
     Mitsuba knows no mesh without triangles, so a shape that is empty has a single triangle
-    without area, which no ray hits; `transport.scene_model` leaves such shapes out.
+    without area, which no ray hits; `transport.conversion` leaves such shapes out.
 
     Attributes
     ----------
@@ -457,7 +457,7 @@ class Chamfers(Polygons):
 def _hexagon(half, along: int, signs: tuple[float, float], leg: float) -> list[np.ndarray]:
     """One chamfer as its rectangle and the triangles at its two ends.
 
-    So `transport.scene_model` gets the fewest flat faces. The box of these half widths is centred
+    So `transport.conversion` gets the fewest flat faces. The box of these half widths is centred
     on the origin; the edge runs along an axis and lies on the given sides of the two others.
     """
     one, other = (axis for axis in range(3) if axis != along)

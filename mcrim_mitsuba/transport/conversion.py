@@ -1,0 +1,380 @@
+"""Between Mitsuba and numbers: a loaded scene is read, and tables go into compiled kernels.
+
+Everything is read from the loaded scene, never from our own idea of the bench.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, MM_PER_CM
+from mcrim_mitsuba.transport.scene_model import (
+    DETECTOR,
+    DIELECTRIC,
+    DIFFUSE,
+    OTHER,
+    OUTSIDE,
+    RESERVED_NAMES,
+    Circle,
+    FlatFace,
+    RoundWall,
+    SceneModel,
+    Surface,
+    Volume,
+    cross,
+)
+
+#: A mesh of more triangles than this is not listed face by face: it counts as curved.
+MOST_TRIANGLES = 128
+
+
+def read_scene_model(scene) -> SceneModel:
+    """Translate a scene; every shape keeps its id where it was loaded with ``optimize=False``.
+
+    Raises
+    ------
+    InputError
+        For a medium, a phase function or a shape that the transport cannot follow.
+    """
+    box = mi.ScalarBoundingBox3f()
+    for shape in scene.shapes():
+        if shape.is_mesh() and not shape.bbox().valid():
+            # made of several by Mitsuba, which forgets where it is
+            shape.recompute_bbox()
+        box.expand(shape.bbox())
+    shapes = tuple(shape for shape in scene.shapes() if not getattr(shape, "empty", False))
+    volumes = [Volume(RESERVED_NAMES[OUTSIDE], 0.0, 0.0)]
+    for shape in shapes:
+        for medium in filter(None, _media(shape)):
+            if not medium.id() or medium.id() in RESERVED_NAMES:
+                problem = f"{shape.id()}: a medium is called {medium.id()!r}"
+                raise InputError(problem, f"give it an id, other than {', '.join(RESERVED_NAMES)}")
+            if medium.id() not in [v.name for v in volumes]:
+                volumes.append(_volume(medium))
+    names = [v.name for v in volumes]
+    if sum(v.endless for v in volumes) > 1:
+        raise InputError("two media are endless", "light outside is in one liquid at most")
+    surfaces, faces, curved, walls = [], [], [], []
+    for number, shape in enumerate(shapes):
+        inner, outer = (OUTSIDE if m is None else names.index(m.id()) for m in _media(shape))
+        try:
+            properties = _followed(shape, inner, outer)
+            own = _flat_faces(shape, number)
+        except InputError as error:
+            raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
+        surfaces.append(Surface(shape.id(), inner, outer, **properties))
+        wall = _wall(shape)
+        if wall is not None:
+            walls.append(replace(wall, surface=number))
+        elif own is None:
+            curved.append(number)
+        faces.extend(own or [])
+    if len({(s.film, s.head_on) for s in surfaces if s.kind == DETECTOR}) > 1:
+        problem = "the detectors differ in what they take of light that arrives head-on"
+        raise InputError(problem, "let all have the same cathode_nm and angular_falloff")
+    size = float(max(np.abs(np.array(box.min)).max(), np.abs(np.array(box.max)).max()))
+    return SceneModel(
+        scene, shapes, tuple(volumes), tuple(surfaces), tuple(faces), tuple(curved), size,
+        tuple(walls),
+    )  # fmt: skip
+
+
+def _media(shape) -> tuple:
+    """Mitsuba's media behind a shape and in front of it; ``None`` is the outside."""
+    return shape.interior_medium(), shape.exterior_medium()
+
+
+def _volume(medium) -> Volume:
+    """The volume of a medium, and how it scatters."""
+    scattering = _phase(medium)
+    if hasattr(medium, "alpha_scat_per_cm"):
+        # Mitsuba's own way may have set them
+        alphas = {name: getattr(medium, name)[0] for name in (ALPHA_SCAT, ALPHA_ABS)}
+        for name, alpha in alphas.items():
+            if not 0.0 <= alpha < math.inf:
+                problem = f"{name} of medium {medium.id()!r} is {alpha:g}"
+                raise InputError(problem, "give a number of 0 or more")
+        for name in ("scattering_gradient", "scattering_exponent", "endless"):
+            scattering[name] = getattr(medium, name)
+        if medium.scattering_exponent:
+            scattering["relative_bandwidth"] = medium.relative_bandwidth
+        return Volume(medium.id(), *(alpha / MM_PER_CM for alpha in alphas.values()), **scattering)
+    parameters = mi.traverse(medium)
+    try:
+        sigma_t = _first(parameters["sigma_t.value.value"]) * _first(parameters["scale"])
+        albedo = _first(parameters["albedo.value.value"])
+    except KeyError:
+        problem = f"medium {medium.id()!r} ({medium.class_name()}) is not homogeneous"
+        mend = 'use <medium type="bulk"> or <medium type="homogeneous"> with single values'
+        raise InputError(problem, mend) from None
+    return Volume(medium.id(), albedo * sigma_t, (1.0 - albedo) * sigma_t, **scattering)
+
+
+def _phase(medium) -> dict:
+    """How a medium scatters, as keyword arguments of `Volume`."""
+    phase = medium.phase_function()
+    name = "IsotropicPhaseFunction" if phase is None else phase.class_name()
+    if name == "HGPhaseFunction":
+        return {"phase": "hg", "scattering_g": _first(mi.traverse(phase)["g"])}
+    if name not in ("IsotropicPhaseFunction", "RayleighPhaseFunction"):
+        mend = "the transport follows the phase functions isotropic, hg and rayleigh"
+        raise InputError(f"medium {medium.id()!r} scatters with {name}", mend)
+    return {"phase": "rayleigh" if name == "RayleighPhaseFunction" else "isotropic"}
+
+
+def surface_properties(bsdf) -> dict:
+    """What the loop needs of a BSDF, as keyword arguments of `Surface`.
+
+    Kinds that are not known here are `OTHER`: their own ``sample`` is called.
+    """
+    if hasattr(bsdf, "interface") and hasattr(bsdf, "radius"):
+        inner = surface_properties(bsdf.interface)
+        if "aperture_radius_mm" in inner:
+            raise InputError("an aperture lies in an aperture", "keep the narrower one")
+        return inner | {
+            "aperture_radius_mm": bsdf.radius,
+            "axis_mm": bsdf.centre,
+            "mask_reflectance": bsdf.reflectance,
+        }
+    name = bsdf.class_name()
+    if getattr(bsdf, "detects_light", False):
+        return {
+            "kind": DETECTOR,
+            "axis_mm": bsdf.centre,
+            "reflectance": bsdf.reflectance,
+            "specular": bsdf.specular,
+            "film": bsdf.film,
+            "angular_falloff": bsdf.angular_falloff,
+            "radial_falloff_per_mm2": bsdf.radial_falloff_per_mm2,
+            "least_cosine": math.cos(math.radians(min(bsdf.acceptance_deg, 90.0))),
+        }
+    if hasattr(bsdf, "roughness_alpha"):
+        heights = bsdf.rms_roughness_nm / bsdf.wavelength_nm
+        polished = {
+            "roughness": bsdf.roughness_alpha,
+            "surface_loss": bsdf.surface_loss,
+            "haze": 2.0 * math.pi * heights * bsdf.int_ior,
+        }
+        return surface_properties(bsdf.smooth) | polished
+    parameters = mi.traverse(bsdf)
+    keys = parameters.keys()
+    if name == "SmoothDielectric" and not any("specular" in key for key in keys):
+        return {"kind": DIELECTRIC, "eta": _first(parameters["eta"])}
+    if name in ("SmoothDiffuse", "TwoSidedBRDF"):
+        two_sided = name == "TwoSidedBRDF"
+        if two_sided and "Photodetector" in str(bsdf):
+            problem = "a photodetector stands in a twosided bsdf"
+            raise InputError(problem, "use it alone: it takes light on both sides")
+        key = next((k for k in keys if k.endswith("reflectance.value")), None)
+        # Mitsuba names both sides' BSDFs, even if they are one and the same.
+        alike = str(bsdf).count("SmoothDiffuse") == (2 if two_sided else 1)
+        if key is not None and alike and sum("value" in k for k in keys) == 1:
+            grey = _grey(parameters[key])
+            return {"kind": DIFFUSE, "reflectance": grey, "two_sided": two_sided}
+    return {"kind": OTHER, "plugin": name}
+
+
+def _followed(shape, interior: int, exterior: int) -> dict:
+    """`surface_properties` of a shape; raises InputError where light cannot be followed there."""
+    # An instance's surfaces and volumes are those of its group, which has no place of its own.
+    if shape.class_name() == "Instance":
+        problem = "the transport does not follow instances of a shapegroup"
+        raise InputError(problem, "write the shape itself, once for each place")
+    properties = surface_properties(shape.bsdf())
+    if "aperture_radius_mm" in properties:
+        width, depth, height = (float(shape.bbox().extents()[i]) for i in range(3))
+        if height > 1e-4 * max(width, depth):
+            mend = "turn the bench so that the masked face is perpendicular to z"
+            raise InputError("an aperture lies on a face that is not horizontal", mend)
+    black_back = properties["kind"] == DIFFUSE and not properties["two_sided"]
+    if properties["kind"] == OTHER:
+        black_back = not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.BackSide)
+    if black_back and interior != OUTSIDE:
+        problem = "its reflector is black on the back, and light inside the volume meets the back"
+        raise InputError(problem, 'wrap it in <bsdf type="twosided">, or turn the face round')
+    if properties.get("plugin") == "ThinDielectric" and interior != exterior:
+        problem = "a thindielectric does not refract, but parts two different volumes"
+        raise InputError(problem, 'use <bsdf type="dielectric">')
+    return properties
+
+
+def _grey(value) -> float:
+    """The one value of a reflectance; light is monochromatic here."""
+    values = np.ravel(np.array(value, dtype=np.float64))
+    if np.ptp(values) > 1e-6:
+        problem = f"a reflectance has a colour ({', '.join(f'{v:g}' for v in values)})"
+        mend = 'light is monochromatic: write <spectrum name="reflectance" value="0.97"/>'
+        raise InputError(problem, mend)
+    return float(values[0])
+
+
+def _first(value) -> float:
+    """First component of a scalar, Dr.Jit array or spectrum (transport is monochromatic)."""
+    return float(np.ravel(np.array(value, dtype=np.float64))[0])
+
+
+def _flat_faces(shape, number: int) -> list[FlatFace] | None:
+    """The flat faces of a shape, or ``None`` if it is curved.
+
+    Light meets the triangles of a mesh; smooth normals are there for pictures.
+    """
+    if shape.shape_type() == int(mi.ShapeType.Rectangle):
+        matrix = _matrix(shape)
+        centre, half_u, half_v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]
+        if shape.has_flipped_normals():
+            half_u, half_v = half_v, half_u
+        return [_face(centre - half_u - half_v, 2 * half_u, 2 * half_v, False, number)]
+    if shape.shape_type() == int(mi.ShapeType.Disk):
+        return _disk_face(shape, number)
+    if _wall(shape) is not None:
+        return None
+    if getattr(shape, "round_faces", ()):
+        return [
+            replace(_face(corner, along, across, False, number), circle=circle)
+            for corner, along, across, circle in shape.round_faces
+        ]
+    if shape.is_mesh():
+        return _mesh_faces(shape, number)
+    return None
+
+
+#: How far, in parts of its size, a round shape's directions may be off the scene's axes: rounding.
+_ASKEW = 1e-6
+
+
+def _matrix(shape) -> np.ndarray:
+    """A shape's ``to_world``, float64, shape (4, 4)."""
+    values = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64)
+    return values.reshape(4, 4)
+
+
+def _round_axis(matrix: np.ndarray) -> int | None:
+    """The axis of the scene that a shape's own z axis is along, if a circle about it stays one."""
+    one, other, along = matrix[:3, :3].T
+    size = np.linalg.norm([one, other], axis=1)
+    if abs(size[0] - size[1]) > _ASKEW * size[0] or abs(one @ other) > _ASKEW * size[0] ** 2:
+        return None
+    axis = int(np.argmax(np.abs(along)))
+    off = np.delete(np.abs(along), axis).max() > _ASKEW * abs(along[axis])
+    tilted = np.abs(matrix[axis, :2]).max() > _ASKEW * size[0]
+    return None if off or tilted else axis
+
+
+def _disk_face(shape, number: int) -> list[FlatFace] | None:
+    """A round face across an axis of Mitsuba's ``disk``; ``None`` of any other."""
+    matrix = _matrix(shape)
+    centre, half_u, half_v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]
+    across = np.column_stack([half_u, half_v, cross(half_u, half_v), centre])
+    axis = _round_axis(np.vstack([across, (0.0, 0.0, 0.0, 1.0)]))
+    if axis is None:
+        return None
+    if shape.has_flipped_normals():
+        half_u, half_v = half_v, half_u
+    place = np.delete(centre, axis)
+    circle = Circle((float(place[0]), float(place[1])), float(np.linalg.norm(half_u)), axis=axis)
+    # the square around it with its edges along axes, as light is tested soonest
+    u, v = (np.eye(3)[i] * circle.radius_mm for i in circle.across)
+    if cross(u, v) @ cross(half_u, half_v) < 0.0:
+        u, v = v, u
+    face = _face(centre - u - v, 2.0 * u, 2.0 * v, False, number)
+    return [replace(face, circle=circle)]
+
+
+def _wall(shape) -> RoundWall | None:
+    """The round wall that a shape is: one of ours, or Mitsuba's ``cylinder`` along an axis."""
+    known = getattr(shape, "wall", None)
+    if known is not None or shape.shape_type() != int(mi.ShapeType.Cylinder):
+        return known
+    matrix = _matrix(shape)
+    axis = _round_axis(matrix)
+    if axis is None:
+        return None
+    low, high = sorted((float(matrix[axis, 3]), float(matrix[axis, 3] + matrix[axis, 2])))
+    place = np.delete(matrix[:3, 3], axis)
+    radius = float(np.linalg.norm(matrix[:3, 0]))
+    circle = Circle((float(place[0]), float(place[1])), radius, axis=axis)
+    return RoundWall(circle, low, high, -1, outwards=not shape.has_flipped_normals())
+
+
+def _face(corner, edge_u, edge_v, triangle: bool, number: int) -> FlatFace:
+    normal = cross(edge_u, edge_v)
+    area = np.linalg.norm(normal)
+    if not area > 0.0:
+        raise InputError("a face has no area", "look for a scale of 0 in its transform")
+    return FlatFace(corner, edge_u, edge_v, normal / area, triangle, number)
+
+
+def _mesh_faces(shape, number: int) -> list[FlatFace] | None:
+    if shape.face_count() > MOST_TRIANGLES:
+        return None
+    parameters = mi.traverse(shape)
+    vertices = np.array(parameters["vertex_positions"], dtype=np.float64).reshape(-1, 3)
+    indices = np.array(parameters["faces"], dtype=np.int64).reshape(-1, 3)
+    triangles = []
+    for a, b, c in vertices[indices]:
+        if shape.has_flipped_normals():
+            b, c = c, b
+        triangles.append(_face(a, b - a, c - a, True, number))
+    # neighbouring triangles that form a parallelogram are one face
+    merged, i = [], 0
+    while i < len(triangles):
+        joined = _parallelogram(*triangles[i : i + 2]) if i + 1 < len(triangles) else None
+        merged.append(joined or triangles[i])
+        i += 2 if joined else 1
+    return merged
+
+
+def _parallelogram(first: FlatFace, second: FlatFace) -> FlatFace | None:
+    """What two triangles are together, if that is a parallelogram."""
+    scale = np.abs([first.edge_u, first.edge_v]).max()
+    if np.abs(first.normal - second.normal).max() > 1e-6:
+        return None
+    a, b = first.corners, second.corners
+
+    def same(p, q) -> bool:
+        return np.abs(p - q).max() <= 1e-6 * scale
+
+    shared = [i for i, p in enumerate(a) if any(same(p, q) for q in b)]
+    if len(shared) != 2:
+        return None
+    (alone,) = set(range(3)) - set(shared)
+    # from the corner that a quadrilateral begins with, so that births are as in a rectangle
+    corner, u, far = a[alone - 1], a[alone], a[(alone + 1) % 3]
+    v = next(q for q in b if not any(same(p, q) for p in a))
+    if not same(u + v - corner, far):
+        return None
+    return _face(corner, u - corner, v - corner, False, first.surface)
+
+
+def opaque(values, dtype=None):
+    """A table (``mi.Float`` by default) of the loop that one compiled kernel can be reused with."""
+    # From a list, because Dr.Jit would borrow a NumPy array's memory, whose alignment varies and
+    # is part of the compiled code.
+    table = (dtype or mi.Float)(np.asarray(values).tolist())
+    dr.make_opaque(table)
+    return table
+
+
+def opaque_vector(values):
+    """A Vector3f of three opaque numbers."""
+    return mi.Vector3f(*(opaque([value]) for value in values))
+
+
+def surface_numbers(model: SceneModel):
+    """A function of (ShapePtr, mask) that gives the index among ``model.surfaces`` (UInt32)."""
+    pointers = [mi.ShapePtr(shape) for shape in model.shapes]
+    ids = [int(np.array(dr.reinterpret_array(mi.UInt32, pointer))[0]) for pointer in pointers]
+    table = np.zeros(max(ids) + 1, dtype=np.uint32)
+    table[ids] = range(len(ids))
+    table = opaque(table, mi.UInt32)
+
+    def number_of(pointer, active):
+        return dr.gather(mi.UInt32, table, dr.reinterpret_array(mi.UInt32, pointer), active)
+
+    return number_of
