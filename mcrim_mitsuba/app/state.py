@@ -11,11 +11,7 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.campaign.samples import of_sample
 from mcrim_mitsuba.core.files import attributes
-<<<<<<< HEAD
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, said, unit_of, without_unit
-=======
-from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, unit_of, without_unit
->>>>>>> e02811978029ac1c95dd19d7b0aaaec8ae873667
+from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, said, unit_of, without_unit
 from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.inference.diagnose import Diagnosed
 from mcrim_mitsuba.inference.estimates import FittedRow
@@ -298,7 +294,7 @@ def difference(
         if old is None:
             continue
         if old.kind != new.kind:
-            said.append(f"{label} as {new.kind}")
+            told.append(f"{label} as {new.kind}")
         if (old.signal, old.sigma) != (new.signal, new.sigma):
             told.append(f"{label} {new.signal:g} ± {new.sigma:g}")
         told += [
@@ -314,10 +310,5 @@ def difference(
             HELD: f"held at {settings.values[control.name]:.4g}",
             PRIOR: f"known to be {now.prior} ± {now.prior_sigma}",
         }.get(now.how, "free")
-<<<<<<< HEAD
-        told.append(f"{without_unit(control.name)} {how}")
+        told.append(f"{control.title} {how}")
     return ", ".join(told)
-=======
-        said.append(f"{control.title} {how}")
-    return ", ".join(said)
->>>>>>> e02811978029ac1c95dd19d7b0aaaec8ae873667

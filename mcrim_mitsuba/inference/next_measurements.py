@@ -18,8 +18,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.special import logsumexp
-from scipy.special import ndtr
+from scipy.special import logsumexp, ndtr
 
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE
 from mcrim_mitsuba.campaign.parameter import SCALE

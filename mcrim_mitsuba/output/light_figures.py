@@ -17,11 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
 from mcrim_mitsuba.core.errors import InputError
-<<<<<<< HEAD
-from mcrim_mitsuba.core.numbers import Value, said, titled
-=======
-from mcrim_mitsuba.core.numbers import FWHM, Value, titled
->>>>>>> e02811978029ac1c95dd19d7b0aaaec8ae873667
+from mcrim_mitsuba.core.numbers import FWHM, Value, said, titled
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.arrival_times import ArrivalTimes
 from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
