@@ -316,11 +316,22 @@ def _extruded(low: np.ndarray, high: np.ndarray, finish: Finish) -> list[Body]:
     ends = np.clip(low[[0, -1], 0], -WIDE / 2, WIDE / 2)
     if ends[1] - ends[0] < 1e-6:
         return []
-    x = np.unique([*ends, *low[(low[:, 0] > ends[0]) & (low[:, 0] < ends[1]), 0]])
+    # a line that leaves the block between two of its points bends there
+    leaves = [_meets(line, z) for line in (low, high) for z in (-0.5, 0.5)]
+    x = np.concatenate([low[:, 0], *leaves])
+    x = np.unique([*ends, *x[(x > ends[0]) & (x < ends[1])]])
     bottom, top = (np.clip(np.interp(x, *line.T), -0.5, 0.5) for line in (low, high))
     if not (top - bottom > 1e-6).any():
         return []
     return [Body(_prism(np.column_stack([x, bottom]), np.column_stack([x, top])), finish)]
+
+
+def _meets(line: np.ndarray, z: float) -> np.ndarray:
+    """Where on the first axis a line (shape (n, 2)) crosses a height."""
+    x, above = line[:, 0], line[:, 1] - z
+    before = np.flatnonzero(above[:-1] * above[1:] < 0.0)
+    part = above[before] / (above[before] - above[before + 1])
+    return x[before] + part * (x[before + 1] - x[before])
 
 
 def _sheet(points: np.ndarray, aside: np.ndarray, finish: Finish) -> tuple[np.ndarray, Body] | None:
