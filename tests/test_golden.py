@@ -68,7 +68,7 @@ class Tolerance:
     sigmas: float = 0.0  # of the standard error that stands beside it
     of_one: float = 0.0  # of 1, for `chi2`, pulls and probabilities, whose unit it is
     digits: int = 1  # of the last digit in a text, which is rounded
-    least: float = 1e-9  # what is smaller is zero but for rounding, or a probability that is none
+    least: float = 1e-8  # what is smaller is zero but for rounding, or a probability that is none
 
     def allows(self, stored: float, found: float, key: str = "", sigma: float = 0.0) -> bool:
         relative = COMPUTED.relative if self.sigmas * sigma else self.relative
@@ -85,6 +85,15 @@ SIMULATES = re.compile("--photons|--precision|^lab plan")
 #: What `sigma` is the error of; other names have theirs in NAME_sigma.
 OF_SIGMA = {"value", "lower", "upper", "measured", "ours"}
 UNIT_IS_ONE = re.compile("chi2|pull|^p_|^z$|collinearity|aicc")
+#: What is listed in an order, or from a threshold on: where two are nearly alike, roundings decide
+#: which is the first, or the last that is listed.
+LISTED = {
+    "next_measurements": lambda each: each["words"],
+    "mimics": lambda each: each,
+}
+PROPOSALS = re.compile(
+    r"^what to measure next$.*^└[^\n]*$|^Next: measure .*\Z", re.MULTILINE | re.DOTALL
+)
 
 
 def tolerance_of(name: str) -> Tolerance:
@@ -169,6 +178,18 @@ def differences(stored: Any, found: Any, tolerance: Tolerance, where: str = "") 
                 error = abs(as_number(sigma)) if is_number(sigma) else 0.0
                 if not tolerance.allows(as_number(value), as_number(found[key]), key, error):
                     yield f"{where}/{key}: {value} was stored, {found[key]} found"
+            elif key in LISTED and value and found[key]:
+                old, new = ({LISTED[key](each): each for each in side} for side in
+                            (value, found[key]))  # fmt: skip
+                both = old.keys() & new.keys()
+                if 2 * len(both) < max(len(old), len(new)):
+                    yield f"{where}/{key}: {list(old)} were stored, {list(new)} found"
+                for name in both:
+                    yield from differences(old[name], new[name], tolerance, f"{where}/{key}/{name}")
+            elif key == "stdout":
+                lines = (PROPOSALS.sub("...", "\n".join(side)) for side in (value, found[key]))
+                old, new = (text.split("\n") for text in lines)
+                yield from differences(old, new, tolerance, f"{where}/{key}")
             elif is_table(key, value) and is_table(key, found[key]):
                 old, new = (list(csv.DictReader(lines)) for lines in (value, found[key]))
                 yield from differences(old, new, tolerance, f"{where}/{key}")
