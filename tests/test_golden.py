@@ -87,10 +87,7 @@ OF_SIGMA = {"value", "lower", "upper", "measured", "ours"}
 UNIT_IS_ONE = re.compile("chi2|pull|^p_|^z$|collinearity|aicc")
 #: What is listed in an order, or from a threshold on: where two are nearly alike, roundings decide
 #: which is the first, or the last that is listed.
-LISTED = {
-    "next_measurements": lambda each: each["words"],
-    "mimics": lambda each: each,
-}
+LISTED = {"next_measurements", "mimics"}
 PROPOSALS = re.compile(
     r"^what to measure next$.*^└[^\n]*$|^Next: measure .*\Z", re.MULTILINE | re.DOTALL
 )
@@ -178,9 +175,8 @@ def differences(stored: Any, found: Any, tolerance: Tolerance, where: str = "") 
                 error = abs(as_number(sigma)) if is_number(sigma) else 0.0
                 if not tolerance.allows(as_number(value), as_number(found[key]), key, error):
                     yield f"{where}/{key}: {value} was stored, {found[key]} found"
-            elif key in LISTED and value and found[key]:
-                old, new = ({LISTED[key](each): each for each in side} for side in
-                            (value, found[key]))  # fmt: skip
+            elif key in LISTED and isinstance(value, list) and isinstance(found[key], list):
+                old, new = ({name_of(each): each for each in side} for side in (value, found[key]))
                 both = old.keys() & new.keys()
                 if 2 * len(both) < max(len(old), len(new)):
                     yield f"{where}/{key}: {list(old)} were stored, {list(new)} found"
@@ -200,6 +196,10 @@ def differences(stored: Any, found: Any, tolerance: Tolerance, where: str = "") 
             yield from differences(*pair, tolerance, f"{where}/{number}")
     elif not alike_texts(stored, found, tolerance):
         yield f"{where}: {stored!r} was stored, {found!r} found"
+
+
+def name_of(listed: Any) -> str:
+    return listed["words"] if isinstance(listed, dict) else str(listed)
 
 
 def is_table(name: str, value: Any) -> bool:
