@@ -7,7 +7,7 @@ import subprocess
 import sys
 from contextlib import contextmanager
 
-PHOTONS = 65536  # with an effect; the bench as it is gets nine times as many
+PHOTONS = 32768  # with an effect; the bench as it is gets nine times as many
 LONGEST_SIMULATION_S = 600
 KEYS = {
     "tab": "\ue004",
