@@ -303,7 +303,7 @@ def _drawn(
 
 #: Part of a distribution whose width counts as its error, and how many standard deviations it is
 #: of a Gaussian.
-INTERVAL = 0.9
+INTERVAL = 0.85
 WIDTH = float(2.0 * ndtri(0.5 + 0.5 * INTERVAL))
 
 
@@ -311,8 +311,9 @@ WIDTH = float(2.0 * ndtri(0.5 + 0.5 * INTERVAL))
 class AveragedYield:
     """The light yield averaged over the models that the data allow, photons per keV.
 
-    The average is no Gaussian: an unlikely model may be far from the others. So its error is the
-    width of the interval that holds 90 % of it, in standard deviations of a Gaussian.
+    The average is no Gaussian: an unlikely model may be far from the others. So the value is the
+    median, and the error the width of the interval that holds 85 % of it, in standard deviations of
+    a Gaussian: what is as likely as one in thirteen counts.
     """
 
     value: float
@@ -387,23 +388,24 @@ def weigh(hypotheses: Sequence[Hypothesis], known: LightYieldInput | None) -> We
         variances = np.array(
             [shares @ sigmas**2, shares @ (values - mean) ** 2, shares @ allowed**2]
         )
-        width = _width(shares, values, np.hypot(sigmas, allowed))
-        within, between, catalogue = (np.sqrt(variances / variances.sum()) * width).tolist()
-        of_detector = mean * known.detector_efficiency_sigma / known.detector_efficiency
+        sigmas = np.hypot(sigmas, allowed)
+        low, median, high = (
+            _quantile(shares, values, sigmas, 0.5 + part * INTERVAL) for part in (-0.5, 0.0, 0.5)
+        )
+        parts = np.sqrt(variances / variances.sum()) * (high - low) / WIDTH
+        within, between, catalogue = parts.tolist()
+        of_detector = median * known.detector_efficiency_sigma / known.detector_efficiency
         within = math.hypot(within, of_detector)
         sigma = math.hypot(within, between, catalogue)
-        light_yield = AveragedYield(mean, sigma, within, between, catalogue)
+        light_yield = AveragedYield(median, sigma, within, between, catalogue)
     return Weighing(probabilities, light_yield)
 
 
-def _width(shares: Array, values: Array, sigmas: Array) -> float:
-    """Of the interval that holds `INTERVAL` of Gaussians, in standard deviations of one."""
-    ends = []
-    for part in (0.5 - 0.5 * INTERVAL, 0.5 + 0.5 * INTERVAL):
+def _quantile(shares: Array, values: Array, sigmas: Array, part: float) -> float:
+    """Below which this part of Gaussians lies that have these shares."""
 
-        def above(x: float, part: float = part) -> float:
-            return float(shares @ ndtr((x - values) / sigmas)) - part
+    def above(x: float) -> float:
+        return float(shares @ ndtr((x - values) / sigmas)) - part
 
-        low, high = (values - 9.0 * sigmas).min(), (values + 9.0 * sigmas).max()
-        ends.append(brentq(above, low, high, rtol=1e-6))
-    return float((ends[1] - ends[0]) / WIDTH)
+    low, high = (values - 9.0 * sigmas).min(), (values + 9.0 * sigmas).max()
+    return float(brentq(above, low, high, rtol=1e-6))

@@ -234,12 +234,12 @@ class _Cloud:
         probability = float(by_name.max(axis=0).mean())
         if self.yields is None:
             return math.nan, math.nan, probability
-        mean, cumulated = weights @ self.yields, np.cumsum(weights, axis=1)
-        low, high = (
+        cumulated = np.cumsum(weights, axis=1)
+        low, median, high = (
             self.yields[np.minimum((cumulated < part).sum(axis=1), len(self.yields) - 1)]
-            for part in (0.5 - 0.5 * INTERVAL, 0.5 + 0.5 * INTERVAL)
+            for part in (0.5 - 0.5 * INTERVAL, 0.5, 0.5 + 0.5 * INTERVAL)
         )
-        error = np.hypot((high - low) / WIDTH / mean, efficiency)
+        error = np.hypot((high - low) / WIDTH / median, efficiency)
         promised = float(np.median(error))
         return promised, float(np.mean(np.abs(error / promised - 1.0) < _KEPT)), probability
 

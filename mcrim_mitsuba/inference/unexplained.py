@@ -46,7 +46,7 @@ UNKNOWN = "unknown"
 #: out of the catalogue (`scripts/trials hidden`, seeds 0 to 2): the averaged light yield was within
 #: 2 of its errors in 90 %, within 1 in 76 %; with the effect in the catalogue within 2 in 96 %,
 #: with 1.34 times the error of the fit that knows it.
-_UNKNOWN_ODDS, _BESIDE_ODDS = 1.0, 0.05
+_UNKNOWN_ODDS, _BESIDE_ODDS = 1.0, 0.025
 #: Relative sizes that it may have, the larger the rarer.
 _AMPLITUDES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
 #: Ranges of the configurations over which it changes.
