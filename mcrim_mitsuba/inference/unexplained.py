@@ -42,10 +42,8 @@ from mcrim_mitsuba.inference.least_squares import Fit, LeastSquaresProblem, sett
 UNKNOWN = "unknown"
 
 #: Odds, before the readings, that something without a name is there, alone and besides an effect.
-#: These and what follows are calibrated by 325 campaigns of as many designs with their effect left
-#: out of the catalogue (`scripts/trials hidden`, seeds 0 to 2): the averaged light yield was within
-#: 2 of its errors in 90 %, within 1 in 76 %; with the effect in the catalogue within 2 in 96 %,
-#: with 1.34 times the error of the fit that knows it.
+#: These and what follows are calibrated by 400 campaigns of as many designs with their effect left
+#: out of the catalogue: what was found, and what other settings would give, is in docs/trials.md.
 _UNKNOWN_ODDS, _BESIDE_ODDS = 1.0, 0.025
 #: Relative sizes that it may have, the larger the rarer.
 _AMPLITUDES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
