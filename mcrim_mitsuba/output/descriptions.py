@@ -298,7 +298,7 @@ def of_diagnosis(found: Diagnosed) -> Described:
         Column("sure to", "probability"), Column("gain in chi2", "expected_delta_chi2"),
         Column("tells apart", "separates"),
     )  # fmt: skip
-    rows = (
+    rows: Iterable[tuple[str | Cell, ...]] = (
         (
             one.words,
             *map(Cell, findings.bought(one), (one.hours, one.light_yield_sigma, one.probability)),
@@ -414,7 +414,7 @@ def _candidate(diagnosis: Diagnosis, one: Candidate) -> tuple[str | Cell, ...]:
         Cell(
             findings.size_text(one, "\n"),
             tuple(cell.value for cell in sizes.values()) or None,
-            tuple(cell.sigma for cell in sizes.values()) or None,
+            tuple(c.sigma for c in sizes.values() if not isinstance(c.sigma, tuple)) or None,
         ),
         findings.plausibility(one),
         Cell(number(light["value"]) + changed, light["value"], light.get("sigma")) if light else "",
@@ -473,7 +473,7 @@ def steps_table(steps: Iterable[RepairStep]) -> Table:
     """How the misfit falls while effects are added."""
     made = tuple(steps)
     light = LIGHT_YIELD if any(LIGHT_YIELD in one.parameters for one in made) else SCALE
-    columns = (
+    columns: tuple[str | Column, ...] = (
         "added", "chi2", "ndf", Column("chi2 / ndf", "chi2_per_ndf"), Column("p", "p_value"),
         Column("rms pull", "rms_pull"), Column("left out", "left_out_error"),
         *(Column(findings.title_of(name), name) for name in (light, ALPHA_SCAT)),

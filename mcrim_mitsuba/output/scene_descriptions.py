@@ -202,7 +202,7 @@ def of_table(
     if not written:
         rows = (
             (*(Cell(f"{v:.5g}" if isinstance(v, float) else str(v), v) for v in at),
-             measured(eta, sigma))
+             measured(float(eta), float(sigma)))
             for *at, eta, sigma in (one.values() for one in made.rows)
         )  # fmt: skip
         parts = (table("", (*made.axes, "eta"), rows),)
