@@ -301,10 +301,12 @@ def _drawn(
 
 # ---- models side by side ----
 
-#: Part of a distribution whose width counts as its error, and how many standard deviations it is
-#: of a Gaussian.
-INTERVAL = 0.85
-WIDTH = float(2.0 * ndtri(0.5 + 0.5 * INTERVAL))
+#: Part of a distribution whose width counts as its error.
+_INTERVAL = 0.85
+#: Where it begins, the median and where it ends, as parts below; how wide it is in standard
+#: deviations of a Gaussian.
+QUANTILES = 0.5 - 0.5 * _INTERVAL, 0.5, 0.5 + 0.5 * _INTERVAL
+WIDTH = float(2.0 * ndtri(QUANTILES[-1]))
 
 
 @dataclass(frozen=True)
@@ -389,9 +391,7 @@ def weigh(hypotheses: Sequence[Hypothesis], known: LightYieldInput | None) -> We
             [shares @ sigmas**2, shares @ (values - mean) ** 2, shares @ allowed**2]
         )
         sigmas = np.hypot(sigmas, allowed)
-        low, median, high = (
-            _quantile(shares, values, sigmas, 0.5 + part * INTERVAL) for part in (-0.5, 0.0, 0.5)
-        )
+        low, median, high = (_quantile(shares, values, sigmas, part) for part in QUANTILES)
         parts = np.sqrt(variances / variances.sum()) * (high - low) / WIDTH
         within, between, catalogue = parts.tolist()
         of_detector = median * known.detector_efficiency_sigma / known.detector_efficiency

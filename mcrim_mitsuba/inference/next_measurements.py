@@ -25,7 +25,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import Value, unit_of
 from mcrim_mitsuba.core.rounding import short_text
-from mcrim_mitsuba.inference.evidence import INTERVAL, WIDTH, Hypothesis
+from mcrim_mitsuba.inference.evidence import QUANTILES, WIDTH, Hypothesis
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.unexplained import unnamed_at
 from mcrim_mitsuba.inference.workbench import MeasurementProposals
@@ -237,7 +237,7 @@ class _Cloud:
         cumulated = np.cumsum(weights, axis=1)
         low, median, high = (
             self.yields[np.minimum((cumulated < part).sum(axis=1), len(self.yields) - 1)]
-            for part in (0.5 - 0.5 * INTERVAL, 0.5, 0.5 + 0.5 * INTERVAL)
+            for part in QUANTILES
         )
         error = np.hypot((high - low) / WIDTH / median, efficiency)
         promised = float(np.median(error))

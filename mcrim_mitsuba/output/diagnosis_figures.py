@@ -217,13 +217,15 @@ def _draw_probabilities(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) ->
 
 def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
     """Bars of gains; those of losses that would leave no room end at the axis, with their value."""
-    tried = [(place, row, row.candidate) for place, row in zip(places, rows, strict=True)]
-    gains = [one.delta_chi2 + one.delta_chi2_sigma for _, _, one in tried if one is not None]
+    tried = [
+        (place, row, row.candidate)
+        for place, row in zip(places, rows, strict=True)
+        if row.candidate is not None
+    ]
+    gains = [one.delta_chi2 + one.delta_chi2_sigma for _, _, one in tried]
     right = 1.08 * max(*gains, axes.dataLim.x1 if axes.lines else 0.0, _LEAST_GAIN)
     left = -_LOSSES * right
     for place, row, one in tried:
-        if one is None:
-            continue
         ends = one.delta_chi2 - one.delta_chi2_sigma < left
         axes.barh(
             place, max(one.delta_chi2, left), height=0.62, color=row.colour, edgecolor=style.DARK,
@@ -235,7 +237,7 @@ def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
                 f"◂ {number(one.delta_chi2)}", (left, place), (4, 0), textcoords="offset points",
                 va="center", fontsize=9.5,
             )  # fmt: skip
-    lowest = min(one.delta_chi2 - one.delta_chi2_sigma for _, _, one in tried if one is not None)
+    lowest = min(one.delta_chi2 - one.delta_chi2_sigma for _, _, one in tried)
     axes.set_xlim(max(left, 1.08 * min(lowest, 0.0)), right)
     axes.axvline(0, color=style.GREY, lw=0.9)
     axes.set_xlabel("fall of χ² when the effect is added")

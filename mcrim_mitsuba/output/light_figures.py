@@ -249,8 +249,8 @@ def _draw_spreads(axes: Axes, mapped: EtaMap, spreads: Sequence[Spread]) -> None
         width = pdg(100.0 * one.fwhm, 100.0 * FWHM * one.relative_rms_sigma)
         label = f"{style.shortened(one.source, 40)}: FWHM {width} %"
         axes.stairs(percent, edges, color=colour, ls=dashes, lw=1.6, label=label)
-    said = f"η (%) where gammas stop\n(each ±{noise:.2g} by the simulation)"
-    axes.set(xlabel=said, ylabel="light (% per bin)", ylim=(0, None))
+    below = f"η (%) where gammas stop\n(each ±{noise:.2g} by the simulation)"
+    axes.set(xlabel=below, ylabel="light (% per bin)", ylim=(0, None))
     style.open_axes(axes)
     style.legend_above(axes, ncols=1, handlelength=2.6)
 

@@ -43,6 +43,16 @@ def wait(session):
     assert not session.jobs.status.said, session.jobs.status.said
 
 
+def downloaded(session, folder):
+    """The campaign's file of those that the page offers, unpacked."""
+    session.offer("campaign", session.state.settings)
+    wait(session)
+    with zipfile.ZipFile(io.BytesIO(session.state.file[1])) as packed:
+        packed.extractall(folder)
+    [written] = folder.rglob("*.toml")
+    return written
+
+
 def fitted(session, **changes):
     """The calibration of a fit at changed settings."""
     settings = replace(session.state.settings, **changes)
@@ -192,11 +202,7 @@ def test_samples_are_fitted_and_shown_side_by_side(files, scenes):
         assert session.state.steps[-1].words == (
             "absorption of cawo4 held at 0.05745, scale of cawo4 known to be 230.0 ± 5.0"
         )
-        session.offer("campaign", session.state.settings)
-        wait(session)
-        with zipfile.ZipFile(io.BytesIO(session.state.file[1])) as packed:
-            packed.extractall(folder / "got")
-    [written] = (folder / "got").rglob("*.toml")
+        written = downloaded(session, folder / "got")
     with opened(written, folder) as other:  # each in its sample's table
         same = other.state.steps[0].calibration
         assert (same.chi2, same.ndf) == (pytest.approx(held.chi2, rel=1e-3), held.ndf)
@@ -273,11 +279,7 @@ def test_parameters_are_held_or_known(files):
         assert session.state.steps[-1].words == (
             "scattering known to be 0.4 ± 0.01, absorption held at 0.05"
         )
-        session.offer("campaign", session.state.settings)
-        wait(session)
-        with zipfile.ZipFile(io.BytesIO(session.state.file[1])) as packed:
-            packed.extractall(folder / "got")
-    [written] = (folder / "got").rglob("*.toml")
+        written = downloaded(session, folder / "got")
     given = read_campaign(written).parameters
     assert given["alpha_abs_per_cm"].fixed and given["alpha_abs_per_cm"].start == 0.05
     assert (given["alpha_scat_per_cm"].prior, given["alpha_scat_per_cm"].prior_sigma) == (0.4, 0.01)
