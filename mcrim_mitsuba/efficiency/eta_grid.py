@@ -286,7 +286,8 @@ class TableUnit(SceneUnit):
             groups.setdefault(key, []).append(request)
         at_once = min(threads or _AT_ONCE, _AT_ONCE)
         with one_thread(), ThreadPoolExecutor(at_once) as pool:
-            made = pool.map(lambda group: self._tables(records, group), groups.values())
+            for_each = map if at_once == 1 else pool.map
+            made = for_each(lambda group: self._tables(records, group), groups.values())
             return {number: content for tables in made for number, content in tables}
 
     def loaded(self, threads: int | None, *, check: bool = False) -> Simulation:

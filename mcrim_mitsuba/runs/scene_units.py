@@ -93,16 +93,16 @@ def _scratch() -> tempfile.TemporaryDirectory[str]:
 PHOTONS_PER_S = 2.5e6
 #: Loaded scenes are held by Mitsuba too, and take memory.
 _MOST = 2
-_loaded: OrderedDict[tuple[str, str, str], Simulation] = OrderedDict()
+_loaded: OrderedDict[tuple[str, bytes | str, str], Simulation] = OrderedDict()
 
 
 def remember(simulation: Simulation) -> None:
     """Let units of a scene that somebody has loaded be made with it."""
     file = simulation.file
-    _keep((str(file.path), file.content_hash, simulation.variant), simulation)
+    _keep((str(file.path), file.text_or_hash, simulation.variant), simulation)
 
 
-def _keep(key: tuple[str, str, str], simulation: Simulation) -> Simulation:
+def _keep(key: tuple[str, bytes | str, str], simulation: Simulation) -> Simulation:
     while len(_loaded) >= _MOST:
         _loaded.popitem(last=False)
     _loaded[key] = simulation
@@ -128,12 +128,14 @@ class SceneUnit:
         from mcrim_mitsuba.transport.simulation import Simulation
         from mcrim_mitsuba.transport.variants import use_variant
 
-        key = str(self.scene.path), self.scene.content_hash, self.variant
+        of = self.scene
+        told_by = of.content_hash if isinstance(of, PortableScene) else self.own_scene.text_or_hash
+        key = str(of.path), told_by, self.variant
         if key in _loaded and not check:
             _loaded.move_to_end(key)
             use_variant(self.variant, threads)
             return _loaded[key]
-        file = self.scene.unpacked() if isinstance(self.scene, PortableScene) else self.own_scene
+        file = of.unpacked() if isinstance(of, PortableScene) else self.own_scene
         return _keep(key, Simulation(file, variant=self.variant, threads=threads, check=check))
 
     @property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import functools
 import re
 from pathlib import Path
 from xml.parsers import expat
@@ -28,6 +30,13 @@ def parse_scene_xml(data: bytes, path: Path) -> etree._Element:
         If the XML is malformed (with line and column), has a DTD or entities, is enormous, or
         is not a ``<scene>`` with a version.
     """
+    # whoever gets it changes it
+    return copy.deepcopy(_parsed(data, path))
+
+
+@functools.lru_cache(maxsize=8)
+def _parsed(data: bytes, path: Path) -> etree._Element:
+    """The root, of scenes that differ in their parameters once."""
     if data.count(b"<") > _MOST_TAGS:
         raise InputError(f"more than {_MOST_TAGS:,} tags", _MEANT, path=path)
     parser = etree.XMLParser(

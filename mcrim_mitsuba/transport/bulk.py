@@ -35,7 +35,7 @@ from mcrim_mitsuba.transport.conversion import (
 )
 from mcrim_mitsuba.transport.convex import convex_solids
 from mcrim_mitsuba.transport.launch_plan import BATCHES, LanePlan
-from mcrim_mitsuba.transport.scene_model import DETECTOR, OUTSIDE, SceneModel
+from mcrim_mitsuba.transport.scene_model import DETECTOR, OUTSIDE, SceneModel, cross
 
 #: Rounds of the cipher that spreads the lanes' seeds over all states.
 HASH_ROUNDS = 8
@@ -453,7 +453,7 @@ def _parallelepiped(faces):
         if abs(w @ faces[0].normal) < 1e-5 * size:
             continue
         shares = np.linalg.solve(np.column_stack([u, v, w]), (corners - corner).T).T
-        whole = 2.0 * sum(np.linalg.norm(np.cross(*pair)) for pair in ((u, v), (v, w), (w, u)))
+        whole = 2.0 * sum(math.hypot(*cross(*pair)) for pair in ((u, v), (v, w), (w, u)))
         inside = shares.min() > -1e-5 and shares.max() < 1.0 + 1e-5
         ends = shares.reshape(len(faces), -1, 3)
         away = np.minimum(np.abs(ends).max(axis=1), np.abs(ends - 1.0).max(axis=1))

@@ -250,8 +250,9 @@ _ASKEW = 1e-6
 
 def _matrix(shape) -> np.ndarray:
     """A shape's ``to_world``, float64, shape (4, 4)."""
-    values = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64)
-    return values.reshape(4, 4)
+    matrix = mi.traverse(shape)["to_world"].matrix
+    # one number after the other: as a whole it would go through a kernel
+    return np.array([[matrix[i, j][0] for j in range(4)] for i in range(4)], dtype=np.float64)
 
 
 def _round_axis(matrix: np.ndarray) -> int | None:
