@@ -13,7 +13,17 @@ from typing import Any
 from mcrim_mitsuba.app import exchange
 from mcrim_mitsuba.app.jobs import Job, Jobs
 from mcrim_mitsuba.app.simulated_bench import SimulatedBench
-from mcrim_mitsuba.app.state import FitStep, Settings, Shown, State, difference, settings_of
+from mcrim_mitsuba.app.state import (
+    FREE,
+    PRIOR,
+    FitStep,
+    Known,
+    Settings,
+    Shown,
+    State,
+    difference,
+    settings_of,
+)
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError
@@ -111,7 +121,14 @@ class Session:
     # ---- what the model says -----------------------------------------------------------------
 
     def show(self, settings: Settings) -> Shown | None:
-        """Predictions at some settings; None before the readings were simulated."""
+        """Predictions at some settings; None before the readings were simulated.
+
+        Their chi2 counts what the last fit with the same effects took as known of their sizes.
+        """
+        free = {n for n, known in self.bench.known(settings).items() if known.how == FREE}
+        sizes = self._priors_of_fit(settings)
+        known = {n: Known(PRIOR, *sizes[n]) for n in free & sizes.keys()}
+        settings = replace(settings, known={**settings.known, **known})
         return self.bench.show(self.state.campaign, settings)
 
     def shown_beside(self) -> tuple[FitStep, Shown] | None:
@@ -493,8 +510,9 @@ class Session:
         self._start(f"get-{what}", f"writing the {what}", work)
 
     def _priors_of_fit(self, settings: Settings) -> Mapping[str, tuple[float, float]]:
-        """What the last fit with these effects knew of their sizes."""
+        """What the last fit with these effects took as known of sizes that are left free."""
         for step in reversed(self.state.steps):
             if set(step.settings.effects) == set(settings.effects):
-                return {n: known for n, known in step.priors.items() if n != SCALE}
+                free = {n for n, k in self.bench.known(step.settings).items() if k.how == FREE}
+                return {n: known for n, known in step.priors.items() if n in free}
         return {}

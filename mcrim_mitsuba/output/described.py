@@ -183,8 +183,8 @@ def listed(heading: str, sentences: Iterable[str]) -> Iterator[Sentence]:
 
 # In a terminal, by rich: no word is cut there, and no number parted from its error.
 
-#: What is never broken: a word, or numbers with the signs of their errors between them.
-_WORD = re.compile(r"\S+(?: ± \S+)*")
+#: What is never broken: a word, numbers with the signs of their errors between them, or "p = 0.3".
+_WORD = re.compile(r"\S+(?: [±=<>] \S+)*")
 #: Characters that a table takes for a column beside its text, and for its last line.
 _RULES, _END = 3, 1
 

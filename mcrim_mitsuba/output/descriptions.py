@@ -73,16 +73,19 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
     values: list[Iterable[str | Cell]] = []
     errors: list[Iterable[str | Cell]] = []
     for name, known in fit.parameters.items():
-        open_end = None in (known.lower, known.upper)
-        interval = "" if open_end else f"{known.lower:.4g} to {known.upper:.4g}"
         titled = Cell(findings.title_of(name), name)
-        values.append((titled, _estimated(known), interval, name))
+        ends = (shown(end, ".4g") for end in (known.lower, known.upper))
+        values.append((titled, _estimated(known), *ends, name))
         contributions = {} if known.at_bound else known.contributions
         errors.append((titled, *(shown(contributions.get(origin), ".2g") for origin in _ORIGINS)))
     origins = ("parameter", *(name.replace("_", " ") for name in _ORIGINS))
     parts: list[Part] = [
         *([] if light is None else [Sentence(_light_yield(fit, light), strong=True)]),
-        table("parameters", ("parameter", "value", "68.3 % interval", _TYPED), values),
+        table(
+            "parameters",
+            ("parameter", "value", Column("68.3 % from", "lower"), Column("to", "upper"), _TYPED),
+            values,
+        ),
         *_shapes(result.profiles),
         table("where the errors come from", origins, errors),
         *([Sentence(of_detector)] if by_detector else []),

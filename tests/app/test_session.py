@@ -100,6 +100,15 @@ def test_jobs_come_one_after_the_other_and_are_taken_back():
     jobs.close(5)
 
 
+def test_what_a_fit_takes_as_known_of_a_size_counts_in_what_is_shown(scenes, tmp_path, files):
+    """Three numbers leave the depth of the source open; what is plausible is its prior then."""
+    with opened(scenes / "camoo4_three.toml", tmp_path) as session:
+        found = fitted(session, effects=("source_depth",))
+        assert any("the readings leave sizes open" in note for note in found.notes)
+        shown = session.show(session.state.settings)
+        assert shown.chi2 == pytest.approx(found.chi2, rel=1e-4) and shown.ndf == found.ndf
+
+
 def test_readings_are_edited_in_the_table(files):
     folder, text = files
     with opened(folder / "bench.toml", folder) as session:

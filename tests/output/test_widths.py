@@ -20,8 +20,8 @@ WIDTHS = 80, 100, 140
 LONGEST = 60
 BORDERS = "│┃"
 RULES = {*"│┃├└┡"}
-#: What must stay together: a word, a number with its errors.
-WHOLE = re.compile(r"\S+(?: ± \S+)*")
+#: What must stay together: a word, a number with its errors, "p = 0.3".
+WHOLE = re.compile(r"\S+(?: [±=<>] \S+)*")
 
 
 def parts_of(lines: list[str]) -> list[Part]:

@@ -109,7 +109,10 @@ def test_fitted_parameters_say_their_units():
     fit = mcrim.calibrate(SCENES / "camoo4_campaign.toml", photons=1e6)
     assert str(fit.light_yield_ph_per_keV) == "7.5 ± 0.8 ph/keV"
     assert str(fit.alpha_scat_per_cm).endswith("1/cm") and fit.ndf == 0
-    assert set(fit.to_dataframe()["parameter"]) >= {"alpha_scat_per_cm", "light_yield_ph_per_keV"}
+    frame = fit.to_dataframe().set_index("parameter")
+    assert set(frame.index) >= {"alpha_scat_per_cm", "light_yield_ph_per_keV"}
+    alpha_scat = frame.loc["alpha_scat_per_cm"]
+    assert alpha_scat["lower"] < alpha_scat["value"] < alpha_scat["upper"]
     for verb in ("simulate", "table"):
         with pytest.raises(mcrim.InputError, match="did you mean photons"):
             getattr(mcrim, verb)(BENCH, photon=10)

@@ -120,7 +120,8 @@ function frame(place, chart, extents) {
   scrolled.className = "scrolled";
   place.append(scrolled);
   const height = floor + 24 + LABEL_PX * longest;
-  const axis = drawing(scrolled, LEFT, height, "axes of signals and pulls");
+  // not as high as the other: labels of the first readings reach below it
+  const axis = drawing(scrolled, LEFT, floor + 8, "axes of signals and pulls");
   const svg = drawing(scrolled, right + end, height,
     "readings with their errors, the model's predictions, and below them the pulls");
   const made = {
