@@ -147,10 +147,8 @@ def fit_model(model: Model, *, profile: bool = True) -> Calibration:
     """
     likelihood, campaign = Likelihood(model), model.campaign
     names = campaign.free
-    minima = find_minima(likelihood)
+    minima, prediction = _trusted(find_minima(likelihood))
     best = minima[0]
-    _refuse_undetermined(best)
-    prediction = _checked_prediction(best)
     covariance = np.linalg.inv(best.information).astype(float, copy=False)
     found: Sequence[Interval | None] = [None] * len(names)
     if profile and names:
@@ -210,6 +208,23 @@ def _refuse_undetermined(optimum: Optimum) -> None:
         if wish := _wish(optimum):
             problem, mend = wish, _SWAPPED
         raise UndeterminedError(problem, mend, path=likelihood.model.campaign.path)
+
+
+def _trusted(minima: list[Optimum]) -> tuple[list[Optimum], Prediction]:
+    """Minima from the lowest on of which the simulation can tell, and the prediction there.
+
+    Where photons of others are weighted too far, eta is what chance makes of it, and may suit
+    readings that the model does not describe. Errors are those of the lowest of all.
+    """
+    refusal: InputError | None = None
+    for place, optimum in enumerate(minima):
+        try:
+            _refuse_undetermined(optimum)
+            return minima[place:], _checked_prediction(optimum)
+        except (UndeterminedError, TooLittleSimulatedError) as error:
+            refusal = refusal or error
+    assert refusal is not None
+    raise refusal
 
 
 def _checked_prediction(best: Optimum) -> Prediction:

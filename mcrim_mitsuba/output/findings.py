@@ -73,7 +73,9 @@ def estimate_text(known: ParameterEstimate) -> str:
         if math.isinf(known.sigma):
             return f"{known.value:.4g}, not determined"
         return pdg(known.value, known.sigma)
-    return f"{known.value:.4g}, at its bound"
+    # at a bound of 0 the search ends close to it
+    value = 0.0 if abs(known.value) < 1e-6 * known.sigma else known.value
+    return f"{value:.4g}, at its bound"
 
 
 def light_yield_text(parameters: dict[str, ParameterEstimate]) -> tuple[str, str]:
