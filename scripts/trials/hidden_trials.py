@@ -91,8 +91,8 @@ BAD_READING_OFF = (0.05, 0.12)
 _MOST_TRUTHS = 60
 #: The scene's values of what a design changes.
 _USUAL = dict(zip(COLUMNS, (1.0, 14.0, 10.0, 0.05), strict=True))
-#: Photons of a reading that is measured on advice: as good as it is promised, a fifth of `READING_SIGMA`
-#: behind the narrowest mask.
+#: Photons of a reading that is measured on advice: as good as it is promised, the tracer's error
+#: being a fifth of `READING_SIGMA` behind the narrowest mask.
 _FURTHER_PHOTONS = 6_000_000
 
 

@@ -61,7 +61,7 @@ def test_precision_is_reached_where_readings_are_used(campaign):
 def test_a_misfit_is_not_lessened_by_poor_simulations(campaign):
     """Liquid readings behind the narrow mask are 20 % too low, as staff tried it.
 
-    A first look's photons, weighted as far as 10 /cm, give anything: the best fit seemed to be there.
+    A first look's photons, weighted as far as 10 /cm, give anything: the best fit was there.
     """
     rows, wrong = "", {(1.333, 5.0): 0.8, (1.46, 5.0): 0.8}
     for n_gap in (1.0, 1.333, 1.46):
