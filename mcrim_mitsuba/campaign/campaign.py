@@ -117,6 +117,10 @@ class Campaign:
     #: Crystals among the readings besides the campaign's own.
     samples: dict[str, Sample] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        readings = counted(len(self.measurements.readings), "reading")
+        return f"<Campaign {self.title!r}: {readings}, scene {self.scene.path.name}>"
+
     def parameter_of(self, reading: Reading, name: str) -> str:
         """The parameter that is alpha_scat_per_cm, alpha_abs_per_cm or the scale of a reading."""
         sample = self.samples.get(reading.sample)

@@ -105,6 +105,8 @@ class Verdict:
     leading: tuple[tuple[str, ...], ...] = ()
     #: Readings that explain the misfit as well as the leading effects, or better.
     suspects: tuple[Suspect, ...] = ()
+    #: Sets among the leading ones that only the simulation's error keeps there.
+    unsettled: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -215,11 +217,11 @@ class Judgement:
     def _of_leading(
         self, leading: tuple[tuple[str, ...], ...], best: Fit, pairs: Ranking | None
     ) -> Verdict:
-        p, titles = best.p_value, self._titles(leading)
+        p = best.p_value
         quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
         quality += f" ({p_equals(p)})" if p is not None else ""
         if len(leading) == 1:
-            reason = f"{titles} explains the misfit: {quality}"
+            reason = f"{self._titles(leading)} explains the misfit: {quality}"
             unknown, others = (
                 [h.log_weight for h in self.hypotheses(pairs) if (h.besides == UNKNOWN) is of_none]
                 for of_none in (True, False)
@@ -228,8 +230,18 @@ class Judgement:
                 reason += "; but so may something that is in no catalogue"
                 return Verdict(AMBIGUOUS, reason, leading)
             return Verdict(MISSING_EFFECT, reason, leading)
-        reason = f"the readings cannot tell apart {titles}: {quality} with the first"
-        return Verdict(AMBIGUOUS, reason, leading)
+        ranking = self.singles if pairs is None or leading[0] in self.singles.order else pairs
+        unsettled = ranking.unsettled()
+        near = tuple(each for each in leading if each not in unsettled)
+        if len(near) > 1:
+            reason = (
+                f"the readings cannot tell apart {self._titles(near)}: {quality} with the first"
+            )
+        else:
+            reason = f"{self._titles(near)} explains the misfit: {quality}"
+        if unsettled:
+            reason += f"; more photons would tell whether {self._titles(unsettled)} may as well"
+        return Verdict(AMBIGUOUS, reason, leading, unsettled=unsettled)
 
     def _titles(self, leading: tuple[tuple[str, ...], ...]) -> str:
         """What leads, in words; of many the likeliest: the ranking has them all."""
@@ -411,7 +423,7 @@ class Diagnosis:
     pairs: tuple[Candidate, ...]
     #: Effects that the data cannot tell apart, the best first; of pairs, their effects.
     leading: tuple[str, ...]
-    #: The same as sets that each explain the data.
+    #: The same as sets that each explain the data, or may do so: see `unsettled`.
     leading_sets: tuple[tuple[str, ...], ...]
     #: Where the data are adequate.
     upper_limits: dict[str, Limit]
@@ -433,6 +445,8 @@ class Diagnosis:
     set_aside: tuple[str, ...] = ()
     #: The effects that are named, in words.
     titles: dict[str, str] = field(default_factory=dict)
+    #: Sets among the leading ones that are far behind the best, but within the simulation's error.
+    unsettled: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -649,6 +663,7 @@ def diagnose_models(
         pairs=pairs,
         leading=tuple(dict.fromkeys(name for group in judged.leading for name in group)),
         leading_sets=judged.leading,
+        unsettled=judged.unsettled,
         upper_limits=limits,
         suspect_readings=judged.suspects,
         repair=steps(explanations, chosen),

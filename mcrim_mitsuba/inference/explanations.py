@@ -445,6 +445,10 @@ class Ranking:
         errors = {key: error_of_difference(self._fits[key], self.best) for key in self.order}
         return tuple(k for k in self.order if self.behind(k) <= LEADING + 2.0 * errors[k])
 
+    def unsettled(self) -> tuple[tuple[str, ...], ...]:
+        """Those that only the simulation's error lets lead, as they stand far behind the best."""
+        return tuple(key for key in self.leading() if self.behind(key) > LEADING)
+
 
 # ---- what chance gains ----
 

@@ -311,7 +311,7 @@ def _bound(model: Model, parameter: CampaignParameter, side: str) -> str:
     attribute = {"min": "minimum", "max": "maximum"}[side]
     value = getattr(parameter, attribute)
     own = model.campaign.parameters.get(parameter.name, parameter)
-    reason = "" if value == getattr(own, attribute) else ": the simulated photons reach no further"
+    reason = "" if value == getattr(own, attribute) else ": eta is worked out no further"
     return f"{side} = {value:g}{reason}"
 
 

@@ -72,10 +72,11 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
     of_detector = f"detector efficiency in {findings.title_of(LIGHT_YIELD)}: {listing}"
     values: list[Iterable[str | Cell]] = []
     errors: list[Iterable[str | Cell]] = []
+    wider = {profile.name: profile.interval_95 for profile in result.profiles}
     for name, known in fit.parameters.items():
         titled = Cell(findings.title_of(name), name)
-        ends = (shown(end, ".4g") for end in (known.lower, known.upper))
-        values.append((titled, _estimated(known), *ends, name))
+        ends = (known.lower, known.upper, *wider.get(name, (None, None)))
+        values.append((titled, _estimated(known), *(shown(end, ".4g") for end in ends), name))
         contributions = {} if known.at_bound else known.contributions
         errors.append((titled, *(shown(contributions.get(origin), ".2g") for origin in _ORIGINS)))
     origins = ("parameter", *(name.replace("_", " ") for name in _ORIGINS))
@@ -83,7 +84,10 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         *([] if light is None else [Sentence(_light_yield(fit, light), strong=True)]),
         table(
             "parameters",
-            ("parameter", "value", Column("68.3 % from", "lower"), Column("to", "upper"), _TYPED),
+            (
+                "parameter", "value", Column("68.3 % from", "lower"), Column("to", "upper"),
+                *(Column(end, hidden=True) for end in ("lower_95", "upper_95")), _TYPED,
+            ),
             values,
         ),
         *_shapes(result.profiles),

@@ -123,12 +123,16 @@ def in_words(diagnosis: Diagnosis, effects: Iterable[str]) -> str:
 
 
 def leading_candidates(diagnosis: Diagnosis) -> list[Candidate]:
-    """The effects or pairs that the data cannot tell apart, the best first."""
+    """The effects or pairs that the data cannot tell apart, the best first.
+
+    Without those that only the simulation's error lets lead: the verdict names them.
+    """
     found = {
         frozenset(candidate.effects): candidate
         for candidate in (*diagnosis.candidates, *diagnosis.pairs)
     }
-    sets = [frozenset(names) for names in diagnosis.leading_sets]
+    settled = (names for names in diagnosis.leading_sets if names not in diagnosis.unsettled)
+    sets = [frozenset(names) for names in settled]
     return [found[names] for names in sets if names in found]
 
 

@@ -208,7 +208,8 @@ def draw_map(mapped: EtaMap, spreads: Sequence[Spread]) -> style.Drawing:
         axes.set_title(f"z from {z[k]:.3g} to {z[k + 1]:.3g} mm", fontsize=11)
         axes.set(aspect="equal", xlabel="x (mm)", ylabel="" if place else "y (mm)")
         flat.append(axes)
-    bar = figure.colorbar(mesh, ax=flat, pad=0.01, aspect=24)
+    # of the last slice itself: the legend below it is wider
+    bar = figure.colorbar(mesh, cax=flat[-1].inset_axes((1.06, 0.0, 0.06, 1.0)))
     bar.set_label("η (%) of light\nthat is born there")
     upright = figure.add_subplot(grid[1, :2])
     middle = len(y) // 2 - (len(y) - 1) % 2

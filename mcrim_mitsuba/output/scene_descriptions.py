@@ -79,11 +79,13 @@ def of_map(mapped: EtaMap, spreads: Sequence[Spread]) -> Described:
     """What the efficiency varies by over the crystal, and what that does to a peak."""
     rows = (
         (one.source, measured(one.eta, one.eta_sigma),
-         Cell(pdg(100.0 * one.relative_rms, 100.0 * one.relative_rms_sigma), one.relative_rms),
+         Cell(pdg(100.0 * one.relative_rms, 100.0 * one.relative_rms_sigma),
+              100.0 * one.relative_rms, 100.0 * one.relative_rms_sigma),
          shown(100.0 * one.fwhm, ".2g"))
         for one in spreads
     )  # fmt: skip
-    columns = ("gammas stop", "eta", Column("rms (%)", "relative_rms"), Column("FWHM (%)", "fwhm"))
+    percent = Column("rms (%)", "rms_percent"), Column("FWHM (%)", "fwhm_percent")
+    columns = (Column("gammas stop", "source"), "eta", *percent)
     cells = " x ".join(str(n) for n in mapped.eta.shape)
     error = float(np.nanmedian(mapped.eta_sigma / mapped.eta))
     said = (
@@ -118,14 +120,18 @@ def of_spectrum(found: EtaSpectrum) -> Described:
         f"{pdg(found.eta_at_mean, found.eta_at_mean_sigma)}; what is detected would be off by "
         f"{pdg(*_percent(*off))} %"
     )
-    some = np.unique(np.linspace(0, len(light.wavelength_nm) - 1, _MOST_WAVELENGTHS).astype(int))
+    count = len(light.wavelength_nm)
+    some = set(np.linspace(0, count - 1, _MOST_WAVELENGTHS).astype(int).tolist())
     varying = list(light.parameters)
     rows = (
-        (shown(light.wavelength_nm[i], ".0f"),
-         *(shown(light.parameters[name][i], ".4g") for name in varying),
-         measured(float(found.eta[i]), float(found.eta_sigma[i])))
-        for i in some.tolist()
-    )  # fmt: skip
+        row(
+            shown(light.wavelength_nm[i], ".0f"),
+            *(shown(light.parameters[name][i], ".4g") for name in varying),
+            measured(float(found.eta[i]), float(found.eta_sigma[i])),
+            hidden=i not in some,
+        )
+        for i in range(count)
+    )
     first = Column("wavelength (nm)", "wavelength_nm")
     columns: list[str | Column] = [first, *(Column(titled(n), n) for n in varying), "eta"]
     notes: tuple[str, ...] = ()

@@ -100,7 +100,7 @@ def test_map_as_a_dataset_with_a_picture(tmp_path):
     [said, *_] = (text.get_text() for axes in figure.axes if axes.get_legend()
                   for text in axes.get_legend().get_texts())  # fmt: skip
     assert "everywhere: FWHM " in said and " ± " in said
-    assert len(figure.axes) == 7 and len(numbers.read_text().splitlines()) == 13
+    assert len(figure.axes) == 6 and len(numbers.read_text().splitlines()) == 13
 
 
 def test_a_written_map_is_read_as_it_was(mapped, tmp_path):

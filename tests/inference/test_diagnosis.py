@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ from scipy import stats
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.files import plain
+from mcrim_mitsuba.inference import explanations as explanations_module
 from mcrim_mitsuba.inference import workbench
 from mcrim_mitsuba.inference.candidates import upper_limits
 from mcrim_mitsuba.inference.compare import comparison_of, find_trends
@@ -20,6 +22,7 @@ from mcrim_mitsuba.inference.estimates import left_out, left_out_error
 from mcrim_mitsuba.inference.explanations import (
     Explanations,
     NullDistribution,
+    Ranking,
 )
 from mcrim_mitsuba.inference.least_squares import (
     LeastSquaresProblem,
@@ -359,3 +362,22 @@ def test_a_sentence_names_some_of_many_explanations():
     leading = tuple((name,) for name in "abcdefg")
     assert Judgement._titles(judge, leading[:4]) == "a, b, c and d"
     assert Judgement._titles(judge, leading) == "a, b, c, d and 3 others"
+
+
+def test_what_only_the_simulations_error_lets_lead_is_named_apart(monkeypatch):
+    """Staff read that 96 % could not be told apart from less than 0.1 %."""
+    log = {("bubble",): 0.0, ("bevel",): -2.0, ("source",): -10.0, ("haze",): -40.0}
+    explanations = SimpleNamespace(
+        fit=lambda key: SimpleNamespace(deviance=0.0, key=key, chi2=5.0, ndf=3, p_value=0.15),
+        evidence=lambda key, hopeless: SimpleNamespace(log=log[key]),
+        title=" with ".join,
+    )
+    monkeypatch.setattr(explanations_module, "error_of_difference", lambda fit, best: 8.0)
+    for sets, words in (
+        (log, "cannot tell apart bubble and bevel: .* first; more photons .* source may as well$"),
+        ([("bubble",), ("source",)], "^bubble explains .*; more photons .* whether source may as"),
+    ):
+        judge = Judgement(explanations, Ranking(explanations, sets), None)
+        said = judge._of_leading(judge.singles.leading(), judge.singles.best, None)
+        assert said.word == "ambiguous" and re.search(words, said.reason)
+        assert said.unsettled == (("source",),) and ("haze",) not in said.leading

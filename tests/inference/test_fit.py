@@ -680,9 +680,7 @@ def test_range_that_the_surfaces_do_not_cover(campaign):
 
     surfaces = couplings(kind=Narrow)
     result = fit_campaign(campaign(ALPHA), surfaces)
-    expected = (
-        "alpha_scat_per_cm ended at its bound max = 0.3: the simulated photons reach no further; "
-    )
+    expected = "alpha_scat_per_cm ended at its bound max = 0.3: eta is worked out no further; "
     assert result.notes[0].startswith(expected)
     high = campaign(ALPHA.replace("min = 0.01", "min = 0.4"))
     assert "tell about 0.05..0.3 only" in refusal(fit_campaign, high, surfaces)

@@ -17,6 +17,10 @@ from places import ROOT
 from mcrim_mitsuba.cli.main import mcrim
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.transport.variants import use_variant
+
+use_variant()
+from mcrim_mitsuba.transport.record_store import COLUMNS  # noqa: E402  (needs a variant)
 
 sphinx_application = pytest.importorskip("sphinx.application", reason="extra docs")
 nbclient = pytest.importorskip("nbclient")
@@ -75,6 +79,8 @@ def test_every_field_of_an_effect_is_explained():
         (told,) = re.findall(rf"\| field of `{owner.__name__}` .*?\n\n", text, re.DOTALL)
         for each in dataclasses.fields(owner):
             assert f"`{each.name}`" in told, each.name
+    (told,) = re.findall(r"\| column \| .*?\n\n", text, re.DOTALL)
+    assert {f"`{name}`" for name in COLUMNS} <= set(re.findall("`[^`]+`", told))
 
 
 def test_the_site_builds_without_a_warning(site):

@@ -112,7 +112,10 @@ def test_fitted_parameters_say_their_units():
     frame = fit.to_dataframe().set_index("parameter")
     assert set(frame.index) >= {"alpha_scat_per_cm", "light_yield_ph_per_keV"}
     alpha_scat = frame.loc["alpha_scat_per_cm"]
-    assert alpha_scat["lower"] < alpha_scat["value"] < alpha_scat["upper"]
+    ends = [alpha_scat[n] for n in ("lower_95", "lower", "value", "upper", "upper_95")]
+    assert ends == sorted(ends)
+    campaign = mcrim.read_campaign(SCENES / "camoo4_campaign.toml")
+    assert repr(campaign).endswith(": 2 readings, scene camoo4.xml>")
     for verb in ("simulate", "table"):
         with pytest.raises(mcrim.InputError, match="did you mean photons"):
             getattr(mcrim, verb)(BENCH, photon=10)
