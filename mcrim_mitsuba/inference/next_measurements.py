@@ -43,9 +43,9 @@ _TOGETHER = 12
 _MOST_RIVALS, _MOST_SETS, _LIKELY = 3, 5, 0.01
 # Points that further readings are made at.
 _OUTCOMES = 128
-# The error that is promised, the median of all outcomes, counts as kept within this part of it. A
-# reading that does not keep it in so many outcomes is worth so much of one that does.
-_KEPT, _SURELY, _UNSURE = 0.3, 0.8, 0.5
+# An error that is promised counts as kept within this part of it. What a reading buys counts by the
+# part of the outcomes that keep it, to this power: what may buy nearly all or nothing is no advice.
+_KEPT, _DISCOUNT = 0.3, 4
 
 
 @dataclass(frozen=True)
@@ -123,8 +123,7 @@ def next_measurements(
     """Configurations by what a reading there would buy per hour.
 
     That is half of the part by which the light yield's error would fall, and half of that by which
-    the doubt which explanation is right would. What may buy nearly all or nothing is no good
-    advice: it counts half.
+    the doubt which explanation is right would, discounted by how surely it does.
 
     Parameters
     ----------
@@ -154,7 +153,7 @@ def next_measurements(
         fallen = 1.0 - error / before if cloud.yields is not None else 0.0
         doubt = (probability - sure) / max(1.0 - sure, 1e-9)
         worth = 0.5 * (fallen + doubt) / proposals.hours(*places)
-        return worth if kept >= _SURELY else _UNSURE * worth, error, probability
+        return worth * kept**_DISCOUNT, error, probability
 
     each: dict[tuple[int, ...], tuple[float, float, float]] = {
         (i,): bought((i,)) for i in range(len(configurations))
@@ -225,8 +224,8 @@ class _Cloud:
     def left(self, log_likelihood: Array, efficiency: float) -> tuple[float, float, float]:
         """Relative error of the light yield after outcomes, (outcomes, points) of logarithms.
 
-        The median of all outcomes, the part of them that is near it, and the mean probability of
-        the likeliest explanation.
+        The one that most outcomes are near, their part, and the mean probability of the likeliest
+        explanation.
         """
         weights = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True)) * self.weights
         weights /= weights.sum(axis=1, keepdims=True)
@@ -240,8 +239,7 @@ class _Cloud:
             for part in QUANTILES
         )
         error = np.hypot((high - low) / WIDTH / median, efficiency)
-        promised = float(np.median(error))
-        return promised, float(np.mean(np.abs(error / promised - 1.0) < _KEPT)), probability
+        return *_most_kept(error), probability
 
     def rises(self, leading: Sequence[tuple[str, ...]]) -> tuple[Array, list[tuple[int, int]]]:
         """(pairs, m): with one of two true, what a reading raises the chi2 of the other by."""
@@ -262,6 +260,20 @@ class _Cloud:
             for a, b in pairs
         ]
         return np.array(found).reshape(len(pairs), self.signals.shape[1]), pairs
+
+
+def _most_kept(errors: Array) -> tuple[float, float]:
+    """An error that most of (outcomes,) errors are near, and the part of them that are.
+
+    The median of as many as lie within `_KEPT` of one value: of outcomes that go either way the
+    median of all may lie where hardly any are.
+    """
+    errors = np.sort(np.maximum(errors, 1e-12))
+    # of those that begin with each one, in rising order
+    ends = np.searchsorted(errors, errors * (1.0 + _KEPT) / (1.0 - _KEPT), side="right")
+    first = int(np.argmax(ends - np.arange(len(errors))))
+    promised = float(np.median(errors[first : ends[first]]))
+    return promised, float(np.mean(np.abs(errors / promised - 1.0) < _KEPT))
 
 
 def _cloud(

@@ -16,7 +16,7 @@ from mcrim_mitsuba.inference.diagnose import diagnose_models
 from mcrim_mitsuba.inference.evidence import Hypothesis
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.least_squares import settle
-from mcrim_mitsuba.inference.next_measurements import next_measurements
+from mcrim_mitsuba.inference.next_measurements import _most_kept, next_measurements
 from mcrim_mitsuba.inference.unexplained import UNKNOWN, of_instrument, unnamed, unnamed_at
 from mcrim_mitsuba.inference.workbench import MeasurementProposals
 
@@ -206,3 +206,11 @@ def test_what_has_no_name_is_likely_to_go_on_where_it_was_measured():
     assert np.abs(drawn.mean(axis=0)[:-1] - residual).max() < 0.02
     assert drawn[:, :-1].std(axis=0).max() < 0.02
     assert drawn[:, -1].std() == pytest.approx(largest.amplitude, rel=0.15)
+
+
+def test_what_is_promised_is_what_most_outcomes_keep():
+    """Of outcomes that go either way the median may be between, where hardly any end."""
+    errors = np.array([0.010] * 40 + [0.011] * 20 + [0.025] * 5 + [0.060] * 55)
+    assert _most_kept(errors) == (pytest.approx(0.010), 0.5)
+    assert np.median(errors) == pytest.approx(0.018)
+    assert _most_kept(np.array([0.02] * 9 + [0.0])) == (pytest.approx(0.02), 0.9)
