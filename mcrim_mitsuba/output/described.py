@@ -284,7 +284,8 @@ def _blocks(least: Sequence[int], width: int) -> list[list[int]]:
 def text(described: Described, width: int = UNLIMITED) -> str:
     """The whole as lines of text."""
     stream = io.StringIO()
-    console = Console(file=stream, width=width, highlight=False)
+    # in a notebook rich would show each part by itself, and leave the text empty
+    console = Console(file=stream, width=width, highlight=False, force_jupyter=False)
     said = (described.spent, *(f"note: {note}" for note in described.notes))
     parts = (*described.parts, *(Sentence(line) for line in said if line))
     for part in renderables(parts, width):

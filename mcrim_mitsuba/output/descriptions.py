@@ -197,7 +197,10 @@ def of_comparison(found: Compared) -> Described:
     comparison = found.comparison
     shares, left_out = findings.misfit_shares(comparison), comparison.left_out_pulls
     suspects = {label for one in comparison.suspects for label in one.labels}
-    columns = ("reading", "measured", "model", "pull", "pull from the others", "of the misfit")
+    columns = (
+        "reading", "measured", "model", "pull",
+        Column("pull from the others", "left_out_pull"), Column("of the misfit", "part_of_misfit"),
+    )  # fmt: skip
     rows = (
         row(
             *_reading(one),

@@ -67,8 +67,10 @@ def test_a_run_is_given_whole_or_field_by_field():
     assert whole.eta == fields.eta and whole.n_gap == 1.46 and whole.seed == 5
 
 
-def test_an_answer_is_shown_in_every_way(tmp_path):
+def test_an_answer_is_shown_in_every_way(tmp_path, monkeypatch):
     light = mcrim.simulate(BENCH, photons=20_000, seed=1)
+    # in a notebook as well
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
     assert str(light).startswith("eta = 0.25") and "where the light ends" in str(light)
     assert "<table>" in light._repr_html_() and "light collection efficiency" in repr(light)
     fates = light.to_dataframe()
