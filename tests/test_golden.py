@@ -43,7 +43,10 @@ TEXTS = (".json", ".csv", ".xml", ".toml")
 PICTURES_AND_PAGES = (".png", ".pdf", ".svg", ".html")
 #: Of longer files every so many lines are kept that about as many remain.
 MOST_LINES = 250
+#: Where two configurations are nearly as good, roundings decide.
+BEST = re.compile(r"(?<=one more measurement would tell most at) [^\n]*(\n  [^\n]+)*")
 VOLATILE = (
+    (BEST, " <configuration>"),
     (re.compile(r"\b[\d.]+ s\b"), "<time> s"),
     (re.compile(r"\b[\d.]+ million photons/s"), "<speed> million photons/s"),
     (re.compile(r"(?<=mcrim, version )\S+"), "<version>"),
@@ -175,13 +178,17 @@ def differences(stored: Any, found: Any, tolerance: Tolerance, where: str = "") 
                 error = abs(as_number(sigma)) if is_number(sigma) else 0.0
                 if not tolerance.allows(as_number(value), as_number(found[key]), key, error):
                     yield f"{where}/{key}: {value} was stored, {found[key]} found"
-            elif key in LISTED and isinstance(value, list) and isinstance(found[key], list):
-                old, new = ({name_of(each): each for each in side} for side in (value, found[key]))
+            elif key in LISTED and type(value) is type(found[key]):
+                sides = (s.split() if isinstance(s, str) else s for s in (value, found[key]))
+                old, new = ({name_of(each): each for each in side} for side in sides)
                 both = old.keys() & new.keys()
                 if 2 * len(both) < max(len(old), len(new)):
                     yield f"{where}/{key}: {list(old)} were stored, {list(new)} found"
                 for name in both:
                     yield from differences(old[name], new[name], tolerance, f"{where}/{key}/{name}")
+            elif key == "probabilities":
+                of_one = replace(tolerance, least=max(tolerance.least, tolerance.of_one))
+                yield from differences(value, found[key], of_one, f"{where}/{key}")
             elif key == "stdout":
                 lines = (PROPOSALS.sub("...", "\n".join(side)) for side in (value, found[key]))
                 old, new = (text.split("\n") for text in lines)
@@ -222,6 +229,7 @@ def alike_texts(stored: Any, found: Any, tolerance: Tolerance) -> bool:
     if not (isinstance(stored, str) and isinstance(found, str)):
         both = is_number(stored) and is_number(found)
         return tolerance.allows(stored, found) if both else stored == found
+    stored, found = (BEST.sub("", text) for text in (stored, found))
     words, others = (PADDING.sub(" ", NUMBER.sub("#", text)) for text in (stored, found))
     if words != others:
         return False
@@ -230,7 +238,8 @@ def alike_texts(stored: Any, found: Any, tolerance: Tolerance) -> bool:
         sigma = 0.0
         if stored[old.end() :].startswith(" ± "):
             sigma = as_number(numbers[place + 1].group())
-        last_digit = tolerance.digits * _last_digit(old.group())
+        of_percent = stored[old.end() :].startswith(" %")
+        last_digit = tolerance.digits * (_last_digit(old.group()) or float(of_percent))
         value, new_value = as_number(old.group()), as_number(new.group())
         if abs(value - new_value) > 1.001 * last_digit:
             if not tolerance.allows(value, new_value, sigma=sigma):
