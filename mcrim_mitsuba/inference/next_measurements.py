@@ -301,9 +301,12 @@ def _cloud(
     names = tuple(dict.fromkeys(each.name for each, *_ in taken))
     rng = np.random.default_rng(1)
     of, weights, signals, scales = [], [], [], []
+    variance = np.zeros(count)
     for each, effects, share in taken:
         points = each.evidence.draws
         predicted = proposals.predict(effects, points)
+        if proposals.noise is not None:
+            variance += share * proposals.noise(effects, np.median(points, axis=0)) ** 2
         if each.amplitude:
             predicted = predicted * np.exp(
                 unnamed_at(explanations, each, points, proposals.configurations)
@@ -314,6 +317,8 @@ def _cloud(
         free = tuple(each.evidence.mean)
         own = points[:, free.index(SCALE)] if SCALE in free else np.zeros(len(points))
         scales.append(own * (1.0 + each.common * rng.standard_normal(len(points))))
+    # what the simulation does not tell apart, a reading will not tell either
+    relative = np.sqrt(relative**2 + variance / sum(share for *_, share in taken))
     weight, scale = np.concatenate(weights), np.concatenate(scales)
     order = np.argsort(scale, kind="stable")
     return _Cloud(

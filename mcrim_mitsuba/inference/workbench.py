@@ -75,6 +75,9 @@ class MeasurementProposals:
     comments: Mapping[str, str] = field(default_factory=dict)
     #: The scene's own values, from which nothing is changed.
     own: Mapping[str, Value] = field(default_factory=dict)
+    #: ``noise(effects, theta)`` gives the simulation's (m,) relative errors of what is predicted;
+    #: None where there is none.
+    noise: Callable[[tuple[str, ...], Array], Array] | None = None
 
     def hours(self, *places: int) -> float:
         """To mount some of the configurations; what two have in common is changed once."""
@@ -234,7 +237,11 @@ class Workbench:
         asked = [self._proposed(each) for each in (light, beams) if each]
 
         def predict(effects: tuple[str, ...], thetas: Array) -> Array:
-            return np.hstack([each(effects, thetas) for each in asked])
+            return np.hstack([model(effects).predict_many(thetas) for model in asked])
+
+        def noise(effects: tuple[str, ...], theta: Array) -> Array:
+            found = [model(effects).predict(theta, check=True) for model in asked]
+            return np.concatenate([np.asarray(each.eta_sigma) / each.eta for each in found])
 
         sigmas = [self._usual_sigma(of_beam=False)] * len(light)
         sigmas += [self._usual_sigma(of_beam=True)] * len(beams)
@@ -242,7 +249,7 @@ class Workbench:
         comments = {n: known.comment for n, known in self.campaign.scene.defaults.items()}
         return MeasurementProposals(
             [*light, *beams], predict, np.array(sigmas), minutes, comments,
-            {**BEAM_PARAMETERS, **self.campaign.values},
+            {**BEAM_PARAMETERS, **self.campaign.values}, noise,
         )  # fmt: skip
 
     def _usual_sigma(self, *, of_beam: bool) -> float:
@@ -256,8 +263,8 @@ class Workbench:
 
     def _proposed(
         self, configurations: Sequence[Mapping[str, Value]]
-    ) -> Callable[[tuple[str, ...], Array], Array]:
-        """See `MeasurementProposals.predict`, of configurations of one kind."""
+    ) -> Callable[[tuple[str, ...]], ResponseModel]:
+        """The model with some effects of configurations of one kind, taken for readings."""
         readings = tuple(
             Reading(
                 label=", ".join(f"{n} = {v}" for n, v in each.items()), signal=1.0, sigma=1.0,
@@ -276,12 +283,12 @@ class Workbench:
         def maker() -> ResponseMaker:
             return self.maker(proposed, "proposed measurements", PROPOSED_PART)
 
-        def predict(effects: tuple[str, ...], thetas: Array) -> Array:
+        def model(effects: tuple[str, ...]) -> ResponseModel:
             campaign = proposed.with_effects(effects)
             responses = maker().make(campaign.switched_on)
-            return ResponseModel(campaign, responses, campaign.switched_on).predict_many(thetas)
+            return ResponseModel(campaign, responses, campaign.switched_on)
 
-        return predict
+        return model
 
     def _not_measured(self) -> tuple[list[dict[str, Value]], list[dict[str, Value]]]:
         """What the laboratory can build and did not measure: of light, and transmittances."""
