@@ -522,6 +522,11 @@ def diagnose_on(
         # where chance favours one first look after the other, none is hopeless
         precise |= named if precise <= first else set(names)
     memory.write(precise)
+    if campaign.next_measurements and found.verdict not in (AMBIGUOUS, UNEXPLAINED):
+        bench.notes.append(
+            "what to measure next is listed only where effects are to be told apart, or where none "
+            "explains the readings"
+        )
     return Diagnosed(fit_model(bench.model(), profile=False), found, bench.provenance())
 
 

@@ -1,6 +1,7 @@
 """The public names: quick to import, in any order with Mitsuba, and shown in every way."""
 
 import copy
+import dataclasses
 import os
 import subprocess
 import sys
@@ -153,3 +154,11 @@ def test_what_is_wrong_with_a_scene_is_shown(tmp_path):
         mcrim.simulate(scene)
     # all that a notebook shows of it
     assert refused.value._render_traceback_() == [f"InputError: {refused.value}"]
+
+
+def test_proposals_that_were_asked_for_and_are_not_listed_are_said():
+    campaign = mcrim.read_campaign(SCENES / "camoo4_campaign.toml")
+    campaign = dataclasses.replace(campaign, next_measurements={"n_gap": [1.333]})
+    found = mcrim.diagnose(campaign, photons=16_384)
+    assert found.verdict == "too_few_readings" and not found.next_measurements
+    assert any("listed only where effects are to be told apart" in note for note in found.notes)

@@ -137,8 +137,9 @@ def test_what_is_left_out_of_the_catalogue_is_allowed_for(run):
     assert known["right_relative_sigma"] < found["averaged"]["relative_sigma"]
 
 
-def test_what_is_measured_on_advice_is_the_same_bench():
+def test_what_is_measured_on_advice_is_the_same_bench(monkeypatch):
     """A reading of the campaign's own configuration again, with all effects of the readings."""
+    monkeypatch.setattr(trials, "_FURTHER_PHOTONS", 300_000)
     sizes = {"sample_scale": 0.06, "gain_drift": 0.05, "saturation": 0.01, "background": 0.3}
     truth = trials.Truth(0.4, 0.039, 40.0, 0.04)
     design = ((1.0, 14.0, 10.0, 0.05), (1.46, 14.0, 5.0, 0.05), (1.0, 7.0, 10.0, 0.05))
