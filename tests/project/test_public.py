@@ -161,4 +161,5 @@ def test_proposals_that_were_asked_for_and_are_not_listed_are_said():
     campaign = dataclasses.replace(campaign, next_measurements={"n_gap": [1.333]})
     found = mcrim.diagnose(campaign, photons=16_384)
     assert found.verdict == "too_few_readings" and not found.next_measurements
-    assert any("listed only where effects are to be told apart" in note for note in found.notes)
+    notes = found.provenance.notes
+    assert any("listed only where effects are to be told apart" in note for note in notes)
