@@ -19,9 +19,6 @@ from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.transport.variants import use_variant
 
-use_variant()
-from mcrim_mitsuba.transport.record_store import COLUMNS  # noqa: E402  (needs a variant)
-
 sphinx_application = pytest.importorskip("sphinx.application", reason="extra docs")
 nbclient = pytest.importorskip("nbclient")
 nbformat = pytest.importorskip("nbformat")
@@ -74,6 +71,9 @@ def site(tmp_path_factory) -> Site:
 
 def test_every_field_of_an_effect_is_explained():
     """Who writes a file of one's own reads this page."""
+    use_variant()
+    from mcrim_mitsuba.transport.record_store import COLUMNS
+
     text = (ROOT / "docs" / "effects.md").read_text()
     for owner in (Effect, EffectParameter):
         (told,) = re.findall(rf"\| field of `{owner.__name__}` .*?\n\n", text, re.DOTALL)
