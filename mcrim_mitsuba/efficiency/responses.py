@@ -6,6 +6,7 @@ effects at once are corrected by simulating them together where a fit ends (`Anc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -21,49 +22,47 @@ from mcrim_mitsuba.efficiency.surface import Cubics, Lagrange
 class Point:
     """Weights of the nodes of a grid at one alpha_scat and alpha_abs per reading."""
 
-    #: (readings, scattering nodes) float64: Weights, and their derivatives by alpha_scat (1/cm);
-    #: one row where all readings share it.
-    scattering: NDArray[np.float64]
-    scattering_slope: NDArray[np.float64]
-    #: (readings, absorption nodes) float64
-    absorption: NDArray[np.float64]
-    absorption_slope: NDArray[np.float64]
+    #: (readings, 3, nodes) float64: Of a table's values, scattering nodes by absorption nodes, and
+    #: the weights' derivatives by alpha_scat and by alpha_abs (1/cm); one row where all readings
+    #: share it.
+    weights: NDArray[np.float64]
 
     @classmethod
     def of(cls, grid: Grid, alpha_scat: Sequence[float], alpha_abs: Sequence[float]) -> Point:
         """Of (readings,) coefficients in 1/cm."""
-        if len(set(alpha_scat)) == len(set(alpha_abs)) == 1:
-            alpha_scat, alpha_abs = alpha_scat[:1], alpha_abs[:1]
         pairs = list(zip(alpha_scat, alpha_abs, strict=True))
-        found: dict[tuple[float, float], list[NDArray[np.float64]]] = {}
+        found: dict[tuple[float, float], NDArray[np.float64]] = {}
         for a_s, a_a in dict.fromkeys(pairs):
-            scattering, by_log_scat = grid.scattering.weights(np.log(a_s))
+            scattering, by_log_scat = grid.scattering.weights(math.log(a_s))
             offset = a_a + grid.OFFSET_PER_CM
-            absorption, by_log_abs = grid.absorption.weights(np.log(offset))
-            found[a_s, a_a] = [scattering, by_log_scat / a_s, absorption, by_log_abs / offset]
-        return cls(*map(np.array, zip(*(found[pair] for pair in pairs), strict=True)))
+            absorption, by_log_abs = grid.absorption.weights(math.log(offset))
+            along = np.array([scattering, by_log_scat / a_s, scattering])
+            across = np.array([absorption, absorption, by_log_abs / offset])
+            found[a_s, a_a] = (along[:, :, None] * across[:, None, :]).reshape(3, -1)
+        return cls(np.array([found[pair] for pair in (pairs if len(found) > 1 else found)]))
 
     def value(self, table: NDArray) -> NDArray[np.float64]:
         """(readings,) of a (readings, scattering nodes, absorption nodes) table."""
-        along = np.matmul(table, self.absorption[:, :, None])[:, :, 0]
-        return (self.scattering * along).sum(1)
+        return self.value_and_slopes(table)[0]
 
-    def value_and_slopes(
-        self, table: NDArray
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """(readings,) value, and its slopes by alpha_scat and by alpha_abs."""
-        along = np.matmul(table, self.absorption[:, :, None])[:, :, 0]
-        across = np.matmul(table, self.absorption_slope[:, :, None])[:, :, 0]
-        return (
-            (self.scattering * along).sum(1),
-            (self.scattering_slope * along).sum(1),
-            (self.scattering * across).sum(1),
-        )
+    def value_and_slopes(self, table: NDArray) -> NDArray[np.float64]:
+        """(3, ..., readings) values, and their slopes by alpha_scat and by alpha_abs.
+
+        Of a (..., readings, scattering nodes, absorption nodes) table.
+        """
+        flat = table.reshape(*table.shape[:-2], -1)
+        if len(self.weights) == 1:
+            found = flat.reshape(-1, flat.shape[-1]) @ self.weights[0].T
+            return found.T.reshape(3, *flat.shape[:-1])
+        return np.einsum("...rn,rkn->k...r", flat, self.weights)
 
     def values(self, tables: NDArray) -> NDArray[np.float64]:
         """(batches, readings) of (batches, readings, scattering nodes, absorption nodes)."""
-        along = np.matmul(tables, self.absorption.astype(tables.dtype)[:, :, None])[..., 0]
-        return (along * self.scattering.astype(tables.dtype)).sum(-1)
+        flat, weights = tables.reshape(*tables.shape[:2], -1), self.weights[:, 0]
+        weights = weights.astype(tables.dtype)
+        if len(weights) == 1:
+            return flat @ weights[0]
+        return np.einsum("brn,rn->br", flat, weights)
 
 
 class Axis:
@@ -106,20 +105,17 @@ class EffectResponse:
     def at(
         self, point: Point, values: Sequence[float]
     ) -> tuple[NDArray[np.float64], NDArray, NDArray, NDArray[np.float64]]:
-        """(readings,) addition, its slopes by alpha_scat and alpha_abs, and (readings, axes)."""
+        """(readings,) addition, its slopes by alpha_scat and alpha_abs, and (axes, readings)."""
+        at_nodes = point.value_and_slopes(self.log_ratio)
+        at_nodes = at_nodes.reshape(3, -1, at_nodes.shape[-1])
         each = [axis.weights(value) for axis, value in zip(self.axes, values, strict=True)]
-        table = self._along([weights for weights, _ in each], self.log_ratio)
-        by_axis = [
-            point.value(
-                self._along(
-                    [slope if j == i else weights for j, (weights, slope) in enumerate(each)],
-                    self.log_ratio,
-                )
-            )
+        found = _outer([weights for weights, _ in each]) @ at_nodes
+        slopes = [
+            _outer([slope if j == i else weights for j, (weights, slope) in enumerate(each)])
             for i in range(len(each))
         ]
-        slopes = np.array(by_axis).T.reshape(table.shape[0], len(each))
-        return (*point.value_and_slopes(table), slopes)
+        by_axis = np.array(slopes).reshape(len(each), at_nodes.shape[1]) @ at_nodes[0]
+        return found[0], found[1], found[2], by_axis
 
     def weights_at(self, values: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
         """(points, nodes of all axes) weights of the nodes at (points,) values of each axis."""
@@ -136,16 +132,10 @@ class EffectResponse:
             axis.weights(value)[0].astype(np.float32)
             for axis, value in zip(self.axes, values, strict=True)
         ]
-        batches = self.deviations
-        for weights in each:
-            batches = np.einsum("n,bn...->b...", weights, batches)
-        return point.values(batches)
-
-    @staticmethod
-    def _along(weights: Sequence[NDArray], table: NDArray) -> NDArray:
-        for each in weights:
-            table = np.tensordot(each, table, axes=1)
-        return table
+        batches, of_nodes = self.deviations, _outer(each)
+        nodes = batches.reshape(len(batches), len(of_nodes), -1)
+        added = np.matmul(of_nodes, nodes).reshape(len(batches), *batches.shape[-3:])
+        return point.values(added)
 
     def interpolation_error(self, point: Point, values: Sequence[float]) -> NDArray[np.float64]:
         """(readings,) size of the error that interpolation makes; 0 without parameters.
@@ -162,10 +152,19 @@ class EffectResponse:
             kept = np.sort(near[:3] if axis.parameter.kinked else near[:-1])
             fewer = np.zeros(len(nodes))
             fewer[kept] = Lagrange(nodes[kept]).weights(x)[0]
-            whole = point.value(self._along(weights, self.log_ratio))
+            of_node = point.value(self.log_ratio).reshape(-1, len(error))
+            whole = _outer(weights) @ of_node
             weights[number] = fewer
-            error += np.abs(point.value(self._along(weights, self.log_ratio)) - whole)
+            error += np.abs(_outer(weights) @ of_node - whole)
         return error
+
+
+def _outer(weights: Sequence[NDArray]) -> NDArray:
+    """(nodes of all axes,) products of the axes' weights; a single 1 without axes."""
+    product = np.ones(1, weights[0].dtype) if weights else np.ones(1)
+    for each in weights:
+        product = (product[:, None] * each).reshape(-1)
+    return product
 
 
 @dataclass(frozen=True, eq=False)

@@ -365,6 +365,29 @@ class ResponseModel:
             campaign, ranges, "only {:g}..{:g} is simulated",
             "give it min and max within that range",
         )  # fmt: skip
+        self._of_signal = {SCALE, *self._named[SCALE], EFFICIENCY_FACTOR}
+        # by coefficient's parameter, the rows that it stands for
+        self._rows_of = {
+            name: {own: np.array(named) == own for own in dict.fromkeys(named)}
+            for name, named in self._named.items()
+        }
+        self._place = {parameter.name: i for i, parameter in enumerate(self.free)}
+        # by free scale, the rows of light that it stands for
+        self._lit_by = {
+            name: np.flatnonzero(rows & self._of_light)
+            for name, rows in self._rows_of[SCALE].items()
+            if name in self._place
+        }
+        # rows that have the same coefficients, whatever these are: most are of one crystal
+        alike: dict[tuple[str | float, str | float], list[int]] = {}
+        for row, key in enumerate(
+            zip(self._coefficients(ALPHA_SCAT), self._coefficients(ALPHA_ABS), strict=True)
+        ):
+            alike.setdefault(key, []).append(row)
+        self._alike = list(alike.items())
+        self._group = np.empty(len(self.readings), int)
+        for group, (_, rows) in enumerate(self._alike):
+            self._group[rows] = group
         self._latest: _Place | None = None
         self._shift: Array | None = None
         if anchor is not None:
@@ -377,34 +400,30 @@ class ResponseModel:
 
     def _at(self, values: Mapping[str, float]) -> _Place:
         """What the responses say at these values; who asks next often asks for another scale."""
-        of_signal = {SCALE, *self._named[SCALE], EFFICIENCY_FACTOR}
-        values = {name: value for name, value in values.items() if name not in of_signal}
+        values = {name: value for name, value in values.items() if name not in self._of_signal}
         latest = self._latest  # other threads may replace it meanwhile
         if latest is None or latest.values != values:
             latest = self._latest = _Place(self, values)
         return latest
 
     def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
-        values, place = self._values(theta), {p.name: i for i, p in enumerate(self.free)}
-        at, scales, common = (
-            self._at(values),
-            self._named[SCALE],
-            values.get(EFFICIENCY_FACTOR, 1.0),
-        )
+        values, place = self._values(theta), self._place
+        at, common = self._at(values), values.get(EFFICIENCY_FACTOR, 1.0)
         eta = np.exp(at.log_eta if self._shift is None else at.log_eta + self._shift)
         eta_slopes = np.zeros((len(eta), len(self.free)))
-        for name in at.slopes.keys() & place.keys():
-            eta_slopes[:, place[name]] = eta * at.slopes[name]
+        for name, slopes in at.slopes.items():
+            if name in place:
+                eta_slopes[:, place[name]] = eta * slopes
         # a transmittance is the efficiency itself, and no photomultiplier read it
         light = self._of_light
-        per_eta = np.where(light, [common * values[name] for name in scales], 1.0)
+        scales = np.array([values[name] for name in self._named[SCALE]])
+        per_eta = np.where(light, common * scales, 1.0)
         signal = per_eta * eta
         signal_slopes = per_eta[:, None] * eta_slopes
-        for row in np.flatnonzero(light):
-            if scales[row] in place:
-                signal_slopes[row, place[scales[row]]] = common * eta[row]
-            if EFFICIENCY_FACTOR in place:
-                signal_slopes[row, place[EFFICIENCY_FACTOR]] = values[scales[row]] * eta[row]
+        for name, rows in self._lit_by.items():
+            signal_slopes[rows, place[name]] = common * eta[rows]
+        if EFFICIENCY_FACTOR in place:
+            signal_slopes[light, place[EFFICIENCY_FACTOR]] = (scales * eta)[light]
         for name, reading in self._of_readings:
             read, by_signal, by_value = reading(signal, values[name], self._measured)
             signal = np.where(light, read, signal)
@@ -432,17 +451,11 @@ class ResponseModel:
     def predict_many(self, thetas: Array) -> Array:
         values: dict[str, Array] = {n: np.array([v]) for n, v in self._held.items()}
         values |= {p.name: thetas[:, i] for i, p in enumerate(self.free)}
-        columns = (self.coefficients(values, name) for name in (ALPHA_SCAT, ALPHA_ABS))
-        pairs = [tuple(map(np.atleast_1d, pair)) for pair in zip(*columns, strict=True)]
-        # most readings are of one crystal, with the same coefficients
-        alike: dict[tuple[bytes, bytes], list[int]] = {}
-        for row, (a_s, a_a) in enumerate(pairs):
-            alike.setdefault((a_s.tobytes(), a_a.tobytes()), []).append(row)
         log_eta = np.empty((len(thetas), len(self.readings)))
-        for rows in alike.values():
+        for named, rows in self._alike:
+            pair = [values[n] if isinstance(n, str) else np.array([n]) for n in named]
             fine, coarse = (
-                grid.weights_at(*pairs[rows[0]])
-                for grid in (self.responses.grid, self.responses.coarse)
+                grid.weights_at(*pair) for grid in (self.responses.grid, self.responses.coarse)
             )
             found = fine @ self.responses.log_eta[rows].reshape(len(rows), -1).T
             for response in self.switched_on:
@@ -471,21 +484,31 @@ class ResponseModel:
         """
         return self._at(self._values(theta)).deviations
 
-    def coefficients(self, values: Mapping[str, Any], name: str) -> list[Any]:
-        """Every reading's own coefficient: fitted, held, its column's or the scene's."""
+    def _coefficients(self, name: str) -> list[str | float]:
+        """Every reading's own coefficient: its parameter, fitted or held, or a number."""
         default = self.campaign.values[name]
+        known = self._held.keys() | self._place.keys()
         return [
-            values[own] if own in values else float(reading.parameters.get(name, default))
+            own if own in known else float(reading.parameters.get(name, default))
             for own, reading in zip(self._named[name], self.readings, strict=True)
         ]
+
+    def points(self, values: Mapping[str, float]) -> tuple[Point, Point]:
+        """The coefficients' place on the grid of the bench, and on that of the effects."""
+        pairs = [
+            [values[n] if isinstance(n, str) else n for n in named] for named, _ in self._alike
+        ]
+        if len(pairs) > 1:
+            pairs = [pairs[group] for group in self._group]
+        columns = list(zip(*pairs, strict=True))
+        return Point.of(self.responses.grid, *columns), Point.of(self.responses.coarse, *columns)
 
     def by_name(self, name: str, slopes: Array) -> dict[str, Array]:
         """Slopes by every reading's own coefficient as those by the parameters that stand for it.
 
         `slopes` are (readings,); a parameter that is not a reading's own has none there.
         """
-        named = np.array(self._named[name])
-        return {own: np.where(named == own, slopes, 0.0) for own in dict.fromkeys(named.tolist())}
+        return {own: np.where(rows, slopes, 0.0) for own, rows in self._rows_of[name].items()}
 
 
 class _Place:
@@ -502,9 +525,7 @@ class _Place:
     def __init__(self, model: ResponseModel, values: Mapping[str, float]) -> None:
         self.values = values
         self._anchor, self._responses = model.anchor, model.responses
-        coefficients = [model.coefficients(values, name) for name in (ALPHA_SCAT, ALPHA_ABS)]
-        self._fine = Point.of(self._responses.grid, *coefficients)
-        self._coarse = Point.of(self._responses.coarse, *coefficients)
+        self._fine, self._coarse = model.points(values)
         # each with its parameters' values
         self._switched_on = [(r, [values[a.name] for a in r.axes]) for r in model.switched_on]
         log_eta, by_scat, by_abs = self._fine.value_and_slopes(self._responses.log_eta)
@@ -514,7 +535,7 @@ class _Place:
             log_eta, by_scat, by_abs = log_eta + more, by_scat + more_by_scat, by_abs + more_by_abs
             for i, axis in enumerate(response.axes):
                 # a beam's parameter may be one of several effects' responses
-                self.slopes[axis.name] = self.slopes.get(axis.name, 0.0) + by_axis[:, i]
+                self.slopes[axis.name] = self.slopes.get(axis.name, 0.0) + by_axis[i]
         self.log_eta = log_eta
         self.slopes |= model.by_name(ALPHA_SCAT, by_scat) | model.by_name(ALPHA_ABS, by_abs)
 
