@@ -463,7 +463,7 @@ class ResponseModel:
                 tables = response.log_ratio[..., rows, :, :].reshape(-1, coarse.shape[1])
                 # of all nodes and readings at once: products with few columns are slow
                 at_nodes = (coarse @ tables.T).reshape(len(coarse), -1, len(rows))
-                found = found + (weights[:, :, None] * at_nodes).sum(1)
+                found = found + np.einsum("pn,pnr->pr", weights, at_nodes)
             log_eta[:, rows] = found
         if self._shift is not None:
             log_eta += self._shift
