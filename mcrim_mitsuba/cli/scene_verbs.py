@@ -139,9 +139,7 @@ def simulate(
     times_file, json_file, work, **of_times,
 ) -> None:  # fmt: skip
     """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
-    followed = {
-        "--figure": figure, "--map": map_file, "--spectrum": spectrum, "--times": times_file
-    }  # fmt: skip
+    followed = {"--figure": None if spectrum else figure, "--map": map_file, "--times": times_file}
     for option, given in followed.items():
         if given and method == "modes":
             problem = f"{option} follows photons, and --method modes none"
@@ -183,7 +181,7 @@ def simulate(
         if map_file and not found.interrupted:
             further["map"] = mcrim.eta_map(file, depth_mm=depth_mm, deposits=deposits, run=own)
         if spectrum and not found.interrupted:
-            light = {"quantum_efficiency": quantum_efficiency}
+            light = {"quantum_efficiency": quantum_efficiency, "method": method}
             further["spectrum"] = mcrim.eta_spectrum(file, spectrum, run=run, **light)
         if times_file and not found.interrupted:
             own = replace(own, photons=found.photons)

@@ -13,7 +13,7 @@ eta inside of the integral).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -23,6 +23,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, as_attributes
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.noise_free import refuse_method, solve_benches
 from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
 from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
 from mcrim_mitsuba.scene.emitted_light import EFFICIENCY, EMISSION, EmittedLight
@@ -39,7 +40,10 @@ NODES = 4
 
 @dataclass(frozen=True, eq=False)
 class EtaSpectrum:
-    """Efficiency by wavelength, and its means over the light; errors are Monte Carlo's."""
+    """Efficiency by wavelength, and its means over the light; errors are Monte Carlo's.
+
+    By modes there are 0 photons, and errors are the method's own.
+    """
 
     light: EmittedLight
     #: (wavelengths,) float64
@@ -97,13 +101,18 @@ class EtaSpectrum:
         return made
 
 
-def eta_over(scene: SceneFile, light: EmittedLight, *, run: Run = Run()) -> EtaSpectrum:
+def eta_over(
+    scene: SceneFile, light: EmittedLight, *, method: str = "photons", run: Run = Run()
+) -> EtaSpectrum:
     """Efficiency at every wavelength.
 
     Parameters
     ----------
     scene : SceneFile
     light : EmittedLight
+    method : str
+        ``modes`` follows no photons; its own errors, taken to change evenly over the band, stand
+        for Monte Carlo's.
     run : Run
         `PHOTONS` of each simulation where it says nothing; with a precision, as many as it takes
         for every wavelength.
@@ -111,11 +120,10 @@ def eta_over(scene: SceneFile, light: EmittedLight, *, run: Run = Run()) -> EtaS
     Raises
     ------
     InputError
-        If the scene is not sound or lacks coefficients, photons cannot answer a wavelength, or a
-        value is out of range.
+        If the scene is not sound or lacks coefficients, photons cannot answer a wavelength, a value
+        is out of range, or the method does not know such a bench.
     """
-    if run.photons is None and run.precision is None:
-        run = replace(run, photons=PHOTONS)
+    refuse_method(method, run)
     at = light.wavelength_nm
     mean_nm = light.mean_nm
     asked = np.append(at, mean_nm)
@@ -125,21 +133,22 @@ def eta_over(scene: SceneFile, light: EmittedLight, *, run: Run = Run()) -> EtaS
     if bending:
         low, high = 1.0 / at[-1] ** 2, 1.0 / at[0] ** 2
         nodes = 1.0 / np.sqrt(chebyshev_nodes(low, high, NODES))
-    wishes = []
+    benches = []
     for each in nodes.tolist():
         own = {name: value for name, value in light.at(each).items() if name in bending}
-        held = scene.with_overrides(own)
-        wishes.append(SurfaceWish(f"{each:.0f} nm", held, points, run))
-    found = record_surfaces(wishes)
-    answers = [surface.evaluate_all(points) for surface, _ in found]
-    for row, each in enumerate(asked.tolist()):
-        if any(answer[row] is None for answer in answers):
-            problem = f"too few photons tell eta at {each:.0f} nm"
-            raise InputError(problem, "follow more, or cut the spectrum there", path=scene.path)
-    # (nodes, batches, wavelengths); batches of one number belong together
-    batches = np.array([
-        [surface.batches(*point) for point in points] for surface, _ in found
-    ]).transpose(0, 2, 1)  # fmt: skip
+        benches.append(scene.with_overrides(own))
+    photons = cached = 0
+    if method == "modes":
+        scattering, absorption = np.array(points).T
+        solved = solve_benches(benches, scattering, absorption, run)
+        # as batches whose mean has that error: all wavelengths off alike, or one end of the band
+        # up and the other one down
+        tilt = np.interp(asked, at[[0, -1]], (-1.0, 1.0))
+        signs = math.sqrt(6.0) * np.array([tilt, -tilt, np.ones(len(asked)), -np.ones(len(asked))])
+        batches = np.array([eta + signs * error for eta, error in solved])
+    else:
+        named = [f"{each:.0f} nm" for each in nodes]
+        batches, photons, cached = _by_photons(benches, named, points, asked, run)
     weights, fewer = _between(nodes, asked)
     eta_batches = np.einsum("wn,nbw->bw", weights, batches)
     eta = eta_batches.mean(axis=0)
@@ -159,9 +168,39 @@ def eta_over(scene: SceneFile, light: EmittedLight, *, run: Run = Run()) -> EtaS
         of_emitted.mean()), *_with_error(product.mean() / efficiency, product / product.mean()),
         efficiency, *ratio, float(at_mean.mean()), float(_error(at_mean)), one_off[0] - 1.0,
         one_off[1], float(off.max()), tuple(nodes.tolist()),
-        sum(each.photons for _, each in found), sum(each.cached_photons for _, each in found),
-        run.seed, dict(scene.parameters), scene.content_hash,
+        photons, cached, run.seed, dict(scene.parameters), scene.content_hash,
     )  # fmt: skip
+
+
+def _by_photons(
+    benches: Sequence[SceneFile], named: Sequence[str], points: Sequence[tuple[float, float]],
+    asked_nm: Array, run: Run,
+) -> tuple[Array, int, int]:  # fmt: skip
+    """(benches, batches, points) efficiencies; photons, and how many of them the cache had.
+
+    Batches of one number belong together.
+    """
+    if run.photons is None and run.precision is None:
+        run = replace(run, photons=PHOTONS)
+    wishes = [
+        SurfaceWish(name, held, points, run) for name, held in zip(named, benches, strict=True)
+    ]
+    found = record_surfaces(wishes)
+    rows = []
+    for surface, _ in found:
+        for nm, point, known in zip(asked_nm, points, surface.evaluate_all(points), strict=True):
+            if known is None:
+                problem = f"too few photons tell eta at {nm:.0f} nm"
+                mend = "follow more, or cut the spectrum there"
+                raise InputError(problem, mend, path=benches[0].path)
+            # sums by batch are of wide cells, and good enough for errors alone
+            of_batches = surface.batches(*point)
+            rows.append(known.eta * of_batches / of_batches.mean())
+    photons, cached = (
+        sum(getattr(each, name) for _, each in found) for name in ("photons", "cached_photons")
+    )
+    batches = np.array(rows).reshape(len(found), len(points), -1)
+    return batches.transpose(0, 2, 1), photons, cached
 
 
 def _coefficients(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
@@ -90,8 +90,6 @@ def noise_free_table(
         If the scene is not sound or lacks one of the parameters, a value is out of range, or a
         bench is not one that the solver knows.
     """
-    from mcrim_mitsuba.transport.simulation import Simulation
-
     file = read_scene(scene)
     refuse_axes(file, axes)
     varied = {name: values_as_in(file, name, values) for name, values in axes.items()}
@@ -101,16 +99,11 @@ def noise_free_table(
         np.array(inner.get(name, [file.parameters[name]]), float)
         for name in (ALPHA_SCAT, ALPHA_ABS)
     )
-    found: list[tuple[np.ndarray, np.ndarray]] = []
-    benches = math.prod(map(len, outer.values()))
-    for values in itertools.product(*outer.values()):
-        run.tell(_WHAT, len(found), benches)
-        own = file.with_overrides(dict(zip(outer, values, strict=True)))
-        simulation = Simulation(own, variant=run.variant, threads=run.threads, check=run.check)
-        with placed(path=file.path):
-            solved = solve_box(bench_of(simulation), scat, absorb[:, None], precision=run.precision)
-        found.append((solved.eta, solved.error))
-    run.tell(_WHAT, benches, benches)
+    benches = [
+        file.with_overrides(dict(zip(outer, values, strict=True)))
+        for values in itertools.product(*outer.values())
+    ]
+    found = solve_benches(benches, scat, absorb[:, None], run)
     shape = [len(values) for values in (*outer.values(), *inner.values())]
     eta, error = (np.array(each).reshape(shape) for each in zip(*found, strict=True))
     return EtaTable(
@@ -124,6 +117,34 @@ def noise_free_table(
         file.content_hash,
         _notes(eta, error, run.precision),
     )
+
+
+def solve_benches(
+    benches: Sequence[SceneFile],
+    alpha_scat_per_cm: ArrayLike,
+    alpha_abs_per_cm: ArrayLike,
+    run: Run,
+) -> list[tuple[Array, Array]]:
+    """Efficiency and its error at the same coefficients, which broadcast, of several benches.
+
+    Raises
+    ------
+    InputError
+        If a scene is not sound, or a bench is not one that the solver knows.
+    """
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    found = []
+    for number, file in enumerate(benches):
+        run.tell(_WHAT, number, len(benches))
+        simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
+        with placed(path=file.path):
+            solved = solve_box(
+                bench_of(simulation), alpha_scat_per_cm, alpha_abs_per_cm, precision=run.precision
+            )
+        found.append((solved.eta, solved.error))
+    run.tell(_WHAT, len(benches), len(benches))
+    return found
 
 
 def _notes(eta: ArrayLike, error: ArrayLike, precision: float | None) -> tuple[str, ...]:

@@ -400,7 +400,7 @@ def eta_map(
 
 def eta_spectrum(
     scene: Scene, spectrum: str | Path, *, quantum_efficiency: str | Path | None = None,
-    run: Run | None = None, **given: Any,
+    method: str = "photons", run: Run | None = None, **given: Any,
 ) -> Answer:  # fmt: skip
     """Light collection efficiency over the emission's wavelengths, and its means over the light.
 
@@ -412,6 +412,8 @@ def eta_spectrum(
         name a material follow its dispersion.
     quantum_efficiency : str or Path, optional
         Spectrum of the detector's efficiency, where the table has none.
+    method : str
+        As of `simulate`.
     run : Run, optional
         2 million photons of each simulation: one, or four where an index varies.
     **given
@@ -425,15 +427,16 @@ def eta_spectrum(
     Raises
     ------
     InputError
-        If a file or the scene is not sound, a parameter is wrong, or photons cannot answer a
-        wavelength.
+        If a file or the scene is not sound, a parameter is wrong, photons cannot answer a
+        wavelength, or the method does not know such a bench.
     """
     from mcrim_mitsuba.efficiency.eta_spectrum import eta_over
     from mcrim_mitsuba.scene.emitted_light import read_light
 
     run, parameters = _split(run, given)
     file = _with_parameters(scene, parameters)
-    found = eta_over(file, read_light(spectrum, file, quantum_efficiency), run=run)
+    light = read_light(spectrum, file, quantum_efficiency)
+    found = eta_over(file, light, method=method, run=run)
     return Answer(
         found, scene_descriptions.of_spectrum(found), documents.of_spectrum(found),
         {"spectrum": lambda: _drawn("light_figures.draw_spectrum", found)},

@@ -103,7 +103,10 @@ def of_spectrum(found: EtaSpectrum) -> Described:
     light, off = found.light, (found.one_wavelength_off, found.one_wavelength_off_sigma)
     eta = pdg(found.eta_detected, found.eta_detected_sigma)
     arriving = _percent(found.efficiency_arriving, found.efficiency_arriving_sigma)
-    simulated = f"{counted(len(found.nodes_nm), 'simulation')}, {found.photons:,} photons"
+    benches = len(found.nodes_nm)
+    simulated = f"{counted(benches, 'simulation')}, {found.photons:,} photons"
+    if not found.photons:
+        simulated = f"{'a bench' if benches == 1 else f'{benches} benches'} solved by modes"
     said = [
         f"eta = {eta} of the light as it is {'detected' if light.detected else 'emitted'} "
         f"({simulated})"
@@ -137,9 +140,10 @@ def of_spectrum(found: EtaSpectrum) -> Described:
     notes: tuple[str, ...] = ()
     if found.interpolation_error > 0.0:
         nodes = ", ".join(f"{each:.0f}" for each in found.nodes_nm)
+        included = ", the noise of the simulations included" if found.photons else ""
         notes = (
-            f"simulated at {nodes} nm; between them eta may be wrong by "
-            f"{100 * found.interpolation_error:.2g} %, the noise of the simulations included",
+            f"{'simulated' if found.photons else 'solved'} at {nodes} nm; between them eta may be "
+            f"wrong by {100 * found.interpolation_error:.2g} %{included}",
         )
     parts: list[Part] = [*map(Sentence, said), table("some wavelengths", columns, rows)]
     return Described("light collection efficiency over wavelengths", tuple(parts), notes=notes)

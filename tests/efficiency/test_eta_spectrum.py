@@ -11,6 +11,7 @@ import mcrim_mitsuba
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.eta_spectrum import eta_over
+from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
 from mcrim_mitsuba.optics.materials import material
 from mcrim_mitsuba.scene.emitted_light import read_light
 from mcrim_mitsuba.scene.scene_file import read_scene
@@ -55,6 +56,22 @@ def test_weights_give_what_simulations_of_each_wavelength_give(tenfold):
     ]
     assert np.abs(z).max() < LARGEST_Z, z
     assert (found.eta_sigma[at] < 1.05 * precision * found.eta[at]).all()
+    # values are those of the surfaces, whose cells are fine; errors alone come from wide ones
+    points = [(at["alpha_scat_per_cm"], at["alpha_abs_per_cm"])
+              for at in map(light.at, light.wavelength_nm.tolist())]  # fmt: skip
+    mean = light.at(light.mean_nm)
+    wish = [*points, (mean["alpha_scat_per_cm"], mean["alpha_abs_per_cm"])]
+    ((surface, _),) = record_surfaces(
+        [SurfaceWish("", file, wish, Run(precision=precision, seed=1))]
+    )
+    assert found.eta == pytest.approx([surface.answer(p).eta for p in points], rel=1e-9)
+    solved = eta_over(file, light, method="modes")
+    z = [
+        (solved.eta[i] - one.eta) / np.hypot(solved.eta_sigma[i], one.eta_sigma)
+        for i, one in zip(at, alone, strict=True)
+    ]
+    assert np.abs(z).max() < LARGEST_Z, z
+    assert solved.photons == 0 and (solved.eta_sigma < 2e-4 * solved.eta).all()
     # for six wavelengths; those of the whole spectrum, ten times as many, come with them
     assert len(light.wavelength_nm) == 61
     assert 2.0 * found.photons < sum(one.photons for one in alone)
@@ -137,6 +154,12 @@ def test_the_command_shows_and_draws_it(tenfold, mcrim, here):
     assert said.status == 0 and "what is detected would be off by" in said.out
     assert (here / "picture_spectrum.png").stat().st_size > 20_000
     assert "one_wavelength_off" in (here / "light.json").read_text()
+    solved = mcrim(
+        "simulate", str(BENCH), "--method", "modes", "--spectrum", str(tenfold),
+        "--figure", "solved.png",
+    )  # fmt: skip
+    assert solved.status == 0 and "(a bench solved by modes)" in solved.out
+    assert (here / "solved_spectrum.png").exists() and not (here / "solved.png").exists()
     said = mcrim("simulate", str(BENCH), "--quantum-efficiency", "x.csv")
     assert said.status == 2 and "give --spectrum" in said.err
 
