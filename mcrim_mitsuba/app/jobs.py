@@ -47,6 +47,8 @@ class Status:
     waiting: tuple[Job, ...] = ()
     #: Why jobs came to nothing since the user last began one.
     said: tuple[str, ...] = ()
+    #: The one that was stopped, as the user wished.
+    stopped: str = ""
 
     @property
     def words(self) -> str:
@@ -84,7 +86,7 @@ class Jobs:
     def start(self, job: Job) -> None:
         """Begin a job when all before it are done; one that is under way is not begun again."""
         with self._there_is_work:
-            self._status = replace(self._status, said=())
+            self._status = replace(self._status, said=(), stopped="")
             ends = self._status.job is None or self._cancelled or job.again
             running = () if ends else (self._status.job,)
             if all(job.key != other.key for other in (*running, *self._waiting)):
@@ -142,22 +144,27 @@ class Jobs:
                 job = self._waiting.popleft()
                 self._cancelled = False
                 self._status = replace(self._status, job=job, stage="", done=0, total=0)
-            error = self._run(job)
-            if error:
+            error = stopped = ""
+            try:
+                error = self._run(job)
+            except CancelledError:
+                stopped = f"{job.words}: stopped; what was simulated is kept"
+            if error or stopped:
                 with suppress(InputError):
                     job.undo()
             with self._there_is_work:
-                said = self._status.said
-                self._status = Status(said=(*said, error) if error else said)
+                before = self._status
+                said = (*before.said, error) if error else before.said
+                self._status = Status(said=said, stopped=stopped or before.stopped)
             self._changed()
 
     @staticmethod
     def _run(job: Job) -> str:
-        """Why it came to nothing; empty where it did not."""
+        """Why it came to nothing; empty where it did not. CancelledError if the user ended it."""
         try:
             job.work()
         except CancelledError:
-            return f"{job.words}: stopped; what was simulated is kept"
+            raise
         except InputError as refusal:
             return f"{job.words}: {refusal}"
         except Exception as fault:

@@ -28,12 +28,14 @@ from mcrim_mitsuba.core.rounding import (
     probability,
 )
 from mcrim_mitsuba.efficiency.response_maker import configurations
-from mcrim_mitsuba.inference.diagnose import Diagnosed
+from mcrim_mitsuba.inference.candidates import Candidate
+from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow, ParameterEstimate
 from mcrim_mitsuba.output.described import Table
 from mcrim_mitsuba.output.descriptions import limits_table
 from mcrim_mitsuba.output.figure_style import shortened, units_of_signals
 from mcrim_mitsuba.output.findings import (
+    NO_EFFECTS,
     averaged_yield,
     bought,
     errors_apart,
@@ -134,7 +136,7 @@ def state(session: Session, known: int) -> dict[str, Any]:
         "file_number": session.file_number, "bench_number": session.bench_number,
         "job": {
             "key": status.job and status.job.key, "words": status.words, "done": status.done,
-            "total": status.total, "said": status.said,
+            "total": status.total, "said": status.said, "stopped": status.stopped,
             "waiting": [{"key": job.key, "words": job.words} for job in status.waiting],
         },
     }  # fmt: skip
@@ -294,27 +296,38 @@ def _diagnosis_panel(found: Diagnosed | None) -> str:
     if found is not None:
         diagnosis = found.diagnosis
         leading = leading_candidates(diagnosis)
-        ranked = {id(c): c for c in (*leading, *diagnosis.candidates[:_MOST_CANDIDATES])}
         context = {
             "found": diagnosis, "averaged": averaged_yield(diagnosis),
             "headline": headline(diagnosis), "leading": bool(leading),
             "suspicions": [suspicion(one) for one in diagnosis.suspect_readings],
-            "candidates": [
-                {
-                    "effects": one.effects, "effect": one.effect,
-                    "title": in_words(diagnosis, one.effects), "size": size_text(one, ", "),
-                    "p": (p := diagnosis.probabilities.get(one.effect)),
-                    "probability": "" if p is None else probability(p),
-                    "plausible": plausibility(one), "gain": gain_text(one),
-                    "p_value": p_text(one.p_value),
-                }
-                for one in (ranked.values() if diagnosis.candidates else ())
-            ],
+            "titles": ("probability", "size", "plausible?", "fall of χ²", "p of the fit"),
+            "candidates": _ranked(diagnosis, leading) if diagnosis.candidates else (),
             "set_aside": set_aside_text(diagnosis), "looks": looks(diagnosis),
             "limits": _cells(limits_table(diagnosis).seen) if diagnosis.upper_limits else None,
             "next": [(m.words, *bought(m)) for m in diagnosis.next_measurements],
         }  # fmt: skip
     return _TEMPLATES.get_template("diagnosis.html").render(context)
+
+
+def _ranked(diagnosis: Diagnosis, leading: Sequence[Candidate]) -> list[dict[str, Any]]:
+    """Rows of the ranking; what is no effect stands where its probability puts it."""
+    ranked = {id(c): c for c in (*leading, *diagnosis.candidates[:_MOST_CANDIDATES])}
+    rows: list[dict[str, Any]] = [
+        {
+            "effects": one.effects, "effect": one.effect,
+            "title": in_words(diagnosis, one.effects),
+            "first": bool(leading) and number == 0,
+            "cells": (size_text(one, ", "), plausibility(one), gain_text(one), p_text(one.p_value)),
+        }
+        for number, one in enumerate(ranked.values())
+    ]  # fmt: skip
+    for name, words in NO_EFFECTS.items():
+        if name in diagnosis.probabilities:
+            rows.append({"effects": (), "effect": name, "title": words, "cells": ("",) * 4})
+    for row in rows:
+        row["p"] = diagnosis.probabilities.get(row["effect"])
+        row["probability"] = "" if row["p"] is None else probability(row["p"])
+    return sorted(rows, key=lambda row: -(row["p"] or 0.0))
 
 
 def _cells(table: Table) -> tuple[list[str], list[list[str]]]:

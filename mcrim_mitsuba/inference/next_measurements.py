@@ -45,7 +45,7 @@ _MOST_RIVALS, _MOST_SETS, _LIKELY = 3, 5, 0.01
 _OUTCOMES = 128
 # An error that is promised counts as kept within this part of it. What a reading buys counts by the
 # part of the outcomes that keep it, to this power: what may buy nearly all or nothing is no advice.
-_KEPT, _DISCOUNT = 0.3, 4
+_KEPT, _DISCOUNT = 0.3, 2
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,9 @@ def test_jobs_wait_and_stop(browser, scenes):
         browser.wait_for(lambda: status().startswith("simulating the bench"), "simulation")
         browser.find("#stop").click()
         browser.wait_for(lambda: status() == "ready", "end of the job")
-        assert browser.text("#error") == "simulating the bench: stopped; what was simulated is kept"
+        assert (
+            browser.text("#stopped") == "simulating the bench: stopped; what was simulated is kept"
+        )
         assert browser.text("#chi2-words") == "nothing is simulated yet: press Fit"
 
         # whatever is asked for next simulates what it needs
@@ -62,7 +64,9 @@ def test_jobs_wait_and_stop(browser, scenes):
         assert "without bevel of the edges" in words and browser.all("body.stale")
         browser.find('[data-key="effect edge_chamfer"]').click()
         browser.wait_for(lambda: not box.is_selected() and app.is_idle(), "switch", 30)
-        assert "bevel of the edges: stopped" in browser.text("#error")
+        # as they wished: no error
+        assert "bevel of the edges: stopped" in browser.text("#stopped")
+        assert not browser.text("#error")
 
 
 def test_a_lost_connection_is_said(browser, campaign, shared_cache):
@@ -238,7 +242,15 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(
         app.settled()
         averaged = browser.text("#averaged")
         assert f"Light yield: {averaged} ph/keV" in browser.text("#averaged-text")
+        ranked = browser.text("#diagnosis .ranking")
+        assert "something that is in no catalogue" in ranked.lower()
+        assert browser.run(
+            "const one = document.querySelector('.ranking').parentNode;"
+            "return one.scrollWidth <= one.clientWidth"
+        )
         browser.screenshot(f"{wide} 3 averaged")
+        browser.run("document.querySelector('.ranking').scrollIntoView({block: 'end'})")
+        browser.screenshot(f"{wide} 3 ranking")
 
         # and on to the effect that is missing
         app.tab_to("#diagnosis button.main")

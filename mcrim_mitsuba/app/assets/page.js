@@ -265,6 +265,7 @@ function showJob(job) {
   const more = others.length ? ` and ${others.length} more` : "";
   write($("status"), next ? `${job.words}; then ${next}${more}` : job.words);
   write($("error"), job.said.join("\n"));
+  write($("stopped"), job.stopped);
   $("stop").hidden = !busy;
   const progress = $("progress");
   progress.max = Math.max(job.total, 1);
