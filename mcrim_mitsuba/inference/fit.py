@@ -104,6 +104,9 @@ _NOTABLE_INTERPOLATION = 0.3
 _NOTABLE_MONTE_CARLO = 0.25
 # Where there is no p-value, a larger pull says that the model does not describe the readings.
 _LARGEST_PULL = 3.0
+# Times that a reading is off what the others ask for from which it is no effect, but a slip of
+# writing; and the same of each of two readings, from their middle.
+_FAR_OFF, _TWO_APART = 5.0, 1.8
 # Part of alpha_scat's range, in its logarithm, next to an end that counts as being there.
 _EDGE = 0.03
 # What may be wrong where readings ask for more than the bounds allow.
@@ -166,7 +169,9 @@ def fit_model(model: Model, *, profile: bool = True) -> Calibration:
         *campaign.notes,
         *_notes_of_raw_data(campaign, parameters),
         *_notes_of_search(minima, names),
-        *_notes_of_disagreement(best.chi2, campaign.ndf, p, rows),
+        *_notes_of_disagreement(
+            best.chi2, campaign.ndf, p, rows, _lost_point(likelihood, prediction)
+        ),
         *_notes_of_intervals(best, found),
         *_notes_of_simulation(parameters),
         *_notes_of_interpolation(likelihood, prediction),
@@ -240,6 +245,7 @@ def _checked_prediction(best: Optimum) -> Prediction:
         )
         if wish := _wish(best):
             problem, mend = f"{wish}, and there {error.problem}", _SWAPPED
+        mend = _lost_point(likelihood, likelihood.model.predict(best.theta)) or mend
         where = dict(zip(likelihood.names, best.theta.tolist(), strict=True))
         path = likelihood.model.campaign.path
         raise TooLittleSimulatedError(problem, mend, where, path=path) from None
@@ -291,7 +297,7 @@ def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> Iterator[
 
 
 def _notes_of_disagreement(
-    chi2: float, ndf: int, p: float | None, rows: tuple[FittedRow, ...]
+    chi2: float, ndf: int, p: float | None, rows: tuple[FittedRow, ...], lost_point: str
 ) -> Iterator[str]:
     """Whether the model describes the readings at all."""
     worst = max((row for row in rows if row.use), key=lambda row: abs(row.pull))
@@ -304,6 +310,28 @@ def _notes_of_disagreement(
             f"the model does not describe the readings: chi2 = {chi2:.3g}, {chance}; the largest "
             f"pull is that of {worst.label} ({worst.pull:+.1f})"
         )
+        if lost_point:
+            yield lost_point
+
+
+def _lost_point(likelihood: Likelihood, prediction: Prediction) -> str:
+    """Which readings are many times off the others, as after a decimal point is lost."""
+    readings = [r for r in likelihood.model.readings if r.use and not r.of_beam]
+    light = [i for i, r in enumerate(likelihood.model.readings) if r.use and not r.of_beam]
+    if len(light) < 2:
+        return ""
+    asked = np.log([r.signal for r in readings]) - np.log(prediction.signal[light])
+    # of two nobody knows which one it is
+    off = abs(asked - np.median(asked)) > np.log(_FAR_OFF if len(light) > 2 else _TWO_APART)
+    if not off.any() or (len(light) > 2 and 2 * off.sum() >= len(light)):
+        return ""
+    far = [r for r, one in zip(readings, off, strict=True) if one]
+    named = " and ".join(f"{r.label} (line {r.line}, {r.signal:g})" for r in far)
+    are = "is" if len(far) == 1 else "are"
+    how = f"{are} many times off what the others ask for"
+    if len(light) == 2:
+        how = "do not belong together on any bench like this"
+    return f"{named} {how}: is a decimal point or comma lost?"
 
 
 def _bound(model: Model, parameter: CampaignParameter, side: str) -> str:

@@ -556,6 +556,20 @@ def test_an_outlier_is_told_and_agreement_is_not(campaign):
         assert f"p = {bad.p_value:.2g}" in note
 
 
+def test_a_lost_decimal_point_is_told_with_its_line(campaign):
+    slips = {
+        TWO + "oil,2450,0.4,1.46\n": "oil (line 4, 2450) is many times off",
+        TWO.replace("24.5", "245"): "air (line 2, 14.3) and gel (line 3, 245) do not belong",
+        # an effect, or a bad reading, is none
+        TWO + "oil,49,0.4,1.46\n": "",
+        TWO.replace("24.5", "34.5"): "",
+    }
+    for rows, said in slips.items():
+        notes = fit_campaign(campaign(ALPHA, rows), couplings(), profile=False).notes
+        told = [note for note in notes if note.endswith("is a decimal point or comma lost?")]
+        assert len(told) == bool(said) and all(note.startswith(said) for note in told), notes
+
+
 def test_rounding_is_no_contribution(campaign):
     # no Monte Carlo error, and a prior whose rounding must not show in the scale alone
     found = fit_campaign(campaign(ALPHA), couplings(), profile=False).parameters
