@@ -26,6 +26,7 @@ from mcrim_mitsuba.core.rounding import (
     pdg,
     pdg_parts,
     probability,
+    unbroken,
 )
 from mcrim_mitsuba.efficiency.response_maker import configurations
 from mcrim_mitsuba.inference.candidates import Candidate
@@ -69,14 +70,9 @@ def _compound_id(kind: str, name: str) -> str:
     return json.dumps({"kind": kind, "name": name}, sort_keys=True, separators=(",", ":"))
 
 
-def _unbroken(said: Any) -> Any:
-    """A number stays on one line with its error."""
-    return said.replace(" ± ", "\xa0±\xa0") if isinstance(said, str) else said
-
-
 _TEMPLATES = jinja2.Environment(
     autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-    finalize=_unbroken,
+    finalize=unbroken,
     loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
 )  # fmt: skip
 _TEMPLATES.filters["capital"] = capital

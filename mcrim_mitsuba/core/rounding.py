@@ -140,6 +140,11 @@ def counted(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
+def unbroken(said: object) -> object:
+    """A text whose numbers stay on one line with their errors; what is no text as it is."""
+    return said.replace(" ± ", "\xa0±\xa0") if isinstance(said, str) else said
+
+
 def short_text(value: object) -> str:
     """A scene parameter's value, numbers to six digits."""
     if isinstance(value, float):

@@ -7,6 +7,7 @@ import math
 import textwrap
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator
@@ -242,6 +243,8 @@ _COLOURS, _LINES = (
     (style.DARK, style.WARM, style.LIGHT),
     ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5))),
 )
+#: Curves that differ by no more than this part of themselves are drawn as one.
+_ON_EACH_OTHER = 0.06
 
 
 @style.styled
@@ -249,7 +252,7 @@ def draw_plan(found: Planning) -> style.Drawing:
     """The light yield's error over events, by couplings; the numbers of all plans.
 
     Drawn are the statistical part and the whole, for the number of mountings that the verdict
-    names, of the sets of couplings that bring most.
+    names, of the sets of couplings that bring most, one for all whose curves lie on each other.
     """
     figure = style.canvas(10.4, 4.6)
     statistical, total = figure.subplots(1, 2)
@@ -258,15 +261,29 @@ def draw_plan(found: Planning) -> style.Drawing:
     for plan in sorted(found.plans, key=lambda p: p.events):
         if plan.mountings == mountings:
             plans.setdefault(plan.configurations, []).append(plan)
-    most = len(_COLOURS) * len(_LINES)
-    best = sorted(plans, key=lambda chosen: plans[chosen][-1].light_yield.of_plan)[:most]
-    for chosen, (line, colour) in zip(best, itertools.product(_LINES, _COLOURS), strict=False):
+    best = sorted(plans, key=lambda chosen: plans[chosen][-1].light_yield.of_plan)
+    # per set of couplings (2, events) percentages, and those whose curves would lie on its own
+    curves = {
+        chosen: 100.0
+        * np.array([(p.light_yield.statistical, p.light_yield.total) for p in plans[chosen]]).T
+        for chosen in best
+    }
+    alike: dict[tuple[int, ...], int] = {}
+    for chosen in best:
+        for drawn in alike:
+            same = len(plans[drawn]) == len(plans[chosen])
+            if same and np.allclose(curves[chosen], curves[drawn], rtol=_ON_EACH_OTHER, atol=0.0):
+                alike[drawn] += 1
+                break
+        else:
+            alike[chosen] = 0
+    looks = itertools.product(_LINES, _COLOURS)
+    for (chosen, others), (line, colour) in zip(alike.items(), looks, strict=False):
         look = {"color": colour, "ls": line, "lw": 1.6, "marker": "o", "ms": 3.5}
         events = [plan.events for plan in plans[chosen]]
-        errors = [plan.light_yield for plan in plans[chosen]]
-        label = style.shortened(found.name(chosen), 44)
-        statistical.plot(events, [100 * e.statistical for e in errors], label=label, **look)
-        total.plot(events, [100 * e.total for e in errors], **look)
+        label = style.shortened(found.name(chosen), 44) + (f", and {others} alike" * (others > 0))
+        statistical.plot(events, curves[chosen][0], label=label, **look)
+        total.plot(events, curves[chosen][1], **look)
     for axes, title in ((statistical, "statistical part"), (total, "statistical and systematic")):
         axes.axhline(100 * found.wanted, color=style.GREY, lw=1, ls="--", zorder=1)
         axes.set(xscale="log", xlabel="events in the band, per mounting")

@@ -29,6 +29,7 @@ from mcrim_mitsuba.core.rounding import (
     pdg,
     probability,
     short_text,
+    unbroken,
 )
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
@@ -76,6 +77,7 @@ def render(sections: Sections) -> str:
     style = (folder / "style.css").read_text(encoding="utf-8")
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        finalize=unbroken,
         loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text(encoding="utf-8")),
     )  # fmt: skip
     environment.filters |= {

@@ -122,7 +122,10 @@ def test_the_story_is_told_in_order_with_the_numbers_of_the_fit(made, parsed):
         )
     light = found["result"]["light_yield_ph_per_keV"]
     big = parsed.get_element_by_id("result-light-yield").text_content()
-    assert big.startswith(pdg_parts(light["value"], light["statistical"], light["systematic"]))
+    parts = pdg_parts(light["value"], light["statistical"], light["systematic"])
+    assert big.startswith(parts.replace(" ", "\xa0"))
+    # a number is not split from its error where a line ends
+    assert not [text for text in parsed.itertext() if re.search(r"[0-9] ± [0-9]", text)]
     for row, each in zip(found["calibration"]["rows"], found["efficiencies"], strict=True):
         assert each["eta"] == row["eta"] and each["sigma"] > row["eta_sigma"]
     shown = parsed.text_content()
