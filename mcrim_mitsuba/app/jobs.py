@@ -144,11 +144,7 @@ class Jobs:
                 job = self._waiting.popleft()
                 self._cancelled = False
                 self._status = replace(self._status, job=job, stage="", done=0, total=0)
-            error = stopped = ""
-            try:
-                error = self._run(job)
-            except CancelledError:
-                stopped = f"{job.words}: stopped; what was simulated is kept"
+            error, stopped = self._run(job)
             if error or stopped:
                 with suppress(InputError):
                     job.undo()
@@ -159,18 +155,18 @@ class Jobs:
             self._changed()
 
     @staticmethod
-    def _run(job: Job) -> str:
-        """Why it came to nothing; empty where it did not. CancelledError if the user ended it."""
+    def _run(job: Job) -> tuple[str, str]:
+        """Why it came to nothing, by a fault and by the user's wish; empty where it did not."""
         try:
             job.work()
         except CancelledError:
-            raise
+            return "", f"{job.words}: stopped; what was simulated is kept"
         except InputError as refusal:
-            return f"{job.words}: {refusal}"
+            return f"{job.words}: {refusal}", ""
         except Exception as fault:
             traceback.print_exc(file=sys.stderr)
             return (
                 f"{job.words}: this is our fault, not yours ({type(fault).__name__}): please "
                 "report the lines in the terminal"
-            )
-        return ""
+            ), ""
+        return "", ""

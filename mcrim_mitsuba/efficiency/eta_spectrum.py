@@ -141,10 +141,11 @@ def eta_over(
     if method == "modes":
         scattering, absorption = np.array(points).T
         solved = solve_benches(benches, scattering, absorption, run)
-        # as batches whose mean has that error: all wavelengths off alike, or one end of the band
-        # up and the other one down
+        # as four batches, the mean of which has that error: all wavelengths off alike, and one end
+        # of the band up with the other one down; a pair +-x adds x^2 / 6 to the mean's variance
         tilt = np.interp(asked, at[[0, -1]], (-1.0, 1.0))
-        signs = math.sqrt(6.0) * np.array([tilt, -tilt, np.ones(len(asked)), -np.ones(len(asked))])
+        alike = np.ones_like(tilt)
+        signs = math.sqrt(6.0) * np.array([tilt, -tilt, alike, -alike])
         batches = np.array([eta + signs * error for eta, error in solved])
     else:
         named = [f"{each:.0f} nm" for each in nodes]

@@ -143,8 +143,10 @@ class EffectResponse:
         Taken from what another polynomial through the nearest nodes gives.
         """
         error = np.zeros(self.log_ratio.shape[len(self.axes)])
+        of_node = point.value(self.log_ratio).reshape(-1, len(error))
+        each = [axis.weights(value)[0] for axis, value in zip(self.axes, values, strict=True)]
+        whole = _outer(each) @ of_node
         for number, (axis, value) in enumerate(zip(self.axes, values, strict=True)):
-            weights = [a.weights(v)[0] for a, v in zip(self.axes, values, strict=True)]
             nodes, x = axis.nodes.nodes, axis.parameter.coordinate_of(value - axis.nominal)
             near = np.argsort(np.abs(nodes - x), kind="stable")
             # next to cubics the parabola through the nearest nodes, of which they are blends, next
@@ -152,10 +154,8 @@ class EffectResponse:
             kept = np.sort(near[:3] if axis.parameter.kinked else near[:-1])
             fewer = np.zeros(len(nodes))
             fewer[kept] = Lagrange(nodes[kept]).weights(x)[0]
-            of_node = point.value(self.log_ratio).reshape(-1, len(error))
-            whole = _outer(weights) @ of_node
-            weights[number] = fewer
-            error += np.abs(_outer(weights) @ of_node - whole)
+            other = [fewer if i == number else weights for i, weights in enumerate(each)]
+            error += np.abs(_outer(other) @ of_node - whole)
         return error
 
 

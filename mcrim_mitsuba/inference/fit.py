@@ -169,9 +169,7 @@ def fit_model(model: Model, *, profile: bool = True) -> Calibration:
         *campaign.notes,
         *_notes_of_raw_data(campaign, parameters),
         *_notes_of_search(minima, names),
-        *_notes_of_disagreement(
-            best.chi2, campaign.ndf, p, rows, _lost_point(likelihood, prediction)
-        ),
+        *_notes_of_disagreement(best, p, rows, prediction),
         *_notes_of_intervals(best, found),
         *_notes_of_simulation(parameters),
         *_notes_of_interpolation(likelihood, prediction),
@@ -297,35 +295,35 @@ def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> Iterator[
 
 
 def _notes_of_disagreement(
-    chi2: float, ndf: int, p: float | None, rows: tuple[FittedRow, ...], lost_point: str
+    best: Optimum, p: float | None, rows: tuple[FittedRow, ...], prediction: Prediction
 ) -> Iterator[str]:
     """Whether the model describes the readings at all."""
+    likelihood = best.statistic.likelihood
     worst = max((row for row in rows if row.use), key=lambda row: abs(row.pull))
     if p is None:
-        agrees, chance = abs(worst.pull) <= _LARGEST_PULL, f"ndf = {ndf}"
+        agrees, chance = abs(worst.pull) <= _LARGEST_PULL, f"ndf = {likelihood.model.campaign.ndf}"
     else:
         agrees, chance = p >= ACCEPTABLE_P, p_equals(p)
     if not agrees:
         yield (
-            f"the model does not describe the readings: chi2 = {chi2:.3g}, {chance}; the largest "
-            f"pull is that of {worst.label} ({worst.pull:+.1f})"
+            f"the model does not describe the readings: chi2 = {best.chi2:.3g}, {chance}; the "
+            f"largest pull is that of {worst.label} ({worst.pull:+.1f})"
         )
-        if lost_point:
+        if lost_point := _lost_point(likelihood, prediction):
             yield lost_point
 
 
 def _lost_point(likelihood: Likelihood, prediction: Prediction) -> str:
     """Which readings are many times off the others, as after a decimal point is lost."""
-    readings = [r for r in likelihood.model.readings if r.use and not r.of_beam]
-    light = [i for i, r in enumerate(likelihood.model.readings) if r.use and not r.of_beam]
+    light = [(i, r) for i, r in enumerate(likelihood.model.readings) if r.use and not r.of_beam]
     if len(light) < 2:
         return ""
-    asked = np.log([r.signal for r in readings]) - np.log(prediction.signal[light])
+    asked = np.log([r.signal / prediction.signal[i] for i, r in light])
     # of two nobody knows which one it is
     off = abs(asked - np.median(asked)) > np.log(_FAR_OFF if len(light) > 2 else _TWO_APART)
     if not off.any() or (len(light) > 2 and 2 * off.sum() >= len(light)):
         return ""
-    far = [r for r, one in zip(readings, off, strict=True) if one]
+    far = [r for (_, r), one in zip(light, off, strict=True) if one]
     named = " and ".join(f"{r.label} (line {r.line}, {r.signal:g})" for r in far)
     are = "is" if len(far) == 1 else "are"
     how = f"{are} many times off what the others ask for"

@@ -371,23 +371,19 @@ class ResponseModel:
             name: {own: np.array(named) == own for own in dict.fromkeys(named)}
             for name, named in self._named.items()
         }
-        self._place = {parameter.name: i for i, parameter in enumerate(self.free)}
+        self._column = {parameter.name: i for i, parameter in enumerate(self.free)}
         # by free scale, the rows of light that it stands for
         self._lit_by = {
             name: np.flatnonzero(rows & self._of_light)
             for name, rows in self._rows_of[SCALE].items()
-            if name in self._place
+            if name in self._column
         }
         # rows that have the same coefficients, whatever these are: most are of one crystal
-        alike: dict[tuple[str | float, str | float], list[int]] = {}
-        for row, key in enumerate(
-            zip(self._coefficients(ALPHA_SCAT), self._coefficients(ALPHA_ABS), strict=True)
-        ):
-            alike.setdefault(key, []).append(row)
-        self._alike = list(alike.items())
-        self._group = np.empty(len(self.readings), int)
-        for group, (_, rows) in enumerate(self._alike):
-            self._group[rows] = group
+        columns = (self._coefficients(name) for name in (ALPHA_SCAT, ALPHA_ABS))
+        self._own = list(zip(*columns, strict=True))
+        self._alike: dict[tuple[str | float, ...], list[int]] = {}
+        for row, own in enumerate(self._own):
+            self._alike.setdefault(own, []).append(row)
         self._latest: _Place | None = None
         self._shift: Array | None = None
         if anchor is not None:
@@ -407,13 +403,13 @@ class ResponseModel:
         return latest
 
     def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
-        values, place = self._values(theta), self._place
+        values, column = self._values(theta), self._column
         at, common = self._at(values), values.get(EFFICIENCY_FACTOR, 1.0)
         eta = np.exp(at.log_eta if self._shift is None else at.log_eta + self._shift)
         eta_slopes = np.zeros((len(eta), len(self.free)))
         for name, slopes in at.slopes.items():
-            if name in place:
-                eta_slopes[:, place[name]] = eta * slopes
+            if name in column:
+                eta_slopes[:, column[name]] = eta * slopes
         # a transmittance is the efficiency itself, and no photomultiplier read it
         light = self._of_light
         scales = np.array([values[name] for name in self._named[SCALE]])
@@ -421,17 +417,17 @@ class ResponseModel:
         signal = per_eta * eta
         signal_slopes = per_eta[:, None] * eta_slopes
         for name, rows in self._lit_by.items():
-            signal_slopes[rows, place[name]] = common * eta[rows]
-        if EFFICIENCY_FACTOR in place:
-            signal_slopes[light, place[EFFICIENCY_FACTOR]] = (scales * eta)[light]
+            signal_slopes[rows, column[name]] = common * eta[rows]
+        if EFFICIENCY_FACTOR in column:
+            signal_slopes[light, column[EFFICIENCY_FACTOR]] = (scales * eta)[light]
         for name, reading in self._of_readings:
             read, by_signal, by_value = reading(signal, values[name], self._measured)
             signal = np.where(light, read, signal)
             by_signal = np.where(light, by_signal, 1.0)
             per_eta = per_eta * by_signal
             signal_slopes = signal_slopes * by_signal[:, None]
-            if name in place:
-                signal_slopes[:, place[name]] += np.where(light, by_value, 0.0)
+            if name in column:
+                signal_slopes[:, column[name]] += np.where(light, by_value, 0.0)
         eta_covariance = eta_sigma = None
         if covariance or check:
             eta_covariance = np.outer(eta, eta) * covariance_of(at.deviations)
@@ -452,7 +448,7 @@ class ResponseModel:
         values: dict[str, Array] = {n: np.array([v]) for n, v in self._held.items()}
         values |= {p.name: thetas[:, i] for i, p in enumerate(self.free)}
         log_eta = np.empty((len(thetas), len(self.readings)))
-        for named, rows in self._alike:
+        for named, rows in self._alike.items():
             pair = [values[n] if isinstance(n, str) else np.array([n]) for n in named]
             fine, coarse = (
                 grid.weights_at(*pair) for grid in (self.responses.grid, self.responses.coarse)
@@ -487,7 +483,7 @@ class ResponseModel:
     def _coefficients(self, name: str) -> list[str | float]:
         """Every reading's own coefficient: its parameter, fitted or held, or a number."""
         default = self.campaign.values[name]
-        known = self._held.keys() | self._place.keys()
+        known = self._held.keys() | self._column.keys()
         return [
             own if own in known else float(reading.parameters.get(name, default))
             for own, reading in zip(self._named[name], self.readings, strict=True)
@@ -495,11 +491,8 @@ class ResponseModel:
 
     def points(self, values: Mapping[str, float]) -> tuple[Point, Point]:
         """The coefficients' place on the grid of the bench, and on that of the effects."""
-        pairs = [
-            [values[n] if isinstance(n, str) else n for n in named] for named, _ in self._alike
-        ]
-        if len(pairs) > 1:
-            pairs = [pairs[group] for group in self._group]
+        own = self._own if len(self._alike) > 1 else self._own[:1]
+        pairs = [[values[n] if isinstance(n, str) else n for n in named] for named in own]
         columns = list(zip(*pairs, strict=True))
         return Point.of(self.responses.grid, *columns), Point.of(self.responses.coarse, *columns)
 

@@ -283,6 +283,7 @@ class Workbench:
         def maker() -> ResponseMaker:
             return self.maker(proposed, "proposed measurements", PROPOSED_PART)
 
+        @cache  # what is predicted with some effects has its noise asked for next
         def model(effects: tuple[str, ...]) -> ResponseModel:
             campaign = proposed.with_effects(effects)
             responses = maker().make(campaign.switched_on)

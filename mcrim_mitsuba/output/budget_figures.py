@@ -268,15 +268,15 @@ def draw_plan(found: Planning) -> style.Drawing:
         * np.array([(p.light_yield.statistical, p.light_yield.total) for p in plans[chosen]]).T
         for chosen in best
     }
+
+    def covers(drawn: tuple[int, ...], chosen: tuple[int, ...]) -> bool:
+        one, other = curves[drawn], curves[chosen]
+        return one.shape == other.shape and np.allclose(other, one, rtol=_ON_EACH_OTHER, atol=0.0)
+
     alike: dict[tuple[int, ...], int] = {}
     for chosen in best:
-        for drawn in alike:
-            same = len(plans[drawn]) == len(plans[chosen])
-            if same and np.allclose(curves[chosen], curves[drawn], rtol=_ON_EACH_OTHER, atol=0.0):
-                alike[drawn] += 1
-                break
-        else:
-            alike[chosen] = 0
+        drawn = next((one for one in alike if covers(one, chosen)), chosen)
+        alike[drawn] = alike.get(drawn, -1) + 1
     looks = itertools.product(_LINES, _COLOURS)
     for (chosen, others), (line, colour) in zip(alike.items(), looks, strict=False):
         look = {"color": colour, "ls": line, "lw": 1.6, "marker": "o", "ms": 3.5}

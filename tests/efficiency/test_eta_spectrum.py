@@ -57,14 +57,12 @@ def test_weights_give_what_simulations_of_each_wavelength_give(tenfold):
     assert np.abs(z).max() < LARGEST_Z, z
     assert (found.eta_sigma[at] < 1.05 * precision * found.eta[at]).all()
     # values are those of the surfaces, whose cells are fine; errors alone come from wide ones
-    points = [(at["alpha_scat_per_cm"], at["alpha_abs_per_cm"])
-              for at in map(light.at, light.wavelength_nm.tolist())]  # fmt: skip
-    mean = light.at(light.mean_nm)
-    wish = [*points, (mean["alpha_scat_per_cm"], mean["alpha_abs_per_cm"])]
+    every = [light.at(nm) for nm in (*light.wavelength_nm.tolist(), light.mean_nm)]
+    wish = [(own["alpha_scat_per_cm"], own["alpha_abs_per_cm"]) for own in every]
     ((surface, _),) = record_surfaces(
         [SurfaceWish("", file, wish, Run(precision=precision, seed=1))]
     )
-    assert found.eta == pytest.approx([surface.answer(p).eta for p in points], rel=1e-9)
+    assert found.eta == pytest.approx([surface.answer(point).eta for point in wish[:-1]], rel=1e-9)
     solved = eta_over(file, light, method="modes")
     z = [
         (solved.eta[i] - one.eta) / np.hypot(solved.eta_sigma[i], one.eta_sigma)
