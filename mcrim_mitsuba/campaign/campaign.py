@@ -46,7 +46,7 @@ from mcrim_mitsuba.campaign.samples import (
     without_shared,
 )
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by, visible
-from mcrim_mitsuba.core.files import is_there
+from mcrim_mitsuba.core.files import files_read, is_there
 from mcrim_mitsuba.core.numbers import (
     ALPHA_ABS,
     ALPHA_SCAT,
@@ -116,6 +116,8 @@ class Campaign:
     unit: str = ""
     #: Crystals among the readings besides the campaign's own.
     samples: dict[str, Sample] = field(default_factory=dict)
+    #: All that were read for it, each once: its own, scene, readings, raw data, effects' sources.
+    files: tuple[Path, ...] = ()
 
     def __repr__(self) -> str:
         readings = counted(len(self.measurements.readings), "reading")
@@ -258,8 +260,17 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
         mend = f"name a campaign (.toml) with {entries_of_it}"
         raise InputError(f"this is {kind}, not a campaign", mend, path=path)
     document = read_toml(path)
+    folder = _folder(document.table("", CAMPAIGN), trust_effects)
+    with files_read() as files:
+        campaign = _campaign_of(document, folder)
+    sources = () if folder is None else sorted(folder.glob("*.py"))
+    files = [path, *campaign.scene.files, *files, *sources]
+    return replace(campaign, files=tuple(dict.fromkeys(files)))
+
+
+def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
+    """The campaign of a document and of the user's own effects."""
     entries = document.table("", CAMPAIGN)
-    folder = _folder(entries, trust_effects)
     known = catalogue(folder)
     scene = read_scene(_sibling(entries, "scene"))
     table = read_table(_sibling(entries, "measurements"), scene.parameters)

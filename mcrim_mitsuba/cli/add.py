@@ -11,7 +11,7 @@ from rich.text import Text
 from mcrim_mitsuba import effects
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_text
+from mcrim_mitsuba.core.files import STDOUT, write_text
 from mcrim_mitsuba.core.rounding import capital
 from mcrim_mitsuba.effects.trust import execute_allowed
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
@@ -52,10 +52,11 @@ def add(effect, scene, path, values, folder) -> None:
 
     Values that -D does not give are those where a fit begins.
     """
-    suffixes = {} if path in STDOUT else {"--output": (".xml",)}
-    refuse_outputs({"--output": path}, [scene], suffixes=suffixes)
-    screen = terminal.console(path)
+    suffixes = () if path in STDOUT else (".xml",)
     old = read_scene(scene)
+    sources = [] if folder is None else Path(folder).glob("*.py")
+    showing.refuse_places(None, [old, *sources], written={"--output": (path, suffixes)})
+    screen = terminal.console(path)
 
     def added(trusted: bool) -> str:
         execute_allowed(folder, trusted=trusted)
@@ -84,11 +85,7 @@ def _refuse_place(scene: SceneFile, path: Path) -> None:
     showing.refuse_to_replace({"--output": (str(path), ())})
     if path.resolve().parent == scene.path.resolve().parent:
         return
-    named = [
-        element.get("value", "")
-        for element in scene.root.iter("string")
-        if element.get("name") == "filename"
-    ]
+    named = [str(e.get("filename") or e.get("value")) for e, _ in scene.naming()]
     named += [each.name for each in scene.included]
     for name in named:
         if not Path(name).is_absolute():

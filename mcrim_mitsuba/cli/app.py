@@ -32,7 +32,7 @@ def app(campaign, port, no_browser, run) -> None:
     from mcrim_mitsuba.app.page import make_page
     from mcrim_mitsuba.app.session import Session
 
-    (read, _), key, screen = showing.read_campaign(campaign, None), new_key(), console()
+    read, key, screen = showing.read_campaign(campaign, None), new_key(), console()
 
     def ready(address: str) -> None:
         screen.line(f"the page is at {address}")

@@ -37,7 +37,7 @@ def reduce(campaign, path, figure, json_file) -> None:
             "--output": (path, (".toml",)),
             "the readings of --output": (str(beside), (".csv",)),
         }
-    read, _ = showing.read_campaign(
+    read = showing.read_campaign(
         campaign, json_file, figure, "spectra", "transmittance", written=written
     )
     showing.refuse_to_replace(written)
@@ -61,7 +61,7 @@ def calibrate(campaign, figure, json_file, work) -> None:
     where in alpha_scat, and on which configurations, to spend them. --precision is that of the
     light collection efficiency of every configuration.
     """
-    read, _ = showing.read_campaign(campaign, json_file, figure, "profiles", "budget")
+    read = showing.read_campaign(campaign, json_file, figure, "profiles", "budget")
     with work.begin() as run:
         found = mcrim.calibrate(read, run=run)
     screen = showing.answer(found, json_file, figure)
@@ -94,7 +94,7 @@ def compare(campaigns, figure, json_file, work) -> None:
     prefer, side by side, and at which readings they differ most. Scenes, effects and priors may
     differ.
     """
-    read = [showing.read_campaign(one, json_file, figure)[0] for one in campaigns]
+    read = [showing.read_campaign(one, json_file, figure) for one in campaigns]
     with work.begin() as run:
         found = mcrim.compare(*read, run=run)
     screen = showing.answer(found, json_file, figure)
@@ -152,7 +152,7 @@ def diagnose(campaign, figure, json_file, work, without, only) -> None:
 
     The campaign is fitted with each effect added in turn, and with pairs where none suffices.
     """
-    read, _ = showing.read_campaign(campaign, json_file, figure)
+    read = showing.read_campaign(campaign, json_file, figure)
     with work.begin() as run:
         found = mcrim.diagnose(read, without=without, only=only, run=run)
     screen = showing.answer(found, json_file, figure)
@@ -212,7 +212,7 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
 
     scene = Path(path).parent / f"{Path(path).stem}.xml"
     written = {"--output": (path, (".toml",)), "the scene of --output": (str(scene), (".xml",))}
-    read, _ = showing.read_campaign(campaign, json_file, figure, "readings", written=written)
+    read = showing.read_campaign(campaign, json_file, figure, "readings", written=written)
     showing.refuse_to_replace(written)
     screen = terminal.console(json_file)
     # a table that grows in a terminal, lines elsewhere
@@ -252,8 +252,8 @@ def report(campaign, path, json_file, work) -> None:
     """
     from mcrim_mitsuba.output.report import SUFFIXES, refuse_output
 
-    read, files = showing.read_campaign(campaign, json_file, written={"--output": (path, SUFFIXES)})
-    refuse_output(path, files)
+    read = showing.read_campaign(campaign, json_file, written={"--output": (path, SUFFIXES)})
+    refuse_output(path, read.files)
     with work.begin() as run:
         found = mcrim.report(read, path, run=run)
     screen = showing.answer(found, json_file)
@@ -291,12 +291,11 @@ def budget(campaign, figure, json_file, work, map_file, **crystal) -> None:
     birefringence. What the model can take is a correction, to be made; what one index cannot
     describe is added to the errors.
     """
-    read, files = showing.read_campaign(campaign, json_file, figure)
+    inputs = [file for file in (crystal["emission"], map_file, crystal["deposits"]) if file]
+    read = showing.read_campaign(campaign, json_file, figure, inputs=inputs)
     if map_file is None and (crystal["deposits"] or crystal["depth_mm"]):
         problem = "--depth and --deposits say where gammas stop on a map"
         raise InputError(problem, "give --map FILE.nc too")
-    if further := [file for file in (crystal["emission"], map_file, crystal["deposits"]) if file]:
-        showing.refuse_places(json_file, [*files, *further], figure)
     with work.begin() as run:
         found = mcrim.budget(read, run=run, eta_map=map_file, **crystal)
     showing.answer(found, json_file, figure)

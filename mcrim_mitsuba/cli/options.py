@@ -8,7 +8,7 @@ import functools
 import math
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ from rich.console import RenderableType
 
 from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import resolved
 from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run
 from mcrim_mitsuba.runs.array_job import (
@@ -286,8 +285,9 @@ def effects(option: str, explained: str):
     )  # fmt: skip
 
 
-#: Where the command's context keeps whether effects may be executed unasked.
-TRUST = "trust_effects"
+#: Where the command's context keeps whether effects may be executed unasked, and which files the
+#: command reads.
+TRUST, FILES = "trust_effects", "files"
 
 
 def _remember_trust(ctx, param, value) -> None:
@@ -425,8 +425,9 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
         if part is None and units != DEFAULT_FOLDER:
             problem = "--units without --unit: nobody shares this folder"
             raise InputError(problem, "give --unit K/N too")
-        if log is not None:
-            _refuse_log(log, given)
+        if log is not None and (log == "-" or Path(log).suffix.lower() in _NO_LOGS):
+            problem = "--log would write its lines there"
+            raise InputError(problem, "let the name end in .log", path=log)
         if part is not None and run.precision is not None:
             problem = "--precision with --unit: nobody knows beforehand how many units it takes"
             raise InputError(problem, "give --photons")
@@ -455,17 +456,6 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
     ):  # fmt: skip
         made = decorate(made)
     return made
-
-
-def _refuse_log(log: str, given: Mapping[str, Any]) -> None:
-    """Refuse a log whose lines would go into something else."""
-    path = Path(log)
-    if log == "-" or path.suffix.lower() in _NO_LOGS:
-        raise InputError("--log would write its lines there", "let the name end in .log", path=log)
-    for word in given.values():
-        if isinstance(word, str) and resolved(Path(word)) == resolved(path):
-            problem = "--log names what the command reads or writes"
-            raise InputError(problem, "give it a file of its own", path=log)
 
 
 def _command() -> dict[str, Any]:

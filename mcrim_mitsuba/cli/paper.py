@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.core.files import make_folder, refuse_outputs
+from mcrim_mitsuba.core.files import make_folder
 
 
 @click.command(short_help="Reproduce the article: its numbers beside ours.")
@@ -26,7 +26,7 @@ def paper(folder, json_file, work) -> None:
 
     # before a minute of simulation, not after it
     make_folder(folder)
-    refuse_outputs({"--json": json_file})
+    showing.refuse_places(json_file, [])
     with work.begin() as run:
         result = reproduce_article(run=run)
     terminal.write_json(json_file, document_of(result, result.draw(folder)))

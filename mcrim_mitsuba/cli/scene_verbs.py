@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import shlex
 import time
@@ -15,7 +16,7 @@ import click
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import STDOUT, refuse_outputs, write_bytes, write_text
+from mcrim_mitsuba.core.files import STDOUT, files_read, write_bytes, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.output import documents, scene_descriptions
 from mcrim_mitsuba.transport.launch_plan import LANES
@@ -51,7 +52,7 @@ def schema(path) -> None:
     """
     from mcrim_mitsuba.campaign.entries import json_schema
 
-    refuse_outputs({"--output": path})
+    showing.refuse_places(None, [], written={"--output": (path, ())})
     terminal.write_json(path, json_schema())
 
 
@@ -68,15 +69,16 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
     if scene is None:
         from mcrim_mitsuba.transport.variants import describe_installation
 
-        refuse_outputs({"--json": json_file})
+        showing.refuse_places(json_file, [])
         parts = describe_installation(variant, threads)
         terminal.write_json(json_file, documents.of_installation(parts))
         terminal.console(json_file).show(*scene_descriptions.of_installation(parts).parts)
         return
-    refuse_outputs(
-        {"--output": picture, "--json": json_file}, [scene],
-        suffixes={"--output": (".png", ".svg", ".pdf")},
-    )  # fmt: skip
+    inputs: list = [scene]
+    with contextlib.suppress(InputError):  # what is wrong is among the result's problems
+        inputs += [mcrim.read_scene(scene, overrides)]
+    written = {"--output": (picture, (".png", ".svg", ".pdf"))} if picture else {}
+    showing.refuse_places(json_file, inputs, written=written)
     found = mcrim.check(scene, run=mcrim.Run(variant=variant, threads=threads), **overrides)
     terminal.write_json(json_file, found.document)
     if picture and found.ok:
@@ -155,7 +157,10 @@ def simulate(
         raise InputError(f"{option} is for arrival times", "give --times FILE.csv too")
     wanted = {"map": (map_file, (".nc",)), "times": (times_file, (".csv",))}
     written = {f"--{name}": one for name, one in wanted.items() if one[0]}
-    inputs = [scene, *filter(None, [deposits, spectrum, quantum_efficiency])]
+    file = mcrim.read_scene(scene, overrides)
+    inputs = [file, *filter(None, [deposits, spectrum, quantum_efficiency])]
+    named = (text.partition("@")[2] for text in of_times.get("group_index", {}).values())
+    inputs += [file.path.parent / name for name in named if name]
     if figure:
         pictures = {"map": map_file, "spectrum": spectrum, "times": times_file}
         endings = ["fates", *(name for name, given in pictures.items() if given)]
@@ -169,12 +174,12 @@ def simulate(
         from mcrim_mitsuba.transport.simulation import Simulation
 
         run = work.run
-        loaded = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
+        loaded = Simulation(file, variant=run.variant, threads=run.threads)
         if figure:
             refuse_curved(loaded)
         if times_file:
             group_indices(loaded, of_times.get("group_index", {}))
-    file, further = mcrim.read_scene(scene, overrides), {}
+    further = {}
     with work.begin() as run:
         found = mcrim.simulate(file, run=run, method=method)
         own = replace(run, precision=None)
@@ -288,17 +293,18 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **own) 
     for name, (option, _) in AXES.items():
         if name in axes:
             raise InputError(f"--axis {name} has an option of its own", f"give {option} only")
-    lists, notes = read_axes(own, axes, Path(scene).parent)
+    with files_read() as spectra:
+        lists, notes = read_axes(own, axes, Path(scene).parent)
     refuse_many_points(math.prod(map(len, lists.values())))
     # a name without an ending tells of no other format
     endings = _TABLES if path and Path(path).suffix else ()
     written = {"--output": (path, endings)} if path else {}
-    showing.refuse_places(json_file, [scene], figure, written=written)
+    file = mcrim.read_scene(scene, overrides)
+    showing.refuse_places(json_file, [file, *spectra], figure, written=written)
     if figure:
         from mcrim_mitsuba.output.light_figures import lines_of_table
 
         lines_of_table(lists)
-    file = mcrim.read_scene(scene, overrides)
     screen = terminal.console(json_file, path)
     screen.say_notes(notes)
     coefficients = {"alpha_scat": ALPHA_SCAT, "alpha_abs": ALPHA_ABS}
@@ -341,9 +347,10 @@ def _abbreviated(values: list[float]) -> str:
 @options.json_output
 def crosscheck(scene, overrides, run, json_file) -> int:
     """Run SCENE in Mitsuba and in the independent NumPy tracer and compare every fate."""
-    refuse_outputs({"--json": json_file}, [scene])
+    file = mcrim.read_scene(scene, overrides)
+    showing.refuse_places(json_file, [file])
     with terminal.photon_progress() as report:
-        found = mcrim.crosscheck(scene, run=replace(run, progress=report), **overrides)
+        found = mcrim.crosscheck(file, run=replace(run, progress=report))
     showing.answer(found, json_file)
     return 0 if found.agrees else 1
 
@@ -363,13 +370,12 @@ def render(scene, picture, overrides, samples, run, json_file) -> None:
     Glass is shown clear: what it scatters and absorbs is left out, and its tint is there to
     tell parts apart.
     """
-    refuse_outputs(
-        {"--output": picture, "--json": json_file}, [scene], suffixes={"--output": (".png",)}
-    )
+    file = mcrim.read_scene(scene, overrides)
+    showing.refuse_places(json_file, [file], written={"--output": (picture, (".png",))})
     start = time.monotonic()
     with terminal.photon_progress() as report:
         run = replace(run, progress=report)
-        made = mcrim.render(scene, samples=samples, run=run, **overrides)
+        made = mcrim.render(file, samples=samples, run=run)
     made.save(picture)
     seconds = time.monotonic() - start
     terminal.write_json(json_file, documents.of_rendering(made, picture, seconds=seconds))

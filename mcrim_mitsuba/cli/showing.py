@@ -11,11 +11,15 @@ from typing import TypeVar
 import click
 
 import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.terminal import Screen
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there
 from mcrim_mitsuba.output.described import Described
+from mcrim_mitsuba.runs.array_job import MergingExecutor, UnitFolder
+from mcrim_mitsuba.runs.executors import current_executor
+from mcrim_mitsuba.scene.scene_file import SceneFile
 
 _Read = TypeVar("_Read")
 #: Outputs by option, each with the suffixes that it may have.
@@ -32,24 +36,19 @@ def further_picture(figure: str, ending: str) -> str:
 
 def read_campaign(
     campaign: str, json_file: str | None, figure: str | None = None, *endings: str,
-    written: Written | None = None,
+    inputs: Iterable[str | Path] = (), written: Written | None = None,
 ):  # fmt: skip
-    """A campaign, and the files that were read for it; outputs are refused as `refuse_places` does.
+    """A campaign; outputs are refused as `refuse_places` does, which knows further `inputs`.
 
     They are looked at before the campaign is read, and again when its files are known.
     """
-    refuse_places(json_file, [campaign], figure, *endings, written=written)
+    refuse_places(json_file, [campaign, *inputs], figure, *endings, written=written)
     read = when_trusted(
         lambda trusted: mcrim.read_campaign(campaign, trust_effects=trusted),
         "A campaign of somebody else is a program of theirs.",
     )
-    raw = () if read.raw is None else read.raw.files
-    files = [
-        campaign, read.scene.path, *read.scene.included, read.measurements.path,
-        *(file.path for file in raw),
-    ]  # fmt: skip
-    refuse_places(json_file, files, figure, *endings, written=written)
-    return read, files
+    refuse_places(json_file, [read, *inputs], figure, *endings, written=written)
+    return read
 
 
 def when_trusted(read: Callable[[bool], _Read], warning: str) -> _Read:
@@ -74,16 +73,17 @@ def when_trusted(read: Callable[[bool], _Read], warning: str) -> _Read:
 
 
 def refuse_places(
-    json_file: str | None, inputs: Iterable[str | Path], figure: str | None = None, *endings: str,
-    written: Written | None = None,
+    json_file: str | None, inputs: Iterable[str | Path | SceneFile | Campaign],
+    figure: str | None = None, *endings: str, written: Written | None = None,
 ) -> None:  # fmt: skip
-    """Refuse outputs that could not be written or would replace what is read.
+    """Refuse outputs, also ``--log``, that cannot be written or would replace what is read.
 
     Parameters
     ----------
     json_file : str or None
-    inputs : iterable of str or Path
-        Files that the command reads.
+    inputs : iterable of str, Path, SceneFile or Campaign
+        Files that the command reads; of scenes and campaigns all that they are made of. An array
+        job's folder is looked at too. `options.FILES` of the command's context keeps the list.
     figure : str, optional
         A picture; the numbers beside it are looked at too.
     *endings : str
@@ -98,7 +98,15 @@ def refuse_places(
     """
     from mcrim_mitsuba.core.files import refuse_outputs
 
-    places: dict[str, str | None] = {"--json": json_file}
+    context = click.get_current_context()
+    typed = ((read,) if isinstance(read, (str, Path)) else read.files for read in inputs)
+    files = [Path(file) for several in typed for file in several]
+    context.meta[options.FILES] = files
+    if context.params.get("unit"):
+        files = [*files, *UnitFolder(context.params["units"]).files]
+    elif isinstance(merging := current_executor(), MergingExecutor):
+        files = [*files, *merging.folder.files]
+    places: dict[str, str | None] = {"--json": json_file, "--log": context.params.get("log")}
     suffixes: dict[str, tuple[str, ...]] = {}
     for option, (path, wanted) in (written or {}).items():
         places[option], suffixes[option] = path, wanted
@@ -112,7 +120,7 @@ def refuse_places(
         for option, path in pictures.items():
             places[option], suffixes[option] = path, SUFFIXES
             places[f"the numbers of {option.removeprefix('the ')}"] = str(numbers_beside(path))
-    refuse_outputs(places, inputs, suffixes=suffixes)
+    refuse_outputs(places, files, suffixes=suffixes)
 
 
 def refuse_to_replace(written: Written) -> None:

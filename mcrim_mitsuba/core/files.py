@@ -13,7 +13,8 @@ import select
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import fields, is_dataclass
 from pathlib import Path, PurePath
 from typing import Any
@@ -69,6 +70,22 @@ def resolved(path: Path) -> Path:
         return path.absolute()
 
 
+_reads: ContextVar[list[Path] | None] = ContextVar("reads", default=None)
+
+
+@contextlib.contextmanager
+def files_read() -> Iterator[list[Path]]:
+    """The paths of all files that `read_bytes` reads meanwhile, in order."""
+    outside, paths = _reads.get(), list[Path]()
+    token = _reads.set(paths)
+    try:
+        yield paths
+    finally:
+        _reads.reset(token)
+        if outside is not None:
+            outside += paths
+
+
 def read_bytes(path: Path, limit_mb: int) -> bytes:
     """Content of a file of at most `limit_mb` megabytes.
 
@@ -95,6 +112,8 @@ def read_bytes(path: Path, limit_mb: int) -> bytes:
         raise InputError(*_EMPTY, path=path)
     if len(data) > limit_mb * BYTES_PER_MB:
         raise InputError(f"larger than {limit_mb} MB", "is this the file you meant?", path=path)
+    if (reads := _reads.get()) is not None:
+        reads.append(path)
     return data
 
 
@@ -335,7 +354,7 @@ def refuse_outputs(
     outputs : mapping of str to (str or None)
         File by option; None where the option was not given.
     inputs : iterable of str or Path
-        Files that the command reads.
+        Files that the command reads, and folders of which it may read any file.
     suffixes : mapping of str to tuple of str, optional
         Suffixes that an option's file must have, if not any.
 
@@ -369,7 +388,11 @@ def _refuse_output(option: str, path: Path, inputs: list[Path], wanted: tuple[st
     kind = {".xml": "a scene", ".toml": "a campaign"}.get(suffix, "a table")
 
     def replaces_an_input() -> bool:
-        return any(path.exists() and file.exists() and path.samefile(file) for file in inputs)
+        there = [file for file in inputs if file.exists()]
+        folders = (resolved(file) for file in there if file.is_dir())
+        return any(resolved(path).is_relative_to(folder) for folder in folders) or any(
+            path.exists() and path.samefile(file) for file in there
+        )
 
     def may_not_be_written() -> bool:
         replaced = path if _is_device(path) else path.parent

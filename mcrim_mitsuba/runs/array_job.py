@@ -85,6 +85,12 @@ class UnitFolder:
             mend = "let --units name a new folder, or remove this one"
             raise InputError(problem, mend, path=self.path)
 
+    @property
+    def files(self) -> list[Path]:
+        """What the parts have in it; of units their folders."""
+        units = (key.parent for key in self.path.glob("*/key.json"))
+        return [self.path / _COMMAND, *self.path.glob("part-*-of-*.json"), *units]
+
     def command(self) -> dict[str, Any]:
         """What all are parts of.
 
@@ -131,10 +137,10 @@ class MergingExecutor(Executor):
     """This process, with the units that the parts of an array job have made."""
 
     def __init__(self, folder: UnitFolder) -> None:
-        self._folder = folder
+        self.folder = folder
 
     def cache(self, key: Mapping[str, object]) -> RecordCache:
-        return RecordCache(key, self._folder.path, limited=False)
+        return RecordCache(key, self.folder.path, limited=False)
 
 
 class PartExecutor(MergingExecutor):
@@ -174,7 +180,7 @@ class PartExecutor(MergingExecutor):
     def finish(self) -> None:
         """Note in the folder that this part is done."""
         made = {"units": self.units, "photons": self.photons, "host": socket.gethostname()}
-        self._folder.write(self._part.report, made)
+        self.folder.write(self._part.report, made)
 
 
 def _is_command(content: Any) -> bool:

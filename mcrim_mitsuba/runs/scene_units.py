@@ -45,15 +45,10 @@ class PortableScene:
     def of(cls, scene: SceneFile) -> PortableScene:
         """Of a scene, with the contents that its files have now."""
         home, files = scene.path.parent, dict[str, bytes]()
-        folders = ["", *(element.get("value", "") for element in scene.root.iter("path"))]
-        for element in scene.root.iter("string"):
-            if element.get("name") != "filename":
-                continue
-            for folder in folders:
-                place = "/".join(part for part in (folder, element.get("value", "")) if part)
-                steps = place.split("/")
-                if _HARMLESS.fullmatch(place) and ".." not in steps and (home / place).is_file():
-                    files[place] = (home / place).read_bytes()
+        for file in (file for _, named in scene.naming() for file in named):
+            place = file.relative_to(home).as_posix() if file.is_relative_to(home) else ""
+            if _HARMLESS.fullmatch(place) and ".." not in place.split("/"):
+                files[place] = file.read_bytes()
         text = etree.tostring(scene.root, encoding="utf-8")
         return cls(str(scene.path), scene.content_hash, text, tuple(files.items()))
 

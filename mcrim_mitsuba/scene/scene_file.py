@@ -11,7 +11,7 @@ import contextlib
 import functools
 import hashlib
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -129,8 +129,7 @@ class SceneFile:
     def is_unchanged(self) -> bool:
         """Whether it says what it said, as its files are now, blanks aside."""
         own = None if self._unwritten is None else resolved(self.path)
-        named = [e for e in self.root.iter("string") if e.get("name") == "filename"]
-        if not named and not any(known.emission for known in self.materials.values()):
+        if not any(self.naming()) and not any(known.emission for known in self.materials.values()):
             # most scenes: nothing is put together again where no byte differs
             read = {resolved(path) for path in set(self._files.values())} - {own}
             with contextlib.suppress(InputError, KeyError):  # KeyError: a link leads elsewhere now
@@ -148,6 +147,22 @@ class SceneFile:
         spectra = [known.emission for known in self.materials.values() if known.emission]
         files = [path for path in self._files.values() if path != self.path]
         return tuple(dict.fromkeys([*files, *spectra]))
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files that it is made of: its own, those included, spectra, meshes; each once."""
+        named = (file for _, files in self.naming() for file in files)
+        return tuple(dict.fromkeys([self.path, *self.included, *self._sources, *named]))
+
+    def naming(self) -> Iterator[tuple[etree._Element, list[Path]]]:
+        """Elements that name files (meshes, spectra), with these in every folder of Mitsuba's."""
+        home = self.path.parent
+        folders = [home, *(home / e.get("value", "") for e in self.root.iter("path")), Path()]
+        for element in self.root.iter("string", "spectrum"):
+            text = element.get("value" if element.get("name") == "filename" else "filename")
+            if text is not None:
+                named = [folder / text for folder in folders]
+                yield element, [file for file in named if is_there(file) and file.is_file()]
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -180,19 +195,15 @@ class SceneFile:
         text = etree.tostring(self.root, encoding="unicode")
         said = etree.canonicalize(text, strip_text=True, exclude_tags=["sensor"])
         digest = hashlib.sha256(said.encode())
-        home = self.path.parent
-        folders = [home, *(home / e.get("value", "") for e in self.root.iter("path")), Path()]
-        for element in self.root.iter("string"):
-            if element.get("name") == "filename":
-                for named in (folder / element.get("value", "") for folder in folders):
-                    if is_there(named) and named.is_file():
-                        digest.update(self._digest_of(named, element))
+        for element, files in self.naming():
+            for named in files:
+                digest.update(self._digest_of(named, element))
         return digest.hexdigest()
 
     @functools.cached_property
     def text_or_hash(self) -> bytes | str:
         """Tells scenes apart as `content_hash`, and those that differ in blanks, but sooner."""
-        if any(e.get("name") == "filename" for e in self.root.iter("string")):
+        if any(self.naming()):
             return self.content_hash
         return etree.tostring(self.root)
 

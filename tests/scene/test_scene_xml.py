@@ -8,6 +8,7 @@ from places import cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.efficiency.recording import surfaces_answer
+from mcrim_mitsuba.runs.scene_units import PortableScene
 from mcrim_mitsuba.scene.scene_file import parse_define, read_scene
 
 cases = cases_of(__file__)
@@ -46,6 +47,19 @@ def test_elements_have_names_put_in_and_the_line_where_they_start(tmp_path):
     assert scene.line_of("top") == 19  # its tag ends on line 20
     assert scene.line_of("crystal") == 27  # not the <ref>
     assert scene.place_of(scene.root.find("shape")) == (scene.path, 19)
+
+
+def test_spectra_that_an_attribute_names_are_a_part_of_the_scene(tmp_path):
+    """Else the cache took what was simulated with another spectrum for this one."""
+    spectrum = '<emitter type="constant"><spectrum name="radiance" filename="s.spd"/></emitter>'
+    path = write(tmp_path, SCENE.replace("</scene>", f"{spectrum}</scene>"))
+    scenes = []
+    for content in ("400 1\n700 1\n", "400 1\n700 2\n"):
+        (tmp_path / "s.spd").write_text(content)
+        scenes.append(read_scene(path))
+        assert tmp_path / "s.spd" in scenes[-1].files
+        assert PortableScene.of(scenes[-1]).files == (("s.spd", content.encode()),)
+    assert scenes[0].content_hash != scenes[1].content_hash
 
 
 def test_overrides_win_and_only_those_that_change_something_count(tmp_path):

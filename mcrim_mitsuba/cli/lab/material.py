@@ -11,7 +11,7 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.cli.options import Share, parse_share
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import attributes, refuse_outputs
+from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.output import laboratory_descriptions as descriptions
@@ -226,7 +226,7 @@ def index(material, wavelength_nm, emission, json_file) -> None:
         raise InputError("both --nm and --emission are given", "leave one of them out")
     if material is not None and SEPARATOR in material:
         material, wavelength_nm, emission = _as_in_scenes(material, wavelength_nm, emission)
-    refuse_outputs({"--json": json_file}, [] if emission is None else [emission])
+    showing.refuse_places(json_file, [] if emission is None else [emission])
     if material is None and emission is not None:
         raise InputError("--emission needs a material", "name one, such as CaMoO4")
     nm = _USUAL_NM if wavelength_nm is None else wavelength_nm
@@ -341,7 +341,7 @@ def gammas(formula, energy_keV, density, json_file) -> None:
     """
     from mcrim_mitsuba.optics.gammas import SOURCE, attenuation_length_mm
 
-    refuse_outputs({"--json": json_file})
+    showing.refuse_places(json_file, [])
     found = attenuation_length_mm(formula, energy_keV, density)
     stopped = {depth: float(found.stopped_within(depth)) for depth in _DEPTHS_MM}
     processes = ("photoelectric", "incoherent", "coherent")

@@ -1,0 +1,117 @@
+"""What a command reads is never what it writes, and what it writes is whole or not there."""
+
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+from mcrim_mitsuba.campaign.campaign import read_campaign
+
+#: By verb: what it needs besides its campaign or scene, and its outputs.
+OF_CAMPAIGN = {
+    "calibrate": ([], ["--json", "--log", "--figure"]),
+    "compare": ([], ["--json", "--log", "--figure"]),
+    "diagnose": ([], ["--json", "--log", "--figure"]),
+    "repair": (["-o", "new.toml"], ["--json", "--log", "--figure"]),
+    "report": (["-o", "new.html"], ["--json", "--log"]),
+    "reduce": ([], ["--json", "--figure"]),
+    "budget": ([], ["--json", "--log", "--figure"]),
+    "lab plan": ([], ["--json", "--log"]),
+}
+OF_SCENE = {
+    "check": ([], ["--json", "-o"]),
+    "simulate": ([], ["--json", "--log", "--figure", "--map", "--times"]),
+    "table": (["--alpha-scat", "0.5"], ["--json", "--log", "--figure", "-o"]),
+    "render": (["-o", "new.png"], ["--json"]),
+    "crosscheck": ([], ["--json"]),
+}
+#: What an output's name ends in.
+ENDINGS = {
+    "--log": ".log",
+    "--figure": ".png",
+    "--map": ".nc",
+    "--times": ".csv",
+    "--json": ".json",
+}
+
+
+@pytest.fixture
+def bench(here, scenes):
+    """A campaign that names a file of every kind; one that everything reads is its spectrum."""
+    shutil.copytree(scenes / "camoo4_raw", here / "raw")
+    shutil.copytree(scenes / "own_effects", here / "own")
+    text = (scenes / "camoo4.xml").read_text()
+    beginning = text.index("  <medium")
+    (here / "part.xml").write_text(f'<scene version="3.0.0">\n{text[beginning:]}')
+    (here / "white.spd").write_text("400 1\n700 1\n")
+    light = '<emitter type="constant"><spectrum name="radiance" filename="white.spd"/></emitter>'
+    (here / "bench.xml").write_text(
+        text[:beginning].replace('n_crystal" value="2.01"', 'n_crystal" value="CaMoO4@light.csv"')
+        + f'<include filename="part.xml"/>\n{light}\n</scene>\n'
+    )
+    for name in ("light.csv", "row.csv"):
+        shutil.copy(scenes / "camoo4_raw/emission.csv", here / name)
+    readings = (here / "raw/mountings.csv").read_text()
+    (here / "raw/mountings.csv").write_text(
+        readings.replace("n_gap", "n_gap,n_window").replace("1.00\n", "1.00,1.52\n")
+        .replace("1.46\n", "1.46,BK7@../row.csv\n")
+    )  # fmt: skip
+    campaign = (here / "raw/campaign.toml").read_text()
+    campaign = campaign.replace('scene = "../camoo4.xml"', 'scene = "../bench.xml"')
+    (here / "raw/campaign.toml").write_text(f'effects_folder = "../own"\n{campaign}')
+    (here / "raw/campaign_source_depth.toml").unlink()
+    return here / "raw/campaign.toml"
+
+
+def test_a_campaign_knows_all_files_that_are_read_for_it(bench):
+    opened: list[Path] | None = []
+
+    def hook(event, arguments):
+        if opened is not None and event == "open" and isinstance(arguments[0], (str, Path)):
+            opened.append(Path(arguments[0]).resolve())
+
+    sys.addaudithook(hook)
+    campaign = read_campaign(bench)
+    read, opened = set(opened), None
+    here = bench.parents[1]
+    read = {path for path in read if path.is_relative_to(here) and path.suffix != ".pyc"}
+    read.add(here / "white.spd")  # by Mitsuba
+    known = {path.resolve() for path in campaign.files}
+    assert {path.name for path in read} > {"part.xml", "light.csv", "row.csv", "air_1.csv"}
+    assert known == read == {p for p in here.rglob("*.*") if p.suffix != ".pyc"}
+
+
+@pytest.mark.parametrize("verb", [*OF_CAMPAIGN, *OF_SCENE])
+def test_no_output_goes_onto_a_file_that_is_read(mcrim, bench, monkeypatch, verb):
+    """By a link to it; what a campaign or a scene names is not typed.
+
+    Reading a campaign takes a second: each output takes two of its files, in turn.
+    """
+    of_campaign = verb in OF_CAMPAIGN
+    further, outputs = OF_CAMPAIGN[verb] if of_campaign else OF_SCENE[verb]
+    bench = bench if of_campaign else Path("bench.xml")
+    files = sorted(p for p in Path().rglob("*.*") if p.suffix != ".pyc")
+    if not of_campaign:
+        files = [Path(name) for name in ("bench.xml", "part.xml", "light.csv", "white.spd")]
+    before = {file: file.read_bytes() for file in files}
+
+    def worked(*_, **__):
+        raise AssertionError("work was done before the outputs were looked at")
+
+    for place in ("runs.executors.Executor.do", "transport.variants.use_variant"):
+        monkeypatch.setattr(f"mcrim_mitsuba.{place}", worked)
+    for option in outputs:
+        ending = ENDINGS.get(option, ".png" if verb == "check" else ".nc")
+        for number, file in enumerate(files):
+            if (
+                of_campaign
+                and number % 12 != (5 * list(OF_CAMPAIGN).index(verb) + len(option)) % 12
+            ):
+                continue
+            link = Path(f"{verb}{option}{number}{ending}".replace(" ", "-"))
+            link.symlink_to(file.resolve())
+            said = mcrim.refused(*verb.split(), bench, *further, option, link)
+            name = "--output" if option == "-o" else option
+            assert f"{name} would replace what this command reads" in said
+    assert before == {file: file.read_bytes() for file in files}
