@@ -8,6 +8,7 @@ this package is imported.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import ctypes.util
 import functools
@@ -24,7 +25,10 @@ from mcrim_mitsuba.core.errors import InputError
 #: Oldest version seen to work with Dr.Jit 1.5; 15 and 16 abort, 17 and 18 were not available.
 OLDEST_LLVM = 19
 ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"
-WHEEL = "karellen-llvm-core"
+#: Wheels that bring LLVM: to Linux on x86-64; elsewhere, for Python 3.12 and newer.
+WHEELS = ("karellen-llvm-core", "llvm-nanobind")
+#: What a library of LLVM is called in them; on macOS by a code, which says nothing.
+_LIBRARY_NAME = re.compile(r"libLLVM[.-].*|LLVM\.dll|.*\.dylib")
 _MEND = (
     f"unset {ENVIRONMENT_VARIABLE} to use the LLVM that `pip install` brought, "
     f"or point it at a libLLVM of version {OLDEST_LLVM} or newer"
@@ -100,14 +104,15 @@ def _select() -> LlvmLibrary:
     chosen = os.environ.get(ENVIRONMENT_VARIABLE)
     if chosen:
         return _of_the_user(chosen)
-    places = ("wheel", _in_wheel), ("system", _in_system)
+    places = ("wheel", _in_wheels), ("system", _in_system)
     usable = (_usable(path, origin) for origin, paths in places for path in paths())
     found = next(filter(None, usable), None)
     if found is None:
         raise InputError(
             f"no LLVM library of version {OLDEST_LLVM} or newer was found",
-            f"run `pip install {WHEEL}` (Linux on x86-64) or set {ENVIRONMENT_VARIABLE} "
-            "to your system's libLLVM",
+            f"run `pip install {WHEELS[0]}` (Linux on x86-64) or `pip install {WHEELS[1]}` "
+            f"(other systems, Python 3.12 or newer), or let {ENVIRONMENT_VARIABLE} name your "
+            "system's libLLVM",
         )
     os.environ[ENVIRONMENT_VARIABLE] = found.path
     return found
@@ -154,18 +159,18 @@ def _usable(path: Path, origin: str) -> LlvmLibrary | None:
     return LlvmLibrary(str(path), version, origin)
 
 
-def _in_wheel() -> list[Path]:
+def _in_wheels() -> list[Path]:
     # where a virtual environment has it; asking the installer's records takes longer
     if quick := sorted((Path(sys.prefix) / "lib").glob("libLLVM.so.*")):
         return [path.resolve() for path in quick]
-    try:
-        files = importlib.metadata.files(WHEEL) or []
-    except importlib.metadata.PackageNotFoundError:
-        return []
-    # The wheel's unversioned names are symbolic links that exist only after the
+    files: list[importlib.metadata.PackagePath] = []
+    for wheel in WHEELS:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            files += importlib.metadata.files(wheel) or []
+    # karellen's unversioned names are symbolic links that exist only after the
     # first start of the interpreter; the versioned file is there at once.
-    found = [Path(f.locate()) for f in files if f.name.startswith(("libLLVM.so.", "libLLVM."))]
-    return sorted({path.resolve() for path in found if path.is_file()})
+    paths = [Path(file.locate()) for file in files if _LIBRARY_NAME.fullmatch(file.name)]
+    return list(dict.fromkeys(path.resolve() for path in paths if path.is_file()))
 
 
 def _in_system() -> list[Path]:

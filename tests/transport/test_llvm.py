@@ -1,0 +1,90 @@
+"""Where LLVM comes from: the wheels of all systems, by the lists of files that they bring.
+
+The lists are those of the wheels in the package index. This machine's library stands for theirs.
+"""
+
+import sys
+import tomllib
+
+import pytest
+from packaging.requirements import Requirement
+from places import ROOT
+
+from mcrim_mitsuba.transport import llvm
+
+LIBRARY = "the library"
+KARELLEN, NANOBIND = "karellen_llvm_core-23.1.4", "llvm_nanobind-21.1.6.3"
+X86 = {"../../libLLVM.so.23.1": LIBRARY, "../../libLLVM.so": ""}
+LINUX = {
+    "llvm/__init__.abi3.so": "",
+    "llvm_nanobind.libs/liblzma-6f9d2abe.so.5.2.4": "",
+    "llvm_nanobind.libs/libLLVM-15bf2ffe.so.21.1": LIBRARY,
+    "llvm_nanobind.libs/libzstd-28866717.so.1.4.4": "",
+}
+MACOS = {"llvm/__init__.abi3.so": "", "llvm_nanobind.dylibs/l99c09c.dylib": LIBRARY}
+WINDOWS = {"llvm/__init__.pyd": "", "llvm/LLVM.dll": LIBRARY}
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """Installs wheels, by their lists of files, where no other brings an LLVM."""
+    real = llvm.selected_llvm().path
+
+    def install(wheels):
+        site = tmp_path / "lib" / "python3.12" / "site-packages"
+        # a wheel without files hides the one that is further on the path
+        for wheel, files in ({NANOBIND: {}, KARELLEN: {}} | wheels).items():
+            records = site / f"{wheel}.dist-info"
+            records.mkdir(parents=True)
+            name, version = wheel.split("-")
+            (records / "METADATA").write_text(f"Name: {name}\nVersion: {version}\n")
+            (records / "RECORD").write_text("".join(f"{file},,\n" for file in files))
+            for file, content in files.items():
+                place = site / file
+                place.parent.mkdir(parents=True, exist_ok=True)
+                place.symlink_to(real) if content == LIBRARY else place.write_text("no library")
+        monkeypatch.syspath_prepend(site)
+        monkeypatch.setattr(sys, "prefix", str(tmp_path / "elsewhere"))
+        monkeypatch.delitem(sys.modules, "drjit", raising=False)
+        monkeypatch.setenv(llvm.ENVIRONMENT_VARIABLE, "")
+        monkeypatch.setattr(llvm.glob, "glob", lambda pattern: [])
+        monkeypatch.setattr(llvm.ctypes.util, "find_library", lambda name: None)
+        return llvm.claim_llvm.__wrapped__()
+
+    return install
+
+
+@pytest.mark.parametrize(
+    "wheels",
+    [{NANOBIND: LINUX}, {NANOBIND: MACOS}, {NANOBIND: WINDOWS}, {KARELLEN: X86}],
+    ids=["Linux aarch64", "macOS arm64", "Windows x64", "Linux x86-64"],
+)
+def test_the_library_of_every_systems_wheel_is_found(installed, wheels):
+    found = installed(wheels)
+    assert isinstance(found, llvm.LlvmLibrary), found
+    assert found.origin == "wheel" and found.version[0] >= llvm.OLDEST_LLVM
+
+
+def test_without_a_wheel_the_line_names_that_of_every_system(installed):
+    line = str(installed({}))
+    assert all(f"pip install {wheel}" in line for wheel in llvm.WHEELS)
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "python", "wheels"),
+    [
+        ("linux", "x86_64", "3.11", ["karellen-llvm-core"]),
+        ("linux", "x86_64", "3.13", ["karellen-llvm-core"]),
+        ("linux", "aarch64", "3.12", ["llvm-nanobind"]),
+        ("darwin", "arm64", "3.12", ["llvm-nanobind"]),
+        ("win32", "AMD64", "3.14", ["llvm-nanobind"]),
+        ("win32", "AMD64", "3.11", []),  # there is none that could be installed
+        ("darwin", "x86_64", "3.12", []),  # nor a Mitsuba
+    ],
+)
+def test_one_wheel_brings_llvm_to_every_system(system, machine, python, wheels):
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    here = {"sys_platform": system, "platform_machine": machine, "python_version": python}
+    needed = [Requirement(text) for text in project["dependencies"]]
+    asked = [r.name for r in needed if "llvm" in r.name and r.marker.evaluate(here)]
+    assert asked == wheels
