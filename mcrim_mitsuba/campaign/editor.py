@@ -357,7 +357,7 @@ def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) ->
 
 def readings_beside(target: Path) -> Path:
     """Where the readings of a plain campaign go."""
-    return target.with_suffix(".csv")
+    return target.parent / f"{target.stem}.csv"
 
 
 def write_plain(campaign: Campaign, target: Path) -> None:

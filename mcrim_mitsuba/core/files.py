@@ -44,7 +44,10 @@ _LIMIT_MB = 50
 #: Names of standard output.
 STDOUT = ("-", "/dev/stdout")
 _MEND = "name a file in a folder you may write to"
-_FREE = "free some space, or name a file on another disk"
+#: What else helps, by the operating system's error.
+_MENDS = dict.fromkeys(
+    (errno.ENOSPC, errno.EDQUOT), "free some space, or name a file on another disk"
+) | {errno.ENAMETOOLONG: "give it a shorter name"}
 _DEVICES = (Path("/dev"), Path("/dev/fd"))
 _NEVER = (".xml", ".toml")  # a slip of the hand: results would replace a scene or a campaign
 
@@ -284,7 +287,8 @@ def write_bytes(path: str | Path, content: bytes) -> None:
         if _is_device(path):
             _write_into(path, content)
             return
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        # the file's own name may be as long as a name can be
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".mcrim_")
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
             stream.flush()
@@ -297,9 +301,12 @@ def write_bytes(path: str | Path, content: bytes) -> None:
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
-        full = getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
-        mend = _FREE if full else _MEND
-        raise InputError(f"cannot be written ({_reason(error)})", mend, path=path) from None
+        raise _not_written(path, error) from None
+
+
+def _not_written(path: Path, error: OSError | ValueError) -> InputError:
+    mend = _MENDS.get(getattr(error, "errno", 0), _MEND)
+    return InputError(f"cannot be written ({_reason(error)})", mend, path=path)
 
 
 def _write_into(path: Path, content: bytes) -> None:
@@ -368,6 +375,8 @@ def refuse_outputs(
     for option, given in outputs.items():
         if given is None:
             continue
+        if os.path.basename(given) in ("", "."):  # which no Path keeps
+            raise InputError(f"{option} names a folder", "name a file in it", path=given or None)
         path = Path("-" if given in STDOUT else given)
         key = path if str(path) == "-" else resolved(path)
         if key in taken and not _is_device(path):
@@ -414,7 +423,7 @@ def _refuse_output(option: str, path: Path, inputs: list[Path], wanted: tuple[st
         try:
             wrong = is_wrong()
         except (OSError, ValueError) as error:
-            raise InputError(f"cannot be written ({_reason(error)})", _MEND, path=path) from None
+            raise _not_written(path, error) from None
         if wrong:
             raise InputError(problem, mend, path=path)
 
