@@ -14,6 +14,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
+from types import FrameType
 
 import click
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -32,6 +33,7 @@ from rich.text import Text
 
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import NONBLOCK, STDOUT, json_text, silence_stdout, write_text
+from mcrim_mitsuba.core.run import ENDING_SIGNALS
 from mcrim_mitsuba.output.described import UNLIMITED, Part, renderables, sentence
 from mcrim_mitsuba.runs.array_job import PartDoneError
 from mcrim_mitsuba.runs.executors import log
@@ -270,13 +272,24 @@ DONE, OUR_FAULT, YOUR_INPUT, INTERRUPTED = 0, 1, 2, 130
 def run(command: click.Command, name: str, arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit status: 0 done, 2 wrong input, 1 our fault.
 
+    Where a signal ended it, it is 128 and the signal's number: 130 of Ctrl-C, 143 of SIGTERM.
     `name` says who speaks in a line on standard error; `arguments` are those of this process,
     unless others are given.
     """
+    received: list[int] = []
+    interrupts: tuple[type[BaseException], ...] = click.Abort, KeyboardInterrupt
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal interrupts
+        received.append(number)
+        interrupts = (BaseException,)  # libraries make anything of it
+        raise KeyboardInterrupt
+
     # A batch system's SIGTERM is an interrupt too, and shells let background jobs ignore SIGINT:
-    # either way what was done is reported.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+    # either way what was done is reported. Only nohup means it.
+    for number in ENDING_SIGNALS:
+        if number in (signal.SIGINT, signal.SIGTERM) or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, interrupt)
     try:
         given = sys.argv[1:] if arguments is None else arguments
         status = command.main(
@@ -288,17 +301,17 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         made = f"{part.units} units, {part.photons:,} photons"
         print(f"{name}: this part is done ({made}); mcrim merge puts all parts together")
         return DONE
+    except interrupts as error:
+        _ignore_signals()
+        # click makes an Abort of what was raised
+        cause = error.__cause__ if isinstance(error, click.Abort) else error
+        how_far = str(cause) if isinstance(cause, KeyboardInterrupt) else ""
+        status = 128 + received[0] if received else INTERRUPTED
+        return _say(name, how_far or "interrupted before there was a result", status)
     except InputError as error:
         return _say(name, str(error), YOUR_INPUT)
     except click.UsageError as error:
         return _say_usage(name, error)
-    except (click.Abort, KeyboardInterrupt) as error:
-        # who is impatient interrupts what ends already
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
-        # click makes an Abort of what was raised
-        how_far = str(error.__cause__ or error) or "interrupted before there was a result"
-        return _say(name, how_far, INTERRUPTED)
     except BrokenPipeError:
         silence_stdout()
         return DONE
@@ -313,6 +326,15 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         return _say(name, line, YOUR_INPUT)
     except Exception:
         return _our_fault(name)
+    finally:
+        if arguments is None:
+            _ignore_signals()
+
+
+def _ignore_signals() -> None:
+    """Who is impatient interrupts what ends already, and whose status is known."""
+    for number in ENDING_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _our_fault(name: str) -> int:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import signal
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
+from types import FrameType
 from typing import TYPE_CHECKING, Protocol
 
 from mcrim_mitsuba.core.errors import InputError
@@ -16,6 +19,8 @@ if TYPE_CHECKING:
 DEFAULT_VARIANT = "llvm_ad_rgb"
 #: That any run may be asked for.
 MOST_PHOTONS = 10**13
+#: By which people, terminals and batch systems end a job.
+ENDING_SIGNALS = tuple(s for s in signal.Signals if s.name in ("SIGINT", "SIGTERM", "SIGHUP"))
 
 
 class Progress(Protocol):
@@ -110,6 +115,39 @@ def one_thread() -> Iterator[None]:
     """
     with _libraries().limit(limits=1, user_api="blas"):
         yield
+
+
+@contextlib.contextmanager
+def signals_wait() -> Iterator[None]:
+    """While it lasts, Python's handlers of signals that end a job wait; a decorator, too.
+
+    Mitsuba and Dr.Jit call Python from C++, where a KeyboardInterrupt becomes a refusal of the
+    scene or a fault of ours; raised while they are imported, it ends in an abort. A handler that
+    waited is called at the end, in place of any other exception.
+    """
+    # only the main thread calls handlers, and may set them; what the system does needs none
+    present = {n: signal.getsignal(n) for n in ENDING_SIGNALS}
+    is_main = threading.current_thread() is threading.main_thread()
+    handlers = {int(n): handler for n, handler in present.items() if is_main and callable(handler)}
+    pending: list[int] = []
+    waits = True
+
+    def wait(number: int, frame: FrameType | None) -> None:
+        if waits:
+            pending.append(number)
+        else:  # it comes while the handlers are being put back
+            handlers[number](number, frame)
+
+    try:
+        for number in handlers:
+            signal.signal(number, wait)
+        yield
+    finally:
+        waits = False
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for first in pending[:1]:
+            wait(first, None)
 
 
 @functools.cache

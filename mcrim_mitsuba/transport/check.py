@@ -15,6 +15,7 @@ import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import LARGEST_PER_CM, LONGEST_PART_MM, MM_PER_CM, SHORTEST_PART_MM
+from mcrim_mitsuba.core.run import signals_wait
 from mcrim_mitsuba.scene import check_text
 from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -47,6 +48,7 @@ RAY_OFFSET = 8.94e-5
 OFFSETS_PER_GAP = 2.0
 
 
+@signals_wait()
 def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckReport:
     """Check a loaded scene, whose text has been checked; see `check_scene`."""
     from mcrim_mitsuba.transport.collection import choose_path

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.run import refuse_arguments
+from mcrim_mitsuba.core.run import refuse_arguments, signals_wait
 from mcrim_mitsuba.transport import loop
 from mcrim_mitsuba.transport.bulk import CrystalVolume
 from mcrim_mitsuba.transport.flat_path import FlatPath, suits
@@ -65,6 +65,7 @@ class Launcher:
         Of all launches so far.
     """
 
+    @signals_wait()
     def __init__(self, crystal: CrystalVolume, polarization: bool, general: bool = False) -> None:
         self._crystal = crystal
         self.path = choose_path(crystal.model, polarization, general)
@@ -76,6 +77,7 @@ class Launcher:
         fast = isinstance(self.path, FlatPath)
         return LANES * (PER_LANE_FLAT if fast else PER_LANE_GENERAL)
 
+    @signals_wait()
     def launch(
         self,
         photons: int,

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import signals_wait
 from mcrim_mitsuba.transport.bulk import GENERATORS, HASH_ROUNDS, seed_words
 from mcrim_mitsuba.transport.conversion import opaque, opaque_vector
 from mcrim_mitsuba.transport.photograph_parts import (
@@ -214,6 +215,7 @@ def _smoothed(mean: np.ndarray, variance: np.ndarray, guide, camera: Camera) -> 
     return np.array(light, dtype=float)
 
 
+@signals_wait()
 def _light(scene, camera: Camera, first, samples: int, seed: int):
     """What light paths from all pixels bring (Color3f), the samples of a pixel side by side."""
     lanes = camera.width * camera.height * samples
@@ -281,6 +283,7 @@ def _rays(camera: Camera, pixel, jitter):
     return mi.Ray3f(mi.Point3f(eye), direction)
 
 
+@signals_wait()
 def _studio(bodies: Sequence[Body], camera: Camera, floor_z_mm: float):
     """The scene of Mitsuba's."""
     points = np.concatenate([body.triangles.corners.reshape(-1, 3) for body in bodies])

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
 from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.core.run import Provenance
+from mcrim_mitsuba.core.run import Provenance, signals_wait
 from mcrim_mitsuba.scene.check_text import CheckReport, SceneProblem, problems_of_text
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.vocabulary import PLUGIN_TYPES
@@ -94,6 +94,7 @@ class Simulation:
         a detector.
     """
 
+    @signals_wait()
     def __init__(
         self,
         scene: str | Path | SceneFile,

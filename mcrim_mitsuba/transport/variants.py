@@ -11,13 +11,14 @@ import sys
 from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
-from mcrim_mitsuba.core.run import DEFAULT_VARIANT
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, signals_wait
 from mcrim_mitsuba.transport.llvm import selected_llvm
 
 #: Oldest CUDA that Dr.Jit 1.5 takes; NVIDIA's drivers know it from version 535 on.
 OLDEST_CUDA = (12, 2)
 
 
+@signals_wait()
 def cuda_versions() -> dict[str, str]:
     """The driver's CUDA and the GPU's compute capability, which decide how kernels are compiled.
 
@@ -63,6 +64,7 @@ PLUGIN_MODULES = ("shapes", "forms", "bsdfs", "light")
 _state: dict[str, Any] = {"callback": False, "threads": None, "plugins": None}
 
 
+@signals_wait()
 def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
     """Activate a Mitsuba variant, with the package's plugins, and return ``mitsuba``.
 

@@ -1,0 +1,75 @@
+"""Signals that end a job: told as what they are, wherever they come.
+
+A profiler sends them at the first call of a function: amid the import of Mitsuba, in Python that
+its C++ calls, in a kernel that is being traced.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+from signal import SIGHUP, SIGINT, SIGTERM
+
+import pytest
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import signals_wait
+
+#: Runs a command that sends itself a signal: its number, where, and the words of the command.
+COMMAND = """
+import os, sys
+number, place, *sys.argv[1:] = sys.argv[1:]
+
+def send(frame, event, _):
+    code = frame.f_code
+    if event == "call" and f"{code.co_filename}:{code.co_qualname}".endswith(place):
+        sys.setprofile(None)
+        os.kill(os.getpid(), int(number))
+
+sys.setprofile(send)
+from mcrim_mitsuba.cli.main import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize(
+    ("number", "place", "verb"),
+    [
+        (SIGINT, "mitsuba/python/ad/__init__.py:<module>", ["simulate"]),
+        (SIGTERM, "mitsuba/python/util.py:<module>", ["check"]),
+        (SIGTERM, "plugins/bsdfs.py:Photodetector.__init__", ["simulate"]),
+        (SIGHUP, "plugins/light.py:LightCollectionIntegrator.__init__", ["check"]),
+        (SIGTERM, "loop.py:Loop.step", ["check"]),
+        (SIGINT, "surface_physics.py:interact", ["table", "--n-gap", "1.0", "--photons", "1e5"]),
+        (SIGINT, "photograph.py:_light.<locals>.follow", ["render", "-o", "x.png"]),
+    ],
+)
+def test_signals_wait_for_mitsuba(scenes, here, number, place, verb):
+    words = [verb[0], str(scenes / "camoo4.xml"), "--threads", "1", *verb[1:]]
+    line = [sys.executable, "-c", COMMAND, str(int(number)), place, *words]
+    done = subprocess.run(line, stderr=subprocess.PIPE, text=True, check=False)
+    said = "mcrim: interrupted before there was a result\n"
+    assert (done.returncode, done.stderr.lstrip()) == (128 + number, said)
+
+
+def test_a_signal_that_waits_comes_at_the_end_and_before_all_else():
+    received = []
+
+    def handle(number, frame):
+        received.append(number)
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, handle) for number in (SIGINT, SIGTERM)}
+    try:
+        with pytest.raises(KeyboardInterrupt), signals_wait():
+            with signals_wait():
+                os.kill(os.getpid(), SIGTERM)
+                os.kill(os.getpid(), SIGINT)
+            assert not received
+            raise InputError("Mitsuba refuses the scene", "mend it")
+        assert received == [SIGTERM]
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), SIGINT)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
