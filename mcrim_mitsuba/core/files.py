@@ -41,14 +41,17 @@ _NO_TEXT = (
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 #: Of files that are compared byte by byte.
 _LIMIT_MB = 50
+#: Where the descriptors of this process have names.
+_DESCRIPTORS = (Path("/dev/fd"), Path("/proc/self/fd"))
 #: Names of standard output.
-STDOUT = ("-", "/dev/stdout")
+STDOUT = ("-", "/dev/stdout", *(str(folder / "1") for folder in _DESCRIPTORS))
 _MEND = "name a file in a folder you may write to"
 #: What else helps, by the operating system's error.
 _MENDS = dict.fromkeys(
     (errno.ENOSPC, errno.EDQUOT), "free some space, or name a file on another disk"
 ) | {errno.ENAMETOOLONG: "give it a shorter name"}
-_DEVICES = (Path("/dev"), Path("/dev/fd"))
+_DEVICES = (Path("/dev"), *_DESCRIPTORS)
+_MOST_LINKS = 40
 _NEVER = (".xml", ".toml")  # a slip of the hand: results would replace a scene or a campaign
 
 
@@ -282,13 +285,14 @@ def write_bytes(path: str | Path, content: bytes) -> None:
     path = Path(path)
     temporary = None
     try:
-        if path.is_dir():
+        target = _target(path)
+        if target.is_dir():
             raise IsADirectoryError(21, "it is a folder")
-        if _is_device(path):
-            _write_into(path, content)
+        if _is_device(target):
+            _write_into(target, content)
             return
         # the file's own name may be as long as a name can be
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".mcrim_")
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=".mcrim_")
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
             stream.flush()
@@ -297,11 +301,12 @@ def write_bytes(path: str | Path, content: bytes) -> None:
         mask = os.umask(0)
         os.umask(mask)
         os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
+        os.replace(temporary, target)
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
         raise _not_written(path, error) from None
+    finally:
+        if temporary is not None:  # what did not become the file
+            Path(temporary).unlink(missing_ok=True)
 
 
 def _not_written(path: Path, error: OSError | ValueError) -> InputError:
@@ -309,10 +314,31 @@ def _not_written(path: Path, error: OSError | ValueError) -> InputError:
     return InputError(f"cannot be written ({_reason(error)})", mend, path=path)
 
 
+def _target(path: Path) -> Path:
+    """The file that is written in the place of a path: of a link the one that it leads to.
+
+    The links of descriptors are not followed: what they lead to is open already, perhaps to append.
+    A link that leads nowhere, or in a circle, is written itself.
+    """
+    target = path
+    for _ in range(_MOST_LINKS):
+        if target.parent in _DESCRIPTORS or not target.is_symlink():
+            return target if target.parent.is_dir() else path
+        target = target.parent / target.readlink()
+    return path
+
+
 def _write_into(path: Path, content: bytes) -> None:
-    """Write into a device or a pipe, not into a disk; a pipe must have its reader already."""
+    """Write into a device or a pipe, not into a disk; a pipe must have its reader already.
+
+    What is open already gets it where it stands: a file to append to is not cut short.
+    """
     if stat.S_ISBLK(path.stat().st_mode):
         raise OSError(errno.EPERM, "it is a disk")
+    if path.parent in _DESCRIPTORS:
+        with os.fdopen(os.dup(int(path.name)), "wb") as stream:
+            stream.write(content)
+        return
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_TRUNC | NONBLOCK)
     except OSError as error:
@@ -404,7 +430,7 @@ def _refuse_output(option: str, path: Path, inputs: list[Path], wanted: tuple[st
         )
 
     def may_not_be_written() -> bool:
-        replaced = path if _is_device(path) else path.parent
+        replaced = path if _is_device(path) else _target(path).parent
         return not os.access(replaced, os.W_OK) or (path.exists() and not os.access(path, os.W_OK))
 
     # in this order, and each only where those before it are in order
@@ -414,8 +440,8 @@ def _refuse_output(option: str, path: Path, inputs: list[Path], wanted: tuple[st
         (lambda: suffix in refused and suffix not in wanted,
          f"{option} would write a result under the name of {kind}",
          f"let the name end in {'.json' if json_only else '.csv'}"),
-        (lambda: not path.parent.is_dir(), f"the folder {path.parent} does not exist",
-         "make it or name another"),
+        (lambda: not _target(path).parent.is_dir(),
+         f"the folder {path.parent} does not exist", "make it or name another"),
         (lambda: path.parent in _DEVICES and not path.exists(), "there is no such device", _MEND),
         (may_not_be_written, "cannot be written (no permission)", _MEND),
     )  # fmt: skip
@@ -430,8 +456,8 @@ def _refuse_output(option: str, path: Path, inputs: list[Path], wanted: tuple[st
 
 def _is_device(path: Path) -> bool:
     """Whether to write into what is there, a device or a pipe, instead of replacing it."""
-    # /dev/stderr is a link to a plain file when it is redirected to one
-    return path.exists() and (not path.is_file() or path.parent in _DEVICES)
+    # /dev/stderr leads to a plain file when it is redirected to one
+    return path.exists() and (not path.is_file() or _target(path).parent in _DESCRIPTORS)
 
 
 # Results as JSON: plain types, and the text of a file.

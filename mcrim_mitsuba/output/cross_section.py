@@ -5,6 +5,7 @@ A few photons' paths, traced by the transport itself, show which fates light mee
 
 from __future__ import annotations
 
+import io
 import math
 import textwrap
 from collections.abc import Sequence
@@ -21,8 +22,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy.ndimage import binary_erosion
 
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import refuse_suffix
+from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
 from mcrim_mitsuba.core.numbers import said
 from mcrim_mitsuba.output.figure_style import fate_style, ordered
 from mcrim_mitsuba.transport.check import volume_indices
@@ -389,11 +389,9 @@ def write_cross_section(figure: Figure, path: str | Path) -> None:
     """
     path = Path(path)
     refuse_suffix(path, SUFFIXES, "a cross-section cannot be drawn as")
-    try:
-        figure.savefig(path, format=path.suffix.lower()[1:], dpi=_DPI)
-    except OSError as error:
-        problem = f"the picture cannot be written ({error.strerror or error})"
-        raise InputError(problem, "name a file in a writable folder", path=path) from None
+    content = io.BytesIO()
+    figure.savefig(content, format=path.suffix.lower()[1:], dpi=_DPI)
+    write_bytes(path, content.getvalue())
 
 
 def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ...]) -> Figure:

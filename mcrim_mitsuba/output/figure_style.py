@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import textwrap
 import warnings
@@ -18,8 +19,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mcrim_mitsuba.campaign.parameter import SCALE
-from mcrim_mitsuba.core.errors import InputError, visible
-from mcrim_mitsuba.core.files import refuse_suffix, write_text
+from mcrim_mitsuba.core.errors import visible
+from mcrim_mitsuba.core.files import refuse_suffix, write_bytes, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.result_writing import csv_lines
@@ -138,15 +139,13 @@ def save(figure: Figure, path: str | Path) -> Path:
     """
     path = Path(path)
     refuse_suffix(path, SUFFIXES, "a figure cannot be drawn as")
-    try:
-        # journals take TrueType fonts in a PDF, not Type 3
-        with warnings.catch_warnings(), rc_context({"pdf.fonttype": 42}):
-            # a label in a script that the font lacks shows boxes; the CSV has it
-            warnings.filterwarnings("ignore", message="Glyph .* missing")
-            figure.savefig(path, format=path.suffix.lower()[1:], dpi=_DPI)
-    except OSError as error:
-        problem = f"cannot be written ({error.strerror or error})"
-        raise InputError(problem, "choose another folder", path=path) from None
+    content = io.BytesIO()
+    # journals take TrueType fonts in a PDF, not Type 3
+    with warnings.catch_warnings(), rc_context({"pdf.fonttype": 42}):
+        # a label in a script that the font lacks shows boxes; the CSV has it
+        warnings.filterwarnings("ignore", message="Glyph .* missing")
+        figure.savefig(content, format=path.suffix.lower()[1:], dpi=_DPI)
+    write_bytes(path, content.getvalue())
     return path
 
 

@@ -1,12 +1,24 @@
 """What a command reads is never what it writes, and what it writes is whole or not there."""
 
+import json
+import os
 import shutil
+import signal
+import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import refuse_outputs, write_text
+from mcrim_mitsuba.output.cross_section import write_cross_section
+from mcrim_mitsuba.output.figure_style import save
+
+resource = pytest.importorskip("resource", reason="Windows has no limits of files")
 
 #: By verb: what it needs besides its campaign or scene, and its outputs.
 OF_CAMPAIGN = {
@@ -115,3 +127,68 @@ def test_no_output_goes_onto_a_file_that_is_read(mcrim, bench, monkeypatch, verb
             name = "--output" if option == "-o" else option
             assert f"{name} would replace what this command reads" in said
     assert before == {file: file.read_bytes() for file in files}
+
+
+def test_a_link_stays_and_what_it_leads_to_is_written(here):
+    (here / "results").mkdir()
+    (here / "results/old.json").write_text("old")
+    Path("further.json").symlink_to("results/link.json")
+    Path("results/link.json").symlink_to("old.json")
+    Path("new.json").symlink_to("results/new.json")
+    for name, written in (("further.json", "old.json"), ("new.json", "new.json")):
+        refuse_outputs({"--json": name})
+        write_text(name, "{}")
+        assert Path(name).is_symlink() and (here / "results" / written).read_text() == "{}"
+    assert sorted(path.name for path in here.rglob("*.*")) == [
+        "further.json", "link.json", "new.json", "new.json", "old.json",
+    ]  # fmt: skip
+
+
+@pytest.mark.skipif(not Path("/dev/fd").exists(), reason="descriptors have no names here")
+@pytest.mark.parametrize(
+    "redirected",
+    ["--json /dev/fd/1 >> f", "--json /proc/self/fd/3 3>> f >&2", "--json link.json 3>> f >&2"],
+)
+def test_results_are_appended_to_what_is_open_to_append(here, redirected):
+    Path("f").write_text("what was there\n")
+    Path("link.json").symlink_to("/dev/fd/3")
+    verb = f"{sys.executable} -m mcrim_mitsuba lab index BK7 --nm 540"
+    subprocess.run(f"{verb} {redirected}", shell=True, check=True)
+    old, _, result = Path("f").read_text().partition("\n")
+    assert old == "what was there" and json.loads(result)
+
+
+@pytest.mark.parametrize("ending", ["png", "pdf"])
+def test_a_picture_replaces_the_old_one_when_it_is_whole(here, monkeypatch, ending):
+    """While it is drawn, and where that is interrupted or the disk full, the old one is there."""
+    path, figure = Path(f"picture.{ending}"), Figure()
+    path.write_text("old")
+    savefig = Figure.savefig
+
+    def interrupted(*arguments, **how):
+        savefig(*arguments, **how)
+        assert path.read_text() == "old"
+        raise KeyboardInterrupt
+
+    for write in (save, write_cross_section):
+        with monkeypatch.context() as drawing, pytest.raises(KeyboardInterrupt):
+            drawing.setattr(Figure, "savefig", interrupted)
+            write(figure, path)
+        with limited(1000), pytest.raises(InputError, match="cannot be written"):
+            write(figure, path)
+        assert path.read_text() == "old" and os.listdir() == [path.name]
+    save(figure, path)
+    assert path.stat().st_size > 1000
+
+
+@contextmanager
+def limited(size):
+    """Files of this process may not become larger than so many bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, ignored)
