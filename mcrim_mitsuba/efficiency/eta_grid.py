@@ -118,6 +118,31 @@ def averaged(table: EtaGrid, grid: Grid, colours: Colours) -> EtaGrid:
     return EtaGrid(np.log(eta), (of_batches / eta).astype(np.float32))
 
 
+def difference(changed: EtaGrid, plain: EtaGrid, known: EtaGrid) -> EtaGrid:
+    """What an effect adds to log(eta).
+
+    What photons without the effect are off by, those with it are mostly off by, too. It is taken
+    away as far as the two go together in batches (a control variate: J. M. Hammersley and
+    D. C. Handscomb, Monte Carlo Methods, Methuen 1964, chapter 5).
+
+    Parameters
+    ----------
+    changed, plain : EtaGrid
+        Photons with the effect and without, of the same random numbers.
+    known : EtaGrid
+        Eta without the effect, of more photons or by a closed form.
+    """
+    with_it = changed.deviations - known.deviations
+    without = plain.deviations - known.deviations
+    square = float((without.astype(float) ** 2).sum())
+    common = float((with_it.astype(float) * without).sum()) / square if square > 0 else 0.0
+    share = min(max(common, 0.0), 1.0)
+    return EtaGrid(
+        changed.log_eta - known.log_eta - share * (plain.log_eta - known.log_eta),
+        with_it - np.float32(share) * without,
+    )
+
+
 class Gathering:
     """Records of one launch, prepared for being summed on a grid with several weights.
 

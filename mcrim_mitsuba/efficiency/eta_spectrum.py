@@ -13,7 +13,7 @@ eta inside of the integral).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -23,7 +23,6 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, as_attributes
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.noise_free import refuse_method, solve_benches
 from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
 from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
 from mcrim_mitsuba.scene.emitted_light import EFFICIENCY, EMISSION, EmittedLight
@@ -42,7 +41,7 @@ NODES = 4
 class EtaSpectrum:
     """Efficiency by wavelength, and its means over the light; errors are Monte Carlo's.
 
-    By modes there are 0 photons, and errors are the method's own.
+    Of a solver there are 0 photons, and errors are its own.
     """
 
     light: EmittedLight
@@ -101,8 +100,13 @@ class EtaSpectrum:
         return made
 
 
+#: ``solver(benches, scattering, absorption, run)`` gives the efficiency of every bench, and its
+#: error, at (points,) coefficients, 1/cm.
+Solver = Callable[[Sequence[SceneFile], Array, Array, Run], list[tuple[Array, Array]]]
+
+
 def eta_over(
-    scene: SceneFile, light: EmittedLight, *, method: str = "photons", run: Run = Run()
+    scene: SceneFile, light: EmittedLight, *, solver: Solver | None = None, run: Run = Run()
 ) -> EtaSpectrum:
     """Efficiency at every wavelength.
 
@@ -110,9 +114,9 @@ def eta_over(
     ----------
     scene : SceneFile
     light : EmittedLight
-    method : str
-        ``modes`` follows no photons; its own errors, taken to change evenly over the band, stand
-        for Monte Carlo's.
+    solver : Solver, optional
+        What answers in place of photons; its own errors, taken to change evenly over the band,
+        stand for Monte Carlo's.
     run : Run
         `PHOTONS` of each simulation where it says nothing; with a precision, as many as it takes
         for every wavelength.
@@ -121,9 +125,8 @@ def eta_over(
     ------
     InputError
         If the scene is not sound or lacks coefficients, photons cannot answer a wavelength, a value
-        is out of range, or the method does not know such a bench.
+        is out of range, or the solver does not know such a bench.
     """
-    refuse_method(method, run)
     at = light.wavelength_nm
     mean_nm = light.mean_nm
     asked = np.append(at, mean_nm)
@@ -138,9 +141,9 @@ def eta_over(
         own = {name: value for name, value in light.at(each).items() if name in bending}
         benches.append(scene.with_overrides(own))
     photons = cached = 0
-    if method == "modes":
+    if solver is not None:
         scattering, absorption = np.array(points).T
-        solved = solve_benches(benches, scattering, absorption, run)
+        solved = solver(benches, scattering, absorption, run)
         # as four batches, the mean of which has that error: all wavelengths off alike, and one end
         # of the band up with the other one down; a pair +-x adds x^2 / 6 to the mean's variance
         tilt = np.interp(asked, at[[0, -1]], (-1.0, 1.0))

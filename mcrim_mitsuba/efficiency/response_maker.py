@@ -3,8 +3,7 @@
 Every configuration is simulated once as it is, with a mask that covers nothing: what its photons
 met answers every smaller aperture, and every effect that only weights photons. Other effects are
 simulated at their nodes. All runs draw the same random numbers, so that what they have in common
-cancels, and batches of one number belong together. Where the bench as it is needs no photons
-(`control_variates`), they only tell what differs from it.
+cancels, and batches of one number belong together.
 """
 
 from __future__ import annotations
@@ -27,12 +26,6 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter, filled
 from mcrim_mitsuba.effects.forward_beam import EFFECT as FORWARD_BEAM
-from mcrim_mitsuba.efficiency.control_variates import (
-    SolvedUnit,
-    difference,
-    solved_grid,
-    solved_table,
-)
 from mcrim_mitsuba.efficiency.eta_grid import (
     BATCHES,
     EtaGrid,
@@ -40,6 +33,7 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     TableRequest,
     TableUnit,
     averaged,
+    difference,
     table_of,
 )
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
@@ -59,12 +53,10 @@ from mcrim_mitsuba.scene.spectrophotometer import (
 from mcrim_mitsuba.transport.launch_plan import LANES, ScatteringProposals
 
 #: Photons of a simulation with an effect in the scene, and how many times as many of a
-#: configuration as it is, where it cannot be solved: all effects are compared with it.
+#: configuration as it is: all effects are compared with it.
 EFFECT_PHOTONS, PLAIN_FACTOR = 16 * LANES, 9
 #: Part of an effect's photons that a first look takes.
 LOOK_PART = 1 / 8
-#: Photons of a configuration as it is that cost more time than to solve it.
-_WORTH_SOLVING = 64 * LANES
 #: The same for all effects at once where a fit ends.
 ANCHOR_FACTOR = 2
 #: Most photons of one simulation: its records are held in memory.
@@ -184,8 +176,8 @@ class ResponseMaker:
     """Makes the responses of a campaign's readings, effect by effect.
 
     The photons of `run` are those of a simulation with an effect in the scene; those as the bench
-    is get `PLAIN_FACTOR` times as many where they cannot be solved. Its precision does not matter.
-    `what` is its name in progress.
+    is get `PLAIN_FACTOR` times as many. Its precision does not matter. `what` is its name in
+    progress.
     """
 
     def __init__(self, campaign: Campaign, run: Run, what: str = "simulation") -> None:
@@ -212,9 +204,6 @@ class ResponseMaker:
                 "versions": record_versions(run.variant),
                 "layout": _LAYOUT,
             }
-        )
-        self._solved_cache = current_executor().cache(
-            {"what": "eta without noise", "versions": record_versions(run.variant)}
         )
         # how transmittances were found
         self._said: list[str] = []
@@ -283,30 +272,32 @@ class ResponseMaker:
             if effect.reading is None and (effect.parameters or not effect.is_in(scene))
         ]
         asked += [_as_effect(self.campaign, name) for name in self._further_parameters()]
-        plain, known = self._plain, self._known
-        plain = [
-            run if exact is not None else replace(run, photons=self._plain_photons)
-            for run, exact in zip(plain, known, strict=True)
-        ]
+        plain, closed = [], []
+        for row, values in enumerate(configurations(self.campaign)):
+            of_beam = self.campaign.measurements.readings[row].of_beam
+            run = self._simulation(
+                scene, values, self._plain_photons, of_beam=of_beam, check=self._run.check
+            )
+            closed.append(self._closed_form(row, run) if of_beam else None)
+            plain.append(run if closed[-1] is None else replace(run, photons=self._effect_photons))
         # where a model may change the acceptance, every effect's response depends on it
         acceptance = next((p for e in asked if e.of_beam for p in e.parameters), None)
         plans = [
             self._plan(effect, plain, acceptance, is_look=effect.name in look) for effect in asked
         ]
         of_effects = (each for _, pairs in plans for pair in pairs.values() for each in pair)
-        of_photons = {
-            row: (run.table(coarse=False), run.table())
-            for row, run in enumerate(plain)
-            if known[row] is None
-        }
-        wanted = [each for pair in of_photons.values() for each in pair]
+        of_photons = [
+            (run.table(coarse=False), run.table()) if known is None else ()
+            for run, known in zip(plain, closed, strict=True)
+        ]
+        wanted = [each for pair in of_photons for each in pair]
         tables = self._tables([*wanted, *of_effects])
         self._rest_on(_PLAIN, wanted)
         for effect, (_, pairs) in zip(asked, plans, strict=True):
             self._rest_on(effect.name, [each for pair in pairs.values() for each in pair])
         benches = [
-            exact or (tables[of_photons[row][0].number], tables[of_photons[row][1].number])
-            for row, exact in enumerate(known)
+            known or tuple(tables[each.number] for each in pair)
+            for known, pair in zip(closed, of_photons, strict=True)
         ]
         log_eta, deviations = stack([fine for fine, _ in benches])
         coarse = [each for _, each in benches]
@@ -316,61 +307,6 @@ class ResponseMaker:
             for effect, (axes, pairs) in zip(asked, plans, strict=True)
         }
         return Responses(self.grid, self.coarse, log_eta, deviations, responses, self.photons)
-
-    @property
-    def is_solved(self) -> bool:
-        """Whether no configuration as it is needs photons, and no parameter is fitted that does."""
-        further = self.campaign.effects or self._further_parameters()
-        return not further and all(exact is not None for exact in self._known)
-
-    @functools.cached_property
-    def _plain(self) -> list[_Simulation]:
-        """The configurations as they are, with the photons of a simulation with an effect."""
-        readings, scene = self.campaign.measurements.readings, self.campaign.scene
-        return [
-            self._simulation(
-                scene, values, self._effect_photons, of_beam=reading.of_beam, check=self._run.check
-            )
-            for reading, values in zip(readings, configurations(self.campaign), strict=True)
-        ]
-
-    @functools.cached_property
-    def _known(self) -> list[tuple[EtaGrid, EtaGrid] | None]:
-        """Fine and coarse tables of the configurations as they are that need no photons."""
-        plain = self._plain
-        grids, solved = (self.grid, self.coarse), solved_grid(self.coarse)
-        light = [row for row, run in enumerate(plain) if not run.of_beam]
-        if self._plain_photons < _WORTH_SOLVING:
-            light = []
-        tasks: dict[int, Task] = {}
-        numbers = {}
-        for row in light:
-            run = plain[row]
-            number = number_of(run.identity[:2], run.radius_mm, asdict(solved))
-            unit = SolvedUnit(
-                f"{self._what}, without photons", ScenePlan(run.base, run.overrides), 0,
-                self._run.variant, not run.check, run.radius_mm, solved, number,
-            )  # fmt: skip
-            numbers[row] = number
-            tasks.setdefault(number, Task(unit, self._solved_cache))
-        # all parts of an array job need them to know what to simulate
-        made = many_units_executor(self._run.threads).do(
-            list(tasks.values()), threads=self._run.threads, by_all=True, progress=self._run.tell
-        )
-        chunks = dict(zip(tasks, (each.chunks for each in made), strict=True))
-        found: dict[int, list[EtaGrid | None]] = {}
-        for row, number in numbers.items():
-            arrays = chunks[number][number].arrays
-            made_of = [(solved_table(arrays, solved, grid), grid) for grid in grids]
-            found[row] = [each and self._of_light(each, grid) for each, grid in made_of]
-        for row, run in enumerate(plain):
-            if run.of_beam:
-                found[row] = [self._closed_form(row, run, grid) for grid in grids]
-        known: list[tuple[EtaGrid, EtaGrid] | None] = []
-        for row in range(len(plain)):
-            fine, coarse = found.get(row, (None, None))
-            known.append(None if fine is None or coarse is None else (fine, coarse))
-        return known
 
     def anchor(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Anchor:
         """All effects at once, simulated at values of the free parameters, the scale left out."""
@@ -556,8 +492,8 @@ class ResponseMaker:
         self._refuse_darkness(log_ratio, len(axes), f" with {effect.name}")
         return EffectResponse(axes, log_ratio, deviations)
 
-    def _closed_form(self, row: int, run: _Simulation, grid: Grid) -> EtaGrid | None:
-        """The transmittance of a reading where its closed form holds."""
+    def _closed_form(self, row: int, run: _Simulation) -> tuple[EtaGrid, EtaGrid] | None:
+        """Fine and coarse tables of a transmittance where its closed form holds."""
         label = self.campaign.measurements.readings[row].label
         assert run.radius_mm is not None  # of every beam
         scene = run.base.with_overrides(run.overrides)
@@ -568,10 +504,14 @@ class ResponseMaker:
         self._said.append(f"{label}: the closed form, the crystal being polished as it is")
         axis = str(scene.parameters[BEAM_AXIS])
         length = float(scene.parameters[f"crystal_{'height' if axis == 'z' else 'width'}_mm"])
-        alpha_scat, alpha_abs = grid.coefficients_per_cm()
-        internal = transmittance(alpha_scat + alpha_abs, length)
-        log_t = np.log(measured_transmittance(internal, float(scene.parameters["n_crystal"])))
-        return EtaGrid(log_t, np.zeros((BATCHES, *log_t.shape), dtype=np.float32))
+
+        def table(grid: Grid) -> EtaGrid:
+            alpha_scat, alpha_abs = grid.coefficients_per_cm()
+            internal = transmittance(alpha_scat + alpha_abs, length)
+            log_t = np.log(measured_transmittance(internal, float(scene.parameters["n_crystal"])))
+            return EtaGrid(log_t, np.zeros((BATCHES, *log_t.shape), dtype=np.float32))
+
+        return table(self.grid), table(self.coarse)
 
     def _refuse_darkness(self, log_eta: NDArray[np.float64], axis: int, beyond: str = "") -> None:
         """Refuse tables without light; `axis` is that of the readings."""

@@ -150,18 +150,6 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
     )
 
 
-def calibrate_without_noise(campaign: Campaign, *, run: Run = Run()) -> CampaignResult:
-    """`calibrate`, of no photons where all configurations are benches that can be solved."""
-    from mcrim_mitsuba.inference.workbench import Workbench
-
-    bench = Workbench(campaign, run)
-    if not bench.own_maker.is_solved:
-        return calibrate(campaign, run=run)
-    bench.simulate()
-    model, found = bench.settled_model()
-    return CampaignResult(found, model, (), bench.provenance())
-
-
 def _calibrate_with_effects(campaign: Campaign, run: Run) -> CampaignResult:
     """Fit a campaign by the responses of its readings, which know of effects."""
     from mcrim_mitsuba.inference.workbench import Workbench

@@ -26,7 +26,7 @@ from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge, said
 from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.inference.calibrate import calibrate_without_noise
+from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.likelihood import Likelihood, undetermined
@@ -238,7 +238,7 @@ def plan(
     conditions : Conditions, optional
         Without it scatter and spread are the raw campaign's own, if it has histograms.
     run : Run
-        As for `calibrate`; its precision is 0.1 %. Benches that can be solved take no photons.
+        As for `calibrate`; its precision is 0.1 %.
 
     Raises
     ------
@@ -255,9 +255,8 @@ def plan(
     if SCALE not in campaign.free:
         problem = "the scale is held, so that there is no light yield to plan for"
         raise InputError(problem, "plan with a campaign that fits it", path=campaign.path)
-    result = calibrate_without_noise(
-        _with_candidates(campaign, configurations), run=replace(run, precision=_PRECISION)
-    )
+    campaign_and_candidates = _with_candidates(campaign, configurations)
+    result = calibrate(campaign_and_candidates, run=replace(run, precision=_PRECISION))
     found, model = result.calibration, result.model
     theta = found.theta
     prediction = model.predict(theta, check=True)

@@ -184,8 +184,7 @@ def _described(
 
 
 def _spent(provenance: Provenance) -> str:
-    photons = f"{provenance.photons:,} photons ({provenance.cached_photons:,} of the cache)"
-    spent = photons if provenance.photons else "without photons"
+    spent = f"{provenance.photons:,} photons ({provenance.cached_photons:,} of the cache)"
     return f"{spent}, seed {provenance.seed}, {provenance.seconds:.1f} s"
 
 

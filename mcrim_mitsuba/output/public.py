@@ -315,8 +315,8 @@ def simulate(
         If the scene is not sound, a parameter is wrong, or the method does not know such a bench.
     """
     from mcrim_mitsuba.efficiency.lighting import follow_light
-    from mcrim_mitsuba.efficiency.noise_free import refuse_method, solve_simulation
     from mcrim_mitsuba.efficiency.simulate import collect
+    from mcrim_mitsuba.reference.noise_free import refuse_method, solve_simulation
     from mcrim_mitsuba.transport.simulation import Simulation
 
     run, parameters = _split(run, given)
@@ -431,12 +431,15 @@ def eta_spectrum(
         wavelength, or the method does not know such a bench.
     """
     from mcrim_mitsuba.efficiency.eta_spectrum import eta_over
+    from mcrim_mitsuba.reference.noise_free import refuse_method, solve_benches
     from mcrim_mitsuba.scene.emitted_light import read_light
 
     run, parameters = _split(run, given)
+    refuse_method(method, run)
     file = _with_parameters(scene, parameters)
     light = read_light(spectrum, file, quantum_efficiency)
-    found = eta_over(file, light, method=method, run=run)
+    solver = solve_benches if method == "modes" else None
+    found = eta_over(file, light, solver=solver, run=run)
     return Answer(
         found, scene_descriptions.of_spectrum(found), documents.of_spectrum(found),
         {"spectrum": lambda: _drawn("light_figures.draw_spectrum", found)},
@@ -527,8 +530,8 @@ def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **gi
         If the scene is not sound or lacks one of the parameters, a value is out of range, or the
         method does not know such a bench.
     """
-    from mcrim_mitsuba.efficiency.noise_free import noise_free_table, refuse_method
     from mcrim_mitsuba.efficiency.table import eta_table
+    from mcrim_mitsuba.reference.noise_free import noise_free_table, refuse_method
 
     run, parameters = _split(run, given)
     refuse_method(method, run)

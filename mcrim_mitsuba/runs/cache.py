@@ -36,7 +36,7 @@ _PACKAGE = Path(__file__).parents[1]
 #: Rooms that turn a scene and a seed into what units make. What `scene` makes of a file is hashed
 #: itself.
 _RECORD_ROOMS = (
-    "core", "optics", "effects", "transport", "runs", "reference", "efficiency",
+    "core", "optics", "effects", "transport", "runs", "efficiency",
 )  # fmt: skip
 
 

@@ -112,11 +112,7 @@ class Track:
         """Say how far a part is, and what there is to be said of it."""
         if self._progress is None:
             return
-        done, count = self._done[what], self._count[what]
-        if not self._total[what]:  # what is solved follows no photons
-            self._progress(what, done, count, remark)
-            return
-        units = f"{done} of {count} units"
+        units = f"{self._done[what]} of {self._count[what]} units"
         note = f"{units}, {remark}" if remark else units
         self._progress(what, self._photons[what], self._total[what], note)
 

@@ -32,7 +32,8 @@ from trials.truth import unfinished
 
 #: Trials of every kind, if not asked otherwise.
 TRIALS = {"single": 120, "none": 100, "pairs": 60, "instrument": 60, "outsiders": 20,
-          "too_small": 7, "beam": 12, "left_out": 100, "family_out": 40, "advice": 60}  # fmt: skip
+          "too_small": 7, "beam": 12, "left_out": 100, "family_out": 40, "advice": 60,
+          "edge": 60}  # fmt: skip
 _ORDER = (*EFFECTS, *TOO_SMALL)
 _COLUMNS = (
     ("trial", 13), ("hidden", 44), ("excess", 6), ("verdict", 14), ("first", 22),

@@ -42,6 +42,8 @@ STANDARD: Design = (
     *((n, 14.0, 10.0, 0.5) for n in (1.0, 1.46)),
     *((n, 4.0, 10.0, 0.05) for n in (1.0, 1.46)),
 )
+#: Masks that end at the crystal's edge under a thick gap: much of the light passes beside it.
+EDGE: Design = tuple((n, 5.0, 10.0, 0.5) for n in (1.0, 1.46))
 #: Rows that designs are drawn from: liquids behind masks, other crystals and other gaps.
 POOL: Design = (
     *((n, radius, 10.0, 0.05)
@@ -51,6 +53,7 @@ POOL: Design = (
       for height in (2.0, 5.0, 20.0) for n in (1.0, 1.46) for radius in (14.0, 7.0)),
     *((n, radius, 10.0, gap)
       for gap in (0.2, 0.5) for n in (1.0, 1.46) for radius in (14.0, 7.0)),
+    *EDGE,
 )  # fmt: skip
 #: Readings of a design.
 _FEWEST, _MOST = 10, 16
@@ -93,11 +96,14 @@ def mounting_of(row: Sequence[float]) -> Mounting:
 MOUNTINGS = tuple(dict.fromkeys(mounting_of(row) for row in POOL))
 
 
-def draw_design(rng: np.random.Generator) -> Design:
-    """Rows of `POOL` in any order; with air and a liquid, both with the largest aperture."""
+def draw_design(rng: np.random.Generator, among: Design = ()) -> Design:
+    """Rows of `POOL` in any order; with air and a liquid, both with the largest aperture.
+
+    Rows of `EDGE` are in it if they are `among` those that must be.
+    """
     filled = rng.choice([row[0] for row in POOL[3:18:3]])
-    sure = [(1.0, 14.0, 10.0, 0.05), (float(filled), 14.0, 10.0, 0.05)]
-    others = [row for row in POOL if row not in sure]
+    sure = [(1.0, 14.0, 10.0, 0.05), (float(filled), 14.0, 10.0, 0.05), *among]
+    others = [row for row in POOL if row not in (*sure, *EDGE)]
     number = int(rng.integers(_FEWEST, _MOST, endpoint=True)) - len(sure)
     drawn = [*sure, *(others[i] for i in rng.choice(len(others), number, replace=False))]
     return tuple(drawn[i] for i in rng.permutation(len(drawn)))

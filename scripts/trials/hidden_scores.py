@@ -79,6 +79,8 @@ def rates(trials: Sequence[dict]) -> list[Rate]:
         rate(f"  first right, unrepaired: within {CLOSE:g} sigma",
              right, lambda t: _close(t["pulls_before"])),
         rate("nothing hidden: adequate", of("none"), lambda t: t["verdict"] == "adequate", 0.95),
+        rate("nothing hidden, masks at the crystal's edge under thick gaps: adequate", of("edge"),
+             lambda t: t["verdict"] == "adequate", 0.95),
         rate("two effects: both lead, or nothing else does", pairs, _no_other, 0.9),
         rate("two effects: averaged yield within 2 of its errors", pairs, _covers, 0.85),
         rate("two effects: both found by repair", pairs,

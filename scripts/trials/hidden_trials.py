@@ -4,6 +4,7 @@ Kinds of trials:
 
 single      one effect, of a size whose expected excess is 40 to 670
 none        nothing
+edge        nothing, but masks that end at the crystal's edge under a thick gap are in the design
 pairs       two effects, either of which leaves an excess of 30 at least if fitted alone
 instrument  one, two or three bad readings, two rows swapped, a drift, other pieces' yield
 outsiders   what the catalogue does not have: a collar of gel, a black spot on the top face
@@ -45,6 +46,7 @@ from mcrim_mitsuba.reference.bench import FILLED_ABOVE, NOT_IN_A_BEAM, Bench
 from mcrim_mitsuba.reference.tracer import trace
 from trials.hidden_histories import (
     COLUMNS,
+    EDGE,
     FILLED_ONLY,
     POOL,
     Design,
@@ -77,10 +79,10 @@ _EFFECT_RANGES, _EFFECT_NODES = ((0.12, 1.6), (0.001, 0.12)), (6, 3)
 # how far beyond the sizes on offer an effect may go when it is fitted, straight on
 _REACH = 2.5
 KINDS = ("single", "none", "pairs", "instrument", "outsiders", "too_small", "beam", "left_out",
-         "family_out", "advice")  # fmt: skip
+         "family_out", "advice", "edge")  # fmt: skip
 #: Kinds that are diagnosed without the effect that is hidden, or without its relatives too; and
 #: the one where a proposed reading is added.
-LEFT_OUT, FAMILY_OUT, ADVICE = KINDS[-3:]
+LEFT_OUT, FAMILY_OUT, ADVICE = KINDS[-4:-1]
 #: Ways in which readings are wrong, in turn: so many bad ones, exchanged rows, or effects.
 BAD_READINGS = {"bad_reading": 1, "two_bad_readings": 2, "three_bad_readings": 3}
 SWAPPED_ROWS = "swapped_rows"
@@ -437,7 +439,8 @@ class TrialMaker:
         """
         rng = self._random(kind, number)
         for _ in range(_MOST_TRUTHS):
-            truth, design = draw_truth(rng), draw_design(rng)
+            truth = draw_truth(rng)
+            design = draw_design(rng, EDGE if kind == "edge" else ())
             found = self._found(kind, number, rng, truth, design)
             if found is not None:
                 return self._noisy(rng, kind, number, truth, *found)
@@ -445,7 +448,7 @@ class TrialMaker:
 
     def _found(self, kind: str, number: int, rng, truth: Truth, design: Design):
         """What is hidden, what is spoiled, its name, and the readings; None if it will not do."""
-        if kind == "none":
+        if kind in ("none", "edge"):
             return (), (), "nothing", readings_of(self._store, (), truth, design)
         if kind == "pairs":
             return self._pair(self._in_turn(kind, PAIRS, number), truth, design)

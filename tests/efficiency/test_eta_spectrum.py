@@ -13,6 +13,7 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.eta_spectrum import eta_over
 from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
 from mcrim_mitsuba.optics.materials import material
+from mcrim_mitsuba.reference.noise_free import solve_benches
 from mcrim_mitsuba.scene.emitted_light import read_light
 from mcrim_mitsuba.scene.scene_file import read_scene
 
@@ -63,7 +64,7 @@ def test_weights_give_what_simulations_of_each_wavelength_give(tenfold):
         [SurfaceWish("", file, wish, Run(precision=precision, seed=1))]
     )
     assert found.eta == pytest.approx([surface.answer(point).eta for point in wish[:-1]], rel=1e-9)
-    solved = eta_over(file, light, method="modes")
+    solved = eta_over(file, light, solver=solve_benches)
     z = [
         (solved.eta[i] - one.eta) / np.hypot(solved.eta_sigma[i], one.eta_sigma)
         for i, one in zip(at, alone, strict=True)

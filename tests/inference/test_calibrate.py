@@ -2,16 +2,20 @@
 
 import functools
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
-from places import SCENES
+from scipy.optimize import least_squares
 
 from mcrim_mitsuba.campaign.campaign import as_campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.noise_free import solve_simulation
-from mcrim_mitsuba.inference.calibrate import PILOT_PHOTONS, calibrate, calibrate_without_noise
-from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.inference.calibrate import PILOT_PHOTONS, calibrate
+from mcrim_mitsuba.inference.diagnose import diagnose
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.reference.polished_box import solve_box
+from mcrim_mitsuba.transport.launch_plan import LANES
 
 
 @pytest.fixture
@@ -63,19 +67,66 @@ def test_a_misfit_is_not_lessened_by_poor_simulations(campaign):
 
     A first look's photons, weighted as far as 10 /cm, give anything: the best fit was there.
     """
-    rows, wrong = "", {(1.333, 5.0): 0.8, (1.46, 5.0): 0.8}
-    for n_gap in (1.0, 1.333, 1.46):
-        for radius in (10.0, 5.0):
-            bench = {"n_gap": n_gap, "aperture_radius_mm": radius, "alpha_scat_per_cm": 0.54}
-            eta = solve_simulation(Simulation(SCENES / "camoo4.xml", bench)).eta
-            signal = 55.0 * eta * wrong.get((n_gap, radius), 1.0)
-            rows += f"{n_gap} {radius},{signal:.5g},{0.007 * signal:.5g},{n_gap},{radius}\n"
+    wrong = {(1.333, 5.0): 0.8, (1.46, 5.0): 0.8}
+    benches = [
+        Bench(n_gap=n_gap, aperture_radius_mm=radius)
+        for n_gap in (1.0, 1.333, 1.46)
+        for radius in (10.0, 5.0)
+    ]
+
+    def signals(scatter: float, absorb: float, scale: float) -> np.ndarray:
+        return scale * np.array([float(solve_box(each, scatter, absorb).eta) for each in benches])
+
+    places = [(each.n_gap, each.aperture_radius_mm) for each in benches]
+    measured = signals(0.54, 0.039, 55.0) * [wrong.get(place, 1.0) for place in places]
+    sigmas = 0.007 * measured
+    rows = "".join(
+        f"{n_gap} {radius},{signal:.5g},{sigma:.5g},{n_gap},{radius}\n"
+        for (n_gap, radius), signal, sigma in zip(places, measured, sigmas, strict=True)
+    )
     path = campaign(rows, "label,signal,sigma,n_gap,aperture_radius_mm")
     found = calibrate(path, run=Run(4_000_000, seed=0)).calibration
-    best = calibrate_without_noise(as_campaign(path)).calibration
-    assert found.chi2 == pytest.approx(best.chi2, rel=0.15)
-    value, known = found.parameters["alpha_scat_per_cm"], best.parameters["alpha_scat_per_cm"]
-    assert abs(value.value - known.value) < known.sigma
+    best = least_squares(
+        lambda x: np.append((signals(*x) - measured) / sigmas, (x[1] - 0.039) / 0.012),
+        [1.0, 0.039, 50.0], bounds=([0.02, 0.001, 1.0], [8.0, 0.2, 500.0]), x_scale="jac",
+    )  # fmt: skip
+    assert found.chi2 == pytest.approx(2.0 * best.cost, rel=0.15)
+    value = found.parameters["alpha_scat_per_cm"]
+    assert abs(value.value - best.x[0]) < value.sigma
+
+
+#: By the NumPy tracer with nothing hidden (600,000 photons a reading, alpha_scat 0.45 /cm,
+#: alpha_abs 0.036 /cm, a scale of 40), and a Gaussian error of 0.7 %.
+AT_THE_EDGE = """\
+1,10.1,0.0738,1,14,0.05
+2,9.662,0.0714,1,14,0.5
+3,4.108,0.033,1,5,0.05
+4,4.093,0.0325,1,5,0.2
+5,3.945,0.0314,1,5,0.5
+6,17.64,0.126,1.46,14,0.05
+7,16.96,0.124,1.46,14,0.5
+8,10.71,0.0792,1.46,5,0.05
+9,10.81,0.0787,1.46,5,0.2
+10,10.61,0.077,1.46,5,0.5
+11,8.528,0.064,1.333,5,0.5
+12,11.4,0.0826,1.515,5,0.5
+"""
+
+
+def test_masks_that_end_at_the_crystals_edge_raise_no_alarm(campaign):
+    """Half the crystal's width over thick gaps: "polarisation or rough faces", chi2 46 for 10.
+
+    A diagnosis took as the truth what the solver without photons had there, 4.5 % too much light.
+    """
+    own = as_campaign(campaign(AT_THE_EDGE, "label,signal,sigma,n_gap,aperture_radius_mm,gap_mm"))
+    tried = ("polarization", "surface_roughness", "gap_bubble")
+    own = replace(own, catalogue={name: own.catalogue[name] for name in tried})
+    run = Run(8 * LANES, seed=1, check=False)
+    found = diagnose(own, run=run)
+    assert (found.diagnosis.verdict, found.diagnosis.leading) == ("adequate", ())
+    # the simulations' own errors move chi2 by some 3
+    chi2 = calibrate(own, run=replace(run, photons=3_000_000)).calibration.chi2
+    assert abs(found.baseline.chi2 - chi2) < 10.0
 
 
 @pytest.mark.parametrize(

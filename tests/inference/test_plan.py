@@ -78,7 +78,7 @@ def without_photons(monkeypatch):
             spent = SimpleNamespace(notes=())
             return SimpleNamespace(calibration=found, model=model, provenance=spent)
 
-        monkeypatch.setattr(measuring, "calibrate_without_noise", calibrate)
+        monkeypatch.setattr(measuring, "calibrate", calibrate)
 
     return use
 

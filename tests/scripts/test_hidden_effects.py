@@ -37,7 +37,7 @@ def one_design():
             patch.setattr(module, "POOL", standard)
         mountings = tuple(dict.fromkeys(map(histories.mounting_of, standard)))
         patch.setattr(histories, "MOUNTINGS", mountings)
-        patch.setattr(trials, "draw_design", lambda rng: standard)
+        patch.setattr(trials, "draw_design", lambda rng, among=(): standard)
         yield
 
 
@@ -93,6 +93,10 @@ def test_designs_have_air_and_a_liquid_and_no_row_twice(monkeypatch):
         assert set(design) <= set(POOL)
         whole = {row[0] for row in design if row[1:] == (14.0, 10.0, 0.05)}
         assert 1.0 in whole and len(whole) > 1
+        # masks at the crystal's edge are where they are asked for, as many rows as without
+        assert set(design).isdisjoint(histories.EDGE)
+        edge = histories.draw_design(np.random.default_rng(seed), histories.EDGE)
+        assert set(histories.EDGE) < set(edge) and 10 <= len(set(edge)) == len(edge) <= 16
     assert set(histories.STANDARD) <= set(POOL)
 
 

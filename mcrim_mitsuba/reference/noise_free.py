@@ -1,4 +1,4 @@
-"""Eta without photons, where the bench is one that `reference.polished_box` solves."""
+"""Scenes solved without photons, where the bench is one that `polished_box` knows."""
 
 from __future__ import annotations
 
