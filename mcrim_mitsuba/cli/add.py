@@ -11,7 +11,7 @@ from rich.text import Text
 from mcrim_mitsuba import effects
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import STDOUT, write_text
+from mcrim_mitsuba.core.files import STDOUT, refuse_to_replace, write_text
 from mcrim_mitsuba.core.rounding import capital
 from mcrim_mitsuba.effects.trust import execute_allowed
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
@@ -65,6 +65,7 @@ def add(effect, scene, path, values, folder) -> None:
     text = showing.when_trusted(added, "Effects of somebody else are programs of theirs.")
     new = old.edited(text)
     if path not in STDOUT:
+        refuse_to_replace({Path(path): text})
         _refuse_place(new, Path(path))
     write_text(path, text)
     if path not in STDOUT:
@@ -81,8 +82,7 @@ def add(effect, scene, path, values, folder) -> None:
 
 
 def _refuse_place(scene: SceneFile, path: Path) -> None:
-    """Refuse a file that exists, and a folder from which the scene's files are not found."""
-    showing.refuse_to_replace({"--output": (str(path), ())})
+    """Refuse a folder from which the scene's files are not found."""
     if path.resolve().parent == scene.path.resolve().parent:
         return
     named = [str(e.get("filename") or e.get("value")) for e, _ in scene.naming()]

@@ -11,6 +11,7 @@ from rich.console import Group
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import refuse_to_replace
 
 
 @click.command(short_help="Reduce a campaign's raw data, every step with its errors.")
@@ -28,7 +29,7 @@ def reduce(campaign, path, figure, json_file) -> None:
     source's gammas the depth of the source (mm). All commands do this by themselves; here it is
     shown.
     """
-    from mcrim_mitsuba.campaign.editor import readings_beside
+    from mcrim_mitsuba.campaign.editor import plain_texts, readings_beside
 
     written = {}
     if path is not None:
@@ -40,7 +41,9 @@ def reduce(campaign, path, figure, json_file) -> None:
     read = showing.read_campaign(
         campaign, json_file, figure, "spectra", "transmittance", written=written
     )
-    showing.refuse_to_replace(written)
+    if path is not None and read.raw is not None:
+        texts = plain_texts(read, Path(path), beside)
+        refuse_to_replace(dict(zip((Path(path), beside), texts, strict=True)))
     screen = showing.answer(mcrim.reduce(read, path), json_file, figure)
     if path is not None:
         screen.line(f"{path} and {beside} were written", style="bold")
@@ -207,13 +210,14 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
 
     Writes a campaign and a scene with the effects in them, to go on from.
     """
+    from mcrim_mitsuba.inference.repair import refuse_others_work
     from mcrim_mitsuba.output import descriptions
     from mcrim_mitsuba.output.described import rich_tables
 
     scene = Path(path).parent / f"{Path(path).stem}.xml"
     written = {"--output": (path, (".toml",)), "the scene of --output": (str(scene), (".xml",))}
     read = showing.read_campaign(campaign, json_file, figure, "readings", written=written)
-    showing.refuse_to_replace(written)
+    refuse_others_work(Path(path))
     screen = terminal.console(json_file)
     # a table that grows in a terminal, lines elsewhere
     live = sys.stdout.isatty() and sys.stderr.isatty() and not screen.quiet

@@ -192,9 +192,12 @@ def simulate(
             own = replace(own, photons=found.photons)
             further["times"] = mcrim.arrival_times(file, run=own, **of_times)
     document = found.document | {name: one.document for name, one in further.items()}
-    terminal.write_json(json_file, document)
     screen = terminal.console(json_file)
-    figure = None if found.interrupted else figure
+    if found.interrupted:
+        showing.show(screen, found.described)
+        how = "no file was written, and the same line goes on from what the cache has"
+        raise KeyboardInterrupt(f"interrupted: {how}")
+    terminal.write_json(json_file, document)
     if "spectrum" in further:
         screen.line("at the scene's own values, of one wavelength:", style="bold")
     showing.show(screen, found.described, found.draw(figure) if figure else ())

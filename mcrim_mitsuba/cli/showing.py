@@ -14,8 +14,6 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.terminal import Screen
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import is_there
 from mcrim_mitsuba.output.described import Described
 from mcrim_mitsuba.runs.array_job import MergingExecutor, UnitFolder
 from mcrim_mitsuba.runs.executors import current_executor
@@ -121,14 +119,6 @@ def refuse_places(
             places[option], suffixes[option] = path, SUFFIXES
             places[f"the numbers of {option.removeprefix('the ')}"] = str(numbers_beside(path))
     refuse_outputs(places, files, suffixes=suffixes)
-
-
-def refuse_to_replace(written: Written) -> None:
-    """Refuse outputs that are there already: a campaign or a scene may hold somebody's work."""
-    for path, _ in written.values():
-        if is_there(Path(path)) and Path(path).is_file():
-            problem = "this file exists already"
-            raise InputError(problem, "name another, or remove it first", path=path)
 
 
 def show(screen: Screen, described: Described, drawn: Iterable[Path] = ()) -> None:

@@ -14,6 +14,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from types import FrameType
 
 import click
@@ -32,7 +33,14 @@ from rich.table import Column
 from rich.text import Text
 
 from mcrim_mitsuba.core.errors import InputError, visible
-from mcrim_mitsuba.core.files import NONBLOCK, STDOUT, json_text, silence_stdout, write_text
+from mcrim_mitsuba.core.files import (
+    NONBLOCK,
+    STDOUT,
+    files_written,
+    json_text,
+    silence_stdout,
+    write_text,
+)
 from mcrim_mitsuba.core.run import ENDING_SIGNALS
 from mcrim_mitsuba.output.described import UNLIMITED, Part, renderables, sentence
 from mcrim_mitsuba.runs.array_job import PartDoneError
@@ -277,6 +285,7 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
     unless others are given.
     """
     received: list[int] = []
+    written: list[Path] = []
     interrupts: tuple[type[BaseException], ...] = click.Abort, KeyboardInterrupt
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -292,9 +301,10 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
             signal.signal(number, interrupt)
     try:
         given = sys.argv[1:] if arguments is None else arguments
-        status = command.main(
-            arguments, prog_name=name, standalone_mode=False, obj={"arguments": given}
-        )
+        with files_written() as written:
+            status = command.main(
+                arguments, prog_name=name, standalone_mode=False, obj={"arguments": given}
+            )
         sys.stdout.flush()
         return status if isinstance(status, int) else DONE
     except PartDoneError as part:
@@ -306,6 +316,8 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         # click makes an Abort of what was raised
         cause = error.__cause__ if isinstance(error, click.Abort) else error
         how_far = str(cause) if isinstance(cause, KeyboardInterrupt) else ""
+        if written:
+            how_far = f"interrupted when {', '.join(map(str, written))} had been written"
         status = 128 + received[0] if received else INTERRUPTED
         return _say(name, how_far or "interrupted before there was a result", status)
     except InputError as error:

@@ -76,20 +76,31 @@ def resolved(path: Path) -> Path:
         return path.absolute()
 
 
-_reads: ContextVar[list[Path] | None] = ContextVar("reads", default=None)
+_Paths = ContextVar[list[Path] | None]
+_reads: _Paths = ContextVar("reads", default=None)
+_writes: _Paths = ContextVar("writes", default=None)
 
 
 @contextlib.contextmanager
-def files_read() -> Iterator[list[Path]]:
-    """The paths of all files that `read_bytes` reads meanwhile, in order."""
-    outside, paths = _reads.get(), list[Path]()
-    token = _reads.set(paths)
+def _collected(where: _Paths) -> Iterator[list[Path]]:
+    outside, paths = where.get(), list[Path]()
+    token = where.set(paths)
     try:
         yield paths
     finally:
-        _reads.reset(token)
+        where.reset(token)
         if outside is not None:
             outside += paths
+
+
+def files_read() -> contextlib.AbstractContextManager[list[Path]]:
+    """The paths of all files that `read_bytes` reads meanwhile, in order."""
+    return _collected(_reads)
+
+
+def files_written() -> contextlib.AbstractContextManager[list[Path]]:
+    """The paths of all files that `write_bytes` writes meanwhile, in order."""
+    return _collected(_writes)
 
 
 def read_bytes(path: Path, limit_mb: int) -> bytes:
@@ -302,6 +313,8 @@ def write_bytes(path: str | Path, content: bytes) -> None:
         os.umask(mask)
         os.chmod(temporary, 0o666 & ~mask)
         os.replace(temporary, target)
+        if (writes := _writes.get()) is not None:
+            writes.append(path)
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         raise _not_written(path, error) from None
     finally:
@@ -358,6 +371,30 @@ def silence_stdout() -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, descriptor)
         os.close(nowhere)
+
+
+def differs(path: Path, content: bytes) -> bool:
+    """Whether something else than this content is there; what cannot be read is."""
+    try:
+        return is_there(path) and not (path.is_file() and path.read_bytes() == content)
+    except OSError:
+        return True
+
+
+def refuse_to_replace(texts: Mapping[Path, str]) -> None:
+    """Refuse to write over files that hold something else: somebody's work, perhaps.
+
+    The very same may be there: a line that was interrupted goes on.
+
+    Raises
+    ------
+    InputError
+        Without touching a file.
+    """
+    for path, text in texts.items():
+        if differs(path, text.encode()):
+            problem = "this file exists already"
+            raise InputError(problem, "name another, or remove it first", path=path)
 
 
 def refuse_suffix(path: str | Path, wanted: tuple[str, ...], cannot: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from pathlib import Path
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import write_text
+from mcrim_mitsuba.core.files import is_there, read_text, refuse_to_replace, write_text
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.inference.diagnose import Diagnosed, RepairStep, diagnose_on
@@ -23,6 +24,9 @@ from mcrim_mitsuba.scene.scene_file import SceneFile
 
 #: Digits of the values that are written into scene and campaign.
 _DIGITS = 6
+#: How a mended campaign begins.
+_MENDED = "# Mended: "
+_LIMIT_MB = 10
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ def repair(
     ----------
     output : str or Path, optional
         Where the mended campaign is written (TOML); the scene is written beside it under the
-        same name. Without it nothing is written.
+        same name. Without it nothing is written; files that hold anything else are not replaced.
     effect : sequence of str
         Effects to add, whatever the verdict; by default what it names, if its size is plausible.
     run : Run
@@ -115,9 +119,31 @@ def _write(
         problem = f"the mended scene would replace {campaign.scene.path}"
         raise InputError(problem, "give -o another name", path=target)
     scene, text = mended_files(campaign, mended, calibration, target, averaged)
-    write_text(str(scene_path), _text_in(scene, target.parent))
-    write_text(str(target), text)
+    # the campaign first: it tells that it was made here, if its scene is missing
+    texts = {target: text, scene_path: _text_in(scene, target.parent)}
+    refuse_to_replace(texts)
+    for path, content in texts.items():
+        write_text(path, content)
     return scene_path
+
+
+def refuse_others_work(target: Path) -> None:
+    """Refuse places that hold what no repair has written, before any work is done.
+
+    What one has written may be there: `repair` goes on if it comes to the very same.
+
+    Raises
+    ------
+    InputError
+        If the campaign, or a scene without it, is there.
+    """
+    with contextlib.suppress(InputError):
+        if read_text(target, _LIMIT_MB).startswith(_MENDED):
+            return
+    for path in (target, target.with_suffix(".xml")):
+        if is_there(path):
+            problem = "this file exists already"
+            raise InputError(problem, "name another, or remove it first", path=path)
 
 
 def mended_files(
@@ -146,13 +172,13 @@ def mended_files(
 
 def _remark(effects: Sequence[str], averaged: AveragedYield | None) -> str:
     """Lines above a mended campaign: what was added, and that other models are possible."""
-    lines = [f"Mended: {' and '.join(effects)} added."]
+    lines = [f"{' and '.join(effects)} added."]
     if averaged is not None:
         lines += [
             f"Light yield averaged over all that the readings allow: {averaged}.",
             "What a fit of this file gives holds for this one model.",
         ]
-    return "".join(f"# {line}\n" for line in lines)
+    return _MENDED + "# ".join(f"{line}\n" for line in lines)
 
 
 def mended_scene(

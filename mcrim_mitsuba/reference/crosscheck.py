@@ -105,6 +105,8 @@ def crosscheck(
         mitsuba_photons or 4 * photons, seed=run.seed, general=general,
         progress=lambda done, total, *_: run.tell("Mitsuba", done, total),
     )  # fmt: skip
+    if ours.interrupted:
+        raise KeyboardInterrupt  # a part of the photons is no comparison
     reference = trace(
         bench, photons, run.seed, max_depth=simulation.depth_limit,
         progress=lambda done: run.tell("NumPy", done, photons),

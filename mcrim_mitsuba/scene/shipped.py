@@ -6,7 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import write_bytes
+from mcrim_mitsuba.core.files import differs, write_bytes
 
 
 def scenes_folder() -> Path:
@@ -53,18 +53,20 @@ def copy_scenes(target: str | Path) -> tuple[Path, ...]:
     Raises
     ------
     InputError
-        If one of the files is there already, or if the folder cannot be written; nothing is
-        copied then, but where a disk fills up on the way.
+        If something else is there under the name of one of the files, or if the folder cannot be
+        written; nothing is copied then, but where a disk fills up on the way.
     """
-    source, names, target = scenes_folder(), scene_files(), Path(target)
-    taken = next((target / name for name in names if (target / name).exists()), None)
+    source, target = scenes_folder(), Path(target)
+    contents = {target / name: (source / name).read_bytes() for name in scene_files()}
+    taken = next((path for path, content in contents.items() if differs(path, content)), None)
     if taken is not None:
         raise InputError("it is there already", "name another folder", path=taken)
-    for name in names:
+    for path, content in contents.items():
         try:
-            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             problem = f"the folder cannot be made ({error.strerror or error})"
             raise InputError(problem, "name one that you may write to", path=target) from None
-        write_bytes(target / name, (source / name).read_bytes())
-    return tuple(target / name for name in names)
+        if not path.exists():
+            write_bytes(path, content)
+    return tuple(contents)

@@ -129,7 +129,9 @@ def test_the_plain_campaign_gives_the_same_fit(example, tmp_path, mcrim):
         parts.contributions["detector_efficiency"], rel=1e-5
     )
     # nothing is replaced, and a plain campaign has nothing to reduce
+    plain.write_text(plain.read_text().replace("start = 0.5", "start = 0.6"))
     assert "exists already" in mcrim.refused("reduce", example.path, "-o", plain)
+    assert "start = 0.6" in plain.read_text()
     assert "nothing to reduce" in mcrim.refused("reduce", plain)
 
 

@@ -8,15 +8,21 @@ import subprocess
 import sys
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from matplotlib.figure import Figure
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.campaign.editor import plain_texts, readings_beside, reduce
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import refuse_outputs, write_text
+from mcrim_mitsuba.core.files import refuse_outputs, refuse_to_replace, write_text
+from mcrim_mitsuba.inference import repair
+from mcrim_mitsuba.inference.repair import refuse_others_work
 from mcrim_mitsuba.output.cross_section import write_cross_section
 from mcrim_mitsuba.output.figure_style import save
+from mcrim_mitsuba.scene.shipped import copy_scenes
+from mcrim_mitsuba.transport.collection import Launcher
 
 resource = pytest.importorskip("resource", reason="Windows has no limits of files")
 
@@ -192,3 +198,103 @@ def limited(size):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
         signal.signal(signal.SIGXFSZ, ignored)
+
+
+class Killed(BaseException):
+    """As good as kill -9 for who looks at the files."""
+
+
+@contextmanager
+def killed_after(files):
+    """The process is killed when it has written so many files."""
+    left = files
+
+    def replace(source, target):
+        nonlocal left
+        if not left:
+            raise Killed
+        left -= 1
+        shutil.move(source, target)
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
+        patch.setattr("mcrim_mitsuba.core.files.os.replace", replace)
+        yield
+
+
+def contents(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*.*")}
+
+
+@pytest.mark.parametrize("files", range(4))
+def test_what_was_killed_between_its_files_goes_on(here, scenes, files):
+    """With the same line; what somebody has changed meanwhile is refused and stays."""
+    campaign = read_campaign(scenes / "camoo4_misfit.toml")
+    raw = read_campaign(scenes / "camoo4_raw/campaign.toml")
+    fitted = SimpleNamespace(parameters={"bubble_fraction": SimpleNamespace(value=0.1)}, names=())
+
+    def mend(target):
+        refuse_others_work(target)
+        repair._write(campaign, campaign.with_effects(["gap_bubble"]), fitted, target, None)
+
+    def reduced(target):
+        target = target.with_suffix(".toml")
+        texts = plain_texts(raw, target, readings_beside(target))
+        refuse_to_replace(dict(zip((target, readings_beside(target)), texts, strict=True)))
+        reduce(raw, target)
+
+    def copied(target):
+        copy_scenes(target.parent)
+
+    for make, written in ((mend, 2), (reduced, 2), (copied, 41)):
+        whole, killed = here / make.__name__ / "x.toml", here / f"{make.__name__}_killed" / "x.toml"
+        for path in (whole, killed):
+            path.parent.mkdir()
+        make(whole)
+        if files < written:
+            with killed_after(files):
+                make(killed)
+            assert len(contents(killed.parent)) == files
+        for _ in range(2):
+            make(killed)
+            assert contents(killed.parent) == contents(whole.parent)
+        for path in killed.parent.rglob("*.*"):
+            before = path.read_bytes()
+            path.write_bytes(before + b"\n<!-- mine -->")
+            with pytest.raises(InputError, match=r"(there|exists) already"):
+                make(killed)
+            assert path.read_bytes() != before
+            path.write_bytes(before)
+
+
+@pytest.mark.parametrize("verb", ["simulate", "table", "crosscheck"])
+def test_what_was_interrupted_writes_no_result(mcrim, here, scenes, monkeypatch, verb):
+    """It had a part of the photons, wrote it over the complete file, and ended with status 0."""
+    launch = Launcher.launch
+
+    def interrupted(launcher, *arguments, **how):
+        if launcher.tally.photons > 0:
+            raise KeyboardInterrupt
+        return launch(launcher, *arguments, **how)
+
+    Path("a.json").write_text("complete")
+    words = {
+        "simulate": ["--figure", "f.png", "--times", "t.csv", "--photons", "1e6"],
+        "table": ["--alpha-scat", "0.5", "-o", "t.csv", "--precision", "0.05%"],
+        "crosscheck": ["--photons", "1e6"],
+    }[verb]
+    monkeypatch.setattr(Launcher, "launch", interrupted)
+    status, out, err = mcrim(verb, scenes / "camoo4.xml", *words, "--json", "a.json")
+    assert status == 130 and err.count("\n") <= 2 and "mcrim: interrupted" in err
+    assert Path("a.json").read_text() == "complete" and os.listdir() == ["a.json"]
+    assert verb != "simulate" or "interrupted after 65,536 of 1,000,000 photons" in out
+
+
+def test_what_had_been_written_is_said(mcrim, here, monkeypatch):
+    """When a command is interrupted between its results."""
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mcrim_mitsuba.cli.showing.show", interrupted)
+    status, _, err = mcrim("lab", "index", "BK7", "--nm", "540", "--json", "a.json")
+    assert status == 130 and err.strip() == "mcrim: interrupted when a.json had been written"
