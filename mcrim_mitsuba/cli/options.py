@@ -461,6 +461,7 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
 def _command() -> dict[str, Any]:
     """The command of this process without what differs from part to part."""
     context = click.get_current_context()
+    variant = context.params.get("variant") or DEFAULT_VARIANT
     given = list((context.find_root().obj or {}).get("arguments", ()))
     arguments, skip = [], False
     for word in given:
@@ -471,5 +472,5 @@ def _command() -> dict[str, Any]:
     return {
         "arguments": arguments,
         "folder": os.getcwd(),
-        "versions": record_versions(context.params.get("variant") or DEFAULT_VARIANT),
+        "versions": record_versions(variant, context.command.callback.__module__),
     }

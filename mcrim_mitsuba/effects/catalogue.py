@@ -17,7 +17,7 @@ from typing import Any
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import read_text
 from mcrim_mitsuba.core.numbers import parse_number
-from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.effects.effect import OWN_MODULES, Effect
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
@@ -148,7 +148,7 @@ def _execute(path: Path) -> tuple[Effect, int]:
         problem = f"not Python: {getattr(error, 'msg', None) or error}"
         mend = "mend this line"
         raise InputError(problem, mend, path=path, line=getattr(error, "lineno", None)) from None
-    module = types.ModuleType(f"mcrim_effect_{path.stem}")
+    module = types.ModuleType(f"{OWN_MODULES}{path.stem}")
     module.__file__ = str(path)
     # dataclasses of the file look themselves up here
     sys.modules[module.__name__] = module

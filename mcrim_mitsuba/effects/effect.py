@@ -6,7 +6,7 @@ import functools
 import inspect
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +16,8 @@ from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
+#: What the names of modules begin with that are a user's own files.
+OWN_MODULES = "mcrim_effect_"
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _COORDINATES = ("linear", "reciprocal", "logarithmic")
 
@@ -269,6 +271,7 @@ class Effect:
             taken = len(inspect.signature(self.reading).parameters)
             if taken == 2:
                 of_signal = functools.partial(_of_signal_alone, self.reading)
+                functools.update_wrapper(of_signal, self.reading)
                 object.__setattr__(self, "reading", of_signal)
             elif taken != 3:
                 problem = "its reading must take signals and value, and may take rows"
@@ -283,3 +286,16 @@ def _of_signal_alone(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """What an effect does that need not know when a row was read."""
     return reading(signals, value)
+
+
+def modules_of(effects: Iterable[Effect]) -> set[str]:
+    """Where effects are written: the modules of their functions, or a user's own files."""
+    modules = set()
+    for effect in effects:
+        acts = (effect.edit, effect.weight, effect.colours, effect.reading)
+        for function in (inspect.unwrap(act) for act in acts if act is not None):
+            function = getattr(function, "func", function)
+            in_folder = function.__module__.startswith(OWN_MODULES)
+            # several folders may have files of one name
+            modules.add(function.__globals__["__file__"] if in_folder else function.__module__)
+    return modules

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import one_thread
-from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.effects.effect import Effect, modules_of
 from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
 from mcrim_mitsuba.runs.executors import Content
 from mcrim_mitsuba.runs.scene_units import PHOTONS_PER_S, PortableScene, SceneUnit
@@ -293,6 +293,11 @@ class TableUnit(SceneUnit):
     @property
     def numbers(self) -> tuple[int, ...]:
         return tuple(request.number for request in self.requests)
+
+    @property
+    def modules(self) -> set[str]:
+        effects = (request.effect for request in self.requests if request.effect is not None)
+        return super().modules | modules_of(effects)
 
     def make(self, threads: int | None) -> dict[int, Content]:
         from mcrim_mitsuba.transport.collection import Recorder

@@ -100,7 +100,7 @@ class RecordRun:
                 "scene": self._scene.content_hash,
                 "seed": self._run.seed,
                 "proposals": dataclasses.asdict(proposals),
-                "versions": record_versions(self._run.variant),
+                "versions": record_versions(self._run.variant, __name__),
                 "layout": _LAYOUT,
             }
         )

@@ -24,7 +24,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter, filled
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter, filled, modules_of
 from mcrim_mitsuba.effects.forward_beam import EFFECT as FORWARD_BEAM
 from mcrim_mitsuba.efficiency.eta_grid import (
     BATCHES,
@@ -39,7 +39,7 @@ from mcrim_mitsuba.efficiency.eta_grid import (
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
 from mcrim_mitsuba.efficiency.surface import chebyshev_nodes
 from mcrim_mitsuba.optics.attenuation import measured_transmittance, transmittance
-from mcrim_mitsuba.runs.cache import hashes, record_versions
+from mcrim_mitsuba.runs.cache import code_hash, record_versions
 from mcrim_mitsuba.runs.executors import Task, current_executor, number_of
 from mcrim_mitsuba.runs.processes import many_units_executor
 from mcrim_mitsuba.scene.scene_file import SceneFile, ScenePlan
@@ -142,10 +142,8 @@ class _Simulation:
         if effect is not None:
             known = self.parameters.items()
             parameters = {n: v for n, v in known if n not in (ALPHA_SCAT, ALPHA_ABS)}
-            written = effect.weight or effect.colours
-            assert written is not None
-            source = _source_hash(written.__code__.co_filename)
-            identity += [effect.name, source, dict(values or {}), parameters]
+            code = code_hash(modules_of([effect]))
+            identity += [effect.name, code, dict(values or {}), parameters]
         number = number_of(*identity)
         request = TableRequest(
             number, coarse, self.radius_mm, effect, values or {}, self.parameters, self.of_beam
@@ -201,7 +199,7 @@ class ResponseMaker:
                 "seed": run.seed,
                 "proposals": asdict(self._proposals),
                 "grids": [asdict(self.grid), asdict(self.coarse)],
-                "versions": record_versions(run.variant),
+                "versions": record_versions(run.variant, TableUnit.__module__),
                 "layout": _LAYOUT,
             }
         )
@@ -754,9 +752,3 @@ def _has_open_mask(scene: SceneFile) -> bool:
         ):
             return False
     return True
-
-
-@functools.cache
-def _source_hash(file: str) -> str:
-    """Of the file that an effect's weight is written in."""
-    return hashes([file])[0]

@@ -116,7 +116,7 @@ def _collect_in_units(
             "scene": simulation.file.content_hash,
             "seed": run.seed,
             "max_depth": max_depth,
-            "versions": record_versions(simulation.variant),
+            "versions": record_versions(simulation.variant, __name__),
             "layout": _LAYOUT,
         }
     )

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict
 
-from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.effects.effect import Effect, modules_of
 from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, error_of_difference
 from mcrim_mitsuba.inference.explanations import Explanations, Models
 from mcrim_mitsuba.inference.workbench import Workbench
-from mcrim_mitsuba.runs.cache import RecordCache, record_versions, rooms_hash
+from mcrim_mitsuba.runs.cache import RecordCache, code_hash, record_versions
 from mcrim_mitsuba.runs.executors import current_executor, number_of
 
 #: How far behind the best in chi2 a contender may be, absolute and in parts of what the best gains:
@@ -61,8 +61,8 @@ class Memory:
         self._cache: RecordCache = current_executor().cache(
             {
                 "what": "race",
-                "versions": record_versions(run.variant),
-                "code": rooms_hash("campaign", "inference"),
+                "versions": record_versions(run.variant, __name__),
+                "effects": code_hash(modules_of(campaign.catalogue.values())),
             }
         )
         self._number = number_of(

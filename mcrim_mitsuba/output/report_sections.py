@@ -12,7 +12,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from mcrim_mitsuba.campaign.reduction import LIMIT_MB
 from mcrim_mitsuba.core.files import attributes, json_text, read_bytes
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.effects.effect import modules_of
 from mcrim_mitsuba.efficiency.lighting import Light, follow_light
 from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.fit import Calibration
@@ -31,7 +31,7 @@ from mcrim_mitsuba.inference.profiles import Profile, profiles_of
 from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
 from mcrim_mitsuba.output import photographer
 from mcrim_mitsuba.output.findings import errors_apart, plain_headline
-from mcrim_mitsuba.runs.cache import RecordCache, record_versions, rooms_hash
+from mcrim_mitsuba.runs.cache import RecordCache, code_hash, record_versions
 from mcrim_mitsuba.runs.cache_files import Chunk
 from mcrim_mitsuba.scene.check_text import CheckReport
 from mcrim_mitsuba.scene.scene_file import DefaultParameter, SceneFile
@@ -175,8 +175,8 @@ def _behind_pictures(
         "effects": [*repaired.effects, chosen_by_hand],
         "light_photons": LIGHT_PHOTONS,
         "seed": run.seed,
-        "versions": record_versions(run.variant) | {"matplotlib": matplotlib.__version__},
-        "drawing": rooms_hash("output"),
+        "versions": record_versions(run.variant, __name__),
+        "code": code_hash(modules_of(repaired.bench.campaign.catalogue.values())),
     }
 
 

@@ -1,19 +1,22 @@
 """Records kept on disk, and what determines a result as one hash: what is known is not made again.
 
-Code counts by its content, for in a working copy it changes while its version stays. Of trials,
-which take a night, it counts without comments and docstrings; to parse it takes half a second.
+Code counts by its content, for in a working copy it changes while its version stays: that of the
+modules that make a result and of all that these import, without comments and docstrings.
 """
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import errno
 import functools
 import hashlib
+import importlib.metadata
+import importlib.util
+import itertools
 import json
 import os
 import platform
+import re
 import shutil
 import weakref
 from collections.abc import Iterable, Mapping
@@ -25,39 +28,41 @@ import platformdirs
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import read_bytes
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT
 from mcrim_mitsuba.runs import cache_files
 from mcrim_mitsuba.runs.cache_files import Chunk, decode, encode
 from mcrim_mitsuba.transport.variants import software_versions
 
-_LIMIT_MB = 200
 _PACKAGE = Path(__file__).parents[1]
-#: Rooms that turn a scene and a seed into what units make. What `scene` makes of a file is hashed
-#: itself.
-_RECORD_ROOMS = (
-    "core", "optics", "effects", "transport", "runs", "efficiency",
-)  # fmt: skip
+#: That numbers come from.
+_LIBRARIES = frozenset({"drjit", "iminuit", "matplotlib", "mitsuba", "numpy", "scipy", "xraydb"})
 
 
-def record_versions(variant: str) -> dict[str, str]:
-    """Versions of everything that photon records depend on, as a part of a cache's key.
+def record_versions(variant: str, *modules: str) -> dict[str, str]:
+    """Versions of everything that results depend on, as a part of a cache's key.
 
     Parameters
     ----------
     variant : str
         Mitsuba variant; those that start with ``llvm`` depend on LLVM too.
+    modules : str
+        That make the results (see `code_hash`). A user's own file, which others do not have, stands
+        for what it imports of this package.
 
     Raises
     ------
     InputError
         If the variant needs LLVM and there is none.
     """
-    return software_versions(variant) | {
-        "variant": variant,
-        "machine": platform.machine(),
-        "source_hash": rooms_hash(*_RECORD_ROOMS),
-    }
+    files = {module for module in modules if module.endswith(".py")}
+    imports = set[str]().union(*(_code_and_imports(Path(file), "")[1] for file in files))
+    shared = {name for name in imports if name.startswith(_PACKAGE.name)}
+    names = sorted(shared.union(modules) - files)
+    source_hash, libraries = _closure(tuple((name, 0) for name in names))
+    versions = {name: importlib.metadata.version(name) for name in sorted(libraries)}
+    versions |= software_versions(variant)
+    versions |= {"variant": variant, "machine": platform.machine()}
+    return versions | {"modules": " ".join(names), "source_hash": source_hash}
 
 
 def other_version(versions: Mapping[str, str]) -> tuple[str, str, str] | None:
@@ -68,7 +73,7 @@ def other_version(versions: Mapping[str, str]) -> tuple[str, str, str] | None:
     name, theirs, mine : str
         Hashes are shortened. None if all agree.
     """
-    mine = record_versions(versions["variant"])
+    mine = record_versions(versions["variant"], *versions.get("modules", "").split())
     for name in sorted({*mine, *versions}):
         if mine.get(name) != versions.get(name):
             theirs, own = (str(each.get(name, "none"))[:12] for each in (versions, mine))
@@ -86,51 +91,111 @@ def trial_key(name: str, parameters: dict[str, Any], code: Iterable[Path]) -> st
     return _hash({"software": software, "name": name, "parameters": parameters})
 
 
-def hashes(files: Iterable[str | Path]) -> list[str]:
-    """SHA-256 (hexadecimal) of each file's content.
-
-    Raises InputError if a file cannot be read.
-    """
-    return [hashlib.sha256(read_bytes(Path(file), _LIMIT_MB)).hexdigest() for file in files]
-
-
 def source_hash(files: Iterable[Path]) -> str:
-    """SHA-256 (hexadecimal) of files; of Python ones no comments, docstrings and layout."""
-    documented = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
+    """SHA-256 (hexadecimal) of files; of Python ones no comments, docstrings and empty lines."""
     digest = hashlib.sha256()
     for file in sorted(files):
-        if file.suffix != ".py":
-            digest.update(file.read_bytes())
-            continue
-        tree = ast.parse(file.read_text(encoding="utf-8"))
-        for node in ast.walk(tree):
-            if isinstance(node, documented) and ast.get_docstring(node, clean=False) is not None:
-                node.body = node.body[1:]
-        digest.update(f"{file.name}\n{ast.dump(tree)}\n".encode())
+        text = file.read_text(encoding="utf-8")
+        code = _without_comments(text) if file.suffix == ".py" else text
+        digest.update(f"{file.name}\n{code}\n".encode())
     return digest.hexdigest()
 
 
 @functools.cache
 def package_hash() -> str:
     """`source_hash` of this package but its commands."""
-    files = _sources(_PACKAGE)
+    files = [*_PACKAGE.rglob("*.py"), *_PACKAGE.rglob("*.toml")]
     return source_hash(f for f in files if "cli" not in f.relative_to(_PACKAGE).parts)
 
 
-def _sources(folder: Path) -> list[Path]:
-    """Code, and tables of what it knows."""
-    return sorted([*folder.rglob("*.py"), *folder.rglob("*.toml")])
+def code_hash(modules: Iterable[str]) -> str:
+    """SHA-256 (hexadecimal) of the code of modules, and of all that they import.
+
+    Modules count that lie in this package or in the one that imports them, within functions too,
+    and tables of the same name beside them; not what only types need.
+
+    Parameters
+    ----------
+    modules : iterable of str
+        By name, or a user's own files, which are read again when they have changed.
+    """
+    files = {module: module.endswith(".py") for module in sorted(modules)}
+    return _closure(tuple((m, os.stat(m).st_mtime_ns if files[m] else 0) for m in files))[0]
+
+
+#: Docstrings, comments and empty lines; groups hold what stays, strings among it. To parse code
+#: takes ten times as long, and all commands would wait for it.
+_NO_CODE = re.compile(
+    r'''
+    (\A|:) (?:[ \t]*(?:(?<!\S)\#.*)?\n)*+ [ \t]*
+        [rR]?"""(?:[^"\\]+|\\[\s\S]|"(?!""))*+"""(?=[ \t]*(?:\#.*)?(?:\n(?!\s*[)\]},])|\Z))
+  | ("""(?:[^"\\]+|\\[\s\S]|"(?!""))*+"""  |  "(?:[^"\\\n]+|\\[\s\S])*+"
+    | \'\'\'(?:[^'\\]+|\\[\s\S]|'(?!\'\'))*+\'\'\'  |  '(?:[^'\\\n]+|\\[\s\S])*+')
+  | (?:[ \t]+\#.*)?(\n)(?:[ \t]*(?:\#.*)?\n)*+([ \t]*)
+    ''',
+    re.VERBOSE,
+)
+_ONLY_FOR_TYPES = re.compile(r"\nif (?:typing\.)?TYPE_CHECKING:(?:\n[ \t]+.*)+")
+_IMPORT = re.compile(r"\n[ \t]*(?:from[ \t]+([\w.]+)[ \t]+)?import\b[ \t]*(\([^)]*\)|.*)")
+
+
+def _without_comments(code: str) -> str:
+    return "".join(filter(None, _NO_CODE.split(code)))
 
 
 @functools.cache
-def rooms_hash(*rooms: str) -> str:
-    """SHA-256 (hexadecimal) of the code and tables of some rooms."""
+def _code_and_imports(file: Path, package: str, changed_ns: int = 0) -> tuple[str, set[str]]:
+    """What counts of a module since its last change, and the names of all that it imports."""
+    code, imports = _without_comments(file.read_text("utf-8")), set[str]()
+    for home, words in _IMPORT.findall(_ONLY_FOR_TYPES.sub("", code)):
+        start = f"{importlib.util.resolve_name(home, package)}." if home else ""
+        parts = (word.split() for word in words.strip("()").split(","))
+        imports |= {start + part[0] for part in parts if part}
+    table = file.with_suffix(".toml")
+    return code + (table.read_text("utf-8") if table.is_file() else ""), imports
+
+
+@functools.cache
+def _closure(starts: tuple[tuple[str, int], ...]) -> tuple[str, frozenset[str]]:
+    """The hash of modules and of all that they import, and the libraries that these import."""
+    changes_ns, codes = dict(starts), dict[str, str]()
+    files = {name: Path(name) for name in changes_ns if name.endswith(".py")}
+    for root in {_PACKAGE.name, *(name.partition(".")[0] for name in changes_ns.keys() - files)}:
+        files |= _files(root)
+    reached, todo = set[str](), _on_the_way(changes_ns)
+    while todo:
+        reached |= todo
+        imports = set[str]()
+        for name in todo & files.keys():
+            package = name if files[name].stem == "__init__" else name.rpartition(".")[0]
+            codes[name], names = _code_and_imports(files[name], package, changes_ns.get(name, 0))
+            imports |= names
+        todo = _on_the_way(imports) - reached
     digest = hashlib.sha256()
-    for room in rooms:
-        for file in _sources(_PACKAGE / room):
-            digest.update(file.relative_to(_PACKAGE).as_posix().encode())
-            digest.update(hashlib.sha256(file.read_bytes()).digest())
-    return digest.hexdigest()
+    for name in sorted(codes):
+        digest.update(f"{Path(name).name}\n{codes[name]}".encode())
+    return digest.hexdigest(), _LIBRARIES & reached
+
+
+def _on_the_way(names: Iterable[str]) -> set[str]:
+    """Names, and those of the packages that are executed when they are imported."""
+    return {
+        step for name in names for step in itertools.accumulate(name.split("."), "{}.{}".format)
+    }
+
+
+@functools.cache
+def _files(root: str) -> dict[str, Path]:
+    """Modules of a package by name, loaded or not; none where it is not here."""
+    spec = importlib.util.find_spec(root) if root.isidentifier() else None
+    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+        return {}
+    start = Path(spec.origin)
+    if not spec.submodule_search_locations:
+        return {root: start}
+    steps = {file: file.relative_to(start.parents[1]) for file in start.parent.rglob("*.py")}
+    names = {file: ".".join(step.with_suffix("").parts) for file, step in steps.items()}
+    return {name.removesuffix(".__init__"): file for file, name in names.items()}
 
 
 def _hash(named: dict[str, Any]) -> str:

@@ -102,7 +102,8 @@ class ClusterExecutor(HandingExecutor):
     def submit(self, unit: Unit) -> Future:
         import distributed
 
-        sent, versions = pickled(unit.portable()), record_versions(unit.variant)
+        sent = pickled(unit.portable())
+        versions = record_versions(unit.variant, *unit.modules)
         name = f"mcrim-{uuid.uuid4().hex[:16]}"
         try:
             return self._client.submit(_make_by_value, sent, versions, key=name, pure=False)

@@ -18,6 +18,7 @@ import cloudpickle
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.run import Progress
+from mcrim_mitsuba.effects.effect import OWN_MODULES
 from mcrim_mitsuba.runs.cache import RecordCache
 from mcrim_mitsuba.runs.cache_files import Chunk
 
@@ -50,6 +51,10 @@ class Unit(Protocol):
     @property
     def variant(self) -> str:
         """Of Mitsuba."""
+
+    @property
+    def modules(self) -> set[str]:
+        """Whose code makes it, for `runs.cache.record_versions`."""
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -241,13 +246,9 @@ class HandingExecutor(Executor):
         raise NotImplementedError
 
 
-#: Name of the modules that the user's own effects are.
-_OWN_EFFECTS = "mcrim_effect_"
-
-
 def pickled(unit: Unit) -> bytes:
     """A unit as bytes, with the user's own effects by value: others do not have their modules."""
-    own = [module for name, module in sys.modules.items() if name.startswith(_OWN_EFFECTS)]
+    own = [module for name, module in sys.modules.items() if name.startswith(OWN_MODULES)]
     for module in own:
         cloudpickle.register_pickle_by_value(module)
     try:

@@ -115,6 +115,11 @@ class SceneUnit:
     #: Whether the scene is known to be sound, or need not be.
     checked: bool
 
+    @property
+    def modules(self) -> set[str]:
+        """See `runs.executors.Unit`."""
+        return {type(self).__module__}
+
     def loaded(self, threads: int | None, *, check: bool = False) -> Simulation:
         """The scene, loaded into Mitsuba, as it is on the disk now; `check` that it is sound.
 

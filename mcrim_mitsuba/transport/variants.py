@@ -58,7 +58,6 @@ def _reason(complaint: str, version: tuple[int, int]) -> str:
 
 #: Variants whose transport is tested here; `cuda_ad_rgb` needs an NVIDIA GPU.
 SUPPORTED_VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_mono_polarized", "cuda_ad_rgb")
-PLUGIN_MODULES = ("shapes", "forms", "bsdfs", "light")
 
 #: So far: whether Mitsuba tells of switches, the threads, the variant that plugins belong to.
 _state: dict[str, Any] = {"callback": False, "threads": None, "plugins": None}
@@ -150,12 +149,12 @@ def register_plugins(variant: str) -> None:
     Mitsuba's Python base classes belong to one variant, so a class defined
     before a switch is of the wrong type after it.
     """
-    for name in PLUGIN_MODULES:
-        module = f"{__package__}.plugins.{name}"
-        if module in sys.modules:
-            importlib.reload(sys.modules[module])
-        else:
-            importlib.import_module(module)
+    before = set(sys.modules)
+    from mcrim_mitsuba.transport.plugins import bsdfs, forms, light, shapes
+
+    for module in (shapes, forms, bsdfs, light):
+        if module.__name__ in before:
+            importlib.reload(module)
     _state["plugins"] = variant
 
 

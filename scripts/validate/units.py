@@ -169,7 +169,7 @@ def code(program: str) -> dict[str, str]:
     if program == MITSUBA:
         from mcrim_mitsuba.runs.cache import record_versions
 
-        return record_versions(VARIANT)
+        return record_versions(VARIANT, "mcrim_mitsuba.transport.simulation")
     if program == FORMULA:
         return {"source_hash": source_hash([Path(formulas.__file__)])}
     if program == NUMPY:

@@ -1,0 +1,213 @@
+"""What a unit is made by is in its key: all that it imports, and nothing else."""
+
+import ast
+import io
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tokenize
+from pathlib import Path
+
+import pytest
+
+from mcrim_mitsuba.effects.catalogue import catalogue
+from mcrim_mitsuba.effects.effect import modules_of
+from mcrim_mitsuba.efficiency.eta_grid import TableUnit
+from mcrim_mitsuba.efficiency.recording import RecordBlock
+from mcrim_mitsuba.efficiency.simulate import TallyBlock
+from mcrim_mitsuba.runs import cache
+from mcrim_mitsuba.runs.cache import code_hash, record_versions
+
+PACKAGE = Path(cache.__file__).parents[1]
+UNITS = [kind.__module__ for kind in (TallyBlock, RecordBlock, TableUnit)]
+#: Each decides what some unit makes, and is no near neighbour of it.
+DECIDING = ("scene.check_text", "transport.plugins.bsdfs", "transport.surface_physics",
+            "optics.thin_film", "efficiency.cells", "efficiency.surface")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory):
+    """The package under another name, which may be changed."""
+    folder = tmp_path_factory.mktemp("package")
+    shutil.copytree(
+        PACKAGE, folder / "mcrim_copy", ignore=shutil.ignore_patterns("__pycache__", "*.css")
+    )
+    for file in (folder / "mcrim_copy").rglob("*.py"):
+        file.write_text(file.read_text().replace("mcrim_mitsuba", "mcrim_copy"))
+    sys.path.insert(0, str(folder))
+    yield folder / "mcrim_copy"
+    sys.path.remove(str(folder))
+
+
+def forget():
+    for kept in (cache._closure, cache._code_and_imports, cache._files):
+        kept.cache_clear()
+
+
+def keys() -> dict[str, str]:
+    forget()
+    return {unit: code_hash([unit.replace("mcrim_mitsuba", "mcrim_copy")]) for unit in UNITS}
+
+
+def imported(package: Path, start: str) -> set[Path]:
+    """Files that a module needs, by Python's own parser."""
+    files, todo = set(), {start.replace(PACKAGE.name, package.name)}
+    while todo:
+        steps = todo.pop().split(".")
+        for end in range(1, len(steps) + 1):
+            place = package.parent.joinpath(*steps[:end])
+            file = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+            if file in files or not file.is_file():
+                continue
+            files.add(file)
+            tree = ast.parse(file.read_text())
+            for node in list(ast.walk(tree)):
+                if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+                    node.body = []
+            for node in ast.walk(tree):
+                if isinstance(node, ast.Import):
+                    todo |= {name.name for name in node.names}
+                elif isinstance(node, ast.ImportFrom):
+                    todo |= {f"{node.module}.{name.name}" for name in node.names}
+    return files
+
+
+def constants(file: Path) -> list[ast.Constant]:
+    """Numbers of a module."""
+    kinds = (int, float)
+    nodes = ast.walk(ast.parse(file.read_text()))
+    return [n for n in nodes if isinstance(n, ast.Constant) and type(n.value) in kinds]
+
+
+def changed(file: Path, draw: random.Random) -> str:
+    """A module's text with one number changed."""
+    number = draw.choice(constants(file))
+    lines = file.read_bytes().splitlines(keepends=True)
+    line = lines[number.lineno - 1]
+    lines[number.lineno - 1] = line[: number.end_col_offset] + b"7" + line[number.end_col_offset :]
+    return b"".join(lines).decode()
+
+
+def test_a_changed_number_makes_those_units_anew_that_import_its_module(copy):
+    draw = random.Random(37)
+    modules = [file for file in sorted(copy.rglob("*.py")) if constants(file)]
+    drawn = draw.sample(modules, int(os.environ.get("MCRIM_MODULES", 20)))
+    drawn += [copy.joinpath(*name.split(".")).with_suffix(".py") for name in DECIDING]
+    needed = {unit: imported(copy, unit) for unit in UNITS}
+    before, hits = keys(), 0
+    for file in drawn:
+        text = file.read_text()
+        try:
+            file.write_text(changed(file, draw))
+            after = keys()
+        finally:
+            file.write_text(text)
+        anew = {unit for unit in UNITS if after[unit] != before[unit]}
+        assert anew == {unit for unit in UNITS if file in needed[unit]}, file
+        hits += bool(anew)
+    assert 0 < hits < len(drawn)
+    table = copy / "optics" / "materials.toml"
+    table.write_text(table.read_text() + "\n# read\n")
+    assert all(key != before[unit] for unit, key in keys().items())
+
+
+def test_comments_docstrings_and_empty_lines_make_nothing_anew(copy):
+    before = keys()
+    for file in copy.rglob("*.py"):
+        file.write_text(commented(file.read_text()))
+    assert keys() == before
+
+
+def commented(code: str) -> str:
+    """The same code with other docstrings, comments and empty lines, by Python's own parser."""
+    lines = code.split("\n")
+    tree = ast.parse(code)
+    kinds = ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef
+    for node in ast.walk(tree):
+        if isinstance(node, kinds) and ast.get_docstring(node) is not None:
+            text = node.body[0]
+            lines[text.lineno - 1] = lines[text.lineno - 1].replace('"""', '"""Otherwise: ', 1)
+    tokens = list(tokenize.generate_tokens(io.StringIO("\n".join(lines)).readline))
+    ends = [token.start for token in tokens if token.type == tokenize.NEWLINE]
+    comments = [token for token in tokens if token.type == tokenize.COMMENT]
+    for row in {row for row, _ in ends} - {comment.start[0] for comment in comments}:
+        lines[row - 1] += '  # \'a remark\n\n# """ another'
+    return "\n".join(lines)
+
+
+def test_units_need_nothing_above_them():
+    """What shows and judges results makes no unit anew."""
+    for unit in UNITS:
+        rooms = {file.relative_to(PACKAGE).parts[0] for file in imported(PACKAGE, unit)}
+        assert rooms <= {"__init__.py", "core", "optics", "scene", "effects", "transport", "runs",
+                         "efficiency"}  # fmt: skip
+
+
+def test_libraries_that_numbers_come_from_are_in_the_key():
+    versions = record_versions("llvm_ad_rgb", RecordBlock.__module__)
+    assert {"drjit", "mitsuba", "numpy", "scipy", "llvm"} <= set(versions)
+    assert not {"matplotlib", "iminuit"} & set(versions)
+
+
+OWN = """from mcrim_mitsuba.effects import Effect
+from mcrim_mitsuba.optics.fresnel import reflectance
+def weight(columns, values, parameters):
+    return columns["k"] * SIZE
+EFFECT = Effect("dark_spot", "a dark spot", "A spot.", "nowhere", columns=("k",), weight=weight)
+"""
+
+
+def test_effects_count_by_what_they_are_now_and_import(tmp_path):
+    hashes = []
+    for place in ("here", "there"):
+        (tmp_path / place).mkdir()
+        for size in (1, 2):
+            (tmp_path / place / "spot.py").write_text(OWN.replace("SIZE", f"{size}  # of {place}"))
+            effect = catalogue(tmp_path / place)["dark_spot"]
+            hashes.append(code_hash(modules_of([effect])))
+    # changed while this process goes on; of one name and content in two folders
+    assert hashes[0] != hashes[1] and hashes[:2] == hashes[2:]
+    # a worker, which gets the file itself, must have what it imports
+    named = record_versions("llvm_ad_rgb", TableUnit.__module__, *modules_of([effect]))["modules"]
+    assert "mcrim_mitsuba.optics.fresnel.reflectance" in named and "spot" not in named
+    for name, effect in catalogue().items():
+        assert f"mcrim_mitsuba.effects.{name}" in modules_of([effect])
+
+
+def test_another_copy_of_the_package_mixes_into_nothing(scenes, tmp_path):
+    """A rule of the scenes that plugins follow: from which index on a gap is filled."""
+    copy = tmp_path / "copy" / PACKAGE.name
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    rule = copy / "scene" / "check_text.py"
+    text = rule.read_text()
+    rule.write_text(text.replace("FILLED_ABOVE = 1.0005", "FILLED_ABOVE = 1.9"))
+    assert rule.read_text() != text
+    made = ["table", "gap.xml", "--alpha-scat", "0.5", "--alpha-abs", "0.039", "--n-gap", "1.46",
+            "--photons", "6e4", "-o", "T.csv"]  # fmt: skip
+
+    def run(package: Path, *arguments: str, cached: bool = True) -> subprocess.CompletedProcess:
+        place = {"PYTHONPATH": str(package), "MCRIM_CACHE": "cache" if cached else "off"}
+        return subprocess.run(
+            [sys.executable, "-m", PACKAGE.name, *arguments], cwd=tmp_path, text=True,
+            capture_output=True, env=os.environ | place,
+        )  # fmt: skip
+
+    def table(package: Path, *arguments: str, **how: bool) -> str:
+        done = run(package, *made, *arguments, **how)
+        assert done.returncode == 0, done.stderr
+        return (tmp_path / "T.csv").read_text() if "--unit" not in arguments else ""
+
+    scene = str(scenes / "camoo4.xml")
+    size = "gap_absorption_per_cm=10"
+    run(
+        PACKAGE.parent, "add", "gap_absorption", scene, "-o", "gap.xml", "-D", size
+    ).check_returncode()
+    other = table(copy.parent)
+    assert table(PACKAGE.parent) == table(PACKAGE.parent, cached=False) != other
+    # nor what a part of an array job made
+    table(copy.parent, "--unit", "1/1", "--units", "units", cached=False)
+    merged = run(PACKAGE.parent, "merge", "units")
+    assert merged.returncode == 2
+    assert "the parts were made with source hash" in merged.stderr
