@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import hashlib
 import math
 import os
 import re
@@ -23,6 +24,7 @@ from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run
 from mcrim_mitsuba.runs.array_job import (
     DEFAULT_FOLDER,
     ArrayPart,
+    MergingExecutor,
     PartDoneError,
     PartExecutor,
     UnitFolder,
@@ -410,7 +412,10 @@ class Work:
             folder.begin(_command(), self.part)
             yield PartExecutor(folder, self.part)
         else:
-            yield current_executor()
+            executor = current_executor()
+            if isinstance(executor, MergingExecutor):
+                executor.folder.refuse_other_files(_hashes())
+            yield executor
 
 
 def work(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -460,8 +465,11 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _command() -> dict[str, Any]:
     """The command of this process without what differs from part to part."""
+    from mcrim_mitsuba.effects.catalogue import BUILT_IN
+
     context = click.get_current_context()
     variant = context.params.get("variant") or DEFAULT_VARIANT
+    effects = (f"mcrim_mitsuba.effects.{name}" for name in BUILT_IN)
     given = list((context.find_root().obj or {}).get("arguments", ()))
     arguments, skip = [], False
     for word in given:
@@ -472,5 +480,12 @@ def _command() -> dict[str, Any]:
     return {
         "arguments": arguments,
         "folder": os.getcwd(),
-        "versions": record_versions(variant, context.command.callback.__module__),
+        "versions": record_versions(variant, context.command.callback.__module__, *effects),
+        "files": _hashes(),
     }
+
+
+def _hashes() -> dict[str, str]:
+    """SHA-256 (hexadecimal) of all files that the command reads, by their names for it."""
+    files = {str(file): file for file in click.get_current_context().meta[FILES] if file.is_file()}
+    return {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in files.items()}

@@ -98,8 +98,8 @@ def refuse_places(
 
     context = click.get_current_context()
     typed = ((read,) if isinstance(read, (str, Path)) else read.files for read in inputs)
-    files = [Path(file) for several in typed for file in several]
-    context.meta[options.FILES] = files
+    files = context.meta.setdefault(options.FILES, [])
+    files += [Path(file) for several in typed for file in several]
     if context.params.get("unit"):
         files = [*files, *UnitFolder(context.params["units"]).files]
     elif isinstance(merging := current_executor(), MergingExecutor):

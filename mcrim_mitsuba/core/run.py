@@ -16,6 +16,8 @@ from mcrim_mitsuba.core.errors import InputError
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
+#: What the names of modules begin with that are a user's own files of effects.
+OWN_MODULES = "mcrim_effect_"
 DEFAULT_VARIANT = "llvm_ad_rgb"
 #: That any run may be asked for.
 MOST_PHOTONS = 10**13

@@ -17,7 +17,8 @@ from typing import Any
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import read_text
 from mcrim_mitsuba.core.numbers import parse_number
-from mcrim_mitsuba.effects.effect import OWN_MODULES, Effect
+from mcrim_mitsuba.core.run import OWN_MODULES
+from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 

@@ -12,12 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.run import OWN_MODULES
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
-#: What the names of modules begin with that are a user's own files.
-OWN_MODULES = "mcrim_effect_"
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _COORDINATES = ("linear", "reciprocal", "logarithmic")
 

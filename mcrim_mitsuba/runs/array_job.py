@@ -80,10 +80,26 @@ class UnitFolder:
         mine = {**command, "parts": part.count}
         if not is_there(self.path / _COMMAND):
             self._write_first(mine)
-        if self.command() != mine:
+        if {**self.command(), "files": mine["files"]} != mine:
             problem = "the folder holds parts of another command, or of another number of parts"
             mend = "let --units name a new folder, or remove this one"
             raise InputError(problem, mend, path=self.path)
+        self.refuse_other_files(mine["files"])
+
+    def refuse_other_files(self, hashes: Mapping[str, str]) -> None:
+        """Raise InputError if the parts have read other files, or these with other contents.
+
+        `hashes` are SHA-256 (hexadecimal) of files that this process reads, by name.
+        """
+        before = self.command()["files"]
+        for file in sorted({*before, *hashes}):
+            if before.get(file) != hashes.get(file):
+                theirs, now = (known.get(file, "no such file")[:12] for known in (before, hashes))
+                raise InputError(
+                    f"the parts have read another {file} (SHA-256 {theirs}; here is {now})",
+                    "put it back, or let --units name a new folder and run all parts again",
+                    path=self.path,
+                )
 
     @property
     def files(self) -> list[Path]:
@@ -190,9 +206,10 @@ def _is_command(content: Any) -> bool:
             "arguments": list(arguments),
             "folder": folder,
             "versions": {"variant": _} as versions,
+            "files": dict(files),
             "parts": parts,
         }:
-            texts = (*arguments, folder, *versions.values())
+            texts = (*arguments, folder, *versions.values(), *files.values())
             return type(parts) is int and 1 <= parts <= MOST_PARTS and all(map(_is_text, texts))
     return False
 

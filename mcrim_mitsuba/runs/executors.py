@@ -17,8 +17,7 @@ from typing import Any, Protocol
 import cloudpickle
 from numpy.typing import NDArray
 
-from mcrim_mitsuba.core.run import Progress
-from mcrim_mitsuba.effects.effect import OWN_MODULES
+from mcrim_mitsuba.core.run import OWN_MODULES, Progress
 from mcrim_mitsuba.runs.cache import RecordCache
 from mcrim_mitsuba.runs.cache_files import Chunk
 

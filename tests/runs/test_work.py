@@ -1,5 +1,6 @@
 """Long jobs in units: the same digits whoever does them, and nothing lost that was finished."""
 
+import hashlib
 import itertools
 import json
 import logging
@@ -108,12 +109,12 @@ def test_parts_of_an_array_job_merge_to_the_same_digits(scenes, tmp_path, whole,
         {"arguments": []}, {"arguments": ["app", "c.toml"]}, {"arguments": ["merge", "."]},
         {"arguments": ["lab"]}, {"folder": None}, {"folder": "\ud800"}, {"parts": "1"},
         {"parts": 1e999}, {"parts": 10**8}, {"parts": 0}, {"versions": {}},
-        {"versions": {"variant": 4}}, None,
+        {"versions": {"variant": 4}}, {"files": []}, {"files": {"a.xml": 5}}, None,
     ],
 )  # fmt: skip
 def test_merge_runs_nothing_that_no_part_has_written(here, mcrim, changes):
     command = {"arguments": ["table"], "folder": str(here), "parts": 1,
-               "versions": {"variant": "llvm_ad_rgb"}}  # fmt: skip
+               "versions": {"variant": "llvm_ad_rgb"}, "files": {}}  # fmt: skip
     text = "[" * 100_000 if changes is None else json.dumps(command | changes)
     (here / "command.json").write_text(text)
     (here / "part-1-of-1.json").write_text("{}")
@@ -136,7 +137,8 @@ def test_a_folder_belongs_to_one_command(tmp_path, monkeypatch):
 
     def begin(number: int) -> bool:
         here.begins = True
-        command = {"arguments": ["table", str(number)], "folder": "", "versions": {"variant": ""}}
+        command = {"arguments": ["table", str(number)], "folder": "", "files": {},
+                   "versions": {"variant": ""}}  # fmt: skip
         try:
             UnitFolder(tmp_path / "units").begin(command, ArrayPart(1, 2))
         except InputError as error:
@@ -149,6 +151,49 @@ def test_a_folder_belongs_to_one_command(tmp_path, monkeypatch):
             assert sum(pool.map(begin, range(8))) == 1
         assert [file.name for file in (tmp_path / "units").iterdir()] == ["command.json"]
         (tmp_path / "units" / "command.json").unlink()
+
+
+OWN_EFFECT = """from mcrim_mitsuba.effects import Effect
+def reading(signals, value):
+    return signals, signals, signals
+EFFECT = Effect(name="own", title="own", physics="None.", source="None.", edit=lambda editor: None)
+"""
+
+
+@pytest.mark.parametrize(
+    "edited", ["bench.xml", "parameters.xml", "readings.csv", "second.toml", "own/own.py"]
+)
+def test_parts_of_files_that_were_edited_are_not_merged(scenes, here, mcrim, edited):
+    """Whatever the command reads: it would be another bench, or other readings."""
+    scene = (scenes / "camoo4.xml").read_text()
+    Path("parameters.xml").write_text("<scene version='3.0.0'>\n</scene>\n")
+    include = '<include filename="parameters.xml"/>\n</scene>'
+    Path("bench.xml").write_text(include.join(scene.rsplit("</scene>", 1)))
+    Path("readings.csv").write_text((scenes / "camoo4_measured.csv").read_text())
+    Path("own").mkdir()
+    Path("own/own.py").write_text(OWN_EFFECT)
+    campaign = (scenes / "camoo4_campaign.toml").read_text()
+    campaign = campaign.replace("camoo4.xml", "bench.xml")
+    campaign = campaign.replace("camoo4_measured.csv", "readings.csv")
+    Path("first.toml").write_text('effects_folder = "own"\n' + campaign)
+    Path("second.toml").write_text(campaign)
+    command = ["compare", "first.toml", "second.toml", "--trust-effects", "--photons", "16384",
+               "--json", "found.json"]  # fmt: skip
+    mcrim(*command, "--unit", "1/2")
+    text = Path(edited).read_text()
+    remark = "<!-- edited -->\n" if edited.endswith(".xml") else "# edited\n"
+    Path(edited).write_text(f"{text}{remark}")
+    hashes = [hashlib.sha256(f"{text}{end}".encode()).hexdigest()[:12] for end in ("", remark)]
+    problem = f"{edited} (SHA-256 {hashes[0]}; here is {hashes[1]})"
+    assert problem in mcrim.refused(*command, "--unit", "2/2")
+    Path(edited).write_text(text)
+    mcrim(*command, "--unit", "2/2")
+    Path(edited).write_text(f"{text}{remark}")
+    assert problem in mcrim.refused("merge")
+    assert not Path("found.json").exists()
+    Path(edited).write_text(text)
+    mcrim("merge")
+    assert Path("found.json").exists()
 
 
 def test_parts_that_follow_each_other_share_the_same_units(scenes, tmp_path):
