@@ -412,10 +412,9 @@ class Work:
             folder.begin(_command(), self.part)
             yield PartExecutor(folder, self.part)
         else:
-            executor = current_executor()
-            if isinstance(executor, MergingExecutor):
-                executor.folder.refuse_other_files(_hashes())
-            yield executor
+            if isinstance(merging := current_executor(), MergingExecutor):
+                merging.folder.refuse_other_files(_hashes())
+            yield current_executor()
 
 
 def work(function: Callable[..., Any]) -> Callable[..., Any]:
