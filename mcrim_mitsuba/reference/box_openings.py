@@ -12,7 +12,7 @@ of the first at the cost of its nodes alone: nodes of both are in one array, the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -323,69 +323,163 @@ def _through_nodes(count: int, x: Floats) -> Floats:
     return np.cos(angles[..., None] * np.arange(count)) @ _chebyshev(count)[1]
 
 
-def _strip(orders: NDArray[np.int64], width: Floats, period: float) -> _Array:
-    """Fourier components, (n, orders), of a strip of a width in mm that ends at the far wall."""
-    share = (width / period)[:, None]
-    if not orders.any():
-        return np.broadcast_to(share, (len(share), len(orders)))
-    order = np.where(orders == 0, 1, orders)
-    phase = 2j * math.pi * order
-    return np.where(orders == 0, share, (np.exp(phase * share) - 1.0) / phase)
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _GapLight:
+    """Light in the gap by the directions of `EndCones`: (n,) each, or (2, n) along x and y."""
+
+    #: How far one crossing goes.
+    shift_mm: Floats
+    #: Share that gets out through a side of the gap which it meets.
+    out: Floats
+    #: Of the crystal and of the window, met from the gap.
+    r_crystal: Floats
+    r_window: Floats
+    #: Share of the light on the window that is detected.
+    lands: Floats
+    #: From how far off its far wall's foot light in the plate gets to the plate's edge, and the
+    #: share that gets out there.
+    to_edge_mm: Floats
+    edge_out: Floats
+
+    @property
+    def turns(self) -> Floats:
+        """Share that one shuttle between window and crystal leaves."""
+        return self.r_crystal * self.r_window
+
+    def kept(
+        self, crossings: NDArray[np.int64], width_mm: float, *, in_plate: bool = False
+    ) -> Floats:
+        """Share of evenly spread light that is in the gap after each number of crossings.
+
+        (crossings, n). With `in_plate` it then goes into the plate, and is no more if it gets out
+        at the plate's edges.
+        """
+        shift = crossings[:, None, None] * self.shift_mm / width_mm
+        walls = np.floor(shift)
+        near = shift - walls
+        share = 1.0 - self.out * near
+        if in_plate:
+            far = self.to_edge_mm / width_mm
+            share -= self.edge_out * (far - self.out * np.maximum(far + near - 1.0, 0.0))
+        return np.prod((1.0 - self.out) ** walls * share, axis=1)
 
 
-def _hole(bench: Bench, order: int) -> _Array:
-    """Fourier components of the mask's hole within the footprint, orders up to +-``order``.
+def _crossings(bench: Bench, order: int, light: _GapLight) -> tuple[_Array, _Array]:
+    """What one crossing brings through the hole to the detector, and two to the crystal again.
 
-    (2 order + 1, 2 order + 1) float64.
+    Fourier components over the places where it lands in the mask's hole, of orders up to
+    +-``order`` along x and y: (n, 2 order + 1, 2 order + 1) complex each. Light gets out of the
+    gap's sides, and of the plate's edges, only from nearer to a wall than it goes: what is kept is
+    a product of steps along x and along y, and a hole under the crystal is integrated chord by
+    chord between all that has a kink.
     """
     half, radius = bench.crystal_width_mm / 2.0, bench.aperture_radius_mm
-    orders = np.arange(-order, order + 1)
-    if radius >= math.sqrt(2.0) * half:
-        whole = (orders == 0).astype(float)
-        return np.outer(whole, whole)
-    cuts = [0.0, math.pi / 2.0]
-    if radius > half:
-        cuts = [0.0, math.acos(half / radius), math.asin(half / radius)]
-    angle, weight = gauss(24 + 4 * order, np.array(cuts[:-1]), np.array(cuts[1:]))
-    angle, weight = angle.ravel(), weight.ravel()
-    y, dy = radius * np.sin(angle), weight * radius * np.cos(angle)
-    x = np.minimum(radius * np.cos(angle), half)
-    k = math.pi * orders[:, None] / half
-    along_x = np.where(k == 0.0, x, np.sin(k * x) / np.where(k == 0.0, 1.0, k))
-    area = (2.0 * half) ** 2
+    walls = light.shift_mm // (2.0 * half)
+    down = light.shift_mm - 2.0 * half * walls - half
+    # what the way up loses is the mirror image of what the way down loses
+    ends = ((half - light.to_edge_mm, light.edge_out), (-down, light.out))
+    order_of = np.arange(-order, order + 1)
+    k = math.pi / half * order_of
+    safe = np.where(k == 0.0, 1.0, -1j * k)
+
+    def between(low: Floats, high: Floats) -> _Array:
+        first, last = (_powers(np.exp(-1j * math.pi / half * x), order) for x in (low, high))
+        return np.where(k == 0.0, (high - low)[..., None], (last - first) / safe)
+
+    def kept(axis: int, chord: Floats) -> list[_Array]:
+        """Along a chord of the hole, (n, chords): components after one and after two crossings."""
+        start = np.clip(down[axis][:, None], -chord, chord)
+        out = light.out[axis][:, None, None]
+        entered = between(-chord, chord) - out * between(-chord, start)
+        found = []
+        for far, lost in ends:
+            end = np.clip(far[axis][:, None], -chord, chord)
+            both = out * between(np.minimum(end, start), start)
+            found.append(entered - lost[axis][:, None, None] * (between(end, chord) - both))
+        return found
+
+    if covers_corners(bench):
+        reach, full = min(radius, half), math.sqrt(max(radius**2 - half**2, 0.0))
+        steps = [down, *([ends[0][0]] if light.to_edge_mm.any() else [])]
+        kinks = [
+            *(np.stack((y, np.sqrt(np.maximum(radius**2 - x**2, 0.0)))) for x, y in steps),
+            np.broadcast_to([[full], [reach]], down.shape),
+        ]
+        cuts = np.concatenate([*kinks, *(-kink for kink in kinks)]).T
+        cuts = np.sort(np.arcsin(np.clip(cuts, -reach, reach) / radius), axis=1)
+        nodes = gauss(_ON_CHORDS + order, cuts[:, :-1], cuts[:, 1:])
+        angle, weight = (x.reshape(len(cuts), -1) for x in nodes)
+        y, chord = radius * np.sin(angle), np.minimum(radius * np.cos(angle), half)
+        along_x = kept(0, chord)
+        weight = weight * radius * np.cos(angle)
+        before = 1.0 - light.out[1][:, None] * (y < down[1][:, None])
+        along_y = [weight * before * (1.0 - out[1][:, None] * (y > far[1][:, None]))
+                   for far, out in ends]  # fmt: skip
+        phase = _powers(np.exp(-1j * math.pi / half * y), order)
+        whole = [
+            x.swapaxes(1, 2) @ (y[..., None] * phase) for x, y in zip(along_x, along_y, strict=True)
+        ]
+    else:
+        everywhere = np.full((len(light.lands), 1), half)
+        along_x, along_y = (kept(axis, everywhere) for axis in (0, 1))
+        whole = [x.swapaxes(1, 2) * y for x, y in zip(along_x, along_y, strict=True)]
     # coordinates count from the wall, the hole is in the middle
-    sign = (-1.0) ** np.abs(orders)
-    return 4.0 / area * np.outer(sign, sign) * (along_x @ (dy * np.cos(k * y)).T)
+    sign = (-1.0) ** np.abs(order_of) / (2.0 * half)
+    once, twice = (
+        np.prod((1.0 - light.out) ** (number * walls), axis=0)[:, None, None]
+        * (components * sign[:, None] * sign)
+        for number, components in enumerate(whole, start=1)
+    )
+    return once, twice
 
 
-def _lost_beside_hole(
-    bench: Bench, orders: NDArray[np.int64], shift_x: Floats, shift_y: Floats,
-    out_x: Floats, out_y: Floats,
-) -> _Array:  # fmt: skip
-    """What leaves the gap at its sides instead of landing in a hole under the crystal alone.
+#: Gauss nodes on each part of the hole, more than orders.
+_ON_CHORDS = 8
 
-    Fourier components, (n, orders, orders), over the places where it would land: in the hole, and
-    nearer to a wall than one crossing goes.
+
+def _powers(phase: _Array, order: int) -> _Array:
+    """Powers of phases from -``order`` to ``order``, along a new last axis."""
+    powers = np.repeat(phase[..., None], order + 1, axis=-1)
+    powers[..., 0] = 1.0
+    np.cumprod(powers, axis=-1, out=powers)
+    return np.concatenate((powers[..., :0:-1].conj(), powers), axis=-1)
+
+
+def _returns(bench: Bench, order: int, light: _GapLight) -> Iterator[tuple[_Array, _Array, _Array]]:
+    """What lands in the hole under the crystal and what comes back to it, shuttle by shuttle.
+
+    Which of the directions, and of these as `_crossings`, but over the places where the light
+    entered the gap, after 1, 3, 5, ... and after 2, 4, 6, ... crossings of which each landing was
+    in the hole. Light in the hole is likely to be in it again: the overlap of all these holes has
+    no closed form, and is a sum over a lattice of places.
     """
-    half, radius = bench.crystal_width_mm / 2.0, bench.aperture_radius_mm
-    k = math.pi / half * orders
-    safe, sign = np.where(k == 0.0, 1.0, k), (-1.0) ** np.abs(orders)
-    found = np.zeros((len(shift_x), len(orders), len(orders)), dtype=complex)
-    for ahead, out, swapped in ((shift_x, out_x, False), (shift_y, out_y, True)):
-        those = np.flatnonzero((ahead > half - radius) & (out > 0.0))
-        end = np.arccos(np.clip((half - ahead[those]) / radius, -1.0, 1.0))
-        angle, weight = gauss(12 + 2 * len(orders), 0.0, end)
-        from_middle, chord = -radius * np.cos(angle)[..., None], radius * np.sin(angle)[..., None]
-        along = np.exp(-1j * k * from_middle) * chord * (weight * out[those, None])[..., None]
-        across = np.where(k == 0.0, 2.0 * chord, 2.0 * np.sin(k * chord) / safe)
-        if swapped:  # but for what has left in the other direction
-            limit = np.clip((shift_x[those] - half)[:, None, None], -chord, chord)
-            ended = np.exp(-1j * k * limit) - np.exp(1j * k * chord)
-            gone = np.where(k == 0.0, limit + chord, ended / (-1j * safe))
-            across = across - out_x[those, None, None] * gone
-            along, across = across, along
-        found[those] += along.swapaxes(1, 2) @ across
-    return found * sign[:, None] * sign / (2.0 * half) ** 2
+    width, half = bench.crystal_width_mm, bench.crystal_width_mm / 2.0
+    number = np.arange(_PLACES)
+    place = width * np.stack(((number + 0.5) / _PLACES, (number * _STEP / _PLACES) % 1.0))
+    along_x, along_y = _powers(np.exp(-2j * math.pi / width * place), order)
+    phase = (along_x[:, :, None] * along_y[:, None, :]).reshape(_PLACES, -1) / _PLACES
+    shape = -1, 2 * order + 1, 2 * order + 1
+    those = np.arange(len(light.lands))
+    kept = np.ones((len(those), _PLACES))
+    for shuttle in range(_SHUTTLES):
+        enough = light.turns[those] ** shuttle > _LEAST_TURNS
+        those, kept = those[enough], kept[enough]
+        shift, out = light.shift_mm[:, those, None], light.out[:, those, None]
+        x, y = (place[:, None] + (2 * shuttle + 1) * shift) % width - half
+        kept *= x * x + y * y <= bench.aperture_radius_mm**2
+        found = []
+        for crossings in (2 * shuttle + 1, 2 * shuttle + 2):
+            # walls are at the multiples of the width
+            walls = (place[:, None] + crossings * shift) // width
+            in_gap = np.prod((1.0 - out) ** walls, axis=0)
+            found.append(((kept * in_gap) @ phase).reshape(shape))
+        yield those, found[0], found[1]
+
+
+#: Places of a Fibonacci lattice, and its step.
+_PLACES, _STEP = 377, 233
+#: Of light in the gap, what part is followed until it is less.
+_LEAST_TURNS = 1e-6
 
 
 def end_cones(bench: Bench, rules: Rules) -> EndCones:
@@ -402,11 +496,22 @@ def end_cones(bench: Bench, rules: Rules) -> EndCones:
     )
     cos = np.sqrt(1.0 - (sine / n) ** 2)
     weight = 2.0 / math.pi * weight / (n * n * cos)
-    over_x, over_y = np.cos(azimuth), np.sin(azimuth)
+    over = np.stack((np.cos(azimuth), np.sin(azimuth)))
 
     cos_gap, cos_window = _cosine(sine, n_gap), _cosine(sine, n_window)
     r_crystal, r_window = fresnel(cos, n, n_gap), fresnel(cos_gap, n_gap, n_window)
-    enters, lands = 1.0 - r_crystal, (1.0 - r_window) * _detected_below(bench, cos_window)
+    margin = (bench.window_width_mm - width) / 2.0
+    in_plate = bench.window_thickness_mm * sine / n_window / np.maximum(cos_window, 1e-9)
+    light = _GapLight(
+        shift_mm=gap * sine / n_gap / cos_gap * over,
+        out=1.0 - fresnel(sine / n_gap * over, n_gap, 1.0),
+        r_crystal=r_crystal,
+        r_window=r_window,
+        lands=(1.0 - r_window) * _detected_below(bench, cos_window),
+        to_edge_mm=np.clip(in_plate * over - margin, 0.0, width),
+        edge_out=1.0 - fresnel(sine / n_window * over, n_window, 1.0),
+    )
+    enters, turns = 1.0 - r_crystal, light.turns
     waves, coupled = Waves.up_to(rules[0].across - 1), Waves.up_to(order)
     among = np.flatnonzero((np.abs(waves.signed) <= order).all(axis=1))
     signed = coupled.signed
@@ -414,99 +519,73 @@ def end_cones(bench: Bench, rules: Rules) -> EndCones:
     step = signed[:, None, :] - every[None, :, :]  # kappa - kappa'
     at_step = step[..., 0] + 2 * order, step[..., 1] + 2 * order
     at_wave = signed[:, 0] + 2 * order, signed[:, 1] + 2 * order
-    wide = np.arange(-2 * order, 2 * order + 1)
-    hole = _hole(bench, 2 * order)
-    hole_1, hole_2 = hole[at_wave], hole[at_step]
+    # the coarser rule may couple fewer waves
+    beyond = [np.abs(every).max(axis=1) > rule.coupled for rule in rules]
 
-    # one crossing of the gap: how far, and which light its sides let out
-    tan_gap = sine / n_gap / cos_gap
-    shift_x, shift_y = gap * tan_gap * over_x, gap * tan_gap * over_y
-    kappa = 2.0 * math.pi / width * signed
-    crossing = np.exp(1j * (shift_x[:, None] * kappa[:, 0] + shift_y[:, None] * kappa[:, 1]))
-    every_crossing = with_opposite(crossing)
-    chord = math.sqrt(max(bench.aperture_radius_mm**2 - width**2 / 4.0, 0.0))
-    chord = min(chord, width / 2.0)
-    kc = np.where(wide == 0, 1.0, wide) * 2.0 * math.pi / width
-    uncovered = np.where(wide == 0, 2.0 * chord / width, 2.0 * np.sin(kc * chord) / (kc * width))
-    uncovered = uncovered * (-1.0) ** np.abs(wide)
-    out_x = 1.0 - fresnel(sine / n_gap * over_x, n_gap, 1.0)
-    out_y = 1.0 - fresnel(sine / n_gap * over_y, n_gap, 1.0)
-    whole = chord == width / 2.0
-
-    def let_out(crossings: int) -> _Array:
-        """Components of the share that leaves: (n, 4 order + 1, 4 order + 1)."""
-        by_x = out_x[:, None] * _strip(wide, np.minimum(crossings * shift_x, width), width)
-        by_y = out_y[:, None] * _strip(wide, np.minimum(crossings * shift_y, width), width)
-        share = by_x[:, :, None] * uncovered[None, None, :] + uncovered[:, None] * by_y[:, None, :]
-        if whole:
-            share = share - by_x[:, :, None] * by_y[:, None, :]
-        return share
-
+    phase = 2.0 * math.pi / width * (light.shift_mm.T @ every.T)
+    once, twice = _crossings(bench, 2 * order, light)
+    landed = once[:, *at_wave] * np.exp(1j * phase[:, : len(signed)])
+    leaked = _leaked(bench, rules, first, sine, *over, signed)
+    landed = light.lands[:, None] * landed + leaked
     # down, off the window and up again: (n, m, 2 m - 1)
-    there_and_back = crossing[:, :, None] * every_crossing[:, None, :]
-    small = bench.aperture_radius_mm < width / 2.0
-    if small:
-        lost = _lost_beside_hole(bench, wide, shift_x, shift_y, out_x, out_y)
-        once = lost[:, *at_wave] * crossing
-        twice = 2.0 * lost.real[:, *at_step] * there_and_back
-    else:
-        once = let_out(1)[:, *at_wave]
-        twice = let_out(2)[:, *at_step] * (every_crossing**2)[:, None, :]
-    shuttle = r_window[:, None, None] * (hole_2 * there_and_back - twice)
+    shuttle = twice[:, *at_step] * np.exp(1j * (phase[:, : len(signed), None] + phase[:, None]))
+    shuttle *= r_window[:, None, None]
     here = np.arange(len(signed))
-    diagonal = shuttle[:, here, here].copy()
-    # light in a small hole is still in it when it comes back, but for what crosses its edge
-    across_edge = np.minimum(np.hypot(shift_x, shift_y) / bench.aperture_radius_mm, 1.0)
-    across_edge = np.arcsin(across_edge) + across_edge * np.sqrt(1.0 - across_edge**2)
-    within = 1.0 - 2.0 / math.pi * across_edge
-    again = (r_window * within)[:, None] * crossing if small else diagonal
-    series = 1.0 / (1.0 - r_crystal[:, None] * again)
-    shuttle[:, here, here] = 0.0
-    for highest, rule in zip([r.coupled for r in rules], _slices(first), strict=True):
-        # the coarser rule may couple fewer waves
-        beyond = np.abs(every).max(axis=1) > highest
-        shuttle[rule, :, beyond] = 0.0
-        shuttle[rule, beyond[: len(signed)]] = 0.0
-    every_series = with_opposite(series)
-    if small:
-        repeated = 0.5 * (series[:, :, None] + every_series[:, None, :])
+
+    def without_beyond(coupling: _Array) -> _Array:
+        """Couplings without those of waves that a rule does not couple."""
+        for places, rule in zip(beyond, _slices(first), strict=True):
+            coupling[rule, :, places] = 0.0
+            coupling[rule, places[: len(signed)]] = 0.0
+        return coupling
+
+    if covers_corners(bench):
+        # the lattice knows how later shuttles compare with the first, which is known exactly
+        middle = 2 * order, 2 * order
+        survive = np.zeros((_SHUTTLES, len(sine)))
+        norm, arrived = twice[:, *middle].real, landed.copy()
+        for number, (those, landing, returned) in enumerate(_returns(bench, 2 * order, light)):
+            if number == 0:
+                norm /= np.maximum(returned[:, *middle].real, 1e-9)
+            survive[number, those] = norm[those] * returned[:, *middle].real
+            if number == 0:
+                continue
+            again = landing[:, *at_wave] * (light.lands * norm)[those, None]
+            again += leaked[those] * survive[number - 1, those, None]
+            arrived[those] += (turns[those] ** number)[:, None] * again
+            later = returned[:, *at_step] * np.exp(2j * (number + 1) * phase[those, None])
+            factor = norm * r_window * turns**number
+            shuttle[those] += factor[those, None, None] * later
+        coupling = shuttle
     else:
-        repeated = series[:, :, None] * every_series[:, None, :]
-    coupling = shuttle * (enters**2)[:, None, None] * repeated
-
-    over_edges = _over_edges(bench, sine, over_x, over_y, signed)
-    landed = lands[:, None] * (crossing * hole_1 - once - over_edges)
-    leaked = _leaked(bench, rules, first, sine, over_x, over_y, signed)
-    arrived = (landed + leaked) * series
-    if not small:
+        series = 1.0 / (1.0 - r_crystal[:, None] * shuttle[:, here, here])
+        shuttle[:, here, here] = 0.0
+        shuttle = without_beyond(shuttle)
+        coupling = shuttle * series[:, :, None] * with_opposite(series)[:, None, :]
+        arrived = landed * series
         more = (shuttle @ with_opposite(arrived)[:, :, None])[..., 0]
-        arrived = arrived + r_crystal[:, None] * series * more
+        arrived += r_crystal[:, None] * series * more
 
-    # light that the place does not turn into other waves, through all its crossings of the gap
-    turns = r_crystal * r_window
-    if whole:
-        crossings = np.arange(2 * _SHUTTLES + 2)[:, None]
-        kept = _kept(crossings * shift_x, out_x, width) * _kept(crossings * shift_y, out_y, width)
-        lands_now = lands * (1.0 - over_edges[:, 0].real)
+        # light that the place does not turn into other waves, through all its crossings
+        kept = light.kept(np.arange(2 * _SHUTTLES + 2), width)
+        within = light.kept(np.arange(1, 2 * _SHUTTLES + 2, 2), width, in_plate=True)
         lost = 1.0 - kept[1]
         lands_later = np.where(lost > 0.0, leaked[:, 0].real / np.where(lost > 0.0, lost, 1.0), 0.0)
-        later, sooner = kept[1::2], kept[0::2]
-        terms = lands_now * later + lands_later * (sooner - later)
+        terms = light.lands * within + lands_later * (kept[0::2] - kept[1::2])
         arrived[:, 0] = _sum_of_shuttles(terms, turns)
         survive = kept[2::2]
-    else:
-        mean = hole[2 * order, 2 * order] - twice[:, 0, 0].real
-        order_of_return = np.arange(_SHUTTLES)[:, None]
-        survive = mean * (within if small else mean) ** order_of_return
-    for highest, rule in zip([r.coupled for r in rules], _slices(first), strict=True):
-        arrived[rule, np.abs(signed).max(axis=1) > highest] = 0.0
+    for places, rule in zip(beyond, _slices(first), strict=True):
+        arrived[rule, places[: len(signed)]] = 0.0
+    coupling *= (enters**2)[:, None, None]
 
     # the same for every wave, of which the gap shifts the phase
-    numbers = 2.0 * math.pi / width * waves.signed
-    twofold = np.exp(2j * (numbers @ np.stack((shift_x, shift_y))))
+    twofold = np.exp(2j * (2.0 * math.pi / width * waves.signed @ light.shift_mm))
     own = r_crystal + r_window * enters**2 * twofold * _sum_of_shuttles(survive, turns * twofold)
+    if covers_corners(bench):
+        coupling[:, here, here] -= (own[among] - r_crystal).T
+        coupling = without_beyond(coupling)
     return EndCones(
-        first, weight, cos, sine / n * over_x, sine / n * over_y, fresnel(cos, n, 1.0), waves, own,
+        first, weight, cos, *(sine / n * over), fresnel(cos, n, 1.0), waves, own,
         coupled, slice(None) if len(among) == len(waves.signed) else among,
         np.ascontiguousarray(coupling.transpose(1, 0, 2)), (enters[:, None] * arrived).T,
     )  # fmt: skip
@@ -514,12 +593,6 @@ def end_cones(bench: Bench, rules: Rules) -> EndCones:
 
 #: Crossings of the gap, there and back, that are counted one by one.
 _SHUTTLES = 8
-
-
-def _kept(shift: Floats, out: Floats, width: float) -> Floats:
-    """Share of light that a shift along an axis leaves in the gap; ``out`` get through a side."""
-    sides = np.floor(shift / width)
-    return (1.0 - out) ** sides * (1.0 - out * (shift / width - sides))
 
 
 def _sum_of_shuttles(terms: Floats, factor: _Array) -> _Array:
@@ -568,6 +641,11 @@ def _towards_ends(n_gap: float, n_window: float, rule: Nodes) -> tuple[Floats, F
 _GRAZING = 0.2
 
 
+def covers_corners(bench: Bench) -> bool:
+    """Whether the mask reaches under the crystal."""
+    return bench.aperture_radius_mm < bench.crystal_width_mm / math.sqrt(2.0)
+
+
 def edges_in_reach(bench: Bench) -> bool:
     """Whether light from the bottom gets through the plate's edges, but for what is grazing."""
     n_window = bench.n_window
@@ -575,27 +653,6 @@ def edges_in_reach(bench: Bench) -> bool:
     reach = bench.window_thickness_mm * sine / math.sqrt(n_window**2 - sine**2)
     margin = (bench.window_width_mm - bench.crystal_width_mm) / 2.0
     return sine > math.sqrt(n_window**2 - 1.0) and reach > margin
-
-
-def _over_edges(
-    bench: Bench, sine: Floats, over_x: Floats, over_y: Floats, signed: NDArray[np.int64]
-) -> _Array:  # fmt: skip
-    """Components of the share of light in the plate, grazing, that its edges let out."""
-    width, n_window = bench.crystal_width_mm, bench.n_window
-    if bench.aperture_radius_mm < width / 2.0:  # it enters far from them
-        return np.zeros((len(sine), len(signed)))
-    margin = (bench.window_width_mm - width) / 2.0
-    cos_window = np.maximum(_cosine(sine, n_window), 1e-9)
-    reach = bench.window_thickness_mm * sine / n_window / cos_window
-    if np.max(reach * over_x, initial=0.0) <= margin:  # and over_y is less
-        return np.zeros((len(sine), len(signed)))
-    out_x = 1.0 - fresnel(sine / n_window * over_x, n_window, 1.0)
-    out_y = 1.0 - fresnel(sine / n_window * over_y, n_window, 1.0)
-    along_x = np.clip(reach * over_x - margin, 0.0, width)
-    along_y = np.clip(reach * over_y - margin, 0.0, width)
-    by_x = out_x[:, None] * _strip(signed[:, 0], along_x, width)
-    by_y = out_y[:, None] * _strip(signed[:, 1], along_y, width)
-    return by_x * (signed[:, 1] == 0) + by_y * (signed[:, 0] == 0) - by_x * by_y
 
 
 def _leaked(
@@ -609,11 +666,12 @@ def _leaked(
     found = np.zeros((len(sine), len(signed)), dtype=complex)
     if chord == 0.0 or bench.window_width_mm <= width:
         return found
+    cuts = np.array([-half, half] if chord >= half else [-half, -chord, chord, half])
     # the coarser rule has fewer nodes: the others of its directions weigh nothing
-    y, w_y = np.zeros((2, len(sine), rules[0].foot))
+    y, w_y = np.zeros((2, len(sine), rules[0].foot * (len(cuts) - 1)))
     for rule, those in zip(rules, _slices(first), strict=True):
-        nodes = gauss(rule.foot, -min(chord, half), min(chord, half))
-        y[those, : rule.foot], w_y[those, : rule.foot] = nodes
+        nodes = [x.ravel() for x in gauss(rule.foot, cuts[:-1], cuts[1:])]
+        y[those, : len(nodes[0])], w_y[those, : len(nodes[0])] = nodes
     cos_gap = _cosine(sine, n_gap)
     # outside, where the components along the side are n_gap times those in the gap
     cos_air = np.minimum(n_gap * cos_gap, 1.0)
@@ -623,12 +681,13 @@ def _leaked(
     for ahead, aside, kappa in ((over_x, over_y, signed), (over_y, over_x, signed[:, ::-1])):
         out, other = (1.0 - fresnel(sine / n_gap * over, n_gap, 1.0) for over in (ahead, aside))
         turned = np.minimum(sine * aside / sine_air, 1.0)[:, None]
-        _, far = landing(bench, y, np.sqrt(1.0 - turned**2), turned)
+        near, far = landing(bench, y, np.sqrt(1.0 - turned**2), turned)
         # depths below the crystal at which it leaves; deeper than `met` it met the other side first
         tan_gap = sine / n_gap / cos_gap
         ahead, aside = (tan_gap * ahead)[:, None], (tan_gap * aside)[:, None]
-        highest = np.clip(gap - far * (cos_air / sine_air)[:, None], 0.0, gap)
-        lowest = np.maximum(np.minimum(gap, width / ahead), highest)
+        slope = (cos_air / sine_air)[:, None]
+        highest = np.clip(gap - far * slope, 0.0, gap)
+        lowest = np.maximum(np.minimum(gap - near * slope, width / ahead), highest)
         met = np.clip((y + half) / aside, highest, lowest)
         k_ahead, k_aside = 2.0 * math.pi / width * kappa.T
         turn = (ahead * k_ahead + aside * k_aside)[:, None, :]

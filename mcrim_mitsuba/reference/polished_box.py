@@ -22,6 +22,7 @@ from mcrim_mitsuba.reference.box_openings import (
     Nodes,
     Rules,
     SideCone,
+    covers_corners,
     edges_in_reach,
     end_cones,
     side_cone,
@@ -434,7 +435,7 @@ def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float, *, rough: bool =
         upwards = max(upwards, 16)
     foot, coupled = (12 if _is_cut(bench) else 9), 1
     cosine = 14 if bench.gap_index <= bench.n_window else 18
-    if _covers_corners(bench):
+    if covers_corners(bench):
         across = max(across, 3)
         # under the tips of the corners alone the mask couples no further waves
         tips = bench.aperture_radius_mm >= _TIPS * bench.crystal_width_mm
@@ -451,14 +452,9 @@ def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float, *, rough: bool =
     return fine, coarser._replace(coupled=min(coupled, 1))
 
 
-def _covers_corners(bench: Bench) -> bool:
-    """Whether the mask reaches under the crystal."""
-    return bench.aperture_radius_mm < bench.crystal_width_mm / math.sqrt(2.0)
-
-
 def _is_cut(bench: Bench) -> bool:
     """Whether crystal or plate cut the mask's hole: what falls into it has kinks then."""
-    return _covers_corners(bench) or bench.aperture_radius_mm > bench.window_width_mm / 2.0
+    return covers_corners(bench) or bench.aperture_radius_mm > bench.window_width_mm / 2.0
 
 
 #: Numbers of a matrix of all modes, times points, that are worked on at once.
