@@ -408,8 +408,8 @@ _COLUMNS = ("eta", "by scattering", "by absorption", "error", "absorbed", "trapp
 _SECOND_ORDER = 0.01
 #: Relative; fewer nodes may agree by chance, as they did to this on some of 200 random benches.
 _LEAST_ERROR, _LEAST_ERROR_OF_CUT_HOLES = 4e-5, 2e-4
-#: Of holes under the crystal alone, where light at the hole's edge is followed roughly: seven
-#: benches with 100 million photons each differ by 1 to 5e-4, which is 0.2 to 1.5 standard errors.
+#: Of holes under the crystal alone, whose edge couples more waves: seven benches with 100 million
+#: photons each differ by 1 to 7e-4, which is 0.1 to 2 standard errors.
 _LEAST_ERROR_OF_SMALL_HOLES = 5e-4
 #: Relative error from which on few nodes are tried, and how much larger their least error is.
 _ROUGH, _LEAST_ERROR_OF_FEW = 4e-4, 2e-4

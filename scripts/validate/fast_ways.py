@@ -4,8 +4,8 @@
     python scripts/validate/fast_ways.py --way weights --benches 40
 
 Benches are drawn over all that a way accepts; what it refuses is counted. Right ways with right
-errors pass in 99 % of such runs: half of the false alarms belong to the sum of squares of z, half to
-the largest z (Bonferroni). Errors that are too large do not fail, but are seen in the rms.
+errors pass in 99 % of such runs: half of the false alarms belong to the sum of squares of z, half
+to the largest z (Bonferroni). Errors that are too large do not fail, but are seen in the rms.
 """
 
 from __future__ import annotations
@@ -71,9 +71,9 @@ def by_modes(bench: Drawn, seed: int) -> tuple[float, float]:
 def by_weights(bench: Drawn, seed: int) -> tuple[float, float]:
     """Eta and its error by weights of photons that were followed for all coefficients at once."""
     own = dict(bench)
-    axes = {name: [low, own.pop(name), high] for name, (low, high) in (
-        ("alpha_scat_per_cm", ALPHA_SCAT_PER_CM), ("alpha_abs_per_cm", ALPHA_ABS_PER_CM))}  # fmt: skip
-    scene = mcrim.read_scene(SCENE, **own)
+    ranges = {"alpha_scat_per_cm": ALPHA_SCAT_PER_CM, "alpha_abs_per_cm": ALPHA_ABS_PER_CM}
+    axes = {name: [low, own.pop(name), high] for name, (low, high) in ranges.items()}
+    scene = mcrim.read_scene(SCENE, own)
     table = mcrim.table(scene, **axes, photons=PHOTONS_OF_TABLE, seed=seed)
     return float(table.eta[1, 1]), float(table.eta_sigma[1, 1])
 
@@ -157,8 +157,8 @@ def judge(comparisons: list[Comparison]) -> Verdict:
 @click.option("--way", "ways", multiple=True, type=click.Choice(list(WAYS)),
               help="Only this fast way (repeatable).")  # fmt: skip
 @click.option("--benches", type=options.Whole(1, 100_000), default=400, show_default=True)
-@click.option("--photons", type=options.Photons(), default="16e6", show_default=True,
-              help="Per bench, of the slow way.")  # fmt: skip
+@click.option("--photons", type=options.PhotonCount(), default=16_000_000,
+              show_default="16e6", help="Per bench, of the slow way.")  # fmt: skip
 @options.seed
 @options.json_output
 def main(ways, benches, photons, seed, json_file) -> int:

@@ -15,7 +15,7 @@ import pytest
 from places import SCRIPTS
 from scipy.stats import binom
 from validate import __main__ as command
-from validate import benches, formulas, judging, units
+from validate import benches, fast_ways, formulas, judging, units
 from validate.judging import FALSE_ALARM, POWER, judge
 from validate.units import FORMULA, GEANT4, MITSUBA, NUMPY, SOLVER, Results, Unit, do_all
 
@@ -313,3 +313,30 @@ def test_two_benches_for_real(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr(command, "do", None)
     assert run(command.main, "validate", line) == 0
     assert (tmp_path / "v.md").read_text() == page
+
+
+#: Right ways fail in 1 % of such runs; the seed is fixed.
+@pytest.mark.parametrize(("way", "count"), [("modes", 40), ("weights", 12)])
+def test_fast_ways_agree_with_photons_on_random_benches(way, count, monkeypatch):
+    monkeypatch.setattr(fast_ways, "PHOTONS_OF_TABLE", 500_000)
+    comparisons = [fast_ways.compare(way, number, 5, 1_000_000) for number in range(count)]
+    verdict = fast_ways.judge(comparisons)
+    assert verdict.agrees, verdict
+    assert verdict.refused <= count / 3
+
+
+def test_a_fast_way_that_is_off_on_few_benches_is_found():
+    rng = np.random.default_rng(3)
+
+    def compared(number, z):
+        return fast_ways.Comparison(
+            number=number, bench={}, fast=0.25 + 1e-3 * z, fast_sigma=6e-4, refused=None,
+            slow=0.25, slow_sigma=8e-4,
+        )  # fmt: skip
+
+    right = [compared(number, z) for number, z in enumerate(rng.normal(size=40))]
+    assert fast_ways.judge(right).agrees
+    wrong = [*right[:39], compared(39, 4.5)]
+    assert not fast_ways.judge(wrong).agrees and fast_ways.judge(wrong).where == 39
+    alike = [compared(number, 1.6 * z) for number, z in enumerate(rng.normal(size=40))]
+    assert not fast_ways.judge(alike).agrees
