@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import os
 from collections.abc import Iterator
 
 import click
 
 from mcrim_mitsuba import __version__
 from mcrim_mitsuba.cli.terminal import DONE, run
-from mcrim_mitsuba.core.errors import closest
+from mcrim_mitsuba.core.errors import InputError, closest
 from mcrim_mitsuba.core.files import silence_stdout
 
 #: Verbs by the module of this folder that has them.
@@ -75,6 +76,11 @@ def mcrim(ctx) -> None:
 
     Lengths are in mm, coefficients in 1/cm, energies in keV.
     """
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        problem = "the folder you are in has been removed"
+        raise InputError(problem, "go to another one (cd) and run it again") from None
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
 

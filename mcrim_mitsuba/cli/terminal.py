@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import errno
 import io
@@ -275,6 +276,11 @@ def photon_progress(
 # Runs a command to its exit status; what goes wrong becomes one line.
 
 DONE, OUR_FAULT, YOUR_INPUT, INTERRUPTED = 0, 1, 2, 130
+#: What helps where a file takes no more.
+_ROOM = dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "free some space") | {
+    errno.EFBIG: "lift the limit on the size of files (ulimit -f)"
+}
+_OUTPUT = "what standard output goes to"
 
 
 def run(command: click.Command, name: str, arguments: list[str] | None = None) -> int:
@@ -300,6 +306,8 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         if number in (signal.SIGINT, signal.SIGTERM) or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, interrupt)
     try:
+        if arguments is None:
+            _open_streams()
         given = sys.argv[1:] if arguments is None else arguments
         with files_written() as written:
             status = command.main(
@@ -330,17 +338,69 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
     except click.ClickException as error:
         return _say(name, error.format_message(), YOUR_INPUT)
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        if error.errno not in _ROOM:
             return _our_fault(name)
         silence_stdout()
-        where = error.filename or "what standard output goes to"
-        line = f"{where}: cannot be written ({error.strerror}); free some space and run it again"
+        where = error.filename or "a temporary file"
+        mend = f"{_ROOM[error.errno]} and run it again"
+        line = f"{where}: cannot be written ({error.strerror}); {mend}"
         return _say(name, line, YOUR_INPUT)
     except Exception:
         return _our_fault(name)
     finally:
         if arguments is None:
             _ignore_signals()
+
+
+class _Stream(io.TextIOWrapper):
+    """A standard stream; what standard error does not take is lost, and no result with it."""
+
+    def write(self, text: str) -> int:
+        with self._judged():
+            super().write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with self._judged():
+            super().flush()
+
+    @contextlib.contextmanager
+    def _judged(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            if self.fileno() == 1:
+                error.filename = _OUTPUT
+                raise
+
+
+def _open_streams() -> None:
+    """Open the standard streams anew, so that nothing is lost in silence.
+
+    Those that were closed lead nowhere: else the next files would get their numbers, and with that
+    what libraries say. Output that takes a part only is an error, even without Python's buffers.
+    Raises InputError if nothing can be written to standard output.
+    """
+    problem = None
+    try:
+        os.write(1, b"")  # what is closed, or full for ever, refuses even that
+    except OSError as error:
+        mend = _ROOM.get(error.errno or 0, "send it to a file, or to /dev/null,")
+        mend += " and run it again"
+        problem = InputError(f"cannot be written ({error.strerror})", mend, path=_OUTPUT)
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(descriptor)
+    sys.stdin = sys.stdin or open(0, closefd=False)
+    for number, name in enumerate(("stdout", "stderr"), 1):
+        encoding = getattr(getattr(sys, name), "encoding", "utf-8")
+        if codecs.lookup(encoding).name == "ascii":  # of the locale POSIX; it would end at a ±
+            encoding = "utf-8"
+        binary, by_line = open(number, "wb", closefd=False), number == 2 or os.isatty(number)
+        stream = _Stream(binary, encoding, "backslashreplace", line_buffering=by_line)
+        setattr(sys, name, stream)
+    if problem is not None:
+        raise problem
 
 
 def _ignore_signals() -> None:

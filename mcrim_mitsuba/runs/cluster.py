@@ -6,6 +6,7 @@ Dask is an optional extra, ``pip install 'mcrim-mitsuba[cluster]'``.
 from __future__ import annotations
 
 import concurrent.futures
+import json
 import logging
 import pickle
 import threading
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import read_text
 from mcrim_mitsuba.runs.cache import other_version, record_versions
 from mcrim_mitsuba.runs.executors import Content, HandingExecutor, Task, Track, Unit, pickled
 
@@ -25,6 +27,9 @@ if TYPE_CHECKING:
 ANSWER_S, LOOK_S = 10.0, 1.0
 #: Units that are handed out ahead, per thread of the workers, and at least.
 AHEAD, LEAST_AHEAD = 3, 8
+_FILE = "name the one that dask scheduler writes"
+_START = "start one with `dask scheduler`, and give its address, such as tcp://host:8786"
+_LARGEST_MB = 1
 _one_at_a_time = threading.Lock()
 
 
@@ -51,18 +56,24 @@ def connect(address: str) -> Client:
     for name in ("distributed", "distributed.client"):  # the latter has a level of its own
         logging.getLogger(name).setLevel(logging.CRITICAL)
     file = Path(address)
-    given: dict[str, Any] = {"address": address}
     if file.suffix == ".json":
         if not file.is_file():
-            problem = "there is no such file"
-            raise InputError(problem, "name the one that dask scheduler writes", path=file)
-        given = {"scheduler_file": str(file)}
+            raise InputError("there is no such file", _FILE, path=file)
+        try:
+            address = str(json.loads(read_text(file, _LARGEST_MB))["address"])
+        except (ValueError, LookupError, TypeError, RecursionError):
+            raise InputError("this is no file of a scheduler", _FILE, path=file) from None
+    try:
+        # a client of what is no address would wait, and complain at its end
+        distributed.comm.get_address_host_port(address)
+    except ValueError as error:
+        raise InputError(f"no Dask scheduler answers at {address} ({error})", _START) from None
     answer: concurrent.futures.Future[Client] = concurrent.futures.Future()
 
     def ask() -> None:
         try:
             # as Dask's default it would be asked by xarray, too, even when it is lost
-            client = distributed.Client(**given, timeout=ANSWER_S, set_as_default=False)
+            client = distributed.Client(address, timeout=ANSWER_S, set_as_default=False)
             answer.set_result(client)
         except Exception as error:  # of many kinds, from sockets to the parsing of addresses
             answer.set_exception(error)
@@ -75,8 +86,7 @@ def connect(address: str) -> Client:
         why = "what listens there says nothing"
         if answer.done():
             why = (str(error).strip() or type(error).__name__).splitlines()[0]
-    mend = "start one with `dask scheduler`, and give its address, such as tcp://host:8786"
-    raise InputError(f"no Dask scheduler answers at {address} ({why})", mend)
+    raise InputError(f"no Dask scheduler answers at {address} ({why})", _START)
 
 
 class ClusterExecutor(HandingExecutor):

@@ -19,6 +19,7 @@ import numpy as np
 import psutil
 import pytest
 from places import cases_of
+from refusals import refusal
 
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.cli.terminal import progress_log
@@ -216,6 +217,13 @@ def test_refusals(scenes, monkeypatch, mcrim, options, words):
     monkeypatch.setattr(on_cluster, "ANSWER_S", 0.5)
     status, _, error = mcrim("table", scenes / "camoo4.xml", *TABLE, *options)
     assert status == 2 and words in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("content", ['{"address":', "[]", "{}", "\\x00" * 99, "[" * 100_000])
+def test_a_file_of_something_else_is_no_scheduler_s(here, content):
+    Path("rubbish.json").write_text(content)
+    said = refusal(on_cluster.connect, "rubbish.json")
+    assert said.startswith("rubbish.json: this is no file of a scheduler; name the one that dask")
 
 
 def test_something_else_that_listens_is_no_scheduler(scenes):
