@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.app.state import State
+from mcrim_mitsuba.app.state import MALFORMED, State, settings_of
 from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.campaign.editor import (
     campaign_with_effects,
@@ -280,8 +280,12 @@ def read_session(name: str, content: bytes, scene: SceneFile) -> dict[str, Any]:
         fits = document["fits"]
         tables = [document["table"], *(one["readings"] for one in (document, *fits))]
         is_ours = document["format"] == _SESSION and len(fits) <= _MOST_FITS
-        is_ours &= all(isinstance(table, str) for table in tables)
-    except (ValueError, KeyError, TypeError):
+        texts = [*tables, document["measurements"], document["scene"]]
+        is_ours &= all(isinstance(text, str) for text in texts)
+        is_ours &= document["compared"] >= 0 and document["diagnosed"] in (True, False)
+        for one in (document, *fits):
+            settings_of(one["settings"], {}, ())
+    except MALFORMED:
         is_ours = False
     if not is_ours:
         raise InputError(

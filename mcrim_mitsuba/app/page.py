@@ -15,9 +15,8 @@ kinds `slider`, `number`, `known`, `effect`.
 from __future__ import annotations
 
 import base64
-import binascii
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +24,13 @@ import flask
 
 from mcrim_mitsuba.app import layout
 from mcrim_mitsuba.app.session import Session
-from mcrim_mitsuba.app.state import Settings, settings_of
+from mcrim_mitsuba.app.state import MALFORMED, Settings, settings_of
 from mcrim_mitsuba.core.errors import InputError
 
 _Asked = Mapping[str, Any]
+#: What a request may leave out; the types are those of what it says.
+_LEFT_OUT = {"what": "", "name": "", "column": "", "content": "", "known": -1}
+_FILES = ("scene", "campaign", "report", "session")
 
 
 def make_page(session: Session, prefix: str) -> flask.Flask:
@@ -51,18 +53,17 @@ def make_page(session: Session, prefix: str) -> flask.Flask:
 
     @application.post(f"{prefix}predictions")
     def predictions() -> dict[str, Any]:
-        asked = flask.request.get_json()
         with session.lock:
-            settings, number = _settings(asked["settings"], session), asked["settings_number"]
-            return layout.predictions(session, session.remember(settings, number))
+            _, settings = _read(session)
+            return layout.predictions(session, settings)
 
     @application.post(f"{prefix}do")
     def act() -> dict[str, Any]:
-        asked, slip = flask.request.get_json(), ""
+        slip = ""
         with session.lock:
+            asked, settings = _read(session)
             try:
-                settings, number = _settings(asked["settings"], session), asked["settings_number"]
-                actions[asked["what"]](asked, session.remember(settings, number))
+                actions.get(asked["what"], lambda *_: flask.abort(400))(asked, settings)
             except InputError as error:
                 slip = str(error)
             return {**layout.state(session, asked["known"]), "slip": slip}
@@ -85,9 +86,32 @@ def make_page(session: Session, prefix: str) -> flask.Flask:
     return application
 
 
-def _settings(asked: _Asked, session: Session) -> Settings:
-    """What the controls of a page say."""
-    return settings_of(asked, session.state.settings.values, session.bench.effects)
+def _read(session: Session) -> tuple[_Asked, Settings]:
+    """What a page asks for, and the settings that hold; what no page sends is answered by 400."""
+    try:
+        asked = _LEFT_OUT | flask.request.get_json()
+        if any(type(asked[name]) is not type(usual) for name, usual in _LEFT_OUT.items()):
+            flask.abort(400)
+        values, effects = session.state.settings.values, session.bench.effects
+        settings, number = settings_of(asked["settings"], values, effects), asked["settings_number"]
+    except MALFORMED:
+        flask.abort(400)
+    return asked, session.remember(settings, number)
+
+
+def _number(asked: _Asked) -> int:
+    """Of a reading or a fit."""
+    try:
+        return int(asked["name"])
+    except ValueError:
+        flask.abort(400)
+
+
+def _names(asked: _Asked, possible: Collection[str]) -> list[str]:
+    names = asked["name"].split()
+    if not set(names) <= set(possible):
+        flask.abort(400)
+    return names
 
 
 def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
@@ -96,7 +120,7 @@ def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
     def upload(asked: _Asked, _: Settings) -> None:
         try:
             content = base64.b64decode(asked["content"].partition(",")[2], validate=True)
-        except binascii.Error:
+        except ValueError:
             raise InputError("the file did not arrive whole", "open it again") from None
         if asked["name"].lower().endswith(".json"):
             session.take_session(asked["name"], content)
@@ -104,29 +128,33 @@ def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
             session.take_readings(asked["name"], content)
 
     def effect(asked: _Asked, settings: Settings) -> None:
-        name = asked["name"]
-        if name in settings.effects:
-            session.switch_on(name)
-        else:
-            session.switch_off(name)
+        for name in _names(asked, session.bench.effects):
+            if name in settings.effects:
+                session.switch_on(name)
+            else:
+                session.switch_off(name)
+
+    def get(asked: _Asked, settings: Settings) -> None:
+        for name in _names(asked, _FILES):
+            session.offer(name, settings)
 
     def edit(asked: _Asked, _: Settings) -> None:
-        session.edit_reading(int(asked["name"]), asked["column"], str(asked["value"]))
+        session.edit_reading(_number(asked), asked["column"], str(asked.get("value", "")))
 
     return {
         "edit": edit,
-        "copy": lambda asked, _: session.copy_reading(int(asked["name"])),
-        "drop": lambda asked, _: session.drop_reading(int(asked["name"])),
+        "copy": lambda asked, _: session.copy_reading(_number(asked)),
+        "drop": lambda asked, _: session.drop_reading(_number(asked)),
         "fit": lambda _, settings: session.fit(settings),
         "diagnose": lambda _, settings: session.diagnose(settings),
-        "add": lambda asked, settings: session.add(asked["name"].split(), settings),
+        "add": lambda asked, settings: session.add(_names(asked, session.bench.effects), settings),
         "effect": effect,
-        "get": lambda asked, settings: session.offer(asked["name"], settings),
+        "get": get,
         "upload": upload,
         "stop": lambda asked, _: session.jobs.stop(asked["name"] or None),
         "back": lambda *_: session.go_back(),
         "undo": lambda *_: session.undo(),
-        "show": lambda asked, _: session.show_step(int(asked["name"])),
-        "compare": lambda asked, _: session.compare_with(int(asked["name"])),
-        "remove": lambda asked, _: session.remove_step(int(asked["name"])),
+        "show": lambda asked, _: session.show_step(_number(asked)),
+        "compare": lambda asked, _: session.compare_with(_number(asked)),
+        "remove": lambda asked, _: session.remove_step(_number(asked)),
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -186,6 +187,10 @@ class Settings:
         return attributes(self, "effects values fit_scale known")
 
 
+#: What reading a document raises that has another form than it should.
+MALFORMED = (LookupError, TypeError, ValueError, AttributeError, RecursionError)
+
+
 def settings_of(
     asked: Mapping[str, Any], values: Mapping[str, float], possible: Container[str]
 ) -> Settings:
@@ -202,7 +207,7 @@ def settings_of(
     """
 
     def is_number(value: object) -> bool:
-        return isinstance(value, (int, float)) and math.isfinite(value)
+        return isinstance(value, (int, float)) and abs(value) <= sys.float_info.max
 
     moved = {n: float(v) for n, v in asked["values"].items() if n in values and is_number(v)}
     known = {}

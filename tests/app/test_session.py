@@ -1,5 +1,6 @@
 """The page's session without a browser: what its fits use, and what it keeps."""
 
+import base64
 import io
 import json
 import threading
@@ -10,8 +11,9 @@ from dataclasses import replace
 
 import pytest
 
-from mcrim_mitsuba.app import layout
+from mcrim_mitsuba.app import access, layout
 from mcrim_mitsuba.app.jobs import Job, Jobs
+from mcrim_mitsuba.app.page import make_page
 from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.app.state import HELD, PRIOR, Known
 from mcrim_mitsuba.campaign.campaign import read_campaign
@@ -380,9 +382,73 @@ def test_a_session_is_kept_in_a_file(files, scenes):
         assert again.settings.known["alpha_abs_per_cm"].how == HELD
 
         changed = json.loads(content) | {"fits": [{"settings": {}}]}
-        for bad in (b"{}", b"PNG", b"[1]", json.dumps(changed).encode()):
+        number = json.loads(content) | {"measurements": 5}
+        documents = [json.dumps(document).encode() for document in (changed, number)]
+        for bad in (b"{}", b"PNG", b"[1]", b"[" * 100_000, *documents):
             with pytest.raises(InputError, match=r"mine.json: this is not a session of the page"):
                 other.take_session("mine.json", bad)
         strange = json.dumps(json.loads(content) | {"scene_hash": "other"}).encode()
         with pytest.raises(InputError, match=r"the session is of another scene, camoo4\.xml"):
             other.take_session("mine.json", strange)
+
+
+@pytest.fixture
+def post(scenes, tmp_path):
+    """Send the page of a session that simulates nothing a body; status and text of the answer."""
+    session = Session(read_campaign(scenes / "camoo4_misfit.toml"), Run(), tmp_path)
+    session.jobs.close(60)
+    page = make_page(session, "/key/")
+    page.register_error_handler(Exception, access._one_line)
+    sent = {"settings": session.state.settings.to_json(), "settings_number": 1}
+
+    def send(address, body, **more):
+        text = body if isinstance(body, str) else json.dumps(sent | body | more)
+        kind = "application/json"
+        answer = page.test_client().post(f"/key/{address}", data=text, content_type=kind)
+        return answer.status_code, answer.get_data(as_text=True)
+
+    return send
+
+
+def no_settings(**changes):
+    return {"settings": {"effects": [], "values": {}, "fit_scale": True, "known": {}} | changes}
+
+
+@pytest.mark.parametrize("body", [
+    "{}", "[]", "[[]]", "null", "5", '"do"', "", "{", "[" * 100_000, {"settings": []},
+    {"settings": {}}, no_settings(values=[]), no_settings(known={"alpha_scat_per_cm": 5}),
+    no_settings(effects=5), no_settings(effects=[[]]),
+], ids=lambda body: str(body)[:40])  # fmt: skip
+def test_bodies_that_no_page_sends_are_bad_requests(post, capsys, body):
+    for address in ("do", "predictions"):
+        assert post(address, body) == (400, "mcrim app: Bad Request\n")
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("asked", [
+    {}, {"what": 5}, {"what": "nothing"}, {"what": "copy", "name": "x"},
+    {"what": "drop", "name": "1" * 5000}, {"what": "edit", "name": "0", "column": []},
+    {"what": "show", "name": ""}, {"what": "compare", "name": None}, {"what": "remove"},
+    {"what": "stop", "name": 5}, {"what": "add", "name": "nothing"}, {"what": "add", "name": []},
+    {"what": "get", "name": "../x"}, {"what": "upload", "content": 5}, {"what": [], "known": 0},
+    {"what": "stop", "known": "x"}, {"what": "effect", "name": "nothing"},
+], ids=str)  # fmt: skip
+def test_what_no_page_asks_for_is_a_bad_request(post, capsys, asked):
+    assert post("do", asked) == (400, "mcrim app: Bad Request\n")
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(("name", "content", "slip"), [
+    ("mine.json", b"[" * 100_000, "mine.json: this is not a session of the page"),
+    ("mine.csv", b"[" * 100_000, "mine.csv, line 1"),
+    ("mine.csv", None, "the file did not arrive whole"),
+])  # fmt: skip
+def test_uploads_of_rubbish_are_refused_in_a_line(post, capsys, name, content, slip):
+    coded = "é" if content is None else base64.b64encode(content).decode()
+    status, text = post("do", {"what": "upload", "name": name, "content": f"data:,{coded}"})
+    assert status == 200 and json.loads(text)["slip"].startswith(slip)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_number_beyond_all_is_left_alone(post):
+    assert post("predictions", no_settings(values={"alpha_scat_per_cm": 10**400}))[0] == 200
