@@ -496,7 +496,8 @@ def end_cones(bench: Bench, rules: Rules) -> EndCones:
     )
     cos = np.sqrt(1.0 - (sine / n) ** 2)
     weight = 2.0 / math.pi * weight / (n * n * cos)
-    over = np.stack((np.cos(azimuth), np.sin(azimuth)))
+    over_x, over_y = np.cos(azimuth), np.sin(azimuth)
+    over = np.stack((over_x, over_y))
 
     cos_gap, cos_window = _cosine(sine, n_gap), _cosine(sine, n_window)
     r_crystal, r_window = fresnel(cos, n, n_gap), fresnel(cos_gap, n_gap, n_window)
@@ -525,7 +526,7 @@ def end_cones(bench: Bench, rules: Rules) -> EndCones:
     phase = 2.0 * math.pi / width * (light.shift_mm.T @ every.T)
     once, twice = _crossings(bench, 2 * order, light)
     landed = once[:, *at_wave] * np.exp(1j * phase[:, : len(signed)])
-    leaked = _leaked(bench, rules, first, sine, *over, signed)
+    leaked = _leaked(bench, rules, first, sine, over_x, over_y, signed)
     landed = light.lands[:, None] * landed + leaked
     # down, off the window and up again: (n, m, 2 m - 1)
     shuttle = twice[:, *at_step] * np.exp(1j * (phase[:, : len(signed), None] + phase[:, None]))
@@ -585,7 +586,7 @@ def end_cones(bench: Bench, rules: Rules) -> EndCones:
         coupling[:, here, here] -= (own[among] - r_crystal).T
         coupling = without_beyond(coupling)
     return EndCones(
-        first, weight, cos, *(sine / n * over), fresnel(cos, n, 1.0), waves, own,
+        first, weight, cos, sine / n * over_x, sine / n * over_y, fresnel(cos, n, 1.0), waves, own,
         coupled, slice(None) if len(among) == len(waves.signed) else among,
         np.ascontiguousarray(coupling.transpose(1, 0, 2)), (enters[:, None] * arrived).T,
     )  # fmt: skip
