@@ -23,6 +23,8 @@ from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
+# Standard errors outside the bounds that chance may take a measured prior.
+_FARTHEST_PRIOR = 3.0
 #: How names of scattering coefficients begin.
 _SCATTERING = "alpha_scat"
 
@@ -142,6 +144,13 @@ def read_parameter(
         high = usual[1] if high is None else high
     if low >= high:
         raise table.refusal("min", f"min = {low:g} is not below max = {high:g}", "give min < max")
+    if prior is not None and prior_sigma is not None:
+        outside = max(low - prior, prior - high) / prior_sigma
+        if outside > _FARTHEST_PRIOR:
+            away = f"{prior:g} ± {prior_sigma:g}, is far outside {low:g}..{high:g}"
+            problem = f"the prior of {name}, {away}"
+            mend = "check its sign and unit, or give other min and max"
+            raise table.refusal("prior", problem, mend)
     if not low <= start <= high:
         # the prior may come from raw data, and its place with it
         what, mend = (

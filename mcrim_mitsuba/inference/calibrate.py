@@ -118,6 +118,8 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
         solution = {name: (known.value, known.sigma) for name, known in pilot.parameters.items()}
         shares = _shares(campaign, pilot)
     except TooLittleSimulatedError as error:
+        if not error.where:
+            raise
         # a first look may be too poor where the fit leads, but it tells where to look better
         solution = {name: (value, abs(value) / REACH) for name, value in error.where.items()}
         shares = [1.0 / len(first.spent)] * len(first.spent)
@@ -130,6 +132,8 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
         final = _look(campaign, later, *_final_points(campaign, solution, whole), shares)
         found = fit_model(final.model)
     except TooLittleSimulatedError as error:
+        if not error.where:
+            raise
         # the better simulation's solution is another one: once more, around that
         solution |= {n: (v, solution[n][1]) for n, v in error.where.items() if n in solution}
         final = _look(campaign, later, *_final_points(campaign, solution, whole), shares)
@@ -281,8 +285,11 @@ def _final_points(
         value = (whole[0] + whole[1]) / 2
         return [(value, a_a) for a_a in absorption], whole
     value, sigma = found[ALPHA_SCAT]
+    # also where the first look's photons told nothing: there its solution is chance
+    most = campaign.parameters[ALPHA_SCAT].maximum
+    sigma = sigma if sigma < most else value / REACH
     low = max(whole[0], min(value / REACH, max(value - 4 * sigma, 0.0)))
-    high = min(whole[1], max(value * REACH, value + 4 * sigma))
+    high = min(most, max(value * REACH, value + 4 * sigma))
     about = [min(max(value + pull * sigma, low), high) for pull in _ABOUT]
     return [(a_s, a_a) for a_s in about for a_a in absorption], (low, high)
 

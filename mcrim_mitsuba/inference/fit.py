@@ -102,7 +102,8 @@ _NOTABLE_INTERPOLATION = 0.3
 # Part of a parameter's error that the Monte Carlo may make before the reader is told. At a third
 # of it, 1000 synthetic campaigns had pulls 5 % too wide (`scripts/trials closure`).
 _NOTABLE_MONTE_CARLO = 0.25
-# Where there is no p-value, a larger pull says that the model does not describe the readings.
+# Where there is no p-value, a chi2 above the square of this says that the model does not describe
+# the readings.
 _LARGEST_PULL = 3.0
 # Times that a reading is off what the others ask for from which it is no effect, but a slip of
 # writing; and the same of each of two readings, from their middle.
@@ -119,7 +120,7 @@ class TooLittleSimulatedError(InputError):
     Attributes
     ----------
     where : dict of str to float
-        The parameters there.
+        The parameters there; none where more photons would not tell more.
     """
 
     def __init__(
@@ -127,6 +128,10 @@ class TooLittleSimulatedError(InputError):
     ) -> None:
         super().__init__(problem, mend, path=path)
         self.where = where
+
+
+class UndeterminedError(TooLittleSimulatedError):
+    """Readings that do not determine all parameters, or not where the fit ended."""
 
 
 def fit_model(model: Model, *, profile: bool = True) -> Calibration:
@@ -192,10 +197,6 @@ def fit_model(model: Model, *, profile: bool = True) -> Calibration:
     )
 
 
-class UndeterminedError(InputError):
-    """Readings that do not determine all parameters."""
-
-
 def _refuse_undetermined(optimum: Optimum) -> None:
     """Refuse readings that do not determine all parameters.
 
@@ -204,13 +205,12 @@ def _refuse_undetermined(optimum: Optimum) -> None:
     """
     likelihood, information = optimum.statistic.likelihood, optimum.information
     if without := undetermined(information, likelihood.names):
-        problem, mend = (
-            f"the readings do not determine {' and '.join(without)}",
-            "add a reading in another configuration or a prior, or hold one with fixed = true",
-        )
+        path = likelihood.model.campaign.path
         if wish := _wish(optimum):
-            problem, mend = wish, _SWAPPED
-        raise UndeterminedError(problem, mend, path=likelihood.model.campaign.path)
+            raise UndeterminedError(wish, _SWAPPED, optimum.values, path=path)
+        problem = f"the readings do not determine {' and '.join(without)}"
+        mend = "add a reading in another configuration or a prior, or hold one with fixed = true"
+        raise UndeterminedError(problem, mend, {}, path=path)
 
 
 def _trusted(minima: list[Optimum]) -> tuple[list[Optimum], Prediction]:
@@ -244,9 +244,8 @@ def _checked_prediction(best: Optimum) -> Prediction:
         if wish := _wish(best):
             problem, mend = f"{wish}, and there {error.problem}", _SWAPPED
         mend = _lost_point(likelihood, likelihood.model.predict(best.theta)) or mend
-        where = dict(zip(likelihood.names, best.theta.tolist(), strict=True))
         path = likelihood.model.campaign.path
-        raise TooLittleSimulatedError(problem, mend, where, path=path) from None
+        raise TooLittleSimulatedError(problem, mend, best.values, path=path) from None
 
 
 def _wish(best: Optimum) -> str:
@@ -294,20 +293,26 @@ def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> Iterator[
             yield f"a second solution, chi2 {higher:.2f} higher: {where}"
 
 
+def _describes(best: Optimum) -> bool:
+    """Whether readings, and priors, are where the model has them but for chance."""
+    p = p_value(best.chi2, best.statistic.likelihood.ndf)
+    return best.chi2 <= _LARGEST_PULL**2 if p is None else p >= ACCEPTABLE_P
+
+
 def _notes_of_disagreement(
     best: Optimum, p: float | None, rows: tuple[FittedRow, ...], prediction: Prediction
 ) -> Iterator[str]:
     """Whether the model describes the readings at all."""
     likelihood = best.statistic.likelihood
-    worst = max((row for row in rows if row.use), key=lambda row: abs(row.pull))
-    if p is None:
-        agrees, chance = abs(worst.pull) <= _LARGEST_PULL, f"ndf = {likelihood.model.campaign.ndf}"
-    else:
-        agrees, chance = p >= ACCEPTABLE_P, p_equals(p)
-    if not agrees:
+    if not _describes(best):
+        priors = [f"the prior of {name}" for name in likelihood.names]
+        pulls = [*zip(priors, likelihood.prior_pulls(best.theta), strict=True)]
+        pulls += [(row.label, row.pull) for row in rows if row.use]
+        worst, pull = max(pulls, key=lambda known: abs(known[1]))
+        chance = f"ndf = {likelihood.ndf}" if p is None else p_equals(p)
         yield (
             f"the model does not describe the readings: chi2 = {best.chi2:.3g}, {chance}; the "
-            f"largest pull is that of {worst.label} ({worst.pull:+.1f})"
+            f"largest pull is that of {worst} ({pull:+.1f})"
         )
         if lost_point := _lost_point(likelihood, prediction):
             yield lost_point

@@ -83,8 +83,8 @@ class LeastSquaresProblem(Likelihood):
         self.logarithmic = np.array([kind == "log" for kind in kinds], bool)
         self._reciprocal = np.array([kind == "reciprocal" for kind in kinds], bool)
         self._curved = bool((self.logarithmic | self._reciprocal).any())
-        minimum = self.internal(np.array([p.minimum for p in self.free]))
-        maximum = self.internal(np.array([p.maximum for p in self.free]))
+        self._bounds = tuple(np.array([(p.minimum, p.maximum) for p in self.free]).reshape(-1, 2).T)
+        minimum, maximum = map(self.internal, self._bounds)
         self.low, self.high = np.minimum(minimum, maximum), np.maximum(minimum, maximum)
         self._priors = np.flatnonzero(self.prior_weight)
         self._prior_rows = np.zeros((len(self._priors), len(self.free)))
@@ -143,6 +143,8 @@ class LeastSquaresProblem(Likelihood):
         if self._curved:
             theta[self.logarithmic] = np.exp(theta[self.logarithmic])
             theta[self._reciprocal] = 1.0 / theta[self._reciprocal]
+            # a bound's logarithm may come back as a number beyond it
+            theta = np.clip(theta, *self._bounds)
         return theta
 
     def slopes_of_external(self, theta: Array) -> Array:

@@ -252,6 +252,11 @@ class Optimum:
     at_bound: tuple[str | None, ...]
 
     @property
+    def values(self) -> dict[str, float]:
+        """Parameters by name."""
+        return dict(zip(self.statistic.likelihood.names, self.theta.tolist(), strict=True))
+
+    @property
     def information(self) -> Array:
         """(free, free) Fisher information, priors included."""
         return self.statistic.information(self.theta)
@@ -381,7 +386,9 @@ def _internal(parameter: CampaignParameter, value: float) -> float:
 
 
 def _external_value(parameter: CampaignParameter, x: float) -> float:
-    return math.exp(x) if parameter.logarithmic else float(x)
+    value = math.exp(x) if parameter.logarithmic else float(x)
+    # the logarithm of a bound may come back as a number beyond it
+    return min(max(value, parameter.minimum), parameter.maximum)
 
 
 def _external(statistic: FrozenStatistic, x: Array) -> Array:

@@ -95,6 +95,20 @@ def test_a_misfit_is_not_lessened_by_poor_simulations(campaign):
     assert abs(value.value - best.x[0]) < value.sigma
 
 
+@pytest.mark.parametrize("seed", [0, 3])
+def test_swapped_rows_have_one_verdict(campaign, seed):
+    """The fit ends at 10 /cm, where a first look's photons, of up to 8 /cm, tell nothing."""
+    result = calibrate(
+        campaign("air,24.5,0.2,1.00\ngel,14.3,0.4,1.46\n"), run=Run(2_000_000, seed=seed)
+    )
+    known = result.calibration.parameters["alpha_scat_per_cm"]
+    assert known.at_bound == "max" and known.sigma < 10
+    assert "the readings ask for more scattering than" in result.calibration.notes[0]
+    assert result.calibration.chi2 > 1000
+    for profile in result.profiles:
+        assert np.all(np.diff(profile.values) > 0)
+
+
 #: By the NumPy tracer with nothing hidden (600,000 photons a reading, alpha_scat 0.45 /cm,
 #: alpha_abs 0.036 /cm, a scale of 40), and a Gaussian error of 0.7 %.
 AT_THE_EDGE = """\

@@ -25,6 +25,7 @@ from mcrim_mitsuba.efficiency.surface import InterpolatedSurface, axes_for
 from mcrim_mitsuba.inference import likelihood as search
 from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.model import CampaignModel
+from mcrim_mitsuba.inference.profiles import profiles_of
 from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
 from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
@@ -545,6 +546,25 @@ def test_swapped_rows_are_told(campaign):
     assert f"the largest pull is that of {worst.label} ({worst.pull:+.1f})" in notes
 
 
+def test_a_prior_that_the_fit_cannot_keep_is_a_misfit(campaign):
+    known = campaign(ALPHA + PRIOR).with_priors({ALPHA_ABS: (5.0, 0.012)})
+    result = fit_campaign(known, couplings(), profile=False)
+    pull = (result.parameters[ALPHA_ABS].value - 5.0) / 0.012
+    assert result.ndf == 0 and max(abs(row.pull) for row in result.rows) < abs(pull)
+    says = f"the largest pull is that of the prior of {ALPHA_ABS} ({pull:+.1f})"
+    assert any(note.startswith("the model does not") and says in note for note in result.notes)
+
+
+def test_profiles_where_a_parameter_sits_at_its_bound(campaign):
+    """exp(log(10)) is beyond 10, the bound."""
+    model = CampaignModel(campaign(ALPHA, TWO.replace("14.3", "24.5")), couplings())
+    result = fit_model(model)
+    assert result.parameters[ALPHA_SCAT].at_bound == "max"
+    profile = profiles_of(model, result)[0]
+    assert np.all(np.diff(profile.values) > 0) and profile.values[-1] == 10.0
+    assert profile.ends[1] == "max" and profile.crossings(1.0)[1] is None
+
+
 def test_an_outlier_is_told_and_agreement_is_not(campaign):
     third = TWO + "oil,{},0.4,1.46\n"
     good = fit_campaign(campaign(ALPHA, third.format(24.5)), couplings(), profile=False)
@@ -580,10 +600,9 @@ def test_rounding_is_no_contribution(campaign):
 
 def test_absorption_stops_at_zero(campaign):
     rows = TWO.replace("14.3", "15.5")
-    text = (
-        ALPHA + "[parameters.alpha_abs_per_cm]\nstart = 0.0\nprior = -0.01\nprior_sigma = 0.002\n"
-    )
-    estimate = fit_campaign(campaign(text, rows), couplings()).parameters[ALPHA_ABS]
+    # as files cannot have it: five standard errors out
+    known = campaign(ALPHA + PRIOR, rows).with_priors({ALPHA_ABS: (-0.01, 0.002)})
+    estimate = fit_campaign(known, couplings()).parameters[ALPHA_ABS]
     assert (estimate.at_bound, estimate.lower) == ("min", 0.0)
     assert 0 <= estimate.value < 1e-4 and estimate.upper < 0.002
 
