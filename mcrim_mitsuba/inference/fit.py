@@ -103,7 +103,7 @@ _NOTABLE_INTERPOLATION = 0.3
 # of it, 1000 synthetic campaigns had pulls 5 % too wide (`scripts/trials closure`).
 _NOTABLE_MONTE_CARLO = 0.25
 # Where there is no p-value, a chi2 above the square of this says that the model does not describe
-# the readings.
+# the readings; a prior that is pulled less is not named.
 _LARGEST_PULL = 3.0
 # Times that a reading is off what the others ask for from which it is no effect, but a slip of
 # writing; and the same of each of two readings, from their middle.
@@ -305,9 +305,9 @@ def _notes_of_disagreement(
     """Whether the model describes the readings at all."""
     likelihood = best.statistic.likelihood
     if not _describes(best):
-        priors = [f"the prior of {name}" for name in likelihood.names]
-        pulls = [*zip(priors, likelihood.prior_pulls(best.theta), strict=True)]
-        pulls += [(row.label, row.pull) for row in rows if row.use]
+        pulls = [(row.label, row.pull) for row in rows if row.use]
+        priors = zip(likelihood.names, likelihood.prior_pulls(best.theta), strict=True)
+        pulls += [(f"the prior of {n}", pull) for n, pull in priors if abs(pull) > _LARGEST_PULL]
         worst, pull = max(pulls, key=lambda known: abs(known[1]))
         chance = f"ndf = {likelihood.ndf}" if p is None else p_equals(p)
         yield (
