@@ -28,11 +28,13 @@ import platformdirs
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import read_bytes
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT
 from mcrim_mitsuba.runs import cache_files
 from mcrim_mitsuba.runs.cache_files import Chunk, decode, encode
 from mcrim_mitsuba.transport.variants import software_versions
 
+_LIMIT_MB = 1
 _PACKAGE = Path(__file__).parents[1]
 #: That numbers come from.
 _LIBRARIES = frozenset({"drjit", "iminuit", "matplotlib", "mitsuba", "numpy", "scipy", "xraydb"})
@@ -52,13 +54,13 @@ def record_versions(variant: str, *modules: str) -> dict[str, str]:
     Raises
     ------
     InputError
-        If the variant needs LLVM and there is none.
+        If the variant needs LLVM and there is none, or a file cannot be read any more.
     """
-    files = {module for module in modules if module.endswith(".py")}
-    imports = set[str]().union(*(_code_and_imports(Path(file), "")[1] for file in files))
+    files = {Path(file): content for file, content in map(_as_it_is, modules) if content}
+    imports = set[str]().union(*(_code_and_imports(f, "", files[f])[1] for f in files))
     shared = {name for name in imports if name.startswith(_PACKAGE.name)}
-    names = sorted(shared.union(modules) - files)
-    source_hash, libraries = _closure(tuple((name, 0) for name in names))
+    names = sorted(shared.union(modules) - {*map(str, files)})
+    source_hash, libraries = _closure(tuple((name, b"") for name in names))
     versions = {name: importlib.metadata.version(name) for name in sorted(libraries)}
     versions |= software_versions(variant)
     versions |= {"variant": variant, "machine": platform.machine()}
@@ -117,10 +119,19 @@ def code_hash(modules: Iterable[str]) -> str:
     Parameters
     ----------
     modules : iterable of str
-        By name, or a user's own files, which are read again when they have changed.
+        By name, or a user's own files, which may change while this process goes on.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read any more.
     """
-    files = {module: module.endswith(".py") for module in sorted(modules)}
-    return _closure(tuple((m, os.stat(m).st_mtime_ns if files[m] else 0) for m in files))[0]
+    return _closure(tuple(map(_as_it_is, sorted(modules))))[0]
+
+
+def _as_it_is(module: str) -> tuple[str, bytes]:
+    """A module, and the content of a user's own file."""
+    return module, read_bytes(Path(module), _LIMIT_MB) if module.endswith(".py") else b""
 
 
 #: Docstrings, comments and empty lines; groups hold what stays, strings among it. To parse code
@@ -144,9 +155,9 @@ def _without_comments(code: str) -> str:
 
 
 @functools.cache
-def _code_and_imports(file: Path, package: str, changed_ns: int = 0) -> tuple[str, set[str]]:
-    """What counts of a module since its last change, and the names of all that it imports."""
-    code, imports = _without_comments(file.read_text("utf-8")), set[str]()
+def _code_and_imports(file: Path, package: str, content: bytes) -> tuple[str, set[str]]:
+    """What counts of a module, whose content may be known, and names of all that it imports."""
+    code, imports = _without_comments((content or file.read_bytes()).decode()), set[str]()
     for home, words in _IMPORT.findall(_ONLY_FOR_TYPES.sub("", code)):
         start = f"{importlib.util.resolve_name(home, package)}." if home else ""
         parts = (word.split() for word in words.strip("()").split(","))
@@ -156,19 +167,19 @@ def _code_and_imports(file: Path, package: str, changed_ns: int = 0) -> tuple[st
 
 
 @functools.cache
-def _closure(starts: tuple[tuple[str, int], ...]) -> tuple[str, frozenset[str]]:
+def _closure(starts: tuple[tuple[str, bytes], ...]) -> tuple[str, frozenset[str]]:
     """The hash of modules and of all that they import, and the libraries that these import."""
-    changes_ns, codes = dict(starts), dict[str, str]()
-    files = {name: Path(name) for name in changes_ns if name.endswith(".py")}
-    for root in {_PACKAGE.name, *(name.partition(".")[0] for name in changes_ns.keys() - files)}:
+    contents, codes = dict(starts), dict[str, str]()
+    files = {name: Path(name) for name in contents if name.endswith(".py")}
+    for root in {_PACKAGE.name, *(name.partition(".")[0] for name in contents.keys() - files)}:
         files |= _files(root)
-    reached, todo = set[str](), _on_the_way(changes_ns)
+    reached, todo = set[str](), _on_the_way(contents)
     while todo:
         reached |= todo
         imports = set[str]()
         for name in todo & files.keys():
             package = name if files[name].stem == "__init__" else name.rpartition(".")[0]
-            codes[name], names = _code_and_imports(files[name], package, changes_ns.get(name, 0))
+            codes[name], names = _code_and_imports(files[name], package, contents.get(name, b""))
             imports |= names
         todo = _on_the_way(imports) - reached
     digest = hashlib.sha256()

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.effects.effect import modules_of
 from mcrim_mitsuba.efficiency.eta_grid import TableUnit
@@ -172,6 +173,9 @@ def test_effects_count_by_what_they_are_now_and_import(tmp_path):
     # a worker, which gets the file itself, must have what it imports
     named = record_versions("llvm_ad_rgb", TableUnit.__module__, *modules_of([effect]))["modules"]
     assert "mcrim_mitsuba.optics.fresnel.reflectance" in named and "spot" not in named
+    (tmp_path / "there" / "spot.py").unlink()
+    with pytest.raises(InputError, match=r"spot\.py"):
+        code_hash(modules_of([effect]))
     for name, effect in catalogue().items():
         assert f"mcrim_mitsuba.effects.{name}" in modules_of([effect])
 
