@@ -1,7 +1,12 @@
 """``python -m mcrim_mitsuba`` is the ``mcrim`` command."""
 
+import signal
 import sys
 
-from mcrim_mitsuba.cli.main import main
+# until the command takes them, signals end the process in silence: Python would show what it loads
+signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-sys.exit(main())
+from mcrim_mitsuba.cli.main import main  # noqa: E402
+
+if __name__ == "__main__":
+    sys.exit(main())

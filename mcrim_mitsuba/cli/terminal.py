@@ -298,7 +298,7 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         nonlocal interrupts
         received.append(number)
         interrupts = (BaseException,)  # libraries make anything of it
-        raise KeyboardInterrupt
+        raise _InterruptError
 
     # A batch system's SIGTERM is an interrupt too, and shells let background jobs ignore SIGINT:
     # either way what was done is reported. Only nohup means it.
@@ -350,6 +350,10 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
     finally:
         if arguments is None:
             _ignore_signals()
+
+
+class _InterruptError(KeyboardInterrupt):
+    """An interrupt; Python's own, where it ends an `exec`, lets the process die of SIGINT."""
 
 
 class _Stream(io.TextIOWrapper):

@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 from signal import SIGHUP, SIGINT, SIGTERM
 
 import pytest
@@ -50,6 +51,25 @@ def test_signals_wait_for_mitsuba(scenes, here, number, place, verb):
     done = subprocess.run(line, stderr=subprocess.PIPE, text=True, check=False)
     said = "mcrim: interrupted before there was a result\n"
     assert (done.returncode, done.stderr.lstrip()) == (128 + number, said)
+
+
+def test_the_status_is_of_the_signal_where_exec_is_interrupted(here):
+    """As it is while a dataclass is made: Python kept the interrupt in mind, and died of SIGINT."""
+    Path("job.py").write_text(
+        "import click, os, sys\n"
+        "from mcrim_mitsuba.cli.terminal import run\n"
+        "command = click.command()(lambda: exec('os.kill(os.getpid(), 15); 1'))\n"
+        "sys.exit(run(command, 'mcrim'))"
+    )
+    done = subprocess.run([sys.executable, "-m", "job"], check=False)
+    assert done.returncode == 128 + SIGTERM
+
+
+def test_a_signal_before_the_command_has_begun_ends_it_in_silence():
+    code = COMMAND.replace("from mcrim_mitsuba.cli.main", "from mcrim_mitsuba.__main__")
+    line = [sys.executable, "-c", code, str(int(SIGINT)), "click/__init__.py:<module>", "--version"]
+    done = subprocess.run(line, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (-SIGINT, "", "")
 
 
 def test_a_signal_that_waits_comes_at_the_end_and_before_all_else():

@@ -62,7 +62,7 @@ def test_it_says_what_it_is(wheel):
     assert set(known.get_all("Provides-Extra")) == set(project["optional-dependencies"])
     assert known.get_all("Classifier") == project["classifiers"]
     assert "Apache License" in metadata(wheel, "licenses/LICENSE")
-    assert "mcrim = mcrim_mitsuba.cli.main:main" in metadata(wheel, "entry_points.txt")
+    assert "mcrim = mcrim_mitsuba.__main__:main" in metadata(wheel, "entry_points.txt")
 
 
 def test_one_version_everywhere():
