@@ -76,18 +76,20 @@ def imported(package: Path, start: str) -> set[Path]:
 
 
 def constants(file: Path) -> list[ast.Constant]:
-    """Numbers of a module."""
-    kinds = (int, float)
-    nodes = ast.walk(ast.parse(file.read_text()))
-    return [n for n in nodes if isinstance(n, ast.Constant) and type(n.value) in kinds]
+    """Numbers of a module, those within formatted strings left out."""
+    tree = ast.parse(file.read_text())
+    strings = (node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr))
+    hidden = {part for string in strings for part in ast.walk(string)}
+    numbers = (node for node in ast.walk(tree) if isinstance(node, ast.Constant))
+    return [n for n in numbers if type(n.value) in (int, float) and n not in hidden]
 
 
 def changed(file: Path, draw: random.Random) -> str:
     """A module's text with one number changed."""
     number = draw.choice(constants(file))
     lines = file.read_bytes().splitlines(keepends=True)
-    line = lines[number.lineno - 1]
-    lines[number.lineno - 1] = line[: number.end_col_offset] + b"7" + line[number.end_col_offset :]
+    line, value = lines[number.lineno - 1], repr(number.value + 1).encode()
+    lines[number.lineno - 1] = line[: number.col_offset] + value + line[number.end_col_offset :]
     return b"".join(lines).decode()
 
 
