@@ -256,13 +256,10 @@ def _wish(best: Optimum) -> str:
     place = likelihood.names.index(ALPHA_SCAT)
     value, side, bounds = best.theta[place], best.at_bound[place], likelihood.free[place]
     edge = (bounds.maximum / bounds.minimum) ** _EDGE
-    if side == "max" or value > bounds.maximum / edge:
-        more = "more"
-    elif side == "min" or value < bounds.minimum * edge:
-        more = "less"
-    else:
+    if side is None and bounds.minimum * edge <= value <= bounds.maximum / edge:
         return ""
-    return f"the readings ask for {more} scattering than the bounds allow"
+    more = side == "max" or (side is None and value > bounds.maximum / edge)
+    return f"the readings ask for {'more' if more else 'less'} scattering than the bounds allow"
 
 
 def _notes_of_raw_data(

@@ -301,8 +301,11 @@ def settle(problem: LeastSquaresProblem, theta: Array) -> Fit:
         theta, chi2, converged = descend(problem, theta, weights)
         prediction = problem.model.predict(theta)
         slopes = prediction.signal_slopes[problem.used]
-        curvatures = ((weights.whitener @ slopes) ** 2).sum(axis=0) + problem.prior_weight
-        sides = tuple(map(problem.side, range(len(theta)), theta, curvatures))
+        whitened = weights.whitener @ slopes
+        curvatures = (whitened**2).sum(axis=0) + problem.prior_weight
+        rise = (theta - problem.prior) * problem.prior_weight
+        rise -= whitened.T @ (weights.whitener @ problem.residuals(prediction))
+        sides = tuple(map(problem.side, range(len(theta)), theta, curvatures, rise))
         fit = Fit(
             problem, theta, chi2, errors, weights, prediction.signal, slopes, converged, sides
         )

@@ -162,14 +162,18 @@ class Likelihood:
         """(free,) distance from the prior in its sigmas; 0 without a prior."""
         return (theta - self.prior) * np.sqrt(self.prior_weight)
 
-    def side(self, place: int, value: float, curvature: float) -> str | None:
-        """The bound that a parameter has reached, if any; the curvature is 1 / sigma^2."""
+    def side(self, place: int, value: float, curvature: float, slope: float) -> str | None:
+        """The bound that a parameter has reached, if any.
+
+        The curvature is 1 / sigma^2; of two bounds within reach it is the one that the slope of
+        chi2 leads to.
+        """
         close = _AT_BOUND / math.sqrt(curvature) if curvature > 0 else 0.0
-        if value - self.free[place].minimum <= close:
-            return "min"
-        if self.free[place].maximum - value <= close:
-            return "max"
-        return None
+        at_minimum = value - self.free[place].minimum <= close
+        at_maximum = self.free[place].maximum - value <= close
+        if at_minimum and at_maximum:
+            return "max" if slope < 0 else "min"
+        return "min" if at_minimum else "max" if at_maximum else None
 
 
 class FrozenStatistic:
@@ -322,7 +326,8 @@ def _descend(likelihood: Likelihood, theta: Array) -> Optimum:
         information = statistic.information(theta)
         if _distance(theta, before, information) < SETTLED:
             break
-    sides = map(likelihood.side, range(len(theta)), theta, np.diag(information))
+    slopes = statistic.gradient(theta)
+    sides = map(likelihood.side, range(len(theta)), theta, np.diag(information), slopes)
     return Optimum(theta, chi2, statistic, converged, tuple(sides))
 
 

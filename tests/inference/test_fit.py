@@ -24,6 +24,7 @@ from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.efficiency.surface import InterpolatedSurface, axes_for
 from mcrim_mitsuba.inference import likelihood as search
 from mcrim_mitsuba.inference.fit import fit_model
+from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, fit_from_scratch
 from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.inference.profiles import profiles_of
 from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
@@ -533,6 +534,23 @@ def test_a_bound_that_stops_the_fit_is_named(campaign):
     assert fit_campaign(campaign(held), couplings()).chi2 - result.chi2 == pytest.approx(
         1, abs=0.01
     )
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "says"),
+    [
+        (0.3, 0.30000001, "max = 0.3; the readings ask for more"),
+        (2.0, 2.00000001, "min = 2; the readings ask for less"),
+    ],
+)
+def test_of_bounds_that_touch_that_one_stops_to_which_the_readings_push(campaign, low, high, says):
+    text = ALPHA.replace("max = 10.0", f"max = {high}").replace("min = 0.01", f"min = {low}")
+    text = text.replace("start = 0.5", f"start = {low}")
+    notes = fit_campaign(campaign(text), couplings(), profile=False).notes
+    assert f"alpha_scat_per_cm ended at its bound {says} scattering" in " | ".join(notes)
+    problem = LeastSquaresProblem(CampaignModel(campaign(text), couplings()))
+    fit = fit_from_scratch(problem)
+    assert fit.at_bound[problem.index(ALPHA_SCAT)] == says[:3]
 
 
 def test_swapped_rows_are_told(campaign):
