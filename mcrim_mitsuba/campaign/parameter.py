@@ -160,6 +160,9 @@ def read_parameter(
         )
         problem = f"{what} outside {low:g}..{high:g}"
         raise table.refusal("start", problem, f"{mend} other min and max")
+    if name == SCALE and fixed and start <= 0:
+        problem = f"the scale is held at {start:g}: no signal would be above 0"
+        raise table.refusal("start", problem, "give a number above 0, or fit it")
     return CampaignParameter(name, float(start), low, high, prior, prior_sigma, fixed)
 
 
