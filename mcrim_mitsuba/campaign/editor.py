@@ -31,7 +31,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.reduction import RawData, ReducedAbsorption, ReducedReading
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
 from mcrim_mitsuba.core.errors import InputError, visible
-from mcrim_mitsuba.core.files import attributes, read_text, write_text
+from mcrim_mitsuba.core.files import attributes, beside, read_text, write_text
 from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
 from mcrim_mitsuba.core.rounding import pdg
 
@@ -148,10 +148,10 @@ def _document(
             continue
         given = table.get(name)
         if isinstance(given, str):
-            table[name] = relative(campaign.path.parent / given)
+            table[name] = relative(beside(campaign.path, given))
         elif isinstance(given, list):
             for place, one in enumerate(given):
-                given[place] = relative(campaign.path.parent / one)
+                given[place] = relative(beside(campaign.path, one))
     return document
 
 

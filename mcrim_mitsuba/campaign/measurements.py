@@ -11,6 +11,7 @@ from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
 from mcrim_mitsuba.core.files import (
+    beside,
     first_duplicates,
     is_there,
     look_around,
@@ -339,7 +340,7 @@ class _Cells(dict[str, str]):
             if self.get(number):
                 problem = f"{number} beside a histogram, which gives it"
                 raise self.refusal(number, problem, f"empty the cell, or that of {_HISTOGRAM}")
-        path = self.path.parent / name
+        path = beside(self.path, name)
         if not is_there(path):
             problem = f"{name} does not exist"
             mend = look_around(path, f"paths are relative to {self.path.name}")

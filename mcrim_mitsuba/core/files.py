@@ -106,6 +106,13 @@ def files_written() -> contextlib.AbstractContextManager[list[Path]]:
     return _collected(_writes)
 
 
+def beside(path: Path, name: str) -> Path:
+    """A file that another one names, whose folder may be that of a link or of what it links to."""
+    linked = path.parent / name
+    itself = resolved(path).parent / name
+    return itself if is_there(itself) and not is_there(linked) else linked
+
+
 def read_bytes(path: Path, limit_mb: int) -> bytes:
     """Content of a file of at most `limit_mb` megabytes.
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
-from mcrim_mitsuba.core.files import read_text
+from mcrim_mitsuba.core.files import beside, read_text
 from mcrim_mitsuba.core.numbers import parse_number
 
 _LIMIT_MB = 1
@@ -98,7 +98,7 @@ class TomlTable(dict[str, Any]):
         """
         if not isinstance(given, str) or not given:
             raise self.refusal(name, f"{name} is not a path", f'write {name} = "..."')
-        return self.document.path.parent / given
+        return beside(self.document.path, given)
 
     def number(self, name: str) -> float | None:
         """A finite number as float; None if it is not there.

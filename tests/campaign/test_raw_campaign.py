@@ -152,6 +152,22 @@ def test_a_campaign_that_goes_on_elsewhere_finds_its_raw_data(folder, tmp_path):
     assert same_fit(campaign, read.with_starts({"alpha_scat_per_cm": 0.5}))
 
 
+def test_a_linked_campaign_finds_what_lies_beside_the_file_itself(example, scenes, tmp_path):
+    link = tmp_path / "link.toml"
+    link.symlink_to(scenes / "camoo4_raw" / "campaign.toml")
+    linked = read_campaign(link)
+    assert same_fit(linked, example)
+    further = tmp_path / "further" / "campaign.toml"
+    further.parent.mkdir()
+    text = campaign_with_effects(linked, further, linked.scene.path, {})
+    further.write_text(text, encoding="utf-8")
+    assert same_fit(read_campaign(further), example)
+    # what lies beside the link comes first
+    (tmp_path / "mountings.csv").symlink_to(scenes / "camoo4_raw" / "mountings.csv")
+    (tmp_path / "gel_1.csv").write_text("no histogram")
+    assert f"{tmp_path / 'gel_1.csv'}: no row of numbers" in refusal(read_campaign, link)
+
+
 def test_the_app_s_archive_holds_all_it_needs(folder, tmp_path):
     campaign = read_campaign(folder / "campaign.toml")
     values = {"alpha_scat_per_cm": 0.5, "alpha_abs_per_cm": 0.05, "scale": 57.0}
