@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import itertools
 import json
+import os
 import re
 import shutil
+import sys
 import tempfile
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,6 +38,41 @@ from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import GAP_INDEX, spectrophotometer_of
 
 _LONGEST_NAME = 80
+#: How a page's folder is called, and one that is not locked yet.
+_FOLDER, _UNLOCKED = "mcrim_app_", "mcrim_new_"
+
+
+@contextlib.contextmanager
+def page_folder() -> Iterator[Path]:
+    """A temporary folder that goes with the page; those of pages that were killed go first."""
+    if sys.platform == "win32":  # has no locks on folders: what a killed page leaves stays
+        with tempfile.TemporaryDirectory(prefix=_FOLDER) as name:
+            yield Path(name)
+        return
+    for left in Path(tempfile.gettempdir()).glob(f"{_FOLDER}*"):
+        # of a page that lives, or of another user
+        with contextlib.suppress(OSError), _locked(left):
+            shutil.rmtree(left)
+    folder = Path(tempfile.mkdtemp(prefix=_UNLOCKED))
+    with _locked(folder):
+        folder = folder.rename(folder.with_name(folder.name.replace(_UNLOCKED, _FOLDER, 1)))
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Hold a folder's lock, which ends with the process however that ends; OSError if it is held."""
+    import fcntl
+
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def with_readings(campaign: Campaign, name: str, content: bytes, folder: Path) -> Campaign:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import tempfile
 import webbrowser
-from pathlib import Path
 
 import click
 
@@ -29,6 +27,7 @@ def app(campaign, port, no_browser, run) -> None:
     this machine alone, by the address that is printed; Ctrl-C ends it.
     """
     from mcrim_mitsuba.app.access import new_key, serve
+    from mcrim_mitsuba.app.exchange import page_folder
     from mcrim_mitsuba.app.page import make_page
     from mcrim_mitsuba.app.session import Session
 
@@ -40,8 +39,8 @@ def app(campaign, port, no_browser, run) -> None:
         if not no_browser:
             webbrowser.open(address)
 
-    with tempfile.TemporaryDirectory(prefix="mcrim_app_") as folder:
-        session = Session(read, run, Path(folder))
+    with page_folder() as folder:
+        session = Session(read, run, folder)
         try:
             serve(make_page(session, f"/{key}/"), port=port, key=key, on_ready=ready)
         finally:
