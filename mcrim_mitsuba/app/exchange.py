@@ -30,7 +30,7 @@ from mcrim_mitsuba.campaign.editor import (
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import json_text
+from mcrim_mitsuba.core.files import json_text, write_bytes, write_text
 from mcrim_mitsuba.core.numbers import value_text
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.repair import mended_scene, rounded, scene_text
@@ -64,7 +64,7 @@ def page_folder() -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Hold a folder's lock, which ends with the process however that ends; OSError if it is held."""
+    """Hold a folder's lock, which ends with the process however it ends; OSError if it is held."""
     import fcntl
 
     descriptor = os.open(folder, os.O_RDONLY)
@@ -94,8 +94,8 @@ def with_readings(campaign: Campaign, name: str, content: bytes, folder: Path) -
     """
     place = Path(tempfile.mkdtemp(dir=folder))
     readings, target = place / safe_name(name, ".csv"), place / safe_name(campaign.path.name, "")
-    readings.write_bytes(content)
-    target.write_text(campaign_with_measurements(campaign, target, readings), encoding="utf-8")
+    write_bytes(readings, content)
+    write_text(target, campaign_with_measurements(campaign, target, readings))
     try:
         return read_campaign(target)
     except InputError as error:

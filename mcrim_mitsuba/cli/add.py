@@ -44,7 +44,7 @@ def _listing() -> str:
               help="The new scene; - for the screen. Never replaces a file.")  # fmt: skip
 @click.option("-D", "values", multiple=True, metavar="NAME=VALUE", callback=options.read_defines,
               help="A value of the effect (may be repeated); mm, 1/cm.")  # fmt: skip
-@click.option("--effects-folder", "folder", type=click.Path(), metavar="DIR",
+@click.option("--effects-folder", "folder", type=options.Folder(), metavar="DIR",
               help="Folder of effects of your own (*.py, which are executed).")  # fmt: skip
 @options.trust_effects("--effects-folder")
 def add(effect, scene, path, values, folder) -> None:

@@ -20,6 +20,7 @@ from rich.console import RenderableType
 from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
+from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run
 from mcrim_mitsuba.runs.array_job import (
     DEFAULT_FOLDER,
@@ -114,6 +115,16 @@ class Whole(click.IntRange):
         except click.BadParameter:
             most = "2^63 - 1" if self.max == LARGEST_SEED else self.max
             self.fail(f"{value!r} is not a whole number from {self.min} to {most}", param, ctx)
+
+
+class Folder(click.Path):
+    """A folder; the empty name, often a variable that is not set, would be the one one is in."""
+
+    def convert(self, value, param, ctx):
+        if not value:
+            problem = f"{param.opts[-1]} names no folder"
+            raise InputError(problem, "give its name; . is the one you are in")
+        return super().convert(value, param, ctx)
 
 
 class Share(Written):
@@ -252,12 +263,24 @@ def figure(what: str):
 def machine(function):
     """``--threads`` and ``--variant``."""
     function = click.option(
-        "--threads", type=Whole(1, 1024), help="Processor threads (default: all)."
-    )(function)
+        "--threads", type=Whole(1, 1024), callback=_read_threads,
+        help="Processor threads (default: all).",
+    )(function)  # fmt: skip
     return click.option(
         "--variant", default="llvm_ad_rgb", show_default=True, callback=_read_variant,
         help="Mitsuba variant; cuda_ad_rgb needs an NVIDIA GPU.",
     )(function)  # fmt: skip
+
+
+def _read_threads(ctx, param, value) -> int | None:
+    """Threads of which none waits for another's processor, as a callback of click."""
+    processors = os.cpu_count() or 1
+    if value is None or value <= processors:
+        return value
+    there = counted(processors, "processor")
+    note = f"--threads {value}: this machine has {there}; no more are used"
+    terminal.console("-").say_notes([note])
+    return processors
 
 
 def _read_variant(ctx, param, value) -> str:
@@ -445,7 +468,7 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
             help="Append the progress, unit by unit, to this file.",
         ),
         click.option(
-            "--units", type=click.Path(), metavar="FOLDER", default=DEFAULT_FOLDER,
+            "--units", type=Folder(), metavar="FOLDER", default=DEFAULT_FOLDER,
             show_default=True, help="Folder that the parts of --unit share.",
         ),
         click.option(

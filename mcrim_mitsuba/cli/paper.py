@@ -10,7 +10,7 @@ from mcrim_mitsuba.core.files import make_folder
 
 @click.command(short_help="Reproduce the article: its numbers beside ours.")
 @click.option("-o", "--output", "folder", default="mcrim_paper", show_default=True,
-              type=click.Path(), metavar="FOLDER",
+              type=options.Folder(), metavar="FOLDER",
               help="Where the figures go: PNG, PDF and CSV.")  # fmt: skip
 @click.option("--photons", type=options.PhotonCount(), metavar="COUNT",
               help="Photons of each of four efficiency surfaces (default: 8e6); "

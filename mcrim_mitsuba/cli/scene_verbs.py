@@ -23,7 +23,7 @@ from mcrim_mitsuba.transport.launch_plan import LANES
 
 
 @click.command(short_help="List or copy the scenes and campaigns of the package.")
-@click.option("-o", "--output", "folder", type=click.Path(), metavar="FOLDER",
+@click.option("-o", "--output", "folder", type=options.Folder(), metavar="FOLDER",
               help="Copy all of them there, to be edited; replaces nothing.")  # fmt: skip
 def scenes(folder) -> None:
     """List the scenes, campaigns and measurements that come with the package, or copy them."""

@@ -291,7 +291,8 @@ def make_folder(folder: str | Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         problem = f"the folder cannot be made ({error.strerror or error})"
-        raise InputError(problem, "name one that you may write to", path=folder) from None
+        mend = _MENDS.get(error.errno or 0, "name one that you may write to")
+        raise InputError(problem, mend, path=folder) from None
     return folder
 
 

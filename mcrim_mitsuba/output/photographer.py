@@ -62,12 +62,16 @@ def photograph(scene: SceneFile, run: Run, scale: float) -> Photograph:
         "variant": run.variant, "threads": run.threads, "scale": scale,
     }  # fmt: skip
     command = [sys.executable, "-m", "mcrim_mitsuba.output.photographer"]
-    with tempfile.TemporaryFile() as stdin:  # a pipe would have to be written meanwhile
-        stdin.write(json.dumps(job).encode())
-        stdin.seek(0)
-        return Photograph(
-            subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        )
+    try:
+        with tempfile.TemporaryFile() as stdin:  # a pipe would have to be written meanwhile
+            stdin.write(json.dumps(job).encode())
+            stdin.seek(0)
+            pipe = subprocess.PIPE
+            return Photograph(subprocess.Popen(command, stdin=stdin, stdout=pipe, stderr=pipe))
+    except OSError as error:
+        # a file without a name does not say where it lies
+        place = error.filename or tempfile.gettempdir()
+        raise OSError(error.errno, error.strerror, place) from None
 
 
 def main() -> int:

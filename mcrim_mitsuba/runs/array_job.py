@@ -182,9 +182,8 @@ class PartExecutor(MergingExecutor):
     def make(self, task: Task, threads: int | None) -> dict[int, Chunk]:
         chunks = super().make(task, threads)
         if task.cache.trouble is not None:
-            problem = "a unit could not be kept, and would be lost"
-            mend = "free space there and run this part again"
-            raise InputError(problem, mend, path=task.cache.trouble)
+            mend = "free or unlock this place, and run this part again"
+            raise InputError("a unit would be lost", mend, path=task.cache.trouble)
         self.units, self.photons = self.units + 1, self.photons + task.unit.photons
         return chunks
 

@@ -409,6 +409,10 @@ class RecordCache:
                 )
         except OSError as error:
             self.trouble = _not_writable(root, error)
+            if self._limit_bytes is not None:
+                self.trouble += (
+                    f"; free or unlock this place, or let {FOLDER_VARIABLE} name another folder"
+                )
 
     @property
     def _place_of_all(self) -> Path:
@@ -489,7 +493,4 @@ def _not_writable(cache: Path, error: OSError) -> str:
     lasting = [place for place in places if not cache_files.is_passing(place)]
     place = next(iter(lasting or [place.parent for place in places]), cache)
     where = "" if place == cache else f": {place}"
-    return (
-        f"{cache}: photon records cannot be kept ({cause(error)}{where}); free or unlock "
-        f"this place, or let {FOLDER_VARIABLE} name another folder"
-    )
+    return f"{cache}: photon records cannot be kept ({cause(error)}{where})"

@@ -6,7 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import differs, write_bytes
+from mcrim_mitsuba.core.files import differs, make_folder, write_bytes
 
 
 def scenes_folder() -> Path:
@@ -62,11 +62,7 @@ def copy_scenes(target: str | Path) -> tuple[Path, ...]:
     if taken is not None:
         raise InputError("it is there already", "name another folder", path=taken)
     for path, content in contents.items():
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            problem = f"the folder cannot be made ({error.strerror or error})"
-            raise InputError(problem, "name one that you may write to", path=target) from None
+        make_folder(path.parent)
         if not path.exists():
             write_bytes(path, content)
     return tuple(contents)

@@ -39,3 +39,19 @@ def test_a_longer_name_is_told_to_be_shorter(here):
 def test_the_name_of_a_folder_is_refused_before_the_work(here, mcrim, words):
     assert "names a folder; name a file in it" in mcrim.refused(*words)
     assert not any(here.iterdir())
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("table", BENCH, "--alpha-scat", "0.5", "--alpha-abs", "0.039", "--n-gap", "1",
+         "--unit", "1/2", "--units"),
+        ("scenes", "-o"),
+        ("paper", "-o"),
+        ("add", "gap_bubble", BENCH, "-o", "new.xml", "--effects-folder"),
+    ],
+    ids=lambda words: words[0],
+)  # fmt: skip
+def test_the_empty_name_is_not_the_folder_one_is_in(here, mcrim, words):
+    assert "names no folder; give its name; . is the one you are in" in mcrim.refused(*words, "")
+    assert not any(here.iterdir())

@@ -4,13 +4,20 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
+from refusals import refusal
 
+from mcrim_mitsuba.app.exchange import with_readings
+from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.cli.trials import Trial, TrialExecutor, Trials
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.output.photographer import photograph
+from mcrim_mitsuba.scene.scene_file import read_scene
 
 #: Room for one of the units below, which leave 0.4 MB each, but not for two.
 ONE_UNIT, ROOM = "600k", "4m"
@@ -92,6 +99,56 @@ def test_trials_survive_a_full_disk(disk):
 
 def number(n):
     return n
+
+
+TABLE = ["table", "{bench}", "--alpha-scat", "0.5", "--alpha-abs", "0.039", "--n-gap", "1",
+         "--photons", "2e4"]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        [*TABLE, "-o", "{disk}/table.nc"],
+        ["simulate", "{bench}", "--photons", "2e4", "--figure", "{disk}/light.png"],
+        ["check", "{bench}", "-o", "{disk}/bench.png"],
+        ["scenes", "-o", "{disk}/scenes"],
+    ],
+    ids=lambda line: line[0],
+)
+def test_every_output_says_that_there_is_no_space(scenes, disk, capsys, line):
+    fill(disk)
+    assert main([word.format(bench=scenes / "camoo4.xml", disk=disk) for word in line]) == 2
+    errors = capsys.readouterr().err
+    assert errors.count("\n") == 1 and f"mcrim: {disk}" in errors
+    assert "cannot be written (No space left on device); free some space" in errors
+
+
+def test_no_more_folders_is_no_space(disk, mcrim):
+    assert not mount("-o", "remount,nr_inodes=1", str(disk)).returncode
+    refused = mcrim.refused("scenes", "-o", disk / "scenes")
+    assert "the folder cannot be made (No space left on device); free some space" in refused
+
+
+def test_a_part_of_an_array_job_is_told_of_its_own_folder(scenes, disk, capsys):
+    units = disk / "units"
+    line = [word.format(bench=scenes / "camoo4.xml") for word in TABLE[:-3]]
+    line += ["1.0,1.3,1.46", "--photons", "2e5", "--unit", "1/1", "--units", str(units)]
+    assert main(line) == 2
+    errors = capsys.readouterr().err
+    assert errors == (
+        f"mcrim: {units}: photon records cannot be kept (No space left on device): a unit would "
+        "be lost; free or unlock this place, and run this part again\n"
+    )
+
+
+def test_a_full_temporary_folder_is_named(scenes, disk, monkeypatch):
+    fill(disk)
+    monkeypatch.setattr(tempfile, "tempdir", str(disk))
+    with pytest.raises(OSError, match=f"No space left on device: '{disk}'"):
+        photograph(read_scene(scenes / "camoo4.xml"), Run(), 0.1)
+    campaign = read_campaign(scenes / "camoo4_campaign.toml")
+    line = refusal(with_readings, campaign, "mine.csv", b"label,signal,sigma\n", disk)
+    assert "cannot be written (No space left on device); free some space" in line
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
