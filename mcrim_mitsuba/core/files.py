@@ -449,8 +449,8 @@ def refuse_outputs(
     for option, given in outputs.items():
         if given is None:
             continue
-        if os.path.basename(given) in ("", "."):  # which no Path keeps
-            raise InputError(f"{option} names a folder", "name a file in it", path=given or None)
+        if given and os.path.basename(given) in ("", "."):  # which no Path keeps
+            raise InputError(f"{option} names a folder", "name a file in it", path=given)
         path = Path("-" if given in STDOUT else given)
         key = path if str(path) == "-" else resolved(path)
         if key in taken and not _is_device(path):

@@ -32,13 +32,17 @@ def test_a_longer_name_is_told_to_be_shorter(here):
         ("check", BENCH, "-o", "x.png/"),
         ("reduce", RAW, "-o", "x.toml/"),
         ("reduce", RAW, "-o", "."),
-        ("reduce", RAW, "-o", ""),
     ],
     ids=lambda words: f"{words[0]} {words[-2]} {words[-1]}",
 )
 def test_the_name_of_a_folder_is_refused_before_the_work(here, mcrim, words):
     assert "names a folder; name a file in it" in mcrim.refused(*words)
     assert not any(here.iterdir())
+
+
+def test_a_campaign_without_a_name_is_refused(here, mcrim):
+    refused = mcrim.refused("reduce", RAW, "-o", "")
+    assert "--output cannot write a file without suffix" in refused
 
 
 @pytest.mark.parametrize(
