@@ -46,7 +46,7 @@ from mcrim_mitsuba.campaign.samples import (
     without_shared,
 )
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by, visible
-from mcrim_mitsuba.core.files import files_read, is_there
+from mcrim_mitsuba.core.files import READS, collected, is_there
 from mcrim_mitsuba.core.numbers import (
     ALPHA_ABS,
     ALPHA_SCAT,
@@ -261,7 +261,7 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
         raise InputError(f"this is {kind}, not a campaign", mend, path=path)
     document = read_toml(path)
     folder = _folder(document.table("", CAMPAIGN), trust_effects)
-    with files_read() as files:
+    with collected(READS) as files:
         campaign = _campaign_of(document, folder)
     sources = () if folder is None else sorted(folder.glob("*.py"))
     files = [path, *campaign.scene.files, *files, *sources]

@@ -16,7 +16,7 @@ import click
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import STDOUT, files_read, write_bytes, write_text
+from mcrim_mitsuba.core.files import READS, STDOUT, collected, write_bytes, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.output import documents, scene_descriptions
 from mcrim_mitsuba.transport.launch_plan import LANES
@@ -296,7 +296,7 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **own) 
     for name, (option, _) in AXES.items():
         if name in axes:
             raise InputError(f"--axis {name} has an option of its own", f"give {option} only")
-    with files_read() as spectra:
+    with collected(READS) as spectra:
         lists, notes = read_axes(own, axes, Path(scene).parent)
     refuse_many_points(math.prod(map(len, lists.values())))
     # a name without an ending tells of no other format

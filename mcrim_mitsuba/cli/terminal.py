@@ -37,7 +37,8 @@ from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import (
     NONBLOCK,
     STDOUT,
-    files_written,
+    WRITES,
+    collected,
     json_text,
     silence_stdout,
     write_text,
@@ -309,7 +310,7 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         if arguments is None:
             _open_streams()
         given = sys.argv[1:] if arguments is None else arguments
-        with files_written() as written:
+        with collected(WRITES) as written:
             status = command.main(
                 arguments, prog_name=name, standalone_mode=False, obj={"arguments": given}
             )

@@ -79,31 +79,19 @@ def resolved(path: Path) -> Path:
         return path.absolute()
 
 
-_Paths = ContextVar[list[Path] | None]
-_reads: _Paths = ContextVar("reads", default=None)
-_writes: _Paths = ContextVar("writes", default=None)
+#: Paths of what `read_bytes` reads and `write_bytes` writes, while somebody collects them.
+READS, WRITES = (ContextVar[list[Path] | None](name, default=None) for name in ("reads", "writes"))
 
 
 @contextlib.contextmanager
-def _collected(where: _Paths) -> Iterator[list[Path]]:
-    outside, paths = where.get(), list[Path]()
+def collected(where: ContextVar[list[Path] | None]) -> Iterator[list[Path]]:
+    """The paths of all files that are read (READS) or written (WRITES) meanwhile, in order."""
+    paths: list[Path] = []
     token = where.set(paths)
     try:
         yield paths
     finally:
         where.reset(token)
-        if outside is not None:
-            outside += paths
-
-
-def files_read() -> contextlib.AbstractContextManager[list[Path]]:
-    """The paths of all files that `read_bytes` reads meanwhile, in order."""
-    return _collected(_reads)
-
-
-def files_written() -> contextlib.AbstractContextManager[list[Path]]:
-    """The paths of all files that `write_bytes` writes meanwhile, in order."""
-    return _collected(_writes)
 
 
 def beside(path: Path, name: str) -> Path:
@@ -139,7 +127,7 @@ def read_bytes(path: Path, limit_mb: int) -> bytes:
         raise InputError(*_EMPTY, path=path)
     if len(data) > limit_mb * BYTES_PER_MB:
         raise InputError(f"larger than {limit_mb} MB", "is this the file you meant?", path=path)
-    if (reads := _reads.get()) is not None:
+    if (reads := READS.get()) is not None:
         reads.append(path)
     return data
 
@@ -324,7 +312,7 @@ def write_bytes(path: str | Path, content: bytes) -> None:
         os.umask(mask)
         os.chmod(temporary, 0o666 & ~mask)
         os.replace(temporary, target)
-        if (writes := _writes.get()) is not None:
+        if (writes := WRITES.get()) is not None:
             writes.append(path)
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         raise _not_written(path, error) from None

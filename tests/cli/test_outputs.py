@@ -117,7 +117,7 @@ def test_no_output_goes_onto_a_file_that_is_read(mcrim, bench, monkeypatch, verb
     def worked(*_, **__):
         raise AssertionError("work was done before the outputs were looked at")
 
-    for place in ("runs.executors.Executor.do", "transport.variants.use_variant"):
+    for place in ("runs.executors.Executor.do", "transport.simulation.Simulation.__init__"):
         monkeypatch.setattr(f"mcrim_mitsuba.{place}", worked)
     for option in outputs:
         ending = ENDINGS.get(option, ".png" if verb == "check" else ".nc")

@@ -10,7 +10,7 @@ import click
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import files_read
+from mcrim_mitsuba.core.files import READS, collected
 from mcrim_mitsuba.scene.values import parse_list, told_of_comma
 
 _COUPLINGS = "1.0,1.333,1.46,1.515"
@@ -56,7 +56,7 @@ def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spr
 
     counts = _counts("--events", events, 1.0, _LARGEST_COUNT)
     times = [int(n) for n in _counts("--mountings", mountings, 1, _MOST_MOUNTINGS, whole=True)]
-    with files_read() as spectra:
+    with collected(READS) as spectra:
         couplings = parse_list("--n-gap", n_gap, "n_gap", Path(campaign).parent)
     comma = told_of_comma("--n-gap", n_gap)
     read = showing.read_campaign(campaign, json_file, figure, inputs=spectra)
