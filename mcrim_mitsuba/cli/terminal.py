@@ -322,6 +322,9 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         return DONE
     except interrupts as error:
         _ignore_signals()
+        # Python ends as if SIGINT had killed it where a KeyboardInterrupt left text that is
+        # executed, as dataclasses do: whatever is executed then makes it forget that
+        eval("0")
         # click makes an Abort of what was raised
         cause = error.__cause__ if isinstance(error, click.Abort) else error
         how_far = str(cause) if isinstance(cause, KeyboardInterrupt) else ""

@@ -298,3 +298,18 @@ def test_what_had_been_written_is_said(mcrim, here, monkeypatch):
     monkeypatch.setattr("mcrim_mitsuba.cli.showing.show", interrupted)
     status, _, err = mcrim("lab", "index", "BK7", "--nm", "540", "--json", "a.json")
     assert status == 130 and err.strip() == "mcrim: interrupted when a.json had been written"
+
+
+def test_the_status_of_an_interrupt_is_that_of_its_signal(here):
+    """Where it left code that was executed from text, as of dataclasses, Python ended by SIGINT."""
+    code = (
+        "import os, sys\n"
+        "from mcrim_mitsuba.cli import main, showing\n"
+        "showing.show = lambda *_: exec('os.kill(os.getpid(), 15); 0', {'os': os})\n"
+        "sys.argv[1:] = ['lab', 'index', 'BK7', '--nm', '540']\n"
+        "sys.exit(main.main())"
+    )
+    Path("interrupted.py").write_text(code)
+    words = [sys.executable, "-m", "interrupted"]
+    done = subprocess.run(words, stderr=subprocess.PIPE, check=False)
+    assert done.returncode == 143 and b"interrupted before there was a result" in done.stderr
