@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,8 @@ _Asked = Mapping[str, Any]
 #: What a request may leave out; the types are those of what it says.
 _LEFT_OUT = {"what": "", "name": "", "column": "", "content": "", "known": -1}
 _FILES = ("scene", "campaign", "report", "session")
+#: What is done with a reading or a fit, whose number is the name.
+_NUMBERED = ("edit", "copy", "drop", "show", "compare", "remove")
 
 
 def make_page(session: Session, prefix: str) -> flask.Flask:
@@ -88,30 +90,22 @@ def make_page(session: Session, prefix: str) -> flask.Flask:
 
 def _read(session: Session) -> tuple[_Asked, Settings]:
     """What a page asks for, and the settings that hold; what no page sends is answered by 400."""
+    effects = session.bench.effects
     try:
         asked = _LEFT_OUT | flask.request.get_json()
-        if any(type(asked[name]) is not type(usual) for name, usual in _LEFT_OUT.items()):
-            flask.abort(400)
-        values, effects = session.state.settings.values, session.bench.effects
-        settings, number = settings_of(asked["settings"], values, effects), asked["settings_number"]
+        is_ours = all(type(asked[name]) is type(usual) for name, usual in _LEFT_OUT.items())
+        what, names = asked["what"], asked["name"].split()
+        if what in _NUMBERED:
+            asked["name"] = int(asked["name"])
+        possible = {"get": _FILES, "add": effects, "effect": effects}.get(what, names)
+        is_ours &= set(names) <= set(possible)
+        settings = settings_of(asked["settings"], session.state.settings.values, effects)
+        number = asked["settings_number"]
     except MALFORMED:
+        is_ours = False
+    if not is_ours:
         flask.abort(400)
     return asked, session.remember(settings, number)
-
-
-def _number(asked: _Asked) -> int:
-    """Of a reading or a fit."""
-    try:
-        return int(asked["name"])
-    except ValueError:
-        flask.abort(400)
-
-
-def _names(asked: _Asked, possible: Collection[str]) -> list[str]:
-    names = asked["name"].split()
-    if not set(names) <= set(possible):
-        flask.abort(400)
-    return names
 
 
 def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
@@ -128,33 +122,29 @@ def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
             session.take_readings(asked["name"], content)
 
     def effect(asked: _Asked, settings: Settings) -> None:
-        for name in _names(asked, session.bench.effects):
-            if name in settings.effects:
-                session.switch_on(name)
-            else:
-                session.switch_off(name)
-
-    def get(asked: _Asked, settings: Settings) -> None:
-        for name in _names(asked, _FILES):
-            session.offer(name, settings)
+        name = asked["name"]
+        if name in settings.effects:
+            session.switch_on(name)
+        else:
+            session.switch_off(name)
 
     def edit(asked: _Asked, _: Settings) -> None:
-        session.edit_reading(_number(asked), asked["column"], str(asked.get("value", "")))
+        session.edit_reading(asked["name"], asked["column"], str(asked.get("value", "")))
 
     return {
         "edit": edit,
-        "copy": lambda asked, _: session.copy_reading(_number(asked)),
-        "drop": lambda asked, _: session.drop_reading(_number(asked)),
+        "copy": lambda asked, _: session.copy_reading(asked["name"]),
+        "drop": lambda asked, _: session.drop_reading(asked["name"]),
         "fit": lambda _, settings: session.fit(settings),
         "diagnose": lambda _, settings: session.diagnose(settings),
-        "add": lambda asked, settings: session.add(_names(asked, session.bench.effects), settings),
+        "add": lambda asked, settings: session.add(asked["name"].split(), settings),
         "effect": effect,
-        "get": get,
+        "get": lambda asked, settings: session.offer(asked["name"], settings),
         "upload": upload,
         "stop": lambda asked, _: session.jobs.stop(asked["name"] or None),
         "back": lambda *_: session.go_back(),
         "undo": lambda *_: session.undo(),
-        "show": lambda asked, _: session.show_step(_number(asked)),
-        "compare": lambda asked, _: session.compare_with(_number(asked)),
-        "remove": lambda asked, _: session.remove_step(_number(asked)),
+        "show": lambda asked, _: session.show_step(asked["name"]),
+        "compare": lambda asked, _: session.compare_with(asked["name"]),
+        "remove": lambda asked, _: session.remove_step(asked["name"]),
     }

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import os
-from collections.abc import Iterator
 
 import click
 
 from mcrim_mitsuba import __version__
-from mcrim_mitsuba.cli.terminal import DONE, run
+from mcrim_mitsuba.cli.terminal import run
 from mcrim_mitsuba.core.errors import InputError, closest
-from mcrim_mitsuba.core.files import silence_stdout
 
 #: Verbs by the module of this folder that has them.
 _VERBS = {
@@ -26,10 +23,7 @@ _HOME_OF = {verb: module for module, verbs in _VERBS.items() for verb in verbs}
 
 
 class _Commands(click.Group):
-    """Verbs that are imported when they are used: all of them take a second.
-
-    It ends well when the reader of its output leaves; click would exit with 1.
-    """
+    """Verbs that are imported when they are used: all of them take a second."""
 
     def list_commands(self, ctx):
         return sorted(_HOME_OF)
@@ -45,23 +39,6 @@ class _Commands(click.Group):
         if alike and not args[0].startswith("-"):
             ctx.fail(f"No such command '{args[0]}'. Did you mean '{alike}'?")
         return super().resolve_command(ctx, args)
-
-    def make_context(self, *arguments, **options):
-        with _reader_may_leave():
-            return super().make_context(*arguments, **options)
-
-    def invoke(self, ctx):
-        with _reader_may_leave():
-            return super().invoke(ctx)
-
-
-@contextlib.contextmanager
-def _reader_may_leave() -> Iterator[None]:
-    try:
-        yield
-    except BrokenPipeError:
-        silence_stdout()
-        raise click.exceptions.Exit(DONE) from None
 
 
 @click.group(

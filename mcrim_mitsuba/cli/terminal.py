@@ -131,15 +131,7 @@ def _line(what: str, done: int, total: int, note: str, seconds: float) -> str:
 
 
 class Screen(Console):
-    """Where a command writes for people; see `console`.
-
-    Its reader may leave, as `head` does: the command goes on to its end.
-    """
-
-    def on_broken_pipe(self) -> None:
-        self.quiet = True
-        if not self.stderr:
-            silence_stdout()
+    """Where a command writes for people; see `console`."""
 
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None
@@ -336,9 +328,6 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         return _say(name, str(error), YOUR_INPUT)
     except click.UsageError as error:
         return _say_usage(name, error)
-    except BrokenPipeError:
-        silence_stdout()
-        return DONE
     except click.ClickException as error:
         return _say(name, error.format_message(), YOUR_INPUT)
     except OSError as error:
@@ -361,7 +350,10 @@ class _InterruptError(KeyboardInterrupt):
 
 
 class _Stream(io.TextIOWrapper):
-    """A standard stream; what standard error does not take is lost, and no result with it."""
+    """A standard stream: the command goes on to its end when its reader leaves, as `head` does.
+
+    What standard error does not take is lost, and no result with it.
+    """
 
     def write(self, text: str) -> int:
         with self._judged():
@@ -377,7 +369,9 @@ class _Stream(io.TextIOWrapper):
         try:
             yield
         except OSError as error:
-            if self.fileno() == 1:
+            if self.fileno() == 1 and isinstance(error, BrokenPipeError):
+                silence_stdout()
+            elif self.fileno() == 1:
                 error.filename = _OUTPUT
                 raise
 
