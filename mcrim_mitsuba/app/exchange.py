@@ -9,7 +9,6 @@ import json
 import os
 import re
 import shutil
-import sys
 import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -38,28 +37,20 @@ from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import GAP_INDEX, spectrophotometer_of
 
 _LONGEST_NAME = 80
-#: How a page's folder is called, and one that is not locked yet.
-_FOLDER, _UNLOCKED = "mcrim_app_", "mcrim_new_"
 
 
 @contextlib.contextmanager
 def page_folder() -> Iterator[Path]:
     """A temporary folder that goes with the page; those of pages that were killed go first."""
-    if sys.platform == "win32":  # has no locks on folders: what a killed page leaves stays
-        with tempfile.TemporaryDirectory(prefix=_FOLDER) as name:
-            yield Path(name)
-        return
-    for left in Path(tempfile.gettempdir()).glob(f"{_FOLDER}*"):
-        # of a page that lives, or of another user
-        with contextlib.suppress(OSError), _locked(left):
-            shutil.rmtree(left)
-    folder = Path(tempfile.mkdtemp(prefix=_UNLOCKED))
-    with _locked(folder):
-        folder = folder.rename(folder.with_name(folder.name.replace(_UNLOCKED, _FOLDER, 1)))
-        try:
-            yield folder
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
+    for mark in Path(tempfile.gettempdir()).glob("mcrim_app_*/locked"):
+        # OSError: of a page that lives, or of another user
+        with contextlib.suppress(OSError), _locked(mark.parent):
+            shutil.rmtree(mark.parent)
+    with tempfile.TemporaryDirectory(prefix="mcrim_app_") as name, contextlib.ExitStack() as stack:
+        with contextlib.suppress(ImportError):  # Windows: what a killed page leaves stays
+            stack.enter_context(_locked(Path(name)))
+            (Path(name) / "locked").touch()
+        yield Path(name)
 
 
 @contextlib.contextmanager

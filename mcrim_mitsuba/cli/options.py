@@ -263,9 +263,11 @@ def figure(what: str):
 def machine(function):
     """``--threads`` and ``--variant``."""
     function = click.option(
-        "--threads", type=Whole(1, 1024), callback=_read_threads,
+        "--threads",
+        type=Whole(1, 1024),
+        callback=_read_threads,
         help="Processor threads (default: all).",
-    )(function)  # fmt: skip
+    )(function)
     return click.option(
         "--variant", default="llvm_ad_rgb", show_default=True, callback=_read_variant,
         help="Mitsuba variant; cuda_ad_rgb needs an NVIDIA GPU.",
@@ -277,8 +279,7 @@ def _read_threads(ctx, param, value) -> int | None:
     processors = os.cpu_count() or 1
     if value is None or value <= processors:
         return value
-    there = counted(processors, "processor")
-    note = f"--threads {value}: this machine has {there}; no more are used"
+    note = f"--threads {value}: of {counted(processors, 'processor')} no more can be used"
     terminal.console("-").say_notes([note])
     return processors
 

@@ -106,7 +106,7 @@ def test_no_more_threads_are_used_than_there_are_processors(mcrim):
     processors = os.cpu_count()
     status, out, err = mcrim("check", "--threads", processors + 1, "--json", "-")
     assert status == 0 and json.loads(out)["installation"]["threads"] == str(processors)
-    assert err.startswith(f"note: --threads {processors + 1}: this machine has {processors} ")
+    assert err.startswith(f"note: --threads {processors + 1}: of {processors} processor")
     assert not mcrim("check", "--threads", processors, "--json", "-").err
 
 
