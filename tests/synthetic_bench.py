@@ -164,7 +164,7 @@ class Model:
             scale=float(theta[-1]),
             eta=eta,
             eta_slopes=(np.exp(log).imag[1:] / step).T,
-            eta_covariance=np.diag((self._error_sigma * eta) ** 2) if covariance else None,
+            eta_errors=np.diag(self._error_sigma * eta) if covariance else None,
             signal=signal[0].real,
             signal_slopes=(signal[1:].imag / step).T,
             signal_per_eta=scale[0, 0].real / bent[0].real ** 2,

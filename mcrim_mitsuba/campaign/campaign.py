@@ -606,12 +606,15 @@ def _wrong_next(
 
 
 def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measurements) -> None:
-    """Put every row's parameters into the scene once; a refusal names the row, not the scene."""
+    """Put every row's parameters into the scene; a refusal names the row, not the scene."""
+    taken: set[tuple[tuple[str, Value], ...]] = set()
     for reading in measurements.readings:
         for name, value in reading.parameters.items():
             if not isinstance(value, (bool, str)) and (wrong := judge(name, value)) is not None:
                 problem = f"{name} = {value:g}: {wrong[1]}"
                 raise measurements.refusal(reading, name, problem, wrong[2])
         of_bench = {n: v for n, v in reading.parameters.items() if n not in BEAM_PARAMETERS}
-        with said_by(partial(measurements.refusal, reading, None)):
-            scene.with_overrides(of_bench)
+        if (own := tuple(of_bench.items())) not in taken:
+            with said_by(partial(measurements.refusal, reading, None)):
+                scene.with_overrides(of_bench)
+            taken.add(own)

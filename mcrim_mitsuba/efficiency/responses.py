@@ -202,10 +202,12 @@ def stack(tables: Sequence[EtaGrid]) -> tuple[NDArray[np.float64], NDArray[np.fl
     return log_eta, np.stack([table.deviations for table in tables], axis=1)
 
 
-def covariance_of(deviations: NDArray) -> NDArray[np.float64]:
-    """(readings, readings) covariance of mean logarithms from (batches, readings) deviations."""
-    deviations = np.asarray(deviations, dtype=np.float64)
-    return deviations.T @ deviations / (BATCHES * (BATCHES - 1))
+def errors_of(deviations: NDArray) -> NDArray[np.float64]:
+    """(readings, batches) errors of mean logarithms from (batches, readings) deviations.
+
+    Their products E E^T are the covariance.
+    """
+    return np.asarray(deviations.T, np.float64) / math.sqrt(BATCHES * (BATCHES - 1))
 
 
 # Light that has many values of an effect's parameter at once, such as indices over a band.

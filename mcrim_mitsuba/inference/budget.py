@@ -45,8 +45,8 @@ def contributions_to(
     likelihood = Likelihood(model)
     # (quantities, used readings): how a reading moves a quantity
     pulled = quantities.slopes @ found.response[:, likelihood.used]
-    readings = likelihood.errors_at(found.theta).readings
-    parts = {"counts": np.sqrt(np.einsum("ij,jk,ik->i", pulled, readings, pulled))}
+    counted = likelihood.errors_at(found.theta).statistical_variances(pulled)
+    parts = {"counts": np.sqrt(counted)}
     for i, parameter in enumerate(model.free):
         if parameter.prior_sigma is not None:
             origin = _PRIORS.get(parameter.name, f"prior, {parameter.name}")

@@ -99,20 +99,20 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
     campaign = as_campaign(campaign)
     refuse_unnamed_coefficients(campaign, "declare it as a <default> of the crystal")
     # whether surfaces of photon records serve all configurations
-    readings, scene = campaign.measurements.readings, campaign.scene
+    scene, distinct = campaign.scene, _distinct(campaign)
     if (
         campaign.effects
         or campaign.beam
         or campaign.samples
         or campaign.spectrum is not None
-        or not all(
-            surfaces_answer(scene.with_overrides(reading.parameters)) for reading in readings
-        )
+        or not all(surfaces_answer(scene.with_overrides(own)) for own in distinct.values())
     ):
         return _calibrate_with_effects(campaign, run)
     points = _pilot_points(campaign)
     whole = points[0][0], points[-1][0]
     first = _look(campaign, replace(run, photons=PILOT_PHOTONS, precision=None), points, whole)
+    fitting = f"fitting {len(campaign.measurements.in_use)} readings"
+    run.tell(fitting, 1, 1)
     try:
         pilot = fit_model(first.model, profile=False)
         solution = {name: (known.value, known.sigma) for name, known in pilot.parameters.items()}
@@ -130,6 +130,7 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignR
     later = replace(run, photons=photons, seed=run.seed + 500_000_007, check=False)
     try:
         final = _look(campaign, later, *_final_points(campaign, solution, whole), shares)
+        run.tell(fitting, 1, 1)
         found = fit_model(final.model)
     except TooLittleSimulatedError as error:
         if not error.where:
@@ -158,10 +159,9 @@ def _calibrate_with_effects(campaign: Campaign, run: Run) -> CampaignResult:
     """Fit a campaign by the responses of its readings, which know of effects."""
     from mcrim_mitsuba.inference.workbench import Workbench
 
-    configurations = {tuple(r.parameters.items()) for r in campaign.measurements.readings}
     each, precision = None, run.precision
     if run.photons is not None:
-        each = run.photons // (PLAIN_FACTOR * len(configurations))
+        each = run.photons // (PLAIN_FACTOR * len(_distinct(campaign)))
     if precision is not None:
         wanted = round(PHOTONS_PER_PRECISION / precision**2 / PLAIN_FACTOR)
         each = wanted if each is None else min(each, wanted)
@@ -210,7 +210,7 @@ def _look(
     for number, parameters in enumerate(asked, 1):
         share = 1.0 if shares is None else shares[number - 1]
         mine = None if run.photons is None else max(1, round(share * run.photons))
-        used = any(reading.use for reading in _readings_of(campaign, parameters))
+        used = any(_is_of(reading, parameters) for reading in campaign.measurements.in_use)
         wish = SurfaceWish(
             f"configuration {number}",
             campaign.scene.with_overrides(parameters),
@@ -242,13 +242,14 @@ def _look(
     return _CampaignLook(model, spent, notes)
 
 
-def _readings_of(campaign: Campaign, scene: Mapping[str, object]) -> list[Reading]:
-    """The readings that were taken in a configuration."""
-    return [
-        reading
-        for reading in campaign.measurements.readings
-        if all(scene.get(name, value) == value for name, value in reading.parameters.items())
-    ]
+def _distinct(campaign: Campaign) -> dict[tuple, dict[str, Value]]:
+    """What the columns say, each set of values once."""
+    return {tuple(r.parameters.items()): r.parameters for r in campaign.measurements.readings}
+
+
+def _is_of(reading: Reading, scene: Mapping[str, object]) -> bool:
+    """Whether a reading was taken in a configuration."""
+    return all(scene.get(name, value) == value for name, value in reading.parameters.items())
 
 
 def _held(campaign: Campaign, name: str) -> float | None:
@@ -305,8 +306,7 @@ def _shares(campaign: Campaign, pilot: Calibration) -> list[float]:
     pulls = pilot.response * rows / sigmas[:, None] if len(sigmas) else rows[None]
     weights = []
     for scene in configurations(campaign):
-        own = _readings_of(campaign, scene)
-        mine = [reading in own for reading in campaign.measurements.readings]
+        mine = [_is_of(reading, scene) for reading in campaign.measurements.readings]
         weights.append(float(np.linalg.norm(pulls[:, mine])))
     total, equal = sum(weights), 1.0 / len(weights)
     return [

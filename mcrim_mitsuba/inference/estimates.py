@@ -102,9 +102,9 @@ def propagated(
         What `lower` and `upper` are.
     """
     variances = {
-        "statistical": np.einsum("ij,jk,ik->i", response, errors.readings, response),
+        "statistical": errors.statistical_variances(response),
         "prior": covariance**2 @ likelihood.prior_weight,
-        "monte_carlo": np.einsum("ij,jk,ik->i", response, errors.monte_carlo, response),
+        "monte_carlo": errors.simulated_variances(response),
     }
     found = {}
     for i, (name, interval) in enumerate(zip(likelihood.names, ends, strict=True)):
@@ -220,8 +220,8 @@ def rows(fit: Fit) -> tuple[FittedRow, ...]:
     """Every reading beside its prediction."""
     model = fit.problem.model
     prediction = model.predict(fit.theta, covariance=True)
-    assert prediction.eta_covariance is not None  # asked for
-    sigmas = np.sqrt(np.diag(prediction.eta_covariance))
+    assert prediction.eta_errors is not None  # asked for
+    sigmas = np.sqrt(np.square(prediction.eta_errors).sum(axis=1))
     return fitted_rows(model.readings, prediction, sigmas.tolist())
 
 

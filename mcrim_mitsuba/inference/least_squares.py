@@ -23,6 +23,7 @@ from mcrim_mitsuba.inference.likelihood import (
     SETTLED,
     ErrorMatrices,
     Likelihood,
+    Whitener,
     local_minima,
     p_value,
 )
@@ -50,6 +51,10 @@ class Weights:
         """From a (used, used) covariance."""
         factor = np.linalg.cholesky(covariance)
         return cls(covariance, np.linalg.inv(factor), 2.0 * float(np.log(np.diag(factor)).sum()))
+
+    def whiten(self, x: Array) -> Array:
+        """W x of (..., used) vectors."""
+        return (self.whitener @ x.T).T
 
     @cached_property
     def inverse(self) -> Array:
@@ -159,11 +164,11 @@ class LeastSquaresProblem(Likelihood):
         errors = self.errors_at(theta)
         return errors, Weights.of(errors.total)
 
-    def evaluate(self, theta: Array, weights: Weights) -> tuple[Array, Array]:
+    def evaluate(self, theta: Array, weights: Weights | Whitener) -> tuple[Array, Array]:
         """Whitened residuals (used + priors,), and their slopes in the searched coordinates."""
         prediction = self.model.predict(theta)
-        of_readings = weights.whitener @ (self.signal - prediction.signal[self.used])
-        slopes = -(weights.whitener @ prediction.signal_slopes[self.used])
+        of_readings = weights.whiten(self.residuals(prediction))
+        slopes = -weights.whiten(self.signal_slopes(prediction).T).T
         if len(self._priors):
             at = self._priors
             of_priors = (self.prior[at] - theta[at]) * np.sqrt(self.prior_weight[at])
@@ -177,7 +182,7 @@ class LeastSquaresProblem(Likelihood):
 def descend(
     problem: LeastSquaresProblem,
     theta: Array,
-    weights: Weights,
+    weights: Weights | Whitener,
     *,
     held: Sequence[int] = (),
     steps: int = 40,

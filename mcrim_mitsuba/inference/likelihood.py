@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from iminuit import Minuit
-from scipy.linalg import cho_factor, cho_solve
+from numpy.typing import NDArray
 from scipy.optimize import brentq
+from scipy.sparse import csr_array
 from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
@@ -55,18 +56,96 @@ def local_minima(heights: Sequence[float]) -> list[int]:
 
 @dataclass(frozen=True)
 class ErrorMatrices:
-    """Covariance of the readings in use, by origin; each (used, used) float64."""
+    """Covariance of the readings in use, by origin.
 
-    #: ndarray: Their own errors, and the relative errors that mountings share: group_sigma^2 times
-    #: the two predicted signals.
-    readings: Array
-    #: ndarray: Of the predictions.
-    monte_carlo: Array
+    It is held by what makes it: campaigns have up to 10,000 readings, whose matrices, (used, used)
+    float64, are made only for who asks for them.
+    """
+
+    #: (used,) float64: Squares of the readings' own errors.
+    variance: Array
+    #: (used,) float64: The error that a reading shares with all of its mounting: group_sigma times
+    #: the predicted signal.
+    shared: Array
+    #: (used,) int64: Number of the mounting.
+    mountings: NDArray[np.int64]
+    #: (used, sources) float64: Errors of the predictions by independent sources.
+    simulated: Array
+    #: (used, used) float64: Covariance of what no parameter explains, if it is to be weighed.
+    unexplained: Array | None = None
+
+    @property
+    def readings(self) -> Array:
+        """Their own errors, what mountings share and what no parameter explains."""
+        matrix = np.diag(self.variance)
+        if self.shared.any():
+            same = self.mountings[:, None] == self.mountings
+            matrix = matrix + same * np.outer(self.shared, self.shared)
+        return matrix if self.unexplained is None else matrix + self.unexplained
 
     @property
     def total(self) -> Array:
         """Covariance of reading minus prediction."""
-        return self.readings + self.monte_carlo
+        return self.readings + self.simulated @ self.simulated.T
+
+    def of(self, rows: NDArray[np.bool_]) -> ErrorMatrices:
+        """Those of some readings, of which nothing is unexplained."""
+        parts = self.variance, self.shared, self.mountings, self.simulated
+        return ErrorMatrices(*(part[rows] for part in parts))
+
+    def statistical_variances(self, response: Array) -> Array:
+        """(k,) variances, by `readings`, of numbers that move by (k, used) with the readings."""
+        shared = [np.bincount(self.mountings, moved) for moved in response * self.shared]
+        variances = response**2 @ self.variance + np.square(shared).sum(axis=-1)
+        if self.unexplained is not None:
+            variances += ((response @ self.unexplained) * response).sum(axis=1)
+        return variances
+
+    def simulated_variances(self, response: Array) -> Array:
+        """(k,) the same by the simulation's errors."""
+        return np.square(response @ self.simulated).sum(axis=1)
+
+
+class Whitener:
+    """Weighs readings by the inverse of their covariance, of which no matrix is made.
+
+    The covariance is diagonal but for what few sources add, S of them: u u^T each. Where these are
+    orthogonal, 1 / sqrt(1 + u u^T) takes from a vector a part of what it has along them.
+    """
+
+    def __init__(self, errors: ErrorMatrices) -> None:
+        # what no two readings share belongs to their own errors
+        lone = np.count_nonzero(errors.simulated, axis=0) < 2
+        variance = errors.variance + np.square(errors.simulated[:, lone]).sum(axis=1)
+        self._root = 1.0 / np.sqrt(variance)
+        shared = errors.shared * self._root
+        self._mountings = csr_array((shared, (errors.mountings, np.arange(len(shared)))))
+        squares = np.bincount(errors.mountings, shared**2)
+        roots = np.sqrt(1.0 + squares)
+        self._of_mountings = -1.0 * (squares > 0) / (roots * (1.0 + roots))
+        rest = self._without_mountings(self._root * errors.simulated[:, ~lone].T)
+        _, sizes, self._sources = np.linalg.svd(rest, full_matrices=False)
+        self._of_sources = 1.0 / np.sqrt(1.0 + sizes**2) - 1.0
+        #: Of the covariance.
+        self.log_determinant = float(
+            np.log(variance).sum() + np.log1p(squares).sum() + np.log1p(sizes**2).sum()
+        )
+
+    def whiten(self, x: Array) -> Array:
+        """W x of (..., used) vectors, W^T W the inverse covariance."""
+        return self._without_sources(self._without_mountings(self._root * x))
+
+    def weigh(self, x: Array) -> Array:
+        """The inverse covariance times (..., used) vectors."""
+        return self._root * self._without_mountings(self._without_sources(self.whiten(x)))
+
+    def _without_mountings(self, x: Array) -> Array:
+        if not self._of_mountings.any():
+            return x
+        return x + (x @ self._mountings.T * self._of_mountings) @ self._mountings
+
+    def _without_sources(self, x: Array) -> Array:
+        return x + (x @ self._sources.T * self._of_sources) @ self._sources
 
 
 class Likelihood:
@@ -102,14 +181,11 @@ class Likelihood:
         self.scales = {n: named == n for n in dict.fromkeys(named.tolist()) if n in self.names}
         self.signal = np.array([reading.signal for reading in used])
         self.variance = np.array([reading.sigma for reading in used]) ** 2
-        # group_sigma^2 where two readings share a mounting, else 0; one 0 where none do
-        sizes = np.array([reading.group_sigma or 0.0 for reading in used]) ** 2
-        groups = np.array([reading.group or "" for reading in used])
-        self._shared = np.zeros(())
-        if sizes.any():
-            self._shared = sizes[:, None] * (groups[:, None] == groups)
+        self._shared = np.array([reading.group_sigma or 0.0 for reading in used])
+        groups = [reading.group or "" for reading in used]
+        self._mountings = np.unique(groups, return_inverse=True)[1]
         # relative covariance of what no parameter explains
-        self._unexplained = np.zeros(())
+        self._unexplained: Array | None = None
         self.prior = np.array([0.0 if p.prior is None else p.prior for p in self.free])
         self.prior_weight = np.array(
             [0.0 if p.prior_sigma is None else p.prior_sigma**-2 for p in self.free]
@@ -136,24 +212,26 @@ class Likelihood:
     def errors_at(self, theta: Array) -> ErrorMatrices:
         """Covariance of the readings in use as a point in parameter space predicts it."""
         prediction = self.model.predict(theta, covariance=True)
-        assert prediction.eta_covariance is not None  # asked for
+        assert prediction.eta_errors is not None  # asked for
         signal, per_eta = prediction.signal[self.used], prediction.signal_per_eta[self.used]
-        monte_carlo = prediction.eta_covariance[np.ix_(self.used, self.used)]
         return ErrorMatrices(
-            np.diag(self.variance) + (self._shared + self._unexplained) * np.outer(signal, signal),
-            np.outer(per_eta, per_eta) * monte_carlo,
+            self.variance,
+            self._shared * signal,
+            self._mountings,
+            per_eta[:, None] * prediction.eta_errors[self.used],
+            None if self._unexplained is None else self._unexplained * np.outer(signal, signal),
         )
 
     def errors_before_any_fit(self) -> ErrorMatrices:
         """The same without a model: shared errors from the readings, no Monte Carlo error."""
-        shared = self._shared * np.outer(self.signal, self.signal)
-        return ErrorMatrices(np.diag(self.variance) + shared, np.zeros_like(shared))
+        none = np.zeros((len(self.signal), 0))
+        return ErrorMatrices(self.variance, self._shared * self.signal, self._mountings, none)
 
     def best_scale(self, eta: Array, errors: ErrorMatrices, name: str = SCALE) -> float:
         """The scale that fits (readings,) efficiencies best: the statistic is quadratic in it."""
         rows = self.scales[name]
         eta = eta[self.used][rows]
-        weighted = np.linalg.solve(errors.total[np.ix_(rows, rows)], eta)
+        weighted = Whitener(errors.of(rows)).weigh(eta)
         place = self.names.index(name)
         weight, prior = self.prior_weight[place], self.prior[place]
         return float((weighted @ self.signal[rows] + weight * prior) / (weighted @ eta + weight))
@@ -194,32 +272,32 @@ class FrozenStatistic:
     def __init__(self, likelihood: Likelihood, errors: ErrorMatrices) -> None:
         self.likelihood = likelihood
         self.errors = errors
-        self._factor = cho_factor(errors.total)
-        self.log_determinant = 2.0 * float(np.sum(np.log(np.diag(self._factor[0]))))
+        self._whitener = Whitener(errors)
+        self.log_determinant = self._whitener.log_determinant
         self._last: tuple[bytes, Prediction] | None = None
 
     def chi2(self, theta: Array) -> float:
         """Readings' chi2 plus the priors'."""
-        residuals = self.likelihood.residuals(self._predict(theta))
+        residuals = self._whitener.whiten(self.likelihood.residuals(self._predict(theta)))
         pulls = self.likelihood.prior_pulls(theta)
-        return float(residuals @ cho_solve(self._factor, residuals) + pulls @ pulls)
+        return float(residuals @ residuals + pulls @ pulls)
 
     def gradient(self, theta: Array) -> Array:
         """(free,) d chi2 / d parameter, exact."""
         prediction = self._predict(theta)
-        weighted = cho_solve(self._factor, self.likelihood.residuals(prediction))
+        weighted = self._whitener.weigh(self.likelihood.residuals(prediction))
         of_readings = self.likelihood.signal_slopes(prediction).T @ weighted
         of_priors = self.likelihood.prior_pulls(theta) * np.sqrt(self.likelihood.prior_weight)
         return 2.0 * (of_priors - of_readings)
 
     def information(self, theta: Array) -> Array:
         """(free, free) Fisher information, priors included."""
-        slopes = self.likelihood.signal_slopes(self._predict(theta))
-        return slopes.T @ cho_solve(self._factor, slopes) + np.diag(self.likelihood.prior_weight)
+        slopes = self._whitener.whiten(self.likelihood.signal_slopes(self._predict(theta)).T)
+        return slopes @ slopes.T + np.diag(self.likelihood.prior_weight)
 
     def response(self, theta: Array) -> Array:
         """(free, used) J^T C^-1: how the readings move the estimate, before the covariance."""
-        return cho_solve(self._factor, self.likelihood.signal_slopes(self._predict(theta))).T
+        return self._whitener.weigh(self.likelihood.signal_slopes(self._predict(theta)).T)
 
     def _predict(self, theta: Array) -> Prediction:
         """The model's prediction; a minimiser asks for chi2 and gradient of one point in turn."""

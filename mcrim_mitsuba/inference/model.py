@@ -23,10 +23,9 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.effects.effect import Effect, Rows
-from mcrim_mitsuba.efficiency.responses import Anchor, Point, Responses, covariance_of
+from mcrim_mitsuba.efficiency.responses import Anchor, Point, Responses, errors_of
 from mcrim_mitsuba.efficiency.surface import (
     EfficiencySurface,
-    EtaPoint,
     InterpolatedSurface,
     InterpolationAxis,
     axes_for,
@@ -53,9 +52,10 @@ class Prediction:
     #: interpolation error; both only where a check was asked for.
     eta_sigma: Array | None = None
     interpolation_error: Array | None = None
-    #: (readings, readings) float64 or None: Monte Carlo covariance of `eta`; None unless asked for.
-    #: Readings that share a simulation share its error; different simulations are independent.
-    eta_covariance: Array | None = None
+    #: (readings, sources) float64 or None: Monte Carlo errors of `eta` by independent sources, E of
+    #: its covariance E E^T; None unless asked for. Readings that share a simulation share its
+    #: error; different simulations are independent.
+    eta_errors: Array | None = None
 
 
 class Model(Protocol):
@@ -206,12 +206,22 @@ class CampaignModel:
         for key, values, _ in asked:
             if key not in made:
                 made[key] = _surface(axes, surfaces, values)
-        # every reading's surface, and those of its coefficients that are not fitted
-        self._rows = [
-            (made[key], {n: v for n, v in coefficients.items() if n not in campaign.free})
-            for key, _, coefficients in asked
-        ]
-        lows, highs = zip(*(s.alpha_scat_bounds_per_cm for s, _ in self._rows), strict=True)
+        # surfaces, with coefficients that are not fitted and whether a reading in use asks, and
+        # every reading's place among them: most readings ask what others do
+        places: dict[tuple, int] = {}
+        self._asked: list[tuple[EfficiencySurface, dict[str, float], bool]] = []
+        self._place_of = np.empty(len(asked), int)
+        for row, (reading, (key, _, coefficients)) in enumerate(
+            zip(self.readings, asked, strict=True)
+        ):
+            held = {n: v for n, v in coefficients.items() if n not in campaign.free}
+            own = (key, *held.items(), reading.use)
+            if own not in places:
+                places[own] = len(places)
+                self._asked.append((made[key], held, reading.use))
+            self._place_of[row] = places[own]
+        bounds = (surface.alpha_scat_bounds_per_cm for surface in made.values())
+        lows, highs = zip(*bounds, strict=True)
         self.free = _free(
             campaign, {ALPHA_SCAT: (max(lows), min(highs))},
             "the simulated photons tell about {:g}..{:g} only",
@@ -221,21 +231,17 @@ class CampaignModel:
     def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
         values = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
         scale = values.pop(SCALE, self._fixed_scale)
-        arguments = [{**values, **known} for _, known in self._rows]
-        # readings of one configuration ask the same: answer once
-        answers: dict[tuple, EtaPoint] = {}
-        points = []
-        for reading, (surface, _), asked in zip(self.readings, self._rows, arguments, strict=True):
-            careful = check and reading.use
-            key = (id(surface), careful, *sorted(asked.items()))
-            if key not in answers:
-                answers[key] = surface.evaluate(**asked, check=careful, errors=check or covariance)
-            points.append(answers[key])
+        points = [
+            surface.evaluate(**values, **known, check=check and used, errors=check or covariance)
+            for surface, known, used in self._asked
+        ]
         # the scale is in no surface's gradient
         slopes = [[point.gradient.get(p.name, 0.0) for p in self.free] for point in points]
-        eta = np.array([point.eta for point in points])
-        eta_slopes = np.array(slopes).reshape(len(points), len(self.free))
+        eta = np.array([point.eta for point in points])[self._place_of]
+        eta_slopes = np.array(slopes).reshape(len(points), len(self.free))[self._place_of]
         is_scale = np.array([float(p.name == SCALE) for p in self.free])
+        sigmas = np.array([point.sigma for point in points])
+        interpolation_errors = np.array([point.interpolation_error for point in points])
         return Prediction(
             scale=scale,
             eta=eta,
@@ -243,29 +249,34 @@ class CampaignModel:
             signal=scale * eta,
             signal_slopes=scale * eta_slopes + np.outer(eta, is_scale),
             signal_per_eta=np.full(len(eta), scale),
-            eta_sigma=np.array([point.sigma for point in points]),
-            interpolation_error=np.array([point.interpolation_error for point in points]),
-            eta_covariance=self._eta_covariance(points, arguments) if covariance else None,
+            eta_sigma=sigmas[self._place_of],
+            interpolation_error=interpolation_errors[self._place_of],
+            eta_errors=self._errors(sigmas, values)[self._place_of] if covariance else None,
         )
 
     def predict_many(self, thetas: Array) -> Array:
         return np.array([self.predict(theta).signal for theta in thetas])
 
-    def _eta_covariance(
-        self, points: Sequence[EtaPoint], arguments: Sequence[Mapping[str, float]]
-    ) -> Array:
-        """(readings, readings) Monte Carlo covariance of eta."""
-        matrix = np.diag([point.sigma**2 for point in points])
-        for i, j in itertools.combinations(range(len(points)), 2):
-            (surface, _), (other, _) = self._rows[i], self._rows[j]
-            if surface is not other:
-                continue
-            matrix[i, j] = matrix[j, i] = (
-                points[j].sigma ** 2
-                if arguments[i] == arguments[j]
-                else surface.covariance(arguments[j], arguments[i])
-            )
-        return matrix
+    def _errors(self, sigmas: Array, values: Mapping[str, float]) -> Array:
+        """(asked, asked) Monte Carlo errors of eta by independent sources: those of a surface."""
+        errors = np.diag(sigmas)
+        of_surfaces: dict[int, list[int]] = {}
+        for place, (surface, _, _) in enumerate(self._asked):
+            of_surfaces.setdefault(id(surface), []).append(place)
+        for places in of_surfaces.values():
+            if len(places) > 1:
+                covariance = np.diag(sigmas[places] ** 2)
+                for i, j in itertools.combinations(range(len(places)), 2):
+                    surface, first, _ = self._asked[places[i]]
+                    second = self._asked[places[j]][1]
+                    covariance[i, j] = covariance[j, i] = (
+                        sigmas[places[j]] ** 2
+                        if first == second
+                        else surface.covariance({**values, **second}, {**values, **first})
+                    )
+                sizes, directions = np.linalg.eigh(covariance)
+                errors[np.ix_(places, places)] = directions * np.sqrt(np.maximum(sizes, 0.0))
+        return errors
 
 
 def _surface(
@@ -428,10 +439,10 @@ class ResponseModel:
             signal_slopes = signal_slopes * by_signal[:, None]
             if name in column:
                 signal_slopes[:, column[name]] += np.where(light, by_value, 0.0)
-        eta_covariance = eta_sigma = None
+        eta_errors = eta_sigma = None
         if covariance or check:
-            eta_covariance = np.outer(eta, eta) * covariance_of(at.deviations)
-            eta_sigma = np.sqrt(np.diag(eta_covariance))
+            eta_errors = eta[:, None] * errors_of(at.deviations)
+            eta_sigma = np.sqrt(np.square(eta_errors).sum(axis=1))
         return Prediction(
             scale=values[SCALE],
             eta=eta,
@@ -441,7 +452,7 @@ class ResponseModel:
             signal_per_eta=per_eta,
             eta_sigma=eta_sigma,
             interpolation_error=at.interpolation_error() * eta if check else None,
-            eta_covariance=eta_covariance if covariance else None,
+            eta_errors=eta_errors if covariance else None,
         )
 
     def predict_many(self, thetas: Array) -> Array:

@@ -18,7 +18,8 @@ from scipy.optimize import brentq, minimize_scalar
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.fit import Calibration
-from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, Weights, descend
+from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, descend
+from mcrim_mitsuba.inference.likelihood import Whitener
 from mcrim_mitsuba.inference.model import Model
 
 #: Rises of chi2 that hold 68.3 % and 95.4 % of a Gaussian likelihood, and where curves end.
@@ -97,7 +98,7 @@ def profiles_of(model: Model, calibration: Calibration) -> tuple[Profile, ...]:
         Its fit.
     """
     problem = LeastSquaresProblem(model)
-    _, weights = problem.weights_at(calibration.theta)
+    weights = Whitener(problem.errors_at(calibration.theta))
     best, least, _ = descend(problem, calibration.theta, weights, precision=_SETTLED)
     profiles = {
         parameter.name: _profile(problem, weights, best, least, index)
@@ -110,7 +111,7 @@ def profiles_of(model: Model, calibration: Calibration) -> tuple[Profile, ...]:
 
 
 def _profile(
-    problem: LeastSquaresProblem, weights: Weights, best: Array, least: float, index: int
+    problem: LeastSquaresProblem, weights: Whitener, best: Array, least: float, index: int
 ) -> Profile:
     """One parameter's, from the solution and its chi2 outwards."""
 

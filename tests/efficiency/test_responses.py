@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mcrim_mitsuba.efficiency.eta_grid import BATCHES, Gathering, Grid
-from mcrim_mitsuba.efficiency.responses import Point, covariance_of, stack
+from mcrim_mitsuba.efficiency.responses import Point, errors_of, stack
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.efficiency.surface import Cubics, Lagrange, chebyshev_nodes
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords
@@ -77,7 +77,7 @@ def test_table_answers_as_the_surface_of_the_same_photons():
         log_eta, deviations = stack([table])
         eta = np.exp(point.value(log_eta)[0])
         assert eta == pytest.approx(known.eta, rel=2e-4)
-        sigma = eta * np.sqrt(covariance_of(point.values(deviations))[0, 0])
+        sigma = eta * np.linalg.norm(errors_of(point.values(deviations))[0])
         # 32 batches give an error to 13 %
         assert sigma == pytest.approx(known.sigma, rel=4.5 * 0.13)
 
@@ -122,7 +122,7 @@ def test_errors_of_a_table_are_honest():
     for seed in range(60):
         log_eta, deviations = stack([Gathering(toy_records(seed, 4096), GRID).table()])
         point = Point.of(GRID, [a_s], [a_a])
-        sigma = np.sqrt(covariance_of(point.values(deviations))[0, 0])
+        sigma = np.linalg.norm(errors_of(point.values(deviations))[0])
         pulls.append((point.value(log_eta)[0] - np.log(exact)) / sigma)
     assert abs(np.mean(pulls)) < 4.5 / np.sqrt(60)
     # a spread of 60 numbers, each over a sigma that 32 batches know to 13 %

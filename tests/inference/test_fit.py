@@ -7,6 +7,7 @@ with a fresh seed in about one run in 10 000 (z = 4 to 4.5 for the few compariso
 import dataclasses
 import json
 import math
+import tracemalloc
 from types import SimpleNamespace
 
 import numpy as np
@@ -476,6 +477,49 @@ def test_everything_held_is_a_comparison(campaign):
     assert (result.parameters, result.ndf) == ({}, 2)
     expected = ((14.3 - air(0.5, 0.039)) / 0.2) ** 2 + ((24.5 - gel(0.5, 0.039)) / 0.4) ** 2
     assert result.chi2 == pytest.approx(expected)
+
+
+def test_many_readings_need_no_matrix_of_them(campaign):
+    """Two thousand, in mountings of four: a matrix of them has 32 MB."""
+    rng, rows = np.random.default_rng(5), ["label,signal,sigma,n_gap,group,group_sigma"]
+    for i in range(2000):
+        signal, sigma, n_gap = ((14.3, 0.2, 1.0), (24.5, 0.4, 1.46))[i % 2]
+        mounting = rng.normal(1.0, 0.02) if i % 4 == 0 else mounting
+        rows.append(
+            f"{i},{rng.normal(mounting * signal, sigma):.6g},{sigma},{n_gap},m{i // 4},0.02"
+        )
+    many = campaign(ALPHA + PRIOR, "\n".join(rows))
+    tracemalloc.start()
+    try:
+        model = CampaignModel(many, couplings())
+        found = fit_model(model)
+        profiles_of(model, found)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert most < 16e6
+    assert 1e-4 < found.p_value < 1 - 1e-4
+
+
+def test_factors_of_a_covariance_weigh_as_its_matrix_does():
+    rng = np.random.default_rng(6)
+    for sources, mountings in ((0, 1), (5, 1), (5, 9), (90, 20)):
+        simulated = rng.normal(size=(60, sources)) * (rng.random((60, sources)) < 0.3)
+        errors = search.ErrorMatrices(
+            rng.uniform(0.1, 2, 60), rng.normal(size=60) * (mountings > 1),
+            rng.integers(0, mountings, 60), simulated, np.eye(60),
+        )  # fmt: skip
+        some = rng.normal(size=(3, 60))
+        of_readings = np.einsum("ij,jk,ik->i", some, errors.readings, some)
+        assert errors.statistical_variances(some) == pytest.approx(of_readings)
+        explained = dataclasses.replace(errors, unexplained=None)
+        inverse = np.linalg.inv(explained.total)
+        whitener = search.Whitener(explained)
+        assert whitener.weigh(some) == pytest.approx(some @ inverse)
+        white = whitener.whiten(some)
+        assert white @ white.T == pytest.approx(some @ inverse @ some.T)
+        expected = np.linalg.slogdet(explained.total)[1]
+        assert whitener.log_determinant == pytest.approx(expected)
 
 
 def test_a_prior_acts_as_one_more_reading(campaign):
