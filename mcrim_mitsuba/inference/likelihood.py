@@ -90,8 +90,9 @@ class ErrorMatrices:
 
     def of(self, rows: NDArray[np.bool_]) -> ErrorMatrices:
         """Those of some readings, of which nothing is unexplained."""
-        parts = self.variance, self.shared, self.mountings, self.simulated
-        return ErrorMatrices(*(part[rows] for part in parts))
+        return ErrorMatrices(
+            self.variance[rows], self.shared[rows], self.mountings[rows], self.simulated[rows]
+        )
 
     def statistical_variances(self, response: Array) -> Array:
         """(k,) variances, by `readings`, of numbers that move by (k, used) with the readings."""
