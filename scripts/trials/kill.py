@@ -146,7 +146,7 @@ class Job:
                 os.killpg(process.pid, signal.SIGKILL)
                 raise
         status, complaint = process.returncode, complained.read_text(encoding="utf-8").strip()
-        if status not in (terminal.DONE, -self._signal, terminal.INTERRUPTED):
+        if status not in (terminal.DONE, -self._signal, 128 + self._signal):
             raise InputError(f"{shlex.join(self._words)} failed: {complaint[-300:]}", "mend it")
         if "Traceback" in complaint:
             raise InputError(f"a killed run had a traceback: {complaint[-300:]}", "mend it")
