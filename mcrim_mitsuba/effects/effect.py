@@ -289,12 +289,8 @@ def _of_signal_alone(
 
 def modules_of(effects: Iterable[Effect]) -> set[str]:
     """Where effects are written: the modules of their functions, or a user's own files."""
-    modules = set()
-    for effect in effects:
-        acts = (effect.edit, effect.weight, effect.colours, effect.reading)
-        for function in (inspect.unwrap(act) for act in acts if act is not None):
-            function = getattr(function, "func", function)
-            in_folder = function.__module__.startswith(OWN_MODULES)
-            # several folders may have files of one name
-            modules.add(function.__globals__["__file__"] if in_folder else function.__module__)
-    return modules
+    acts = [act for e in effects for act in (e.edit, e.weight, e.colours, e.reading) if act]
+    functions = [getattr(function, "func", function) for function in map(inspect.unwrap, acts)]
+    # several folders may have files of one name
+    files = {f.__globals__["__file__"] for f in functions if f.__module__.startswith(OWN_MODULES)}
+    return files | {f.__module__ for f in functions if not f.__module__.startswith(OWN_MODULES)}
