@@ -92,15 +92,14 @@ class _Modes:
         kept[:fewer, :fewer, : min(math.ceil(0.7 * upwards), upwards - 1)] = True
         return np.flatnonzero(kept.ravel())
 
-    def closed(self, alpha: Floats) -> tuple[Floats, Floats]:
-        """K, which is diagonal, where every face reflects all, and its slope: (alphas, N) each."""
+    def closed(self, alpha: Floats) -> Floats:
+        """K, which is diagonal, where every face reflects all: (alphas, N)."""
         kx, (kz, *_) = self._across[0], self._upwards
         k = np.sqrt(kx[:, None, None] ** 2 + kx[:, None] ** 2 + kz**2).ravel()
         k[0], alpha = 1.0, alpha[:, None]
-        arc = np.arctan(k / alpha) / k
-        value, slope = alpha * arc, arc - alpha / (alpha * alpha + k * k)
-        value[:, 0], slope[:, 0] = 1.0, 0.0
-        return value, slope
+        value = alpha / k * np.arctan(k / alpha)
+        value[:, 0] = 1.0
+        return value
 
     def systems(self, alpha: Floats) -> _Systems:
         """At values of the extinction per mm, (alphas,)."""
@@ -331,10 +330,6 @@ class BoxEfficiency:
     alpha_abs_per_cm: Floats
     #: Probability that emitted light is detected, over that of light which arrives head-on.
     eta: Floats
-    #: Its derivatives by the two coefficients, in cm; NaN where both are 0: trapped light is freed
-    #: by the least of scattering.
-    eta_by_alpha_scat_cm: Floats
-    eta_by_alpha_abs_cm: Floats
     #: Estimate of the error of `eta`, absolute, from fewer modes and nodes.
     error: Floats
     #: What becomes of emitted light: detected; absorbed_crystal; trapped, for ever, where both
@@ -389,20 +384,19 @@ def solve_box(
                 _Modes.of(shape, rules), pairs[0, which], pairs[1, which], rough
             )
         if rough:
-            wanting = wanting[columns[3, wanting] > precision * columns[0, wanting]]
+            wanting = wanting[columns[1, wanting] > precision * columns[0, wanting]]
         if not wanting.size:
             break
-    shaped = columns.reshape(-1, *scat.shape)
-    eta, by_scat, by_abs, error, absorbed, trapped, left = shaped
+    eta, error, absorbed, trapped, left = columns.reshape(-1, *scat.shape)
     detected = eta * head_on(bench)
     fates = {
         "detected": detected, "absorbed_crystal": absorbed, "trapped": trapped,
         "elsewhere": left - detected,
     }  # fmt: skip
-    return BoxEfficiency(scat, absorb, eta, by_scat, by_abs, error, fates)
+    return BoxEfficiency(scat, absorb, eta, error, fates)
 
 
-_COLUMNS = ("eta", "by scattering", "by absorption", "error", "absorbed", "trapped", "left")
+_COLUMNS = ("eta", "error", "absorbed", "trapped", "left")
 #: What light that leaves a gap of a crystal's width at its sides, and what is worked out for it in
 #: first order only, changes of eta: from 100 million photons at gaps of 0.5 and 2 mm.
 _SECOND_ORDER = 0.01
@@ -459,8 +453,6 @@ def _is_cut(bench: Bench) -> bool:
 
 #: Numbers of a matrix of all modes, times points, that are worked on at once.
 _AT_ONCE = 1_000_000
-#: Half the range of log(alpha), at least, over which the equations are interpolated.
-_LEAST_RANGE = 3e-4
 #: How well they are interpolated, and where few nodes are enough.
 _INTERPOLATED, _INTERPOLATED_ROUGHLY = 1e-7, 1e-5
 
@@ -474,7 +466,9 @@ def _extinctions(alpha: Floats, within: float) -> list[tuple[_Array, Floats]]:
     log_alpha = np.log(alpha)
 
     def nodes_over(low: float, high: float) -> Floats:
-        half = max(0.5 * (high - low), _LEAST_RANGE)
+        half = 0.5 * (high - low)
+        if not half:
+            return np.array([low])
         width = 0.5 * math.pi / half
         count = max(math.ceil(-math.log(within) / math.asinh(width)), 2)
         angles = math.pi * (np.arange(count) + 0.5) / count
@@ -486,7 +480,7 @@ def _extinctions(alpha: Floats, within: float) -> list[tuple[_Array, Floats]]:
             continue
         different = np.unique(log_alpha[those])
         nodes = nodes_over(different[0], different[-1])
-        if len(nodes) <= 2 * len(different):
+        if len(nodes) <= len(different):
             found.append((those, nodes))
         else:
             alike = ((x, those[log_alpha[those] == x]) for x in different)
@@ -494,17 +488,16 @@ def _extinctions(alpha: Floats, within: float) -> list[tuple[_Array, Floats]]:
     return found
 
 
-def _weights(nodes: Floats, at: Floats) -> tuple[Floats, Floats]:
-    """Of the values at Chebyshev's nodes in the polynomial through them, and in its slope."""
+def _weights(nodes: Floats, at: Floats) -> Floats:
+    """Of the values at Chebyshev's nodes in the polynomial through them."""
     count = len(nodes)
+    if count == 1:
+        return np.ones((len(at), 1))
     angles = math.pi * (np.arange(count) + 0.5) / count
     middle, half = 0.5 * (nodes[0] + nodes[-1]), 0.5 * (nodes[0] - nodes[-1]) / math.cos(angles[0])
     order = np.arange(count)
     coefficients = np.cos(order[:, None] * angles) * np.where(order > 0, 2.0, 1.0)[:, None] / count
-    slopes = chebyshev.chebder(coefficients) / half
-    x = (at - middle) / half
-    values = chebyshev.chebvander(x, count - 1) @ coefficients
-    return values, chebyshev.chebvander(x, count - 2) @ slopes
+    return chebyshev.chebvander((at - middle) / half, count - 1) @ coefficients
 
 
 def _points(modes: _Modes, scat_per_cm: Floats, abs_per_cm: Floats, rough: bool) -> Floats:
@@ -527,7 +520,7 @@ def _points(modes: _Modes, scat_per_cm: Floats, abs_per_cm: Floats, rough: bool)
         for first in range(0, len(those), length):
             some = those[first : first + length]
             columns[:, some] = _solved(modes, systems, nodes, alpha[some], albedo[some])
-    columns[3] += least * columns[0]
+    columns[1] += least * columns[0]
     return columns
 
 
@@ -535,16 +528,11 @@ def _solved(
     modes: _Modes, systems: _Systems, nodes: Floats, alpha: Floats, albedo: Floats
 ) -> Floats:  # fmt: skip
     """`_COLUMNS` of pairs, by interpolation between systems at nodes of log(alpha)."""
-    values, slopes = _weights(nodes, np.log(alpha))
-    slopes /= alpha[:, None]
-    size = modes.size
+    values, size = _weights(nodes, np.log(alpha)), modes.size
     kernel = (values @ systems.kernel.reshape(2, len(nodes), -1)).reshape(2, -1, size, size)
-    slope = (slopes @ systems.kernel[0].reshape(len(nodes), -1)).reshape(-1, size, size)
-    detected, slope_of_detected = values @ systems.detected, slopes @ systems.detected[0]
+    detected = values @ systems.detected
     diagonal = np.arange(size)
-    closed, closed_slope = modes.closed(alpha)
-    kernel[..., diagonal, diagonal] += closed
-    slope[:, diagonal, diagonal] += closed_slope
+    kernel[..., diagonal, diagonal] += modes.closed(alpha)
 
     source = modes.source()
     equations = np.eye(size) - albedo[:, None, None] * kernel
@@ -552,15 +540,10 @@ def _solved(
     equations, kernel, detected = equations[0], kernel[0], detected[0]
     visits = np.linalg.solve(equations.swapaxes(1, 2), source[:, None])[..., 0]
     eta = f[..., 0] @ source
-    by_alpha = (visits * (slope_of_detected + albedo[:, None] * (slope @ f)[..., 0])).sum(axis=1)
-    by_albedo = (visits * (kernel @ f)[..., 0]).sum(axis=1) / (alpha * MM_PER_CM)
-    by_alpha /= MM_PER_CM
-    by_scat, by_abs = by_alpha + (1.0 - albedo) * by_albedo, by_alpha - albedo * by_albedo
     absorbed = (1.0 - albedo) * (visits * kernel[:, :, 0]).sum(axis=1)
     clear = alpha <= _NO_EXTINCTION
     trapped = np.where(clear, absorbed, 0.0)
     absorbed = absorbed - trapped
-    by_scat[clear] = by_abs[clear] = math.nan
     few = modes.fewer()
     rougher = np.linalg.solve(equations[:, few[:, None], few], detected[:, few, None])[..., 0]
     gone = (visits * (values @ systems.left[0])).sum(axis=1)
@@ -569,7 +552,7 @@ def _solved(
         + abs(eta - coarser[..., 0] @ source)
         + eta * abs(1.0 - gone - absorbed - trapped)
     )
-    return np.stack((eta, by_scat, by_abs, error, absorbed, trapped, gone))
+    return np.stack((eta, error, absorbed, trapped, gone))
 
 
 _ABSENT = (
