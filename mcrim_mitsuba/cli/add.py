@@ -40,8 +40,7 @@ def _listing() -> str:
 @click.command(short_help="Write a scene with an effect in it as a new scene.", epilog=_listing())
 @click.argument("effect", shell_complete=options.complete_effects)
 @options.scene
-@click.option("-o", "--output", "path", type=click.Path(), metavar="NEW.xml", required=True,
-              help="The new scene; - for the screen. Never replaces a file.")  # fmt: skip
+@options.output("NEW.xml", "The new scene; - for the screen. Never replaces a file.", required=True)
 @click.option("-D", "values", multiple=True, metavar="NAME=VALUE", callback=options.read_defines,
               help="A value of the effect (may be repeated); mm, 1/cm.")  # fmt: skip
 @click.option("--effects-folder", "folder", type=options.Folder(), metavar="DIR",

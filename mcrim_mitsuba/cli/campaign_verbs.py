@@ -16,8 +16,7 @@ from mcrim_mitsuba.core.files import refuse_to_replace
 
 @click.command(short_help="Reduce a campaign's raw data, every step with its errors.")
 @options.campaign
-@click.option("-o", "--output", "path", type=click.Path(), metavar="NEW.toml",
-              help="The campaign in plain numbers, its readings beside it (NEW.csv).")  # fmt: skip
+@options.output("NEW.toml", "The campaign in plain numbers, its readings beside it (NEW.csv).")
 @options.figure("the histograms with their peaks (and NAME_spectra, the detector's efficiency, and "
                 "NAME_transmittance, the absorption)")  # fmt: skip
 @options.json_output
@@ -196,9 +195,11 @@ def _after_diagnosis(campaign: str, diagnosis) -> str:
 
 @click.command(short_help="Add effects to a campaign while the data justify it.")
 @options.campaign
-@click.option("-o", "--output", "path", type=click.Path(), metavar="NEW.toml", required=True,
-              help="The mended campaign; its scene is written beside it, as NEW.xml. Never "
-              "replaces a file.")  # fmt: skip
+@options.output(
+    "NEW.toml",
+    "The mended campaign; its scene is written beside it, as NEW.xml. Never replaces a file.",
+    required=True,
+)
 @options.effects(
     "--effect", "Add these, whatever the verdict (default: what it names, if of usual size)."
 )
@@ -245,8 +246,7 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
 
 @click.command(short_help="Diagnose and mend a campaign, and write it all as a page.")
 @options.campaign
-@click.option("-o", "--output", "path", type=click.Path(), metavar="REPORT.html", required=True,
-              help="The page; replaces only another HTML file.")  # fmt: skip
+@options.output("REPORT.html", "The page; replaces only another HTML file.", required=True)
 @options.effect_photons
 @options.work
 def report(campaign, path, json_file, work) -> None:
@@ -269,20 +269,20 @@ def report(campaign, path, json_file, work) -> None:
 @click.option("--material", metavar="NAME",
               help="What the crystal is made of, such as CaMoO4 (default: what the campaign says): "
               "its indices, and how it stops gammas, are then known.")  # fmt: skip
-@click.option("--emission", type=click.Path(), metavar="FILE",
-              help="Emission spectrum (default: the campaign's, else a Gaussian band).",
-)  # fmt: skip
+@options.file("--emission", "Emission spectrum (default: the campaign's, else a Gaussian band).")
 @click.option("--wavelength-nm", type=options.Number(200, 2000), metavar="NM",
               help="Maximum of that Gaussian band (default: the material's).")  # fmt: skip
-@click.option("--map", "map_file", type=click.Path(), metavar="FILE.nc",
-              help="Map of eta by `mcrim simulate --map`, of a reading's bench: say what it does "
-              "to eta and the light yield where gammas stop.")  # fmt: skip
+@options.file(
+    "--map",
+    "Map of eta by `mcrim simulate --map`, of a reading's bench: say what it does to eta and the "
+    "light yield where gammas stop.",
+    "map_file",
+    metavar="FILE.nc",
+)
 @click.option("--depth", "depth_mm", type=options.Number(1e-6), metavar="MM",
               help="1/e depth of gammas that stop near a face, for --map (default: the material's, "
               "else 1).")  # fmt: skip
-@click.option("--deposits", type=click.Path(), metavar="FILE.csv",
-              help="Where gammas stop, for --map: x_mm, y_mm, z_mm, energy_keV, a deposit a row.",
-              )  # fmt: skip
+@options.deposits
 @options.figure("the budget, with what the model leaves out")
 @options.photons("5e5 of each simulation with another index, fewer for many configurations",
                  further=options.FURTHER_PHOTONS)  # fmt: skip

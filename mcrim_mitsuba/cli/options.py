@@ -215,19 +215,33 @@ defines = click.option(
     "-D", "overrides", multiple=True, metavar="NAME=VALUE", callback=read_defines,
     help="Override a scene parameter (may be repeated); mm, 1/cm.",
 )  # fmt: skip
-json_output = click.option(
-    "--json",
-    "json_file",
-    type=click.Path(),
-    metavar="FILE",
-    help="Write the result as JSON; - for the screen.",
+
+
+def file(option: str, explained: str, *name: str, metavar: str = "FILE"):
+    """An option that names a file; `name` is the verb's for it, if not that of the option."""
+    return click.option(option, *name, type=click.Path(), metavar=metavar, help=explained)
+
+
+def output(metavar: str, explained: str, name: str = "path", **further: Any):
+    """``--output``; `name` is the verb's for it, `further` what else click takes."""
+    return click.option(
+        "-o", "--output", name, type=click.Path(), metavar=metavar, help=explained, **further
+    )
+
+
+json_output = file("--json", "Write the result as JSON; - for the screen.", "json_file")
+#: For the verbs that have ``--map``.
+deposits = file(
+    "--deposits",
+    "Where gammas stop, for --map: x_mm, y_mm, z_mm, energy_keV, a deposit a row.",
+    metavar="FILE.csv",
 )
 seed = click.option(
     "--seed", type=Whole(0, LARGEST_SEED), default=0, show_default=True,
     help="Seed of the random numbers: the same seed gives the same result.",
 )  # fmt: skip
 precision = click.option(
-    "--precision", type=Precision(), metavar="FRACTION",
+    "--precision", type=Precision(),
     help="Relative standard error to reach, such as 0.2%; photons are spent until then.",
 )  # fmt: skip
 
@@ -238,7 +252,7 @@ def photons(default: str, *, at_most: bool = False, further: str = ""):
     `further` are sentences on what else may be spent.
     """
     return click.option(
-        "--photons", type=PhotonCount(), metavar="COUNT",
+        "--photons", type=PhotonCount(),
         help=f"Photons to follow, such as 2e6 (default: {default})"
         + ("; with --precision, at most." if at_most else ".")
         + (further and f" {further}"),
@@ -254,10 +268,7 @@ method = click.option(
 
 def figure(what: str):
     """``--figure``, for a picture of `what`; its numbers go beside it."""
-    return click.option(
-        "--figure", type=click.Path(), metavar="FILE",
-        help=f"Draw {what} (.png or .pdf); the numbers go beside it as .csv.",
-    )  # fmt: skip
+    return file("--figure", f"Draw {what} (.png or .pdf); the numbers go beside it as .csv.")
 
 
 def machine(function):
@@ -464,10 +475,7 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
     made: Callable[..., Any] = with_work
     for decorate in (
         json_output,
-        click.option(
-            "--log", type=click.Path(), metavar="FILE",
-            help="Append the progress, unit by unit, to this file.",
-        ),
+        file("--log", "Append the progress, unit by unit, to this file."),
         click.option(
             "--units", type=Folder(), metavar="FOLDER", default=DEFAULT_FOLDER,
             show_default=True, help="Folder that the parts of --unit share.",

@@ -12,7 +12,7 @@ from mcrim_mitsuba.core.files import make_folder
 @click.option("-o", "--output", "folder", default="mcrim_paper", show_default=True,
               type=options.Folder(), metavar="FOLDER",
               help="Where the figures go: PNG, PDF and CSV.")  # fmt: skip
-@click.option("--photons", type=options.PhotonCount(), metavar="COUNT",
+@click.option("--photons", type=options.PhotonCount(),
               help="Photons of each of four efficiency surfaces (default: 8e6); "
               "single configurations get a tenth.")  # fmt: skip
 @options.work

@@ -40,10 +40,7 @@ def scenes(folder) -> None:
 
 
 @click.command(short_help="JSON schema of a campaign, for completion in editors.")
-@click.option(
-    "-o", "--output", "path", type=click.Path(), metavar="FILE.json", default="-",
-    show_default=True, help="File to write; - for the screen.",
-)  # fmt: skip
+@options.output("FILE.json", "File to write; - for the screen.", default="-", show_default=True)
 def schema(path) -> None:
     """JSON schema of a campaign (TOML), with which editors complete and explain its entries.
 
@@ -59,9 +56,11 @@ def schema(path) -> None:
 @click.command(short_help="Check a scene and say what it means.")
 @click.argument("scene", required=False, type=click.Path(path_type=str))
 @options.defines
-@click.option("-o", "--output", "picture", type=click.Path(), metavar="FILE",
-              help="Draw a cross-section to scale, with paths of photons, as .png, .svg or "
-              ".pdf.")  # fmt: skip
+@options.output(
+    "FILE",
+    "Draw a cross-section to scale, with paths of photons, as .png, .svg or .pdf.",
+    "picture",
+)
 @options.machine
 @options.json_output
 def check(scene, overrides, picture, variant, threads, json_file) -> None:
@@ -104,27 +103,35 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
     "where the light arrives on the detector, and at which angle (and which fates light meets, "
     "NAME_fates), from the run's photons, the first 4e6 of more"
 )
-@click.option("--map", "map_file", type=click.Path(), metavar="FILE.nc",
-              help="Map the efficiency by where light is born, from 1e8 photons or --photons, and "
-              "say what its spread adds to a peak; its picture is NAME_map of --figure.",
-              )  # fmt: skip
+@options.file(
+    "--map",
+    "Map the efficiency by where light is born, from 1e8 photons or --photons, and say what its "
+    "spread adds to a peak; its picture is NAME_map of --figure.",
+    "map_file",
+    metavar="FILE.nc",
+)
 @click.option("--depth", "depth_mm", type=options.Number(), default="1", show_default=True,
               metavar="MM", help="1/e depth of gammas that stop near a face, for --map.",
               )  # fmt: skip
-@click.option("--deposits", type=click.Path(), metavar="FILE.csv",
-              help="Where gammas stop, for --map: x_mm, y_mm, z_mm, energy_keV, a deposit a row.",
-              )  # fmt: skip
-@click.option("--spectrum", type=click.Path(), metavar="EMISSION.csv",
-              help="Light over wavelengths: wavelength_nm, emission, if known efficiency, and "
-              "parameters of the scene that vary; its picture is NAME_spectrum of --figure.",
-              )  # fmt: skip
-@click.option("--quantum-efficiency", type=click.Path(), metavar="QE.csv",
-              help="The detector's efficiency over wavelengths, for --spectrum.",
-              )  # fmt: skip
-@click.option("--times", "times_file", type=click.Path(), metavar="FILE.csv",
-              help="Histogram of the times at which the run's photons arrive (the first 4e7 of "
-              "more), with their mean and the first photons; its picture is NAME_times of "
-              "--figure.")  # fmt: skip
+@options.deposits
+@options.file(
+    "--spectrum",
+    "Light over wavelengths: wavelength_nm, emission, if known efficiency, and parameters of the "
+    "scene that vary; its picture is NAME_spectrum of --figure.",
+    metavar="EMISSION.csv",
+)
+@options.file(
+    "--quantum-efficiency",
+    "The detector's efficiency over wavelengths, for --spectrum.",
+    metavar="QE.csv",
+)
+@options.file(
+    "--times",
+    "Histogram of the times at which the run's photons arrive (the first 4e7 of more), with their "
+    "mean and the first photons; its picture is NAME_times of --figure.",
+    "times_file",
+    metavar="FILE.csv",
+)
 @click.option("--decay-ns", type=options.Number(1e-6, 1e9), metavar="NS",
               help="Decay time of the scintillation, for --times; left out: all light is emitted "
               "at once.")  # fmt: skip
@@ -278,8 +285,7 @@ def read_axes(
 @axes_options
 @click.option("--axis", "axes", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
               help="Values of any other parameter of the scene (may be repeated).")  # fmt: skip
-@click.option("-o", "--output", "path", type=click.Path(), metavar="FILE",
-              help="CSV (.csv, .txt) or NetCDF (.nc) to write; - for the screen.")  # fmt: skip
+@options.output("FILE", "CSV (.csv, .txt) or NetCDF (.nc) to write; - for the screen.")
 @options.defines
 @options.photons("2e6 per coupling", at_most=True, further=_NO_CAP)
 @options.precision
@@ -360,8 +366,9 @@ def crosscheck(scene, overrides, run, json_file) -> int:
 
 @click.command(short_help="Photograph a scene, whole and taken apart.")
 @options.scene
-@click.option("-o", "--output", "picture", type=click.Path(), metavar="PICTURE.png", required=True,
-              help="The picture, a .png of 1800 x 1150 pixels.")  # fmt: skip
+@options.output(
+    "PICTURE.png", "The picture, a .png of 1800 x 1150 pixels.", "picture", required=True
+)
 @options.defines
 @click.option("--samples", type=options.Whole(1, 4096),
               help="Light paths per pixel: more are smoother (default: 12).")  # fmt: skip

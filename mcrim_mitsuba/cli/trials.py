@@ -26,7 +26,7 @@ from typing import Any, TypeVar
 
 import click
 
-from mcrim_mitsuba.cli.options import Whole
+from mcrim_mitsuba.cli import options
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import make_folder, read_text, write_text
 from mcrim_mitsuba.core.run import Progress
@@ -103,7 +103,7 @@ def _read_part(_ctx: click.Context, _param: click.Parameter, text: str | None) -
 def executor_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """``--processes``, ``--cluster``, ``--unit`` and ``--units`` as `executor`; ``--log``."""
 
-    @click.option("--processes", type=Whole(1, 1024), default=os.cpu_count() or 1,
+    @click.option("--processes", type=options.Whole(1, 1024), default=os.cpu_count() or 1,
                   show_default="all processors", help="Trials that are under way at a time.",
                   )  # fmt: skip
     @click.option("--cluster", metavar="ADDRESS", help="Dask scheduler that does them instead.")
@@ -113,8 +113,7 @@ def executor_options(function: Callable[..., Any]) -> Callable[..., Any]:
     @click.option("--units", "folder", type=click.Path(file_okay=False, path_type=Path),
                   help="Folder of finished trials, which are not done again; default: in the "
                   "user's cache.")  # fmt: skip
-    @click.option("--log", type=click.Path(), metavar="FILE",
-                  help="Append the progress, trial by trial, to this file.")  # fmt: skip
+    @options.file("--log", "Append the progress, trial by trial, to this file.")
     @functools.wraps(function)
     def wrapped(**given: Any) -> Any:
         executor = TrialExecutor(

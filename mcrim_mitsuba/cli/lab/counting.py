@@ -48,15 +48,17 @@ class _Window(options.Written):
     "--window", type=_Window(), metavar="LOW:HIGH",
     help="Bins to fit, in photons (default: chosen about the peak).",
 )  # fmt: skip
-@click.option("--map", "map_file", type=click.Path(), metavar="FILE.nc",
-              help="Map of eta by `mcrim simulate --map`: split the peaks' widths into counted "
-              "photoelectrons, where gammas stop, and the rest; drawn as NAME_widths.")  # fmt: skip
+@options.file(
+    "--map",
+    "Map of eta by `mcrim simulate --map`: split the peaks' widths into counted photoelectrons, "
+    "where gammas stop, and the rest; drawn as NAME_widths.",
+    "map_file",
+    metavar="FILE.nc",
+)
 @click.option("--depth", "depth_mm", type=options.Number(1e-6), default="1", show_default=True,
               metavar="MM", help="1/e depth of gammas that stop near a face, for --map.",
               )  # fmt: skip
-@click.option("--deposits", type=click.Path(), metavar="FILE.csv",
-              help="Where gammas stop, for --map: x_mm, y_mm, z_mm, energy_keV, a deposit a row.",
-              )  # fmt: skip
+@options.deposits
 @options.figure("the histograms with their fits")
 @options.json_output
 def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) -> None:
@@ -248,8 +250,7 @@ class _Number(options.Written):
 @click.option("--list", "as_list", is_flag=True,
               help="Write the photons of every event, one a line, instead of bins.")  # fmt: skip
 @options.seed
-@click.option("-o", "--output", "path", required=True, type=click.Path(), metavar="FILE",
-              help="CSV to write; - for the screen.")  # fmt: skip
+@options.output("FILE", "CSV to write; - for the screen.", required=True)
 @options.json_output
 def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, json_file) -> None:
     """Write a synthetic histogram of photons per event, as a measurement would fill it.

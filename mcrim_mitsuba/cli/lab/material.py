@@ -22,7 +22,7 @@ from mcrim_mitsuba.scene.values import SEPARATOR, material_at
 @click.argument("emission", type=click.Path(path_type=str))
 @click.argument("quantum_efficiency", type=click.Path(path_type=str))
 @click.option(
-    "--scale-sigma", type=Share(), default="5%", show_default=True, metavar="FRACTION",
+    "--scale-sigma", type=Share(), default="5%", show_default=True,
     help="Relative error that all points of the quantum efficiency share.",
 )  # fmt: skip
 @options.figure("both curves with their product and the weighted mean")
@@ -75,15 +75,15 @@ _INDEX_LIKE = re.compile(r"[+-]?[\d.,]+", re.ASCII)
               help="Refractive index, a number or a material such as CaMoO4.")  # fmt: skip
 @click.option("--n-sigma", type=options.Number(), metavar="ERROR",
               help="Standard error of the index (default: the material's, or 0).")  # fmt: skip
-@click.option("--sigma", type=Share(), default="0", metavar="FRACTION",
+@click.option("--sigma", type=Share(), default="0",
               help="Standard error that all readings share, 0.005 or 0.5% of full "
               "transmission.")  # fmt: skip
 @click.option("--thickness-sigma-mm", type=options.Number(), default=0.0, metavar="MM",
               help="Standard error of the thickness, mm.")  # fmt: skip
-@click.option("--emission", type=click.Path(), metavar="FILE",
-              help="Emission spectrum to average over.")  # fmt: skip
-@click.option("--quantum-efficiency", type=click.Path(), metavar="FILE",
-              help="Of the detector: the average is then over the light that it sees.")  # fmt: skip
+@options.file("--emission", "Emission spectrum to average over.")
+@options.file(
+    "--quantum-efficiency", "Of the detector: the average is then over the light that it sees."
+)
 @click.option("--nm", "wavelength_nm", type=options.Number(), metavar="NM",
               help="Wavelength at which spectra or a material's index are taken, instead of "
               "--emission.")  # fmt: skip
@@ -207,8 +207,7 @@ _USUAL_NM = 540.0
 @click.argument("material", required=False)
 @click.option("--nm", "wavelength_nm", type=options.Number(1, 1e6), metavar="NM",
               help=f"Wavelength in nm (default: {_USUAL_NM:g}).")  # fmt: skip
-@click.option("--emission", type=click.Path(), metavar="FILE",
-              help="Emission spectrum to average the index over, instead of --nm.")  # fmt: skip
+@options.file("--emission", "Emission spectrum to average the index over, instead of --nm.")
 @options.json_output
 def index(material, wavelength_nm, emission, json_file) -> None:
     """Refractive index of MATERIAL; without one, what the catalogue has.

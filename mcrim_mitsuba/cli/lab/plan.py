@@ -20,8 +20,7 @@ _LARGEST_COUNT, _MOST_MOUNTINGS = 1e12, 10_000
 
 @click.command(short_help="How many events, mountings and which couplings are needed.")
 @options.campaign
-@click.option("--yield-error", "wanted", type=options.Precision(), metavar="FRACTION",
-              default="10%", show_default=True,
+@click.option("--yield-error", "wanted", type=options.Precision(), default="10%", show_default=True,
               help="Wanted error of the light yield.")  # fmt: skip
 @click.option("--n-gap", default=_COUPLINGS, show_default=True, metavar="LIST",
               help="Couplings to choose from, such as 1.0,glycerol@540nm; 8 at most; every set is "
@@ -35,10 +34,10 @@ _LARGEST_COUNT, _MOST_MOUNTINGS = 1e12, 10_000
 @click.option("--minutes", type=options.Number(0.0, 1e6), metavar="MINUTES", default=30.0,
               show_default=True,
               help="Time of a mounting besides the counting, in minutes.")  # fmt: skip
-@click.option("--scatter", type=options.Precision(), metavar="FRACTION",
+@click.option("--scatter", type=options.Precision(),
               help="Scatter of the signal from mounting to mounting (default: that of the "
                    "campaign's histograms; without any 2.8%, the article's).")  # fmt: skip
-@click.option("--spread", type=options.Precision(), metavar="FRACTION",
+@click.option("--spread", type=options.Precision(),
               help="Spread of an event's light besides the counting (default: that of the "
                    "campaign's histograms; without any 10%).")  # fmt: skip
 @options.figure("the error of the light yield over events, for each set of couplings")
