@@ -79,20 +79,6 @@ class Control:
     #: What the campaign says of it.
     known: Known = Known()
 
-    def coordinate_of(self, value: float) -> float:
-        """Where a value lies on the slider's axis."""
-        if self.coordinate == "reciprocal":
-            return 1.0 / (value + self.scale)
-        if self.coordinate == "logarithmic":
-            return math.log1p(value / self.scale)
-        return value
-
-    def part_at(self, value: float) -> float:
-        """Where a value lies along the slider, 0 to 1; `start` for what is not finite."""
-        inside = min(max(value, self.minimum), self.maximum) if math.isfinite(value) else self.start
-        low, high, x = map(self.coordinate_of, (self.minimum, self.maximum, inside))
-        return (x - low) / (high - low)
-
 
 def parameter_control(
     parameter: CampaignParameter, meaning: str, covered: tuple[float, float] | None = None
