@@ -10,7 +10,6 @@ import logging
 import os
 import re
 import signal
-import stat
 import sys
 import time
 import traceback
@@ -35,11 +34,11 @@ from rich.text import Text
 
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import (
-    NONBLOCK,
     STDOUT,
     WRITES,
     collected,
     json_text,
+    open_to_write,
     silence_stdout,
     write_text,
 )
@@ -101,16 +100,7 @@ class _Lines(logging.FileHandler):
             self.close()
 
     def _open(self) -> io.TextIOWrapper:
-        # a pipe without a reader would else block here for ever
-        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | NONBLOCK
-        try:
-            descriptor = os.open(self.baseFilename, flags, 0o666)
-        except OSError as error:
-            if error.errno == errno.ENXIO and stat.S_ISFIFO(os.stat(self.baseFilename).st_mode):
-                raise OSError(errno.ENXIO, "nobody reads from this pipe") from None
-            raise
-        if NONBLOCK:
-            os.set_blocking(descriptor, True)
+        descriptor = open_to_write(Path(self.baseFilename), os.O_CREAT | os.O_APPEND)
         return open(descriptor, "a", encoding=self.encoding, errors=self.errors)
 
 

@@ -12,7 +12,7 @@ import os
 import select
 import stat
 import sys
-import tempfile
+import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import fields, is_dataclass
@@ -293,7 +293,6 @@ def write_bytes(path: str | Path, content: bytes) -> None:
         If the place cannot be written.
     """
     path = Path(path)
-    temporary = None
     try:
         target = _target(path)
         if target.is_dir():
@@ -302,23 +301,29 @@ def write_bytes(path: str | Path, content: bytes) -> None:
             _write_into(target, content)
             return
         # the file's own name may be as long as a name can be
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=".mcrim_")
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())  # else the name might outlive a power cut, and not the file
-        # mkstemp makes private files; results are as readable as any other new file
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, target)
+        write_whole(target, [content], target.parent / f".mcrim_{uuid.uuid4().hex}")
         if (writes := WRITES.get()) is not None:
             writes.append(path)
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         raise _not_written(path, error) from None
-    finally:
-        if temporary is not None:  # what did not become the file
-            Path(temporary).unlink(missing_ok=True)
+
+
+def write_whole(target: Path, parts: Iterable[Any], temporary: Path) -> None:
+    """Write a file so that under its name there is all of it or nothing, even after a crash.
+
+    `parts` are bytes or what holds them; until it is whole, the file bears the `temporary` name,
+    which is new and in the same folder. Raises OSError if it cannot be written.
+    """
+    try:
+        with open(temporary, "xb") as stream:
+            stream.writelines(parts)
+            stream.flush()
+            os.fsync(stream.fileno())  # else the name might outlive a power cut, and not the file
+        os.replace(temporary, target)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise
 
 
 def _not_written(path: Path, error: OSError | ValueError) -> InputError:
@@ -351,16 +356,24 @@ def _write_into(path: Path, content: bytes) -> None:
         with os.fdopen(os.dup(int(path.name)), "wb") as stream:
             stream.write(content)
         return
+    with os.fdopen(open_to_write(path, os.O_TRUNC), "wb") as stream:
+        stream.write(content)
+
+
+def open_to_write(path: Path, flags: int) -> int:
+    """Descriptor of a file, with further `flags`, or of a pipe that somebody reads from.
+
+    Raises OSError if it cannot be opened; a pipe without a reader would else block for ever.
+    """
     try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_TRUNC | NONBLOCK)
+        descriptor = os.open(path, os.O_WRONLY | flags | NONBLOCK, 0o666)
     except OSError as error:
         if error.errno == errno.ENXIO and path.is_fifo():
             raise OSError(errno.ENXIO, "nobody reads from this pipe") from None
         raise
-    with os.fdopen(descriptor, "wb") as stream:
-        if NONBLOCK:
-            os.set_blocking(descriptor, True)
-        stream.write(content)
+    if NONBLOCK:
+        os.set_blocking(descriptor, True)
+    return descriptor
 
 
 def silence_stdout() -> None:

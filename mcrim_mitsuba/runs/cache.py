@@ -28,7 +28,7 @@ import platformdirs
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import read_bytes
+from mcrim_mitsuba.core.files import read_bytes, write_whole
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT
 from mcrim_mitsuba.runs import cache_files
 from mcrim_mitsuba.runs.cache_files import Chunk, decode, encode
@@ -436,7 +436,7 @@ class RecordCache:
                     self._make_folder()
                 if file.is_dir():
                     cache_files.remove(file, self._place_of_all.parent)
-                _write_whole(file, parts)
+                write_whole(file, parts, cache_files.unfinished(file.parent))
                 return
             except OSError as error:
                 if error.errno not in (*_MEETINGS, *_OCCUPIED) or not tries_left:
@@ -456,7 +456,7 @@ class RecordCache:
         new = cache_files.unfinished(folder.parent)
         new.mkdir(parents=True)
         try:
-            _write_whole(new / cache_files.KEY_FILE, [self._key])
+            write_whole(new / cache_files.KEY_FILE, [self._key], cache_files.unfinished(new))
             os.rename(new, folder)
         except OSError as error:
             if error.errno in _OCCUPIED and not self._is_ours():
@@ -469,22 +469,6 @@ class RecordCache:
         """Note that the key was used now."""
         with contextlib.suppress(OSError):
             os.utime(self._place_of_all / cache_files.KEY_FILE)
-
-
-def _write_whole(file: Path, parts: list) -> None:
-    """Write a file so that under its name there is all of it or nothing, even after a crash."""
-    temporary = cache_files.unfinished(file.parent)
-    try:
-        with open(temporary, "xb") as stream:
-            for part in parts:
-                stream.write(part)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, file)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise
 
 
 def _not_writable(cache: Path, error: OSError) -> str:
