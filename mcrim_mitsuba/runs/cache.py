@@ -138,11 +138,11 @@ def _as_it_is(module: str) -> tuple[str, bytes]:
 #: takes ten times as long, and all commands would wait for it.
 _NO_CODE = re.compile(
     r'''
-    (\A|:) (?:[ \t]*(?:(?<!\S)\#.*)?\n)*+ [ \t]*
+    (:) (?:[ \t]*(?:(?<!\S)\#.*)?\n)*+ [ \t]*
         [rR]?"""(?:[^"\\]+|\\[\s\S]|"(?!""))*+"""(?=[ \t]*(?:\#.*)?(?:\n(?!\s*[)\]},])|\Z))
   | ("""(?:[^"\\]+|\\[\s\S]|"(?!""))*+"""  |  "(?:[^"\\\n]+|\\[\s\S])*+"
     | \'\'\'(?:[^'\\]+|\\[\s\S]|'(?!\'\'))*+\'\'\'  |  '(?:[^'\\\n]+|\\[\s\S])*+')
-  | (?:[ \t]+\#.*)?(\n)(?:[ \t]*(?:\#.*)?\n)*+([ \t]*)
+  | [ \t]+\#.* | (\n)(?:[ \t]*(?:\#.*)?\n)*+([ \t]*)
     ''',
     re.VERBOSE,
 )
@@ -151,7 +151,7 @@ _IMPORT = re.compile(r"\n[ \t]*(?:from[ \t]+([\w.]+)[ \t]+)?import\b[ \t]*(\([^)
 
 
 def _without_comments(code: str) -> str:
-    return "".join(filter(None, _NO_CODE.split(code)))
+    return "".join(filter(None, _NO_CODE.split(f":\n{code}")))  # a file is a block too
 
 
 @functools.cache
@@ -201,12 +201,12 @@ def _files(root: str) -> dict[str, Path]:
     spec = importlib.util.find_spec(root) if root.isidentifier() else None
     if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
         return {}
-    start = Path(spec.origin)
     if not spec.submodule_search_locations:
-        return {root: start}
-    steps = {file: file.relative_to(start.parents[1]) for file in start.parent.rglob("*.py")}
-    names = {file: ".".join(step.with_suffix("").parts) for file, step in steps.items()}
-    return {name.removesuffix(".__init__"): file for file, name in names.items()}
+        return {root: Path(spec.origin)}
+    home = Path(spec.origin).parent
+    start = len(str(home.parent)) + 1
+    files = {str(file)[start:-3].replace(os.sep, "."): file for file in home.rglob("*.py")}
+    return {name.removesuffix(".__init__"): file for name, file in files.items()}
 
 
 def _hash(named: dict[str, Any]) -> str:
