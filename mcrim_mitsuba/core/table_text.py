@@ -117,11 +117,11 @@ _THOUSANDS = re.compile(
 MAY_BE_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)
 _OTHER_SEPARATOR = re.compile(r"[+-]?[\d.,]*\s*([|:&])\s*([+-]?[\d.,]+)?")
 _NO_NUMBER = {
-    "nan", "+nan", "-nan", "inf", "+inf", "-inf", "infinity", "-infinity", "∞", "-∞", "-", "--",
-    "---", "–", "—", "*", "**", "***", "****", "?", ".", "na", "n/a", "n.a.", "none", "null",
-    "#n/a", "#na", "#nv", "#div/0!", "#value!", "#num!", "#ref!", "#wert!", "#zahl!", "over",
-    "ovr", "overflow", "ovrflw", "overload", "sat", "saturated",
-}  # fmt: skip
+    *"nan +nan -nan inf +inf -inf infinity -infinity ∞ -∞ na n/a n.a. none null".split(),
+    *"- -- --- – — * ** *** **** ? .".split(),
+    *"#n/a #na #nv #div/0! #value! #num! #ref! #wert! #zahl!".split(),
+    *"over ovr overflow ovrflw overload sat saturated".split(),
+}
 _SHOWN = 40
 
 

@@ -556,15 +556,13 @@ def _solved(
 
 
 _ABSENT = (
-    "polarization", "wrap_reflectance", "scattering_g", "rayleigh_scattering",
-    "scattering_gradient", "scattering_exponent", "roughness_alpha", "top_roughness_alpha",
-    "side_roughness_alpha", "bottom_roughness_alpha", "rms_roughness_nm", "surface_loss",
-    "chamfer_mm", "top_reflectance",
-    "gap_absorption_per_cm", "bubble_fraction", "bubble_area_fraction", "collar_mm",
-    "aperture_at_detector", "detector_reflectance", "detector_specular", "cathode_nm",
-    "radial_falloff", "mask_offset_mm", "housing_reflectance", "beam_diameter_mm",
-    "narrow_collar_mm", "black_spot_mm",
-)  # fmt: skip
+    "polarization wrap_reflectance scattering_g rayleigh_scattering scattering_gradient "
+    "scattering_exponent roughness_alpha top_roughness_alpha side_roughness_alpha "
+    "bottom_roughness_alpha rms_roughness_nm surface_loss chamfer_mm top_reflectance "
+    "gap_absorption_per_cm bubble_fraction bubble_area_fraction collar_mm aperture_at_detector "
+    "detector_reflectance detector_specular cathode_nm radial_falloff mask_offset_mm "
+    "housing_reflectance beam_diameter_mm narrow_collar_mm black_spot_mm"
+).split()
 
 
 def refuse_other_boxes(bench: Bench) -> None:

@@ -90,7 +90,8 @@ def trial_key(name: str, parameters: dict[str, Any], code: Iterable[Path]) -> st
     """
     own = {"code": package_hash(), "trials": source_hash(code)}
     software = {**software_versions(DEFAULT_VARIANT), **own}
-    return _hash({"software": software, "name": name, "parameters": parameters})
+    named = {"software": software, "name": name, "parameters": parameters}
+    return hashlib.sha256(json.dumps(named, sort_keys=True).encode()).hexdigest()
 
 
 def source_hash(files: Iterable[Path]) -> str:
@@ -207,10 +208,6 @@ def _files(root: str) -> dict[str, Path]:
     start = len(str(home.parent)) + 1
     files = {str(file)[start:-3].replace(os.sep, "."): file for file in home.rglob("*.py")}
     return {name.removesuffix(".__init__"): file for name, file in files.items()}
-
-
-def _hash(named: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(named, sort_keys=True).encode()).hexdigest()
 
 
 # The cache of photon records: where it lies, how large it may grow, its chunks by number.

@@ -14,14 +14,11 @@ from mcrim_mitsuba.core.errors import did_you_mean
 if TYPE_CHECKING:
     from lxml import etree
 
-_PLUGINS = (
-    "bsdf", "emitter", "film", "integrator", "medium", "phase", "rfilter", "sampler", "sensor",
-    "shape", "texture", "volume",
-)  # fmt: skip
+_PLUGINS = "bsdf emitter film integrator medium phase rfilter sampler sensor shape texture volume"
 _AXES = "value x y z"
 #: Attributes that an element must have, and those that it may have.
 _ATTRIBUTES = {
-    **dict.fromkeys(_PLUGINS, ("type", "id name")),
+    **dict.fromkeys(_PLUGINS.split(), ("type", "id name")),
     **dict.fromkeys(("boolean", "float", "integer", "rgb", "string"), ("name value", "")),
     **dict.fromkeys(("point", "vector"), ("name", _AXES)),
     **dict.fromkeys(("scale", "translate"), ("", _AXES)),
@@ -38,21 +35,19 @@ _ATTRIBUTES = {
 }
 #: Types of plugins, this package's first, by element; those that a bench can be made of.
 PLUGIN_TYPES = {
-    "bsdf": (
-        "aperture", "photodetector", "polish", "conductor", "dielectric", "diffuse", "mask",
-        "null", "plastic", "roughconductor", "roughdielectric", "thindielectric", "twosided",
-    ),
-    "emitter": ("scintillation", "collimated_beam"),
-    "integrator": ("light_collection",),
-    "medium": ("bulk", "homogeneous", "heterogeneous"),
-    "phase": ("hg", "isotropic", "rayleigh"),
-    "sensor": ("light_meter",),
-    "shape": (
-        "beam_detector", "chamfers", "frame", "gap_sides", "lying_fillet", "lying_mantle", "panel",
-        "polygon", "prism_sides", "round_wall", "wrapping",
-        "cube", "cylinder", "disk", "obj", "ply", "rectangle", "sphere",
-    ),
-}  # fmt: skip
+    kind: names.split()
+    for kind, names in {
+        "bsdf": "aperture photodetector polish conductor dielectric diffuse mask null plastic "
+        "roughconductor roughdielectric thindielectric twosided",
+        "emitter": "scintillation collimated_beam",
+        "integrator": "light_collection",
+        "medium": "bulk homogeneous heterogeneous",
+        "phase": "hg isotropic rayleigh",
+        "sensor": "light_meter",
+        "shape": "beam_detector chamfers frame gap_sides lying_fillet lying_mantle panel polygon "
+        "prism_sides round_wall wrapping cube cylinder disk obj ply rectangle sphere",
+    }.items()
+}
 #: Of a face: where its normal comes from, and where it points to.
 SIDES = ("interior", "exterior")
 
