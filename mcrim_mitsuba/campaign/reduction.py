@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -19,7 +18,7 @@ from mcrim_mitsuba.campaign.raw_data import (
     with_numbers,
 )
 from mcrim_mitsuba.core.errors import InputError, said_by
-from mcrim_mitsuba.core.files import read_bytes
+from mcrim_mitsuba.core.files import read_bytes, sha256
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.laboratory.histogram import Histogram, read_histogram
@@ -402,4 +401,4 @@ def _files(raw: RawData) -> Iterator[RawFile]:
     for label, reading in raw.readings.items():
         named += [(f"histogram of {label}", mounting.file) for mounting in reading.mountings]
     for role, path in named:
-        yield RawFile(role, path, hashlib.sha256(read_bytes(path, LIMIT_MB)).hexdigest())
+        yield RawFile(role, path, sha256(read_bytes(path, LIMIT_MB)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-import hashlib
 import math
 import os
 import re
@@ -19,6 +18,7 @@ from rich.console import RenderableType
 
 from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import sha256
 from mcrim_mitsuba.core.numbers import parse_number, refuse_decimal_comma
 from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run
@@ -519,4 +519,4 @@ def _command() -> dict[str, Any]:
 def _hashes() -> dict[str, str]:
     """SHA-256 (hexadecimal) of all files that the command reads, by their names for it."""
     files = {str(file): file for file in click.get_current_context().meta[FILES] if file.is_file()}
-    return {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in files.items()}
+    return {name: sha256(file.read_bytes()) for name, file in files.items()}

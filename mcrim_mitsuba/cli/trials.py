@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import hashlib
 import importlib
 import json
 import multiprocessing
@@ -28,7 +27,7 @@ import click
 
 from mcrim_mitsuba.cli import options
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import make_folder, read_text, write_text
+from mcrim_mitsuba.core.files import make_folder, read_text, sha256, write_text
 from mcrim_mitsuba.core.run import Progress
 from mcrim_mitsuba.runs.array_job import ArrayPart
 from mcrim_mitsuba.runs.cache import cache_folder, package_hash, trial_key
@@ -355,7 +354,7 @@ class Trials:
         try:
             content = json.loads(read_text(self._file(trial), _LIMIT_MB))
             text = json.dumps(content["result"])
-            sound = (content["key"], content["sha256"]) == (self._key, _digest(text))
+            sound = (content["key"], content["sha256"]) == (self._key, sha256(text.encode()))
         except (ValueError, KeyError, TypeError):  # an InputError, too
             return None
         return content["result"] if sound else None
@@ -363,9 +362,5 @@ class Trials:
     def _write(self, trial: Trial, text: str) -> None:
         if self._folder is not None:
             make_folder(self._folder)
-            head = f'{{"key": "{self._key}", "sha256": "{_digest(text)}"'
+            head = f'{{"key": "{self._key}", "sha256": "{sha256(text.encode())}"'
             write_text(self._file(trial), f'{head},\n "result": {text}}}\n')
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()

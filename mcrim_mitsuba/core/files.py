@@ -156,6 +156,11 @@ def _up_to(size: int, descriptor: int) -> bytes:
     return b"".join(parts)
 
 
+def sha256(data: bytes) -> str:
+    """SHA-256 of bytes, hexadecimal."""
+    return hashlib.sha256(data).hexdigest()
+
+
 def read_text(path: Path, limit_mb: int) -> str:
     """Content of a UTF-8 text file, a byte order mark removed, line ends as ``\\n``.
 
@@ -237,7 +242,7 @@ def first_duplicates(paths: Sequence[Path]) -> tuple[int, int] | None:
             keys.append(path.resolve())
             # a pipe can be read only once
             if path.is_file():
-                keys.append(hashlib.sha256(read_bytes(path, _LIMIT_MB)).hexdigest())
+                keys.append(sha256(read_bytes(path, _LIMIT_MB)))
         for key in keys:
             if key in seen:
                 return seen[key], place

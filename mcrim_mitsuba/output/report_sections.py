@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import hashlib
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import SAMPLE, Reading
 from mcrim_mitsuba.campaign.reduction import LIMIT_MB
-from mcrim_mitsuba.core.files import attributes, json_text, read_bytes
+from mcrim_mitsuba.core.files import attributes, json_text, read_bytes, sha256
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.effect import modules_of
@@ -171,7 +170,7 @@ def _behind_pictures(
     return {
         "what": "pictures of a report",
         "files": [[source.role, source.path.name, source.sha256] for source in sources],
-        "told": hashlib.sha256(json_text(told).encode()).hexdigest(),
+        "told": sha256(json_text(told).encode()),
         "effects": [*repaired.effects, chosen_by_hand],
         "light_photons": LIGHT_PHOTONS,
         "seed": run.seed,
@@ -398,7 +397,7 @@ def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
         room -= 0 if kept is None else len(data)
         sources.append(
             SourceFile(
-                role, path, _sha256(data), kept, text[:most], max(len(text) - most, 0)
+                role, path, sha256(data), kept, text[:most], max(len(text) - most, 0)
             )
         )  # fmt: skip
     return tuple(sources)
@@ -411,12 +410,8 @@ def changed(role: str, name: str, before: str, new_name: str, after: str) -> Sou
     )
     data = after.encode()
     return SourceFile(
-        f"mended {role}", Path(new_name), _sha256(data), data, "\n".join(lines)
+        f"mended {role}", Path(new_name), sha256(data), data, "\n".join(lines)
     )  # fmt: skip
-
-
-def _sha256(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
 
 
 # The bench: what it is made of, its parameters, its cross-section and picture.

@@ -28,7 +28,7 @@ import platformdirs
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import read_bytes, write_whole
+from mcrim_mitsuba.core.files import read_bytes, sha256, write_whole
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT
 from mcrim_mitsuba.runs import cache_files
 from mcrim_mitsuba.runs.cache_files import Chunk, decode, encode
@@ -91,7 +91,7 @@ def trial_key(name: str, parameters: dict[str, Any], code: Iterable[Path]) -> st
     own = {"code": package_hash(), "trials": source_hash(code)}
     software = {**software_versions(DEFAULT_VARIANT), **own}
     named = {"software": software, "name": name, "parameters": parameters}
-    return hashlib.sha256(json.dumps(named, sort_keys=True).encode()).hexdigest()
+    return sha256(json.dumps(named, sort_keys=True).encode())
 
 
 def source_hash(files: Iterable[Path]) -> str:
@@ -318,7 +318,7 @@ class RecordCache:
         #: Where this key's chunks lie; None where the cache is switched off.
         self.folder: Path | None = None
         self._key = json.dumps(dict(key), sort_keys=True, indent=1, allow_nan=False).encode()
-        self._key_hash = hashlib.sha256(self._key).hexdigest()
+        self._key_hash = sha256(self._key)
         #: Eight letters that tell the key from others.
         self.name = self._key_hash[:8]
         cache = cache_folder() if folder is None else Path(folder).absolute()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import contextvars
-import hashlib
 import json
 import logging
 import pickle
@@ -17,6 +16,7 @@ from typing import Any, Protocol
 import cloudpickle
 from numpy.typing import NDArray
 
+from mcrim_mitsuba.core.files import sha256
 from mcrim_mitsuba.core.run import OWN_MODULES, Progress
 from mcrim_mitsuba.runs.cache import RecordCache
 from mcrim_mitsuba.runs.cache_files import Chunk
@@ -25,7 +25,7 @@ from mcrim_mitsuba.runs.cache_files import Chunk
 def number_of(*identity: object) -> int:
     """A chunk's number, made of what JSON can hold and what tells it from others of its job."""
     text = json.dumps(identity, sort_keys=True, default=str)
-    return int(hashlib.sha256(text.encode()).hexdigest()[:15], 16)
+    return int(sha256(text.encode())[:15], 16)
 
 
 #: What a unit makes under one number: arrays of one dimension, and what JSON can hold.
