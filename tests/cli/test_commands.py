@@ -254,7 +254,7 @@ FINE = "label,signal,sigma,n_gap\nair,14.3,0.2,1.0\ngel,24.5,0.4,1.46\n"
         ("camoo4.xml", FINE, 'effects = ["source_depth"]\n[parameters.source_depth_mm]\n'
          'gammas_in = "CaMoO4"\n[light_yield]\nenergy_keV = 10.0\ndetector_efficiency = 0.127\n'
          "detector_efficiency_sigma = 0.013\n",
-         ("c.toml, line 5: ", "the prior of source_depth_mm is", "outside 0.2..100")),
+         ("c.toml, line 5: ", "the prior of source_depth_mm", "is far outside 0.2..100")),
     ],
     ids=["histogram", "scene", "transmittance", "depth"],
 )  # fmt: skip
