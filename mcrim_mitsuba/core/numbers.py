@@ -9,6 +9,7 @@ import math
 import numbers
 import re
 from collections.abc import Mapping
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -113,6 +114,35 @@ def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> 
             **place,
         )
     return number
+
+
+def number_of(what: str, value: object, mend: str) -> float:
+    """A finite number from any kind that Python has, or from its text; integers stay such.
+
+    `what` and `mend` are for the message, as ``the seed`` and ``give 0 or a positive integer``.
+
+    Raises
+    ------
+    InputError
+        If it is none: true and false, complex numbers and arrays of several are not.
+    """
+    if isinstance(value, str):
+        value = int(value) if INTEGER.fullmatch(value) else parse_number(what, value)
+    if isinstance(value, (np.ndarray, np.generic)) and value.ndim == 0:
+        value = value.item()
+    if not isinstance(value, bool) and isinstance(value, (numbers.Real, Decimal)):
+        number = int(value) if isinstance(value, numbers.Integral) else float(value)
+        if abs(number) <= LARGEST:
+            return number
+    raise InputError(f"{what} is {value}", mend)
+
+
+def whole_of(what: str, value: object, mend: str, least: int, most: float = math.inf) -> int:
+    """The same, where only whole numbers within limits can be meant."""
+    number = number_of(what, value, mend)
+    if not (least <= number <= most and abs(number - round(number)) <= 1e-9 * abs(number)):
+        raise InputError(f"{what} is {value}", mend)
+    return round(number)
 
 
 def refuse_decimal_comma(what: str, text: str, *, given: bool = False, **place: Any) -> None:

@@ -9,9 +9,10 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import FrameType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import number_of, whole_of
 
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
@@ -21,6 +22,7 @@ OWN_MODULES = "mcrim_effect_"
 DEFAULT_VARIANT = "llvm_ad_rgb"
 #: That any run may be asked for.
 MOST_PHOTONS = 10**13
+MOST_THREADS = 1024
 #: By which people, terminals and batch systems end a job.
 ENDING_SIGNALS = tuple(s for s in signal.Signals if s.name in ("SIGINT", "SIGTERM", "SIGHUP"))
 
@@ -69,9 +71,28 @@ class Run:
     check: bool = True
 
     def __post_init__(self) -> None:
-        refuse_arguments(1 if self.photons is None else self.photons, self.seed)
-        if self.precision is not None and not self.precision > 0:
-            raise InputError(f"the precision is {self.precision}", "give a relative error above 0")
+        photons, seed = arguments_of(1 if self.photons is None else self.photons, self.seed)
+        taken: dict[str, float | None] = {
+            "seed": seed,
+            "photons": None if self.photons is None else photons,
+        }
+        if self.threads is not None:
+            what, mend = "the number of threads", f"give a whole number, 1 to {MOST_THREADS}"
+            taken["threads"] = whole_of(what, self.threads, mend, 1, MOST_THREADS)
+        if self.precision is not None:
+            mend = "give a relative error above 0"
+            precision = number_of("the precision", self.precision, mend)
+            if not precision > 0:
+                raise InputError(f"the precision is {self.precision}", mend)
+            taken["precision"] = precision
+        if not isinstance(self.variant, str):
+            raise InputError(f"the variant is {self.variant}", f"give a name: {DEFAULT_VARIANT}")
+        for name, value in taken.items():
+            object.__setattr__(self, name, value)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # who is told is in this process
+        return {**self.__dict__, "progress": None}
 
     def photons_or(self, usual: int) -> int:
         """Photons to follow, where `usual` are if nothing else is said."""
@@ -101,12 +122,13 @@ class Provenance:
     notes: tuple[str, ...]
 
 
-def refuse_arguments(photons: float, seed: int) -> None:
-    """Refuse numbers of photons and seeds that no run has; raises InputError."""
-    if not 1 <= photons <= MOST_PHOTONS or photons != int(photons):
-        raise InputError(f"the number of photons is {photons}", "give a whole number, 1 to 1e13")
-    if seed < 0:
-        raise InputError(f"the seed is {seed}", "give 0 or a positive integer")
+def arguments_of(photons: object, seed: object) -> tuple[int, int]:
+    """A number of photons and a seed, of whatever kind; raises InputError if no run has them."""
+    mend = "give a whole number, 1 to 1e13"
+    return (
+        whole_of("the number of photons", photons, mend, 1, MOST_PHOTONS),
+        whole_of("the seed", seed, "give 0 or a positive integer", 0),
+    )
 
 
 @contextlib.contextmanager

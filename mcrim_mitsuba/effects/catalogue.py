@@ -16,7 +16,7 @@ from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import read_text
-from mcrim_mitsuba.core.numbers import parse_number
+from mcrim_mitsuba.core.numbers import number_of, parse_number
 from mcrim_mitsuba.core.run import OWN_MODULES
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.scene.editor import SceneEditor
@@ -295,7 +295,11 @@ def _values(effect: Effect, scene: SceneFile, given: Mapping[str, float | str]) 
             raise InputError(f"the scene has no parameter {nominal}", mend, path=scene.path)
         start, low, high = parameter.range_in(scene.parameters)
         value = given.get(name, start)
-        values[name] = parse_number(name, value, given=True) if isinstance(value, str) else value
+        values[name] = (
+            parse_number(name, value, given=True)
+            if isinstance(value, str)
+            else number_of(name, value, "give a number")
+        )
         if not low <= values[name] <= high:
             mend = f"give {low:g} to {high:g}{parameter.unit and f' {parameter.unit}'}"
             raise InputError(f"{name} = {values[name]:g} is outside the catalogue's range", mend)

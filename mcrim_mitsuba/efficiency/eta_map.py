@@ -20,7 +20,7 @@ from mcrim_mitsuba.core.data_table import read_data_table
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there
-from mcrim_mitsuba.core.numbers import FWHM, Value, as_attributes
+from mcrim_mitsuba.core.numbers import FWHM, Value, as_attributes, whole_of
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.lighting import Bins, bin_of
 
@@ -194,6 +194,10 @@ def map_eta(simulation: Simulation, cells: Sequence[int] = CELLS, *, run: Run = 
     if crystal.birth_volume != crystal.volume:
         problem = "a beam's photons are not born in the crystal, so that no map shows them"
         raise InputError(problem, "map a scene of light", path=simulation.file.path)
+    mend = "give three whole numbers from 1, such as (10, 10, 10)"
+    if not np.iterable(cells) or len(cells := list(cells)) != 3:
+        raise InputError(f"cells is {cells}", mend)
+    cells = [whole_of("a number of cells", n, mend, 1) for n in cells]
     number = math.prod(cells)
     photons = run.photons_or(PHOTONS_PER_CELL * number)
     if photons < _FEWEST_PER_CELL * number:

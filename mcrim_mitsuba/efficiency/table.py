@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import write_text
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, as_attributes, judge, unit_of
+from mcrim_mitsuba.core.numbers import (
+    ALPHA_ABS,
+    ALPHA_SCAT,
+    Value,
+    as_attributes,
+    judge,
+    number_of,
+    unit_of,
+)
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import (
     MOST_PHOTONS,
@@ -227,8 +235,12 @@ class _Bench:
 def values_as_in(file: SceneFile, name: str, values: Sequence[Value]) -> tuple[Value, ...]:
     """Values of the kind that the scene has: 1 is 1.0, where it has a length."""
     if isinstance(file.parameters[name], float):
-        return tuple(v if isinstance(v, str) else float(v) for v in values)
+        return tuple(v if isinstance(v, str) else float(_value(name, v)) for v in values)
     return tuple(values)
+
+
+def _value(name: str, value: object) -> float:
+    return number_of(f"a value of {name}", value, "give a list of plain numbers")
 
 
 def refuse_axes(file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> None:
@@ -253,6 +265,8 @@ def refuse_axes(file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> None:
         if not len(values):
             raise InputError(f"there is no value of {name}", "give one at least")
         for value in values:
-            wrong = None if isinstance(value, str | bool) else judge(name, value)
-            if wrong is not None:
-                raise InputError(f"{name} = {value:g}: {wrong[1]}", wrong[2])
+            if isinstance(value, str | bool):
+                continue
+            number = _value(name, value)
+            if (wrong := judge(name, number)) is not None:
+                raise InputError(f"{name} = {number:g}: {wrong[1]}", wrong[2])

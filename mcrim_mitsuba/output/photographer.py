@@ -13,6 +13,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,9 @@ class Photograph:
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
         self._process = process
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_developed": self._developed}  # a process cannot be sent to another
 
     @property
     def picture(self) -> NDArray[np.uint8] | None:

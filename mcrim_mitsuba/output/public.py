@@ -12,16 +12,17 @@ from __future__ import annotations
 import dataclasses
 import functools
 import importlib
-import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
 from mcrim_mitsuba.core.files import json_text, plain, write_text
-from mcrim_mitsuba.core.numbers import said, unit_of
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.numbers import number_of, said, unit_of, whole_of
+from mcrim_mitsuba.core.run import MOST_PHOTONS, Run
 from mcrim_mitsuba.output import described, documents, scene_descriptions
 from mcrim_mitsuba.output.described import Described
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.campaign import Campaign
     from mcrim_mitsuba.inference.estimates import ParameterEstimate
     from mcrim_mitsuba.output.figure_style import Drawing
+    from mcrim_mitsuba.transport.simulation import Simulation, SimulationResult
 
 Scene = str | Path | SceneFile
 _OF_RUN = frozenset(field.name for field in dataclasses.fields(Run))
@@ -231,30 +233,32 @@ def _read(campaign: str | Path | Campaign) -> Campaign:
     return as_campaign(campaign)
 
 
+def _picture(place: str, *found: Any, **options: Any) -> Callable[[], Any]:
+    """What draws by a function; its module takes a while, and is imported when it is needed."""
+    return functools.partial(_drawn, place, *found, **options)
+
+
+def _drawn(place: str, *found: Any, **options: Any) -> Any:
+    module, _, name = place.partition(".")
+    draw = getattr(importlib.import_module(f"mcrim_mitsuba.output.{module}"), name)
+    return draw(*found, **options)
+
+
 def _of_campaign(
     campaign: Campaign, pictures: Mapping[str, Callable[[], Drawing]]
 ) -> dict[str, Callable[[], Drawing]]:
     """Pictures that carry the campaign's title."""
-
-    def entitled(make: Callable[[], Drawing]) -> Callable[[], Drawing]:
-        return lambda: make().entitled(campaign.title)
-
-    return {name: entitled(make) for name, make in pictures.items()}
+    return {n: functools.partial(_entitled, campaign.title, p) for n, p in pictures.items()}
 
 
-def _drawn(place: str, *found: Any, **options: Any) -> Any:
-    """What a function draws; its module takes a while, and is imported when it is needed."""
-    module, _, name = place.partition(".")
-    draw = getattr(importlib.import_module(f"mcrim_mitsuba.output.{module}"), name)
-    return draw(*found, **options)
+def _entitled(title: str, picture: Callable[[], Drawing]) -> Drawing:
+    return picture().entitled(title)
 
 
 def _split(run: Run | None, given: Mapping[str, Any]) -> tuple[Run, dict[str, Any]]:
     """A run with the fields that were given, and what was given besides: scene parameters."""
     others = dict(given)
     own = {name: others.pop(name) for name in given if name in _OF_RUN}
-    if own.get("photons") is not None:
-        own["photons"] = round(own["photons"])
     return dataclasses.replace(run or Run(), **own), others
 
 
@@ -276,6 +280,17 @@ def _run(run: Run | None, given: Mapping[str, Any]) -> Run:
         problem = f"{next(iter(others))} is no field of a run"
         raise InputError(problem, did_you_mean(next(iter(others)), sorted(_OF_RUN)))
     return made
+
+
+#: Depths (mm) and times (ns) above this are none.
+_LONGEST = 1e9
+
+
+def _above_0(name: str, value: object, kind: str) -> float:
+    number = number_of(name, value, "give a number above 0")
+    if not 0.0 < number <= _LONGEST:
+        raise InputError(f"{name} = {number:g} is no {kind}", "give one above 0")
+    return number
 
 
 def _names(given: str | Sequence[str]) -> tuple[str, ...]:
@@ -314,7 +329,6 @@ def simulate(
     InputError
         If the scene is not sound, a parameter is wrong, or the method does not know such a bench.
     """
-    from mcrim_mitsuba.efficiency.lighting import follow_light
     from mcrim_mitsuba.efficiency.simulate import collect
     from mcrim_mitsuba.reference.noise_free import refuse_method, solve_simulation
     from mcrim_mitsuba.transport.simulation import Simulation
@@ -330,8 +344,34 @@ def simulate(
         )
     found = _noted(collect(simulation, run=run), file)
 
-    @functools.cache
-    def followed() -> Any:
+    light = _Followed(simulation, found, run)
+    return Answer(
+        found, scene_descriptions.of_simulation(found), documents.of_simulation(found),
+        {"arrival": functools.partial(light.draw, "light_figures.draw_arrival"),
+         "fates": functools.partial(light.draw, "light_figures.draw_fates")},
+    )  # fmt: skip
+
+
+class _Followed:
+    """Figures of a simulation, for which its photons are followed again."""
+
+    def __init__(self, simulation: Simulation, found: SimulationResult, run: Run) -> None:
+        self._simulation: Simulation | None = simulation
+        self._file, self._found, self._run = simulation.file, found, run
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Mitsuba's scene stays in its process
+        return {**self.__dict__, "_simulation": None}
+
+    @functools.cached_property
+    def _light(self) -> list[tuple[str, Any]]:
+        from mcrim_mitsuba.efficiency.lighting import follow_light
+        from mcrim_mitsuba.transport.simulation import Simulation
+
+        file, found, run = self._file, self._found, self._run
+        simulation = self._simulation or Simulation(
+            file, variant=run.variant, threads=run.threads, check=False
+        )
         photons = min(found.photons, MOST_FOR_FIGURES)
         light = follow_light(simulation, run=dataclasses.replace(run, photons=photons))
         # the run's own numbers, also where it has more photons than are followed again
@@ -340,11 +380,9 @@ def simulate(
         changed = [said(name, file.parameters[name]) for name in file.overrides]
         return [(", ".join([file.path.name, *changed]), light)]
 
-    return Answer(
-        found, scene_descriptions.of_simulation(found), documents.of_simulation(found),
-        {"arrival": lambda: _drawn("light_figures.draw_arrival", followed()),
-         "fates": lambda: _drawn("light_figures.draw_fates", followed())},
-    )  # fmt: skip
+    def draw(self, place: str) -> Any:
+        """One of them."""
+        return _drawn(place, self._light)
 
 
 def _noted(found: Any, file: SceneFile) -> Any:
@@ -386,15 +424,14 @@ def eta_map(
     from mcrim_mitsuba.transport.simulation import Simulation
 
     run, parameters = _split(run, given)
-    if not depth_mm > 0.0:
-        raise InputError(f"depth_mm = {depth_mm:g} is no depth", "give one above 0")
+    depth_mm = _above_0("depth_mm", depth_mm, "depth")
     file = _with_parameters(scene, parameters)
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
-    found = map_eta(simulation, cells or CELLS, run=run)
+    found = map_eta(simulation, CELLS if cells is None else cells, run=run)
     spreads = all_spreads(found, depth_mm, deposits)
     return Answer(
         found, scene_descriptions.of_map(found, spreads), documents.of_map(found, spreads),
-        {"map": lambda: _drawn("light_figures.draw_map", found, spreads)},
+        {"map": _picture("light_figures.draw_map", found, spreads)},
     )  # fmt: skip
 
 
@@ -442,7 +479,7 @@ def eta_spectrum(
     found = eta_over(file, light, solver=solver, run=run)
     return Answer(
         found, scene_descriptions.of_spectrum(found), documents.of_spectrum(found),
-        {"spectrum": lambda: _drawn("light_figures.draw_spectrum", found)},
+        {"spectrum": _picture("light_figures.draw_spectrum", found)},
     )  # fmt: skip
 
 
@@ -483,18 +520,17 @@ def arrival_times(
     from mcrim_mitsuba.transport.simulation import Simulation
 
     run, parameters = _split(run, given)
-    if decay_ns is not None and not 0.0 < decay_ns < math.inf:
-        raise InputError(f"decay_ns = {decay_ns:g} is no decay time", "give one above 0")
-    if detected < 1 or detected != int(detected):
-        raise InputError(f"detected = {detected:g} photons", "give a whole number from 1")
+    if decay_ns is not None:
+        decay_ns = _above_0("decay_ns", decay_ns, "decay time")
+    detected = whole_of("detected", detected, "give a whole number from 1", 1, MOST_PHOTONS)
     file = _with_parameters(scene, parameters)
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
     found = follow_times(
-        simulation, group_index=group_index, decay_ns=decay_ns, detected=int(detected), run=run
+        simulation, group_index=group_index, decay_ns=decay_ns, detected=detected, run=run
     )
     return Answer(
         found, scene_descriptions.of_times(found), documents.of_times(found),
-        {"times": lambda: _drawn("light_figures.draw_times", found)},
+        {"times": _picture("light_figures.draw_times", found)},
     )  # fmt: skip
 
 
@@ -538,7 +574,7 @@ def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **gi
     axes = {
         name: list(values)
         for name, values in parameters.items()
-        if hasattr(values, "__iter__") and not isinstance(values, str)
+        if np.iterable(values) and not isinstance(values, str | bytes)
     }
     file = _with_parameters(scene, {n: v for n, v in parameters.items() if n not in axes})
     start = time.perf_counter()
@@ -548,7 +584,7 @@ def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **gi
     return Answer(
         made, scene_descriptions.of_table(made, seconds=seconds),
         documents.of_table(made, seconds=seconds),
-        {"eta": lambda: _drawn("light_figures.draw_table", made)},
+        {"eta": _picture("light_figures.draw_table", made)},
     )  # fmt: skip
 
 
@@ -568,21 +604,25 @@ def check(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
         With the fields of `scene.check_text.CheckReport`: ``ok``, ``problems``, ...; a file that
         cannot be read is a problem too. Picture ``cross_section``, of a sound scene.
     """
-    from mcrim_mitsuba.transport.simulation import Simulation, check_scene
+    from mcrim_mitsuba.transport.simulation import check_scene
 
     run, parameters = _split(run, given)
     found = check_scene(scene, parameters, variant=run.variant, threads=run.threads)
 
-    def drawn() -> Figure:
-        loaded = Simulation(
-            scene, parameters, variant=run.variant, threads=run.threads, check=False
-        )
-        return _drawn("cross_section.cross_section_figure", loaded, found.interfaces)
-
+    section = functools.partial(_cross_section, scene, parameters, run, found.interfaces)
     return Answer(
         found, scene_descriptions.of_check(found), documents.of_check(found),
-        {"cross_section": drawn} if found.ok else {},
+        {"cross_section": section} if found.ok else {},
     )  # fmt: skip
+
+
+def _cross_section(
+    scene: Scene, parameters: Mapping[str, Any], run: Run, interfaces: Any
+) -> Figure:
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    loaded = Simulation(scene, parameters, variant=run.variant, threads=run.threads, check=False)
+    return _drawn("cross_section.cross_section_figure", loaded, interfaces)
 
 
 def crosscheck(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
@@ -636,6 +676,8 @@ def render(scene: Scene, *, run: Run | None = None, **given: Any) -> Any:
     from mcrim_mitsuba.output.photograph import render as photographed
 
     samples = given.pop("samples", None)
+    if samples is not None:
+        samples = whole_of("samples", samples, "give a whole number from 1", 1, MOST_PHOTONS)
     run, parameters = _split(run, given)
     return photographed(scene, parameters, samples=samples, run=run)
 
@@ -741,9 +783,9 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
     seconds = time.perf_counter() - start
     fit, unit = found.calibration, campaign.unit
     pictures = {
-        "readings": lambda: _drawn("fit_figures.draw_comparison", fit, unit=unit),
-        "profiles": lambda: _drawn("fit_figures.draw_profiles", found.profiles),
-        "budget": lambda: _drawn("budget_figures.draw_budget", fit),
+        "readings": _picture("fit_figures.draw_comparison", fit, unit=unit),
+        "profiles": _picture("fit_figures.draw_profiles", found.profiles),
+        "budget": _picture("budget_figures.draw_budget", fit),
     }
     pictures = _of_campaign(campaign, pictures)
     return _answer("calibration", found, pictures, seconds=seconds)
@@ -775,13 +817,13 @@ def compare(
         from mcrim_mitsuba.inference.hypotheses import compare_hypotheses
 
         several = compare_hypotheses((campaign, *others), run=_run(run, given))
-        pulls = {"pulls": lambda: _drawn("fit_figures.draw_hypotheses", several.comparison)}
+        pulls = {"pulls": _picture("fit_figures.draw_hypotheses", several.comparison)}
         return _answer("hypotheses", several, _of_campaign(campaign, pulls))
     from mcrim_mitsuba.inference.compare import compare as compared
 
     found, unit = compared(campaign, run=_run(run, given)), campaign.unit
     drawn = "fit_figures.draw_comparison", found.comparison
-    pictures = {"readings": lambda: _drawn(*drawn, unit=unit)}
+    pictures = {"readings": _picture(*drawn, unit=unit)}
     return _answer("comparison", found, _of_campaign(campaign, pictures))
 
 
@@ -811,7 +853,7 @@ def diagnose(
     found = diagnosed(
         campaign, without=_names(without), only=_names(only), run=_run(run, given)
     )  # fmt: skip
-    pictures = {"ranking": lambda: _drawn("diagnosis_figures.draw_ranking", found.diagnosis)}
+    pictures = {"ranking": _picture("diagnosis_figures.draw_ranking", found.diagnosis)}
     return _answer("diagnosis", found, _of_campaign(campaign, pictures))
 
 
@@ -858,8 +900,8 @@ def repair(
     unit = campaign.unit
     compared = "fit_figures.draw_comparison", diagnosis.baseline, after
     pictures = {
-        "staircase": lambda: _drawn("diagnosis_figures.draw_staircase", diagnosis.repair, after),
-        "readings": lambda: _drawn(*compared, added=added, unit=unit),
+        "staircase": _picture("diagnosis_figures.draw_staircase", diagnosis.repair, after),
+        "readings": _picture(*compared, added=added, unit=unit),
     }
     return _answer("repair", found, _of_campaign(campaign, pictures))
 
@@ -903,12 +945,24 @@ def budget(
     from mcrim_mitsuba.inference.budget import budget as budgeted
 
     campaign = _read(campaign)
+    if wavelength_nm is not None:
+        wavelength_nm = _above_0("wavelength_nm", wavelength_nm, "wavelength")
+    if depth_mm is not None:
+        depth_mm = _above_0("depth_mm", depth_mm, "depth")
     found = budgeted(
         campaign, material=material, emission=emission, wavelength_nm=wavelength_nm,
         eta_map=eta_map, depth_mm=depth_mm, deposits=deposits, run=_run(run, given),
     )  # fmt: skip
-    pictures = {"neglected": lambda: _drawn("budget_figures.draw_neglected", found)}
+    pictures = {"neglected": _picture("budget_figures.draw_neglected", found)}
     return _answer("budget", found, _of_campaign(campaign, pictures))
+
+
+#: Choices of a plan, each one of several numbers.
+_OF_PLAN: dict[str, Callable[[str, Any], float]] = {
+    "n_gap": functools.partial(number_of, mend="give a list of indices"),
+    "mountings": functools.partial(whole_of, mend="give whole numbers from 1", least=1),
+    "events": functools.partial(_above_0, kind="number of events"),
+}
 
 
 def plan(
@@ -940,13 +994,17 @@ def plan(
     from mcrim_mitsuba.output import descriptions
 
     campaign = _read(campaign)
-    run, choices = _split(run, given)
+    choices = {name: given.pop(name) for name in ("conditions", *_OF_PLAN) if name in given}
+    for name in _OF_PLAN.keys() & choices.keys():
+        several = choices[name] if np.ndim(choices[name]) else [choices[name]]
+        choices[name] = [_OF_PLAN[name](name, value) for value in several]
+    run, wanted = _run(run, given), _above_0("wanted", wanted, "relative error")
     found = planned(campaign, wanted, run=run, **choices)
     return Answer(
         found,
         descriptions.of_plan(found),
         documents.of_planning(found, run.seed),
-        _of_campaign(campaign, {"plan": lambda: _drawn("budget_figures.draw_plan", found)}),
+        _of_campaign(campaign, {"plan": _picture("budget_figures.draw_plan", found)}),
     )
 
 

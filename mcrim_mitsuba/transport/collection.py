@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.run import refuse_arguments, signals_wait
+from mcrim_mitsuba.core.run import arguments_of, signals_wait
 from mcrim_mitsuba.transport import loop
 from mcrim_mitsuba.transport.bulk import CrystalVolume
 from mcrim_mitsuba.transport.flat_path import FlatPath, suits
@@ -133,8 +133,8 @@ def collect(
     bool
         Whether the user interrupted.
     """
-    refuse_arguments(photons, seed)
-    photons, number, tally = int(photons), 0, launcher.tally
+    photons, seed = arguments_of(photons, seed)
+    number, tally = 0, launcher.tally
     try:
         while tally.photons < photons and not tally.reaches(precision):
             chunk = min(launcher.size if number else FIRST_LAUNCH, photons - tally.photons)
@@ -169,7 +169,7 @@ def slope_along(
     photons, seed, max_depth
         As for `collect`.
     """
-    refuse_arguments(photons, seed)
+    photons, seed = arguments_of(photons, seed)
     slopes, number = FateTally(head_on=launcher.tally.head_on), 0
     while slopes.photons < photons:
         chunk = min(launcher.size, photons - slopes.photons)

@@ -2,9 +2,14 @@
 
 import copy
 import dataclasses
+import functools
+import math
 import os
+import pickle
 import subprocess
 import sys
+from decimal import Decimal
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -12,6 +17,7 @@ from places import SCENES
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.output.photographer import Photograph
 from mcrim_mitsuba.transport.llvm import ENVIRONMENT_VARIABLE, selected_llvm
 
 BENCH = SCENES / "camoo4.xml"
@@ -163,3 +169,98 @@ def test_proposals_that_were_asked_for_and_are_not_listed_are_said():
     assert found.verdict == "too_few_readings" and not found.next_measurements
     notes = found.provenance.notes
     assert any("listed only where effects are to be told apart" in note for note in notes)
+
+
+def test_results_are_sent_between_processes():
+    code = (
+        "import functools, multiprocessing, mcrim_mitsuba as mcrim\n"
+        "if __name__ == '__main__':\n"
+        "    run = functools.partial(mcrim.simulate, photons=20_000, threads=1)\n"
+        "    with multiprocessing.get_context('fork').Pool(1) as pool:\n"
+        f"        found, same = pool.map(run, 2 * [{str(BENCH)!r}])\n"
+        "    print(found.eta == same.eta, found.plot('fates') is not None)"
+    )
+    assert python(code).split() == ["True", "True"]
+
+
+@pytest.mark.parametrize(
+    "verb, given",
+    [
+        ("table", {"gap_mm": [0.05, 0.1]}), ("eta_map", {"cells": (2, 2, 2)}), ("check", {}),
+        ("crosscheck", {}), ("arrival_times", {}), ("calibrate", {}), ("compare", {}),
+        ("diagnose", {"only": "background"}), ("repair", {}),
+        ("budget", {}), ("plan", {"wanted": 0.2}),
+    ],
+)  # fmt: skip
+def test_every_result_is_what_it_was_after_pickling(verb, given):
+    of_campaign = verb in ("calibrate", "compare", "diagnose", "repair", "budget", "plan")
+    source = SCENES / "camoo4_campaign.toml" if of_campaign else BENCH
+    run = mcrim.Run(photons=20_000, threads=1, progress=lambda *_: None)
+    found = getattr(mcrim, verb)(source, run=run, **given)
+    sent = pickle.loads(pickle.dumps(found))
+    assert (str(sent), sent.to_json()) == (str(found), found.to_json())
+    if verb in ("check", "table"):
+        assert sent.plot().axes
+
+
+def test_a_picture_that_is_still_drawn_is_waited_for_when_it_is_sent():
+    process = subprocess.Popen(
+        [sys.executable, "-c", "raise SystemExit('no')"], stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )  # fmt: skip
+    assert pickle.loads(pickle.dumps(Photograph(process))).trouble == "no"
+
+
+WHOLE = [
+    np.int32(2),
+    np.uint8(2),
+    np.float32(2),
+    2.0,
+    "2",
+    "2e0",
+    np.array(2),
+    Fraction(2),
+    Decimal(2),
+]
+NOT_WHOLE = [
+    2.5, math.nan, math.inf, -math.inf, "two", "", True, np.True_, [2], np.array([2]), 2j, {}, b"2",
+    object(), -1, 10**400,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("field", ["photons", "seed", "threads"])
+def test_numbers_of_any_kind_are_taken_or_refused(field):
+    for value in WHOLE:
+        taken = getattr(mcrim.Run(**{field: value}), field)
+        assert (taken, type(taken)) == (2, int), value
+    for value in NOT_WHOLE:
+        with pytest.raises(mcrim.InputError, match=f"the .*{field}"):
+            mcrim.Run(**{field: value})
+    assert mcrim.Run(seed="123456789012345678").seed == 123456789012345678
+    with pytest.raises(mcrim.InputError, match="the seed is None"):
+        mcrim.Run(seed=None)
+
+
+def test_other_numbers_of_any_kind_are_taken_or_refused():
+    for value in (np.float32(0.5), "0.5", Fraction(1, 2), Decimal("0.5"), np.array(0.5)):
+        assert mcrim.Run(precision=value).precision == 0.5
+    for value in (*NOT_WHOLE[1:], 0):
+        with pytest.raises(mcrim.InputError, match=r"precision|is empty"):
+            mcrim.Run(precision=value)
+    light = functools.partial(mcrim.table, BENCH, photons=1000, threads=1)
+    same = light(n_gap=np.array([1.0, 1.46], np.float32)).eta
+    assert np.all(light(n_gap=["1", Decimal("1.46")]).eta == pytest.approx(same))
+    assert light(n_gap=np.array(1.46)).eta == pytest.approx(same[1])
+    for value in ([[1.0, 1.46]], np.array([[1.46]]), [1, None], [math.nan], [True], b"1.46", None):
+        with pytest.raises(mcrim.InputError):
+            light(n_gap=value)
+    for cells in (2, (2, 2), (0, 2, 2), (2.5, 2, 2), (None, 2, 2), np.array(2), "", {}):
+        with pytest.raises(mcrim.InputError, match="cells"):
+            mcrim.eta_map(BENCH, cells=cells, photons=1000, threads=1)
+    plan = functools.partial(mcrim.plan, SCENES / "camoo4_campaign.toml", photons=1000)
+    for given in ({"mountings": [2.5]}, {"events": [None]}, {"n_gap": [[1.0]]}, {"mounting": 4}):
+        with pytest.raises(mcrim.InputError):
+            plan(0.1, **given)
+    for wanted in (None, "much", math.nan, [0.1], 0):
+        with pytest.raises(mcrim.InputError, match="wanted"):
+            plan(wanted)
