@@ -173,7 +173,7 @@ def test_group_indices_are_those_of_the_materials():
         ({"group_index": {"crystal": "CaMoO4"}}, "without a wavelength"),
         ({"group_index": {"crystal": "slow"}}, "slow"),
         ({"decay_ns": -1.0}, "no decay time"),
-        ({"detected": 0}, "detected = 0"),
+        ({"detected": 0}, "detected is 0"),
         ({"photons": 1}, "0 of 1 photons are detected"),
     ],
 )
