@@ -72,19 +72,17 @@ class Run:
 
     def __post_init__(self) -> None:
         photons, seed = arguments_of(1 if self.photons is None else self.photons, self.seed)
-        taken: dict[str, float | None] = {
-            "seed": seed,
-            "photons": None if self.photons is None else photons,
-        }
+        taken: dict[str, float] = {"seed": seed}
+        if self.photons is not None:
+            taken["photons"] = photons
         if self.threads is not None:
             what, mend = "the number of threads", f"give a whole number, 1 to {MOST_THREADS}"
             taken["threads"] = whole_of(what, self.threads, mend, 1, MOST_THREADS)
         if self.precision is not None:
-            mend = "give a relative error above 0"
-            precision = number_of("the precision", self.precision, mend)
-            if not precision > 0:
-                raise InputError(f"the precision is {self.precision}", mend)
-            taken["precision"] = precision
+            what, mend = "the precision", "give a relative error above 0"
+            taken["precision"] = number_of(what, self.precision, mend)
+            if not taken["precision"] > 0:
+                raise InputError(f"{what} is {self.precision}", mend)
         if not isinstance(self.variant, str):
             raise InputError(f"the variant is {self.variant}", f"give a name: {DEFAULT_VARIANT}")
         for name, value in taken.items():

@@ -104,7 +104,7 @@ def propagated(
     variances = {
         "statistical": errors.statistical_variances(response),
         "prior": covariance**2 @ likelihood.prior_weight,
-        "monte_carlo": errors.simulated_variances(response),
+        "monte_carlo": np.square(response @ errors.simulated).sum(axis=1),
     }
     found = {}
     for i, (name, interval) in enumerate(zip(likelihood.names, ends, strict=True)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from iminuit import Minuit
@@ -102,10 +103,6 @@ class ErrorMatrices:
             variances += ((response @ self.unexplained) * response).sum(axis=1)
         return variances
 
-    def simulated_variances(self, response: Array) -> Array:
-        """(k,) the same by the simulation's errors."""
-        return np.square(response @ self.simulated).sum(axis=1)
-
 
 class Whitener:
     """Weighs readings by the inverse of their covariance, of which no matrix is made.
@@ -120,13 +117,16 @@ class Whitener:
         variance = errors.variance + np.square(errors.simulated[:, lone]).sum(axis=1)
         self._root = 1.0 / np.sqrt(variance)
         shared = errors.shared * self._root
-        self._mountings = csr_array((shared, (errors.mountings, np.arange(len(shared)))))
         squares = np.bincount(errors.mountings, shared**2)
         roots = np.sqrt(1.0 + squares)
-        self._of_mountings = -1.0 * (squares > 0) / (roots * (1.0 + roots))
-        rest = self._without_mountings(self._root * errors.simulated[:, ~lone].T)
-        _, sizes, self._sources = np.linalg.svd(rest, full_matrices=False)
-        self._of_sources = 1.0 / np.sqrt(1.0 + sizes**2) - 1.0
+        mountings = csr_array((shared, (errors.mountings, np.arange(len(shared)))))
+        # (sources, used) directions and what is taken along them
+        self._sources: list[tuple[Any, Array]] = []
+        if shared.any():
+            self._sources = [(mountings, -1.0 / (roots * (1.0 + roots)))]
+        rest = self._taken(self._root * errors.simulated[:, ~lone].T, self._sources)
+        _, sizes, directions = np.linalg.svd(rest, full_matrices=False)
+        self._sources.append((directions, 1.0 / np.sqrt(1.0 + sizes**2) - 1.0))
         #: Of the covariance.
         self.log_determinant = float(
             np.log(variance).sum() + np.log1p(squares).sum() + np.log1p(sizes**2).sum()
@@ -134,19 +134,17 @@ class Whitener:
 
     def whiten(self, x: Array) -> Array:
         """W x of (..., used) vectors, W^T W the inverse covariance."""
-        return self._without_sources(self._without_mountings(self._root * x))
+        return self._taken(self._root * x, self._sources)
 
     def weigh(self, x: Array) -> Array:
         """The inverse covariance times (..., used) vectors."""
-        return self._root * self._without_mountings(self._without_sources(self.whiten(x)))
+        return self._root * self._taken(self.whiten(x), self._sources[::-1])
 
-    def _without_mountings(self, x: Array) -> Array:
-        if not self._of_mountings.any():
-            return x
-        return x + (x @ self._mountings.T * self._of_mountings) @ self._mountings
-
-    def _without_sources(self, x: Array) -> Array:
-        return x + (x @ self._sources.T * self._of_sources) @ self._sources
+    @staticmethod
+    def _taken(x: Array, sources: list[tuple[Any, Array]]) -> Array:
+        for directions, parts in sources:
+            x = x + (x @ directions.T * parts) @ directions
+        return x
 
 
 class Likelihood:

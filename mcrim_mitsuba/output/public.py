@@ -10,10 +10,10 @@ what is wrong, where, and how to mend it.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import importlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -233,12 +233,8 @@ def _read(campaign: str | Path | Campaign) -> Campaign:
     return as_campaign(campaign)
 
 
-def _picture(place: str, *found: Any, **options: Any) -> Callable[[], Any]:
-    """What draws by a function; its module takes a while, and is imported when it is needed."""
-    return functools.partial(_drawn, place, *found, **options)
-
-
 def _drawn(place: str, *found: Any, **options: Any) -> Any:
+    """What a function draws; its module takes a while, and is imported when it is needed."""
     module, _, name = place.partition(".")
     draw = getattr(importlib.import_module(f"mcrim_mitsuba.output.{module}"), name)
     return draw(*found, **options)
@@ -248,7 +244,7 @@ def _of_campaign(
     campaign: Campaign, pictures: Mapping[str, Callable[[], Drawing]]
 ) -> dict[str, Callable[[], Drawing]]:
     """Pictures that carry the campaign's title."""
-    return {n: functools.partial(_entitled, campaign.title, p) for n, p in pictures.items()}
+    return {n: partial(_entitled, campaign.title, p) for n, p in pictures.items()}
 
 
 def _entitled(title: str, picture: Callable[[], Drawing]) -> Drawing:
@@ -347,8 +343,8 @@ def simulate(
     light = _Followed(simulation, found, run)
     return Answer(
         found, scene_descriptions.of_simulation(found), documents.of_simulation(found),
-        {"arrival": functools.partial(light.draw, "light_figures.draw_arrival"),
-         "fates": functools.partial(light.draw, "light_figures.draw_fates")},
+        {"arrival": partial(light.draw, "light_figures.draw_arrival"),
+         "fates": partial(light.draw, "light_figures.draw_fates")},
     )  # fmt: skip
 
 
@@ -363,7 +359,7 @@ class _Followed:
         # Mitsuba's scene stays in its process
         return {**self.__dict__, "_simulation": None}
 
-    @functools.cached_property
+    @cached_property
     def _light(self) -> list[tuple[str, Any]]:
         from mcrim_mitsuba.efficiency.lighting import follow_light
         from mcrim_mitsuba.transport.simulation import Simulation
@@ -431,7 +427,7 @@ def eta_map(
     spreads = all_spreads(found, depth_mm, deposits)
     return Answer(
         found, scene_descriptions.of_map(found, spreads), documents.of_map(found, spreads),
-        {"map": _picture("light_figures.draw_map", found, spreads)},
+        {"map": partial(_drawn, "light_figures.draw_map", found, spreads)},
     )  # fmt: skip
 
 
@@ -479,7 +475,7 @@ def eta_spectrum(
     found = eta_over(file, light, solver=solver, run=run)
     return Answer(
         found, scene_descriptions.of_spectrum(found), documents.of_spectrum(found),
-        {"spectrum": _picture("light_figures.draw_spectrum", found)},
+        {"spectrum": partial(_drawn, "light_figures.draw_spectrum", found)},
     )  # fmt: skip
 
 
@@ -530,7 +526,7 @@ def arrival_times(
     )
     return Answer(
         found, scene_descriptions.of_times(found), documents.of_times(found),
-        {"times": _picture("light_figures.draw_times", found)},
+        {"times": partial(_drawn, "light_figures.draw_times", found)},
     )  # fmt: skip
 
 
@@ -584,7 +580,7 @@ def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **gi
     return Answer(
         made, scene_descriptions.of_table(made, seconds=seconds),
         documents.of_table(made, seconds=seconds),
-        {"eta": _picture("light_figures.draw_table", made)},
+        {"eta": partial(_drawn, "light_figures.draw_table", made)},
     )  # fmt: skip
 
 
@@ -609,7 +605,7 @@ def check(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     run, parameters = _split(run, given)
     found = check_scene(scene, parameters, variant=run.variant, threads=run.threads)
 
-    section = functools.partial(_cross_section, scene, parameters, run, found.interfaces)
+    section = partial(_cross_section, scene, parameters, run, found.interfaces)
     return Answer(
         found, scene_descriptions.of_check(found), documents.of_check(found),
         {"cross_section": section} if found.ok else {},
@@ -750,8 +746,8 @@ def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) ->
     campaign = editor.reduce(campaign, output)
     raw = campaign.raw
     assert raw is not None  # refused otherwise
-    draw = functools.partial(_drawn, "laboratory_figures.draw_raw_data", raw)
-    pictures = {kind: functools.partial(draw, kind) for kind in raw.kinds}
+    draw = partial(_drawn, "laboratory_figures.draw_raw_data", raw)
+    pictures = {kind: partial(draw, kind) for kind in raw.kinds}
     document = {"campaign": campaign.path, **editor.to_json(raw), "plain_campaign": output}
     return Answer(raw, of_reduction(raw), document, _of_campaign(campaign, pictures))
 
@@ -782,10 +778,10 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
     found = fitted(campaign, run=_run(run, given))
     seconds = time.perf_counter() - start
     fit, unit = found.calibration, campaign.unit
-    pictures = {
-        "readings": _picture("fit_figures.draw_comparison", fit, unit=unit),
-        "profiles": _picture("fit_figures.draw_profiles", found.profiles),
-        "budget": _picture("budget_figures.draw_budget", fit),
+    pictures: dict[str, Callable[[], Any]] = {
+        "readings": partial(_drawn, "fit_figures.draw_comparison", fit, unit=unit),
+        "profiles": partial(_drawn, "fit_figures.draw_profiles", found.profiles),
+        "budget": partial(_drawn, "budget_figures.draw_budget", fit),
     }
     pictures = _of_campaign(campaign, pictures)
     return _answer("calibration", found, pictures, seconds=seconds)
@@ -817,13 +813,13 @@ def compare(
         from mcrim_mitsuba.inference.hypotheses import compare_hypotheses
 
         several = compare_hypotheses((campaign, *others), run=_run(run, given))
-        pulls = {"pulls": _picture("fit_figures.draw_hypotheses", several.comparison)}
+        pulls = {"pulls": partial(_drawn, "fit_figures.draw_hypotheses", several.comparison)}
         return _answer("hypotheses", several, _of_campaign(campaign, pulls))
     from mcrim_mitsuba.inference.compare import compare as compared
 
     found, unit = compared(campaign, run=_run(run, given)), campaign.unit
     drawn = "fit_figures.draw_comparison", found.comparison
-    pictures = {"readings": _picture(*drawn, unit=unit)}
+    pictures = {"readings": partial(_drawn, *drawn, unit=unit)}
     return _answer("comparison", found, _of_campaign(campaign, pictures))
 
 
@@ -853,7 +849,7 @@ def diagnose(
     found = diagnosed(
         campaign, without=_names(without), only=_names(only), run=_run(run, given)
     )  # fmt: skip
-    pictures = {"ranking": _picture("diagnosis_figures.draw_ranking", found.diagnosis)}
+    pictures = {"ranking": partial(_drawn, "diagnosis_figures.draw_ranking", found.diagnosis)}
     return _answer("diagnosis", found, _of_campaign(campaign, pictures))
 
 
@@ -900,8 +896,8 @@ def repair(
     unit = campaign.unit
     compared = "fit_figures.draw_comparison", diagnosis.baseline, after
     pictures = {
-        "staircase": _picture("diagnosis_figures.draw_staircase", diagnosis.repair, after),
-        "readings": _picture(*compared, added=added, unit=unit),
+        "staircase": partial(_drawn, "diagnosis_figures.draw_staircase", diagnosis.repair, after),
+        "readings": partial(_drawn, *compared, added=added, unit=unit),
     }
     return _answer("repair", found, _of_campaign(campaign, pictures))
 
@@ -953,15 +949,15 @@ def budget(
         campaign, material=material, emission=emission, wavelength_nm=wavelength_nm,
         eta_map=eta_map, depth_mm=depth_mm, deposits=deposits, run=_run(run, given),
     )  # fmt: skip
-    pictures = {"neglected": _picture("budget_figures.draw_neglected", found)}
+    pictures = {"neglected": partial(_drawn, "budget_figures.draw_neglected", found)}
     return _answer("budget", found, _of_campaign(campaign, pictures))
 
 
 #: Choices of a plan, each one of several numbers.
 _OF_PLAN: dict[str, Callable[[str, Any], float]] = {
-    "n_gap": functools.partial(number_of, mend="give a list of indices"),
-    "mountings": functools.partial(whole_of, mend="give whole numbers from 1", least=1),
-    "events": functools.partial(_above_0, kind="number of events"),
+    "n_gap": partial(number_of, mend="give a list of indices"),
+    "mountings": partial(whole_of, mend="give whole numbers from 1", least=1),
+    "events": partial(_above_0, kind="number of events"),
 }
 
 
@@ -1004,7 +1000,7 @@ def plan(
         found,
         descriptions.of_plan(found),
         documents.of_planning(found, run.seed),
-        _of_campaign(campaign, {"plan": _picture("budget_figures.draw_plan", found)}),
+        _of_campaign(campaign, {"plan": partial(_drawn, "budget_figures.draw_plan", found)}),
     )
 
 
