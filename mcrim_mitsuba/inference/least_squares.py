@@ -73,8 +73,9 @@ class LeastSquaresProblem(Likelihood):
 
     Attributes
     ----------
+    bounds : two of (free,) float64
     low, high : (free,) float64
-        Bounds in the searched coordinates.
+        The same in the searched coordinates.
     logarithmic : (free,) bool
         Which parameters are searched in their logarithm.
     """
@@ -88,8 +89,8 @@ class LeastSquaresProblem(Likelihood):
         self.logarithmic = np.array([kind == "log" for kind in kinds], bool)
         self._reciprocal = np.array([kind == "reciprocal" for kind in kinds], bool)
         self._curved = bool((self.logarithmic | self._reciprocal).any())
-        self._bounds = tuple(np.array([(p.minimum, p.maximum) for p in self.free]).reshape(-1, 2).T)
-        minimum, maximum = map(self.internal, self._bounds)
+        self.bounds = tuple(np.array([(p.minimum, p.maximum) for p in self.free]).reshape(-1, 2).T)
+        minimum, maximum = map(self.internal, self.bounds)
         self.low, self.high = np.minimum(minimum, maximum), np.maximum(minimum, maximum)
         self._priors = np.flatnonzero(self.prior_weight)
         self._prior_rows = np.zeros((len(self._priors), len(self.free)))
@@ -148,8 +149,6 @@ class LeastSquaresProblem(Likelihood):
         if self._curved:
             theta[self.logarithmic] = np.exp(theta[self.logarithmic])
             theta[self._reciprocal] = 1.0 / theta[self._reciprocal]
-            # a bound's logarithm may come back as a number beyond it
-            theta = np.clip(theta, *self._bounds)
         return theta
 
     def slopes_of_external(self, theta: Array) -> Array:
@@ -202,7 +201,8 @@ def descend(
         longest=np.where(problem.logarithmic, _LONGEST_STEP, np.inf),
         steps=steps, precision=precision,
     )  # fmt: skip
-    return problem.external(x), chi2, converged
+    # a bound's logarithm may come back as a number beyond it
+    return np.clip(problem.external(x), *problem.bounds), chi2, converged
 
 
 @dataclass(frozen=True, eq=False)
