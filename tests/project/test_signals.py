@@ -18,7 +18,8 @@ from mcrim_mitsuba.core.run import signals_wait
 
 #: Runs a command that sends itself a signal: its number, where, and the words of the command.
 COMMAND = """
-import os, sys
+import os, signal, sys
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests may run under nohup, which is heeded
 number, place, *sys.argv[1:] = sys.argv[1:]
 
 def send(frame, event, _):
