@@ -6,18 +6,20 @@ import shlex
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import click
 
 import mcrim_mitsuba as mcrim
-from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.terminal import Screen
 from mcrim_mitsuba.output.described import Described
 from mcrim_mitsuba.runs.array_job import MergingExecutor, UnitFolder
 from mcrim_mitsuba.runs.executors import current_executor
 from mcrim_mitsuba.scene.scene_file import SceneFile
+
+if TYPE_CHECKING:  # it takes a tenth of a second to load
+    from mcrim_mitsuba.campaign.campaign import Campaign
 
 _Read = TypeVar("_Read")
 #: Outputs by option, each with the suffixes that it may have.
