@@ -34,6 +34,7 @@ from rich.text import Text
 
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import (
+    LIFT_LIMIT,
     STDOUT,
     WRITES,
     collected,
@@ -260,9 +261,7 @@ def photon_progress(
 
 DONE, OUR_FAULT, YOUR_INPUT, INTERRUPTED = 0, 1, 2, 130
 #: What helps where a file takes no more.
-_ROOM = dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "free some space") | {
-    errno.EFBIG: "lift the limit on the size of files (ulimit -f)"
-}
+_ROOM = dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "free some space") | {errno.EFBIG: LIFT_LIMIT}
 _OUTPUT = "what standard output goes to"
 
 

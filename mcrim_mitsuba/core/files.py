@@ -46,12 +46,14 @@ _DESCRIPTORS = (Path("/dev/fd"), Path("/proc/self/fd"))
 #: Names of standard output.
 STDOUT = ("-", "/dev/stdout", *(str(folder / "1") for folder in _DESCRIPTORS))
 _MEND = "name a file in a folder you may write to"
+#: What helps where a file may grow no further.
+LIFT_LIMIT = "lift the limit on the size of files (ulimit -f)"
 #: What else helps, by the operating system's error.
 _MENDS = dict.fromkeys(
     (errno.ENOSPC, errno.EDQUOT), "free some space, or name a file on another disk"
 ) | {
     errno.ENAMETOOLONG: "give it a shorter name",
-    errno.EFBIG: "lift the limit on the size of files (ulimit -f)",
+    errno.EFBIG: LIFT_LIMIT,
 }
 _DEVICES = (Path("/dev"), *_DESCRIPTORS)
 _MOST_LINKS = 40

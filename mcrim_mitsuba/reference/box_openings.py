@@ -391,12 +391,12 @@ def _crossings(bench: Bench, order: int, light: _GapLight) -> tuple[_Array, _Arr
         start = np.clip(down[axis][:, None], -chord, chord)
         out = light.out[axis][:, None, None]
         entered = between(-chord, chord) - out * between(-chord, start)
-        found = []
+        components = []
         for far, lost in ends:
             end = np.clip(far[axis][:, None], -chord, chord)
             both = out * between(np.minimum(end, start), start)
-            found.append(entered - lost[axis][:, None, None] * (between(end, chord) - both))
-        return found
+            components.append(entered - lost[axis][:, None, None] * (between(end, chord) - both))
+        return components
 
     if covers_corners(bench):
         reach, full = min(radius, half), math.sqrt(max(radius**2 - half**2, 0.0))
@@ -416,19 +416,19 @@ def _crossings(bench: Bench, order: int, light: _GapLight) -> tuple[_Array, _Arr
         along_y = [weight * before * (1.0 - out[1][:, None] * (y > far[1][:, None]))
                    for far, out in ends]  # fmt: skip
         phase = _powers(np.exp(-1j * math.pi / half * y), order)
-        whole = [
+        in_hole = [
             x.swapaxes(1, 2) @ (y[..., None] * phase) for x, y in zip(along_x, along_y, strict=True)
         ]
     else:
         everywhere = np.full((len(light.lands), 1), half)
         along_x, along_y = (kept(axis, everywhere) for axis in (0, 1))
-        whole = [x.swapaxes(1, 2) * y for x, y in zip(along_x, along_y, strict=True)]
+        in_hole = [x.swapaxes(1, 2) * y for x, y in zip(along_x, along_y, strict=True)]
     # coordinates count from the wall, the hole is in the middle
     sign = (-1.0) ** np.abs(order_of) / (2.0 * half)
     once, twice = (
         np.prod((1.0 - light.out) ** (number * walls), axis=0)[:, None, None]
         * (components * sign[:, None] * sign)
-        for number, components in enumerate(whole, start=1)
+        for number, components in enumerate(in_hole, start=1)
     )
     return once, twice
 
@@ -467,13 +467,13 @@ def _returns(bench: Bench, order: int, light: _GapLight) -> Iterator[tuple[_Arra
         shift, out = light.shift_mm[:, those, None], light.out[:, those, None]
         x, y = (place[:, None] + (2 * shuttle + 1) * shift) % width - half
         kept *= x * x + y * y <= bench.aperture_radius_mm**2
-        found = []
+        components = []
         for crossings in (2 * shuttle + 1, 2 * shuttle + 2):
             # walls are at the multiples of the width
             walls = (place[:, None] + crossings * shift) // width
             in_gap = np.prod((1.0 - out) ** walls, axis=0)
-            found.append(((kept * in_gap) @ phase).reshape(shape))
-        yield those, found[0], found[1]
+            components.append(((kept * in_gap) @ phase).reshape(shape))
+        yield those, components[0], components[1]
 
 
 #: Places of a Fibonacci lattice, and its step.
