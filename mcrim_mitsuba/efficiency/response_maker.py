@@ -54,7 +54,7 @@ from mcrim_mitsuba.transport.launch_plan import LANES, ScatteringProposals
 
 #: Photons of a simulation with an effect in the scene, and how many times as many of a
 #: configuration as it is: all effects are compared with it.
-EFFECT_PHOTONS, PLAIN_FACTOR = 16 * LANES, 9
+EFFECT_PHOTONS, PLAIN_FACTOR = 16 * LANES, 4
 #: Part of an effect's photons that a first look takes.
 LOOK_PART = 1 / 8
 #: The same for all effects at once where a fit ends.
@@ -259,8 +259,9 @@ class ResponseMaker:
     def make(self, effects: Sequence[Effect], look: Collection[str] = ()) -> Responses:
         """Responses of the bench as it is and of effects, those of the readings left out.
 
-        Effects named by `look` get a part of the photons. Raises InputError if a scene is not
-        sound, leaks, or cannot take an effect.
+        Effects named by `look` get a part of the photons; those that weight photons of the bench
+        as it is get as many as other effects. Raises InputError if a scene is not sound, leaks, or
+        cannot take an effect.
         """
         scene = self.campaign.scene
         # one without parameters that the scene has already is in all its simulations
@@ -270,18 +271,22 @@ class ResponseMaker:
             if effect.reading is None and (effect.parameters or not effect.is_in(scene))
         ]
         asked += [_as_effect(self.campaign, name) for name in self._further_parameters()]
-        plain, closed = [], []
+        plain, plain_looks, closed = [], [], []
         for row, values in enumerate(configurations(self.campaign)):
             of_beam = self.campaign.measurements.readings[row].of_beam
             run = self._simulation(
                 scene, values, self._plain_photons, of_beam=of_beam, check=self._run.check
             )
             closed.append(self._closed_form(row, run) if of_beam else None)
-            plain.append(run if closed[-1] is None else replace(run, photons=self._effect_photons))
+            plain_looks.append(replace(run, photons=self._effect_photons, check=False))
+            plain.append(run if closed[-1] is None else plain_looks[-1])
         # where a model may change the acceptance, every effect's response depends on it
         acceptance = next((p for e in asked if e.of_beam for p in e.parameters), None)
         plans = [
-            self._plan(effect, plain, acceptance, is_look=effect.name in look) for effect in asked
+            self._plan(effect, plain_looks, acceptance, is_look=True)
+            if effect.name in look
+            else self._plan(effect, plain, acceptance, is_look=False)
+            for effect in asked
         ]
         of_effects = (each for _, pairs in plans for pair in pairs.values() for each in pair)
         of_photons = [
@@ -365,10 +370,6 @@ class ResponseMaker:
             self._open_mask or effect.mask_column == "mask_radius_mm"
         )
 
-    def takes_photons(self, effect: Effect) -> bool:
-        """Whether an effect's response has simulations of its own."""
-        return effect.reading is None and (not self._weighs(effect) or effect.proposal is not None)
-
     def _is_seen(self, effect: Effect, with_effect: SceneFile, run: _Simulation) -> bool:
         """Whether a reading can see an effect at all."""
         if effect.filled_only and not filled(run.parameters):
@@ -414,7 +415,7 @@ class ResponseMaker:
         scene = self.campaign.scene
         benches = [{**self.campaign.values, **run.parameters} for run in plain]
         weighs = self._weighs(effect)
-        few = is_look and self.takes_photons(effect)
+        few = is_look and (not weighs or effect.proposal is not None)
         axes = tuple(
             _axis(parameter, self.campaign.values, benches, few) for parameter in effect.parameters
         )

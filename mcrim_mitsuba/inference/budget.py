@@ -126,7 +126,7 @@ def totals(
 
 #: Photons of a simulation with another index, shared out among the configurations, and the fewest
 #: of each. Simulations with one index get `responses.PLAIN_FACTOR` times as many.
-DEFAULT_PHOTONS, FEWEST_PHOTONS = 1_048_576, 131_072
+DEFAULT_PHOTONS, FEWEST_PHOTONS = 1_572_864, 196_608
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +221,7 @@ def budget(
         See `places.places_of`.
     run : Run
         Its photons are those of every configuration's simulation with another index; those with
-        the scene's own get nine times as many. Its seed is the same for all of them: what they
+        the scene's own get four times as many. Its seed is the same for all of them: what they
         have in common cancels in the shifts.
 
     Raises

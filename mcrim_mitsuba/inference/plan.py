@@ -52,7 +52,7 @@ EVENTS_ORIGIN, MOUNTINGS_ORIGIN, EFFICIENCY = "events", "mountings", "detector e
 STATISTICAL = (EVENTS_ORIGIN, MOUNTINGS_ORIGIN)
 
 # Error of eta that the simulation may leave: a tenth of the best centroid's.
-_PRECISION = 0.001
+_PRECISION = 0.002
 # A candidate has not been measured: in the calibration its error is beyond all that counts.
 _UNMEASURED = 1e6
 # A plan is more precise than another if its error is less than this part of the other's.
@@ -238,7 +238,7 @@ def plan(
     conditions : Conditions, optional
         Without it scatter and spread are the raw campaign's own, if it has histograms.
     run : Run
-        As for `calibrate`; its precision is 0.1 %.
+        As for `calibrate`; its precision is 0.2 %.
 
     Raises
     ------

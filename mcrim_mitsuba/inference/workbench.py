@@ -124,9 +124,7 @@ class Workbench:
         catalogue = self.campaign.catalogue
         made = [catalogue[name] for name in (*self.campaign.effects, *effects)]
         self.precise |= {
-            each.name
-            for each in made
-            if each.name not in look or not self.own_maker.takes_photons(each)
+            each.name for each in made if each.name not in look or each.reading is not None
         }
         self.responses = self.own_maker.make(made, set(look) - self.precise)
 

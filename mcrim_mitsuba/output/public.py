@@ -830,7 +830,7 @@ def diagnose(
     """Which effects of the catalogue explain a campaign's misfit.
 
     Other parameters and errors as for `calibrate`; the photons (260,000) are those of every
-    simulation with an effect, configurations as they are get nine times as many.
+    simulation with an effect, configurations as they are get four times as many.
 
     Parameters
     ----------

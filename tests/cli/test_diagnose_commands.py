@@ -620,4 +620,4 @@ def test_figures_of_little_can_be_drawn():
 
 def test_help_gives_the_photons_that_are_spent():
     assert PHOTONS.startswith(f"{EFFECT_PHOTONS / 1e5:.1f}e5 of each")
-    assert f"get {['seven', 'eight', 'nine'][PLAIN_FACTOR - 7]} times" in FURTHER_PHOTONS
+    assert f"get {['four', 'five', 'six'][PLAIN_FACTOR - 4]} times" in FURTHER_PHOTONS
