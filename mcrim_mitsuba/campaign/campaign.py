@@ -13,6 +13,7 @@ from mcrim_mitsuba.campaign.entries import (
     BEAM,
     BEAM_TABLE,
     CAMPAIGN,
+    CONVENTION,
     KNOWN_YIELD,
     LIGHT_YIELD,
     LONGEST_WORDS,
@@ -23,6 +24,7 @@ from mcrim_mitsuba.campaign.entries import (
     SAMPLES,
     SHARED_SIGMA,
     SPECTRUM,
+    choice,
     number_within,
 )
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading, read_table
@@ -116,6 +118,8 @@ class Campaign:
     unit: str = ""
     #: Crystals among the readings besides the campaign's own.
     samples: dict[str, Sample] = field(default_factory=dict)
+    #: ``article``: conventions and physics are those of the article; None: of this package.
+    convention: str | None = None
     #: All that were read for it, each once: its own, scene, readings, raw data, effects' sources.
     files: tuple[Path, ...] = ()
 
@@ -324,6 +328,7 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         title=_words(entries, "title") or document.path.stem,
         unit=_words(entries, "unit"),
         samples=samples,
+        convention=choice(entries, CONVENTION, CAMPAIGN),
     )
     _refuse_scales_without_light(campaign)
     if campaign.spectrum is not None:

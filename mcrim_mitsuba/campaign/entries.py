@@ -23,6 +23,9 @@ SCATTERING = "alpha_scat_per_cm"
 #: Tables.
 #: Names the light over wavelengths.
 SPECTRUM = "spectrum"
+#: Whose conventions and physics are taken, and the only one besides those of this package: V.
+#: Alenkov et al., JINST 8 (2013) P06002.
+CONVENTION, ARTICLE = "convention", "article"
 LIGHT_YIELD, HISTOGRAMS, NEXT, BEAM_TABLE = "light_yield", "histograms", "next_measurements", "beam"
 #: Crystals that are measured beside the campaign's own, and their scene parameters.
 SAMPLES, SAMPLE_SCENE = "samples", "scene"
@@ -164,6 +167,10 @@ NEXT_ENTRIES: Entries = {
 CAMPAIGN: Entries = {
     "title": _words("What the campaign is called; figures carry it. The file's name unless given"),
     "unit": _words("Unit of the signals of light, such as photoelectrons per event"),
+    CONVENTION: {
+        "enum": [ARTICLE],
+        "description": "Conventions and physics of V. Alenkov et al., JINST 8 (2013) P06002",
+    },
     "scene": _file("The scene (XML)"),
     "measurements": _file("The readings (CSV)"),
     SPECTRUM: _file("Light over wavelengths, and how the coefficients vary over them (CSV)"),
@@ -242,6 +249,19 @@ def number_within(table: TomlTable, name: str, entries: Entries) -> float | None
         return value
     problem, mend = _BEYOND[name]
     raise table.refusal(name, f"{name} = {value:g} {problem}", mend)
+
+
+def choice(table: TomlTable, name: str, entries: Entries) -> str | None:
+    """The word of an entry that takes one of a few; None if it is not there.
+
+    Raises InputError with the line, if it is something else.
+    """
+    words = entries[name]["enum"]
+    if name not in table or table[name] in words:
+        return table.get(name)
+    given = f'"{table[name]}"' if isinstance(table[name], str) else "no text"
+    mend = " or ".join(f'{name} = "{word}"' for word in words)
+    raise table.refusal(name, f"{name} is {given}", f"write {mend}, or leave it out")
 
 
 def json_schema() -> dict[str, Any]:

@@ -252,6 +252,12 @@ def test_bad_campaigns_are_refused_in_one_line(folder, old, new, place, says):
     assert place in refused and says in refused
 
 
+def test_whose_convention_a_campaign_has(folder, scenes):
+    assert campaign(folder, CAMPAIGN).convention is None
+    assert read_campaign(scenes / "camoo4_campaign.toml").convention == "article"
+    assert read_campaign(scenes / "camoo4_three.toml").convention is None
+
+
 def test_too_few_readings_are_counted(folder):
     refused = refusal(
         campaign, folder, CAMPAIGN.replace("prior = 0.039\nprior_sigma = 0.012\n", "")
