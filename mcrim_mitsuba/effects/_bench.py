@@ -18,7 +18,8 @@ from mcrim_mitsuba.scene.editor import INTERFACES, Node, SceneEditor
 WAVELENGTH = "wavelength_nm"
 _INDICES = ("int_ior", "ext_ior")
 _FURTHER = (
-    "int_offset", "ext_offset", "roughness_alpha", "surface_loss", "rms_roughness_nm", WAVELENGTH,
+    "int_offset", "ext_offset", "roughness_alpha", "distribution", "surface_loss",
+    "rms_roughness_nm", WAVELENGTH,
 )  # fmt: skip
 WIDTH, HEIGHT, GAP = "crystal_width_mm", "crystal_height_mm", "gap_mm"
 _STRETCH = {WIDTH: 1.1, HEIGHT: 1.3, GAP: 1.7}
@@ -30,9 +31,11 @@ _AXES = {"right": (0, 1), "left": (0, -1), "back": (1, 1), "front": (1, -1), "to
          "bottom": (2, -1)}  # fmt: skip
 #: Of rough faces.
 FACETS = (
-    "B. Walter, S. R. Marschner, H. Li and K. E. Torrance, Eurographics Symposium on Rendering "
-    "2007, 195"
+    "E. Heitz, J. Hanika, E. d'Eon and C. Dachsbacher, ACM Trans. Graph. 35 (2016) 58; B. Walter, "
+    "S. R. Marschner, H. Li and K. E. Torrance, Eurographics Symposium on Rendering 2007, 195"
 )
+#: Alpha up to which a face may still be called polished.
+POLISHED = 0.05
 _FORM = "this effect is written for benches in the form of scenes/camoo4.xml"
 
 
@@ -163,8 +166,11 @@ def birth_weight(depths_mm: np.ndarray, length_mm: float, depth_mm: float) -> np
     return lengths / -np.expm1(-lengths) * np.exp(-depths_mm.astype(np.float64) / depth_mm)
 
 
-def roughen(editor: SceneEditor, side: str) -> None:
-    """Give a side of the crystal (``top``, ``bottom`` or the ``side`` faces) GGX facets."""
+def roughen(editor: SceneEditor, side: str, alpha: str) -> None:
+    """Give a side of the crystal (``top``, ``bottom`` or the ``side`` faces) GGX facets.
+
+    `alpha` is the scene's parameter of their roughness.
+    """
     if WIDTH in editor.scene.parameters:
         # which may stand in a beam, without a gap
         box = crystal_box(editor, (WIDTH, HEIGHT))
@@ -181,7 +187,7 @@ def roughen(editor: SceneEditor, side: str) -> None:
                 "only faces of plain polish can be changed", face,
             )  # fmt: skip
         if bsdf not in copies:
-            copies[bsdf] = rough_copy(editor, bsdf, side)
+            copies[bsdf] = rough_copy(editor, bsdf, side, alpha)
         for ref in face.elements:
             if ref.tag == "ref" and editor.by_id.get(ref.attributes["id"]) is bsdf:
                 editor.set_attribute(ref, "id", copies[bsdf])
@@ -218,17 +224,33 @@ def roughness_of(side: str, what: str) -> EffectParameter:
     return EffectParameter(
         name=f"{side}_roughness_alpha", unit="",
         meaning=f"Roughness of the crystal's {what} (GGX), the tangent of a typical tilt",
-        minimum=0.0, maximum=0.5, start=0.1, absent=0.0, plausible=(0.0, 0.4),
+        minimum=0.0, maximum=0.5, start=0.1, absent=0.0, plausible=(0.0, POLISHED),
         nodes=(0.012, 0.035, 0.08, 0.16, 0.3, 0.5), coordinate="logarithmic", scale=0.03,
     )  # fmt: skip
 
 
-def rough_copy(editor: SceneEditor, bsdf: Node, side: str) -> str:
+def ground_of(name: str, what: str) -> EffectParameter:
+    """Width of the facets of faces that were ground and not polished, called `what`."""
+    return EffectParameter(
+        name=name,
+        unit="",
+        meaning=f"Roughness of {what}, ground and not polished (GGX, tangent of a typical tilt)",
+        minimum=0.1,
+        maximum=0.6,
+        start=0.25,
+        # a face is ground or it is not
+        absent=None,
+        plausible=(0.1, 0.6),
+        nodes=(0.1, 0.16, 0.25, 0.4, 0.6),
+    )
+
+
+def rough_copy(editor: SceneEditor, bsdf: Node, side: str, alpha: str) -> str:
     """Id of a copy of an interface, put beside it, with the facets of a side of the crystal."""
     name = f"{bsdf.attributes['id']}_{side}"
     editor.refuse_id(name)
     parts = [editor.source(part) for part in bsdf.elements]
-    parts.append(f'<float name="roughness_alpha" value="${side}_roughness_alpha"/>')
+    parts.append(f'<float name="roughness_alpha" value="${alpha}"/>')
     copy = "\n  ".join([f'<bsdf type="polish" id="{name}">', *parts])
     editor.insert_after(bsdf, f"{copy}\n</bsdf>")
     return name
@@ -352,7 +374,7 @@ def part_gap(editor: SceneEditor, cut: str, liquid: str, air: str) -> None:
     if own is not None and own.attributes.get("id", "").endswith("_bottom"):
         # what is rough under the liquid is rough under the bubble
         smooth = editor.by_id[to_air.split('"')[1]]
-        to_air = f'<ref id="{rough_copy(editor, smooth, "bottom")}"/>'
+        to_air = f'<ref id="{rough_copy(editor, smooth, "bottom", "bottom_roughness_alpha")}"/>'
     beside = [s for s in editor.shapes if s.type == "frame" and editor.window in editor.media(s)]
     window_to_air = worn_towards_air(editor, beside, "the window's entrance face")
     for face, name, bsdf, interior in (

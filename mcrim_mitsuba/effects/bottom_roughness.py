@@ -9,7 +9,7 @@ from mcrim_mitsuba.scene.editor import SceneEditor
 
 def edit(editor: SceneEditor) -> None:
     """Make the crystal's bottom face rough."""
-    roughen(editor, "bottom")
+    roughen(editor, "bottom", "bottom_roughness_alpha")
 
 
 EFFECT = Effect(
@@ -28,6 +28,6 @@ EFFECT = Effect(
     ),
     source=FACETS,
     parameters=(roughness_of("bottom", "bottom face"),),
-    excludes=("surface_roughness",),
+    excludes=("surface_roughness", "ground"),
     edit=edit,
 )

@@ -20,16 +20,20 @@ EFFECT = Effect(
     title="haze of the crystal's faces",
     family="surface",
     look=(
-        "Shine a laser pointer at a face in the dark: on a hazy face the spot is seen from "
-        "all sides. Polish again and measure again."
+        "Shine a laser pointer at a face in the dark: on a hazy face the spot is seen from all "
+        "sides. Polish again and measure again."
     ),
     physics=(
         "A polished face keeps heights of some nanometres. They are too fine for slopes to "
-        "matter, but shift the phase of the wave: the part 1 - exp(-q^2) of what Fresnel reflects "
-        "or refracts leaves to any direction (Lambert's law), with q = 4 pi s n cos(theta) / "
-        "lambda in reflection and 2 pi s |n cos(theta) - n' cos(theta')| / lambda in refraction. "
-        "Trapped light, reflected tens of times, is freed by a haze that a beam through two "
-        "faces hardly notices. lambda is the scene's wavelength_nm, 540 nm unless another is given."
+        "matter, but shift the phase of the wave: the part S = 1 - exp(-q^2) of what Fresnel "
+        "reflects or refracts is scattered, with q = 4 pi s n cos(theta) / lambda in reflection "
+        "and 2 pi s |n cos(theta) - n' cos(theta')| / lambda in refraction. It goes to other "
+        "directions of the same side, in proportion to the cosine, to S and to what would be "
+        "reflected, or refracted, of light from there: each way is as likely as its reverse. So "
+        "scatter heights that have no memory beyond a wavelength. Longer ones scatter close to "
+        "the reflected ray, and free nothing; light scattered under total reflection may also "
+        "leave at once, which it does not here: the height that is fitted is one 'as if'. lambda "
+        "is the scene's wavelength_nm, 540 nm unless another is given."
     ),
     source="H. E. Bennett and J. O. Porteus, J. Opt. Soc. Am. 51 (1961) 123",
     parameters=(

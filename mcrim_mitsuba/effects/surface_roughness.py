@@ -1,6 +1,6 @@
 """Effect ``surface_roughness``: the crystal's faces are not perfectly flat."""
 
-from mcrim_mitsuba.effects._bench import FACETS, polish
+from mcrim_mitsuba.effects._bench import FACETS, POLISHED, polish
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import SceneEditor
 
@@ -22,11 +22,12 @@ EFFECT = Effect(
     physics=(
         "A face that was ground but poorly polished is made of small facets with tilted normals; "
         "light meets one of them and is reflected or refracted there by Fresnel's formulas. The "
-        "tilts (GGX distribution, width alpha, the tangent of a typical tilt) let trapped "
-        "light out after some reflections. Facets are drawn among those that the light sees, and "
-        "drawn again where it would end on the wrong side: nothing is lost at the face."
+        "tilts (GGX distribution, width alpha, the tangent of a typical tilt) let trapped light "
+        "out after some reflections. It goes from facet to facet until it leaves the face, to the "
+        "front or to the back (Smith's field of heights): nothing is lost there. A polished face "
+        "has alpha of 0.05 at most: see ground."
     ),
-    source=f"{FACETS}; E. Heitz and E. d'Eon, Computer Graphics Forum 33 (2014) 103",
+    source=FACETS,
     parameters=(
         EffectParameter(
             name="roughness_alpha",
@@ -36,13 +37,20 @@ EFFECT = Effect(
             maximum=0.3,
             start=0.05,
             absent=0.0,
-            plausible=(0.0, 0.1),
+            plausible=(0.0, POLISHED),
             nodes=(0.012, 0.035, 0.08, 0.16, 0.3),
             # trapped light meets many facets: it is freed by small slopes already
             coordinate="logarithmic",
             scale=0.03,
         ),
     ),
-    excludes=("top_roughness", "side_roughness", "bottom_roughness"),
+    excludes=(
+        "top_roughness",
+        "side_roughness",
+        "bottom_roughness",
+        "ground",
+        "ground_top",
+        "ground_sides",
+    ),
     edit=edit,
 )

@@ -316,7 +316,7 @@ def _scattering(volume: Volume) -> str:
 
 #: What a surface does less well than an ideal one, by the attribute that tells how much.
 _IMPERFECTIONS = (
-    ("roughness", 1, "rough (GGX, alpha = {:g})"),
+    ("roughness", 1, "rough (alpha = {:g})"),
     ("hazy_part", 100, "hazy ({:.3g} % of what is reflected inwards head-on is scattered)"),
     ("surface_loss", 100, "{:g} % of what is reflected inwards is lost"),
     ("specular", 100, "{:g} % is reflected as by a mirror"),

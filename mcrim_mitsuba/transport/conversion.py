@@ -158,6 +158,7 @@ def surface_properties(bsdf) -> dict:
         heights = bsdf.rms_roughness_nm / bsdf.wavelength_nm
         polished = {
             "roughness": bsdf.roughness_alpha,
+            "beckmann": bsdf.distribution == "beckmann",
             "surface_loss": bsdf.surface_loss,
             "haze": 2.0 * math.pi * heights * bsdf.int_ior,
         }

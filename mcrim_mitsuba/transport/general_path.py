@@ -17,6 +17,7 @@ import numpy as np
 
 from mcrim_mitsuba.transport import surface_physics
 from mcrim_mitsuba.transport.conversion import opaque, surface_numbers
+from mcrim_mitsuba.transport.dielectric import unpolarised_field
 from mcrim_mitsuba.transport.flat_path import MOST_FACES, NO_FACE, FlatPath, rows_of
 from mcrim_mitsuba.transport.scene_model import OTHER, OUTSIDE, SceneModel
 
@@ -186,7 +187,7 @@ class GeneralPath:
         outcome.weight = dr.select(asks & alive & ~dead, value, 1.0)
         outcome.fate = dr.select(dead, mi.UInt32(surface_physics.SURFACE), outcome.fate)
         if self.polarization:
-            fresh = surface_physics.unpolarised_field(wo, dr.two_pi * uniforms[3])
+            fresh = unpolarised_field(wo, dr.two_pi * uniforms[3])
             # what lets light straight through leaves its polarisation alone
             kept = dr.dot(wo, direction) > 1.0 - 1e-6
             outcome.field = dr.select(asks, dr.select(kept, field, fresh), outcome.field)

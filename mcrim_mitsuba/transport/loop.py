@@ -28,6 +28,7 @@ from mcrim_mitsuba.transport.bulk import (
 )
 from mcrim_mitsuba.transport.conversion import opaque, opaque_vector
 from mcrim_mitsuba.transport.convex import NO_FACE
+from mcrim_mitsuba.transport.dielectric import unpolarised_field
 from mcrim_mitsuba.transport.launch_plan import LanePlan, ScatteringProposals
 from mcrim_mitsuba.transport.record_store import RecordStore
 from mcrim_mitsuba.transport.scene_model import DIFFUSE, OUTSIDE
@@ -57,7 +58,7 @@ class Photon:
 
     o: mi.Point3f         #: position, mm
     d: mi.Vector3f        #: unit direction of flight
-    field: Any            #: polarisation (`surface_physics.Field`), where it is followed
+    field: Any            #: polarisation (`dielectric.Field`), where it is followed
     volume: mi.UInt32     #: volume it is in
     face: mi.UInt32       #: flat face it is on, or `NO_FACE`
     w: mi.Float           #: weight, 1 at birth
@@ -222,7 +223,7 @@ class Loop:
         field = None
         if self.path.polarization:
             turn = self._lattice.coordinate(point, 5)
-            field = physics.unpolarised_field(born, dr.two_pi * turn)
+            field = unpolarised_field(born, dr.two_pi * turn)
         return Photon(
             o=self._birthplace(zero),
             d=born,
@@ -340,7 +341,7 @@ class Loop:
         field = None
         if polarized:
             turn = dr.select(ended, self._lattice.coordinate(point, 5), turn)
-            unpolarised = physics.unpolarised_field(scattered, dr.two_pi * turn)
+            unpolarised = unpolarised_field(scattered, dr.two_pi * turn)
             field = dr.select(fresh, unpolarised, outcome.field)
         history = self._write(Step(
             p, survive, inside, a_a, distance, weighted, position, scatters, scattered, dies,

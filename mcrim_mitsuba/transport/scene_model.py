@@ -78,8 +78,9 @@ class Surface:
     axis_mm: tuple[float, float] = (0.0, 0.0)
     #: Part that the mask's upper side reflects diffusely.
     mask_reflectance: float = 0.0
-    #: GGX alpha of a dielectric's microfacets.
+    #: Alpha of a dielectric's microfacets, and whether they are Beckmann's and not GGX's.
     roughness: float = 0.0
+    beckmann: bool = False
     #: Part of the light reflected back into the interior that a dielectric's surface takes.
     surface_loss: float = 0.0
     #: 2 pi n s / wavelength of a dielectric's fine roughness s, n being the index behind the face.

@@ -1,13 +1,4 @@
-"""What light does at a surface: Fresnel, microfacets, masks, Lambertian reflectors, detectors.
-
-Formulas: M. Born and E. Wolf, Principles of Optics, section 1.5. The field of a
-polarised photon is a complex vector perpendicular to its direction, of unit
-length, kept as two real vectors; so no reference frame has to be carried along.
-
-A rough face is one of GGX microfacets (B. Walter et al., EGSR 2007), drawn by their visible area
-(E. Heitz, JCGT 7 (2018) no. 4, here in the form of J. Dupuy and A. Benyoub, Comput. Graph. Forum 42
-(2023) e14867). What a facet would send to the wrong side of the face, another facet decides.
-"""
+"""What light does at a surface: interfaces, masks, Lambertian reflectors, detectors."""
 
 from __future__ import annotations
 
@@ -19,17 +10,13 @@ import drjit as dr
 import mitsuba as mi
 
 from mcrim_mitsuba.optics.thin_film import ThinFilm
+from mcrim_mitsuba.transport import dielectric
 from mcrim_mitsuba.transport.conversion import opaque
 from mcrim_mitsuba.transport.scene_model import DETECTOR, DIELECTRIC, DIFFUSE
 
 # Fates of a photon at a surface or in flight; absorption in volumes is counted apart.
 ALIVE, DETECTED, APERTURE, REFLECTOR, SURFACE, ESCAPED, TRUNCATED, LOST, VOLUME = range(9)
 
-#: Facets that one photon tries at a rough face; after that the face is smooth for once. Four in
-#: five tries are good at least for alpha up to 0.3, and half of them up to 1: nobody gets there.
-MOST_FACETS = 64
-#: Rounds of the cipher that gives hazy faces their random numbers.
-_HAZE_ROUNDS = 6
 #: Cosine of an angle of acceptance that is as good as all.
 STRAIGHT_ACROSS = 1e-6
 #: Radius of the hole, in mm, where there is no mask.
@@ -60,6 +47,7 @@ class SurfaceTables:
         self._has_masks = any(s.aperture_radius_mm < float("inf") for s in surfaces)
         self._off_axis = any(s.axis_mm != (0.0, 0.0) for s in surfaces)
         self._rough = any(s.roughness for s in surfaces)
+        self._beckmann = any(s.roughness and s.beckmann for s in surfaces)
         self._lossy = any(s.surface_loss for s in surfaces)
         self._choosy = any(s.angular_falloff or s.radial_falloff_per_mm2 for s in surfaces)
         self._hazy = any(s.haze for s in surfaces)
@@ -81,7 +69,8 @@ class SurfaceTables:
                 [(s.kind, *s.sides, min(s.aperture_radius_mm, NO_MASK)) for s in surfaces],
                 [(*s.axis_mm, s.reflectance, s.two_sided or s.kind == DETECTOR)
                  for s in surfaces],
-                [(s.roughness, s.surface_loss, s.angular_falloff, s.radial_falloff_per_mm2)
+                [(-s.roughness if s.beckmann else s.roughness, s.surface_loss,
+                  s.angular_falloff, s.radial_falloff_per_mm2)
                  for s in surfaces],
                 [(s.haze, s.least_cosine, s.specular, s.mask_reflectance) for s in surfaces],
             )
@@ -109,7 +98,7 @@ class SurfaceTables:
         found.film = self._film
         if self._rough or self._lossy or self._choosy:
             roughness, loss, *falloffs = dr.gather(mi.Vector4f, self._quality, row, active)
-            found.roughness = roughness if self._rough else None
+            found.roughness, found.beckmann = roughness if self._rough else None, self._beckmann
             found.surface_loss = loss if self._lossy else None
             if self._choosy:
                 found.angular_falloff, found.radial_falloff = falloffs
@@ -131,7 +120,9 @@ class SurfaceRow:
     radius: Any = None
     x: Any = 0.0
     y: Any = 0.0
+    #: Alpha of facets, negative of Beckmann's distribution, and whether any surface has these.
     roughness: Any = None
+    beckmann: bool = False
     surface_loss: Any = None
     angular_falloff: Any = None
     radial_falloff: Any = None
@@ -178,24 +169,6 @@ class Outcome:
     from_axis2_mm2: Any = None
 
 
-@dataclass
-class Field:
-    """Complex field of a polarised photon: real and imaginary part, Vector3f each."""
-
-    re: Any
-    im: Any
-
-
-def unpolarised_field(direction, angle):
-    """A linear polarisation at a random angle (Float, radian) around the direction.
-
-    Uniform angles make the ensemble unpolarised.
-    """
-    frame = mi.Frame3f(direction)
-    sine, cosine = dr.sincos(angle)
-    return Field(frame.s * cosine + frame.t * sine, mi.Vector3f(0.0))
-
-
 def interact(row, position, direction, field, uniforms, rng=None, active=True) -> Outcome:
     """Decide a photon's way at a surface.
 
@@ -224,14 +197,26 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
     # n_i / n_t along the direction of travel
     ratio = dr.select(leaving, row.eta, dr.rcp(row.eta))
     polished = row.kind == DIELECTRIC
-    way = _split(direction, field, facing, ratio, cos_i, choice)
+    way = dielectric.split(direction, field, facing, ratio, cos_i, choice)
+    hazy = active & polished
+    haze = None if row.haze is None else row.haze * dr.select(leaving, 1.0, dr.rcp(row.eta))
     if row.roughness is not None:
-        rough = active & polished & (row.roughness > 0.0)
-        way = _by_facets(way, rough, direction, field, facing, ratio, row.roughness, rng)
-    if row.haze is not None:
-        way = _by_haze(
-            way, row.haze, active & polished, field, facing, row.eta, leaving, cos_i, rng
+        rough = hazy & (row.roughness != 0.0)
+        way = dielectric.walk_facets(
+            way,
+            rough,
+            direction,
+            field,
+            facing,
+            ratio,
+            row.roughness,
+            haze,
+            rng,
+            beckmann=row.beckmann,
         )
+        hazy &= ~rough
+    if haze is not None:
+        way = dielectric.scatter_by_haze(way, haze, hazy, field, facing, ratio, cos_i, rng)
     new_direction, new_field, reflected = way
     crossed = ~reflected
 
@@ -252,7 +237,7 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
         new_direction = dr.select(returned, scattered, new_direction)
         crossed &= ~returned
         if field is not None:
-            fresh = unpolarised_field(scattered, dr.two_pi * uniforms[3])
+            fresh = dielectric.unpolarised_field(scattered, dr.two_pi * uniforms[3])
             new_field = dr.select(returned, fresh, new_field)
         returned_part = row.reflectance
     detected_part = None
@@ -267,7 +252,7 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
         new_direction = dr.select(mirrored, dr.normalize(reflection), new_direction)
         crossed &= ~mirrored
         if field is not None:
-            after = _field_of(mirror.waves, mirror.across, new_direction)
+            after = dielectric.field_of(mirror.waves, mirror.across, new_direction)
             new_field = dr.select(mirrored, after, new_field)
         returned_part, detected_part = mirrored_part, mirror.detected_part
     from_axis = dr.square(position.x - row.x) + dr.square(position.y - row.y)
@@ -299,7 +284,7 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
         crossed &= ~from_mask
         polished &= ~from_mask
         if field is not None:
-            fresh = unpolarised_field(upwards, dr.two_pi * uniforms[3])
+            fresh = dielectric.unpolarised_field(upwards, dr.two_pi * uniforms[3])
             new_field = dr.select(from_mask, fresh, new_field)
         if from_reflector is not None:
             from_reflector, from_detector = (
@@ -321,153 +306,6 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
 def volume_after(row, crossed, leaving):
     """Volume (UInt32) of what `crossed` a face or did not, and came from behind it if `leaving`."""
     return dr.select(crossed ^ leaving, row.interior, row.exterior)
-
-
-def _split(direction, field, facing, ratio, cos_i, choice):
-    """Reflection or refraction at a plane: new direction and field, whether light was reflected.
-
-    `facing` is the unit normal on the side that light comes from, `ratio` the index there over that
-    on the other side, `cos_i` that of the angle of incidence.
-    """
-    matched = ratio == 1.0
-    # Written so that it is exact where the indices agree, and accurate at grazing incidence.
-    cos_t2 = dr.fma(dr.square(ratio), dr.square(cos_i), 1.0 - dr.square(ratio))
-    total = cos_t2 <= 0.0
-    cos_t = dr.safe_sqrt(cos_t2)
-
-    if field is not None:
-        reflectance, waves = _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2)
-    else:
-        r_s = (ratio * cos_i - cos_t) / dr.fma(ratio, cos_i, cos_t)
-        r_p = (ratio * cos_t - cos_i) / dr.fma(ratio, cos_t, cos_i)
-        reflectance = 0.5 * (dr.square(r_s) + dr.square(r_p))
-    reflectance = dr.select(total, 1.0, dr.select(matched, 0.0, reflectance))
-
-    reflected = choice < reflectance
-    mirrored = dr.fma(facing, 2.0 * cos_i, direction)
-    bent = dr.fma(direction, ratio, facing * (ratio * cos_i - cos_t))
-    new_direction = dr.normalize(dr.select(reflected, mirrored, bent))
-    new_field = None
-    if field is not None:
-        new_field = _field_after(waves, reflected, matched, new_direction, field)
-    return new_direction, new_field, reflected
-
-
-def _by_facets(smooth, rough, direction, field, facing, ratio, alpha, rng):
-    """What the facets of rough faces do in place of smooth ones, in the form of `_split`.
-
-    `smooth` stays where faces are not `rough` (Mask), or where no facet would do.
-    """
-    frame = mi.Frame3f(facing)
-    incident = frame.to_local(-direction)
-    # facets of a unit sphere, stretched: seen from here each is as likely as its area
-    seen_from = dr.normalize(mi.Vector3f(alpha * incident.x, alpha * incident.y, incident.z))
-
-    def try_facet(searching, tries, state, way):
-        numbers = _resumed(rng, state)
-        u, v, choice = (numbers.next_float32() for _ in range(3))
-        z = dr.fma(1.0 - u, 1.0 + seen_from.z, -seen_from.z)
-        sine, cosine = dr.sincos(dr.two_pi * v)
-        across = dr.safe_sqrt(dr.fma(-z, z, 1.0))
-        unit = mi.Vector3f(across * cosine, across * sine, z) + seen_from
-        local = dr.normalize(mi.Vector3f(alpha * unit.x, alpha * unit.y, unit.z))
-        facet = frame.to_world(local)
-        cos_f = dr.clip(dr.dot(incident, local), 0.0, 1.0)
-        new, new_field, reflected = _split(direction, field, facet, ratio, cos_f, choice)
-        side = dr.dot(new, facing)
-        right = searching & dr.select(reflected, side > 0.0, side < 0.0)
-        way = dr.select(right, (new, new_field, reflected), way)
-        tries += 1
-        return searching & ~right & (tries < MOST_FACETS), tries, numbers.state, way
-
-    _, _, state, way = dr.while_loop(
-        state=(mi.Bool(rough), mi.UInt32(0), mi.UInt64(rng.state), smooth),
-        cond=lambda searching, tries, state, way: searching,
-        body=try_facet,
-        labels=("searching", "tries", "state", "way"),
-        label="facets",
-    )
-    rng.state = state
-    return way
-
-
-def _by_haze(way, haze, hazy, field, facing, eta, leaving, cos_i, rng):
-    """What fine roughness does in place of a smooth face, in the form of `_split`.
-
-    Part of what is reflected or refracted is scattered, by H. E. Bennett and J. O. Porteus, J. Opt.
-    Soc. Am. 51 (1961) 123: 1 - exp(-q^2), where q is the rms phase that heights give the wave. It
-    goes to all directions of the side that it leaves to, by Lambert's law. `eta` is the index
-    behind the face over that in front, `leaving` whether light comes from behind.
-    """
-    direction, smooth_field, reflected = way
-    # the numbers of a photon stay those that it would have at smooth faces
-    low, high = mi.UInt32(rng.state), mi.UInt32(rng.state >> 32)
-    first, second = mi.sample_tea_32(low, high, _HAZE_ROUNDS)
-    third, fourth = mi.sample_tea_32(first, second, _HAZE_ROUNDS)
-    choice, u, v, turn = (mi.Float(w >> 8) * 2.0**-24 for w in (first, second, third, fourth))
-    # indices over that behind the face, which `haze` has
-    n_i, n_t = (dr.select(side, 1.0, dr.rcp(eta)) for side in (leaving, ~leaving))
-    cos_t = dr.abs(dr.dot(direction, facing))
-    phase = dr.select(reflected, 2.0 * n_i * cos_i, n_i * cos_i - n_t * cos_t)
-    scatters = hazy & (choice < 1.0 - dr.exp(-dr.square(haze * phase)))
-    towards = dr.select(reflected, facing, -facing)
-    scattered = dr.normalize(towards + mi.warp.square_to_uniform_sphere(mi.Point2f(u, v)))
-    if field is not None:
-        fresh = unpolarised_field(scattered, dr.two_pi * turn)
-        smooth_field = dr.select(scatters, fresh, smooth_field)
-    return dr.select(scatters, scattered, direction), smooth_field, reflected
-
-
-def _resumed(rng, state):
-    """A generator (PCG32) of the stream of `rng` at another state (UInt64)."""
-    numbers = mi.PCG32()
-    numbers.state, numbers.inc = state, rng.inc
-    return numbers
-
-
-def _components(direction, field, facing):
-    """The direction across the plane of incidence, and the field's s and p components."""
-    s = dr.cross(direction, facing)
-    length2 = dr.squared_norm(s)
-    # At normal incidence every direction across is as good as another.
-    s = dr.select(length2 > 1e-12, s * dr.rsqrt(length2), mi.Frame3f(direction).s)
-    p = dr.cross(direction, s)
-    e_s = mi.Complex2f(dr.dot(field.re, s), dr.dot(field.im, s))
-    e_p = mi.Complex2f(dr.dot(field.re, p), dr.dot(field.im, p))
-    return s, e_s, e_p
-
-
-def _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2):
-    """Reflectance of this photon, and its reflected and transmitted amplitudes."""
-    s, e_s, e_p = _components(direction, field, facing)
-    # Under total reflection cos_t is i * sqrt(-cos_t2) and both amplitudes have modulus 1.
-    below = dr.safe_sqrt(-cos_t2)
-    total = cos_t2 <= 0.0
-    c_t = mi.Complex2f(dr.select(total, 0.0, cos_t), dr.select(total, below, 0.0))
-    den_s, den_p = ratio * cos_i + c_t, ratio * c_t + cos_i
-    r_s, r_p = (ratio * cos_i - c_t) / den_s, (cos_i - ratio * c_t) / den_p
-    t_s, t_p = 2.0 * ratio * cos_i / den_s, 2.0 * ratio * cos_i / den_p
-    reflectance = dr.squared_norm(r_s * e_s) + dr.squared_norm(r_p * e_p)
-    return reflectance, (s, (r_s * e_s, r_p * e_p), (t_s * e_s, t_p * e_p))
-
-
-def _field_after(waves, reflected, matched, new_direction, old):
-    """The field after reflection or refraction, normalised to one photon."""
-    s, by_reflection, by_refraction = waves
-    amplitudes = (
-        dr.select(reflected, r, t) for r, t in zip(by_reflection, by_refraction, strict=True)
-    )
-    return dr.select(matched, old, _field_of(amplitudes, s, new_direction))
-
-
-def _field_of(amplitudes, s, direction):
-    """The field of s and p amplitudes, normalised to one photon."""
-    e_s, e_p = amplitudes
-    p = dr.cross(direction, s)
-    re = s * e_s.real + p * e_p.real
-    im = s * e_s.imag + p * e_p.imag
-    scale = dr.rsqrt(dr.squared_norm(re) + dr.squared_norm(im))
-    return Field(re * scale, im * scale)
 
 
 # ---- detectors that reflect as mirrors do -------------------------------------------------------
@@ -537,7 +375,7 @@ def _mirror_of(row, direction, field, facing, cos_i) -> Mirror:
         if field is None:
             return Mirror(share)
         # of a perfect metal
-        s, e_s, e_p = _components(direction, field, facing)
+        s, e_s, e_p = dielectric.components(direction, field, facing)
         return Mirror(share, None, s, (-e_s, e_p))
     (r_s, r_p), (through_s, through_p) = row.film.amplitudes(cos_i)
     across = waves = None
@@ -545,7 +383,7 @@ def _mirror_of(row, direction, field, facing, cos_i) -> Mirror:
         reflected = 0.5 * (dr.squared_norm(r_s) + dr.squared_norm(r_p))
         through = 0.5 * (through_s + through_p)
     else:
-        across, e_s, e_p = _components(direction, field, facing)
+        across, e_s, e_p = dielectric.components(direction, field, facing)
         waves = r_s * e_s, r_p * e_p
         reflected = dr.squared_norm(waves[0]) + dr.squared_norm(waves[1])
         through = through_s * dr.squared_norm(e_s) + through_p * dr.squared_norm(e_p)

@@ -27,6 +27,8 @@ NEIGHBOURS = [
     ("anisotropic_scattering", "rayleigh_scattering", "scattering_gradient",
      "spectral_scattering"),
     ("source_depth", "side_source"),
+    ("ground", "surface_absorption", "gap_bubble", "edge_chamfer", "surface_haze"),
+    ("ground_top", "ground_sides", "bottom_roughness", "gap_bubble", "edge_chamfer"),
     ("surface_roughness", "surface_absorption", "gap_index", "gap_bubble", "edge_chamfer",
      "aperture_at_detector"),
     ("surface_haze", "top_roughness", "side_roughness", "bottom_roughness", "surface_absorption",
@@ -90,7 +92,7 @@ def added(scene, *names):
 
 def test_every_effect_of_the_definitions_is_there():
     assert list(KNOWN) == list(BUILT_IN)
-    assert len(KNOWN) == 35
+    assert len(KNOWN) == 38
     for name, effect in KNOWN.items():
         assert effect.name == name
         assert (
@@ -106,6 +108,8 @@ def test_every_effect_of_the_definitions_is_there():
         "roughness_alpha": (0, 0.3), "surface_loss": (0, 0.05),
         "rms_roughness_nm": (0, 30), "top_roughness_alpha": (0, 0.5),
         "side_roughness_alpha": (0, 0.5), "bottom_roughness_alpha": (0, 0.5),
+        "ground_alpha": (0.1, 0.6), "ground_top_alpha": (0.1, 0.6),
+        "ground_sides_alpha": (0.1, 0.6),
         "n_crystal": (-0.1, 0.1), "gap_index_offset": (-0.1, 0.1), "gap_offset_mm": (-0.04, 0.5),
         "gap_absorption_per_cm": (0, 20), "bubble_fraction": (0, 0.6), "collar_mm": (0, 3),
         "bubble_area_fraction": (0, 0.6),
@@ -501,5 +505,6 @@ def test_effects_on_a_crystal_that_is_no_box(scenes, form):
             refused[name] = error.problem
     reasons = dict.fromkeys(OF_A_BOX, "the scene has no parameter crystal_width_mm")
     if form == "cylinder_lying":
-        reasons["top_roughness"] = "the crystal has no top face of its own"
+        for name in ("top_roughness", "ground_top"):
+            reasons[name] = "the crystal has no top face of its own"
     assert refused == reasons

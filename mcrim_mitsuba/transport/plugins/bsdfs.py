@@ -193,14 +193,15 @@ class Polish(mi.BSDF):
     ``int_offset``, ``ext_offset`` : float, default 0
         What is added to them; nothing where the nominal index is that of air, up to 1.0005.
     ``roughness_alpha`` : float, default 0
-        Roughness of GGX microfacets, for light from both sides. A facet decides by Fresnel's
-        formulas what it reflects; where that would send light to the wrong side of the face,
-        another facet decides, so that nothing is lost.
+        Roughness of microfacets, for light from both sides. Facets decide by Fresnel's formulas
+        what they reflect, one after the other until light leaves the face: nothing is lost.
+    ``distribution`` : ``ggx`` or ``beckmann``, default ``ggx``
+        Of the facets' slopes.
     ``surface_loss`` : float, default 0
         Part of the light reflected back into the interior that the surface absorbs.
     ``rms_roughness_nm`` : float, default 0
         Height of a fine roughness, whose slopes do not matter: part of the light that is reflected
-        or refracted goes to all directions of that side (Lambert's law).
+        or refracted goes to other directions of that side.
     ``wavelength_nm`` : float, default 540
         Of the light, in vacuum: what fine roughness is compared with.
 
@@ -215,6 +216,9 @@ class Polish(mi.BSDF):
             for side in ("int", "ext")
         )
         self.roughness_alpha = number(props, "roughness_alpha", 0.0, high=ROUGHEST)
+        self.distribution = str(props.get("distribution", "ggx"))
+        if self.distribution not in ("ggx", "beckmann"):
+            raise ValueError(f"distribution is ggx or beckmann, not {self.distribution}")
         self.surface_loss = number(props, "surface_loss", 0.0)
         self.rms_roughness_nm = number(props, "rms_roughness_nm", 0.0, high=HIGHEST_NM)
         self.wavelength_nm = number(props, "wavelength_nm", 540.0, low=100.0, high=1e4)

@@ -1,0 +1,34 @@
+"""Effect ``ground``: all faces of the crystal are ground, not polished."""
+
+from __future__ import annotations
+
+from mcrim_mitsuba.effects._bench import FACETS, ground_of, polish
+from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.scene.editor import SceneEditor
+
+
+def edit(editor: SceneEditor) -> None:
+    """Grind the crystal's faces."""
+    for bsdf in editor.crystal_polish:
+        polish(editor, bsdf, "roughness_alpha", "$ground_alpha")
+
+
+EFFECT = Effect(
+    name="ground",
+    title="ground faces",
+    family="surface",
+    look=(
+        "Look at the faces with a loupe: a ground face is dull, and shows no reflection of a "
+        "lamp. Ask the maker which faces were polished."
+    ),
+    physics=(
+        "A face that was cut or ground and never polished consists of facets that are tilted by "
+        "tens of degrees (GGX, width alpha); light goes from one to the other until it leaves, to "
+        "the front or to the back. Of trapped light such a face lets out a part each time. Facets "
+        "of alpha 0.1 to 0.6 are ground; less is a poor polish: see surface_roughness."
+    ),
+    source=FACETS,
+    parameters=(ground_of("ground_alpha", "the crystal's faces"),),
+    excludes=("surface_roughness", "top_roughness", "side_roughness", "bottom_roughness"),
+    edit=edit,
+)
