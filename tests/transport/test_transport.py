@@ -22,7 +22,7 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.table import eta_table
 from mcrim_mitsuba.optics.fresnel import amplitudes, escape_fraction, reflectance, trapped_fraction
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.transport import collection
+from mcrim_mitsuba.transport import collection, dielectric
 from mcrim_mitsuba.transport import loop as transport
 from mcrim_mitsuba.transport import surface_physics as physics
 from mcrim_mitsuba.transport.bulk import lane_generators
@@ -269,7 +269,7 @@ def test_polarised_reflection_follows_the_amplitudes():
     direction = mi.Vector3f(sines, 0.0, cosines)
     for c_s, c_p in ((1.0, 0.0), (0.0, 1.0), (np.sqrt(0.5), np.sqrt(0.5))):
         # s along y, p in the plane of incidence
-        field = physics.Field(
+        field = dielectric.Field(
             mi.Vector3f(c_p * cosines, float(c_s), -c_p * sines), mi.Vector3f(0.0)
         )
         expected = np.abs(r_s * c_s) ** 2 + np.abs(r_p * c_p) ** 2
