@@ -25,13 +25,14 @@ from mcrim_mitsuba.article.efficiency_rows import (
 from mcrim_mitsuba.article.published import AGREEMENT_SIGMAS, ArticleRow, compare
 from mcrim_mitsuba.article.simulated import DEFAULT_PHOTONS, DEFAULT_WRAP_REFLECTANCE, Simulated
 from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.campaign.known_physics import KnownCrystal
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.surface import EtaPoint
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import CampaignModel
-from mcrim_mitsuba.inference.neglected import KnownCrystal, Neglected, NeglectWork
+from mcrim_mitsuba.inference.neglected import Neglected, NeglectWork
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
 from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
 from mcrim_mitsuba.scene.shipped import scene_path
@@ -266,7 +267,7 @@ def left_out(run: Run) -> tuple[Neglected, ...]:
     scene = campaign.scene.with_overrides({"polarization": True})
     work = NeglectWork(
         replace(campaign, scene=scene),
-        KnownCrystal.of(campaign, _MATERIAL, None, None),
+        KnownCrystal.of(campaign, _MATERIAL),
         replace(run, photons=photons),
     )
     return work.neglected()

@@ -27,6 +27,7 @@ from mcrim_mitsuba.campaign.entries import (
     choice,
     number_within,
 )
+from mcrim_mitsuba.campaign.known_physics import with_known_physics
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading, read_table
 from mcrim_mitsuba.campaign.parameter import (
     SCALE,
@@ -120,6 +121,9 @@ class Campaign:
     samples: dict[str, Sample] = field(default_factory=dict)
     #: ``article``: conventions and physics are those of the article; None: of this package.
     convention: str | None = None
+    #: Effects that are in its scene because material and energy are named, and a note of them.
+    known_physics: tuple[str, ...] = ()
+    physics_note: str = ""
     #: All that were read for it, each once: its own, scene, readings, raw data, effects' sources.
     files: tuple[Path, ...] = ()
 
@@ -170,7 +174,8 @@ class Campaign:
         """What the reader must know of scene, effects and raw data before using the numbers."""
         of_raw_data = () if self.raw is None else self.raw.notes
         of_light = () if self.spectrum is None else (_averaged(self.spectrum),)
-        return (*self.scene.notes, *self.executed, *of_raw_data, *of_light)
+        of_physics = (self.physics_note,) if self.physics_note else ()
+        return (*self.scene.notes, *self.executed, *of_raw_data, *of_light, *of_physics)
 
     @property
     def ndf(self) -> int:
@@ -344,7 +349,7 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
             "add readings or priors, or hold a parameter with fixed = true",
             path=campaign.path,
         )
-    return campaign
+    return with_known_physics(campaign)
 
 
 def _refuse_scales_without_light(campaign: Campaign) -> None:

@@ -26,6 +26,7 @@ from mcrim_mitsuba.campaign.entries import (
     RAW_TABLES,
     SPECTRUM,
 )
+from mcrim_mitsuba.campaign.known_physics import CRYSTAL_INDEX, INDEX, material_of
 from mcrim_mitsuba.campaign.measurements import KIND, SAMPLE, Measurements
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.reduction import RawData, ReducedAbsorption, ReducedReading
@@ -209,6 +210,12 @@ def plain_texts(campaign: Campaign, target: Path, measurements: Path) -> tuple[s
         key, _, entry = name.rpartition(".")
         if (table := _table(document, key)) is not None:  # the raw entry stood there
             table[entry] = value
+    # raw entries named the material, and the spectrum that its index was averaged over
+    if campaign.known_physics and (table := _table(document, LIGHT_YIELD)) is not None:
+        table["material"] = material_of(campaign)
+    if CRYSTAL_INDEX in campaign.known_physics:
+        held = {"start": campaign.scene.parameters[INDEX], "fixed": True}
+        document.setdefault("parameters", tomlkit.table(is_super_table=True))[INDEX] = held
     header = [
         f"Written by mcrim reduce: {campaign.path.name} with numbers in the place of raw data.",
         "SHA-256 of every file in brackets, its first digits.",

@@ -110,6 +110,15 @@ YIELD: Entries = {
     ),
     "detector_efficiency_sigma": _number("Standard error of the efficiency", minimum=0),
 }
+#: Of ``[light_yield]`` of the campaign's own crystal: what is known of its light and its gammas.
+CRYSTAL: Entries = {
+    "material": {
+        "type": "string",
+        "minLength": 1,
+        "description": "What the crystal is made of, such as CaMoO4: polarisation, where gammas of "
+        "energy_keV stop and, where a spectrum is named, the index are in the model then",
+    },
+}
 #: Of ``[light_yield]`` of a campaign with samples.
 SHARED: Entries = {
     SHARED_SIGMA: _number(
@@ -287,7 +296,9 @@ def json_schema() -> dict[str, Any]:
             "properties": parameters,
             "additionalProperties": _table("A scene parameter, in its name's unit", PARAMETER),
         },
-        LIGHT_YIELD: _table(CAMPAIGN[LIGHT_YIELD]["description"], YIELD, EFFICIENCY, SHARED),
+        LIGHT_YIELD: _table(
+            CAMPAIGN[LIGHT_YIELD]["description"], YIELD, CRYSTAL, EFFICIENCY, SHARED
+        ),
         SAMPLES: {"additionalProperties": _table("A crystal and what it does not share", SAMPLE)},
         HISTOGRAMS: _table(CAMPAIGN[HISTOGRAMS]["description"], PEAKS),
         BEAM_TABLE: _table(CAMPAIGN[BEAM_TABLE]["description"], BEAM),

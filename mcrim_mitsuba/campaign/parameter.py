@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 from mcrim_mitsuba.campaign.entries import (
+    CRYSTAL,
     LIGHT_YIELD,
     PARAMETER,
     RAW_TABLES,
@@ -17,10 +19,11 @@ from mcrim_mitsuba.campaign.entries import (
     number_within,
 )
 from mcrim_mitsuba.campaign.measurements import Measurements
-from mcrim_mitsuba.core.errors import did_you_mean
+from mcrim_mitsuba.core.errors import did_you_mean, said_by
 from mcrim_mitsuba.core.numbers import Value, unit_of, value_text
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.optics.materials import material
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
 # Standard errors outside the bounds that chance may take a measured prior.
@@ -194,6 +197,8 @@ class LightYieldInput:
     #: That error by its origins, which add up in quadrature; empty where the campaign gives
     #: the efficiency as a number.
     efficiency_parts: dict[str, float] = field(default_factory=dict)
+    #: What the crystal is made of, as the catalogue of materials names it; None: not said.
+    material: str | None = None
 
     @property
     def per_scale(self) -> float:
@@ -211,7 +216,7 @@ def read_light_yield(
     Raises InputError with the line, if an entry is unknown, missing or impossible.
     """
     # raw entries are numbers by now; here they only serve the hint about a slip
-    more = {**dict(RAW_TABLES)[LIGHT_YIELD], **SHARED} if further is None else further
+    more = {**dict(RAW_TABLES)[LIGHT_YIELD], **CRYSTAL, **SHARED} if further is None else further
     table = document.table(key, (*YIELD, *more))
     if LIGHT_YIELD not in document.table(key.removesuffix(LIGHT_YIELD).rstrip(".")):
         return None
@@ -221,4 +226,8 @@ def read_light_yield(
         raise table.refusal("", problem, "add the missing one or remove the table")
     for name in YIELD:
         number_within(table, name, YIELD)
-    return LightYieldInput(energy, efficiency, sigma or 0.0)
+    crystal = None
+    if "material" in table:
+        with said_by(partial(table.refusal, "material")):
+            crystal = material(str(table["material"])).name
+    return LightYieldInput(energy, efficiency, sigma or 0.0, material=crystal)

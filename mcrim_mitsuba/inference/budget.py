@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
+from mcrim_mitsuba.campaign.known_physics import DEPTH_MM, KnownCrystal
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.likelihood import Likelihood
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.neglected import (
-    DEPTH_MM,
-    KnownCrystal,
     Neglected,
     NeglectWork,
     Quantities,

@@ -8,20 +8,24 @@ difference, with a fortieth of its error."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
 from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.known_physics import (
+    CRYSTAL_INDEX,
+    DEPTH_MM,
+    INDEX,
+    POLARIZATION,
+    SOURCE_DEPTH,
+    KnownCrystal,
+)
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.core.run import Provenance, Run
-from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.responses import EffectResponse, mixture
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, spread
@@ -29,16 +33,11 @@ from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.workbench import Workbench
 from mcrim_mitsuba.optics.dispersion import indices_of_light, orientation_sigma
-from mcrim_mitsuba.optics.emission_band import BandIndices, indices_over_band
-from mcrim_mitsuba.optics.gammas import AttenuationLength, attenuation_length_mm
-from mcrim_mitsuba.optics.materials import is_known
-
-SOURCE_DEPTH, POLARIZATION, CRYSTAL_INDEX = "source_depth", "polarization", "crystal_index"
-DEPTH_MM, INDEX = "source_depth_mm", "n_crystal"
+from mcrim_mitsuba.optics.emission_band import BandIndices
+from mcrim_mitsuba.optics.gammas import AttenuationLength
 
 _ETA, _OVER = "eta ", " / "
 _SHOWN_EFFICIENCIES = 2
-_IN_THE_MODEL = "it is in the model"
 
 
 # ---- numbers and their shifts ----
@@ -204,82 +203,6 @@ class Neglected:
     refitted: dict[str, Shift]
 
 
-# ---- what is known of the crystal ----
-
-
-@dataclass(frozen=True, eq=False)
-class KnownCrystal:
-    """Indices over the emission band, and the depth at which gammas stop."""
-
-    band: BandIndices | None
-    depth: AttenuationLength | None
-    #: Pieces that nothing is known for, and why.
-    refused: dict[str, str]
-
-    @classmethod
-    def of(
-        cls,
-        campaign: Campaign,
-        material: str | None,
-        emission: str | Path | None,
-        wavelength_nm: float | None,
-    ) -> KnownCrystal:
-        """What the campaign tells, and what is given besides; see `budget`."""
-        material = material or _material_of(campaign)
-        if material is None:
-            reason = "nothing tells what the crystal is made of: give --material, such as CaMoO4"
-            return cls(None, None, dict.fromkeys((SOURCE_DEPTH, "indices"), reason))
-        spectra = campaign.raw.efficiency if campaign.raw is not None else None
-        spectrum = spectra.emission if spectra is not None and wavelength_nm is None else None
-        if emission is not None:
-            from mcrim_mitsuba.optics.spectrum_file import read_spectrum
-
-            spectrum = read_spectrum(emission, "emission")
-        efficiency = spectra.quantum_efficiency if spectra is not None else None
-        band = indices_over_band(material, spectrum, efficiency, wavelength_nm)
-        known = band.material
-        if campaign.light_yield is None or known.formula is None:
-            lacking = "energy_keV in [light_yield]" if known.formula else "a formula"
-            return cls(band, None, {SOURCE_DEPTH: f"there is no {lacking}"})
-        depth = attenuation_length_mm(
-            known.formula, campaign.light_yield.energy_keV, known.density_g_per_cm3
-        )
-        return cls(band, depth, {})
-
-
-def _material_of(campaign: Campaign) -> str | None:
-    """What the campaign or its scene say that the crystal is made of."""
-    named = campaign.scene.materials.get(INDEX)
-    if named is not None:
-        return named.material.name
-    raw = campaign.raw
-    if raw is None:
-        return None
-    given = [raw.source_depth.formula] if raw.source_depth is not None else []
-    if raw.absorption is not None and isinstance(raw.absorption.entry.n, str):
-        given.append(raw.absorption.entry.n)
-    return next((name for name in given if is_known(name)), None)
-
-
-def refuse_far(campaign: Campaign, band: BandIndices) -> None:
-    """Refuse indices too far from the scene's to be told from simulations about it.
-
-    Raises
-    ------
-    InputError
-    """
-    nominal = float(campaign.scene.parameters[INDEX])
-    effect = campaign.catalogue[CRYSTAL_INDEX].parameters[0]
-    mean = band.over.mean
-    farthest = max(abs(mean - nominal) + 2 * band.over.sigma, *np.abs(band.indices - mean))
-    if farthest > effect.maximum:
-        raise InputError(
-            f"the scene's {INDEX} = {nominal:g} is too far from {mean:.4g}, that of "
-            f"{band.material.name}",
-            f"set {INDEX} to about {mean:.4g}", path=campaign.scene.path,
-        )  # fmt: skip
-
-
 # ---- fits with pieces put in ----
 
 
@@ -313,63 +236,24 @@ class NeglectWork:
     """
 
     def __init__(self, campaign: Campaign, known: KnownCrystal, run: Run) -> None:
-        self.refused = dict(known.refused)
+        self._known = known.left_out_of(campaign)
+        self.refused = self._known.refused
         self._campaign, self._run = campaign, run
-        self._depth, self._band = known.depth, known.band
+        self._words = known.words(campaign.scene)
+        indexed = {*self._known.pieces, *campaign.known_physics}
+        self._band = known.band if CRYSTAL_INDEX in indexed else None
         self._benches: list[Workbench] = []
-        scene, effects = campaign.scene.parameters, campaign.effects
-        if known.depth is not None:
-            there = SOURCE_DEPTH in effects or DEPTH_MM in scene
-            if not self._may_have(
-                SOURCE_DEPTH, SOURCE_DEPTH, _IN_THE_MODEL if there else None,
-                lambda: self._with(depth=True),
-            ):  # fmt: skip
-                self._depth = None
-        if (band := known.band) is not None:
-            fitted = CRYSTAL_INDEX in effects or INDEX in campaign.parameters
-            reason = f"{INDEX} is a parameter of the campaign" if fitted else None
-            if INDEX in campaign.varied:
-                reason = f"{INDEX} differs from reading to reading"
-            if not self._may_have(
-                "indices", CRYSTAL_INDEX, reason,
-                lambda: refuse_far(campaign, band),
-            ):  # fmt: skip
-                self._band = None
-        present = scene.get(POLARIZATION)
-        if POLARIZATION in effects or present is True:
-            self.refused[POLARIZATION] = _IN_THE_MODEL
-        elif present is not False or POLARIZATION in campaign.varied:
-            self.refused[POLARIZATION] = "the scene has no parameter polarization to be set"
         self._index = (CRYSTAL_INDEX,) * (self._band is not None)
         # births can be weighted too: that tells what the depth's error does
-        depth = (SOURCE_DEPTH,) * (self._depth is not None)
+        depth = (SOURCE_DEPTH,) * (SOURCE_DEPTH in self._known.pieces)
         self.bench = self._bench(campaign, (*self._index, *depth))
         self._fixed: dict[str, float] = {}
         self._own = self._refit(self.bench)
         self._fixed = self._own.calibration.values
 
-    def _may_have(
-        self, piece: str, effect: str, problem: str | None, attempt: Callable[[], object]
-    ) -> bool:
-        """Whether a piece can be put in; if not, a known problem or what trying says is why."""
-        if problem is None:
-            try:
-                self._campaign.with_effects([effect])
-                attempt()
-            except InputError as error:
-                problem = error.problem
-        if problem is not None:
-            self.refused[piece] = problem
-        return problem is None
-
-    def _with(self, *, depth: bool = False, polarization: bool = False) -> Campaign:
-        """The campaign with another scene."""
-        scene = self._campaign.scene
-        if depth and self._depth is not None:
-            scene = scene.edited(add(SOURCE_DEPTH, scene, {DEPTH_MM: self._depth.length_mm}))
-        if polarization:
-            scene = scene.with_overrides({POLARIZATION: True})
-        return replace(self._campaign, scene=scene)
+    def _with(self, *pieces: str) -> Campaign:
+        """The campaign with pieces in its scene."""
+        return replace(self._campaign, scene=self._known.put_into(self._campaign.scene, *pieces))
 
     def _bench(self, campaign: Campaign, effects: tuple[str, ...] = ()) -> Workbench:
         bench = Workbench(campaign, self._run)
@@ -446,13 +330,14 @@ class NeglectWork:
 
     def neglected(self) -> tuple[Neglected, ...]:
         """Every piece by itself, corrections first."""
-        found = []
-        if self._depth is not None:
-            found.append(self._source_depth(self._depth))
-        if POLARIZATION not in self.refused:
+        pieces, found = self._known.pieces, []
+        if SOURCE_DEPTH in pieces and self._known.depth is not None:
+            found.append(self._source_depth(self._known.depth))
+        if POLARIZATION in pieces:
             found.append(self._polarization())
         if self._band is not None:
-            found.append(self._crystal_index(self._band))
+            if CRYSTAL_INDEX in pieces:
+                found.append(self._crystal_index(self._band))
             found.append(self._index_spread(self._band))
             if self._band.material.extraordinary is not None:
                 found.append(self._birefringence(self._band))
@@ -464,10 +349,8 @@ class NeglectWork:
         return self._piece(
             SOURCE_DEPTH,
             "source depth",
-            self._refit(self._bench(self._with(depth=True))),
-            f"births exp(-t/d) below the top, d = {pdg(depth, sigma)} mm ({length.energy_keV:g} "
-            f"keV gammas in {length.formula} of {length.density_g_per_cm3:g} g/cm3, through the "
-            "top)",
+            self._refit(self._bench(self._with(SOURCE_DEPTH))),
+            self._words[SOURCE_DEPTH],
             f'write effects = ["{SOURCE_DEPTH}"] and [parameters.{DEPTH_MM}] with '
             f"prior = {depth:.3f}, prior_sigma = {sigma:.3f}",
             doubt=(SOURCE_DEPTH, DEPTH_MM, depth, sigma),
@@ -478,8 +361,8 @@ class NeglectWork:
         return self._piece(
             POLARIZATION,
             "polarisation",
-            self._refit(self._bench(self._with(polarization=True))),
-            "each photon's polarisation followed",
+            self._refit(self._bench(self._with(POLARIZATION))),
+            self._words[POLARIZATION],
             "set polarization to true in the scene, as `mcrim add polarization` does",
         )
 
@@ -490,8 +373,7 @@ class NeglectWork:
             CRYSTAL_INDEX,
             "crystal's index",
             self._refit(self.bench, (CRYSTAL_INDEX, INDEX, mean)),
-            f"n = {pdg(mean, sigma)} in the place of {self._nominal:g} ({band.material.name} over "
-            f"{band.origin})",
+            self._words[CRYSTAL_INDEX],
             f"set {INDEX} to {mean:.4f} in the scene",
             doubt=(CRYSTAL_INDEX, INDEX, mean, sigma),
         )
@@ -550,15 +432,14 @@ class NeglectWork:
     @cached_property
     def corrected(self) -> Refit | None:
         """The fit with all corrections; None where there is none."""
-        depth, polarization = self._depth is not None, POLARIZATION not in self.refused
-        if self._band is None and not depth and not polarization:
-            return None
+        # an index is found from its response, other pieces are simulated
+        simulated = [piece for piece in self._known.pieces if piece != CRYSTAL_INDEX]
         bench = self.bench
-        if depth or polarization:
-            bench = self._bench(self._with(depth=depth, polarization=polarization), self._index)
-        if self._band is None:
-            return self._refit(bench)
-        return self._refit(bench, (CRYSTAL_INDEX, INDEX, self._band.over.mean))
+        if simulated:
+            bench = self._bench(self._with(*simulated), self._index)
+        if self._band is not None and CRYSTAL_INDEX in self._known.pieces:
+            return self._refit(bench, (CRYSTAL_INDEX, INDEX, self._band.over.mean))
+        return self._refit(bench) if simulated else None
 
     def provenance(self) -> Provenance:
         """Of all benches together."""

@@ -343,13 +343,14 @@ class Workbench:
         found = {}
         campaign = self.campaign
         for name, effect in campaign.catalogue.items():
-            if name in campaign.effects or effect.is_in(campaign.scene):
+            there = (*campaign.effects, *campaign.known_physics)
+            if name in there or effect.is_in(campaign.scene):
                 continue
             if effect.of_beam and not campaign.beam:
                 continue
             if effect.reading is not None and not acts_on(effect, campaign):
                 continue
-            if any(name in campaign.catalogue[other].excludes for other in campaign.effects):
+            if any(name in campaign.catalogue[other].excludes for other in there):
                 continue
             try:
                 campaign.with_effects([name])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
+from mcrim_mitsuba.campaign.known_physics import KnownCrystal, refuse_far
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
@@ -21,14 +22,7 @@ from mcrim_mitsuba.efficiency.responses import Axis, EffectResponse, mixture
 from mcrim_mitsuba.inference import budget as budgeting
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, spread
 from mcrim_mitsuba.inference.model import ResponseModel
-from mcrim_mitsuba.inference.neglected import (
-    KnownCrystal,
-    NeglectWork,
-    Quantities,
-    at,
-    refuse_far,
-    shifts,
-)
+from mcrim_mitsuba.inference.neglected import NeglectWork, Quantities, at, shifts
 from mcrim_mitsuba.optics.dispersion import extraordinary_index, indices_of_light, orientation_sigma
 from mcrim_mitsuba.optics.emission_band import indices_over_band
 from mcrim_mitsuba.optics.spectrum import Spectrum
@@ -248,7 +242,7 @@ def test_a_mixture_is_what_simulations_with_its_indices_give_on_average(campaign
 
 def test_common_random_numbers_give_what_independent_ones_give(campaign, found):
     """The same shift within Z standard errors, and a smaller error."""
-    known = KnownCrystal.of(campaign, "CaMoO4", None, None)
+    known = KnownCrystal.of(campaign, "CaMoO4")
     other = NeglectWork(campaign, replace(known, band=None), Run(PHOTONS, seed=SEED + 5))
     (depth, _) = other.neglected()
     common = piece(found, "source_depth").at_fixed
@@ -285,10 +279,10 @@ def test_what_is_in_the_model_is_not_put_in_again(campaign):
 
 
 def test_without_a_material_nothing_is_known_of_indices_and_depth(campaign):
-    known = KnownCrystal.of(campaign, None, None, None)
+    known = KnownCrystal.of(campaign)
     assert known.band is known.depth is None
-    assert all("--material" in known.refused[name] for name in ("indices", "source_depth"))
-    no_energy = KnownCrystal.of(replace(campaign, light_yield=None), "CaMoO4", None, None)
+    assert all("--material" in known.refused[name] for name in ("crystal_index", "source_depth"))
+    no_energy = KnownCrystal.of(replace(campaign, light_yield=None), "CaMoO4")
     assert no_energy.depth is None and no_energy.band is not None
     assert "energy_keV" in no_energy.refused["source_depth"]
 
