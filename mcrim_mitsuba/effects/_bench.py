@@ -187,7 +187,7 @@ def roughen(editor: SceneEditor, side: str, alpha: str) -> None:
                 "only faces of plain polish can be changed", face,
             )  # fmt: skip
         if bsdf not in copies:
-            copies[bsdf] = rough_copy(editor, bsdf, side, alpha)
+            copies[bsdf] = rough_copy(editor, bsdf, side, f"${alpha}")
         for ref in face.elements:
             if ref.tag == "ref" and editor.by_id.get(ref.attributes["id"]) is bsdf:
                 editor.set_attribute(ref, "id", copies[bsdf])
@@ -250,7 +250,7 @@ def rough_copy(editor: SceneEditor, bsdf: Node, side: str, alpha: str) -> str:
     name = f"{bsdf.attributes['id']}_{side}"
     editor.refuse_id(name)
     parts = [editor.source(part) for part in bsdf.elements]
-    parts.append(f'<float name="roughness_alpha" value="${alpha}"/>')
+    parts.append(f'<float name="roughness_alpha" value="{alpha}"/>')
     copy = "\n  ".join([f'<bsdf type="polish" id="{name}">', *parts])
     editor.insert_after(bsdf, f"{copy}\n</bsdf>")
     return name
@@ -374,7 +374,10 @@ def part_gap(editor: SceneEditor, cut: str, liquid: str, air: str) -> None:
     if own is not None and own.attributes.get("id", "").endswith("_bottom"):
         # what is rough under the liquid is rough under the bubble
         smooth = editor.by_id[to_air.split('"')[1]]
-        to_air = f'<ref id="{rough_copy(editor, smooth, "bottom", "bottom_roughness_alpha")}"/>'
+        alpha = own.named("roughness_alpha")
+        assert alpha is not None  # `rough_copy` made it
+        copy = rough_copy(editor, smooth, "bottom", alpha.attributes["value"])
+        to_air = f'<ref id="{copy}"/>'
     beside = [s for s in editor.shapes if s.type == "frame" and editor.window in editor.media(s)]
     window_to_air = worn_towards_air(editor, beside, "the window's entrance face")
     for face, name, bsdf, interior in (

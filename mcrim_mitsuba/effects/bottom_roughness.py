@@ -28,6 +28,6 @@ EFFECT = Effect(
     ),
     source=FACETS,
     parameters=(roughness_of("bottom", "bottom face"),),
-    excludes=("surface_roughness", "ground"),
+    excludes=("surface_roughness", "ground", "ground_bottom"),
     edit=edit,
 )

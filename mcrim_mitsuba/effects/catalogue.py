@@ -39,6 +39,7 @@ BUILT_IN = (
     "ground",
     "ground_top",
     "ground_sides",
+    "ground_bottom",
     "surface_absorption",
     "crystal_index",
     "gap_index",

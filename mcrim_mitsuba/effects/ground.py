@@ -29,6 +29,9 @@ EFFECT = Effect(
     ),
     source=FACETS,
     parameters=(ground_of("ground_alpha", "the crystal's faces"),),
-    excludes=("surface_roughness", "top_roughness", "side_roughness", "bottom_roughness"),
+    excludes=(
+        *("surface_roughness", "top_roughness", "side_roughness", "bottom_roughness"),
+        *("ground_top", "ground_sides", "ground_bottom"),
+    ),
     edit=edit,
 )

@@ -45,12 +45,8 @@ EFFECT = Effect(
         ),
     ),
     excludes=(
-        "top_roughness",
-        "side_roughness",
-        "bottom_roughness",
-        "ground",
-        "ground_top",
-        "ground_sides",
+        *("top_roughness", "side_roughness", "bottom_roughness"),
+        *("ground", "ground_top", "ground_sides", "ground_bottom"),
     ),
     edit=edit,
 )

@@ -28,7 +28,7 @@ NEIGHBOURS = [
      "spectral_scattering"),
     ("source_depth", "side_source"),
     ("ground", "surface_absorption", "gap_bubble", "edge_chamfer", "surface_haze"),
-    ("ground_top", "ground_sides", "bottom_roughness", "gap_bubble", "edge_chamfer"),
+    ("ground_top", "ground_sides", "ground_bottom", "gap_bubble", "edge_chamfer"),
     ("surface_roughness", "surface_absorption", "gap_index", "gap_bubble", "edge_chamfer",
      "aperture_at_detector"),
     ("surface_haze", "top_roughness", "side_roughness", "bottom_roughness", "surface_absorption",
@@ -92,7 +92,7 @@ def added(scene, *names):
 
 def test_every_effect_of_the_definitions_is_there():
     assert list(KNOWN) == list(BUILT_IN)
-    assert len(KNOWN) == 38
+    assert len(KNOWN) == 39
     for name, effect in KNOWN.items():
         assert effect.name == name
         assert (
@@ -110,6 +110,7 @@ def test_every_effect_of_the_definitions_is_there():
         "side_roughness_alpha": (0, 0.5), "bottom_roughness_alpha": (0, 0.5),
         "ground_alpha": (0.1, 0.6), "ground_top_alpha": (0.1, 0.6),
         "ground_sides_alpha": (0.1, 0.6),
+        "ground_bottom_alpha": (0.1, 0.6),
         "n_crystal": (-0.1, 0.1), "gap_index_offset": (-0.1, 0.1), "gap_offset_mm": (-0.04, 0.5),
         "gap_absorption_per_cm": (0, 20), "bubble_fraction": (0, 0.6), "collar_mm": (0, 3),
         "bubble_area_fraction": (0, 0.6),
