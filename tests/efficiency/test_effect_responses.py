@@ -159,16 +159,16 @@ def test_sizes_that_the_readings_leave_open_get_what_is_plausible(tmp_path):
     bench = Workbench(three, Run(LANES, check=False))
     bench.simulate(("top_roughness",))
     model, fit = bench.settled_model(("top_roughness",))
-    # 95 % of what is plausible, up to 0.4
+    # 95 % of what is plausible, up to 0.05
     assert model.campaign.priors["top_roughness_alpha"] == (
         0.0,
-        pytest.approx(0.4 / 1.96, rel=1e-4),
+        pytest.approx(0.05 / 1.96, rel=1e-4),
     )
     assert fit.ndf == 1 and fit.chi2 < 3.0
-    assert any("top_roughness_alpha 0 ± 0.204" in note for note in fit.notes)
+    assert any("top_roughness_alpha 0 ± 0.0255" in note for note in fit.notes)
     scene, text = mended_files(three, model.campaign, fit, tmp_path / "mended.toml")
     written = tomllib.loads(text)["parameters"]["top_roughness_alpha"]
-    assert (written["prior"], written["prior_sigma"]) == (0.0, 0.204098)
+    assert (written["prior"], written["prior_sigma"]) == (0.0, 0.0255122)
     assert scene.parameters["top_roughness_alpha"] == written["start"]
 
 

@@ -18,7 +18,7 @@ from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 
-SEED, TRACED, SIMULATED = 1, 8_000, 65_536
+SEED, TRACED, SIMULATED = 1, 8_000, 131_072
 #: What the package knows: all of the catalogue is tried by `scripts/trials`, this is quicker.
 KNOWN = {"surface_absorption", "surface_roughness", "gap_index", "gap_bubble", "gap_absorption",
          "detector_radius", "detector_reflection", "top_reflector", "background", "saturation",
