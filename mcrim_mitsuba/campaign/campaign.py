@@ -34,6 +34,7 @@ from mcrim_mitsuba.campaign.parameter import (
     CampaignParameter,
     LightYieldInput,
     known_ranges,
+    read_detector,
     read_light_yield,
     read_parameter,
 )
@@ -175,7 +176,16 @@ class Campaign:
         of_raw_data = () if self.raw is None else self.raw.notes
         of_light = () if self.spectrum is None else (_averaged(self.spectrum),)
         of_physics = (self.physics_note,) if self.physics_note else ()
-        return (*self.scene.notes, *self.executed, *of_raw_data, *of_light, *of_physics)
+        detector = None if self.light_yield is None else self.light_yield.detector
+        of_detector = () if detector is None else detector.notes
+        return (
+            *self.scene.notes,
+            *self.executed,
+            *of_raw_data,
+            *of_light,
+            *of_physics,
+            *of_detector,
+        )
 
     @property
     def ndf(self) -> int:
@@ -307,14 +317,21 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
     if light_yield is not None and raw is not None and raw.efficiency is not None:
         parts = dict(raw.efficiency.found.contributions)
         light_yield = replace(light_yield, efficiency_parts=parts)
+    detector = read_detector(document, scene, measurements)
+    own_scales = any(SCALE in sample.own for sample in samples.values())
+    common = detector.relative_sigma if own_scales else 0.0
     if light_yield is not None and (shared := shared_efficiency(document)) is not None:
         table_of_yield = document.table(LIGHT_YIELD)
-        if not any(SCALE in sample.own for sample in samples.values()):
+        if not own_scales:
             problem = "no sample has a scale of its own, and shares the efficiency's error"
             mend = "remove it: it is a part of detector_efficiency_sigma"
             raise table_of_yield.refusal(SHARED_SIGMA, problem, mend)
         light_yield = without_shared(table_of_yield, light_yield, shared)
-        parameters[EFFICIENCY_FACTOR] = efficiency_factor(shared)
+        common = math.hypot(common, shared)
+    if common:
+        parameters[EFFICIENCY_FACTOR] = efficiency_factor(common)
+    if light_yield is not None:
+        light_yield = detector.applied(light_yield, 0.0 if own_scales else detector.relative_sigma)
     campaign = Campaign(
         path=document.path,
         scene=scene,

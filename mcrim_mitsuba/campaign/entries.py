@@ -9,6 +9,7 @@ from __future__ import annotations
 import operator
 from typing import Any
 
+from mcrim_mitsuba.core.errors import did_you_mean
 from mcrim_mitsuba.core.toml_document import TomlTable
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.laboratory.peak import SHAPES
@@ -118,6 +119,19 @@ CRYSTAL: Entries = {
         "description": "What the crystal is made of, such as CaMoO4: polarisation, where gammas of "
         "energy_keV stop and, where a spectrum is named, the index are in the model then",
     },
+}
+#: What a detector's efficiency is measured with.
+EFFICIENCY_OF, IN_AIR, IN_WINDOW = "efficiency_of", "in air", "inside the window"
+COLLECTION, COLLECTION_SIGMA = "collection_efficiency", "collection_efficiency_sigma"
+#: Of ``[light_yield]``, of the detector.
+DETECTOR: Entries = {
+    EFFICIENCY_OF: {
+        "enum": [IN_AIR, IN_WINDOW],
+        "description": "Light that the efficiency is a part of: in air, head-on, it contains what "
+        "the window reflects",
+    },
+    COLLECTION: _number("Part of photoelectrons that is counted", exclusiveMinimum=0, maximum=1),
+    COLLECTION_SIGMA: _number("Standard error of the collection efficiency", minimum=0),
 }
 #: Of ``[light_yield]`` of a campaign with samples.
 SHARED: Entries = {
@@ -236,6 +250,8 @@ _BEYOND = {
     "energy_keV": ("is not above 0", "give keV per event"),
     "detector_efficiency": ("is not above 0 and at most 1", "give a fraction: 0.127 for 12.7 %"),
     "detector_efficiency_sigma": ("is negative", "give the standard error of detector_efficiency"),
+    COLLECTION: ("is not above 0 and at most 1", "give a fraction: 0.9 for 90 %"),
+    COLLECTION_SIGMA: ("is negative", "give the standard error of collection_efficiency"),
     "quantum_efficiency_scale_sigma": (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),
     NEXT_SIGMA: (_BETWEEN, "it is a relative error: write 0.007 for 0.7 %"),
     SHARED_SIGMA: (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),
@@ -265,12 +281,10 @@ def choice(table: TomlTable, name: str, entries: Entries) -> str | None:
 
     Raises InputError with the line, if it is something else.
     """
-    words = entries[name]["enum"]
-    if name not in table or table[name] in words:
-        return table.get(name)
-    given = f'"{table[name]}"' if isinstance(table[name], str) else "no text"
-    mend = " or ".join(f'{name} = "{word}"' for word in words)
-    raise table.refusal(name, f"{name} is {given}", f"write {mend}, or leave it out")
+    word, words = table.get(name), entries[name]["enum"]
+    if word is None or word in words:
+        return word
+    raise table.refusal(name, f'{name} = "{word}" is not known', did_you_mean(str(word), words))
 
 
 def json_schema() -> dict[str, Any]:
@@ -297,7 +311,7 @@ def json_schema() -> dict[str, Any]:
             "additionalProperties": _table("A scene parameter, in its name's unit", PARAMETER),
         },
         LIGHT_YIELD: _table(
-            CAMPAIGN[LIGHT_YIELD]["description"], YIELD, CRYSTAL, EFFICIENCY, SHARED
+            CAMPAIGN[LIGHT_YIELD]["description"], YIELD, CRYSTAL, EFFICIENCY, DETECTOR, SHARED
         ),
         SAMPLES: {"additionalProperties": _table("A crystal and what it does not share", SAMPLE)},
         HISTOGRAMS: _table(CAMPAIGN[HISTOGRAMS]["description"], PEAKS),

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 from mcrim_mitsuba.campaign.entries import (
+    ARTICLE,
+    COLLECTION,
+    COLLECTION_SIGMA,
+    CONVENTION,
     CRYSTAL,
+    DETECTOR,
+    EFFICIENCY_OF,
+    IN_AIR,
+    IN_WINDOW,
     LIGHT_YIELD,
     PARAMETER,
     RAW_TABLES,
@@ -16,14 +24,17 @@ from mcrim_mitsuba.campaign.entries import (
     SHARED,
     YIELD,
     Entries,
+    choice,
     number_within,
 )
 from mcrim_mitsuba.campaign.measurements import Measurements
-from mcrim_mitsuba.core.errors import did_you_mean, said_by
+from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
 from mcrim_mitsuba.core.numbers import Value, unit_of, value_text
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.optics.fresnel import reflectance
 from mcrim_mitsuba.optics.materials import material
+from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
 # Standard errors outside the bounds that chance may take a measured prior.
@@ -191,7 +202,8 @@ class LightYieldInput:
 
     #: Energy deposited per event.
     energy_keV: float
-    #: Emission-weighted efficiency, a fraction, and its standard error.
+    #: Emission-weighted efficiency for light inside the window, a fraction, and its standard error;
+    #: what is lost of its photoelectrons included.
     detector_efficiency: float
     detector_efficiency_sigma: float
     #: That error by its origins, which add up in quadrature; empty where the campaign gives
@@ -199,6 +211,8 @@ class LightYieldInput:
     efficiency_parts: dict[str, float] = field(default_factory=dict)
     #: What the crystal is made of, as the catalogue of materials names it; None: not said.
     material: str | None = None
+    #: How that efficiency came of the one that the campaign gives.
+    detector: DetectorTerms | None = field(default=None, compare=False)
 
     @property
     def per_scale(self) -> float:
@@ -216,7 +230,8 @@ def read_light_yield(
     Raises InputError with the line, if an entry is unknown, missing or impossible.
     """
     # raw entries are numbers by now; here they only serve the hint about a slip
-    more = {**dict(RAW_TABLES)[LIGHT_YIELD], **CRYSTAL, **SHARED} if further is None else further
+    raw = dict(RAW_TABLES)[LIGHT_YIELD]
+    more = {**raw, **CRYSTAL, **DETECTOR, **SHARED} if further is None else further
     table = document.table(key, (*YIELD, *more))
     if LIGHT_YIELD not in document.table(key.removesuffix(LIGHT_YIELD).rstrip(".")):
         return None
@@ -231,3 +246,97 @@ def read_light_yield(
         with said_by(partial(table.refusal, "material")):
             crystal = material(str(table["material"])).name
     return LightYieldInput(energy, efficiency, sigma or 0.0, material=crystal)
+
+
+@dataclass(frozen=True)
+class DetectorTerms:
+    """What the efficiency of ``[light_yield]`` refers to, and what becomes of photoelectrons."""
+
+    #: Part of head-on light that the window reflects (Fresnel); 0 where the scene has no window of
+    #: one index.
+    window_reflectance: float
+    #: Whether the efficiency was measured in air, head-on, so that it contains that reflection;
+    #: else it is a part of the light inside the window.
+    in_air: bool
+    #: Whether the campaign says so itself.
+    explicit: bool
+    #: Part of the photoelectrons that are collected at the first dynode and pass the threshold,
+    #: None where the campaign does not say it: 1; and its standard error.
+    collection: float | None
+    collection_sigma: float
+
+    @property
+    def relative_sigma(self) -> float:
+        """Relative standard error of the collection."""
+        return self.collection_sigma / (self.collection or 1.0)
+
+    def applied(self, known: LightYieldInput, sigma: float) -> LightYieldInput:
+        """With the efficiency inside the window after collection, with relative error `sigma`."""
+        factor = (self.collection or 1.0) / (1.0 - self.window_reflectance * self.in_air)
+        efficiency = factor * known.detector_efficiency
+        own = factor * known.detector_efficiency_sigma
+        parts = {origin: factor * part for origin, part in known.efficiency_parts.items()}
+        if sigma:
+            parts = {**(parts or {"detector_efficiency": own}), COLLECTION: sigma * efficiency}
+        return replace(
+            known,
+            detector_efficiency=efficiency,
+            detector_efficiency_sigma=math.hypot(own, sigma * efficiency),
+            efficiency_parts=parts,
+            detector=self,
+        )
+
+    @property
+    def notes(self) -> Iterator[str]:
+        """What the reader must know of the absolute light yield."""
+        if self.window_reflectance and not self.explicit:
+            percent = f"{100 * self.window_reflectance:.3g} %"
+            yield (
+                "the detector's efficiency counts as measured in air, head-on: it contains the "
+                f"{percent} that the window reflects, and the light yield is lower by that"
+                if self.in_air
+                else "by the article's convention the detector's efficiency is that inside the "
+                f"window; measured in air it contains the {percent} that the window reflects, and "
+                "the light yield is too high by that"
+            )
+        if self.collection is None:
+            yield (
+                f"{COLLECTION} is not given and counts as 1: losses before the first dynode and "
+                "below the threshold (5 to 20 %) make the light yield higher, afterpulses lower"
+            )
+
+
+def read_detector(
+    document: TomlDocument, scene: SceneFile, measurements: Measurements
+) -> DetectorTerms:
+    """What ``[light_yield]`` says of the detector, and the scene of its window.
+
+    Raises InputError with the line, if an entry is impossible.
+    """
+    table = document.table(LIGHT_YIELD)
+    collection, sigma = (number_within(table, n, DETECTOR) for n in (COLLECTION, COLLECTION_SIGMA))
+    if sigma is not None and collection is None:
+        problem = f"{COLLECTION_SIGMA} without {COLLECTION}"
+        raise table.refusal(COLLECTION_SIGMA, problem, f"add {COLLECTION}, or remove it")
+    given = choice(table, EFFICIENCY_OF, DETECTOR)
+    usual = IN_WINDOW if document.content.get(CONVENTION) == ARTICLE else IN_AIR
+    reflected = float(reflectance(1.0, 1.0, _window_index(document, scene, measurements)))
+    in_air = (given or usual) == IN_AIR
+    return DetectorTerms(reflected, in_air, given is not None, collection, sigma or 0.0)
+
+
+def _window_index(document: TomlDocument, scene: SceneFile, measurements: Measurements) -> float:
+    """Index before the detectors, as the campaign has it; 1 where that is no window, or several."""
+    editor = SceneEditor(scene, {})
+    try:
+        texts = {editor.index_before(detector) for detector in editor.detectors}
+        if any(editor.crystal in editor.before(detector) for detector in editor.detectors):
+            return 1.0
+    except InputError:  # there is air, or none at all
+        return 1.0
+    name = texts.pop().removeprefix("$")
+    if texts or name in measurements.columns:
+        return 1.0
+    start = document.table(f"parameters.{name}").number("start")
+    value = scene.parameters.get(name, name) if start is None else start
+    return float(value)

@@ -20,9 +20,9 @@ from mcrim_mitsuba.campaign.entries import (
     RAW_TABLES,
     SOURCE_DEPTH,
     TRANSMITTANCE,
+    choice,
     number_within,
 )
-from mcrim_mitsuba.core.errors import did_you_mean
 from mcrim_mitsuba.core.files import is_there, look_around, resolved
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
 from mcrim_mitsuba.laboratory.peak import SHAPES
@@ -101,12 +101,8 @@ def read_raw_entries(document: TomlDocument) -> RawEntries:
             if other != parameter and raw in table:
                 problem = f"{raw} says nothing of {other}"
                 raise table.refusal(raw, problem, f"write it into [parameters.{parameter}]")
-    shape = document.table(HISTOGRAMS, PEAKS).get("shape", SHAPES[0])
-    if shape not in SHAPES:
-        problem = f'shape = "{shape}" is no shape of a peak'
-        raise document.refusal(f"{HISTOGRAMS}.shape", problem, did_you_mean(str(shape), SHAPES))
     return RawEntries(
-        shape=shape,
+        shape=choice(document.table(HISTOGRAMS, PEAKS), "shape", PEAKS) or SHAPES[0],
         transmittance=_read_transmittance(document.table(f"parameters.{ABSORPTION}")),
         efficiency=_read_efficiency(document.table(LIGHT_YIELD)),
         gammas=_read_gammas(

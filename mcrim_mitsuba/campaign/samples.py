@@ -31,6 +31,7 @@ from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.campaign.parameter import (
     CampaignParameter,
     LightYieldInput,
+    read_detector,
     read_light_yield,
     read_parameter,
 )
@@ -153,6 +154,8 @@ def _read_sample(
         table = document.table(f"{key}.{LIGHT_YIELD}")
         if (shared := shared_efficiency(document)) is not None:
             light_yield = without_shared(table, light_yield, shared)
+        # the collection's error is one that samples share
+        light_yield = read_detector(document, scene, measurements).applied(light_yield, 0.0)
         own.setdefault(SCALE, _scale(name, measurements))
         if (of_known := _known_scale(table, light_yield)) is not None:
             if own[SCALE].fixed or own[SCALE].prior is not None:

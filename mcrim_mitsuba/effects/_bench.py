@@ -12,11 +12,10 @@ from lxml import etree
 from mcrim_mitsuba.core.errors import said_by
 from mcrim_mitsuba.core.numbers import Value, parse_number
 from mcrim_mitsuba.effects.effect import EffectParameter
-from mcrim_mitsuba.scene.editor import INTERFACES, Node, SceneEditor
+from mcrim_mitsuba.scene.editor import INDICES, Node, SceneEditor
 
 #: Of the light in vacuum.
 WAVELENGTH = "wavelength_nm"
-_INDICES = ("int_ior", "ext_ior")
 _FURTHER = (
     "int_offset", "ext_offset", "roughness_alpha", "distribution", "surface_loss",
     "rms_roughness_nm", WAVELENGTH,
@@ -95,26 +94,6 @@ def sends_back(editor: SceneEditor) -> None:
             editor.reword(shape, "window, black", "window")
 
 
-def index_before(editor: SceneEditor, detector: Node) -> str:
-    """Index of the medium before a detector, as an interface of that medium writes it."""
-    faces = [shape for shape in editor.shapes if detector in _within(editor, shape)]
-    media = {medium for face in faces for medium in editor.media(face)} - {None}
-    for shape in editor.shapes:
-        for index, medium in zip(_INDICES, editor.media(shape), strict=True):
-            for bsdf in _within(editor, shape) if medium in media else ():
-                known = bsdf.named(index) if bsdf.type in INTERFACES else None
-                if known is not None:
-                    return known.attributes["value"]
-    problem = "no interface says the index of what is before the detector"
-    raise editor.refusal(problem, "name the window's medium on its faces", detector)
-
-
-def _within(editor: SceneEditor, node: Node) -> list[Node]:
-    """The bsdfs that a shape, or a bsdf, wears, those within them too."""
-    worn = editor.targets(node, "bsdf")
-    return [each for bsdf in worn for each in (bsdf, *_within(editor, bsdf))]
-
-
 def hits_weight(hits: np.ndarray, reflectance: float, simulated_at: float) -> np.ndarray:
     """Weight of photons that a detector sent back so often, and then detected.
 
@@ -143,12 +122,12 @@ def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
 
     What the plugin ``polish`` does not know is refused.
     """
-    for index in _INDICES:
+    for index in INDICES:
         if bsdf.child("float", name=index) is None:
             problem = f"{bsdf.label} gives no number for {index}"
             raise editor.refusal(problem, f'write <float name="{index}" value="..."/>', bsdf)
     for part in bsdf.elements:
-        if part.attributes.get("name") not in _INDICES + _FURTHER:
+        if part.attributes.get("name") not in INDICES + _FURTHER:
             raise editor.refusal(
                 f"{bsdf.label} has {part.attributes.get('name', part.tag)}, which an interface "
                 "with real polish has not", "remove it", part,

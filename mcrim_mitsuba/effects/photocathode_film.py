@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from mcrim_mitsuba.effects._bench import (
     WAVELENGTH,
-    index_before,
     sends_back,
     set_detector,
     wavelength_of,
@@ -19,7 +18,7 @@ def edit(editor: SceneEditor) -> None:
     set_detector(editor, WAVELENGTH, wavelength_of(editor))
     for detector in editor.detectors:
         editor.insert_last(
-            detector, f'<float name="window_index" value="{index_before(editor, detector)}"/>'
+            detector, f'<float name="window_index" value="{editor.index_before(detector)}"/>'
         )
     sends_back(editor)
 

@@ -31,6 +31,8 @@ _ATTRIBUTE = re.compile(r"\s*([^\s=/>]+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 _READABLE = ("utf-8", "utf8", "us-ascii", "ascii")
 #: Bsdfs that are a clear interface with an index on either side.
 INTERFACES = ("dielectric", "polish")
+#: Their indices, behind the face and in front of it.
+INDICES = ("int_ior", "ext_ior")
 
 
 @dataclass(eq=False)
@@ -242,6 +244,28 @@ class SceneEditor:
         if not found:
             raise self.refusal("the scene has no photodetector", "let a shape wear one")
         return found
+
+    def before(self, detector: Node) -> set[Node]:
+        """The media before a detector; none where that is air."""
+        faces = [shape for shape in self.shapes if detector in self._worn_by(shape)]
+        return {medium for face in faces for medium in self.media(face) if medium is not None}
+
+    def index_before(self, detector: Node) -> str:
+        """Index of the medium before a detector, as an interface of that medium writes it."""
+        media = self.before(detector)
+        for shape in self.shapes:
+            for index, medium in zip(INDICES, self.media(shape), strict=True):
+                for bsdf in self._worn_by(shape) if medium in media else ():
+                    known = bsdf.named(index) if bsdf.type in INTERFACES else None
+                    if known is not None:
+                        return known.attributes["value"]
+        problem = "no interface says the index of what is before the detector"
+        raise self.refusal(problem, "name the window's medium on its faces", detector)
+
+    def _worn_by(self, node: Node) -> list[Node]:
+        """The bsdfs that a shape, or a bsdf, wears, those within them too."""
+        worn = self.targets(node, "bsdf")
+        return [bsdf for outer in worn for bsdf in (outer, *self._worn_by(outer))]
 
     @functools.cached_property
     def masks(self) -> list[Node]:

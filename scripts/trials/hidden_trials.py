@@ -360,7 +360,9 @@ def write_campaign(
         f'scene = "{SCENE.as_posix()}"\nmeasurements = "{name}.csv"\n\n{beam * in_beam}'
         "[parameters.alpha_scat_per_cm]\nstart = 0.5\nmin = 0.001\nmax = 10.0\n\n"
         f"[parameters.alpha_abs_per_cm]\nstart = 0.039\n{prior}\n[light_yield]\n"
-        f"energy_keV = {ENERGY_KEV}\ndetector_efficiency = {DETECTOR_EFFICIENCY}\n",
+        f"energy_keV = {ENERGY_KEV}\ndetector_efficiency = {DETECTOR_EFFICIENCY}\n"
+        # the truth counts light that arrives at the detector
+        'efficiency_of = "inside the window"\n',
     )
     return campaign
 

@@ -231,7 +231,9 @@ def test_effects_of_the_users_own(folder, monkeypatch):
     assert read.parameters["drift"].start == 1.1
     assert read.effects_folder == folder / "mine"
     said = f"effects of the campaign's own were executed: drift.py in {folder / 'mine'}, SHA-256 "
-    assert read.notes == (said + fingerprint(folder / "mine")[:16],)
+    executed, collection = read.notes
+    assert executed == said + fingerprint(folder / "mine")[:16]
+    assert collection.startswith("collection_efficiency is not given and counts as 1: ")
     # by content: other files ask again
     (folder / "mine/drift.py").write_text("EFFECT = 1\n")
     with pytest.raises(UntrustedEffectsError):
@@ -256,6 +258,70 @@ def test_whose_convention_a_campaign_has(folder, scenes):
     assert campaign(folder, CAMPAIGN).convention is None
     assert read_campaign(scenes / "camoo4_campaign.toml").convention == "article"
     assert read_campaign(scenes / "camoo4_three.toml").convention is None
+
+
+def with_yield(scenes, folder, entries="", scene=lambda text: text):
+    """The article's campaign by this package's conventions, with more in its [light_yield]."""
+    for name in ("camoo4_measured.csv", "camoo4.xml"):
+        (folder / name).write_text((scenes / name).read_text())
+    (folder / "camoo4.xml").write_text(scene((scenes / "camoo4.xml").read_text()))
+    text = (scenes / "camoo4_campaign.toml").read_text()
+    without = text.replace(CONVENTION_LINE, "")
+    assert without != text
+    return campaign(folder, without + entries)
+
+
+CONVENTION_LINE = 'convention = "article"                # its own conventions and physics\n'
+INSIDE = 'efficiency_of = "inside the window"\n'
+
+
+def test_an_efficiency_measured_in_air_contains_the_windows_reflection(folder, scenes):
+    """Normal incidence, ((n - 1) / (n + 1))^2: 4.26 % at the scene's 1.52; errors go along."""
+    article = read_campaign(scenes / "camoo4_campaign.toml").light_yield
+    assert article == LightYieldInput(59.5, 0.127, 0.0127)
+    ours = with_yield(scenes, folder).light_yield
+    reflected = (0.52 / 2.52) ** 2
+    assert ours.per_scale == pytest.approx((1 - reflected) * article.per_scale, rel=1e-12)
+    assert ours.detector_efficiency_sigma == pytest.approx(0.1 * ours.detector_efficiency)
+    assert with_yield(scenes, folder, INSIDE).light_yield == article
+    # the campaign's own index of the window, where it has one
+    own = "[parameters.n_window]\nstart = 1.47\nfixed = true\n"
+    found = with_yield(scenes, folder, own).light_yield
+    assert found.detector.window_reflectance == pytest.approx((0.47 / 2.47) ** 2)
+
+
+@pytest.mark.parametrize("before", ["", '    <ref name="interior" id="crystal"/>\n'])
+def test_a_detector_in_air_or_on_the_crystal_has_no_window(folder, scenes, before):
+    def bare(text):
+        window = '    <bsdf type="photodetector"/>\n    <ref name="interior" id="window"/>\n'
+        assert window in text
+        return text.replace(window, '    <bsdf type="photodetector"/>\n' + before)
+
+    found = with_yield(scenes, folder, scene=bare)
+    assert found.light_yield == LightYieldInput(59.5, 0.127, 0.0127)
+    assert len(found.notes) == 1  # of the collection
+
+
+def test_what_a_detector_collects_is_a_factor_with_an_error_of_its_own(folder, scenes):
+    entries = INSIDE + "collection_efficiency = 0.9\ncollection_efficiency_sigma = 0.045\n"
+    found = with_yield(scenes, folder, entries)
+    known = found.light_yield
+    assert known.detector_efficiency == pytest.approx(0.9 * 0.127)
+    parts = {"detector_efficiency": 0.1, "collection_efficiency": 0.05}
+    assert known.efficiency_parts == pytest.approx(
+        {origin: part * 0.9 * 0.127 for origin, part in parts.items()}
+    )
+    assert known.detector_efficiency_sigma == pytest.approx(math.hypot(*parts.values()) * 0.1143)
+    # all is said
+    assert found.notes == ()
+
+
+def test_notes_say_once_what_the_light_yield_rests_on(folder, scenes):
+    article, ours = read_campaign(scenes / "camoo4_campaign.toml"), with_yield(scenes, folder)
+    for read, words in ((article, "is too high by that"), (ours, "is lower by that")):
+        window, collection = read.notes
+        assert "4.26 %" in window and words in window
+        assert "collection_efficiency is not given" in collection
 
 
 def test_too_few_readings_are_counted(folder):

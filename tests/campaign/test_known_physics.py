@@ -46,7 +46,8 @@ def test_polarisation_and_depth_are_in_the_scene_and_said(campaign_of, three):
     assert campaign.scene.parameters["polarization"] is True
     # held: no parameter of the fit, and no prior
     assert campaign.free == ("alpha_scat_per_cm", "alpha_abs_per_cm", "scale")
-    (note,) = campaign.notes
+    note, *of_detector = campaign.notes
+    assert note == campaign.physics_note and len(of_detector) == 2
     for words in ("CaMoO4", "d = 1.03 ± 0.06 mm", "59.5 keV", "polarisation"):
         assert words in note
     # no hypotheses any more, nor is what they exclude
@@ -67,7 +68,7 @@ def test_campaigns_that_name_no_material_stay_as_they_are(scenes, name):
 
 def test_the_articles_convention_has_none_of_it(campaign_of, scenes, three):
     campaign = campaign_of(f'convention = "article"\n{three}')
-    assert campaign.known_physics == () and campaign.notes == ()
+    assert campaign.known_physics == () and campaign.physics_note == ""
     assert campaign.scene.content_hash == read_scene(campaign.scene.path).content_hash
     # it names a formula and a spectrum
     assert read_campaign(scenes / "camoo4_raw" / "campaign.toml").known_physics == ()

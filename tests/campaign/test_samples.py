@@ -1,5 +1,7 @@
 """Several crystals in one campaign: what is read, what is refused, what is written."""
 
+import math
+
 import pytest
 from places import SCENES
 from refusals import refusal
@@ -42,6 +44,8 @@ energy_keV = 59.5
 detector_efficiency = 0.2
 detector_efficiency_sigma = 0.026
 """
+SHARED = "shared_efficiency_sigma = 0.05\n"
+INSIDE = CAMPAIGN.replace(SHARED, SHARED + 'efficiency_of = "inside the window"\n')
 
 
 @pytest.fixture
@@ -57,7 +61,7 @@ def read(tmp_path):
 
 
 def test_what_samples_share_and_what_is_their_own(read):
-    campaign = read()
+    campaign = read(INSIDE)
     air, _, thin, other, _ = campaign.measurements.readings
     assert thin.parameters == {"crystal_height_mm": 5.0, "n_gap": 1.46}
     assert other.parameters == {"n_gap": 1.46, "n_crystal": 1.92}
@@ -84,11 +88,26 @@ def test_what_samples_share_and_what_is_their_own(read):
 
 def test_a_known_light_yield_is_a_prior_of_the_scale(read):
     known = "light_yield_ph_per_keV = 16.2\nlight_yield_ph_per_keV_sigma = 1.62\n"
-    campaign = read(CAMPAIGN + known)
+    campaign = read(INSIDE + known)
     value, sigma = campaign.priors["scale_other"]
     assert value == pytest.approx(16.2 * 59.5 * 0.2)
     assert sigma / value == pytest.approx((0.1**2 + 0.13**2 - 0.05**2) ** 0.5)
     assert list(campaign.light_yields) == [SCALE]
+
+
+def test_one_detector_reads_all_samples(read):
+    """Its window and its collection are factors of all efficiencies; ratios of yields stay."""
+    terms = "collection_efficiency = 0.9\ncollection_efficiency_sigma = 0.036\n"
+    inside, both = read(INSIDE), read(CAMPAIGN.replace(SHARED, SHARED + terms))
+    factor = 0.9 / (1 - (0.52 / 2.52) ** 2)
+    for scale, (_, known) in both.light_yields.items():
+        _, before = inside.light_yields[scale]
+        assert known.detector_efficiency == pytest.approx(factor * before.detector_efficiency)
+        # the error that they share is that of the common factor alone
+        assert known.detector_efficiency_sigma / known.detector_efficiency == pytest.approx(
+            before.detector_efficiency_sigma / before.detector_efficiency
+        )
+    assert both.priors["efficiency_factor"] == (1.0, pytest.approx(math.hypot(0.05, 0.04)))
 
 
 @pytest.mark.parametrize(
