@@ -176,8 +176,8 @@ class Campaign:
         of_raw_data = () if self.raw is None else self.raw.notes
         of_light = () if self.spectrum is None else (_averaged(self.spectrum),)
         of_physics = (self.physics_note,) if self.physics_note else ()
-        detector = None if self.light_yield is None else self.light_yield.detector
-        of_detector = () if detector is None else detector.notes
+        known = self.light_yield if SCALE in self.free else None
+        of_detector = known.detector.notes if known is not None and known.detector else ()
         return (
             *self.scene.notes,
             *self.executed,

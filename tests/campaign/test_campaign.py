@@ -231,9 +231,7 @@ def test_effects_of_the_users_own(folder, monkeypatch):
     assert read.parameters["drift"].start == 1.1
     assert read.effects_folder == folder / "mine"
     said = f"effects of the campaign's own were executed: drift.py in {folder / 'mine'}, SHA-256 "
-    executed, collection = read.notes
-    assert executed == said + fingerprint(folder / "mine")[:16]
-    assert collection.startswith("collection_efficiency is not given and counts as 1: ")
+    assert read.notes == (said + fingerprint(folder / "mine")[:16],)
     # by content: other files ask again
     (folder / "mine/drift.py").write_text("EFFECT = 1\n")
     with pytest.raises(UntrustedEffectsError):
