@@ -138,6 +138,8 @@ class Bench:
     top_roughness_alpha: float = 0.0
     side_roughness_alpha: float = 0.0
     bottom_roughness_alpha: float = 0.0
+    #: Slopes of rough faces are Beckmann's, Gaussian, with this alpha in place of GGX's.
+    beckmann: bool = False
     #: Rms height of a fine roughness of the crystal's faces, chamfers included, which scatters part
     #: of what they reflect and refract; and the light's wavelength in vacuum.
     rms_roughness_nm: float = 0.0

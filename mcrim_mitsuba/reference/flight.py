@@ -544,7 +544,7 @@ class Flights:
                 arguments = direction[:, some], normal[:, some], n_in, n_out[some]
                 states = None if field is None else field[:, some]
                 direction[:, some], transmitted[some], states = (
-                    cross_rough(rng, *arguments, roughness[some], states)
+                    cross_rough(rng, *arguments, roughness[some], states, beckmann=bench.beckmann)
                     if rough
                     else cross(rng, *arguments, states)
                 )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
 from mcrim_mitsuba.reference.geometry import Complexes, Flags, Floats, Indices, dot
 
@@ -125,7 +127,7 @@ differ by its square."""
 
 
 def cross(
-    rng: np.random.Generator, direction: Floats, normal: Floats, n_in: float, n_out: Floats,
+    rng: np.random.Generator, direction: Floats, normal: Floats, n_in: _Number, n_out: Floats,
     field: Complexes | None = None,
 ) -> tuple[Floats, Flags, Complexes | None]:  # fmt: skip
     """Send photons through an interface, each as one whole quantum.
@@ -136,7 +138,7 @@ def cross(
         Unit vectors of flight.
     normal : (3, n) float64
         Unit normals that point ahead: ``direction . normal`` is positive.
-    n_in : float
+    n_in : float, or (n,) float64
         Index of the medium that the photons are in.
     n_out : (n,) float64
         Index of the medium behind the interface.
@@ -167,7 +169,7 @@ def cross(
     if through.size:
         ahead = normal[:, through]
         tangential = direction[:, through] - cos_in[through] * ahead
-        refracted = (n_in / n_out[through]) * tangential + cos_out[through] * ahead
+        refracted = (n_in / n_out)[through] * tangential + cos_out[through] * ahead
         outgoing[:, through] = refracted / np.sqrt(dot(refracted, refracted))
     if field is None:
         return outgoing, transmitted, None
@@ -211,52 +213,85 @@ def _square(z: Complexes) -> Floats:
     return z.real * z.real + z.imag * z.imag
 
 
-# Rough faces made of microfacets: each photon meets one facet.
+# Rough faces made of microfacets: each photon walks among them until it leaves.
+
+_GAUSS_PEAK = 1.0 / math.sqrt(2.0 * math.pi)
+
+_TINY = 1e-100
+"""What is divided by is not smaller: squares and logarithms of the quotients are numbers."""
 
 
 def cross_rough(
     rng: np.random.Generator, direction: Floats, normal: Floats, n_in: float, n_out: Floats,
-    roughness: Floats, field: Complexes | None = None,
+    roughness: Floats, field: Complexes | None = None, *, beckmann: bool = False,
 ) -> tuple[Floats, Flags, Complexes | None]:  # fmt: skip
     """Send photons through a rough interface, each as one whole quantum.
 
-    A facet is drawn among those that the photon sees, and Fresnel's formulae at the facet decide
-    between reflection and refraction. Where light would then be on the wrong side of the face
-    itself, facet and decision are drawn again, so nothing is lost.
+    The random walk of E. Heitz, J. Hanika, E. d'Eon and C. Dachsbacher, Multiple-scattering
+    microfacet BSDFs with the Smith model, ACM Transactions on Graphics 35 (2016) 58. A photon at a
+    height meets a facet, drawn by the area that it sees; Fresnel's formulae decide there, and it
+    flies on, until it is above or below all heights. Behind the interface it walks in the heights
+    turned upside down. Nothing is lost, and isotropic light in equilibrium stays so.
 
     Parameters and what is returned are those of `interface.cross`, and ``roughness``: (n,)
-    float64, the GGX parameter alpha, above 0.
+    float64, the parameter alpha, above 0, of GGX slopes or, with ``beckmann``, of Beckmann's.
     """
-    count = direction.shape[1]
-    outgoing, transmitted = np.empty_like(direction), np.empty(count, dtype=bool)
-    out = None if field is None else np.empty_like(field)
+    direction, up, count = direction.copy(), -normal, normal.shape[1]
+    field = None if field is None else field.copy()
+    n_here, n_ahead = np.full(count, n_in), n_out.copy()
+    transmitted = np.zeros(count, dtype=bool)
+    # logarithm of the share of the face that is lower than the photon; it comes from above
+    level = np.zeros(count)
     who = np.arange(count)
-    while who.size:
-        ahead = normal[:, who]
-        facet = visible_normals(rng, -direction[:, who], -ahead, roughness[who])
+    while True:
+        cosine = -dot(direction[:, who], up[:, who])
+        area = _visible_area(cosine, roughness[who], beckmann)
+        # Heitz's free paths: this share's power of Smith's Lambda is a uniform number
+        level[who] -= rng.standard_exponential(who.size) * cosine / area
+        who = who[level[who] < 0.0]
+        if not who.size:
+            return direction, transmitted, field
+        facet = visible_normals(rng, -direction[:, who], up[:, who], roughness[who], beckmann)
         states = None if field is None else field[:, who]
-        towards, through, states = cross(rng, direction[:, who], -facet, n_in, n_out[who], states)
-        along = dot(towards, ahead)
-        right = np.where(through, along > 0.0, along < 0.0)
-        settled = who[right]
-        outgoing[:, settled], transmitted[settled] = towards[:, right], through[right]
-        if out is not None and states is not None:
-            out[:, settled] = states[:, right]
-        who = who[~right]
-    return outgoing, transmitted, out
+        direction[:, who], through, states = cross(
+            rng, direction[:, who], -facet, n_here[who], n_ahead[who], states
+        )
+        if field is not None:
+            field[:, who] = states
+        behind = who[through]
+        transmitted[behind] ^= True
+        up[:, behind] *= -1.0
+        # a share of 0 would be a bottom that nothing leaves
+        level[behind] = np.log(-np.expm1(np.minimum(level[behind], -_TINY)))
+        n_here[behind], n_ahead[behind] = n_ahead[behind], n_here[behind]
+
+
+def _visible_area(cosine: Floats, roughness: _Number, beckmann: bool) -> Floats:
+    """Area of facets, over the face's, that is seen at an angle whose cosine may be negative.
+
+    It is cosine (1 + Lambda) from above and -cosine Lambda from below, with Smith's Lambda.
+    """
+    across = roughness * np.sqrt(np.maximum(0.0, 1.0 - cosine * cosine))
+    if beckmann:
+        across = np.maximum(across, _TINY) / math.sqrt(2.0)
+        farthest = cosine / across
+        area = cosine * ndtr(farthest) + across * _GAUSS_PEAK * np.exp(-0.5 * farthest * farthest)
+    else:
+        area = 0.5 * (cosine + np.hypot(across, cosine))
+    return np.maximum(area, _TINY)
 
 
 def visible_normals(
-    rng: np.random.Generator, view: Floats, normal: Floats, roughness: _Number
-) -> Floats:
-    """Normals of GGX facets, in proportion to the area that is seen along ``view``.
+    rng: np.random.Generator, view: Floats, normal: Floats, roughness: _Number,
+    beckmann: bool = False,
+) -> Floats:  # fmt: skip
+    """Normals of facets, in proportion to the area that is seen along ``view``.
 
-    E. Heitz, Sampling the GGX distribution of visible normals, Journal of
-    Computer Graphics Techniques 7(4), 2018. The distribution of slopes is that of
-    B. Walter et al., Eurographics Symposium on Rendering 2007.
+    The distribution of GGX slopes is that of B. Walter et al., Eurographics Symposium on Rendering
+    2007, and that of Beckmann's is Gaussian with a variance of alpha squared over two.
 
-    Views are unit vectors towards where the light comes from, the face's normals are on that side
-    (``view . normal`` is positive), roughness is GGX's alpha; ``view . facet`` is positive too.
+    Views are unit vectors towards where the light comes from, also from below the face, whose
+    normals point up; roughness is alpha; ``view . facet`` is positive.
     """
     # the face's own frame, with the plane of incidence as x-z plane: view = (sine, 0, cosine)
     cosine = dot(view, normal)
@@ -265,6 +300,20 @@ def visible_normals(
     perpendicular = sine == 0.0
     x = np.where(perpendicular, basis(normal)[0], x / np.where(perpendicular, 1.0, sine))
     y = _cross_product(normal, x)
+    drawn = _beckmann_facets if beckmann else _ggx_facets
+    facet_x, facet_y, facet_z = drawn(rng, sine, cosine, roughness)
+    facet = facet_x * x + facet_y * y + facet_z * normal
+    return facet / np.sqrt(dot(facet, facet))
+
+
+def _ggx_facets(
+    rng: np.random.Generator, sine: Floats, cosine: Floats, roughness: _Number
+) -> tuple[Floats, Floats, Floats]:
+    """Vectors along facets' normals, in the frame of the plane of incidence.
+
+    E. Heitz, Sampling the GGX distribution of visible normals, Journal of Computer Graphics
+    Techniques 7(4), 2018; from below the half ellipse cuts a crescent out of the half disc.
+    """
     # the view from a hemisphere that stretching makes of the ellipsoid
     stretched = np.hypot(roughness * sine, cosine)
     sine, cosine = roughness * sine / stretched, cosine / stretched
@@ -277,10 +326,32 @@ def visible_normals(
     towards = np.sqrt(np.maximum(0.0, 1.0 - across * across - upwards * upwards))
     # back to the face's frame, and unstretched; T1 = y, T2 = view x T1 = (-cosine, 0, sine)
     facet_x = roughness * (towards * sine - upwards * cosine)
-    facet_y = roughness * across
-    facet_z = np.maximum(0.0, towards * cosine + upwards * sine)
-    facet = facet_x * x + facet_y * y + facet_z * normal
-    return facet / np.sqrt(dot(facet, facet))
+    return facet_x, roughness * across, np.maximum(0.0, towards * cosine + upwards * sine)
+
+
+def _beckmann_facets(
+    rng: np.random.Generator, sine: Floats, cosine: Floats, roughness: _Number
+) -> tuple[Floats, Floats, Floats]:
+    """The same of Gaussian slopes: in units of their sigma (a - t)_+ exp(-t^2 / 2) along the view.
+
+    It is drawn by rejection, with a = cosine / (sigma sine): from above from Gaussian and Rayleigh
+    numbers, the parts of (a + (-t)_+) exp(-t^2 / 2), from below from Rayleigh numbers a - t.
+    """
+    sigma = roughness / math.sqrt(2.0)
+    farthest = cosine / np.maximum(sigma * sine, _TINY)
+    slope, who = np.empty_like(cosine), np.arange(cosine.size)
+    while who.size:
+        a = farthest[who]
+        t = -np.sqrt(2.0 * rng.standard_exponential(who.size))
+        chance = rng.random(who.size)
+        even = rng.random(who.size) * (a + _GAUSS_PEAK) < a
+        t[even] = rng.standard_normal(np.count_nonzero(even))
+        taken = np.where(a >= 0.0, chance * a < a - t, chance < np.exp(np.minimum(-a * t, 0.0)))
+        t = np.where(a >= 0.0, t, a + t)
+        slope[who[taken]] = t[taken]
+        who = who[~taken]
+    facet_y = sigma * rng.standard_normal(cosine.size)
+    return -sigma * slope, facet_y, np.ones_like(cosine)
 
 
 # Fine roughness: heights far below a wavelength, of no slope that would matter.
@@ -295,8 +366,9 @@ def scatter_by_haze(
     A wave that meets heights of an rms keeps the part exp(-q^2) of its power in the specular
     direction, q being the rms of its phase: H. E. Bennett and J. O. Porteus, Journal of the Optical
     Society of America 51 (1961) 123, for reflection; in refraction the heights change the path by
-    the difference of n cos(theta) on the two sides. What is scattered goes by Lambert's law to the
-    side that the photon is on.
+    the difference of n cos(theta) on the two sides. What is scattered stays on the side that the
+    photon is on, and leaves by Lambert's law times what light that comes back on its way would have
+    reflected or refracted, and scattered: so isotropic light in equilibrium stays so.
 
     Parameters
     ----------
@@ -314,11 +386,34 @@ def scatter_by_haze(
     who, direction
         Indices of the (m,) that are scattered, and their new directions, (3, m) float64.
     """
+    _, share = _haze(cos_in, n_in, n_out, transmitted, rms_per_wavelength)
+    who = np.flatnonzero(rng.random(cos_in.shape) < share)
+    transmitted, n_out = transmitted[who], n_out[who]
+    cosine = np.empty(who.size)
+    for index, through in {*zip(n_out.tolist(), transmitted.tolist(), strict=True)}:
+        near, far = (index, n_in) if through else (n_in, index)
+        critical = math.sqrt(max(0.0, 1.0 - (far / near) ** 2))
+        cosines = np.append(np.linspace(0.0, 1.0, 1001)[1:], critical)
+        highest = np.prod(_haze(cosines, near, far, through, rms_per_wavelength), axis=0).max()
+        pending = np.flatnonzero((n_out == index) & (transmitted == through))
+        while pending.size:
+            drawn = np.sqrt(1.0 - rng.random(pending.size))
+            density = np.prod(_haze(drawn, near, far, through, rms_per_wavelength), axis=0)
+            taken = rng.random(pending.size) * highest < density
+            cosine[pending[taken]] = drawn[taken]
+            pending = pending[~taken]
+    return who, about(rng, np.where(transmitted, 1.0, -1.0) * normal[:, who], cosine)
+
+
+def _haze(
+    cos_in: Floats, n_in: _Number, n_out: _Number, transmitted: Flags | bool, heights: float
+) -> tuple[Floats, Floats]:
+    """What of unpolarised light a face reflects, or transmits, and what of this it scatters."""
     cos_out = np.sqrt(np.maximum(cosine_squared_out(cos_in, n_in, n_out), 0.0))
+    reflectance = unpolarised_reflectance(cos_in, n_in, n_out, cos_out)
     path = np.where(transmitted, np.abs(n_in * cos_in - n_out * cos_out), 2.0 * n_in * cos_in)
-    scattered = -np.expm1(-np.square(2.0 * np.pi * rms_per_wavelength * path))
-    who = np.flatnonzero(rng.random(cos_in.shape) < scattered)
-    return who, lambertian(rng, np.where(transmitted[who], 1.0, -1.0) * normal[:, who])
+    scattered = -np.expm1(-np.square(2.0 * np.pi * heights * path))
+    return np.where(transmitted, 1.0 - reflectance, reflectance), scattered
 
 
 # A film thinner than a wavelength that absorbs, between glass and vacuum.
