@@ -49,6 +49,11 @@ def bench_of(simulation: Simulation) -> Bench:
         effects = [e.name for e in catalogue().values() if e.is_in(simulation.file)]
         switches = {name: True for name in effects if name in _SWITCHES}
         beam = BEAM_PARAMETERS if _beam_axis(simulation) is not None else {}
+        slopes = {s.beckmann for s in simulation.model.surfaces if s.roughness}
+        if len(slopes) > 1:
+            problem = "the independent programs know one distribution of slopes for all rough faces"
+            raise InputError(problem, "give each polish the same distribution")
+        switches["beckmann"] = slopes == {True}
         bench = Bench.from_parameters({**beam, **simulation.file.parameters, **switches})
     _refuse_other_benches(simulation, effects)
     return bench

@@ -5,6 +5,7 @@ programs fail one of the 22 comparisons in one run of 6000. Beams, and what they
 are tested all together: right programs fail in one run of 100.
 """
 
+import dataclasses
 import math
 
 import pytest
@@ -15,6 +16,7 @@ from validate import benches
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add, catalogue
 from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL, crosscheck
+from mcrim_mitsuba.reference.scene_bench import bench_of
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
@@ -77,7 +79,32 @@ def test_an_effect_is_read_from_the_scene_of_the_bench_and_of_the_beam(name, sce
     bench = read_scene(scenes / "camoo4.xml")
     bench = bench.edited(add(name, bench))
     for scene in (bench, spectrophotometer_of(bench)):
-        assert crosscheck(scene, run=Run(10_000, seed=3)).agrees
+        assert crosscheck(scene, run=Run(10_000, seed=6)).agrees
+
+
+ROUGH = '<float name="roughness_alpha"'
+BECKMANN = f'<string name="distribution" value="beckmann"/>{ROUGH}'
+
+
+def test_the_distribution_of_slopes_is_read_from_the_scene(scenes):
+    bench = read_scene(scenes / "camoo4.xml")
+    text = add("surface_roughness", bench)
+    ggx, beckmann = bench.edited(text), bench.edited(text.replace(ROUGH, BECKMANN))
+    sizes = {"roughness_alpha": 0.3}
+    read = [bench_of(Simulation(scene, sizes)) for scene in (ggx, beckmann)]
+    assert read[1] == dataclasses.replace(read[0], beckmann=True)
+    assert crosscheck(beckmann, sizes, run=Run(10_000, seed=5)).agrees
+
+
+def test_one_distribution_of_slopes_is_for_all_rough_faces(scenes):
+    bench = read_scene(scenes / "camoo4.xml")
+    for effect in ("top_roughness", "side_roughness"):
+        text = add(effect, bench)
+        bench = bench.edited(text)
+    mixed = bench.edited(text.replace(ROUGH, BECKMANN, 1))
+    sizes = {"top_roughness_alpha": 0.1, "side_roughness_alpha": 0.1}
+    said = refusal(crosscheck, mixed, sizes, run=Run(1000))
+    assert "one distribution of slopes for all rough faces" in said
 
 
 def test_the_shipped_beam_is_compared(scenes):
