@@ -255,7 +255,7 @@ def likely_swaps(fit: Fit, most: int) -> list[tuple[int, int]]:
     where v is what is added to their variances and h = g + P d.
     """
     precision, signal = fit.precision, fit.problem.signal
-    pulled, own = fit.weights.inverse @ fit.residuals, np.diag(precision)
+    pulled, own = fit.weighted_residuals, np.diag(precision)
     variance = fit.problem.variance
     # (used, used): of the first row by that of the second
     moved, added = (np.subtract.outer(each, each).T for each in (signal, variance))
@@ -376,7 +376,7 @@ def _fall(fit: Fit, factors: Array) -> tuple[float, int]:
     whole = np.sqrt(np.einsum("ij,ij->j", factors, fit.weights.inverse @ factors))
     values, vectors = np.linalg.eigh(seen / np.outer(whole, whole))
     kept = values > _ABSORBED
-    along = vectors[:, kept].T @ (factors.T @ (fit.weights.inverse @ fit.residuals) / whole)
+    along = vectors[:, kept].T @ (factors.T @ fit.weighted_residuals / whole)
     return float((along**2 / values[kept]).sum()), int(kept.sum())
 
 

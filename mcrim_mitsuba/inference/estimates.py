@@ -258,7 +258,7 @@ def left_out(fit: Fit) -> tuple[Array, Array]:
     fit to all, the error is (C^-1 r)_i / P_ii and its variance 1 / P_ii (the PRESS residuals of
     D. M. Allen, Technometrics 16 (1974) 125, with the covariance in place of the unit matrix).
     """
-    weighted = fit.weights.inverse @ fit.residuals
+    weighted = fit.weighted_residuals
     weight = np.diag(fit.precision).copy()
     seen = weight > _LEAST_LEVERAGE * np.diag(fit.weights.inverse)
     errors, pulls = np.full(len(weight), np.inf), np.zeros(len(weight))
@@ -319,7 +319,7 @@ def chi2_of_batches(fit: Fit) -> Array | None:
         return None
     prediction, used = fit.problem.model.predict(fit.theta), fit.problem.used
     deviations = (batches(fit.theta) * prediction.eta * prediction.signal_per_eta)[:, used]
-    return -2.0 * deviations @ (fit.weights.inverse @ fit.residuals)
+    return -2.0 * deviations @ fit.weighted_residuals
 
 
 def spread(batches: Array) -> Array:

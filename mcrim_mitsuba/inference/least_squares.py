@@ -258,6 +258,15 @@ class Fit:
         return self.problem.signal - self.signal[self.problem.used]
 
     @cached_property
+    def weighted_residuals(self) -> Array:
+        """(used,) C^-1 r of the residuals r at the minimum.
+
+        It equals P r' of `precision` and the residuals r' where the priors have their centres: at
+        the minimum J^T C^-1 r is what the priors pull, so that P r is not the same.
+        """
+        return self.weights.inverse @ self.residuals
+
+    @cached_property
     def information(self) -> Array:
         """(free, free) Fisher information, priors included."""
         whitened = self.weights.whitener @ self.slopes

@@ -211,7 +211,7 @@ def _named(
     baseline, pull = explanations.baseline, None
     if kind == BAD_READING and len(places) == 1:
         # to first order the square of the pull is the gain
-        away = float((baseline.precision @ baseline.residuals)[places[0]])
+        away = float(baseline.weighted_residuals[places[0]])
         pull = math.copysign(math.sqrt(max(baseline.chi2 - fit.chi2, 0.0)), away)
     suspect = suspected(baseline, kind, places, fit.chi2, pull)
     return Hypothesis(evidence, log_odds, besides=suspect.words, common=_BAD_COMMON), suspect
@@ -237,10 +237,10 @@ def _worst(explanations: Explanations) -> list[tuple[int, ...]]:
 
     With a further variance t of the readings B the logarithm of the evidence rises to first order
     by (v^T (1/t + P_B)^-1 v - log det(1 + t P_B)) / 2, P the inverse covariance of readings whose
-    parameters are unknown, and v = (P r)_B of the residuals r.
+    parameters are unknown, and v = (C^-1 r)_B of the residuals r (`Fit.weighted_residuals`).
     """
     baseline = explanations.baseline
-    precision, drawn = baseline.precision, baseline.precision @ baseline.residuals
+    precision, weighted = baseline.precision, baseline.weighted_residuals
     signal = np.abs(baseline.signal[baseline.problem.used])
     found = []
     for count in range(1, min(MOST_BAD, max(baseline.ndf - 1, 0)) + 1):
@@ -250,7 +250,7 @@ def _worst(explanations: Explanations) -> list[tuple[int, ...]]:
         while some := list(islice(every, _SETS_AT_ONCE)):
             sets = np.array(some)
             within = precision[sets[:, :, None], sets[:, None, :]]
-            pulled, gains = drawn[sets], np.full(len(sets), -np.inf)
+            pulled, gains = weighted[sets], np.full(len(sets), -np.inf)
             for size in _BAD_SIZES:
                 t = (size * signal[sets]) ** 2
                 inner = within + np.eye(count) / t[:, None, :]

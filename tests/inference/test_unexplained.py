@@ -17,7 +17,14 @@ from mcrim_mitsuba.inference.evidence import Hypothesis
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.least_squares import settle
 from mcrim_mitsuba.inference.next_measurements import _most_kept, next_measurements
-from mcrim_mitsuba.inference.unexplained import UNKNOWN, of_instrument, unnamed, unnamed_at
+from mcrim_mitsuba.inference.unexplained import (
+    UNKNOWN,
+    _bad,
+    _worst,
+    of_instrument,
+    unnamed,
+    unnamed_at,
+)
 from mcrim_mitsuba.inference.workbench import MeasurementProposals
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
@@ -75,6 +82,23 @@ def test_first_order_finds_the_worst_readings_of_all_sets():
     # two readings of 0.7 % that are 9 and 7 % off: about half of chi2, less what the sizes cost
     gain = explanations.baseline.chi2 - suspect.chi2
     assert 0.5 * gain - 8.0 < best.evidence.log - without.log < 0.5 * gain
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_first_order_ranks_single_readings_as_fits_do_where_a_prior_pulls(seed):
+    """A prior five errors off; every reading is fitted, and the three likeliest are those named.
+
+    What the prior pulls is no misfit of the readings: by P r instead of C^-1 r the likeliest was
+    another reading for two of these seeds, and one of the three for a third.
+    """
+    signal = bench.signals(TRUTH)
+    signal *= 1.0 + bench.SIGMA * np.random.default_rng(seed).standard_normal(len(signal))
+    rows, noise = bench.readings(signal), bench.simulation_noise(seed)
+    prior = TRUTH["alpha_abs_per_cm"] + 5.0 * bench.PRIOR_SIGMA
+    explanations = Explanations(lambda added: bench.Model(rows, tuple(added), noise, prior), {})
+    fitted = [_bad(explanations, (place,))[0].evidence.log for place in range(len(rows))]
+    singles = [places for places in _worst(explanations) if len(places) == 1]
+    assert singles == [(place,) for place in np.argsort(fitted)[:-4:-1]]
 
 
 def test_swapped_rows_are_named():
