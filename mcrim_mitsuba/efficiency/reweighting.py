@@ -17,6 +17,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,10 @@ _FACTOR_BELOW = 10.0
 
 # Fourth powers of exp of the first are normal numbers, as is exp of the second in single precision.
 _LEAST_LOG, _LEAST_LOG_SINGLE = -170.0, -80.0
+
+# Scatterings per path at which the weights of trapped light are looked at, and a share that is 0
+# but for its logarithm.
+_RATES, _FAINTEST = 200, 1e-12
 
 # Stands for log(0): times k it ends every photon that scattered and leaves k = 0 alone.
 _LOG_ZERO = -1e300
@@ -240,16 +245,14 @@ class EtaSurface(EfficiencySurface):
     ) -> None:
         """Refuse a point where too few photons carry eta or its error."""
         where = f"alpha_scat_per_cm = {alpha_scat:g}, alpha_abs_per_cm = {alpha_abs:g}"
-        # Light that total reflection traps flies until it scatters. The square of its
-        # contribution goes as exp(-growth L): for a negative one the variance is infinite
-        # and no finite sample shows it. Unscattered light (alpha_scat = 0) is not trapped.
-        lowest = float(self.alpha_scat_proposals_per_cm[self.alpha_scat_proposals_per_cm > 0].min())
-        growth = 2 * (alpha_scat + alpha_abs) - lowest - self.alpha_abs_proposal_per_cm
-        if alpha_scat > 0 and growth < 0:
+        # Unscattered light (alpha_scat = 0) is not trapped.
+        if alpha_scat > 0 and self._falls_per_cm(alpha_scat, alpha_abs) < 0:
+            simulated = ", ".join(f"{a:g}" for a in self._drawn_per_cm)
             raise InputError(
-                f"at {where} light flies too far for photons simulated at no less than {lowest:g} "
-                f"/cm of scattering and {self.alpha_abs_proposal_per_cm:g} /cm of absorption",
-                "simulate a lower scattering or absorption",
+                f"at {where} light flies too far for photons simulated at {simulated} /cm of "
+                f"scattering and {self.alpha_abs_proposal_per_cm:g} /cm of absorption: the "
+                "variance of their weights is infinite",
+                "simulate a scattering nearer to it, or a lower absorption",
             )
         if sample < _LEAST_EFFECTIVE_SAMPLE or variance_sample < _LEAST_VARIANCE_SAMPLE:
             raise InputError(
@@ -259,6 +262,45 @@ class EtaSurface(EfficiencySurface):
                 f"{_LEAST_VARIANCE_SAMPLE:.0f})",
                 "simulate more photons, or a scattering and an absorption nearer to these",
             )
+
+    @property
+    def _drawn_per_cm(self) -> NDArray[np.float64]:
+        """(drawn,) proposals that scatter and have photons."""
+        proposals = self.alpha_scat_proposals_per_cm
+        return np.asarray(proposals[(proposals > 0) & (self._shares > 0)])
+
+    @cached_property
+    def _trapped_shares(self) -> NDArray[np.float64]:
+        """(drawn,) of scattered light, the part that flies on until it scatters again.
+
+        Of the detected light at each proposal, without absorption. Where a part P scatters again
+        each time, numbers of scatterings k above 0 fall as P^k, with
+        P / (1 - P) = sum k (k - 1) / (2 sum k); long histories weigh most, and are what matters.
+        """
+        k, absorption, shares = self._cells.k, self.alpha_abs_proposal_per_cm, []
+        for scattering in self._drawn_per_cm:
+            target = _log_target(k, self._cells.path_cm, scattering, absorption)
+            c = _exp(self._log_base_mean + target) * self._cells.weight
+            again = _dot(c, k * (k - 1))
+            share = again / max(again + 2.0 * _dot(c, k), _FAINTEST)
+            shares.append(share * (1.0 + absorption / scattering))
+        return np.clip(shares, _FAINTEST, 1.0)
+
+    def _falls_per_cm(self, alpha_scat: float, alpha_abs: float) -> float:
+        """How fast squared contributions of trapped light fall with its path.
+
+        Below 0 the variance is infinite, and no finite sample shows it. With the part p of
+        scattered light that stays, photons of proposal j that flew L and scattered k times bring
+        (p alpha_scat^2 / a_j)^k L^k / k! exp(-(2 (alpha_scat + alpha_abs) - a_j - a_0) L), summed
+        over k exp(-(2 (alpha_scat + alpha_abs) - a_j - a_0 - p alpha_scat^2 / a_j) L). Of several
+        proposals the one with most photons at k / L counts, and k / L where that leaves most.
+        """
+        drawn = self._drawn_per_cm[:, None]
+        scatters = alpha_scat**2 / drawn
+        stays = scatters * np.interp(scatters, drawn[:, 0], self._trapped_shares)
+        k_per_cm = np.geomspace(stays.min(), stays.max(), _RATES)
+        grows = (drawn + k_per_cm * (1.0 + np.log(stays / k_per_cm))).min(axis=0).max()
+        return float(2.0 * (alpha_scat + alpha_abs) - grows - self.alpha_abs_proposal_per_cm)
 
 
 def _log_target(
@@ -318,10 +360,11 @@ def choose_proposals(
 
     The least absorption that will be asked for is also simulated.
     """
-    # Weights of trapped light keep a finite variance only where
-    # 2 (alpha_scat + alpha_abs) >= proposed alpha_scat + proposed alpha_abs.
-    reachable = 0.9 * (2.0 * lowest_per_cm + lowest_alpha_abs_per_cm)
-    low = max(min(max(lowest_per_cm, _LOWEST_PROPOSAL_PER_CM), reachable), _SMALLEST_PER_CM)
+    # Weights keep a finite variance, however much scattered light stays trapped, where
+    # 2 (alpha_scat + alpha_abs) > a_j + a_0 + alpha_scat^2 / a_j: up to the root for a_j.
+    both = 2.0 * lowest_per_cm + lowest_alpha_abs_per_cm
+    reachable = 0.45 * (both + math.sqrt(both**2 - 4.0 * lowest_per_cm**2))
+    low = max(lowest_per_cm, min(_LOWEST_PROPOSAL_PER_CM, reachable), _SMALLEST_PER_CM)
     # weights reach a little higher, and less so where the number of scatterings is sharper
     reach = _REACH_ABOVE / (1.0 + highest_per_cm / _MANY_SCATTERINGS_PER_CM)
     high = max(highest_per_cm / (1.0 + reach), 2.0 * low)

@@ -21,7 +21,7 @@ from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.efficiency.reweighting import EtaSurface
+from mcrim_mitsuba.efficiency.reweighting import EtaSurface, choose_proposals
 from mcrim_mitsuba.efficiency.surface import InterpolatedSurface, axes_for
 from mcrim_mitsuba.inference import likelihood as search
 from mcrim_mitsuba.inference.fit import fit_model
@@ -169,8 +169,8 @@ def test_numbers_stay_sound_at_the_ends_of_their_types():
         assert all(map(math.isfinite, (point.eta, point.sigma, *point.gradient.values())))
     # at the proposals every weight is of order 1, whatever k and L are
     assert EtaSurface.of(records).evaluate(0.05, 0.04).eta > 0.1
-    # exp(0.04 1e5) is no number: refused, checked or not
-    with pytest.raises(InputError, match="eta rests on 0 photons"):
+    # exp(0.04 1e5) is no number: refused, checked or not, and here all light is trapped
+    with pytest.raises(InputError, match="light flies too far"):
         EtaSurface.of(records).evaluate(0.05, 0.0, check=False)
 
 
@@ -202,6 +202,68 @@ def test_reweighted_surface_against_direct_tracing():
 def test_surface_refuses_what_its_photons_cannot_tell(a_s, a_a, says):
     surface = EtaSurface.of(toy_records(np.random.default_rng(5), photons=(2048, 2048, 2048)))
     assert says in refusal(surface.evaluate, a_s, a_a)
+
+
+def trapped_records(rng, proposals, share=0.7, photons=16_384):
+    """Light born trapped: of what scatters `share` stays trapped, the rest is detected."""
+    k = rng.geometric(1 - share, photons * len(proposals))
+    path = rng.gamma(k) / np.repeat(proposals, photons)
+    batch, counts = np.arange(len(k)) % BATCHES, [photons] * len(proposals)
+    return PhotonRecords(k, path, np.ones(len(k)), batch, BATCHES, counts, proposals, 0.0)
+
+
+def test_trapped_light_whose_weights_vary_without_bound_is_refused():
+    """With a share p that stays, from a_j: finite where 2 (a_s + a_a) > a_j + p a_s^2 / a_j.
+
+    Without absorption and with p = 0.7 that is from a_s = 0.646 a_j on; the share is read off the
+    records. The rule for light that does not scatter, 2 (a_s + a_a) > a_j, let 0.55 a_j pass, where
+    errors are too small: there the mean of 100 z is -0.8.
+    """
+    surfaces = [
+        EtaSurface.of(trapped_records(np.random.default_rng(i), (0.04,))) for i in range(100)
+    ]
+    for a_s in (0.021, 0.0232, 0.025):
+        assert all("flies too far" in refusal(s.evaluate, a_s, 0.0) for s in surfaces)
+    for a_s, a_a in ((0.032, 0.0), (0.025, 0.006), (0.046, 0.002)):
+        of_all = a_s / (a_s + a_a)
+        eta = 0.3 * of_all / (1.0 - 0.7 * of_all)
+        # some are refused for the few photons that make their error
+        assert sum(surface.answer((a_s, a_a)) is not None for surface in surfaces) > 90
+        points = [surface.evaluate(a_s, a_a, check=False) for surface in surfaces]
+        z = [(point.eta - eta) / point.sigma for point in points]
+        # the sd of the mean is 0.1, of the spread 0.07
+        assert abs(np.mean(z)) < 0.45 and abs(np.std(z) - 1.0) < 0.32, (a_s, a_a)
+
+
+def test_proposals_together_reach_between_them():
+    """Neither 0.1 nor 0.32 /cm alone reaches 0.179 /cm with p = 0.82, where both do.
+
+    Their mixture is above any product of powers v and 1 - v of them, whose k and L count as those
+    of one proposal with the means of log(a_j) and of a_j.
+    """
+    both, low, high = (
+        EtaSurface.of(trapped_records(np.random.default_rng(1), drawn, share=0.82))
+        for drawn in ((0.1, 0.32), (0.1,), (0.32,))
+    )
+    for alone in (low, high):
+        assert alone._falls_per_cm(0.179, 0.0) < 0.0
+    v = np.linspace(0.0, 1.0, 1001)
+    grows = 0.1 * (1 - v) + 0.32 * v + 0.82 * 0.179**2 / (0.1 ** (1 - v) * 0.32**v)
+    # shares that are measured, to a standard error of 0.001, move it by 0.0002
+    assert both._falls_per_cm(0.179, 0.0) == pytest.approx(0.358 - grows.min(), abs=1e-3)
+    assert both.answer((0.179, 0.0)) is not None
+
+
+def test_chosen_proposals_reach_down_whatever_is_trapped():
+    for lowest, absorption in [
+        (0.0222, 0.0),
+        (0.001, 0.003),
+        (0.01, 0.014),
+        (0.03, 0.0),
+        (0.5, 0.0),
+    ]:
+        low = choose_proposals(lowest, 2.0, absorption).alpha_scat_per_cm[0]
+        assert 2.0 * lowest + absorption > low + 0.999 * lowest**2 / low, (lowest, absorption)
 
 
 def test_surface_refuses_an_error_that_one_photon_makes():
