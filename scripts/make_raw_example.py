@@ -127,7 +127,7 @@ def _write_emission(path: Path, emission: NDArray[np.float64], random: np.random
         "emission of CaMoO4 at room temperature, corrected for the spectrometer's response",
         "errors: 5 % of the correction, and the counting",
     ]
-    _write(path, comments, ["Wavelength (nm)\tIntensity\tsigma", *rows])
+    _write(path, comments, ["Wavelength (nm)\tIntensity (counts)\tsigma", *rows])
 
 
 def _write_cathode(path: Path, emission: NDArray[np.float64]) -> None:

@@ -182,7 +182,12 @@ _NOT_STANDARD = re.compile(
     r"|(sigma|σ|err|error|std|fehler)\s*2$|[fh]whm|\bk\s*=\s*(?!1(\.0*)?\b)\d|\b9[05-9]\b|confid",
     re.I,
 )
-_POWER = re.compile(r"(^|[^A-Za-z])[mµμun]?(W|J)($|[^A-Za-z])")
+#: What an emission counts, by its column's name and unit, or by a comment's "photons per nm".
+_PHOTONS = re.compile(r"photon|\bquanta\b|\bcounts?\b|\bcps\b|\bph\b", re.I)
+_POWER = re.compile(
+    r"(^|[^A-Za-z])[mµμun]?(W|J)($|[^A-Za-z])|(?i:power|energy|irradian|radian[ct]|\bwatts?\b)"
+)
+_PER_NM = re.compile(r"(\S+?)\s*(?:\bper\b|/)\s*(?:nm|µm|μm|Å|eV)\b", re.I)
 # "5 percent" is a number of something else
 _SAYS_PERCENT = re.compile(
     r"[(\[/,]\s*%\s*([)\],;\t]|$)|%\s*T\b|\bT\s*%"
@@ -244,8 +249,9 @@ def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
         Wavelengths are in nm, or in µm, Å, eV or 1/cm where the column's name says so; they
         ascend or descend.
     kind : str
-        ``emission``: any unit, per nm (per eV or per 1/cm where the column is one of these: it is
-        then converted). Noise below zero is kept: without it the mean would be biased.
+        ``emission``: photons or power, which the column's name or a comment says, in any unit,
+        per nm (per eV or per 1/cm where the column is one of these). Both are converted to photons
+        per nm. Noise below zero is kept: without it the mean would be biased.
         ``quantum_efficiency``, ``transmittance``: fractions, or % where the name says so.
 
     Raises
@@ -263,7 +269,12 @@ def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
     sigmas = None if sigma is None else _sigmas(table, value, sigma, kind)
     if kind == "emission":
         values, notes = _emission(table, places, value, sigmas, axis)
-        sigmas = None if sigmas is None else sigmas[axis.rows] * axis.per_nm
+        photons = photons_over_emission(table, value, axis.wavelength_nm)
+        if np.ndim(photons):
+            notes = (*notes, f"{table.path.name}: power was converted to numbers of photons")
+        values = values * photons
+        if sigmas is not None:
+            sigmas = sigmas[axis.rows] * axis.per_nm * photons
     else:
         scale = _scale(table, value, kind)
         values, notes = scale * table.values[axis.rows, value], ()
@@ -314,12 +325,7 @@ def _refuse_foreign(table: DataTable, value: int, kind: Kind) -> None:
             mend = f"name the column T if it is one, else give {mend}"
             raise table.refusal(None, value, problem, mend)
     unit = table.units[value]
-    if kind == "emission":
-        if unit is not None and _POWER.search(unit):
-            problem = f"'{unit}' is a power, and detectors count photons"
-            mend = "multiply by the wavelength, and name the unit photons"
-            raise table.refusal(None, value, problem, mend)
-    elif unit not in (None, "%", "fraction"):
+    if kind != "emission" and unit not in (None, "%", "fraction"):
         problem = f"{wanted} in '{unit}'"
         raise table.refusal(None, value, problem, f"give {mend} and say so in the column's name")
 
@@ -390,6 +396,28 @@ def _emission(
         return values, ()
     converted = f"intensities are taken per {unit} and were converted to intensities per nm"
     return values, (f"{table.path.name}: {converted}",)
+
+
+def photons_over_emission(table: DataTable, value: int, wavelength_nm: Array) -> Array | float:
+    """What turns a column of an emission into photons, up to a constant.
+
+    Detectors count photons, of which a power holds more the longer the wavelength: (points,)
+    wavelengths over the mean of the ends. A column of photons is as it is: 1.
+
+    Raises
+    ------
+    InputError
+        If neither the column's name and unit nor a comment ("photons per nm") say which it is.
+    """
+    title = " ".join(filter(None, (table.names[value] if table.names else "", table.units[value])))
+    comments = [text for text in table.comments for text in _PER_NM.findall(text)]
+    for texts in ([title], comments):
+        photons, power = (any(map(word.search, texts)) for word in (_PHOTONS, _POWER))
+        if photons != power:
+            return 1.0 if photons else 2.0 * wavelength_nm / (wavelength_nm[0] + wavelength_nm[-1])
+    problem = "nothing says whether the emission is photons or power per nm"
+    mend = "name the column such as 'emission (photons/nm)' or 'emission (mW/nm)'"
+    raise table.refusal(None, value, problem, mend)
 
 
 def _scale(table: DataTable, value: int, kind: Kind) -> float:

@@ -14,7 +14,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.numbers import COEFFICIENTS
 from mcrim_mitsuba.optics.spectrum import Spectrum
-from mcrim_mitsuba.optics.spectrum_file import read_spectrum
+from mcrim_mitsuba.optics.spectrum_file import photons_over_emission, read_spectrum
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
 #: Columns of a table that are no parameters of the scene.
@@ -114,9 +114,10 @@ def read_light(
     Parameters
     ----------
     path : str or Path
-        Columns ``wavelength_nm`` and ``emission`` (per nm, any unit), and if known ``efficiency``
-        (of the detector, a fraction) and any parameters of the scene, such as
-        ``alpha_abs_per_cm``, at these wavelengths. Or an emission spectrum as campaigns name one.
+        Columns ``wavelength_nm`` and ``emission`` (photons or power per nm, which its name or a
+        comment says), and if known ``efficiency`` (of the detector, a fraction) and any parameters
+        of the scene, such as ``alpha_abs_per_cm``, at these wavelengths. Or an emission spectrum as
+        campaigns name one.
     scene : SceneFile
     quantum_efficiency : str or Path, optional
         Spectrum of the detector's efficiency, for a table without.
@@ -131,7 +132,8 @@ def read_light(
     columns: dict[str, Array] = {}
     if EMISSION in names and WAVELENGTH in names:
         at, columns = _columns(table, names, scene)
-        emission = Spectrum(at, columns.pop(EMISSION), name=str(path))
+        photons = photons_over_emission(table, names.index(EMISSION), at)
+        emission = Spectrum(at, photons * columns.pop(EMISSION), name=str(path))
     else:
         emission = read_spectrum(path, "emission")
     grid = _grid(emission)

@@ -79,7 +79,7 @@ def test_fates_and_changed_parameters_are_told_in_words(mcrim, here):
 
 
 def test_a_spectrum_says_what_one_wavelength_is(mcrim, here):
-    Path("light.csv").write_text("wavelength_nm,emission\n500,1\n540,2\n580,1\n")
+    Path("light.csv").write_text("wavelength_nm,emission (photons/nm)\n500,1\n540,2\n580,1\n")
     line = ["simulate", BENCH, "--photons", "2e4"]
     label = "at the scene's own values, of one wavelength:"
     assert label in mcrim.shown(*line, "--spectrum", "light.csv")

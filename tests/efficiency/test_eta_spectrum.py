@@ -37,7 +37,7 @@ def tenfold(tmp_path):
     emission = np.exp(-(((at - 530.0) / 90.0) ** 2))
     absorption = 0.02 * 10.0 ** ((700.0 - at) / 300.0)
     scattering = 0.2 * 10.0 ** ((700.0 - at) / 300.0)
-    header = "wavelength_nm,emission,alpha_abs_per_cm,alpha_scat_per_cm"
+    header = "wavelength_nm,emission (photons/nm),alpha_abs_per_cm,alpha_scat_per_cm"
     return written(tmp_path, header, at, emission, absorption, scattering)
 
 
@@ -103,7 +103,7 @@ def test_means_are_integrals_over_the_light(tenfold, tmp_path):
     file = read_scene(BENCH, {})
     table = np.genfromtxt(tenfold, delimiter=",", names=True)
     nm, efficiency = table["wavelength_nm"], np.linspace(0.3, 0.05, len(table))
-    header = "wavelength_nm,emission,alpha_abs_per_cm,alpha_scat_per_cm,efficiency"
+    header = "wavelength_nm,emission (photons/nm),alpha_abs_per_cm,alpha_scat_per_cm,efficiency"
     columns = [table[name] for name in table.dtype.names]
     light = read_light(written(tmp_path, header, *columns, efficiency), file)
     found = eta_over(file, light, run=Run(photons=500_000, seed=3))
@@ -133,7 +133,7 @@ def test_means_are_integrals_over_the_light(tenfold, tmp_path):
         ("wavelength_nm,emission,alpha_abs\n400,1,2\n500,1,2\n", "no parameter 'alpha_abs'"),
         ("wavelength_nm,emission,efficiency\n400,1,0.2\n500,1,1.2\n", "efficiency = 1.2 is out"),
         ("wavelength_nm,emission,alpha_abs_per_cm\n400,1,1\n400,1,2\n", "400 nm stands there"),
-        ("wavelength_nm,emission\n400,0\n500,0\n600,0\n", "no area"),
+        ("wavelength_nm,emission (photons/nm)\n400,0\n500,0\n600,0\n", "no area"),
         ("wavelength_nm,emission,alpha_scat_per_cm\n400,1,-1\n500,1,2\n", "-1 is out of range"),
     ],
 )  # fmt: skip
@@ -207,7 +207,7 @@ def test_a_campaign_averages_over_its_light(tenfold, here):
     # one wavelength fits as well, with another absorption
     absorption = [fits[n].found.calibration.parameters["alpha_abs_per_cm"] for n in fits]
     assert absorption[1].value > absorption[0].value + absorption[0].sigma
-    (here / "flat.csv").write_text("wavelength_nm,emission\n400,0.1\n500,1\n600,0.1\n")
+    (here / "flat.csv").write_text("wavelength_nm,emission (photons/nm)\n400,0.1\n500,1\n600,0.1\n")
     text = CAMPAIGN.format(scene=BENCH.as_posix(), spectrum='spectrum = "flat.csv"')
     (here / "flat.toml").write_text(text)
     with pytest.raises(InputError, match=r"line 3.*neither alpha_scat_per_cm nor"):

@@ -209,7 +209,7 @@ def bench(scenes, tmp_path):
 def spectrum_file(tmp_path):
     band = emission()
     rows = "".join(f"{x:g},{y:.6f}\n" for x, y in zip(band.wavelength_nm, band.values, strict=True))
-    (tmp_path / "emission.csv").write_text("wavelength_nm,intensity\n" + rows)
+    (tmp_path / "emission.csv").write_text("wavelength_nm,intensity (photons/nm)\n" + rows)
     return tmp_path / "emission.csv"
 
 
@@ -264,7 +264,7 @@ def test_a_spectrum_beside_the_scene_gives_the_mean_over_it(bench, spectrum_file
     assert scene.parameters["n_crystal"] == pytest.approx(expected, abs=1e-5)
     assert scene.included == (spectrum_file,)
     assert scene.source(spectrum_file) == spectrum_file.read_bytes()
-    spectrum_file.write_text("nm,intensity\n500,0\n510,1\n520,0\n")
+    spectrum_file.write_text("nm,photons\n500,0\n510,1\n520,0\n")
     # what was read stays; reading again sees the change
     assert scene.with_overrides({"gap_mm": 0.1}).parameters["n_crystal"] == pytest.approx(
         expected, abs=1e-5
@@ -308,7 +308,7 @@ def test_a_surface_takes_numbers_only(bench, mcrim, text, says):
 def test_a_bad_spectrum_is_refused_by_its_own_name(bench, tmp_path):
     (tmp_path / "bad.csv").write_text("wavelength_nm,intensity\n540,1\n530,x\n550,1\n")
     assert "bad.csv, line 3" in refusal(read_scene, bench(n_crystal="CaMoO4@bad.csv"))
-    (tmp_path / "blue.csv").write_text("wavelength_nm,intensity\n400,0\n420,1\n440,0\n")
+    (tmp_path / "blue.csv").write_text("wavelength_nm,photons\n400,0\n420,1\n440,0\n")
     refused = refusal(read_scene, bench(n_crystal="CaMoO4@blue.csv"))
     assert "100 % of the emission is outside" in refused
 

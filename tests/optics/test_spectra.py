@@ -379,7 +379,7 @@ def test_emission_over_energy_becomes_one_per_nm(tmp_path, name, constant):
     places = np.linspace(centre - 6 * width, centre + 6 * width, 601)
     light = np.exp(-(((places - centre) / width) ** 2) / 2)
     rows = "\n".join(f"{x!r},{y!r}" for x, y in zip(places.tolist(), light.tolist(), strict=True))
-    found = read(tmp_path, f"{name},intensity\n{rows}\n", "emission")
+    found = read(tmp_path, f"{name},photons\n{rows}\n", "emission")
     mean, _ = average_over(found, lambda nm: nm)
     expected = np.average(constant / places, weights=light)
     assert mean == pytest.approx(expected, rel=1e-6)
@@ -387,16 +387,38 @@ def test_emission_over_energy_becomes_one_per_nm(tmp_path, name, constant):
     assert abs(expected / 540 - 1) > 1e-3 and "converted to intensities per nm" in found.notes[0]
 
 
+@pytest.mark.parametrize("title", ["P (mW/nm)", "radiance", "I [W m-2 nm-1]"])
+def test_power_becomes_photons(tmp_path, title):
+    """A photon's energy goes as 1 / wavelength: as photons, power over it has another centre."""
+    at, width = np.linspace(350.0, 750.0, 401), 60.0
+    photons = np.exp(-(((at - 540.0) / width) ** 2) / 2)
+    rows = "\n".join(
+        f"{x!r},{y!r},{0.1 * y!r}"
+        for x, y in zip(at.tolist(), (photons / at).tolist(), strict=True)
+    )
+    of_power, of_photons = (
+        read(tmp_path, f"nm,{name},sigma\n{rows}\n", "emission") for name in (title, "photons")
+    )
+    assert average_over(of_power, lambda nm: nm)[0] == pytest.approx(540.0, abs=0.2)
+    # taken as photons, bluer by width^2 / 540
+    assert average_over(of_photons, lambda nm: nm)[0] == pytest.approx(
+        540 - width**2 / 540, abs=0.3
+    )
+    assert of_power.sigmas == pytest.approx(0.1 * of_power.values)
+    assert of_power.notes == ("spectrum.csv: power was converted to numbers of photons",)
+
+
 def test_noise_of_an_emission_is_kept_and_gaps_are_said(tmp_path):
     text = "".join(f"{nm},{-0.5 if nm in (402, 598) else 50}\n" for nm in range(400, 602, 2)
                    if not 500 < nm < 522)  # fmt: skip
-    found = read(tmp_path, text, "emission")
+    found = read(tmp_path, f"nm,counts\n{text}", "emission")
     assert found.values.min() == -0.5
     assert found.notes == (
         "spectrum.csv: no points from 500 to 522 nm: the curve is a straight line there",
     )
     # three standard errors of its own are noise too
-    assert read(tmp_path, "nm,I,sigma\n500,-5,2\n510,50,2\n520,9,2\n", "emission").values[0] == -5
+    noisy = "nm,counts,sigma\n500,-5,2\n510,50,2\n520,9,2\n"
+    assert read(tmp_path, noisy, "emission").values[0] == -5
     dark = "nm,I,sigma\n500,-20,20\n510,50,20\n520,9,20\n"
     assert "-20 is below 0" in refusal(read, tmp_path, dark, "emission")
 
@@ -418,7 +440,7 @@ def folder(here):
     light = np.exp(-(((places - 535) / 45) ** 2) / 2) + rng.normal(0, 0.003, places.size)
     rows = (f"{a:g};{b:.4f};0,003\n" for a, b in zip(places, light, strict=True))
     (here / "emission.csv").write_text(
-        "wavelength (nm);intensity (a.u.);sigma\n" + "".join(rows).replace(".", ",")
+        "wavelength (nm);photons (a.u.);sigma\n" + "".join(rows).replace(".", ",")
     )
     (here / "qe.csv").write_text(
         "wavelength (nm),QE (%),sigma (%)\n350,27.5,1\n400,27,1\n450,23,1\n500,17.5,1\n550,9.5,.5\n"
