@@ -139,7 +139,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
               help="Detected photons of an event, for the first ones of --times (default: 1000).",
               )  # fmt: skip
 @click.option("--group-index", multiple=True, metavar="MEDIUM=INDEX",
-              callback=partial(options.read_defines, example="crystal=2.08"),
+              callback=partial(options.read_defines, example="crystal=2.134"),
               help="Group index of a medium for --times, or a material such as CaMoO4@540nm (may "
               "be repeated; default: that of the scene's materials).")  # fmt: skip
 @options.work

@@ -40,7 +40,9 @@ EFFECT = Effect(
         "exceed 1: a gel lets slanted light into the window, air does not. What is transmitted is "
         "lost. The index is that of K-Cs-Sb at the scene's wavelength_nm, from 380 to 680 nm: "
         "3.22 + 0.706i at 540 nm, which it is unless another one is given; 15.5 nm thick films "
-        "were measured. Effects that say the same in another way exclude it."
+        "were measured. Green-extended and multialkali tubes have other films: give the scene's "
+        "detector their n and k as cathode_n and cathode_k. Effects that say the same in another "
+        "way exclude it."
     ),
     source="D. Motta and S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217",
     parameters=(

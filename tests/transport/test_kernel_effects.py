@@ -485,13 +485,20 @@ DARK_BOX = """<scene version="3.0.0">
   <bsdf type="twosided" id="black"><bsdf type="diffuse"><spectrum name="reflectance" value="0"/>
     </bsdf></bsdf>
   <bsdf type="photodetector" id="film"><float name="cathode_nm" value="15.5"/>
-    <float name="window_index" value="1.52"/></bsdf>
+    <float name="window_index" value="1.52"/>{index}</bsdf>
   {faces}</scene>"""
+#: Of a film that is not K-Cs-Sb.
+OWN_INDEX = '<float name="cathode_n" value="2.5"/><float name="cathode_k" value="0.3"/>'
 
 
-@pytest.mark.parametrize("general", [False, True], ids=["flat", "general"])
-@pytest.mark.parametrize("polarization", ["false", "true"])
-def test_straight_light_on_a_photocathode(tmp_path, polarization, general):
+@pytest.mark.parametrize(
+    ("polarization", "general", "index"),
+    [
+        ("false", False, ""), ("false", True, ""), ("true", False, ""), ("true", True, ""),
+        ("false", False, OWN_INDEX),
+    ],
+)  # fmt: skip
+def test_straight_light_on_a_photocathode(tmp_path, polarization, general, index):
     turns = ["", '<rotate y="1" angle="90"/>', '<rotate y="1" angle="-90"/>',
              '<rotate x="1" angle="90"/>', '<rotate x="1" angle="-90"/>',
              '<rotate x="1" angle="180"/>']  # fmt: skip
@@ -502,10 +509,10 @@ def test_straight_light_on_a_photocathode(tmp_path, polarization, general):
         for i, turn in enumerate(turns)
     ]
     path = tmp_path / "dark.xml"
-    path.write_text(DARK_BOX.format(polarization=polarization, faces="\n".join(faces)))
+    path.write_text(DARK_BOX.format(polarization=polarization, faces="\n".join(faces), index=index))
     simulation = Simulation(path, check=False)
     found = simulation.collect(400_000, seed=49, general=general)
-    film = ThinFilm(cathode_index(540.0), 15.5 / 540.0, 1.52)
+    film = ThinFilm(2.5 + 0.3j if index else cathode_index(540.0), 15.5 / 540.0, 1.52)
     rng, count = np.random.default_rng(50), 400_000
     start, direction = rng.random((count, 3)) * 10 - 5, rng.standard_normal((count, 3))
     direction /= np.linalg.norm(direction, axis=1)[:, None]
@@ -628,6 +635,13 @@ def test_photons_that_do_the_same_have_the_same_numbers(bench):
 
     # measured 0.040 and 0.59; 0.13 and 0.9 where a lane's numbers simply run on
     assert spread(other) < 0.055 and spread(air) < 0.7
+
+
+def test_half_an_index_of_a_photocathode_is_refused(tmp_path):
+    path, half = tmp_path / "dark.xml", '<float name="cathode_n" value="2.5"/>'
+    path.write_text(DARK_BOX.format(polarization="false", faces="", index=half))
+    with pytest.raises(InputError, match="one index; give both"):
+        Simulation(path, check=False)
 
 
 @pytest.mark.parametrize(

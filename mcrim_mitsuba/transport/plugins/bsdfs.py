@@ -102,6 +102,8 @@ class Photodetector(mi.BSDF):
         index ``window_index``, and vacuum. Other light is reflected specularly, absorbed, which
         is detected, or lost in the vacuum, at ``wavelength_nm`` (540). Without a thickness there
         is none.
+    ``cathode_n``, ``cathode_k`` : float
+        Index n + ik of the photocathode; by default K-Cs-Sb at the wavelength.
     ``angular_falloff`` : float a, default 0
         Light that arrives at an angle theta to the normal is accepted with probability
         1 - a (1 - cos theta), and else absorbed in the surface. If a is negative the
@@ -127,6 +129,10 @@ class Photodetector(mi.BSDF):
         self.angular_falloff = number(props, "angular_falloff", 0.0, low=-1.0)
         self.cathode_nm = number(props, "cathode_nm", 0.0, high=THICKEST_NM)
         self.wavelength_nm = number(props, "wavelength_nm", 540.0, low=100.0, high=1e4)
+        self.cathode_n = number(props, "cathode_n", 0.0, high=LARGEST_INDEX)
+        self.cathode_k = number(props, "cathode_k", 0.0, high=LARGEST_INDEX)
+        if bool(self.cathode_n) != bool(self.cathode_k):
+            raise ValueError("cathode_n and cathode_k are one index; give both, above 0")
         self.window_index = number(props, "window_index", 1.0, low=1.0, high=LARGEST_INDEX)
         self.centre = _centre(props)
         self.acceptance_deg = number(props, "acceptance_deg", 90.0, high=90.0)
@@ -141,11 +147,8 @@ class Photodetector(mi.BSDF):
         """The photocathode."""
         if not self.cathode_nm:
             return None
-        return ThinFilm(
-            cathode_index(self.wavelength_nm),
-            self.cathode_nm / self.wavelength_nm,
-            self.window_index,
-        )
+        index = complex(self.cathode_n, self.cathode_k) or cathode_index(self.wavelength_nm)
+        return ThinFilm(index, self.cathode_nm / self.wavelength_nm, self.window_index)
 
     @property
     def radial_falloff_per_mm2(self) -> float:
