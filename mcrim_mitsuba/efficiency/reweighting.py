@@ -44,8 +44,7 @@ _FACTOR_BELOW = 10.0
 # Fourth powers of exp of the first are normal numbers, as is exp of the second in single precision.
 _LEAST_LOG, _LEAST_LOG_SINGLE = -170.0, -80.0
 
-# Scatterings per path at which the weights of trapped light are looked at, and a share that is 0
-# but for its logarithm.
+# Values of k per path that are tried, and a share that is 0 but for its logarithm.
 _RATES, _FAINTEST = 200, 1e-12
 
 # Stands for log(0): times k it ends every photon that scattered and leaves k = 0 alone.
@@ -63,6 +62,9 @@ class EtaSurface(EfficiencySurface):
         self.alpha_abs_proposal_per_cm = gathered.alpha_abs_proposal_per_cm
         self.photons = gathered.photons
         self._shares = gathered.photons_per_proposal / gathered.photons
+        # proposals that scatter, rising
+        drawn = np.unique(self.alpha_scat_proposals_per_cm[self._shares > 0])
+        self._drawn_per_cm = drawn[drawn > 0]
         self._cells, self._batch_cells = gathered.cells(), gathered.batch_cells()
         self._k = np.tile(self._cells.k, 2)
         spread = np.stack([self._cells.spread_cm, -self._cells.spread_cm])
@@ -250,8 +252,7 @@ class EtaSurface(EfficiencySurface):
             simulated = ", ".join(f"{a:g}" for a in self._drawn_per_cm)
             raise InputError(
                 f"at {where} light flies too far for photons simulated at {simulated} /cm of "
-                f"scattering and {self.alpha_abs_proposal_per_cm:g} /cm of absorption: the "
-                "variance of their weights is infinite",
+                f"scattering and {self.alpha_abs_proposal_per_cm:g} /cm of absorption",
                 "simulate a scattering nearer to it, or a lower absorption",
             )
         if sample < _LEAST_EFFECTIVE_SAMPLE or variance_sample < _LEAST_VARIANCE_SAMPLE:
@@ -263,37 +264,26 @@ class EtaSurface(EfficiencySurface):
                 "simulate more photons, or a scattering and an absorption nearer to these",
             )
 
-    @property
-    def _drawn_per_cm(self) -> NDArray[np.float64]:
-        """(drawn,) proposals that scatter and have photons."""
-        proposals = self.alpha_scat_proposals_per_cm
-        return np.asarray(proposals[(proposals > 0) & (self._shares > 0)])
-
     @cached_property
     def _trapped_shares(self) -> NDArray[np.float64]:
-        """(drawn,) of scattered light, the part that flies on until it scatters again.
+        """(drawn,) of light scattered at each proposal, the part that scatters again.
 
-        Of the detected light at each proposal, without absorption. Where a part P scatters again
-        each time, numbers of scatterings k above 0 fall as P^k, with
-        P / (1 - P) = sum k (k - 1) / (2 sum k); long histories weigh most, and are what matters.
+        Without absorption. Where it is P, numbers of scatterings k > 0 fall as P^k, and
+        P / (1 - P) is the sum of k (k - 1) over that of 2 k.
         """
-        k, absorption, shares = self._cells.k, self.alpha_abs_proposal_per_cm, []
-        for scattering in self._drawn_per_cm:
-            target = _log_target(k, self._cells.path_cm, scattering, absorption)
-            c = _exp(self._log_base_mean + target) * self._cells.weight
-            again = _dot(c, k * (k - 1))
-            share = again / max(again + 2.0 * _dot(c, k), _FAINTEST)
-            shares.append(share * (1.0 + absorption / scattering))
+        k, absorption, drawn = self._cells.k, self.alpha_abs_proposal_per_cm, self._drawn_per_cm
+        target = _log_target(k, self._cells.path_cm, drawn[:, None], absorption)
+        c = _exp(self._log_base_mean + target) * self._cells.weight
+        again, scattered = np.einsum("dc,pc->pd", c, np.stack([k * (k - 1), 2.0 * k]))
+        shares = again / np.maximum(again + scattered, _FAINTEST) * (1.0 + absorption / drawn)
         return np.clip(shares, _FAINTEST, 1.0)
 
     def _falls_per_cm(self, alpha_scat: float, alpha_abs: float) -> float:
-        """How fast squared contributions of trapped light fall with its path.
+        """How fast squared contributions of trapped light fall with its path (docs/theory.md).
 
-        Below 0 the variance is infinite, and no finite sample shows it. With the part p of
-        scattered light that stays, photons of proposal j that flew L and scattered k times bring
-        (p alpha_scat^2 / a_j)^k L^k / k! exp(-(2 (alpha_scat + alpha_abs) - a_j - a_0) L), summed
-        over k exp(-(2 (alpha_scat + alpha_abs) - a_j - a_0 - p alpha_scat^2 / a_j) L). Of several
-        proposals the one with most photons at k / L counts, and k / L where that leaves most.
+        Below 0 their variance is infinite, and no finite sample shows it. With the part p that
+        stays, proposal j alone has 2 (alpha_scat + alpha_abs) - a_j - a_0 - p alpha_scat^2 / a_j.
+        Of several the one with most photons counts, at the k per path where that leaves most.
         """
         drawn = self._drawn_per_cm[:, None]
         scatters = alpha_scat**2 / drawn

@@ -259,11 +259,7 @@ class Fit:
 
     @cached_property
     def weighted_residuals(self) -> Array:
-        """(used,) C^-1 r of the residuals r at the minimum.
-
-        It equals P r' of `precision` and the residuals r' where the priors have their centres: at
-        the minimum J^T C^-1 r is what the priors pull, so that P r is not the same.
-        """
+        """(used,) C^-1 r at the minimum; P r of `precision` has what priors pull besides."""
         return self.weights.inverse @ self.residuals
 
     @cached_property

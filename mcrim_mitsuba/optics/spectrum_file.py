@@ -273,8 +273,7 @@ def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
         if np.ndim(photons):
             notes = (*notes, f"{table.path.name}: power was converted to numbers of photons")
         values = values * photons
-        if sigmas is not None:
-            sigmas = sigmas[axis.rows] * axis.per_nm * photons
+        sigmas = None if sigmas is None else sigmas[axis.rows] * axis.per_nm * photons
     else:
         scale = _scale(table, value, kind)
         values, notes = scale * table.values[axis.rows, value], ()
@@ -399,15 +398,9 @@ def _emission(
 
 
 def photons_over_emission(table: DataTable, value: int, wavelength_nm: Array) -> Array | float:
-    """What turns a column of an emission into photons, up to a constant.
+    """What turns an emission into photons, up to a constant: 1, or (points,) that rise with nm.
 
-    Detectors count photons, of which a power holds more the longer the wavelength: (points,)
-    wavelengths over the mean of the ends. A column of photons is as it is: 1.
-
-    Raises
-    ------
-    InputError
-        If neither the column's name and unit nor a comment ("photons per nm") say which it is.
+    Raises InputError if neither the column's name nor a comment says photons or power.
     """
     title = " ".join(filter(None, (table.names[value] if table.names else "", table.units[value])))
     comments = [text for text in table.comments for text in _PER_NM.findall(text)]
@@ -415,8 +408,8 @@ def photons_over_emission(table: DataTable, value: int, wavelength_nm: Array) ->
         photons, power = (any(map(word.search, texts)) for word in (_PHOTONS, _POWER))
         if photons != power:
             return 1.0 if photons else 2.0 * wavelength_nm / (wavelength_nm[0] + wavelength_nm[-1])
-    problem = "nothing says whether the emission is photons or power per nm"
     mend = "name the column such as 'emission (photons/nm)' or 'emission (mW/nm)'"
+    problem = "nothing says whether the emission is photons or power per nm"
     raise table.refusal(None, value, problem, mend)
 
 
