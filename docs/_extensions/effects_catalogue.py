@@ -1,6 +1,7 @@
 """The directives ``effects-table``, of all effects, and ``effects-sections``, one on each.
 
-Everything is read from the catalogue itself, so the page cannot fall behind it.
+``not-modelled`` is the table of what is in no effect and in no error, as `mcrim budget` prints it.
+Everything is read from the package itself, so the pages cannot fall behind it.
 """
 
 import math
@@ -11,6 +12,7 @@ from sphinx.util.docutils import SphinxDirective
 from mcrim_mitsuba.core.rounding import capital
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.output.descriptions import not_modelled
 
 _SPECIAL = re.compile(r"([\\`*_\[\]<>$|])")
 
@@ -98,7 +100,15 @@ class EffectsSections(SphinxDirective):
         return self.parse_text_to_nodes("\n".join(lines), allow_section_headings=True)
 
 
+class NotModelled(SphinxDirective):
+    def run(self):
+        rows = (("what", "what it does", "how much"), ("---",) * 3, *not_modelled())
+        lines = (f"| {' | '.join(cells)} |" for cells in rows)
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
 def setup(app) -> dict[str, bool]:
     app.add_directive("effects-table", EffectsTable)
     app.add_directive("effects-sections", EffectsSections)
+    app.add_directive("not-modelled", NotModelled)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -35,6 +35,7 @@ from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.inference.neglected import Neglected, NeglectWork
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
 from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
+from mcrim_mitsuba.optics.fresnel import reflectance
 from mcrim_mitsuba.scene.shipped import scene_path
 
 
@@ -158,6 +159,7 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
     """Eqs. 1 and 2 with our efficiencies."""
     fitted = yields.fitted
     counts = fitted.statistical_sigma / fitted.value
+    reflected = float(reflectance(1.0, 1.0, p.N_WINDOW.value))
     budget = math.hypot(yields.eta_error, p.EFFICIENCY_ERROR.value / 100, counts)
     return [
         *(
@@ -174,6 +176,11 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
         yield_row("Y, our eta at our alpha_scat", p.LIGHT_YIELD, fitted,
                   remark="air and gel alike; first error counting and Monte Carlo, second eta and "
                   "detector efficiency"),
+        compare("the same, detector efficiency measured in air", None,
+                fitted.value * (1.0 - reflected), sigma=fitted.statistical_sigma,
+                systematic=fitted.systematic_sigma, unit=p.LIGHT_YIELD.unit,
+                remark=f"tubes are measured in air, head-on: {100 * reflected:.2f} % that the "
+                "window reflects is in the efficiency, and in eta; no collection efficiency"),
         compare("error of eta: spread of our Table 1", p.ETA_ERROR, 100 * yields.eta_error,
                 judged=False, remark="the article calls its 12 % conservative"),
         compare("total error with our eta", p.TOTAL_ERROR, 100 * budget, judged=False,

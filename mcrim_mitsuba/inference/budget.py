@@ -28,6 +28,7 @@ from mcrim_mitsuba.inference.neglected import (
 )
 from mcrim_mitsuba.inference.places import USUAL_DEPTH_MM, Places, places_of
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, contribution
+from mcrim_mitsuba.optics.gammas import AttenuationLength
 
 #: Parts of an error smaller than this, relative to the largest, are rounding.
 _ROUNDING = 1e-6
@@ -121,6 +122,34 @@ def totals(
     return found
 
 
+@dataclass(frozen=True)
+class YieldCorrection:
+    """What an absolute light yield is to be multiplied with, besides what simulations tell."""
+
+    #: In a few words.
+    name: str
+    #: Less 1.
+    relative: float
+    #: Whether the campaign's light yield has it.
+    applied: bool
+
+
+def yield_corrections(
+    campaign: Campaign, depth: AttenuationLength | None
+) -> tuple[YieldCorrection, ...]:
+    """Corrections of a campaign's light yield whose sizes are known; `depth` where gammas stop."""
+    known = campaign.light_yield
+    if known is None or known.detector is None:
+        return ()
+    detector = known.detector
+    found = [("window's reflection", -detector.window_reflectance, detector.in_air)]
+    if detector.collection is not None:
+        found.append(("collection and threshold", 1.0 / detector.collection - 1.0, True))
+    if depth is not None:
+        found.append(("K X-rays that escape", 1.0 / (1.0 - depth.escape_loss) - 1.0, False))
+    return tuple(YieldCorrection(*one) for one in found if one[1])
+
+
 # ---- the whole ----
 
 #: Photons of a simulation with another index, shared out among the configurations, and the fewest
@@ -154,6 +183,8 @@ class Budget:
     provenance: Provenance
     #: What it does to the readings where gammas stop, by a map; None without one.
     places: Places | None = None
+    #: Of the absolute light yield, besides `neglected`.
+    corrections: tuple[YieldCorrection, ...] = ()
 
     @property
     def pieces(self) -> tuple[Neglected, ...]:
@@ -177,6 +208,7 @@ class Budget:
                 for name, total in self.totals.items()
             },
             "not_estimated": self.not_estimated,
+            "yield_corrections": list(map(vars, self.corrections)),
             **({} if self.places is None else {"places": self.places.to_json()}),
         }
 
@@ -253,4 +285,5 @@ def budget(
         not_estimated=work.refused,
         provenance=replace(work.provenance(), seconds=time.perf_counter() - start),
         places=places,
+        corrections=yield_corrections(campaign, known.depth),
     )

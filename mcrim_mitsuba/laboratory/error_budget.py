@@ -256,6 +256,7 @@ ADVICE: dict[str, Advice] = {
     "emission spectrum": Advice(
         "a measurement on this very crystal, the spectrometer corrected with a calibrated lamp"
     ),
+    "collection_efficiency": Advice("the spectrum of single photoelectrons, at this threshold"),
     "energy": Advice("lines of sources are known far better than the rest", reducible=False),
     "reference light yield": Advice("a reference that is known better, or several references"),
     "index": Advice("the index measured on this material (prism, ellipsometer)"),

@@ -4,8 +4,9 @@ A band on a linear background is fitted to the counts around the peak with their
 likelihood: S. Baker and R. D. Cousins, Nucl. Instr. Meth. 221 (1984) 437. The band has one of two
 shapes. "gaussian" is the field's usual one. "counting" is what a photon counter sees: the mean
 number of photons varies from event to event as a Gaussian, and each event's photons are counted
-(Poisson). Such a band leans towards small numbers: a Gaussian that is fitted to it finds its top,
-0.6 photons below the mean number (4 % of 14.3), and the mean is what a light yield needs.
+(Poisson). Such a band leans towards small numbers: a Gaussian that is fitted to it lies below the
+mean number, which is what a light yield needs: by 0.3 to 0.4 photons within 1.5 widths, by 0.6 with
+a background that is fitted too, or within the top alone.
 
 Background and windows are chosen for the least bias of the expected counts of 20,000 events at 14.3
 and 24.5 photons, with a pedestal and a continuum that both fall off exponentially. A line over -1.8

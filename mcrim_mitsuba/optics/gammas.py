@@ -54,6 +54,15 @@ class AttenuationLength:
     photoelectric_per_cm: float
     incoherent_per_cm: float
     coherent_per_cm: float
+    #: Part of the gammas whose K X-ray escapes through the face that they came in by, and the mean
+    #: energy that these events lose.
+    escaping: float = 0.0
+    escaping_keV: float = 0.0
+
+    @property
+    def escape_loss(self) -> float:
+        """Part of the deposited energy that escapes in the mean, by which a centroid is low."""
+        return self.escaping * self.escaping_keV / self.energy_keV
 
     @property
     def per_cm(self) -> float:
@@ -132,15 +141,39 @@ def attenuation_length_mm(
 
     masses = {each: number * xraydb.atomic_mass(each) for each, number in amounts.items()}
 
-    def per_cm(kind: str) -> float:
+    def per_cm(kind: str, energy_eV: float = energy_keV * _EV_PER_KEV) -> float:
         per_element = (
-            mass * float(xraydb.mu_elam(each, energy_keV * _EV_PER_KEV, kind=kind))
+            mass * float(xraydb.mu_elam(each, energy_eV, kind=kind))
             for each, mass in masses.items()
         )
         return density * sum(per_element) / sum(masses.values())
 
-    parts = (per_cm(kind) for kind in ("photo", "incoh", "coh"))
-    return AttenuationLength(formula, float(energy_keV), float(density), *parts)
+    photoelectric, incoherent, coherent = (per_cm(kind) for kind in ("photo", "incoh", "coh"))
+    total = photoelectric + incoherent + coherent
+    escaping = lost = 0.0
+    for each, mass in masses.items():
+        edge = xraydb.xray_edge(each, "K")
+        if edge.energy >= energy_keV * _EV_PER_KEV:
+            continue
+        photo = mass * float(xraydb.mu_elam(each, energy_keV * _EV_PER_KEV, kind="photo"))
+        of_shell = (1.0 - 1.0 / edge.jump_ratio) * edge.fyield
+        share = density * photo / sum(masses.values()) / total * of_shell
+        for line in xraydb.xray_lines(each, "K").values():
+            # births exp(-t/d) below the face, half of the X-rays upwards, less what is absorbed on
+            # the way: P. Axel, Rev. Sci. Instrum. 25 (1954) 391
+            absorbed = per_cm("total", line.energy) / total
+            out = share * line.intensity * 0.5 * (1.0 - absorbed * math.log1p(1.0 / absorbed))
+            escaping, lost = escaping + out, lost + out * line.energy / _EV_PER_KEV
+    return AttenuationLength(
+        formula,
+        float(energy_keV),
+        float(density),
+        photoelectric,
+        incoherent,
+        coherent,
+        escaping,
+        lost / escaping if escaping else 0.0,
+    )
 
 
 def _amounts(formula: str) -> dict[str, float]:

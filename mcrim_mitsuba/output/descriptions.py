@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.campaign.parameter import SCALE
@@ -551,7 +553,15 @@ def of_budget(found: Budget) -> Described:
     main = next((name for name in (LIGHT_YIELD, SCALE) if name in budgets), None)
     if main is not None:
         origins += _next(findings.what_next(budgets[main], findings.called(main)))
-    parts: list[Part] = [*origins, *_shifts(found), *_totals(found), *_places(found)]
+    columns = (Column(name, left=True) for name in ("cause", "what it does", "how much"))
+    parts: list[Part] = [
+        *origins,
+        *_shifts(found),
+        *_totals(found),
+        *_corrections(found),
+        *_places(found),
+        table("neither modelled nor in any error", columns, not_modelled()),
+    ]
     return _described("error budget of a campaign", parts, found.calibration, found.provenance)
 
 
@@ -657,6 +667,27 @@ def _totals(found: Budget) -> Iterator[Part]:
             "A correction is no error: make it in the scene or the campaign. The errors of "
             "corrected values have those of the corrections' sizes in them."
         )
+
+
+def _corrections(found: Budget) -> Iterator[Part]:
+    """What the absolute light yield is with each of the corrections that need no simulation."""
+    known = found.calibration.parameters.get(LIGHT_YIELD)
+    if known is None or not found.corrections:
+        return
+    rows = []
+    for one in found.corrections:
+        factor = 1.0 if one.applied else 1.0 + one.relative
+        moved = Cell(f"{100 * one.relative:+.2f}", 100 * one.relative)
+        value = _two_digits(factor * known.value, factor * known.sigma)
+        rows.append(row(one.name, moved, "yes" if one.applied else "no", value))
+    columns = ("correction", "moves it by, %", "is in it", "light yield with it (ph/keV)")
+    yield table("the absolute light yield", columns, rows)
+
+
+def not_modelled() -> list[tuple[str, str, str]]:
+    """Causes, what they do and how much: rows of a table that says what is left out altogether."""
+    text = Path(__file__).with_name("not_modelled.toml").read_text(encoding="utf-8")
+    return [tuple(cause.values()) for cause in tomllib.loads(text)["cause"]]
 
 
 def _places(found: Budget) -> Iterator[Part]:

@@ -341,6 +341,10 @@ def of_gammas(
             f"by the coherent scattering, without which it is {found.without_coherent_mm:.4g} mm"
         ),
         table("", ("depth, mm", "stopped within"), rows),
+        Sentence(
+            f"K X-rays of {100 * found.escaping:.2g} % escape with {found.escaping_keV:.3g} keV: "
+            f"unresolved, they lower the centroid by {100 * found.escape_loss:.2g} %"
+        ),
         Sentence(f"source: {SOURCE}"),
     )
     return Described("where gammas stop", parts)

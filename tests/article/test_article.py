@@ -213,6 +213,8 @@ def test_light_yields(result):
     assert fitted.systematic_sigma / fitted.value == pytest.approx(
         math.hypot(0.1, 0.095), abs=0.004
     )
+    in_air = row(result.rows, "the same, detector efficiency measured in air")
+    assert in_air.ours == pytest.approx((1 - (0.52 / 2.52) ** 2) * fitted.value)
     assert result.yields.relative.value == pytest.approx(6.74, abs=0.08)
     first, second = result.yields.at_article_point
     assert abs(first.value - second.value) < 0.05

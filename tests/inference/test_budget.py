@@ -27,6 +27,8 @@ from mcrim_mitsuba.optics.dispersion import extraordinary_index, indices_of_ligh
 from mcrim_mitsuba.optics.emission_band import indices_over_band
 from mcrim_mitsuba.optics.spectrum import Spectrum
 from mcrim_mitsuba.output.budget_figures import draw_neglected
+from mcrim_mitsuba.output.described import text
+from mcrim_mitsuba.output.descriptions import not_modelled, of_budget
 
 Z = 4.0
 PHOTONS, SEED = 32_768, 11
@@ -173,6 +175,38 @@ def test_contributions_add_up_to_the_fits_errors(found):
     (counts,) = found.contributions[RATIO].contributions
     assert counts.name == "counts"
     assert counts.relative == pytest.approx(math.hypot(0.2 / 14.3, 0.4 / 24.5), rel=1e-3)
+
+
+def test_what_the_absolute_light_yield_is_multiplied_with(campaign, found, scenes):
+    reflection, escape = found.corrections
+    assert (reflection.name, reflection.applied) == ("window's reflection", False)
+    assert reflection.relative == pytest.approx(-((0.52 / 2.52) ** 2))
+    # 2.2 % of the events without 17.6 keV and a little (K beta) of 59.5
+    assert escape.relative == pytest.approx(0.022 * 17.8 / 59.5, rel=0.02) and not escape.applied
+    shown = " ".join(text(of_budget(found)).split())
+    yield_now = found.calibration.parameters[LIGHT_YIELD].value
+    assert f"{yield_now * (1 - (0.52 / 2.52) ** 2):.2f} ±" in shown
+    # the table that docs/theory.md has too
+    table = of_budget(found).parts[-1]
+    assert table.title == "neither modelled nor in any error"
+    assert [tuple(cell.text for cell in row.cells) for row in table.rows] == not_modelled()
+
+
+def test_the_collection_has_a_row_of_its_own(campaign):
+    """A factor of the efficiency and its error, with nothing simulated anew."""
+    terms = replace(campaign.light_yield.detector, collection=0.9, collection_sigma=0.045)
+    known = terms.applied(campaign.light_yield, terms.relative_sigma)
+    with_it = budgeting.budget(
+        replace(campaign, light_yield=known), material="CaMoO4", run=Run(PHOTONS, seed=SEED)
+    )
+    light = {p.name: p for p in with_it.contributions[LIGHT_YIELD].contributions}
+    assert light["collection_efficiency"].relative == pytest.approx(0.05)
+    assert light["detector_efficiency"].relative == pytest.approx(0.1)
+    total = with_it.contributions[LIGHT_YIELD].total
+    fit = with_it.calibration.parameters[LIGHT_YIELD]
+    assert total == pytest.approx(fit.sigma / fit.value, rel=1e-3)
+    (collection,) = (c for c in with_it.corrections if c.name.startswith("collection"))
+    assert collection.applied and collection.relative == pytest.approx(1 / 0.9 - 1)
 
 
 def test_totals_have_the_pieces_in_them(found):

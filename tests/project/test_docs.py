@@ -17,6 +17,7 @@ from places import ROOT
 from mcrim_mitsuba.cli.main import mcrim
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
+from mcrim_mitsuba.output.descriptions import not_modelled
 from mcrim_mitsuba.transport.variants import use_variant
 
 sphinx_application = pytest.importorskip("sphinx.application", reason="extra docs")
@@ -158,6 +159,12 @@ def test_every_effect_is_listed(site):
         assert page.xpath("//section[@id=$id]", id=effect.name.replace("_", "-")), effect.name
         for parameter in effect.parameters:
             assert any(parameter.name in row for row in rows), parameter.name
+
+
+def test_what_no_model_has_is_the_table_that_a_budget_prints(site):
+    page = " ".join(site.page("theory.html").text_content().split())
+    for words in (words for cause in not_modelled() for words in cause):
+        assert words in page.replace("’", "'"), words
 
 
 def test_modules_and_files_that_pages_name_exist():

@@ -350,6 +350,7 @@ def gammas(formula, energy_keV, density, json_file) -> None:
         "length_sigma_mm": found.sigma_mm,
         **attributes(found, "tables_sigma_mm process_sigma_mm without_coherent_mm per_cm"),
         "parts_per_cm": parts,
+        **attributes(found, "escaping escaping_keV escape_loss"),
         "stopped": [{"depth_mm": depth, "share": share} for depth, share in stopped.items()],
         "source": SOURCE,
     }
