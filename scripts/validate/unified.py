@@ -1,0 +1,114 @@
+"""Geant4's UNIFIED model of a ground top face beside facets that a photon walks among.
+
+    python scripts/validate/unified.py [--photons 200000]
+
+prints a table of Markdown: eta in air and gel, UNIFIED with sigma_alpha (radians) and Beckmann's
+facets of alpha = sqrt(2) tan(sigma_alpha), of which UNIFIED lets a photon meet one at a time. It
+needs geant4_pybind.
+"""
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.scene.shipped import scene_path
+
+SIGMAS_ALPHA = (0.02, 0.05, 0.1, 0.2, 0.35)
+COEFFICIENTS = {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0.001}
+#: So thin that its sides let nothing out, so thick that Geant4 does not take it for its tolerance.
+CAP_MM = 1e-3
+
+
+def in_geant4(sigma_alpha: float, n_gap: float, photons: int) -> float:
+    """Eta with a ground top, in a process of its own: it can be initialised once in each."""
+    job = json.dumps({"sigma_alpha": sigma_alpha, "n_gap": n_gap, "photons": photons})
+    with tempfile.TemporaryDirectory() as folder:
+        # light needs none of Geant4's data, but without this file it does not start
+        Path(folder, "ENSDFSTATE.dat").touch()
+        data = {"GEANT4_DATA_DIR": folder, "G4ENSDFSTATEDATA": folder}
+        line = [sys.executable, __file__, "--job", job]
+        done = subprocess.run(
+            line,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            check=True,
+            env=os.environ | data,
+        )
+    return json.loads(done.stdout.splitlines()[-1])["detected"] / photons
+
+
+def work(sigma_alpha: float, n_gap: float, photons: int) -> None:
+    """Trace, and print how many are detected; a cap of the crystal's medium has the ground face."""
+
+    import geant4_pybind as g4
+
+    from mcrim_mitsuba.reference import geant4_process as process
+
+    class GroundTop(process.BenchConstruction):
+        def Construct(self):
+            world = super().Construct()
+            bench, half = self._bench, self._bench.crystal_width_mm / 2.0
+            crystal = self._counted[process.CRYSTAL]
+            cap = self._slab("cap", crystal.GetMaterial(), half, bench.crystal_height_mm,
+                             bench.crystal_height_mm + CAP_MM, world.GetLogicalVolume())  # fmt: skip
+            placed = next(one for one in self._kept if isinstance(one, g4.G4PVPlacement)
+                          and one.GetLogicalVolume().GetName() == "cap")  # fmt: skip
+            ground = g4.G4OpticalSurface("ground", g4.unified, g4.ground, g4.dielectric_dielectric)
+            self._keep(ground).SetSigmaAlpha(sigma_alpha)
+            # every facet is a mirror of its own: no spike, no lobe about the mean face, no Lambert
+            table = self._properties({"SPECULARLOBECONSTANT": 1.0, "SPECULARSPIKECONSTANT": 0.0,
+                                      "BACKSCATTERCONSTANT": 0.0})  # fmt: skip
+            ground.SetMaterialPropertiesTable(table)
+            for pair in ((placed, world), (world, placed)):
+                self._keep(g4.G4LogicalBorderSurface("top", *pair, ground))
+            self._keep(cap)
+            return world
+
+    process.BenchConstruction = GroundTop
+    reports = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    bench = Bench(n_gap=n_gap, **COEFFICIENTS)
+    run = process.Geant4Run(bench, 1, os.cpu_count() or 1, True, lambda **_: None)
+    print(
+        json.dumps({"detected": run.beam_on(photons)[process.DETECTOR]}), file=reports, flush=True
+    )
+    os._exit(0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--photons", type=int, default=200_000)
+    parser.add_argument("--job", type=json.loads, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.job:
+        work(**options.job)
+    scene = read_scene(scene_path("camoo4.xml"))
+    print("| sigma_alpha | alpha | UNIFIED air, gel, ratio | walked facets air, gel, ratio |")
+    print("|---|---|---|---|")
+    for sigma in SIGMAS_ALPHA:
+        alpha = math.sqrt(2.0) * math.tan(sigma)
+        effect = "top_roughness" if alpha < 0.5 else "ground_top"
+        rough = scene.edited(add(effect, scene, {f"{effect}_alpha": alpha}))
+        text = rough.unwritten_text.replace(
+            f'value="${effect}_alpha"/>',
+            f'value="${effect}_alpha"/>\n    <string name="distribution" value="beckmann"/>', 1)  # fmt: skip
+        rough = scene.edited(text)
+        ours = [mcrim.simulate(rough.with_overrides({**COEFFICIENTS, "n_gap": n}),
+                         run=Run(photons=4_000_000)).eta for n in (1.0, 1.46)]  # fmt: skip
+        theirs = [in_geant4(sigma, n, options.photons) for n in (1.0, 1.46)]
+        cells = [f"{a:.4f}, {g:.4f}, {a / g:.3f}" for a, g in (theirs, ours)]
+        print(f"| {sigma:g} | {alpha:.3f} | {cells[0]} | {cells[1]} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
