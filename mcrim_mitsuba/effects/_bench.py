@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -11,7 +12,7 @@ from lxml import etree
 
 from mcrim_mitsuba.core.errors import said_by
 from mcrim_mitsuba.core.numbers import Value, parse_number
-from mcrim_mitsuba.effects.effect import EffectParameter
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import INDICES, Node, SceneEditor
 
 #: Of the light in vacuum.
@@ -198,29 +199,32 @@ def _faces_of_any_form(editor: SceneEditor, side: str) -> list[Node]:
     return found
 
 
-def roughness_of(side: str, what: str) -> EffectParameter:
-    """Width of the facets that `roughen` gives a side of the crystal, called `what`."""
-    return EffectParameter(
-        name=f"{side}_roughness_alpha", unit="",
-        meaning=f"Roughness of the crystal's {what} (GGX), the tangent of a typical tilt",
-        minimum=0.0, maximum=0.5, start=0.1, absent=0.0, plausible=(0.0, POLISHED),
-        nodes=(0.012, 0.035, 0.08, 0.16, 0.3, 0.5), coordinate="logarithmic", scale=0.03,
-    )  # fmt: skip
+def facets_of(name: str, what: str, *, ground: bool) -> EffectParameter:
+    """Width of the facets of faces, called `what`: ground ones, or of a polish that may be poor."""
+    kind = "ground and not polished (GGX)," if ground else "(GGX),"
+    meaning = f"Roughness of the crystal's {what}, {kind} the tangent of a typical tilt"
+    if ground:  # or not: then it is absent
+        nodes = (0.1, 0.16, 0.25, 0.4, 0.6)
+        return EffectParameter(name, "", meaning, 0.1, 0.6, 0.25, None, (0.1, 0.6), nodes)
+    nodes = (0.012, 0.035, 0.08, 0.16, 0.3, 0.5)
+    polished, logarithmic = (0.0, POLISHED), {"coordinate": "logarithmic", "scale": 0.03}
+    return EffectParameter(name, "", meaning, 0.0, 0.5, 0.1, 0.0, polished, nodes, **logarithmic)
 
 
-def ground_of(name: str, what: str) -> EffectParameter:
-    """Width of the facets of faces that were ground and not polished, called `what`."""
-    return EffectParameter(
+def one_side(side: str, what: str, *, ground: bool, look: str, physics: str) -> Effect:
+    """The effect that a side of the crystal (as of `roughen`), called `what`, is rough or ground."""
+    rough, dull = f"{side}_roughness", f"ground_{side}"
+    name, other = (dull, rough) if ground else (rough, dull)
+    return Effect(
         name=name,
-        unit="",
-        meaning=f"Roughness of {what}, ground and not polished (GGX, tangent of a typical tilt)",
-        minimum=0.1,
-        maximum=0.6,
-        start=0.25,
-        # a face is ground or it is not
-        absent=None,
-        plausible=(0.1, 0.6),
-        nodes=(0.1, 0.16, 0.25, 0.4, 0.6),
+        title=f"ground {what}" if ground else f"roughness of the {what}",
+        family="surface",
+        look=look,
+        physics=physics,
+        source=FACETS,
+        parameters=(facets_of(f"{name}_alpha", what, ground=ground),),
+        excludes=("surface_roughness", "ground", other),
+        edit=functools.partial(roughen, side=side, alpha=f"{name}_alpha"),
     )
 
 

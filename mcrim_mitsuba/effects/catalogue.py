@@ -38,7 +38,7 @@ BUILT_IN = (
     "bottom_roughness",
     "ground",
     "ground_top",
-    "ground_sides",
+    "ground_side",
     "ground_bottom",
     "surface_absorption",
     "crystal_index",

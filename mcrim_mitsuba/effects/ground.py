@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mcrim_mitsuba.effects._bench import FACETS, ground_of, polish
+from mcrim_mitsuba.effects._bench import FACETS, facets_of, polish
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.scene.editor import SceneEditor
 
@@ -28,10 +28,10 @@ EFFECT = Effect(
         "of alpha 0.1 to 0.6 are ground; less is a poor polish: see surface_roughness."
     ),
     source=FACETS,
-    parameters=(ground_of("ground_alpha", "the crystal's faces"),),
+    parameters=(facets_of("ground_alpha", "faces", ground=True),),
     excludes=(
         *("surface_roughness", "top_roughness", "side_roughness", "bottom_roughness"),
-        *("ground_top", "ground_sides", "ground_bottom"),
+        *("ground_top", "ground_side", "ground_bottom"),
     ),
     edit=edit,
 )

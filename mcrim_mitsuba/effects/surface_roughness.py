@@ -46,7 +46,7 @@ EFFECT = Effect(
     ),
     excludes=(
         *("top_roughness", "side_roughness", "bottom_roughness"),
-        *("ground", "ground_top", "ground_sides", "ground_bottom"),
+        *("ground", "ground_top", "ground_side", "ground_bottom"),
     ),
     edit=edit,
 )
