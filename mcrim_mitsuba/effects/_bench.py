@@ -212,7 +212,7 @@ def facets_of(name: str, what: str, *, ground: bool) -> EffectParameter:
 
 
 def one_side(side: str, what: str, *, ground: bool, look: str, physics: str) -> Effect:
-    """The effect that a side of the crystal (as of `roughen`), called `what`, is rough or ground."""
+    """An effect: a side of the crystal (as of `roughen`), called `what`, is rough, or ground."""
     rough, dull = f"{side}_roughness", f"ground_{side}"
     name, other = (dull, rough) if ground else (rough, dull)
     return Effect(
