@@ -6,6 +6,7 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 from lxml import etree
@@ -207,8 +208,8 @@ def facets_of(name: str, what: str, *, ground: bool) -> EffectParameter:
         nodes = (0.1, 0.16, 0.25, 0.4, 0.6)
         return EffectParameter(name, "", meaning, 0.1, 0.6, 0.25, None, (0.1, 0.6), nodes)
     nodes = (0.012, 0.035, 0.08, 0.16, 0.3, 0.5)
-    polished, logarithmic = (0.0, POLISHED), {"coordinate": "logarithmic", "scale": 0.03}
-    return EffectParameter(name, "", meaning, 0.0, 0.5, 0.1, 0.0, polished, nodes, **logarithmic)
+    found = EffectParameter(name, "", meaning, 0.0, 0.5, 0.1, 0.0, (0.0, POLISHED), nodes)
+    return replace(found, coordinate="logarithmic", scale=0.03)
 
 
 def one_side(side: str, what: str, *, ground: bool, look: str, physics: str) -> Effect:
