@@ -205,8 +205,8 @@ def facets_of(name: str, what: str, *, ground: bool) -> EffectParameter:
     kind = "ground and not polished (GGX)," if ground else "(GGX),"
     meaning = f"Roughness of the crystal's {what}, {kind} the tangent of a typical tilt"
     if ground:  # or not: then it is absent
-        nodes = (0.1, 0.16, 0.25, 0.4, 0.6)
-        return EffectParameter(name, "", meaning, 0.1, 0.6, 0.25, None, (0.1, 0.6), nodes)
+        grit = (0.1, 0.16, 0.25, 0.4, 0.6)
+        return EffectParameter(name, "", meaning, 0.1, 0.6, 0.25, None, (0.1, 0.6), grit)
     nodes = (0.012, 0.035, 0.08, 0.16, 0.3, 0.5)
     found = EffectParameter(name, "", meaning, 0.0, 0.5, 0.1, 0.0, (0.0, POLISHED), nodes)
     return replace(found, coordinate="logarithmic", scale=0.03)
