@@ -406,6 +406,8 @@ class Bench:
     def from_parameters(cls, parameters: Mapping[str, Any]) -> Bench:
         """Build a bench from scene parameters; what is not named keeps its default.
 
+        Ground faces, a candidate of their own there, are rough ones here.
+
         Raises
         ------
         InputError
@@ -413,11 +415,17 @@ class Bench:
             out would make the comparison meaningless.
         """
         known = {each.name for each in fields(cls)}
+        ground = {f"ground_{side}alpha": f"{side}roughness_alpha" for side in _SIDES}
+        parameters = {ground.get(name, name): value for name, value in parameters.items()}
         unknown = sorted(set(parameters) - known)
         if unknown:
             problem = f"the NumPy tracer cannot express {', '.join(unknown)}"
             raise InputError(problem, f"leave it out, or use only {', '.join(sorted(known))}")
         return cls(**parameters)
+
+
+#: Of which faces are rough, as their parameters say it; all.
+_SIDES = ("", "top_", "side_", "bottom_")
 
 
 def _number(name: str, value: Any, lowest: float, highest: float) -> float:
