@@ -159,6 +159,13 @@ class _Wanted(NamedTuple):
     request: TableRequest
 
 
+def _not_dark(table: EtaGrid, photons: int) -> EtaGrid:
+    """A beam of which no photon arrives, as behind ground faces, has fewer than one of them."""
+    dark = ~np.isfinite(table.log_eta)
+    log_eta = np.where(dark, -math.log(photons), table.log_eta)
+    return EtaGrid(log_eta, np.where(dark, np.float32(0.0), table.deviations))
+
+
 def _within(wanted: _Wanted, angle_deg: float) -> _Wanted:
     """The same table of a beam's light within another half angle."""
     run, of = replace(wanted.simulation, radius_mm=angle_deg), wanted.request
@@ -484,7 +491,10 @@ class ResponseMaker:
             # of a beam within another angle nothing better is known
             if reference.request.radius_mm != plain[row].radius_mm:
                 better = before
-            made = difference(tables[wanted.number], before, better)
+            changed = tables[wanted.number]
+            if self.campaign.measurements.readings[row].of_beam:
+                changed = _not_dark(changed, wanted.simulation.photons)
+            made = difference(changed, before, better)
             log_ratio[place] = made.log_eta
             of_batches: Any = (slice(None), *place)
             deviations[of_batches] = made.deviations

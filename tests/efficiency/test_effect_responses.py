@@ -172,6 +172,18 @@ def test_sizes_that_the_readings_leave_open_get_what_is_plausible(tmp_path):
     assert scene.parameters["top_roughness_alpha"] == written["start"]
 
 
+def test_a_beam_that_an_effect_darkens_is_faint():
+    """No photon arrives behind ground faces: the diagnosis of all effects was refused for it."""
+    bench = Workbench(read_campaign(SCENES / "camoo4_three.toml"), Run(LANES, seed=1, check=False))
+    bench.simulate(["ground"])
+    model = bench.model(["ground"])
+    values = {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0.01, "scale": 48.0}
+    signals = model.predict(
+        np.array([(values | {"ground_alpha": 0.6})[p.name] for p in model.free])
+    ).signal
+    assert 0.0 < signals[2] < 1e-2 and signals[0] > 5.0
+
+
 def test_an_effect_that_a_switch_of_the_scene_is_acts(campaign):
     """The configuration's own value of the switch once won: the light stayed unpolarised."""
     effect = campaign.catalogue["polarization"]
