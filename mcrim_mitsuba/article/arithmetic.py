@@ -354,20 +354,12 @@ def open_points(simulated: Simulated) -> tuple[str, ...]:
     """One sentence for each number that the article does not specify, or that ours contradicts."""
     wrapped = [100 * result.eta for result in simulated.wrapped.values()]
     middle = 100 * simulated.wrapped[DEFAULT_WRAP_REFLECTANCE].eta
-    path = p.CRYSTAL_MM.value
-    out_of_beam = 100 * (1 - transmittance(p.ALPHA_SCAT.value, path))
-    of_beam = absorption_coefficient(p.CORRECTED_TRANSMITTANCE.value / 100, path)
     air, gel = (mean_of_centroid(signal.value) for signal in (p.SIGNAL_AIR, p.SIGNAL_GEL))
     return (
         "Sec. 6.1: counted photons lean towards small numbers, and a Gaussian fitted to their band "
         f"finds its top, not its mean, which Eq. 2 needs: centroids of {p.SIGNAL_AIR.value:g} and "
         f"{p.SIGNAL_GEL.value:g} are those of {air:.1f} and {gel:.1f} photons per event (10 % "
         f"intrinsic spread), and the ratio is {air / gel:.3f}; see `mcrim lab peak`.",
-        f"Secs. 4, 6.2: isotropic scattering of {p.ALPHA_SCAT.value:g} /cm takes "
-        f"{out_of_beam:.0f} % out of a beam through {path:g} mm, yet the transmittance of 96 % "
-        f"leaves {of_beam:.3f} /cm for absorption and scattering together: the spectrophotometer "
-        "collects scattered light, or scattering is forward, or alpha_scat stands for something "
-        "else that redirects light, such as surfaces and edges.",
         f"Sec. 6.2: a thin sample with gel: the article says 63 %, this bench gives "
         f"{100 * simulated.thin.eta:.1f} %.",
         "Secs. 6.2, 6.4: dimensions and index of the CaWO4 crystal are not given; a 10 mm cube of "

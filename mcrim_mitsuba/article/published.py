@@ -100,6 +100,8 @@ NOMINAL = TABLE_1[1]
 CRYSTAL_MM = printed("10.0", "Sec. 4", "mm")
 MEASURED_TRANSMITTANCE = printed("76", "Sec. 4", "%")
 CORRECTED_TRANSMITTANCE = printed("96", "Sec. 4", "%")
+ROUGHNESS_NM = printed("50", "Sec. 4", "nm")
+EMISSION_NM = printed("540", "Sec. 4", "nm")
 N_CRYSTAL = printed("2.01", "Sec. 4")
 N_AIR = printed("1.00", "Sec. 4")
 N_GEL = printed("1.46", "Sec. 4")
@@ -191,8 +193,8 @@ QUOTED = (
     (printed("3034", "Sec. 1", "keV"), "Q-value of its double beta decay"),
     (printed("10", "Sec. 2", "%"), "spread of absolute yields, [18]"),
     (printed("1.9", "Sec. 6.5"), "index below which 90 % may do"),
-    (printed("50", "Sec. 4", "nm"), "roughness of the polish"),
-    (printed("540", "Sec. 4", "nm"), "maximum of the emission"),
+    (ROUGHNESS_NM, "roughness of the polish"),
+    (EMISSION_NM, "maximum of the emission"),
     (printed_range("400", "650", "Sec. 6.2", "nm"), "range of the transmittances"),
     (printed("5", "Sec. 4", "%"), "error of the quantum efficiency"),
     (printed("10", "Sec. 4", "min"), "duration of each of 4 data sets"),

@@ -111,14 +111,9 @@ YIELD: Entries = {
     ),
     "detector_efficiency_sigma": _number("Standard error of the efficiency", minimum=0),
 }
-#: Of ``[light_yield]`` of the campaign's own crystal: what is known of its light and its gammas.
+#: Of ``[light_yield]`` of the campaign's own crystal.
 CRYSTAL: Entries = {
-    "material": {
-        "type": "string",
-        "minLength": 1,
-        "description": "What the crystal is made of, such as CaMoO4: polarisation, where gammas of "
-        "energy_keV stop and, where a spectrum is named, the index are in the model then",
-    },
+    "material": {"type": "string", "description": "What the crystal is made of, such as CaMoO4"},
 }
 #: What a detector's efficiency is measured with.
 EFFICIENCY_OF, IN_AIR, IN_WINDOW = "efficiency_of", "in air", "inside the window"

@@ -25,6 +25,8 @@ from mcrim_mitsuba.campaign.known_physics import (
 )
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.responses import EffectResponse, mixture
@@ -203,6 +205,25 @@ class Neglected:
     refitted: dict[str, Shift]
 
 
+def refuse_far(campaign: Campaign, band: BandIndices) -> None:
+    """Refuse indices too far from the scene's to be told from simulations about it.
+
+    Raises
+    ------
+    InputError
+    """
+    nominal = float(campaign.scene.parameters[INDEX])
+    effect = campaign.catalogue[CRYSTAL_INDEX].parameters[0]
+    mean = band.over.mean
+    farthest = max(abs(mean - nominal) + 2 * band.over.sigma, *np.abs(band.indices - mean))
+    if farthest > effect.maximum:
+        raise InputError(
+            f"the scene's {INDEX} = {nominal:g} is too far from {mean:.4g}, that of "
+            f"{band.material.name}",
+            f"set {INDEX} to about {mean:.4g}", path=campaign.scene.path,
+        )  # fmt: skip
+
+
 # ---- fits with pieces put in ----
 
 
@@ -239,21 +260,26 @@ class NeglectWork:
         self._known = known.left_out_of(campaign)
         self.refused = self._known.refused
         self._campaign, self._run = campaign, run
-        self._words = known.words(campaign.scene)
-        indexed = {*self._known.pieces, *campaign.known_physics}
-        self._band = known.band if CRYSTAL_INDEX in indexed else None
+        self._band = known.band
+        if CRYSTAL_INDEX not in (*self._known.effects, *campaign.known_physics):
+            self._band = None
+        elif self._band is not None:
+            try:
+                refuse_far(campaign, self._band)
+            except InputError as error:
+                self.refused[CRYSTAL_INDEX], self._band = error.problem, None
         self._benches: list[Workbench] = []
         self._index = (CRYSTAL_INDEX,) * (self._band is not None)
         # births can be weighted too: that tells what the depth's error does
-        depth = (SOURCE_DEPTH,) * (SOURCE_DEPTH in self._known.pieces)
+        depth = (SOURCE_DEPTH,) * (SOURCE_DEPTH in self._known.effects)
         self.bench = self._bench(campaign, (*self._index, *depth))
         self._fixed: dict[str, float] = {}
         self._own = self._refit(self.bench)
         self._fixed = self._own.calibration.values
 
-    def _with(self, *pieces: str) -> Campaign:
-        """The campaign with pieces in its scene."""
-        return replace(self._campaign, scene=self._known.put_into(self._campaign.scene, *pieces))
+    def _with(self, *effects: str) -> Campaign:
+        """The campaign with effects of known size in its scene."""
+        return replace(self._campaign, scene=self._known.put_into(self._campaign.scene, *effects))
 
     def _bench(self, campaign: Campaign, effects: tuple[str, ...] = ()) -> Workbench:
         bench = Workbench(campaign, self._run)
@@ -330,13 +356,13 @@ class NeglectWork:
 
     def neglected(self) -> tuple[Neglected, ...]:
         """Every piece by itself, corrections first."""
-        pieces, found = self._known.pieces, []
-        if SOURCE_DEPTH in pieces and self._known.depth is not None:
-            found.append(self._source_depth(self._known.depth))
-        if POLARIZATION in pieces:
+        known, found = self._known, []
+        if known.depth is not None and SOURCE_DEPTH in known.effects:
+            found.append(self._source_depth(known.depth))
+        if POLARIZATION in known.effects:
             found.append(self._polarization())
         if self._band is not None:
-            if CRYSTAL_INDEX in pieces:
+            if CRYSTAL_INDEX in known.effects:
                 found.append(self._crystal_index(self._band))
             found.append(self._index_spread(self._band))
             if self._band.material.extraordinary is not None:
@@ -350,7 +376,9 @@ class NeglectWork:
             SOURCE_DEPTH,
             "source depth",
             self._refit(self._bench(self._with(SOURCE_DEPTH))),
-            self._words[SOURCE_DEPTH],
+            f"births exp(-t/d) below the top, d = {pdg(depth, sigma)} mm ({length.energy_keV:g} "
+            f"keV gammas in {length.formula} of {length.density_g_per_cm3:g} g/cm3, through the "
+            "top)",
             f'write effects = ["{SOURCE_DEPTH}"] and [parameters.{DEPTH_MM}] with '
             f"prior = {depth:.3f}, prior_sigma = {sigma:.3f}",
             doubt=(SOURCE_DEPTH, DEPTH_MM, depth, sigma),
@@ -362,7 +390,7 @@ class NeglectWork:
             POLARIZATION,
             "polarisation",
             self._refit(self._bench(self._with(POLARIZATION))),
-            self._words[POLARIZATION],
+            "each photon's polarisation followed",
             "set polarization to true in the scene, as `mcrim add polarization` does",
         )
 
@@ -373,7 +401,8 @@ class NeglectWork:
             CRYSTAL_INDEX,
             "crystal's index",
             self._refit(self.bench, (CRYSTAL_INDEX, INDEX, mean)),
-            self._words[CRYSTAL_INDEX],
+            f"n = {pdg(mean, sigma)} in the place of {self._nominal:g} ({band.material.name} over "
+            f"{band.origin})",
             f"set {INDEX} to {mean:.4f} in the scene",
             doubt=(CRYSTAL_INDEX, INDEX, mean, sigma),
         )
@@ -432,12 +461,10 @@ class NeglectWork:
     @cached_property
     def corrected(self) -> Refit | None:
         """The fit with all corrections; None where there is none."""
-        # an index is found from its response, other pieces are simulated
-        simulated = [piece for piece in self._known.pieces if piece != CRYSTAL_INDEX]
-        bench = self.bench
-        if simulated:
-            bench = self._bench(self._with(*simulated), self._index)
-        if self._band is not None and CRYSTAL_INDEX in self._known.pieces:
+        # an index is found from its response, other effects are simulated
+        simulated = [name for name in self._known.effects if name != CRYSTAL_INDEX]
+        bench = self._bench(self._with(*simulated), self._index) if simulated else self.bench
+        if self._band is not None and CRYSTAL_INDEX in self._known.effects:
             return self._refit(bench, (CRYSTAL_INDEX, INDEX, self._band.over.mean))
         return self._refit(bench) if simulated else None
 

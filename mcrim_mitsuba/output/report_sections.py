@@ -229,7 +229,7 @@ def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
     return (
         changed("campaign", campaign.path.name, before, target.name, text),
         changed(
-            "scene", campaign.scene.path.name, _scene_file(campaign).decode(),
+            "scene", campaign.scene.path.name, scene_text(campaign.scene),
             target.with_suffix(".xml").name, scene_text(scene),
         ),
     )  # fmt: skip
@@ -366,12 +366,6 @@ class SourceFile:
     left_out: int = 0
 
 
-def _scene_file(campaign: Campaign) -> bytes:
-    """The scene as its file has it, without what is in the model because it is known."""
-    scene = campaign.scene
-    return read_bytes(scene.path, _LIMIT_MB) if campaign.known_physics else scene.source(scene.path)
-
-
 def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
     """The campaign, its measurements, its scene with what that includes, own effects, raw data.
 
@@ -384,7 +378,7 @@ def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
     found = [
         ("campaign", campaign.path, read_bytes(campaign.path, _LIMIT_MB)),
         ("measurements", measured, read_bytes(measured, _LIMIT_MB)),
-        ("scene", scene.path, _scene_file(campaign)),
+        ("scene", scene.path, read_bytes(scene.path, _LIMIT_MB)),
         *(("included by the scene", path, scene.source(path)) for path in scene.included),
     ]
     if campaign.spectrum is not None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
-from mcrim_mitsuba.campaign.known_physics import KnownCrystal, refuse_far
+from mcrim_mitsuba.campaign.known_physics import KnownCrystal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
@@ -22,7 +22,7 @@ from mcrim_mitsuba.efficiency.responses import Axis, EffectResponse, mixture
 from mcrim_mitsuba.inference import budget as budgeting
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, spread
 from mcrim_mitsuba.inference.model import ResponseModel
-from mcrim_mitsuba.inference.neglected import NeglectWork, Quantities, at, shifts
+from mcrim_mitsuba.inference.neglected import NeglectWork, Quantities, at, refuse_far, shifts
 from mcrim_mitsuba.optics.dispersion import extraordinary_index, indices_of_light, orientation_sigma
 from mcrim_mitsuba.optics.emission_band import indices_over_band
 from mcrim_mitsuba.optics.spectrum import Spectrum
