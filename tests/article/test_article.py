@@ -32,12 +32,17 @@ from mcrim_mitsuba.article.published import (
 from mcrim_mitsuba.article.reproduce import reproduce_article
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.efficiency.recording import record_surface
+from mcrim_mitsuba.efficiency.simulate import collect
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
 from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
 from mcrim_mitsuba.laboratory.error_budget import Uncertain
+from mcrim_mitsuba.optics.attenuation import clear_limit
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
+from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
+from mcrim_mitsuba.transport.simulation import Simulation
 
 # alpha_scat, 1/cm, where R = 0.583, by (polarised, T in %); of an independent calculation
 ALPHA_SCAT_REFERENCE = {
@@ -341,6 +346,43 @@ def test_rows_come_in_the_article_s_order(result):
     together = list(dict.fromkeys(sections))
     assert len(together) == 12 and sections == sorted(sections, key=together.index)
     assert len({(found.section, found.quantity) for found in result.rows}) == len(result.rows)
+
+
+def test_the_two_claims_on_the_transmittance(result):
+    """At the fitted point it is another by far; what it allows misses the ratio by two sigmas."""
+    rows, found = result.rows, result.contradiction
+    fitted = row(rows, "transmittance with the fitted alpha_scat and alpha_abs, Eqs. 3-4")
+    sphere = row(rows, "the same into a sphere")
+    # by hand, 262,144 photons: 0.1 %
+    assert (fitted.ours, sphere.ours) == (
+        pytest.approx(44.3, abs=0.05),
+        pytest.approx(49.8, abs=0.4),
+    )
+    assert {fitted.verdict, sphere.verdict} == {INCONSISTENT}
+    forward = row(rows, "the same into a sphere, scattering forward (g = 0.9)")
+    assert forward.ours == pytest.approx(70.8, abs=0.4) and "ratio of 0.5" in forward.remark
+    # what is known of the bench takes from the misfit: chi2's Monte Carlo error is 0.4 here
+    known, ignorant = found.diagnosis.baseline, found.ignorant
+    assert (known.ndf, ignorant.ndf) == (1, 1)
+    assert known.chi2 == pytest.approx(4.3, abs=1.2)
+    assert ignorant.chi2 == pytest.approx(5.8, abs=1.2) and ignorant.chi2 > known.chi2
+    claims = contradiction.sentences(found)
+    assert "44 %, or 50 % into a sphere" in claims[0] and "standard errors" in claims[1]
+    assert "over this catalogue with these priors" in claims[2]
+
+
+def test_hazy_faces_lose_what_the_transport_says():
+    """50 nm of rms would leave 39 % of the beam; and a simulated one that of 10 nm."""
+    assert contradiction.hazy_transmittance(0.0) == pytest.approx(float(clear_limit(2.01)))
+    assert 100 * contradiction.hazy_transmittance(50.0) == pytest.approx(39.5, abs=0.1)
+    bench = read_scene(scene_path("camoo4.xml")).with_overrides(
+        {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0}
+    )
+    hazy = bench.edited(add("surface_haze", bench, {"rms_roughness_nm": 10.0}))
+    simulation = Simulation(spectrophotometer_of(hazy), {"acceptance_deg": 1.0})
+    found = collect(simulation, run=Run(200_000, seed=3))
+    # of the light that a face scatters one part in 3000 leaves within a degree
+    assert abs(found.eta - contradiction.hazy_transmittance(10.0)) < 4 * found.eta_sigma
 
 
 def test_figures_and_their_numbers(result, tmp_path):
