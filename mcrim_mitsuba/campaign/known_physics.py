@@ -100,9 +100,9 @@ class KnownCrystal:
         """Effects whose size is known and that are not refused, with their parameters."""
         found: dict[str, dict[str, float]] = {POLARIZATION: {}}
         if self.depth is not None:
-            found[SOURCE_DEPTH] = {DEPTH_MM: self.depth.length_mm}
+            found[SOURCE_DEPTH] = {DEPTH_MM: round(self.depth.length_mm, 5)}
         if self.band is not None:
-            found[CRYSTAL_INDEX] = {INDEX: self.band.over.mean}
+            found[CRYSTAL_INDEX] = {INDEX: round(self.band.over.mean, 5)}
         return {name: sizes for name, sizes in found.items() if name not in self.refused}
 
     def put_into(self, scene: SceneFile, *effects: str) -> SceneFile:
@@ -158,10 +158,10 @@ def with_known_physics(campaign: Campaign) -> Campaign:
         for effect, reason in known.refused.items()
         if reason != _IN_THE_MODEL
     ]
-    energy = f"{campaign.light_yield.energy_keV:g} keV"
+    begin = f"in the model, as {name} and {campaign.light_yield.energy_keV:g} keV are named: "
     return replace(
         campaign,
         scene=known.put_into(campaign.scene, *known.effects),
         known_physics=tuple(known.effects),
-        physics_note=f"in the model, as {name} and {energy} are named: {'; '.join(said)}",
+        physics_note=begin + "; ".join(said) if said else "",
     )
