@@ -49,7 +49,6 @@ def in_geant4(sigma_alpha: float, n_gap: float, photons: int) -> float:
 
 def work(sigma_alpha: float, n_gap: float, photons: int) -> None:
     """Trace, and print how many are detected; a cap of the crystal's medium has the ground face."""
-
     import geant4_pybind as g4
 
     from mcrim_mitsuba.reference import geant4_process as process
@@ -59,19 +58,19 @@ def work(sigma_alpha: float, n_gap: float, photons: int) -> None:
             world = super().Construct()
             bench, half = self._bench, self._bench.crystal_width_mm / 2.0
             crystal = self._counted[process.CRYSTAL]
-            cap = self._slab("cap", crystal.GetMaterial(), half, bench.crystal_height_mm,
-                             bench.crystal_height_mm + CAP_MM, world.GetLogicalVolume())  # fmt: skip
-            placed = next(one for one in self._kept if isinstance(one, g4.G4PVPlacement)
-                          and one.GetLogicalVolume().GetName() == "cap")  # fmt: skip
+            top = bench.crystal_height_mm
+            medium, around = crystal.GetMaterial(), world.GetLogicalVolume()
+            self._keep(self._slab("cap", medium, half, top, top + CAP_MM, around))
+            placements = [each for each in self._kept if isinstance(each, g4.G4PVPlacement)]
+            placed = next(p for p in placements if p.GetLogicalVolume().GetName() == "cap")
             ground = g4.G4OpticalSurface("ground", g4.unified, g4.ground, g4.dielectric_dielectric)
             self._keep(ground).SetSigmaAlpha(sigma_alpha)
             # every facet is a mirror of its own: no spike, no lobe about the mean face, no Lambert
-            table = self._properties({"SPECULARLOBECONSTANT": 1.0, "SPECULARSPIKECONSTANT": 0.0,
-                                      "BACKSCATTERCONSTANT": 0.0})  # fmt: skip
+            lobes = {"SPECULARSPIKECONSTANT": 0.0, "BACKSCATTERCONSTANT": 0.0}
+            table = self._properties({"SPECULARLOBECONSTANT": 1.0} | lobes)
             ground.SetMaterialPropertiesTable(table)
             for pair in ((placed, world), (world, placed)):
                 self._keep(g4.G4LogicalBorderSurface("top", *pair, ground))
-            self._keep(cap)
             return world
 
     process.BenchConstruction = GroundTop
@@ -99,12 +98,14 @@ def main() -> None:
         alpha = math.sqrt(2.0) * math.tan(sigma)
         effect = "top_roughness" if alpha < 0.5 else "ground_top"
         rough = scene.edited(add(effect, scene, {f"{effect}_alpha": alpha}))
-        text = rough.unwritten_text.replace(
-            f'value="${effect}_alpha"/>',
-            f'value="${effect}_alpha"/>\n    <string name="distribution" value="beckmann"/>', 1)  # fmt: skip
-        rough = scene.edited(text)
-        ours = [mcrim.simulate(rough.with_overrides({**COEFFICIENTS, "n_gap": n}),
-                         run=Run(photons=4_000_000)).eta for n in (1.0, 1.46)]  # fmt: skip
+        alone = f'value="${effect}_alpha"/>'
+        beckmann = f'{alone}\n    <string name="distribution" value="beckmann"/>'
+        rough = scene.edited(rough.unwritten_text.replace(alone, beckmann, 1))
+        run = Run(photons=4_000_000)
+        ours = [
+            mcrim.simulate(rough.with_overrides({**COEFFICIENTS, "n_gap": n}), run=run).eta
+            for n in (1.0, 1.46)
+        ]
         theirs = [in_geant4(sigma, n, options.photons) for n in (1.0, 1.46)]
         cells = [f"{a:.4f}, {g:.4f}, {a / g:.3f}" for a, g in (theirs, ours)]
         print(f"| {sigma:g} | {alpha:.3f} | {cells[0]} | {cells[1]} |", flush=True)
