@@ -63,7 +63,9 @@ def split(direction, field, facing, ratio, cos_i, choice):
     if field is not None:
         reflectance, waves = _polarised_split(direction, field, facing, ratio, cos_i, cos_t, cos_t2)
     else:
-        reflectance = _unpolarised(ratio, cos_i, cos_t)
+        r_s = (ratio * cos_i - cos_t) / dr.fma(ratio, cos_i, cos_t)
+        r_p = (ratio * cos_t - cos_i) / dr.fma(ratio, cos_t, cos_i)
+        reflectance = 0.5 * (dr.square(r_s) + dr.square(r_p))
     reflectance = dr.select(total, 1.0, dr.select(matched, 0.0, reflectance))
 
     reflected = choice < reflectance
@@ -74,13 +76,6 @@ def split(direction, field, facing, ratio, cos_i, choice):
     if field is not None:
         new_field = _field_after(waves, reflected, matched, new_direction, field)
     return new_direction, new_field, reflected
-
-
-def _unpolarised(ratio, cos_i, cos_t):
-    """Reflectance for unpolarised light below total reflection."""
-    r_s = (ratio * cos_i - cos_t) / dr.fma(ratio, cos_i, cos_t)
-    r_p = (ratio * cos_t - cos_i) / dr.fma(ratio, cos_t, cos_i)
-    return 0.5 * (dr.square(r_s) + dr.square(r_p))
 
 
 def components(direction, field, facing):
@@ -282,38 +277,37 @@ def scatter_by_haze(way, haze, hazy, field, facing, ratio, cos_i, rng):
         Where this happens at all.
     """
     direction, smooth_field, reflected = way
-    cos_t = dr.abs(dr.dot(direction, facing))
-    phase = haze * dr.select(reflected, 2.0 * cos_i, cos_i - cos_t / ratio)
+
+    def scattered_part(haze, ratio, cosine, beyond):
+        phase = haze * dr.select(reflected, 2.0 * cosine, cosine - dr.abs(beyond) / ratio)
+        return phase, 1.0 - dr.exp(-dr.square(phase))
+
     # the numbers of a photon stay those that it would have at smooth faces
     low, high = mi.UInt32(rng.state), mi.UInt32(rng.state >> 32)
     first, second = mi.sample_tea_32(low, high, _HAZE_ROUNDS)
-    choice = mi.Float(first >> 8) * 2.0**-24
-    scatters = hazy & (choice < _scattered(phase))
-    normal = dr.select(reflected, facing, -facing)
-    frame = mi.Frame3f(normal)
+    _, part = scattered_part(haze, ratio, cos_i, dr.dot(direction, facing))
+    scatters = hazy & (mi.Float(first >> 8) * 2.0**-24 < part)
+    frame = mi.Frame3f(dr.select(reflected, facing, -facing))
     back_ratio = dr.select(reflected, ratio, dr.rcp(ratio))
-    back_haze = haze * dr.select(reflected, 1.0, dr.rcp(ratio))
+    back_haze = dr.select(reflected, haze, haze / ratio)
     # light at the critical angle is the most refracted of all that is scattered
-    most = _scattered(back_haze * dr.sqrt(dr.abs(1.0 - dr.rcp(dr.square(back_ratio)))))
+    critical = dr.safe_sqrt(dr.maximum(1.0 - dr.rcp(dr.square(back_ratio)), dr.square(ratio) - 1.0))
+    _, most = scattered_part(back_haze, back_ratio, critical, 0.0)
 
     def try_direction(searching, tries, state, scattered):
         numbers = _resumed(rng, state)
-        u, v, choice = (numbers.next_float32() for _ in range(3))
+        u, v, choice, again = (numbers.next_float32() for _ in range(4))
         # reflected as the cosine's third power, which S follows at small phases, else as its first
-        cosine2 = dr.select(reflected, dr.sqrt(u), u)
-        cosine = dr.sqrt(cosine2)
-        sine, turn = dr.safe_sqrt(1.0 - cosine2), dr.sincos(dr.two_pi * v)
-        scattered = mi.Vector3f(sine * turn[1], sine * turn[0], cosine)
-        beyond2 = dr.fma(dr.square(back_ratio), cosine2, 1.0 - dr.square(back_ratio))
-        beyond = dr.safe_sqrt(beyond2)
-        part = dr.select(beyond2 > 0.0, _unpolarised(back_ratio, cosine, beyond), 1.0)
-        part = dr.select(reflected, part, 1.0 - part)
-        phase = back_haze * dr.select(reflected, 2.0 * cosine, cosine - beyond / back_ratio)
+        cosine = dr.sqrt(dr.select(reflected, dr.sqrt(u), u))
+        sine, (up, along) = dr.safe_sqrt(1.0 - dr.square(cosine)), dr.sincos(dr.two_pi * v)
+        scattered = mi.Vector3f(sine * along, sine * up, cosine)
+        normal = mi.Vector3f(0.0, 0.0, 1.0)
+        beyond, _, returned = split(-scattered, None, normal, back_ratio, cosine, choice)
+        phase, part = scattered_part(back_haze, back_ratio, cosine, beyond.z)
         highest = dr.select(reflected, dr.square(phase), most)
+        taken = (returned == reflected) & (again * highest < part)
         tries += 1
-        taken = choice * highest < part * _scattered(phase)
-        searching = searching & ~taken & (tries < _MOST_DIRECTIONS)
-        return searching, tries, numbers.state, scattered
+        return searching & ~taken & (tries < _MOST_DIRECTIONS), tries, numbers.state, scattered
 
     state = (mi.UInt64(first) << 32) | mi.UInt64(second)
     _, tries, state, scattered = dr.while_loop(
@@ -326,15 +320,9 @@ def scatter_by_haze(way, haze, hazy, field, facing, ratio, cos_i, rng):
     scattered = frame.to_world(scattered)
     scatters &= tries < _MOST_DIRECTIONS
     if field is not None:
-        fresh = unpolarised_field(scattered, dr.two_pi * _resumed(rng, state).next_float32())
-        smooth_field = dr.select(scatters, fresh, smooth_field)
+        turn = dr.two_pi * _resumed(rng, state).next_float32()
+        smooth_field = dr.select(scatters, unpolarised_field(scattered, turn), smooth_field)
     return dr.select(scatters, scattered, direction), smooth_field, reflected
-
-
-def _scattered(phase):
-    """Part that heights with an rms phase scatter, accurate where it is small."""
-    q2 = dr.square(phase)
-    return dr.select(q2 < 1e-3, q2 * dr.fma(-0.5, q2, 1.0), 1.0 - dr.exp(-q2))
 
 
 def _resumed(rng, state):
