@@ -196,7 +196,7 @@ def _faces_of_any_form(editor: SceneEditor, side: str) -> list[Node]:
             found.append(face)
     if not found:
         problem = f"the crystal has no {side} face of its own"
-        raise editor.refusal(problem, "use surface_roughness, which is of all faces")
+        raise editor.refusal(problem, "use surface_roughness or ground: they are of all faces")
     return found
 
 
