@@ -56,15 +56,7 @@ def escape_per_face(n: float) -> float:
     faces. The overlap of two cones of half-angle r at right angles covers the solid angle
     2 (pi - arccos(-cot^2 r) - 2 cos r arccos(cot r)); three cones meet below sqrt(3/2) only.
 
-    Parameters
-    ----------
-    n : float
-        Index of the crystal relative to its surroundings, at least sqrt(3/2).
-
-    Raises
-    ------
-    ValueError
-        If n is below that.
+    `n` is relative to the surroundings. Raises ValueError if it is below sqrt(3/2).
     """
     if n < math.sqrt(1.5):
         raise ValueError(f"three escape cones overlap at n = {n:g}: give at least 1.2248")
@@ -226,10 +218,7 @@ def reference_yield() -> Uncertain:
 def relative_yield(eta: Uncertain, cawo4_eta: Uncertain) -> Uncertain:
     """Eq. 7, ph/keV, with all errors as the article takes them: independent.
 
-    Parameters
-    ----------
-    eta, cawo4_eta : Uncertain
-        Efficiencies of CaMoO4 and CaWO4 at the air gap, fractions.
+    From efficiencies of CaMoO4 and CaWO4 at the air gap, fractions.
     """
     return light_yield_by_reference(
         counted(p.SIGNAL_AIR, "air"), eta.own("CaMoO4"), efficiency(p.EFFICIENCY).own("CaMoO4"),

@@ -176,10 +176,7 @@ def position_of_maximum(surface: EfficiencySurface, alpha_abs_per_cm: float) -> 
     from the same photons; their covariances, which the surface gives, are propagated through
     the least squares to the position.
 
-    Raises
-    ------
-    ValueError
-        If the cubic has no maximum between the outermost points.
+    Raises ValueError if the cubic has no maximum between the outermost points.
     """
     x = np.log(_PEAK_POINTS_PER_CM)
     points = [{ALPHA_SCAT: a, ALPHA_ABS: alpha_abs_per_cm} for a in _PEAK_POINTS_PER_CM]

@@ -64,10 +64,7 @@ def draw_figures(
     Fig. 2 is drawn from synthetic histograms with the article's centroids: it prints none. The
     folder is made if it is not there.
 
-    Raises
-    ------
-    InputError
-        If the folder cannot be written to.
+    Raises InputError if the folder cannot be written to.
     """
     folder = make_folder(folder)
     drawings = {

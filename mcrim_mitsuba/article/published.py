@@ -40,13 +40,7 @@ class Printed:
 
 
 def printed(text: str, where: str, unit: str = "") -> Printed:
-    """A number from its characters; ``value`` or ``value±error``.
-
-    Raises
-    ------
-    ValueError
-        If the text is neither.
-    """
+    """A number from its characters; ValueError if they are not ``value`` or ``value±error``."""
     match = _PRINTED.fullmatch(text)
     if match is None:
         raise ValueError(f"{text!r} is not a number with or without an error")
@@ -266,9 +260,6 @@ def compare(
 
     Parameters
     ----------
-    quantity, remark : str
-    paper : Printed or None
-    ours : float or None
     sigma, systematic : float, optional
         Errors of ours.
     difference_sigma : float, optional

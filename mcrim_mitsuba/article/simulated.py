@@ -206,15 +206,8 @@ class EtaCurve(EfficiencySurface):
     of alpha_scat, values and slopes, and interpolated in log(alpha_scat) between them. That
     costs some 1e-6 in eta and spares the search for alpha_scat thousands of evaluations.
 
-    Parameters
-    ----------
-    coupling : Coupling
-    line : Table1Line
-
-    Attributes
-    ----------
-    alpha_scat_per_cm, etas, sigmas : ndarray of float64, shape (points,)
-        `sigmas` are Monte Carlo standard errors; neighbouring points share photons.
+    Of the (points,) `alpha_scat_per_cm`, `etas` and `sigmas` the last are Monte Carlo standard
+    errors; neighbouring points share photons.
     """
 
     def __init__(self, coupling: Coupling, line: Table1Line) -> None:

@@ -326,21 +326,10 @@ def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
 def reduce_raw_data(
     document: TomlDocument, table: Measurements, scene: SceneFile
 ) -> tuple[TomlDocument, Measurements, RawData | None]:
-    """A campaign's raw data as numbers.
+    """The campaign with numbers for raw entries, readings for histograms, and what was reduced.
 
-    Returns
-    -------
-    document : TomlDocument
-        The campaign with numbers where there were raw entries.
-    measurements : Measurements
-        With readings where `table` has histograms.
-    raw : RawData or None
-        None where there is nothing to reduce.
-
-    Raises
-    ------
-    InputError
-        If an entry is impossible, or a file with raw data cannot be used: with its line.
+    The last is None where there is nothing to reduce.
+    Raises InputError with the line, if an entry or a file with raw data cannot be used.
     """
     entries = read_raw_entries(document)
     readings, reduced = _reduce_table(table, entries.shape)

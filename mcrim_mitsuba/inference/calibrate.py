@@ -196,14 +196,8 @@ def _look(
 ) -> _CampaignLook:
     """Simulate all configurations, each with random numbers of its own.
 
-    Parameters
-    ----------
-    run : Run
-        Its photons are those of a configuration with a share of 1; with a precision, at most.
-    points, alpha_scat_range_per_cm
-        Where errors matter, and what is to be covered.
-    shares : sequence of float, optional
-        Every configuration's part of the photons; 1 without.
+    The photons of `run`, with a precision at most, are those of a configuration with a share of 1,
+    which all have without `shares`. At `points` errors matter, and the range is to be covered.
     """
     asked = configurations(campaign)
     wishes = []

@@ -251,10 +251,7 @@ class Limit:
 def upper_limits(explanations: Explanations) -> dict[str, Limit]:
     """Limits on every effect by profile likelihood, all other parameters fitted along the way.
 
-    Returns
-    -------
-    dict of str to Limit
-        By effect; of an effect with several parameters by ``effect.parameter``.
+    They are by effect; of an effect with several parameters by ``effect.parameter``.
     """
     baseline, found = explanations.baseline, {}
     for effect, fit in explanations.singles().items():

@@ -202,12 +202,8 @@ _RIVAL = 4.0
 def find_suspects(fit: Fit) -> list[Suspect]:
     """Single readings and pairs of rows that account for a campaign's misfit, the likeliest first.
 
-    Returns
-    -------
-    list of Suspect
-        Empty where the campaign fits, or has no degrees of freedom to say so. Those that explain
-        the readings as well as the best; or the best one, where it accounts for most of the
-        misfit.
+    Empty where the campaign fits, or has no degrees of freedom to say so. Those that explain the
+    readings as well as the best; or the best one, where it accounts for most of the misfit.
     """
     p, readings = fit.p_value, len(fit.problem.signal)
     if p is None or p > ACCEPTABLE_P:
@@ -326,18 +322,13 @@ _ABSORBED = 1e-6
 
 
 def find_trends(fit: Fit) -> tuple[Trend, ...]:
-    """Bench parameters by how clearly the pulls differ between their values.
+    """Bench parameters by how clearly the pulls differ between their values, the clearest first.
 
     Every value (level) of a bench parameter is given a factor of its own on the signal, and the
     fall of chi2 is compared with what is left, as an analysis of variance does:
     F = (fall / factors) / (rest / its degrees of freedom). What the free parameters follow is no
     factor: all is weighed with `Fit.precision`. With too many levels for the readings a straight
-    line takes their place.
-
-    Returns
-    -------
-    tuple of Trend
-        One per column of the measurement file with two values or more, the clearest first.
+    line takes their place. There is one for each column of the readings with two values or more.
     """
     readings = [r for r in fit.problem.model.readings if r.use]
     columns = dict.fromkeys(name for r in readings for name in r.parameters)

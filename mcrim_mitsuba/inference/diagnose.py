@@ -567,24 +567,15 @@ def diagnose_models(
 ) -> Diagnosis:
     """`diagnose` of models, however they were made.
 
-    Parameters
-    ----------
-    models : callable
-        ``models(added)`` gives the model of the campaign with the effects `added` (a sorted tuple
-        of names) besides its own; with the interface of `model.CampaignModel`, and if it has
-        ``eta_batches(theta)``, the (batches, readings) deviations of log(eta) in batches of the
-        simulation that are common to all models, gains have an error. May raise `InputError` where
-        the scene cannot take an effect.
-    effects : mapping of str to Effect
-        That may be missing.
-    proposals : MeasurementProposals, optional
-        What could be measured next.
-    adding : tuple of str
-        Effects of the repair, whatever the verdict.
-    seed : int
-        Of the campaigns that are drawn to know what chance gains.
-    progress : callable, optional
-        Told in words what is being done.
+    ``models(added)`` gives the model of the campaign with the effects `added` (a sorted tuple of
+    names) besides its own; with the interface of `model.CampaignModel`, and if it has
+    ``eta_batches(theta)``, the (batches, readings) deviations of log(eta) in batches of the
+    simulation that are common to all models, gains have an error. It may raise `InputError` where
+    the scene cannot take an effect.
+
+    `effects` may be missing, and `proposals` be measured next. The repair adds `adding`, whatever
+    the verdict. `seed` is of the campaigns that are drawn to know what chance gains, and `progress`
+    is told in words what is being done.
     """
     began = time.perf_counter()
     say = progress or (lambda words: None)

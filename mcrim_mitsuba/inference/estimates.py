@@ -85,21 +85,9 @@ def propagated(
 ) -> dict[str, ParameterEstimate]:
     """Every free parameter with its errors by origin.
 
-    To first order the estimate is theta = V (J^T C^-1 y + P prior), V the covariance: each
-    part of C, and P, propagates by itself, and the parts add up to V.
-
-    Parameters
-    ----------
-    theta : (free,) float64
-    errors : ErrorMatrices
-        C, by its parts.
-    covariance : (free, free) float64
-        V.
-    response : (free, used) float64
-        V J^T C^-1.
-    at_bound : (free,) sequence of str or None
-    ends : (free,) sequence of Interval or None
-        What `lower` and `upper` are.
+    To first order the estimate is theta = V (J^T C^-1 y + P prior), V the (free, free) `covariance`
+    and V J^T C^-1 the (free, used) `response`: each part of C, the `errors`, and P propagates by
+    itself, and the parts add up to V. The intervals `ends` are what `lower` and `upper` are.
     """
     variances = {
         "statistical": errors.statistical_variances(response),
@@ -166,13 +154,7 @@ def light_yields(
 def fitted_rows(
     readings: Sequence[Reading], prediction: Prediction, eta_sigmas: Sequence[float]
 ) -> tuple[FittedRow, ...]:
-    """Every reading beside its prediction.
-
-    Parameters
-    ----------
-    eta_sigmas : (readings,) sequence of float
-        Monte Carlo standard errors of its efficiencies.
-    """
+    """Every reading beside its prediction, of whose efficiencies `eta_sigmas` are the errors."""
     rows = []
     for i, reading in enumerate(readings):
         model, eta_sigma = float(prediction.signal[i]), float(eta_sigmas[i])

@@ -88,13 +88,8 @@ def gaussian(mean: float, sigma: float, low: float, high: float) -> PriorDensity
 def size(absent: float, plausible: tuple[float, float], low: float, high: float) -> PriorDensity:
     """Of an effect's size: 95 % inside the plausible range, around its absence, with long tails.
 
-    Parameters
-    ----------
-    absent : float
-        Where the effect is not there; where the plausible range is on one side only, all is there.
-    plausible : tuple of float
-    low, high : float
-        Range in which the effect is defined, or which a campaign allows: without the absence too.
+    Where the plausible range is on one side of `absent` only, all is there. From `low` to `high`
+    the effect is defined, or a campaign allows it: without the absence too.
     """
     end = float(stdtrit(_TAILS, 0.5 + 0.5 * _PLAUSIBLE_PART))
     widths = [max(absent - plausible[0], 0.0) / end, max(plausible[1] - absent, 0.0) / end]
@@ -158,16 +153,10 @@ class Evidence:
 def evidence_of(
     fit: Fit, priors: Mapping[str, PriorDensity], *, hopeless: bool = False
 ) -> Evidence:
-    """Evidence of the model of a fit.
+    """Evidence of the model of a fit, with a prior for every free parameter.
 
-    Parameters
-    ----------
-    fit : Fit
-        Its covariance of the readings is taken for all parameters.
-    priors : mapping of str to PriorDensity
-        One for every free parameter.
-    hopeless : bool
-        Whether no more than its order of magnitude matters.
+    The fit's covariance of the readings is taken for all parameters. Of a `hopeless` one no more
+    than the order of magnitude matters.
     """
     sampled = _Sampled(fit, [priors[name] for name in fit.names])
     if not fit.names:  # all is held: the likelihood itself

@@ -65,22 +65,8 @@ _FURTHER_TO_THE_END = 3
 class Explanations:
     """The campaign with whatever effects are asked for, each set built and fitted once.
 
-    Parameters
-    ----------
-    models : callable
-        See `Models`.
-    effects : mapping of str to Effect
-        That may be added.
-    scales : mapping of str to float
-        Around which the priors of the scale, and of those of samples, lie; where the baseline has
-        them by default. Evidences of several campaigns compare where they are the same for all.
-
-    Attributes
-    ----------
-    baseline : Fit
-        Of the campaign as it is.
-    refused : dict of str to str
-        Effects that cannot be fitted here, with the reason.
+    Around `scales` the priors of the scale, and of those of samples, lie; where the baseline has
+    them by default. Evidences of several campaigns compare where they are the same for all.
     """
 
     def __init__(
@@ -95,9 +81,11 @@ class Explanations:
         self._fits: dict[tuple[str, ...], Fit] = {}
         self._evidences: dict[tuple[str, ...], Evidence] = {}
         self._by_size: dict[str, Array] = {}
+        #: Effects that cannot be fitted here, with the reason.
         self.refused: dict[str, str] = {}
         # an effect may be one of the scene's parameters off its nominal value
         self._scene = self.problem(()).model.campaign.values
+        #: Of the campaign as it is.
         self.baseline = fit_from_scratch(self.problem(()))
         campaign = self.problem(()).model.campaign
         found = self.baseline.values
@@ -279,16 +267,8 @@ class Explanations:
     ) -> list[tuple[float, Array]]:
         """chi2 and parameters along an effect's nodes, all other parameters fitted.
 
-        Parameters
-        ----------
-        added : iterable of str
-            `effect` among them.
-        fewer : Fit
-            With all of `added` but the effect: where the others start.
-        problem : LeastSquaresProblem, optional
-            Other readings than the campaign's.
-        steps, precision
-            As `descend`.
+        The effect is among `added`, and the others start from the fit `fewer` with all but it. A
+        `problem` may have other readings than the campaign's; `steps` and `precision` as `descend`.
         """
         problem = problem or self.problem(added)
         names = self.free_parameters(added, effect)
@@ -565,16 +545,11 @@ def _neighbours(x: Array) -> np.ndarray:
 
 
 class NullDistribution:
-    """Gains of fitted effects, drawn where none of them is there.
-
-    Attributes
-    ----------
-    curves : dict of str to Curve
-        By effect.
-    """
+    """Gains of fitted effects, drawn where none of them is there."""
 
     def __init__(self, explanations: Explanations, effects: Iterable[str], seed: int) -> None:
         self.frame = BaselineFrame(explanations.baseline)
+        #: By effect.
         self.curves = {name: curve_of(explanations, name, self.frame) for name in effects}
         dimensions = self.frame.dimensions
         drawn = np.random.default_rng(seed).standard_normal((_DRAWS, dimensions))

@@ -117,10 +117,7 @@ _SWAPPED = "check that no rows are swapped"
 class TooLittleSimulatedError(InputError):
     """The fit ended where its surfaces say too little.
 
-    Attributes
-    ----------
-    where : dict of str to float
-        The parameters there; none where more photons would not tell more.
+    `where` has the parameters there; none where more photons would not tell more.
     """
 
     def __init__(

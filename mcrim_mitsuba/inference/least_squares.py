@@ -328,15 +328,10 @@ def settle(problem: LeastSquaresProblem, theta: Array) -> Fit:
 def best_of(
     problem: LeastSquaresProblem, starts: Iterable[Array], weights: Weights, *, follow: int = 2
 ) -> Fit:
-    """The lowest minimum that some starts lead to.
+    """The lowest minimum that some (free,) starts lead to.
 
-    Parameters
-    ----------
-    starts : iterable of (free,) float64
-    weights : Weights
-        Held while the starts are followed; the lowest few then get their own.
-    follow : int
-        How many.
+    The weights are held while the starts are followed; the lowest few, `follow`, then get their
+    own.
     """
     ends: list[tuple[float, Array]] = []
     for start in starts:

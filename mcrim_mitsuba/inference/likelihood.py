@@ -261,17 +261,13 @@ class FrozenStatistic:
     determinant were added; held, and updated between fits, they give the same estimate as
     iteratively reweighted least squares, without that bias and without R. W. Peelle's (which
     comes from scaling them with the readings).
-
-    Attributes
-    ----------
-    log_determinant : float
-        Of the covariance: what two statistics with different ones differ by besides chi2.
     """
 
     def __init__(self, likelihood: Likelihood, errors: ErrorMatrices) -> None:
         self.likelihood = likelihood
         self.errors = errors
         self._whitener = Whitener(errors)
+        #: Of the covariance: what two statistics with different ones differ by besides chi2.
         self.log_determinant = self._whitener.log_determinant
         self._last: tuple[bytes, Prediction] | None = None
 

@@ -72,17 +72,10 @@ class Model(Protocol):
     def readings(self) -> tuple[Reading, ...]: ...
 
     def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
-        """Every reading's prediction for values of the free parameters.
+        """Every reading's prediction for values of the free parameters, in the order of `free`.
 
-        Parameters
-        ----------
-        theta : (free parameters,) float64
-            In the order of `free`.
-        check : bool
-            Refuse (InputError) points of the readings in use where a simulation says too little,
-            and tell the errors of eta.
-        covariance : bool
-            Also compute the Monte Carlo covariance.
+        With `check` points of the readings in use where a simulation says too little are refused
+        (InputError), and the errors of eta are told; `covariance` is the Monte Carlo one.
         """
 
     def predict_many(self, thetas: Array) -> Array:
@@ -182,18 +175,11 @@ def _configurations(
 class CampaignModel:
     """Predicts a campaign's readings, for any values of its free parameters; see `Model`.
 
-    Parameters
-    ----------
-    surfaces : callable
-        See `SurfaceMaker`. Called once per distinct configuration, and where further scene
-        parameters are free, once per node of the interpolation (5 nodes for one parameter, 9 for
-        two).
+    `surfaces` is called once per distinct configuration, and where further scene parameters are
+    free, once per node of the interpolation (5 nodes for one parameter, 9 for two).
 
-    Raises
-    ------
-    InputError
-        If the scene does not name alpha_scat and alpha_abs, if the surfaces do not cover
-        alpha_scat's range, or as `axes_for`.
+    Raises InputError if the scene does not name alpha_scat and alpha_abs, if the surfaces do not
+    cover alpha_scat's range, or as `axes_for`.
     """
 
     def __init__(self, campaign: Campaign, surfaces: SurfaceMaker) -> None:
@@ -323,14 +309,8 @@ def acts_on(effect: Effect, campaign: Campaign) -> bool:
 class ResponseModel:
     """Predicts a campaign's readings with some effects switched on; see `Model`.
 
-    It answers in a fraction of a millisecond, and refuses nothing.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        With the effects' parameters among its own.
-    effects : sequence of Effect
-        Those switched on.
+    It answers in a fraction of a millisecond, and refuses nothing. The campaign has the effects'
+    parameters among its own.
     """
 
     def __init__(

@@ -74,13 +74,7 @@ class Quantities:
 
 
 def at(model: ResponseModel, values: Mapping[str, float]) -> Quantities:
-    """Efficiencies and their ratio where the free parameters have given values.
-
-    Parameters
-    ----------
-    values : mapping of str to float
-        At least of the model's free parameters.
-    """
+    """Efficiencies and their ratio where the free parameters, at least, have given values."""
     theta = np.array([values[parameter.name] for parameter in model.free])
     prediction = model.predict(theta)
     batches = prediction.eta * model.eta_batches(theta)
@@ -163,14 +157,9 @@ class Shift:
 def shifts(
     before: Quantities, after: Quantities, size_sigmas: Mapping[str, float] | None = None
 ) -> dict[str, Shift]:
-    """Shifts of all quantities that both have.
+    """Shifts of all quantities that both have, of simulations with the same seed.
 
-    Parameters
-    ----------
-    before, after : Quantities
-        Of simulations with the same seed.
-    size_sigmas : mapping of str to float, optional
-        `Shift.size_sigma` by quantity.
+    `size_sigmas` are `Shift.size_sigma` by quantity.
     """
     common = [name for name in before.names if name in after.names]
     first, second = ([side.names.index(name) for name in common] for side in (before, after))
@@ -206,12 +195,7 @@ class Neglected:
 
 
 def refuse_far(campaign: Campaign, band: BandIndices) -> None:
-    """Refuse indices too far from the scene's to be told from simulations about it.
-
-    Raises
-    ------
-    InputError
-    """
+    """InputError for indices too far from the scene's to be told from simulations about it."""
     nominal = float(campaign.scene.parameters[INDEX])
     effect = campaign.catalogue[CRYSTAL_INDEX].parameters[0]
     mean = band.over.mean
@@ -241,23 +225,13 @@ class Refit:
 class NeglectWork:
     """A campaign's benches, as they are and with what can be put into a scene, and their fits.
 
-    All benches draw the same random numbers.
-
-    Parameters
-    ----------
-    run : Run
-        Its photons are those of every simulation with another index.
-
-    Attributes
-    ----------
-    bench : Workbench
-        Of the campaign as it is.
-    refused : dict of str to str
-        Pieces that were not put in, and why.
+    All benches draw the same random numbers; the photons of `run` are those of every simulation
+    with another index.
     """
 
     def __init__(self, campaign: Campaign, known: KnownCrystal, run: Run) -> None:
         self._known = known.left_out_of(campaign)
+        #: Pieces that were not put in, and why.
         self.refused = self._known.refused
         self._campaign, self._run = campaign, run
         self._band = known.band
@@ -272,6 +246,7 @@ class NeglectWork:
         self._index = (CRYSTAL_INDEX,) * (self._band is not None)
         # births can be weighted too: that tells what the depth's error does
         depth = (SOURCE_DEPTH,) * (SOURCE_DEPTH in self._known.effects)
+        #: Of the campaign as it is.
         self.bench = self._bench(campaign, (*self._index, *depth))
         self._fixed: dict[str, float] = {}
         self._own = self._refit(self.bench)

@@ -87,12 +87,8 @@ _STANDS_FOR = re.compile(r"([\d.]+) for (?:the |an? )?([^,;:]+)")
 def configuration_words(parameters: Mapping[str, Value], comments: Mapping[str, str]) -> str:
     """A configuration in words: ``optical gel (n = 1.46), mask of 4 mm radius``.
 
-    Parameters
-    ----------
-    parameters : mapping of str to Value
-        Of the scene or the beam; perhaps ``kind``.
-    comments : mapping of str to str
-        Of the scene's parameters: what values stand for, and what else parameters are called.
+    Its parameters are the scene's or the beam's, perhaps with ``kind``; `comments` on the scene's
+    say what values stand for, and what else parameters are called.
     """
     said = [TRANSMITTANCE] if parameters.get(KIND, LIGHT) == TRANSMITTANCE else []
     for name, value in parameters.items():

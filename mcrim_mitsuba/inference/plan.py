@@ -365,17 +365,9 @@ def event_sigma(mean_photons: float, conditions: Conditions) -> float:
     """Error of a band's mean times the square root of its events, as the peak's fit has it.
 
     Without background and with all bins it would be the band's width, the square root of
-    N + (spread N)^2. The fit is made of the expected counts themselves.
+    N + (spread N)^2, N photons. The fit is made of the expected counts themselves.
 
-    Parameters
-    ----------
-    mean_photons : float
-        N.
-
-    Raises
-    ------
-    InputError
-        If no peak stands out of the pedestal.
+    Raises InputError if no peak stands out of the pedestal.
     """
     spectrum = PhotonSpectrum(mean_photons, intrinsic_spread=conditions.intrinsic_spread)
     photons = spectrum.photons()
@@ -485,12 +477,8 @@ class Expectation:
     def _told(self, chosen: Sequence[int], relative: Array) -> tuple[Array, Array]:
         """What readings of the predicted signals, with these relative errors, tell.
 
-        Returns
-        -------
-        response : (free, chosen) float64
-            J^T C^-1, as `FrozenStatistic.response`.
-        information : (free, free) float64
-            Fisher's, priors and transmittances included.
+        J^T C^-1, (free, chosen), as `FrozenStatistic.response`; and Fisher's (free, free)
+        information, priors and transmittances included.
         """
         slopes = self._prediction.signal_slopes[self._rows(chosen)]
         weighted = cho_solve(cho_factor(np.diag((relative * self._signal(chosen)) ** 2)), slopes)

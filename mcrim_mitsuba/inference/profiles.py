@@ -88,14 +88,7 @@ def profiles_of(model: Model, calibration: Calibration) -> tuple[Profile, ...]:
     """Profiles of every free parameter, and of the light yield where the campaign tells it.
 
     That of the light yield minimises over the scale and over the detector efficiency, whose
-    relative error is a Gaussian factor on the light yield.
-
-    Parameters
-    ----------
-    model : CampaignModel or ResponseModel
-        The one that was fitted.
-    calibration : Calibration
-        Its fit.
+    relative error is a Gaussian factor on the light yield. The calibration is the model's fit.
     """
     problem = LeastSquaresProblem(model)
     weights = Whitener(problem.errors_at(calibration.theta))

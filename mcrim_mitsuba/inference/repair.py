@@ -132,10 +132,7 @@ def refuse_others_work(target: Path) -> None:
 
     What one has written may be there: `repair` goes on if it comes to the very same.
 
-    Raises
-    ------
-    InputError
-        If the campaign, or a scene without it, is there.
+    Raises InputError if the campaign, or a scene without it, is there.
     """
     with contextlib.suppress(InputError):
         if read_text(target, _LIMIT_MB).startswith(_MENDED):
@@ -152,16 +149,10 @@ def mended_files(
 ) -> tuple[SceneFile, str]:  # fmt: skip
     """The mended scene and the text of the mended campaign; nothing is written.
 
-    Parameters
-    ----------
-    mended : Campaign
-        The same with more effects switched on, as the fitted model has it.
-    calibration : Calibration
-        Of the mended campaign: its values are put into both, to six digits.
-    target : Path
-        Where the campaign is meant to go; its scene lies beside it under the same name.
-    averaged : AveragedYield, optional
-        Over all that the readings allow: a comment tells it.
+    `mended` is the same with more effects switched on, as the fitted model has it, and the values
+    of its calibration are put into both, to six digits. The campaign is meant to go to `target`,
+    its scene beside it under the same name. A comment tells the light yield `averaged` over all
+    that the readings allow.
     """
     fitted = rounded({name: known.value for name, known in calibration.parameters.items()})
     effects = mended.effects[len(campaign.effects) :]
@@ -184,14 +175,10 @@ def _remark(effects: Sequence[str], averaged: AveragedYield | None) -> str:
 def mended_scene(
     campaign: Campaign, effects: Sequence[str], values: Mapping[str, float]
 ) -> SceneFile:
-    """A campaign's scene with more effects in it, and with other values.
+    """A campaign's scene with more effects in it than its own, and with other values.
 
-    Parameters
-    ----------
-    effects : sequence of str
-        Besides the campaign's own; those of the readings are left out.
-    values : mapping of str to float
-        By scene parameter, those of the effects included; what is none is left out.
+    Effects of the readings are left out. Values are by scene parameter, those of the effects
+    included; what is none is left out.
     """
     scene = campaign.scene
     for name in effects:

@@ -77,10 +77,7 @@ _SETS_AT_ONCE = 20_000
 def unnamed(explanations: Explanations, singles: Sequence[tuple[str, ...]]) -> list[Hypothesis]:
     """Something without a name, alone and besides each of the best effects.
 
-    Parameters
-    ----------
-    singles : sequence of tuple of str
-        Fitted effects, the likeliest first.
+    `singles` are fitted effects, the likeliest first.
     """
     fits = {effects: explanations.fit(effects) for effects in singles}
     lowest = min((fit.deviance for fit in fits.values()), default=0.0)
@@ -114,21 +111,11 @@ def unnamed_at(
     thetas: Array,
     configurations: Sequence[Mapping[str, Value]],
 ) -> Array:
-    """What has no name, drawn at further configurations, given the readings.
+    """(points, configurations) what has no name, of log(reading), drawn given the readings.
 
-    Parameters
-    ----------
-    hypothesis : Hypothesis
-        Of `unnamed`.
-    thetas : (points, free) float64
-        Parameters of its effects' model.
-    configurations : sequence of mapping
-        By what they differ from the scene; a transmittance has a ``kind``, and knows nothing of it.
-
-    Returns
-    -------
-    (points, configurations) float64
-        Of the logarithm of a reading.
+    The hypothesis is of `unnamed`, `thetas` are (points, free) parameters of its effects' model.
+    Configurations are told by what they differ from the scene; a transmittance has a ``kind``, and
+    knows nothing of it.
     """
     fit = explanations.fit(hypothesis.effects)
     problem = fit.problem

@@ -91,16 +91,8 @@ class MeasurementProposals:
 class Workbench:
     """A campaign with the responses of its readings, from which models are made.
 
-    Parameters
-    ----------
-    run : Run
-        Its photons are those of every simulation with an effect; configurations as they are get
-        several times as many. Its precision does not matter.
-
-    Attributes
-    ----------
-    candidates : dict of str to Effect
-        Effects that could be missing; those that a diagnosis tries.
+    The photons of `run` are those of every simulation with an effect; configurations as they are
+    get several times as many. Its precision does not matter.
     """
 
     def __init__(self, campaign: Campaign, run: Run) -> None:
@@ -109,6 +101,7 @@ class Workbench:
         self._start = time.perf_counter()
         self._makers: list[ResponseMaker] = []
         self.notes: list[str] = []
+        #: Effects that could be missing; those that a diagnosis tries.
         self.candidates: dict[str, Effect] = {}
         #: What was simulated; `simulate` comes first.
         self.responses: Responses
@@ -177,15 +170,7 @@ class Workbench:
         Where the readings leave the sizes of the added effects open, what is plausible becomes
         their prior: the model's campaign has it, and a note of the fit tells.
 
-        Parameters
-        ----------
-        starts : mapping of str to float, optional
-            Where to begin: responses of an effect may have several minima.
-
-        Raises
-        ------
-        InputError
-            As `fit_model`.
+        It begins at `starts`: an effect's responses may have several minima. Errors as `fit_model`.
         """
         campaign = self.campaign.with_effects(effects).with_starts(starts or {})
         added = [self.campaign.catalogue[name] for name in effects]
