@@ -173,19 +173,16 @@ class Campaign:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the reader must know of scene, effects and raw data before using the numbers."""
-        of_raw_data = () if self.raw is None else self.raw.notes
-        of_light = () if self.spectrum is None else (_averaged(self.spectrum),)
-        of_physics = (self.physics_note,) if self.physics_note else ()
-        known = self.light_yield if SCALE in self.free else None
-        of_detector = known.detector.notes if known is not None and known.detector else ()
-        return (
-            *self.scene.notes,
-            *self.executed,
-            *of_raw_data,
-            *of_light,
-            *of_physics,
-            *of_detector,
-        )
+        notes = [*self.scene.notes, *self.executed]
+        if self.raw is not None:
+            notes += self.raw.notes
+        if self.spectrum is not None:
+            notes.append(_averaged(self.spectrum))
+        if self.physics_note:
+            notes.append(self.physics_note)
+        if SCALE in self.free and self.light_yield is not None and self.light_yield.detector:
+            notes += self.light_yield.detector.notes
+        return tuple(notes)
 
     @property
     def ndf(self) -> int:

@@ -100,11 +100,8 @@ def read_samples(
     used = dict.fromkeys(reading.sample for reading in measurements.readings if reading.sample)
     for name in declared:
         if not _NAME.fullmatch(name):
-            problem, mend = (
-                f"{name} is no name of a sample",
-                "letters, digits and _, a letter first",
-            )
-            raise declared.refusal(name, problem, mend)
+            problem = f"{name} is no name of a sample"
+            raise declared.refusal(name, problem, "letters, digits and _, a letter first")
     for reading in measurements.readings:
         if reading.sample and reading.sample not in declared:
             problem = f"{reading.sample} is no sample of {document.path.name}"

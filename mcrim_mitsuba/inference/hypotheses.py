@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
@@ -35,7 +35,7 @@ from mcrim_mitsuba.inference.explanations import LEADING, Explanations
 from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.least_squares import Fit
 from mcrim_mitsuba.inference.model import UNKNOWN_SCALE
-from mcrim_mitsuba.inference.workbench import Workbench
+from mcrim_mitsuba.inference.workbench import Workbench, spent_together
 from mcrim_mitsuba.runs.array_job import PartDoneError
 
 #: What hypotheses are called, in the order in which they are given; so many are compared at most.
@@ -158,16 +158,8 @@ def compare_hypotheses(
         notes += [f"{name}: {note}" for note in fit.notes]
     found = side_by_side(made)
     spent = [bench.provenance() for bench in benches.values()]
-    together = replace(
-        spent[-1],
-        photons=sum(each.photons for each in spent),
-        cached_photons=sum(each.cached_photons for each in spent),
-        scene_hash=spent[0].scene_hash,
-        seconds=spent[0].seconds,  # its bench was the first
-        notes=tuple(dict.fromkeys((*notes, *(note for each in spent for note in each.notes)))),
-    )
     scenes = {name: each.scene_hash for name, each in zip(benches, spent, strict=True)}
-    return HypothesesCompared(found, together, scenes)
+    return HypothesesCompared(found, spent_together(spent, notes), scenes)
 
 
 def _simulate(benches: Iterable[Workbench]) -> None:

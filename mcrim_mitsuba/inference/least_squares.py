@@ -65,19 +65,8 @@ class Weights:
 class LeastSquaresProblem(Likelihood):
     """Readings and priors against a model, in the coordinates that are searched.
 
-    Parameters
-    ----------
-    coordinates : mapping of str to str
-        ``log`` or ``reciprocal`` for the parameters that are searched in their logarithm or in
-        1 / value. alpha_scat always is in its logarithm; all others in themselves.
-
-    Attributes
-    ----------
-    bounds : two of (free,) float64
-    low, high : (free,) float64
-        The same in the searched coordinates.
-    logarithmic : (free,) bool
-        Which parameters are searched in their logarithm.
+    `coordinates` are ``log`` or ``reciprocal`` for the parameters that are searched in their
+    logarithm or in 1 / value. alpha_scat always is in its logarithm; all others in themselves.
     """
 
     def __init__(self, model: Model, coordinates: Mapping[str, str] | None = None) -> None:
@@ -86,11 +75,13 @@ class LeastSquaresProblem(Likelihood):
             "log" if parameter.logarithmic else (coordinates or {}).get(parameter.name, "linear")
             for parameter in self.free
         ]
+        #: (free,) Which parameters are searched in their logarithm.
         self.logarithmic = np.array([kind == "log" for kind in kinds], bool)
         self._reciprocal = np.array([kind == "reciprocal" for kind in kinds], bool)
         self._curved = bool((self.logarithmic | self._reciprocal).any())
         self.bounds = tuple(np.array([(p.minimum, p.maximum) for p in self.free]).reshape(-1, 2).T)
         minimum, maximum = map(self.internal, self.bounds)
+        #: (free,) The bounds in the searched coordinates.
         self.low, self.high = np.minimum(minimum, maximum), np.maximum(minimum, maximum)
         self._priors = np.flatnonzero(self.prior_weight)
         self._prior_rows = np.zeros((len(self._priors), len(self.free)))

@@ -148,36 +148,23 @@ class Whitener:
 
 
 class Likelihood:
-    """Readings and priors against a model.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The free parameters, in the model's order.
-    start : (free,) float64
-        Where the campaign lets searches begin; 0 where it does not say.
-    used : (readings,) bool
-        Which of the model's readings the statistic uses.
-    labels : tuple of str
-        Of these.
-    scales : dict of str to (used,) bool
-        The free scales, the campaign's and those of samples, with the readings they are of.
-    signal, variance : (used,) float64
-        The readings, and the squares of their own errors.
-    prior, prior_weight : (free,) float64
-        The weight is 1 / sigma^2; both are 0 without a prior.
-    """
+    """Readings and priors against a model."""
 
     def __init__(self, model: Model) -> None:
         self.model = model
+        #: The free parameters, in the model's order.
         self.free = tuple(model.free)
         self.names = tuple(p.name for p in self.free)
+        #: (free,) Where the campaign lets searches begin; 0 where it does not say.
         self.start = np.array([0.0 if math.isnan(p.start) else p.start for p in self.free])
+        #: (readings,) Which of the model's readings the statistic uses.
         self.used = np.array([reading.use for reading in model.readings])
         used = [reading for reading in model.readings if reading.use]
         self.labels = tuple(reading.label for reading in used)
         named = np.array([model.campaign.parameter_of(reading, SCALE) for reading in used])
+        #: The free scales, the campaign's and those of samples, by the (used,) readings' masks.
         self.scales = {n: named == n for n in dict.fromkeys(named.tolist()) if n in self.names}
+        #: (used,) The readings, and the squares of their own errors.
         self.signal = np.array([reading.signal for reading in used])
         self.variance = np.array([reading.sigma for reading in used]) ** 2
         self._shared = np.array([reading.group_sigma or 0.0 for reading in used])
@@ -185,6 +172,7 @@ class Likelihood:
         self._mountings = np.unique(groups, return_inverse=True)[1]
         # relative covariance of what no parameter explains
         self._unexplained: Array | None = None
+        #: (free,) The weight is 1 / sigma^2; both are 0 without a prior.
         self.prior = np.array([0.0 if p.prior is None else p.prior for p in self.free])
         self.prior_weight = np.array(
             [0.0 if p.prior_sigma is None else p.prior_sigma**-2 for p in self.free]

@@ -496,15 +496,7 @@ class ResponseModel:
 
 
 class _Place:
-    """What a model's responses say where its parameters, but for the scale, have some values.
-
-    Attributes
-    ----------
-    log_eta : (readings,) float64
-        Without the anchor's correction.
-    slopes : dict of str to (readings,) float64
-        d log_eta / d parameter.
-    """
+    """What a model's responses say where its parameters, but for the scale, have some values."""
 
     def __init__(self, model: ResponseModel, values: Mapping[str, float]) -> None:
         self.values = values
@@ -513,6 +505,7 @@ class _Place:
         # each with its parameters' values
         self._switched_on = [(r, [values[a.name] for a in r.axes]) for r in model.switched_on]
         log_eta, by_scat, by_abs = self._fine.value_and_slopes(self._responses.log_eta)
+        #: (readings,) d log_eta / d parameter, by its name.
         self.slopes: dict[str, Array] = {}
         for response, own in self._switched_on:
             more, more_by_scat, more_by_abs, by_axis = response.at(self._coarse, own)
@@ -520,6 +513,7 @@ class _Place:
             for i, axis in enumerate(response.axes):
                 # a beam's parameter may be one of several effects' responses
                 self.slopes[axis.name] = self.slopes.get(axis.name, 0.0) + by_axis[i]
+        #: (readings,) Without the anchor's correction.
         self.log_eta = log_eta
         self.slopes |= model.by_name(ALPHA_SCAT, by_scat) | model.by_name(ALPHA_ABS, by_abs)
 

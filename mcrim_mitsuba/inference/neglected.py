@@ -33,13 +33,15 @@ from mcrim_mitsuba.efficiency.responses import EffectResponse, mixture
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, spread
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
-from mcrim_mitsuba.inference.workbench import Workbench
+from mcrim_mitsuba.inference.workbench import Workbench, spent_together
 from mcrim_mitsuba.optics.dispersion import indices_of_light, orientation_sigma
 from mcrim_mitsuba.optics.emission_band import BandIndices
 from mcrim_mitsuba.optics.gammas import AttenuationLength
 
 _ETA, _OVER = "eta ", " / "
 _SHOWN_EFFICIENCIES = 2
+#: Name of what stands in for an effect where light has many indices.
+_MIXED = "indices"
 
 
 # ---- numbers and their shifts ----
@@ -266,16 +268,12 @@ class NeglectWork:
         self,
         bench: Workbench,
         switched_on: tuple[str, str, float] | None = None,
-        mixed: tuple[str, EffectResponse] | None = None,
+        mixed: EffectResponse | None = None,
     ) -> Refit:
         """The fit on a bench with one more piece in the model.
 
-        Parameters
-        ----------
-        switched_on : (str, str, float), optional
-            An effect, its parameter, and the value at which that is held.
-        mixed : (str, EffectResponse), optional
-            The response of light with many indices, by a name.
+        An effect is switched on with its parameter held at a value; or light has many indices,
+        whose response is `mixed`.
         """
         campaign, responses = bench.campaign, bench.responses
         stand_ins = []
@@ -286,9 +284,8 @@ class NeglectWork:
             campaign = replace(campaign, parameters={**campaign.parameters, name: held})
         if mixed is not None:
             # a response that is to no effect of the catalogue
-            name, response = mixed
-            stand_ins = [Effect(name, name, "", "", edit=lambda editor: None)]
-            responses = replace(responses, effects={**responses.effects, name: response})
+            stand_ins = [Effect(_MIXED, _MIXED, "", "", edit=lambda editor: None)]
+            responses = replace(responses, effects={**responses.effects, _MIXED: mixed})
         model = ResponseModel(campaign, responses, campaign.switched_on + stand_ins)
         found = fit_model(model, profile=False)
         values = found.values | self._fixed
@@ -387,7 +384,7 @@ class NeglectWork:
         return self._piece(
             "index_spread",
             "index spread",
-            self._mixed("index_spread", band.indices, band.parts),
+            self._mixed(band.indices, band.parts),
             f"indices of {band.material.name} over {band.origin}: ± {band.over.spread:.4f} "
             "about their mean",
             "nothing: one index stands for a band",
@@ -406,7 +403,7 @@ class NeglectWork:
         return self._piece(
             "birefringence",
             "birefringence",
-            self._mixed("birefringence", *indices_of_light(ordinary, extraordinary)),
+            self._mixed(*indices_of_light(ordinary, extraordinary)),
             f"n_o = {ordinary:.4f} and n_e = {extraordinary:.4f}; the optic axis of unknown "
             f"direction makes the index uncertain by {sigma:.4f}",
             "the crystal's cut: with the optic axis at the angle b to the window's normal the "
@@ -420,11 +417,11 @@ class NeglectWork:
         """The scene's index of the crystal."""
         return float(self._campaign.scene.parameters[INDEX])
 
-    def _mixed(self, name: str, indices: Array, parts: Array) -> Refit:
+    def _mixed(self, indices: Array, parts: Array) -> Refit:
         """The fit where parts of the light have indices of their own, with the scene's as mean."""
         response = self.bench.responses.effects[CRYSTAL_INDEX]
         mixed = mixture(response, self._nominal + indices - parts @ indices, parts)
-        return self._refit(self.bench, mixed=(name, mixed))
+        return self._refit(self.bench, mixed=mixed)
 
     def together(self, neglected: tuple[Neglected, ...]) -> Neglected | None:
         """All corrections in one fit."""
@@ -445,10 +442,4 @@ class NeglectWork:
 
     def provenance(self) -> Provenance:
         """Of all benches together."""
-        each = [bench.provenance() for bench in self._benches]
-        return replace(
-            each[0],
-            photons=sum(one.photons for one in each),
-            cached_photons=sum(one.cached_photons for one in each),
-            notes=tuple(dict.fromkeys(note for one in each for note in one.notes)),
-        )
+        return spent_together([bench.provenance() for bench in self._benches])

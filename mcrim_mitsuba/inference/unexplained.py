@@ -88,10 +88,8 @@ def unnamed(explanations: Explanations, singles: Sequence[tuple[str, ...]]) -> l
     whole = sum(1.0 / each for each in _AMPLITUDES)
     for effects in [(), *near[:_MOST_BESIDE]]:
         best, priors = -math.inf, explanations.priors(effects)
-        of_effects, odds = (
-            explanations.log_odds(effects),
-            _BESIDE_ODDS if effects else _UNKNOWN_ODDS,
-        )
+        of_effects = explanations.log_odds(effects)
+        odds = _BESIDE_ODDS if effects else _UNKNOWN_ODDS
         for amplitude in _AMPLITUDES:
             own = explanations.problem(effects).with_unexplained(amplitude**2 * correlation)
             fit = settle(own, explanations.fit(effects).theta)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import product
@@ -348,6 +348,16 @@ class Workbench:
                 continue
             found[name] = effect
         return found
+
+
+def spent_together(spent: Sequence[Provenance], notes: Iterable[str] = ()) -> Provenance:
+    """What benches spent of one run, the first begun first; `notes` precede theirs."""
+    return replace(
+        spent[0],
+        photons=sum(each.photons for each in spent),
+        cached_photons=sum(each.cached_photons for each in spent),
+        notes=tuple(dict.fromkeys([*notes, *(note for each in spent for note in each.notes)])),
+    )
 
 
 def _buildable(campaign: Campaign) -> list[dict[str, Value]]:
