@@ -181,7 +181,7 @@ def read_table(
         mend = "is this the file you meant?"
         raise InputError(problem, mend, path=path, line=lines[_MOST_ROWS + 1][0])
     header_line, header = lines[0]
-    separator = given or _separator_of(header)
+    separator = given or max(",;\t", key=header.count)
     columns = without_empty_end(csv_cells(header, path, header_line, separator, skip_blanks=True))
     _check_header(columns, scene_parameters, path, header_line)
     if scene_parameters is not None and KIND in columns:
@@ -204,11 +204,6 @@ def read_table(
     _check_labels(table)
     _check_histograms(table)
     return table
-
-
-def _separator_of(header: str) -> str:
-    """What stands between the names of the columns: what makes most cells of them."""
-    return max(",;\t", key=header.count)
 
 
 def _check_header(

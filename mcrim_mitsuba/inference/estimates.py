@@ -154,7 +154,7 @@ def light_yields(
 def fitted_rows(
     readings: Sequence[Reading], prediction: Prediction, eta_sigmas: Sequence[float]
 ) -> tuple[FittedRow, ...]:
-    """Every reading beside its prediction, of whose efficiencies `eta_sigmas` are the errors."""
+    """Every reading beside its prediction; `eta_sigmas` are eta's Monte Carlo standard errors."""
     rows = []
     for i, reading in enumerate(readings):
         model, eta_sigma = float(prediction.signal[i]), float(eta_sigmas[i])

@@ -287,18 +287,13 @@ def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> Iterator[
             yield f"a second solution, chi2 {higher:.2f} higher: {where}"
 
 
-def _describes(best: Optimum) -> bool:
-    """Whether readings, and priors, are where the model has them but for chance."""
-    p = p_value(best.chi2, best.statistic.likelihood.ndf)
-    return best.chi2 <= _LARGEST_PULL**2 if p is None else p >= ACCEPTABLE_P
-
-
 def _notes_of_disagreement(
     best: Optimum, p: float | None, rows: tuple[FittedRow, ...], prediction: Prediction
 ) -> Iterator[str]:
     """Whether the model describes the readings at all."""
     likelihood = best.statistic.likelihood
-    if not _describes(best):
+    # priors count as well as readings
+    if best.chi2 > _LARGEST_PULL**2 if p is None else p < ACCEPTABLE_P:
         pulls = [(row.label, row.pull) for row in rows if row.use]
         priors = zip(likelihood.names, likelihood.prior_pulls(best.theta), strict=True)
         pulls += [(f"the prior of {n}", pull) for n, pull in priors if abs(pull) > _LARGEST_PULL]
