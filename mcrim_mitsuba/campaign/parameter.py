@@ -29,7 +29,7 @@ from mcrim_mitsuba.campaign.entries import (
 )
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
-from mcrim_mitsuba.core.numbers import Value, unit_of, value_text
+from mcrim_mitsuba.core.numbers import Value, parse_number, unit_of, value_text
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.optics.fresnel import reflectance
@@ -252,8 +252,7 @@ def read_light_yield(
 class DetectorTerms:
     """What the efficiency of ``[light_yield]`` refers to, and what becomes of photoelectrons."""
 
-    #: Part of head-on light that the window reflects (Fresnel); 0 where the scene has no window of
-    #: one index.
+    #: Part of head-on light that the window reflects (Fresnel); 0 without a window of one index.
     window_reflectance: float
     #: Whether the efficiency was measured in air, head-on, so that it contains that reflection;
     #: else it is a part of the light inside the window.
@@ -329,14 +328,13 @@ def _window_index(document: TomlDocument, scene: SceneFile, measurements: Measur
     """Index before the detectors, as the campaign has it; 1 where that is no window, or several."""
     editor = SceneEditor(scene, {})
     try:
-        texts = {editor.index_before(detector) for detector in editor.detectors}
-        if any(editor.crystal in editor.before(detector) for detector in editor.detectors):
+        name, *others = {editor.index_before(detector) for detector in editor.detectors}
+        name = name.removeprefix("$")
+        on_crystal = any(editor.crystal in editor.before(each) for each in editor.detectors)
+        if others or on_crystal or name in measurements.columns:
             return 1.0
-    except InputError:  # there is air, or none at all
+        start = document.table(f"parameters.{name}").number("start")
+        value = scene.parameters.get(name, name) if start is None else start
+        return max(parse_number(name, str(value)), 1.0)
+    except InputError:  # there is air, or no detector; others say what is wrong with the scene
         return 1.0
-    name = texts.pop().removeprefix("$")
-    if texts or name in measurements.columns:
-        return 1.0
-    start = document.table(f"parameters.{name}").number("start")
-    value = scene.parameters.get(name, name) if start is None else start
-    return float(value)

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -141,39 +142,30 @@ def attenuation_length_mm(
 
     masses = {each: number * xraydb.atomic_mass(each) for each, number in amounts.items()}
 
-    def per_cm(kind: str, energy_eV: float = energy_keV * _EV_PER_KEV) -> float:
+    def per_cm(
+        kind: str, energy_eV: float = energy_keV * _EV_PER_KEV, elements: Iterable[str] = masses
+    ) -> float:
         per_element = (
-            mass * float(xraydb.mu_elam(each, energy_eV, kind=kind))
-            for each, mass in masses.items()
+            masses[each] * float(xraydb.mu_elam(each, energy_eV, kind=kind)) for each in elements
         )
         return density * sum(per_element) / sum(masses.values())
 
-    photoelectric, incoherent, coherent = (per_cm(kind) for kind in ("photo", "incoh", "coh"))
-    total = photoelectric + incoherent + coherent
+    parts = (per_cm(kind) for kind in ("photo", "incoh", "coh"))
+    found = AttenuationLength(formula, float(energy_keV), float(density), *parts)
     escaping = lost = 0.0
-    for each, mass in masses.items():
+    for each in masses:
         edge = xraydb.xray_edge(each, "K")
         if edge.energy >= energy_keV * _EV_PER_KEV:
             continue
-        photo = mass * float(xraydb.mu_elam(each, energy_keV * _EV_PER_KEV, kind="photo"))
-        of_shell = (1.0 - 1.0 / edge.jump_ratio) * edge.fyield
-        share = density * photo / sum(masses.values()) / total * of_shell
+        share = per_cm("photo", elements=(each,)) / found.per_cm
+        share *= (1.0 - 1.0 / edge.jump_ratio) * edge.fyield
         for line in xraydb.xray_lines(each, "K").values():
             # births exp(-t/d) below the face, half of the X-rays upwards, less what is absorbed on
             # the way: P. Axel, Rev. Sci. Instrum. 25 (1954) 391
-            absorbed = per_cm("total", line.energy) / total
+            absorbed = per_cm("total", line.energy) / found.per_cm
             out = share * line.intensity * 0.5 * (1.0 - absorbed * math.log1p(1.0 / absorbed))
             escaping, lost = escaping + out, lost + out * line.energy / _EV_PER_KEV
-    return AttenuationLength(
-        formula,
-        float(energy_keV),
-        float(density),
-        photoelectric,
-        incoherent,
-        coherent,
-        escaping,
-        lost / escaping if escaping else 0.0,
-    )
+    return replace(found, escaping=escaping, escaping_keV=lost / escaping if escaping else 0.0)
 
 
 def _amounts(formula: str) -> dict[str, float]:

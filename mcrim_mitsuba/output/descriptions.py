@@ -687,7 +687,7 @@ def _corrections(found: Budget) -> Iterator[Part]:
 def not_modelled() -> list[tuple[str, str, str]]:
     """Causes, what they do and how much: rows of a table that says what is left out altogether."""
     text = Path(__file__).with_name("not_modelled.toml").read_text(encoding="utf-8")
-    return [tuple(cause.values()) for cause in tomllib.loads(text)["cause"]]
+    return list(map(tuple, tomllib.loads(text)["causes"]))
 
 
 def _places(found: Budget) -> Iterator[Part]:

@@ -300,6 +300,11 @@ def test_a_detector_in_air_or_on_the_crystal_has_no_window(folder, scenes, befor
     assert len(found.notes) == 1  # of the collection
 
 
+def test_an_index_that_is_no_number_is_left_to_whoever_checks_the_scene(folder, scenes):
+    found = with_yield(scenes, folder, scene=lambda text: text.replace("$n_window", "glass"))
+    assert found.light_yield.detector.window_reflectance == 0.0
+
+
 def test_what_a_detector_collects_is_a_factor_with_an_error_of_its_own(folder, scenes):
     entries = INSIDE + "collection_efficiency = 0.9\ncollection_efficiency_sigma = 0.045\n"
     found = with_yield(scenes, folder, entries)
