@@ -120,8 +120,7 @@ def _draw_contributions(axes: Axes, name: str, known: ParameterEstimate) -> None
 def _bar(axes: Axes, place: int, kind: str, size: float, text: str, colour: str = "black") -> None:
     """A bar with what it stands for behind its end."""
     axes.barh(place, size, height=0.66, lw=1, **_STYLES[kind])
-    axes.annotate(text, (size, place), (4, 0), textcoords="offset points", va="center",
-                  fontsize=9.5, color=colour)  # fmt: skip
+    style.behind(axes, text, (size, place), color=colour)
 
 
 def _spelled_out(light: ParameterEstimate) -> str:

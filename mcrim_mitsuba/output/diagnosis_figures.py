@@ -205,10 +205,7 @@ def _draw_probabilities(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) ->
         if p is None:
             continue
         axes.barh(place, 100 * p, height=0.62, color=row.colour, edgecolor=style.DARK, lw=0.8)
-        axes.annotate(
-            probability(p), (100 * p, place), (4, 0), textcoords="offset points", va="center",
-            fontsize=9.5, weight=row.weight,
-        )  # fmt: skip
+        style.behind(axes, probability(p), (100 * p, place), weight=row.weight)
     axes.set_xlim(0, 135)
     axes.set_xticks([0, 50, 100])
     axes.set_xlabel("probability, %")
@@ -233,10 +230,7 @@ def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
             error_kw={"ecolor": style.WARM, "capsize": 3, "lw": 1.5},
         )  # fmt: skip
         if ends:
-            axes.annotate(
-                f"◂ {number(one.delta_chi2)}", (left, place), (4, 0), textcoords="offset points",
-                va="center", fontsize=9.5,
-            )  # fmt: skip
+            style.behind(axes, f"◂ {number(one.delta_chi2)}", (left, place))
     lowest = min(one.delta_chi2 - one.delta_chi2_sigma for _, _, one in tried)
     axes.set_xlim(max(left, 1.08 * min(lowest, 0.0)), right)
     axes.axvline(0, color=style.GREY, lw=0.9)

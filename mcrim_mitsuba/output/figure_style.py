@@ -100,6 +100,22 @@ def legend_of(
     figure.legend(handles=handles, ncols=ncols, **options | more)
 
 
+def behind(axes: Axes, text: str, end: tuple[float, float], **look: Any) -> None:
+    """A text behind the end of a bar."""
+    points: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 9.5}
+    axes.annotate(text, end, (4, 0), **points, **look)
+
+
+def within(axes: Axes, text: str, middle: tuple[float, float], **look: Any) -> None:
+    """A text in the middle of a part of a bar."""
+    axes.text(*middle, text, ha="center", va="center", fontsize=10, **look)
+
+
+def band(axes: Axes, x: np.ndarray, y: np.ndarray, sigma: np.ndarray, **look: Any) -> None:
+    """One standard error on either side of a curve."""
+    axes.fill_between(x, y - sigma, y + sigma, lw=0, **look)
+
+
 def said_alone(text: str) -> Figure:
     """What stands in place of a figure with nothing in it."""
     figure = canvas(6.0, 1.2)

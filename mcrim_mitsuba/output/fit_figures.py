@@ -44,6 +44,7 @@ _DASH, _APART = 0.32, 0.13
 _BESIDE = 0.24
 #: Width of a reading, height of a character of its name, and the widest figure: inches.
 _PER_READING, _PER_CHARACTER, _WIDEST = 0.46, 0.068, 26.0
+_OWN = ("label", "use", "measured", "sigma")
 _PREDICTED = ("model", "model_sigma", "pull")
 #: A name, a fit, how it looks, and how far beside the places of the readings it stands.
 _Series = tuple[str, Comparison | Calibration | FittedHypothesis, dict[str, Any], float]
@@ -86,7 +87,7 @@ def draw_comparison(
             tick.set(fontweight="bold", color=style.WARM if after is None else style.GREY)
     left_out = before.left_out_pulls if isinstance(before, Comparison) else {}
     mended = {row.label: row for row in after.rows} if after else {}
-    own, predicted = attrgetter("label", "use", "measured", "sigma"), attrgetter(*_PREDICTED)
+    own, predicted = attrgetter(*_OWN), attrgetter(*_PREDICTED)
     rows = [
         (
             *own(row), *predicted(row), left_out.get(row.label), suspects.get(row.label),
@@ -94,10 +95,8 @@ def draw_comparison(
         )
         for row in before.rows
     ]  # fmt: skip
-    columns = (
-        "label", "use", "measured", "sigma", *_PREDICTED, "left_out_pull", "suspect",
-        *(f"{name}_after" for name in _PREDICTED),
-    )  # fmt: skip
+    then_predicted = (f"{name}_after" for name in _PREDICTED)
+    columns = (*_OWN, *_PREDICTED, "left_out_pull", "suspect", *then_predicted)
     return style.Drawing(figure, columns, rows)
 
 
@@ -144,9 +143,9 @@ def draw_hypotheses(compared: SideBySide) -> style.Drawing:
     lower.set_ylabel("difference of predictions\n(standard errors)")
     style.open_axes(lower, "y")
     style.legend_above(lower, ncols=2, handlelength=1.8)
-    columns = ["label", "use", "measured", "sigma", "apart"]
-    columns += [f"{name}_{one.name}" for one in hypotheses for name in _PREDICTED]
-    own_of, predicted = attrgetter("label", "use", "measured", "sigma"), attrgetter(*_PREDICTED)
+    of_each = (f"{name}_{one.name}" for one in hypotheses for name in _PREDICTED)
+    columns = (*_OWN, "apart", *of_each)
+    own_of, predicted = attrgetter(*_OWN), attrgetter(*_PREDICTED)
     rows = [
         (
             *own_of(of_all[0]),

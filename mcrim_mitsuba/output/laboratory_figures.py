@@ -162,6 +162,7 @@ def _label(name: str, peak: Peak | None) -> str:
 #: Per spectrum, in turn: colour and line.
 _STYLES = ((style.WARM, "-"), (style.DARK, "--"), (style.LIGHT, "-"), (style.GREY, "-."))
 _EMISSION = "#e8c15a"
+_DASHED: dict[str, Any] = {"color": style.GREY, "lw": 1.4, "ls": (0, (5, 2)), "zorder": 3}
 #: Room over the highest curve, for the legend.
 _SPECTRUM_ROOM = 1.35
 #: Of its maximum: where an emission is seen to begin and end.
@@ -211,10 +212,7 @@ def draw_efficiency(
     sigmas = np.zeros_like(curve.values) if curve.sigmas is None else curve.sigmas
     band = 100 * np.hypot(sigmas, scale * curve.values)
     percent = 100 * curve.values
-    axes.fill_between(
-        curve.wavelength_nm, percent - band, percent + band, color=style.DARK, alpha=0.15, lw=0,
-        zorder=3,
-    )  # fmt: skip
+    style.band(axes, curve.wavelength_nm, percent, band, color=style.DARK, alpha=0.15, zorder=3)
     dots = "o" if np.count_nonzero(shown) <= 40 else ""
     axes.plot(
         curve.wavelength_nm, percent, color=style.DARK, lw=2, marker=dots, ms=4, zorder=4,
@@ -226,8 +224,7 @@ def draw_efficiency(
               label="emission × quantum efficiency")  # fmt: skip
     mean, sigma = 100 * found.value, 100 * found.sigma
     axes.axhspan(mean - sigma, mean + sigma, color=style.GREY, alpha=0.15, lw=0, zorder=2)
-    axes.axhline(mean, color=style.GREY, lw=1.4, ls=(0, (5, 2)), zorder=3,
-                 label=f"weighted mean {pdg(mean, sigma)} %")  # fmt: skip
+    axes.axhline(mean, label=f"weighted mean {pdg(mean, sigma)} %", **_DASHED)
     axes.set(xlabel="wavelength, nm", ylabel="quantum efficiency, %")
     style.open_axes(axes)
     style.legend(axes, loc="upper center", ncols=2)
@@ -282,20 +279,17 @@ def draw_absorption(
         above.plot(curve.wavelength_nm, percent, label=style.shortened(name, 28), **look)
         below.plot(curve.wavelength_nm, curve.values, **look)
         if curve.sigmas is not None:
-            below.fill_between(
-                curve.wavelength_nm, curve.values - curve.sigmas, curve.values + curve.sigmas,
-                color=colour, alpha=0.12, lw=0, zorder=3,
-            )  # fmt: skip
+            pale = {"color": colour, "alpha": 0.12, "zorder": 3}
+            style.band(below, curve.wavelength_nm, curve.values, curve.sigmas, **pale)
         seen_t += percent[inside].tolist()
         seen_alpha += curve.values[inside].tolist()
     fine = np.linspace(low, high, 200)
     limits = 100 * _limits(n, fine)
-    above.plot(fine, limits, color=style.GREY, lw=1.4, ls=(0, (5, 2)), zorder=3,
-               label="a sample that absorbs nothing")  # fmt: skip
+    above.plot(fine, limits, label="a sample that absorbs nothing", **_DASHED)
     alpha, sigma = found.alpha_abs_per_cm, found.sigma
     below.axhspan(alpha - sigma, alpha + sigma, color=style.GREY, alpha=0.18, lw=0, zorder=2)
-    below.axhline(alpha, color=style.GREY, lw=1.4, zorder=2,
-                  label=f"coefficient {pdg(alpha, sigma or None)} /cm")  # fmt: skip
+    label = f"coefficient {pdg(alpha, sigma or None)} /cm"
+    below.axhline(alpha, color=style.GREY, lw=1.4, zorder=2, label=label)
     _frame(above, [*seen_t, *limits.tolist()], low, high)
     _frame(below, [*seen_alpha, alpha - sigma, alpha + sigma, 0.0], low, high)
     if emission is not None:
@@ -402,8 +396,8 @@ def draw_widths(widths: Mapping[str, Sequence[WidthParts]]) -> style.Drawing:
             percent = 100.0 * (width.fwhm / one.total.fwhm) ** 2
             axes.barh(row, percent, 0.62, left, color=fill, edgecolor="#222222", lw=0.8)
             if percent >= _NARROW:
-                axes.text(left + percent / 2, row, f"{100.0 * width.fwhm:.2g} %", ha="center",
-                          va="center", color=text, fontsize=10)  # fmt: skip
+                words, middle = f"{100.0 * width.fwhm:.2g} %", left + percent / 2
+                style.within(axes, words, (middle, row), color=text)
             left += percent
         longest = max(longest, left)
     names = [

@@ -267,34 +267,34 @@ def draw_spectrum(found: EtaSpectrum) -> style.Drawing:
     figure = style.canvas(8.4, 6.4)
     above, below = figure.subplots(2, 1, sharex=True)
     eta, sigma = 100.0 * found.eta, 100.0 * found.eta_sigma
-    above.fill_between(at, eta - sigma, eta + sigma, color=style.DARK, alpha=0.25, lw=0)
+    style.band(above, at, eta, sigma, color=style.DARK, alpha=0.25)
     above.plot(at, eta, color=style.DARK, lw=1.8, label="by wavelength")
     mean = 100.0 * (found.eta_detected if light.detected else found.eta_emitted)
     words = "detected" if light.detected else "emitted"
-    above.axhline(mean, color=style.WARM, lw=1.4, ls=_LINES[1],
-                  label=f"mean of the {words} light: {mean:.4g} %")  # fmt: skip
+    label = f"mean of the {words} light: {mean:.4g} %"
+    above.axhline(mean, color=style.WARM, lw=1.4, ls=_LINES[1], label=label)
     above.axvline(light.mean_nm, **_LIMIT)
-    above.plot([light.mean_nm], [100.0 * found.eta_at_mean], "o", ms=6, color=style.DARK,
-               label=f"at {light.mean_nm:.0f} nm, the mean")  # fmt: skip
+    there = [light.mean_nm], [100.0 * found.eta_at_mean]
+    label = f"at {light.mean_nm:.0f} nm, the mean"
+    above.plot(*there, "o", ms=6, color=style.DARK, label=label)
     above.set(ylabel="η (%)")
-    below.plot(at, light.emission / light.emission.max(), color=style.DARK, lw=1.8,
-               label="emitted")  # fmt: skip
-    below.plot(at, found.detected_part / found.detected_part.max(), color=style.WARM, lw=1.8,
-               ls=_LINES[1], label="detected")  # fmt: skip
+    emitted, detected = (v / v.max() for v in (light.emission, found.detected_part))
+    below.plot(at, emitted, color=style.DARK, lw=1.8, label="emitted")
+    below.plot(at, detected, color=style.WARM, lw=1.8, ls=_LINES[1], label="detected")
     if light.detected:
-        below.plot(at, light.efficiency, color=style.GREY, lw=1.4, ls=_LINES[2],
-                   label="the detector's efficiency")  # fmt: skip
+        look: dict[str, Any] = {"color": style.GREY, "lw": 1.4, "ls": _LINES[2]}
+        below.plot(at, light.efficiency, label="the detector's efficiency", **look)
     below.axvline(light.mean_nm, **_LIMIT)
-    below.set(xlabel="wavelength (nm)", ylabel="light over its maximum", ylim=(0, None),
-              xlim=(at[0], at[-1]))  # fmt: skip
+    below.set(xlabel="wavelength (nm)", ylabel="light over its maximum")
+    below.set(ylim=(0, None), xlim=(at[0], at[-1]))
     for axes in (above, below):
         style.open_axes(axes)
         style.legend_above(axes, ncols=3, handlelength=2.6)
-    names = ("wavelength_nm", "eta", "eta_sigma", "emission", "efficiency", "detected_part")
-    columns = [at, found.eta, found.eta_sigma, light.emission, light.efficiency,
-               found.detected_part, *light.parameters.values()]  # fmt: skip
-    rows = [tuple(map(float, row)) for row in zip(*columns, strict=True)]
-    return style.Drawing(figure, (*names, *light.parameters), rows)
+    columns = {"wavelength_nm": at, "eta": found.eta, "eta_sigma": found.eta_sigma}
+    columns |= {"emission": light.emission, "efficiency": light.efficiency}
+    columns |= {"detected_part": found.detected_part, **light.parameters}
+    rows = [tuple(map(float, row)) for row in zip(*columns.values(), strict=True)]
+    return style.Drawing(figure, tuple(columns), rows)
 
 
 # Arrival times: the histogram of detected light, and an event's first photons.
@@ -410,10 +410,7 @@ def _draw_bar(axes: Axes, row: int, light: Light, shown: Sequence[str]) -> None:
         left += percent
         if percent >= _INSIDE:
             box = {"boxstyle": "round,pad=0.15", "fc": style.fate_style(fate).fill, "ec": "none"}
-            axes.text(
-                middle, row, text, ha="center", va="center", fontsize=10,
-                color=style.fate_style(fate).text, bbox=box,
-            )  # fmt: skip
+            style.within(axes, text, (middle, row), color=style.fate_style(fate).text, bbox=box)
         elif percent >= _LEAST:
             narrow.append((middle, text))
     top = row - _HEIGHT / 2
