@@ -32,28 +32,10 @@ from mcrim_mitsuba.efficiency.response_maker import configurations
 from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow, ParameterEstimate
+from mcrim_mitsuba.output import findings
 from mcrim_mitsuba.output.described import Table
 from mcrim_mitsuba.output.descriptions import limits_table
 from mcrim_mitsuba.output.figure_style import shortened, units_of_signals
-from mcrim_mitsuba.output.findings import (
-    NO_EFFECTS,
-    averaged_yield,
-    bought,
-    errors_apart,
-    estimate_text,
-    gain_text,
-    headline,
-    in_words,
-    leading_candidates,
-    looks,
-    plausibility,
-    set_aside_text,
-    signal_text,
-    size_text,
-    suspicion,
-    title_of,
-    together,
-)
 
 #: Candidates that are shown.
 _MOST_CANDIDATES = 8
@@ -169,7 +151,7 @@ def _falling(step: FitStep) -> dict[str, Any]:
 def step_name(step: FitStep) -> str:
     """``with air bubble in the gap, without air``; of the campaign's own fit ``as it came``."""
     titles = [step.campaign.catalogue[name].title for name in step.settings.effects]
-    parts = [f"with {together(titles)}"] if titles else []
+    parts = [f"with {findings.together(titles)}"] if titles else []
     return ", ".join([*parts, step.words] if step.words else parts) or "as it came"
 
 
@@ -187,7 +169,7 @@ def predictions(session: Session, settings: Settings) -> dict[str, Any]:
     pending = ""
     if shown and shown.pending:
         titles = [session.bench.effects[name][0].title for name in shown.pending]
-        pending = f"These numbers are without {together(titles)}: not simulated yet."
+        pending = f"These numbers are without {findings.together(titles)}: not simulated yet."
     texts = {**_merit_texts(shown, session), "pending": pending}
     return plain({
         "settings_number": session.settings_number, "texts": texts,
@@ -239,7 +221,7 @@ def _readings_cells(readings: Sequence[Reading], shown: Shown | None) -> list[li
     if shown is None:
         return [["…", "…", "…"] for _ in readings]
     return [
-        [signal_text(row.of_beam, row.model, row.model_sigma), f"{row.pull:+.2f}",
+        [findings.signal_text(row.of_beam, row.model, row.model_sigma), f"{row.pull:+.2f}",
          "" if row.of_beam else pdg(row.eta, row.eta_sigma)]
         for row in shown.rows
     ]  # fmt: skip
@@ -279,7 +261,7 @@ def reading(session: Session, place: int) -> str:
     return _TEMPLATES.get_template("reading.html").render(
         reading=one, picture=bench_picture(one, values),
         words=bench_words(one, values, measurements.columns),
-        measured=signal_text(one.of_beam, one.signal, one.sigma),
+        measured=findings.signal_text(one.of_beam, one.signal, one.sigma),
     )  # fmt: skip
 
 
@@ -291,16 +273,16 @@ def _diagnosis_panel(found: Diagnosed | None) -> str:
     context: dict[str, Any] = {"found": None}
     if found is not None:
         diagnosis = found.diagnosis
-        leading = leading_candidates(diagnosis)
+        leading = findings.leading_candidates(diagnosis)
         context = {
-            "found": diagnosis, "averaged": averaged_yield(diagnosis),
-            "headline": headline(diagnosis), "leading": bool(leading),
-            "suspicions": [suspicion(one) for one in diagnosis.suspect_readings],
+            "found": diagnosis, "averaged": findings.averaged_yield(diagnosis),
+            "headline": findings.headline(diagnosis), "leading": bool(leading),
+            "suspicions": [findings.suspicion(one) for one in diagnosis.suspect_readings],
             "titles": ("probability", "size", "plausible?", "fall of χ²", "p of the fit"),
             "candidates": _ranked(diagnosis, leading) if diagnosis.candidates else (),
-            "set_aside": set_aside_text(diagnosis), "looks": looks(diagnosis),
+            "set_aside": findings.set_aside_text(diagnosis), "looks": findings.looks(diagnosis),
             "limits": _cells(limits_table(diagnosis).seen) if diagnosis.upper_limits else None,
-            "next": [(m.words, *bought(m)) for m in diagnosis.next_measurements],
+            "next": [(m.words, *findings.bought(m)) for m in diagnosis.next_measurements],
         }  # fmt: skip
     return _TEMPLATES.get_template("diagnosis.html").render(context)
 
@@ -311,13 +293,16 @@ def _ranked(diagnosis: Diagnosis, leading: Sequence[Candidate]) -> list[dict[str
     rows: list[dict[str, Any]] = [
         {
             "effects": one.effects, "effect": one.effect,
-            "title": in_words(diagnosis, one.effects),
+            "title": findings.in_words(diagnosis, one.effects),
             "first": bool(leading) and number == 0,
-            "cells": (size_text(one, ", "), plausibility(one), gain_text(one), p_text(one.p_value)),
+            "cells": (
+                findings.size_text(one, ", "), findings.plausibility(one),
+                findings.gain_text(one), p_text(one.p_value),
+            ),
         }
         for number, one in enumerate(ranked.values())
     ]  # fmt: skip
-    for name, words in NO_EFFECTS.items():
+    for name, words in findings.NO_EFFECTS.items():
         if name in diagnosis.probabilities:
             rows.append({"effects": (), "effect": name, "title": words, "cells": ("",) * 4})
     for row in rows:
@@ -341,7 +326,7 @@ def _fits_panel(session: Session) -> str:
     return _TEMPLATES.get_template("fits.html").render(
         steps=[_listed(session, step) for step in now.steps], compared=beside.number,
         last=_listed(session, last), parameters=_parameters(last.calibration.parameters),
-        held=[f"{title_of(n)} = {v:.4g}" for n, v in fixed],
+        held=[f"{findings.title_of(n)} = {v:.4g}" for n, v in fixed],
         notes=last.calibration.notes,
         beside=None if beside is last else _side_by_side(session, beside, last),
     )  # fmt: skip
@@ -355,25 +340,25 @@ def _listed(session: Session, step: FitStep) -> dict[str, Any]:
     return {
         "number": step.number, "name": step_name(step), "chi2": _chi2_text(fit.chi2),
         "ndf": fit.ndf, "p": p_text(fit.p_value), "chance": p_equals(fit.p_value),
-        "light": "held" if light is None else estimate_text(light),
+        "light": "held" if light is None else findings.estimate_text(light),
         "light_title": _light_title(session),
     }  # fmt: skip
 
 
 def _titled(name: str) -> str:
     """A parameter in words, and its name in small print where that is another."""
-    title = title_of(name)
+    title = findings.title_of(name)
     return title if title == name else Markup("{} <small>{}</small>").format(title, name)
 
 
-def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[tuple[str, str, str, str]]:
+def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[tuple[str, ...]]:
     """What it is, value with the whole error, what repeating lowers of it, and the rest."""
     found = []
     for name, known in parameters.items():
-        apart = ("", "")
+        apart: tuple[str, ...] = ("", "")
         if known.at_bound is None and known.contributions:
-            apart = tuple(number(part, 2) for part in errors_apart(known))  # type: ignore[assignment]
-        found.append((_titled(name), estimate_text(known), *apart))
+            apart = tuple(number(part, 2) for part in findings.errors_apart(known))
+        found.append((_titled(name), findings.estimate_text(known), *apart))
     return found
 
 
@@ -381,17 +366,14 @@ def _side_by_side(session: Session, first: FitStep, second: FitStep) -> dict[str
     """Two fits, row by row."""
     both = (first.calibration, second.calibration)
     listed = [_listed(session, step) for step in (first, second)]
-    rows = [
-        ("χ²", *(one["chi2"] for one in listed)),
-        ("degrees of freedom", *(one["ndf"] for one in listed)),
-        ("p", *(one["p"] for one in listed)),
-    ]
+    merits = {"χ²": "chi2", "degrees of freedom": "ndf", "p": "p"}
+    rows = [(title, *(one[merit] for one in listed)) for title, merit in merits.items()]
     for name in dict.fromkeys(n for fit in both for n in (*fit.parameters, *fit.fixed)):
         cells = []
         for fit in both:
             known = fit.parameters.get(name)
             held = f"{fit.fixed[name]:.4g}, {HELD}" if name in fit.fixed else "-"
-            cells.append(held if known is None else estimate_text(known))
+            cells.append(held if known is None else findings.estimate_text(known))
         rows.append((_titled(name), *cells))
     by_label = [{row.label: f"{row.pull:+.2f}" for row in fit.rows} for fit in both]
     labels = dict.fromkeys(label for each in by_label for label in each)

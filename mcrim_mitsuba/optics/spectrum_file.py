@@ -267,18 +267,14 @@ def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
         problem = f"only {counted(axis.rows.size, 'point')}"
         raise InputError(problem, f"a spectrum has {_FEWEST_POINTS} at least", path=table.path)
     sigmas = None if sigma is None else _sigmas(table, value, sigma, kind)
-    if kind == "emission":
-        values, notes = _emission(table, places, value, sigmas, axis)
-        photons = photons_over_emission(table, value, axis.wavelength_nm)
-        if np.ndim(photons):
-            notes = (*notes, f"{table.path.name}: power was converted to numbers of photons")
-        values = values * photons
-        sigmas = None if sigmas is None else sigmas[axis.rows] * axis.per_nm * photons
-    else:
-        scale = _scale(table, value, kind)
-        values, notes = scale * table.values[axis.rows, value], ()
-        sigmas = None if sigmas is None else scale * sigmas[axis.rows]
-    return Spectrum(axis.wavelength_nm, values, sigmas, str(table.path), (*axis.notes, *notes))
+    scale, notes = (
+        _emission(table, places, value, sigmas, axis)
+        if kind == "emission"
+        else (_scale(table, value, kind), axis.notes)
+    )
+    values = table.values[axis.rows, value] * scale
+    sigmas = None if sigmas is None else sigmas[axis.rows] * scale
+    return Spectrum(axis.wavelength_nm, values, sigmas, str(table.path), notes)
 
 
 def _columns(table: DataTable) -> tuple[int, int, int | None]:
@@ -372,7 +368,7 @@ def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> A
 def _emission(
     table: DataTable, places: int, value: int, sigmas: Array | None, axis: _WavelengthAxis
 ) -> tuple[Array, tuple[str, ...]]:
-    """(points,) intensities per nm, and notes."""
+    """(points,) what makes photons per nm of the intensities, which it checks; and all notes."""
     given = table.values[:, value]
     highest = float(given.max())
     if not highest > 0:
@@ -390,11 +386,14 @@ def _emission(
             f"{highest:g}",
             "subtract the right background, or cut the spectrum there",
         )  # fmt: skip
-    unit, values = table.units[places], given[axis.rows] * axis.per_nm
-    if unit not in _RECIPROCAL:
-        return values, ()
-    converted = f"intensities are taken per {unit} and were converted to intensities per nm"
-    return values, (f"{table.path.name}: {converted}",)
+    unit, notes, file = table.units[places], list(axis.notes), table.path.name
+    if unit in _RECIPROCAL:
+        converted = f"intensities are taken per {unit} and were converted to intensities per nm"
+        notes.append(f"{file}: {converted}")
+    photons = photons_over_emission(table, value, axis.wavelength_nm)
+    if np.ndim(photons):
+        notes.append(f"{file}: power was converted to numbers of photons")
+    return axis.per_nm * photons, tuple(notes)
 
 
 def photons_over_emission(table: DataTable, value: int, wavelength_nm: Array) -> Array | float:

@@ -135,6 +135,12 @@ class Described:
     notes: tuple[str, ...] = ()
 
     @property
+    def whole(self) -> tuple[Part, ...]:
+        """Its parts, and below them what it rests on and its notes."""
+        told = (self.spent, *(f"note: {note}" for note in self.notes))
+        return (*self.parts, *(Sentence(line) for line in told if line))
+
+    @property
     def tables(self) -> dict[str, Table]:
         """By title."""
         return {part.title: part for part in self.parts if isinstance(part, Table)}
@@ -286,9 +292,7 @@ def text(described: Described, width: int = UNLIMITED) -> str:
     stream = io.StringIO()
     # in a notebook rich would show each part by itself, and leave the text empty
     console = Console(file=stream, width=width, highlight=False, force_jupyter=False)
-    said = (described.spent, *(f"note: {note}" for note in described.notes))
-    parts = (*described.parts, *(Sentence(line) for line in said if line))
-    for part in renderables(parts, width):
+    for part in renderables(described.whole, width):
         console.print(part, soft_wrap=isinstance(part, Text))
     return "\n".join(line.rstrip() for line in stream.getvalue().rstrip("\n").split("\n"))
 
@@ -298,18 +302,12 @@ def text(described: Described, width: int = UNLIMITED) -> str:
 
 def html(described: Described) -> Markup:
     """The whole as a piece of a page; all texts are shown as they are."""
-    parts = [_html_table(p) if isinstance(p, Table) else _html_line(p) for p in described.parts]
-    spent = [_line(described.spent)] if described.spent else []
-    notes = [_line(f"note: {note}") for note in described.notes]
-    return Markup("<div>{}</div>").format(Markup("\n").join([*parts, *spent, *notes]))
+    parts = (_html_table(p) if isinstance(p, Table) else _html_line(p) for p in described.whole)
+    return Markup("<div>{}</div>").format(Markup("\n").join(parts))
 
 
-def _html_line(sentence: Sentence) -> Markup:
-    return _line(sentence.text, sentence.strong)
-
-
-def _line(content: str, strong: bool = False) -> Markup:
-    inner = Markup("<strong>{}</strong>" if strong else "{}").format(visible(content))
+def _html_line(line: Sentence) -> Markup:
+    inner = Markup("<strong>{}</strong>" if line.strong else "{}").format(visible(line.text))
     return Markup("<p>{}</p>").format(inner)
 
 

@@ -83,7 +83,7 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         errors.append((titled, *(shown(contributions.get(origin), ".2g") for origin in _ORIGINS)))
     origins = ("parameter", *(name.replace("_", " ") for name in _ORIGINS))
     parts: list[Part] = [
-        *([] if light is None else [Sentence(_light_yield(fit, light), strong=True)]),
+        *_strong("" if light is None else _light_yield(fit, light)),
         table(
             "parameters",
             (
@@ -95,7 +95,7 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         *_shapes(result.profiles),
         table("where the errors come from", origins, errors),
         *([Sentence(of_detector)] if by_detector else []),
-        *_next(findings.next_for_fit(fit, result.model.campaign.priors)),
+        *_strong(findings.next_for_fit(fit, result.model.campaign.priors)),
         table(
             "readings",
             ("reading", "measured", "model", "pull", Column("eta (simulation's error)", "eta")),
@@ -133,9 +133,9 @@ def _light_yield(fit: Calibration, light: ParameterEstimate) -> str:
     return f"Light yield: {findings.estimate_text(light)} ph/keV{doubt}"
 
 
-def _next(what: str) -> list[Sentence]:
-    """What to measure next; nothing where nothing is said."""
-    return [Sentence(what, strong=True)] if what else []
+def _strong(text: str) -> list[Sentence]:
+    """What is to be looked at first; nothing where nothing is said."""
+    return [Sentence(text, strong=True)] if text else []
 
 
 def _shapes(profiles: Iterable[Profile]) -> list[Sentence]:
@@ -319,14 +319,14 @@ def of_diagnosis(found: Diagnosed) -> Described:
         for one in diagnosis.next_measurements
     )  # fmt: skip
     parts: list[Part] = [
-        *_averaged(diagnosis),
+        *_strong(findings.averaged_yield(diagnosis)),
         Sentence(findings.headline(diagnosis), strong=True),
         Sentence(f"Without any effect {findings.quality(diagnosis.baseline)}."),
         *_suspects(diagnosis.suspect_readings),
         *_explanations(diagnosis),
-        *_set_aside(diagnosis),
+        *_strong(findings.set_aside_text(diagnosis)),
         *(_brief(limits_table(diagnosis), diagnosis) if diagnosis.upper_limits else ()),
-        *_next(_beside_the_table(diagnosis, findings.next_for_average(diagnosis))),
+        *_strong(_beside_the_table(diagnosis, findings.next_for_average(diagnosis))),
         *([table("what to measure next", columns, rows)] if diagnosis.next_measurements else []),
         *(Sentence(f"not tried: {one}") for one in findings.not_tried(diagnosis)),
     ]
@@ -338,17 +338,6 @@ def _beside_the_table(diagnosis: Diagnosis, what: str) -> str:
     if not diagnosis.next_measurements:
         return what
     return re.sub("^What to (measure|simulate) next:", "Largest part of the error:", what)
-
-
-def _averaged(diagnosis: Diagnosis) -> list[Sentence]:
-    """The light yield over all models; nothing where there is none."""
-    text = findings.averaged_yield(diagnosis)
-    return [Sentence(text, strong=True)] if text else []
-
-
-def _set_aside(diagnosis: Diagnosis) -> list[Sentence]:
-    text = findings.set_aside_text(diagnosis)
-    return [Sentence(text, strong=True)] if text else []
 
 
 _ID = Column("id", "effect", left=True, small=True)
@@ -457,12 +446,12 @@ def of_repair(found: Repaired, *, with_steps: bool = True) -> Described:
     """The steps, the verdict, and the fit with all effects simulated together."""
     diagnosis, fit = found.diagnosed.diagnosis, found.calibration
     parts: list[Part] = [
-        *_averaged(diagnosis),
+        *_strong(findings.averaged_yield(diagnosis)),
         *([steps_table(diagnosis.repair)] if with_steps else []),
         Sentence(findings.headline(diagnosis), strong=True),
         *_suspects(diagnosis.suspect_readings),
+        *_strong(findings.set_aside_text(diagnosis)),
     ]
-    parts += _set_aside(diagnosis)
     if found.undetermined:
         last = findings.in_words(diagnosis, diagnosis.repair[-1].effects)
         text = f"With {last}, {found.undetermined}: diagnose says what to measure next."
@@ -473,10 +462,9 @@ def of_repair(found: Repaired, *, with_steps: bool = True) -> Described:
         parts += [Sentence(together + quality), *_parameters(fit.parameters)]
         parts += _shapes(profiles_of(found.model, fit))
         if findings.fails(fit):
-            still = "The mended campaign still does not describe its readings."
-            parts.append(Sentence(still, strong=True))
+            parts += _strong("The mended campaign still does not describe its readings.")
     else:
-        parts.append(Sentence("Nothing was added, and no file written.", strong=True))
+        parts += _strong("Nothing was added, and no file written.")
     return _described("a campaign, mended", parts, fit, found.provenance)
 
 
@@ -549,10 +537,10 @@ def of_budget(found: Budget) -> Described:
     origins: list[Part] = [contributions_table(title, budgets)] if budgets else []
     if not budgets and found.main:
         # a standard error knows nothing of the bound
-        origins.append(Sentence("A parameter ended at its bound: no budget.", strong=True))
+        origins += _strong("A parameter ended at its bound: no budget.")
     main = next((name for name in (LIGHT_YIELD, SCALE) if name in budgets), None)
     if main is not None:
-        origins += _next(findings.what_next(budgets[main], findings.called(main)))
+        origins += _strong(findings.what_next(budgets[main], findings.called(main)))
     columns = (Column(name, left=True) for name in ("cause", "what it does", "how much"))
     parts: list[Part] = [
         *origins,

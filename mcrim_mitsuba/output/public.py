@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -217,11 +218,12 @@ def _parts(found: Any) -> Iterator[Any]:
 def _answer(
     result: str, found: Any, pictures: Mapping[str, Callable[[], Any]] | None = None, **told: Any
 ) -> Answer:
-    """Of a result on campaigns: their sentences are imported when they are needed."""
-    from mcrim_mitsuba.output import descriptions
-
+    """Of a result; the sentences on campaigns are imported when they are needed."""
+    words: ModuleType = scene_descriptions
+    if not hasattr(words, f"of_{result}"):
+        words = importlib.import_module("mcrim_mitsuba.output.descriptions")
     described, document = (
-        getattr(module, f"of_{result}")(found, **told) for module in (descriptions, documents)
+        getattr(module, f"of_{result}")(found, **told) for module in (words, documents)
     )
     return Answer(found, described, document, pictures)
 
@@ -334,18 +336,13 @@ def simulate(
     file = _with_parameters(scene, parameters)
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
     if method == "modes":
-        found = _noted(solve_simulation(simulation, run), file)
-        return Answer(
-            found, scene_descriptions.of_simulation(found), documents.of_simulation(found)
-        )
+        return _answer("simulation", _noted(solve_simulation(simulation, run), file))
     found = _noted(collect(simulation, run=run), file)
-
     light = _Followed(simulation, found, run)
-    return Answer(
-        found, scene_descriptions.of_simulation(found), documents.of_simulation(found),
-        {"arrival": partial(light.draw, "light_figures.draw_arrival"),
-         "fates": partial(light.draw, "light_figures.draw_fates")},
-    )  # fmt: skip
+    pictures = {
+        name: partial(light.draw, f"light_figures.draw_{name}") for name in ("arrival", "fates")
+    }
+    return _answer("simulation", found, pictures)
 
 
 class _Followed:
@@ -425,10 +422,8 @@ def eta_map(
     simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
     found = map_eta(simulation, CELLS if cells is None else cells, run=run)
     spreads = all_spreads(found, depth_mm, deposits)
-    return Answer(
-        found, scene_descriptions.of_map(found, spreads), documents.of_map(found, spreads),
-        {"map": partial(_drawn, "light_figures.draw_map", found, spreads)},
-    )  # fmt: skip
+    pictures = {"map": partial(_drawn, "light_figures.draw_map", found, spreads)}
+    return _answer("map", found, pictures, spreads=spreads)
 
 
 def eta_spectrum(
@@ -473,10 +468,8 @@ def eta_spectrum(
     light = read_light(spectrum, file, quantum_efficiency)
     solver = solve_benches if method == "modes" else None
     found = eta_over(file, light, solver=solver, run=run)
-    return Answer(
-        found, scene_descriptions.of_spectrum(found), documents.of_spectrum(found),
-        {"spectrum": partial(_drawn, "light_figures.draw_spectrum", found)},
-    )  # fmt: skip
+    pictures = {"spectrum": partial(_drawn, "light_figures.draw_spectrum", found)}
+    return _answer("spectrum", found, pictures)
 
 
 def arrival_times(
@@ -524,10 +517,7 @@ def arrival_times(
     found = follow_times(
         simulation, group_index=group_index, decay_ns=decay_ns, detected=detected, run=run
     )
-    return Answer(
-        found, scene_descriptions.of_times(found), documents.of_times(found),
-        {"times": partial(_drawn, "light_figures.draw_times", found)},
-    )  # fmt: skip
+    return _answer("times", found, {"times": partial(_drawn, "light_figures.draw_times", found)})
 
 
 #: Photons of figures, at most: more would not be seen.
@@ -577,11 +567,8 @@ def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **gi
     tabulated = noise_free_table if method == "modes" else eta_table
     made = _noted(tabulated(file, axes, run=run), file)
     seconds = time.perf_counter() - start
-    return Answer(
-        made, scene_descriptions.of_table(made, seconds=seconds),
-        documents.of_table(made, seconds=seconds),
-        {"eta": partial(_drawn, "light_figures.draw_table", made)},
-    )  # fmt: skip
+    pictures = {"eta": partial(_drawn, "light_figures.draw_table", made)}
+    return _answer("table", made, pictures, seconds=seconds)
 
 
 def check(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
@@ -604,12 +591,8 @@ def check(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
 
     run, parameters = _split(run, given)
     found = check_scene(scene, parameters, variant=run.variant, threads=run.threads)
-
     section = partial(_cross_section, scene, parameters, run, found.interfaces)
-    return Answer(
-        found, scene_descriptions.of_check(found), documents.of_check(found),
-        {"cross_section": section} if found.ok else {},
-    )  # fmt: skip
+    return _answer("check", found, {"cross_section": section} if found.ok else {})
 
 
 def _cross_section(

@@ -286,10 +286,7 @@ class SceneEditor:
                 raise self.refusal(problem, "only faces of plain polish can be changed", face)
             found[inner] = None
         for shape in self.shapes:
-            worn = set(self.targets(shape, "bsdf"))
-            for bsdf in list(worn):
-                worn |= set(self.targets(bsdf, "bsdf"))
-            for bsdf in worn & set(found):
+            for bsdf in set(self._worn_by(shape)) & set(found):
                 if shape not in self.crystal_faces:
                     raise self.refusal(
                         f"{bsdf.label} is worn by {shape.label} too, which is no face of the "
