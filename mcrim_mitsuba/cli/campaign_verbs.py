@@ -279,9 +279,7 @@ def report(campaign, path, json_file, work) -> None:
     "map_file",
     metavar="FILE.nc",
 )
-@click.option("--depth", "depth_mm", type=options.Number(1e-6), metavar="MM",
-              help="1/e depth of gammas that stop near a face, for --map (default: the material's, "
-              "else 1).")  # fmt: skip
+@options.depth(1e-6, " (default: the material's, else 1).")
 @options.deposits
 @options.figure("the budget, with what the model leaves out")
 @options.photons("5e5 of each simulation with another index, fewer for many configurations",

@@ -236,6 +236,15 @@ deposits = file(
     "Where gammas stop, for --map: x_mm, y_mm, z_mm, energy_keV, a deposit a row.",
     metavar="FILE.csv",
 )
+
+
+def depth(least: float, end: str = ".", **further: Any):
+    """``--depth``, `least` mm or more; `end` of its help, `further` what else click takes."""
+    words = f"1/e depth of gammas that stop near a face, for --map{end}"
+    of_mm: dict[str, Any] = {"type": Number(least), "metavar": "MM", "help": words}
+    return click.option("--depth", "depth_mm", **of_mm, **further)
+
+
 seed = click.option(
     "--seed", type=Whole(0, LARGEST_SEED), default=0, show_default=True,
     help="Seed of the random numbers: the same seed gives the same result.",

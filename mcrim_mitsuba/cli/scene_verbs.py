@@ -110,9 +110,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
     "map_file",
     metavar="FILE.nc",
 )
-@click.option("--depth", "depth_mm", type=options.Number(), default="1", show_default=True,
-              metavar="MM", help="1/e depth of gammas that stop near a face, for --map.",
-              )  # fmt: skip
+@options.depth(-math.inf, default="1", show_default=True)
 @options.deposits
 @options.file(
     "--spectrum",

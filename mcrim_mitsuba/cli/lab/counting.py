@@ -55,9 +55,7 @@ class _Window(options.Written):
     "map_file",
     metavar="FILE.nc",
 )
-@click.option("--depth", "depth_mm", type=options.Number(1e-6), default="1", show_default=True,
-              metavar="MM", help="1/e depth of gammas that stop near a face, for --map.",
-              )  # fmt: skip
+@options.depth(1e-6, default="1", show_default=True)
 @options.deposits
 @options.figure("the histograms with their fits")
 @options.json_output
