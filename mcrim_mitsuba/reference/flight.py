@@ -36,7 +36,6 @@ from mcrim_mitsuba.reference.interface import (
     isotropic,
     lambertian,
     random_polarisation,
-    scatter_by_haze,
 )
 
 
@@ -533,32 +532,26 @@ class Flights:
         """Reflect or refract at faces, of which those of the crystal may be rough or hazy."""
         rng, layout, bench = self._rng, self._layout, self._bench
         n_in, n_out = layout.index[region], layout.index.take(ahead)
-        cos_in = dot(direction, normal) if bench.rms_roughness_nm else None
+        heights = np.zeros(ahead.size)
+        if bench.rms_roughness_nm:
+            crystal = layout.of_crystal(body, ahead)
+            heights[crystal] = bench.rms_roughness_nm / bench.wavelength_nm
         roughness = layout.roughness(body, face, ahead) if layout.is_rough else None
         if roughness is None or not roughness.any():
-            direction, transmitted, field = cross(rng, direction, normal, n_in, n_out, field)
-        else:
-            transmitted = np.empty(ahead.size, dtype=bool)
-            for rough in (True, False):
-                some = np.flatnonzero((roughness > 0.0) == rough)
-                arguments = direction[:, some], normal[:, some], n_in, n_out[some]
-                states = None if field is None else field[:, some]
-                direction[:, some], transmitted[some], states = (
-                    cross_rough(rng, *arguments, roughness[some], states, beckmann=bench.beckmann)
-                    if rough
-                    else cross(rng, *arguments, states)
-                )
-                if field is not None:
-                    field[:, some] = states
-        if cos_in is not None:
-            crystal = np.flatnonzero(layout.of_crystal(body, ahead))
-            who, scattered = scatter_by_haze(
-                rng, normal[:, crystal], cos_in[crystal], n_in, n_out[crystal],
-                transmitted[crystal], bench.rms_roughness_nm / bench.wavelength_nm,
-            )  # fmt: skip
-            direction[:, crystal[who]] = scattered
+            return cross(rng, direction, normal, n_in, n_out, field, heights)
+        transmitted = np.empty(ahead.size, dtype=bool)
+        for rough in (True, False):
+            some = np.flatnonzero((roughness > 0.0) == rough)
+            arguments = direction[:, some], normal[:, some], n_in, n_out[some]
+            states = None if field is None else field[:, some]
+            options = states, heights[some]
+            direction[:, some], transmitted[some], states = (
+                cross_rough(rng, *arguments, roughness[some], *options, beckmann=bench.beckmann)
+                if rough
+                else cross(rng, *arguments, *options)
+            )
             if field is not None:
-                field[:, crystal[who]] = random_polarisation(rng, scattered)
+                field[:, some] = states
         return direction, transmitted, field
 
     def _arrive(self, flock: Flock, who: Indices) -> None:

@@ -128,7 +128,7 @@ differ by its square."""
 
 def cross(
     rng: np.random.Generator, direction: Floats, normal: Floats, n_in: _Number, n_out: Floats,
-    field: Complexes | None = None,
+    field: Complexes | None = None, rms_per_wavelength: _Number = 0.0,
 ) -> tuple[Floats, Flags, Complexes | None]:  # fmt: skip
     """Send photons through an interface, each as one whole quantum.
 
@@ -144,6 +144,8 @@ def cross(
         Index of the medium behind the interface.
     field : (3, n) complex128, optional
         Polarisation states; without them the photons are taken as unpolarised.
+    rms_per_wavelength : float, or (n,) float64
+        Of heights that scatter by `scatter_by_haze`, which leaves no polarisation.
 
     Returns
     -------
@@ -171,13 +173,19 @@ def cross(
         tangential = direction[:, through] - cos_in[through] * ahead
         refracted = (n_in / n_out)[through] * tangential + cos_out[through] * ahead
         outgoing[:, through] = refracted / np.sqrt(dot(refracted, refracted))
-    if field is None:
-        return outgoing, transmitted, None
-
-    out_s = np.where(transmitted, coefficients.transmitted_s * field_s, reflected_s)
-    out_p = np.where(transmitted, coefficients.transmitted_p * field_p, reflected_p)
-    out = out_s * s + out_p * _cross_product(s, outgoing)
-    return outgoing, transmitted, out / np.sqrt(_square(out_s) + _square(out_p))
+    if field is not None:
+        out_s = np.where(transmitted, coefficients.transmitted_s * field_s, reflected_s)
+        out_p = np.where(transmitted, coefficients.transmitted_p * field_p, reflected_p)
+        out = out_s * s + out_p * _cross_product(s, outgoing)
+        field = out / np.sqrt(_square(out_s) + _square(out_p))
+    if np.any(rms_per_wavelength):
+        who, scattered = scatter_by_haze(
+            rng, normal, cos_in, n_in, n_out, transmitted, rms_per_wavelength
+        )
+        outgoing[:, who] = scattered
+        if field is not None:
+            field[:, who] = random_polarisation(rng, scattered)
+    return outgoing, transmitted, field
 
 
 def random_polarisation(rng: np.random.Generator, direction: Floats) -> Complexes:
@@ -216,29 +224,30 @@ def _square(z: Complexes) -> Floats:
 # Rough faces made of microfacets: each photon walks among them until it leaves.
 
 _GAUSS_PEAK = 1.0 / math.sqrt(2.0 * math.pi)
-
 _TINY = 1e-100
 """What is divided by is not smaller: squares and logarithms of the quotients are numbers."""
 
 
 def cross_rough(
     rng: np.random.Generator, direction: Floats, normal: Floats, n_in: float, n_out: Floats,
-    roughness: Floats, field: Complexes | None = None, *, beckmann: bool = False,
+    roughness: Floats, field: Complexes | None = None, rms_per_wavelength: _Number = 0.0,
+    *, beckmann: bool = False,
 ) -> tuple[Floats, Flags, Complexes | None]:  # fmt: skip
     """Send photons through a rough interface, each as one whole quantum.
 
-    The random walk of E. Heitz, J. Hanika, E. d'Eon and C. Dachsbacher, Multiple-scattering
-    microfacet BSDFs with the Smith model, ACM Transactions on Graphics 35 (2016) 58. A photon at a
-    height meets a facet, drawn by the area that it sees; Fresnel's formulae decide there, and it
-    flies on, until it is above or below all heights. Behind the interface it walks in the heights
-    turned upside down. Nothing is lost, and isotropic light in equilibrium stays so.
+    The random walk of E. Heitz et al., ACM Transactions on Graphics 35 (2016) 58, in Smith's field
+    of heights: a photon meets a facet, drawn by the area that it sees, Fresnel's formulae decide
+    there, and it flies on, until it is above or below all. Behind the interface it walks in the
+    heights turned upside down. Nothing is lost, and isotropic light in equilibrium stays so.
 
-    Parameters and what is returned are those of `interface.cross`, and ``roughness``: (n,)
-    float64, the parameter alpha, above 0, of GGX slopes or, with ``beckmann``, of Beckmann's.
+    Parameters and what is returned are those of `interface.cross`, with heights of the facets, and
+    ``roughness``: (n,) float64, the alpha, above 0, of GGX slopes or, with ``beckmann``, of
+    Beckmann's.
     """
     direction, up, count = direction.copy(), -normal, normal.shape[1]
     field = None if field is None else field.copy()
     n_here, n_ahead = np.full(count, n_in), n_out.copy()
+    heights = np.broadcast_to(rms_per_wavelength, count)
     transmitted = np.zeros(count, dtype=bool)
     # logarithm of the share of the face that is lower than the photon; it comes from above
     level = np.zeros(count)
@@ -254,7 +263,7 @@ def cross_rough(
         facet = visible_normals(rng, -direction[:, who], up[:, who], roughness[who], beckmann)
         states = None if field is None else field[:, who]
         direction[:, who], through, states = cross(
-            rng, direction[:, who], -facet, n_here[who], n_ahead[who], states
+            rng, direction[:, who], -facet, n_here[who], n_ahead[who], states, heights[who]
         )
         if field is not None:
             field[:, who] = states
@@ -269,7 +278,7 @@ def cross_rough(
 def _visible_area(cosine: Floats, roughness: _Number, beckmann: bool) -> Floats:
     """Area of facets, over the face's, that is seen at an angle whose cosine may be negative.
 
-    It is cosine (1 + Lambda) from above and -cosine Lambda from below, with Smith's Lambda.
+    From above it is cosine (1 + Lambda), from below -cosine Lambda, with Smith's Lambda.
     """
     across = roughness * np.sqrt(np.maximum(0.0, 1.0 - cosine * cosine))
     if beckmann:
@@ -282,16 +291,13 @@ def _visible_area(cosine: Floats, roughness: _Number, beckmann: bool) -> Floats:
 
 
 def visible_normals(
-    rng: np.random.Generator, view: Floats, normal: Floats, roughness: _Number,
-    beckmann: bool = False,
-) -> Floats:  # fmt: skip
+    rng: np.random.Generator, view: Floats, normal: Floats, roughness: _Number, beckmann: bool
+) -> Floats:
     """Normals of facets, in proportion to the area that is seen along ``view``.
 
-    The distribution of GGX slopes is that of B. Walter et al., Eurographics Symposium on Rendering
-    2007, and that of Beckmann's is Gaussian with a variance of alpha squared over two.
-
-    Views are unit vectors towards where the light comes from, also from below the face, whose
-    normals point up; roughness is alpha; ``view . facet`` is positive.
+    GGX slopes are those of B. Walter et al., Eurographics Symposium on Rendering 2007, Beckmann's
+    are Gaussian with a variance of alpha^2 / 2. Views are unit vectors towards where the light
+    comes from, also from below the face, whose normals point up; ``view . facet`` is positive.
     """
     # the face's own frame, with the plane of incidence as x-z plane: view = (sine, 0, cosine)
     cosine = dot(view, normal)
@@ -300,8 +306,8 @@ def visible_normals(
     perpendicular = sine == 0.0
     x = np.where(perpendicular, basis(normal)[0], x / np.where(perpendicular, 1.0, sine))
     y = _cross_product(normal, x)
-    drawn = _beckmann_facets if beckmann else _ggx_facets
-    facet_x, facet_y, facet_z = drawn(rng, sine, cosine, roughness)
+    facets = _beckmann_facets if beckmann else _ggx_facets
+    facet_x, facet_y, facet_z = facets(rng, sine, cosine, roughness)
     facet = facet_x * x + facet_y * y + facet_z * normal
     return facet / np.sqrt(dot(facet, facet))
 
@@ -311,8 +317,8 @@ def _ggx_facets(
 ) -> tuple[Floats, Floats, Floats]:
     """Vectors along facets' normals, in the frame of the plane of incidence.
 
-    E. Heitz, Sampling the GGX distribution of visible normals, Journal of Computer Graphics
-    Techniques 7(4), 2018; from below the half ellipse cuts a crescent out of the half disc.
+    E. Heitz, Journal of Computer Graphics Techniques 7(4), 2018; from below the half ellipse cuts a
+    crescent out of the half disc.
     """
     # the view from a hemisphere that stretching makes of the ellipsoid
     stretched = np.hypot(roughness * sine, cosine)
@@ -332,10 +338,10 @@ def _ggx_facets(
 def _beckmann_facets(
     rng: np.random.Generator, sine: Floats, cosine: Floats, roughness: _Number
 ) -> tuple[Floats, Floats, Floats]:
-    """The same of Gaussian slopes: in units of their sigma (a - t)_+ exp(-t^2 / 2) along the view.
+    """The same of Gaussian slopes: those along the view, t sigma, by (a - t)_+ exp(-t^2 / 2).
 
-    It is drawn by rejection, with a = cosine / (sigma sine): from above from Gaussian and Rayleigh
-    numbers, the parts of (a + (-t)_+) exp(-t^2 / 2), from below from Rayleigh numbers a - t.
+    With a = cosine / (sigma sine), by rejection: from above from Gaussian and Rayleigh numbers, the
+    parts of (a + (-t)_+) exp(-t^2 / 2), from below from Rayleigh numbers a - t.
     """
     sigma = roughness / math.sqrt(2.0)
     farthest = cosine / np.maximum(sigma * sine, _TINY)
@@ -350,16 +356,15 @@ def _beckmann_facets(
         t = np.where(a >= 0.0, t, a + t)
         slope[who[taken]] = t[taken]
         who = who[~taken]
-    facet_y = sigma * rng.standard_normal(cosine.size)
-    return -sigma * slope, facet_y, np.ones_like(cosine)
+    return -sigma * slope, sigma * rng.standard_normal(cosine.size), np.ones_like(cosine)
 
 
 # Fine roughness: heights far below a wavelength, of no slope that would matter.
 
 
 def scatter_by_haze(
-    rng: np.random.Generator, normal: Floats, cos_in: Floats, n_in: float, n_out: Floats,
-    transmitted: Flags, rms_per_wavelength: float,
+    rng: np.random.Generator, normal: Floats, cos_in: Floats, n_in: _Number, n_out: Floats,
+    transmitted: Flags, rms_per_wavelength: _Number,
 ) -> tuple[Indices, Floats]:  # fmt: skip
     """Which photons the heights of a face scatter, after it has reflected or refracted them.
 
@@ -378,7 +383,7 @@ def scatter_by_haze(
         As of `cross`.
     transmitted : (n,) bool
         Whether they are behind the interface.
-    rms_per_wavelength : float
+    rms_per_wavelength : float, or (n,) float64
         Of the heights, over the wavelength in vacuum.
 
     Returns
@@ -388,25 +393,29 @@ def scatter_by_haze(
     """
     _, share = _haze(cos_in, n_in, n_out, transmitted, rms_per_wavelength)
     who = np.flatnonzero(rng.random(cos_in.shape) < share)
-    transmitted, n_out = transmitted[who], n_out[who]
+    transmitted = transmitted[who]
+    before, behind, heights = (
+        np.broadcast_to(number, share.shape)[who] for number in (n_in, n_out, rms_per_wavelength)
+    )
+    near, far = np.where(transmitted, (behind, before), (before, behind))
+    # the way back of all photons that are alike in this
+    ways = np.stack((near, far, transmitted, heights), axis=1)
     cosine = np.empty(who.size)
-    for index, through in {*zip(n_out.tolist(), transmitted.tolist(), strict=True)}:
-        near, far = (index, n_in) if through else (n_in, index)
-        critical = math.sqrt(max(0.0, 1.0 - (far / near) ** 2))
-        cosines = np.append(np.linspace(0.0, 1.0, 1001)[1:], critical)
-        highest = np.prod(_haze(cosines, near, far, through, rms_per_wavelength), axis=0).max()
-        pending = np.flatnonzero((n_out == index) & (transmitted == through))
+    for way in {*map(tuple, ways.tolist())}:
+        critical = math.sqrt(max(1e-6, 1.0 - (way[1] / way[0]) ** 2))
+        cosines = np.append(np.linspace(1e-3, 1.0, 1000), critical)
+        highest = np.prod(_haze(cosines, *way), axis=0).max()
+        pending = np.flatnonzero(np.all(ways == way, axis=1))
         while pending.size:
             drawn = np.sqrt(1.0 - rng.random(pending.size))
-            density = np.prod(_haze(drawn, near, far, through, rms_per_wavelength), axis=0)
-            taken = rng.random(pending.size) * highest < density
+            taken = rng.random(pending.size) * highest < np.prod(_haze(drawn, *way), axis=0)
             cosine[pending[taken]] = drawn[taken]
             pending = pending[~taken]
     return who, about(rng, np.where(transmitted, 1.0, -1.0) * normal[:, who], cosine)
 
 
 def _haze(
-    cos_in: Floats, n_in: _Number, n_out: _Number, transmitted: Flags | bool, heights: float
+    cos_in: Floats, n_in: _Number, n_out: _Number, transmitted: Flags | float, heights: _Number
 ) -> tuple[Floats, Floats]:
     """What of unpolarised light a face reflects, or transmits, and what of this it scatters."""
     cos_out = np.sqrt(np.maximum(cosine_squared_out(cos_in, n_in, n_out), 0.0))
