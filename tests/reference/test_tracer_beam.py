@@ -229,6 +229,19 @@ def test_the_numbers_of_another_tracer(own, air, gel, error):
         assert_compatible(found.eta, found.eta_sigma, expected, error)
 
 
+@pytest.mark.parametrize(("rms_nm", "expected"), [(2.0, 0.56005), (10.0, 0.22180)])
+def test_light_trapped_by_hazy_faces_is_absorbed_as_in_another_program(rms_nm, expected):
+    """A third program's absorption, to 0.0005: a clear cube in air, hundreds of reflections.
+
+    It knows this cube only, and draws what is scattered from a table of the density's integral.
+    """
+    clear = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.01}
+    bench = Bench(n_gap=1.0, n_window=1.0, rms_roughness_nm=rms_nm, **clear)
+    found = trace(bench, 40_000, 17, max_depth=200_000)
+    absorbed, sigma = (x["absorbed_crystal"] for x in (found.budget, found.budget_sigma))
+    assert_compatible(absorbed, sigma, expected, 5e-4)
+
+
 def test_polarisation_is_nothing_to_normal_incidence():
     bench = Bench(**BEAM)
     polarised = trace(dataclasses.replace(bench, polarization=True), 60_000, 14)
