@@ -309,7 +309,9 @@ def scatter_by_haze(way, haze, hazy, field, facing, ratio, cos_i, rng):
         tries += 1
         return searching & ~taken & (tries < _MOST_DIRECTIONS), tries, numbers.state, scattered
 
-    state = (mi.UInt64(first) << 32) | mi.UInt64(second)
+    # of words anew: where little is scattered, `first` is known to be small
+    high, low = mi.sample_tea_32(first, second, _HAZE_ROUNDS)
+    state = (mi.UInt64(high) << 32) | mi.UInt64(low)
     _, tries, state, scattered = dr.while_loop(
         state=(scatters, mi.UInt32(0), state, mi.Vector3f(direction)),
         cond=lambda searching, *_: searching,
