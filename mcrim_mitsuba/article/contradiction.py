@@ -48,8 +48,6 @@ PHOTONS = 32_768
 _SINGLE_PHOTONS = 262_144
 #: Explanations that are named.
 _NAMED = 4
-
-
 #: The forward scattering that comes nearest to all three numbers, and the half angle of a sphere.
 _FORWARD_G, _SPHERE_DEG = 0.9, 90.0
 

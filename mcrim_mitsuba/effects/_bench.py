@@ -6,7 +6,6 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
 
 import numpy as np
 from lxml import etree
@@ -139,6 +138,12 @@ def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
     editor.insert_last(bsdf, f'<float name="{name}" value="{value}"/>')
 
 
+def polish_crystal(editor: SceneEditor, name: str, value: str) -> None:
+    """Give all faces of the crystal one more number, as of `polish`."""
+    for bsdf in editor.crystal_polish:
+        polish(editor, bsdf, name, value)
+
+
 def birth_weight(depths_mm: np.ndarray, length_mm: float, depth_mm: float) -> np.ndarray:
     """Density of births at depths behind a face, exp(-t/depth) up to a length, over an even one."""
     lengths = length_mm / depth_mm
@@ -204,12 +209,32 @@ def facets_of(name: str, what: str, *, ground: bool) -> EffectParameter:
     """Width of the facets of faces, called `what`: ground ones, or of a polish that may be poor."""
     kind = "ground and not polished (GGX)," if ground else "(GGX),"
     meaning = f"Roughness of the crystal's {what}, {kind} the tangent of a typical tilt"
-    if ground:  # or not: then it is absent
-        grit = (0.1, 0.16, 0.25, 0.4, 0.6)
-        return EffectParameter(name, "", meaning, 0.1, 0.6, 0.25, None, (0.1, 0.6), grit)
-    nodes = (0.012, 0.035, 0.08, 0.16, 0.3, 0.5)
-    found = EffectParameter(name, "", meaning, 0.0, 0.5, 0.1, 0.0, (0.0, POLISHED), nodes)
-    return replace(found, coordinate="logarithmic", scale=0.03)
+    if ground:
+        return EffectParameter(
+            name=name,
+            unit="",
+            meaning=meaning,
+            minimum=0.1,
+            maximum=0.6,
+            start=0.25,
+            # a face is ground or it is not
+            absent=None,
+            plausible=(0.1, 0.6),
+            nodes=(0.1, 0.16, 0.25, 0.4, 0.6),
+        )
+    return EffectParameter(
+        name=name,
+        unit="",
+        meaning=meaning,
+        minimum=0.0,
+        maximum=0.5,
+        start=0.1,
+        absent=0.0,
+        plausible=(0.0, POLISHED),
+        nodes=(0.012, 0.035, 0.08, 0.16, 0.3, 0.5),
+        coordinate="logarithmic",
+        scale=0.03,
+    )
 
 
 def one_side(side: str, what: str, *, ground: bool, look: str, physics: str) -> Effect:

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from mcrim_mitsuba.effects._bench import FACETS, facets_of, polish
+from functools import partial
+
+from mcrim_mitsuba.effects._bench import FACETS, facets_of, polish_crystal
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.scene.editor import SceneEditor
-
-
-def edit(editor: SceneEditor) -> None:
-    """Grind the crystal's faces."""
-    for bsdf in editor.crystal_polish:
-        polish(editor, bsdf, "roughness_alpha", "$ground_alpha")
-
 
 EFFECT = Effect(
     name="ground",
@@ -33,5 +27,5 @@ EFFECT = Effect(
         *("surface_roughness", "top_roughness", "side_roughness", "bottom_roughness"),
         *("ground_top", "ground_side", "ground_bottom"),
     ),
-    edit=edit,
+    edit=partial(polish_crystal, name="roughness_alpha", value="$ground_alpha"),
 )

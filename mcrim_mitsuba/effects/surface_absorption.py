@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mcrim_mitsuba.effects._bench import polish
+from mcrim_mitsuba.effects._bench import polish_crystal
 from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
 from mcrim_mitsuba.scene.editor import SceneEditor
 
@@ -14,8 +14,7 @@ def edit(editor: SceneEditor) -> None:
             problem = f"the crystal is in front of {face.label}, not behind it"
             mend = "turn the face around: the loss acts on light that comes from behind"
             raise editor.refusal(problem, mend, face)
-    for bsdf in editor.crystal_polish:
-        polish(editor, bsdf, "surface_loss", "$surface_loss")
+    polish_crystal(editor, "surface_loss", "$surface_loss")
 
 
 def weight(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mcrim_mitsuba.effects._bench import WAVELENGTH, polish, wavelength_of
+from mcrim_mitsuba.effects._bench import WAVELENGTH, polish_crystal, wavelength_of
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import SceneEditor
 
@@ -10,8 +10,8 @@ from mcrim_mitsuba.scene.editor import SceneEditor
 def edit(editor: SceneEditor) -> None:
     """Give all faces of the crystal a fine roughness."""
     wavelength = wavelength_of(editor)
+    polish_crystal(editor, "rms_roughness_nm", "$rms_roughness_nm")
     for bsdf in editor.crystal_polish:
-        polish(editor, bsdf, "rms_roughness_nm", "$rms_roughness_nm")
         editor.insert_last(bsdf, f'<float name="{WAVELENGTH}" value="{wavelength}"/>')
 
 

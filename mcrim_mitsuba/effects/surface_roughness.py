@@ -1,15 +1,9 @@
 """Effect ``surface_roughness``: the crystal's faces are not perfectly flat."""
 
-from mcrim_mitsuba.effects._bench import FACETS, POLISHED, polish
+from functools import partial
+
+from mcrim_mitsuba.effects._bench import FACETS, POLISHED, polish_crystal
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
-from mcrim_mitsuba.scene.editor import SceneEditor
-
-
-def edit(editor: SceneEditor) -> None:
-    """Make all faces of the crystal rough."""
-    for bsdf in editor.crystal_polish:
-        polish(editor, bsdf, "roughness_alpha", "$roughness_alpha")
-
 
 EFFECT = Effect(
     name="surface_roughness",
@@ -48,5 +42,5 @@ EFFECT = Effect(
         *("top_roughness", "side_roughness", "bottom_roughness"),
         *("ground", "ground_top", "ground_side", "ground_bottom"),
     ),
-    edit=edit,
+    edit=partial(polish_crystal, name="roughness_alpha", value="$roughness_alpha"),
 )

@@ -415,8 +415,7 @@ class Bench:
             out would make the comparison meaningless.
         """
         known = {each.name for each in fields(cls)}
-        ground = {f"ground_{side}alpha": f"{side}roughness_alpha" for side in _SIDES}
-        parameters = {ground.get(name, name): value for name, value in parameters.items()}
+        parameters = {_GROUND.get(name, name): value for name, value in parameters.items()}
         unknown = sorted(set(parameters) - known)
         if unknown:
             problem = f"the NumPy tracer cannot express {', '.join(unknown)}"
@@ -424,8 +423,10 @@ class Bench:
         return cls(**parameters)
 
 
-#: Of which faces are rough, as their parameters say it; all.
-_SIDES = ("", "top_", "side_", "bottom_")
+#: Names here of the scene's parameters of ground faces: all, or those of one side.
+_GROUND = {
+    f"ground_{side}alpha": f"{side}roughness_alpha" for side in ("", "top_", "side_", "bottom_")
+}
 
 
 def _number(name: str, value: Any, lowest: float, highest: float) -> float:
