@@ -17,15 +17,30 @@ from typing import Any
 #: Where the public names are defined.
 _HOMES = {
     "output.public": (
-        "Answer", "add", "arrival_times", "budget", "calibrate", "check", "compare", "crosscheck",
-        "diagnose", "eta_map", "eta_spectrum", "plan", "reduce", "render", "repair", "report",
-        "simulate", "table",
+        "Answer",
+        "add",
+        "arrival_times",
+        "budget",
+        "calibrate",
+        "check",
+        "compare",
+        "crosscheck",
+        "diagnose",
+        "eta_map",
+        "eta_spectrum",
+        "plan",
+        "reduce",
+        "render",
+        "repair",
+        "report",
+        "simulate",
+        "table",
     ),
     "campaign.campaign": ("Campaign", "read_campaign"),
     "core.errors": ("InputError",),
     "core.run": ("Run",),
     "scene.scene_file": ("SceneFile", "read_scene"),
-}  # fmt: skip
+}
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)
 

@@ -42,11 +42,21 @@ def _job_options(function: Callable[..., int]) -> Callable[..., int]:
         click.option("--show", is_flag=True, help="Show what would be submitted, and do nothing."),
         click.option("--log-directory", metavar="FOLDER", help="Where the jobs' own logs go."),
         click.option("--memory", default="8GB", show_default=True, help="Of a job."),
-        click.option("--cores", type=Whole(1, 1024), default=4, show_default=True,
-                     help="Of a job: as many workers, of one thread each."),
-        click.option("--jobs", type=Whole(1, 10_000), default=4, show_default=True,
-                     help="That are submitted."),
-    ):  # fmt: skip
+        click.option(
+            "--cores",
+            type=Whole(1, 1024),
+            default=4,
+            show_default=True,
+            help="Of a job: as many workers, of one thread each.",
+        ),
+        click.option(
+            "--jobs",
+            type=Whole(1, 10_000),
+            default=4,
+            show_default=True,
+            help="That are submitted.",
+        ),
+    ):
         function = decorate(function)
     return function
 
@@ -105,8 +115,13 @@ def htcondor(**options: Any) -> int:
 
 
 @main.command(context_settings=_SETTINGS)
-@click.option("--workers", type=Whole(1, 1024), default=os.cpu_count() or 1, show_default=True,
-              help="Processes of one thread each.")  # fmt: skip
+@click.option(
+    "--workers",
+    type=Whole(1, 1024),
+    default=os.cpu_count() or 1,
+    show_default=True,
+    help="Processes of one thread each.",
+)
 @_COMMAND
 def local(workers: int, command: tuple[str, ...]) -> int:
     """Run mcrim COMMAND with worker processes of this machine."""
@@ -116,8 +131,10 @@ def local(workers: int, command: tuple[str, ...]) -> int:
         lambda: LocalCluster(
             n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0"
         ),
-        command, jobs=0, show=False,
-    )  # fmt: skip
+        command,
+        jobs=0,
+        show=False,
+    )
 
 
 if __name__ == "__main__":

@@ -21,8 +21,14 @@ from mcrim_mitsuba.output.result_writing import SUFFIXES, write_table
 
 @click.command()
 @click.argument("results", nargs=-1, required=True, metavar="RESULT...")
-@click.option("-o", "--output", "path", required=True, metavar="FILE",
-              help="What to write: .csv, .nc (NetCDF 3) or .tex (needs booktabs).")  # fmt: skip
+@click.option(
+    "-o",
+    "--output",
+    "path",
+    required=True,
+    metavar="FILE",
+    help="What to write: .csv, .nc (NetCDF 3) or .tex (needs booktabs).",
+)
 def main(results: tuple[str, ...], path: str) -> None:
     """Convert RESULTs of one kind: JSON of calibrate, compare, diagnose, report, simulate or table,
     or the CSV of table.

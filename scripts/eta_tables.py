@@ -31,10 +31,22 @@ _SOURCE = "# source: mcrim_mitsuba "
 @click.command()
 @click.argument("scenes", nargs=-1, required=True, metavar="SCENE...")
 @axes_options
-@click.option("-D", "variations", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
-              help="Values of a scene parameter; each combination gets a table.")  # fmt: skip
-@click.option("-o", "--output", "folder", required=True, metavar="FOLDER",
-              help="Where the tables go; made if it is not there.")  # fmt: skip
+@click.option(
+    "-D",
+    "variations",
+    multiple=True,
+    metavar="NAME=LIST",
+    callback=options.read_defines,
+    help="Values of a scene parameter; each combination gets a table.",
+)
+@click.option(
+    "-o",
+    "--output",
+    "folder",
+    required=True,
+    metavar="FOLDER",
+    help="Where the tables go; made if it is not there.",
+)
 @options.photons("2e6 per coupling", at_most=True)
 @options.precision
 @options.run
@@ -53,10 +65,13 @@ def main(scenes, variations, folder, run, log, **lists) -> int:
         lines = [*_comments(tables[place], made, run), *made.csv_lines()]
         write_text(place, "\n".join(lines) + "\n")
         terminal.console().say_notes(f"{place.name}: {note}" for note in made.notes)
-        return {"status": status_of(made), "result": (
-            f"{len(made.rows)} points, {made.photons:,} photons "
-            f"({made.cached_photons:,} of the cache), {made.document['seconds']:.1f} s"
-        )}  # fmt: skip
+        return {
+            "status": status_of(made),
+            "result": (
+                f"{len(made.rows)} points, {made.photons:,} photons "
+                f"({made.cached_photons:,} of the cache), {made.document['seconds']:.1f} s"
+            ),
+        }
 
     return one_after_another("tables", list(tables), make, folder, log)
 

@@ -43,8 +43,11 @@ READING_OFF = 0.16
 #: Internal transmittance of 10 mm at the ends of the spectra and at 540 nm; three orientations.
 TRANSMITTANCE_NM = np.arange(400.0, 751.0, 5.0)
 KNOTS_NM = (400.0, 540.0, 650.0, 750.0)
-INTERNAL = ((0.930, 0.9415, 0.962, 0.963), (0.945, 0.954, 0.974, 0.975),
-            (0.960, 0.966, 0.986, 0.987))  # fmt: skip
+INTERNAL = (
+    (0.930, 0.9415, 0.962, 0.963),
+    (0.945, 0.954, 0.974, 0.975),
+    (0.960, 0.966, 0.986, 0.987),
+)
 TRANSMITTANCE_NOISE = 0.0005
 BY_HAND = ("campaign.toml", "campaign_source_depth.toml", "mountings.csv")
 SYNTHETIC = "SYNTHETIC, not measured: made by scripts/make_raw_example.py"
@@ -121,8 +124,10 @@ def _write_emission(path: Path, emission: NDArray[np.float64], random: np.random
     """From a grating spectrometer that scans downwards: tabs, descending wavelengths."""
     counts = 10_000 * emission
     measured = np.maximum(counts + random.normal(0, np.sqrt(counts + 20)), 0)
-    rows = [f"{nm:.1f}\t{value:.1f}\t{0.05 * value + 10:.1f}"
-            for nm, value in zip(EMISSION_NM[::-1], measured[::-1], strict=True)]  # fmt: skip
+    rows = [
+        f"{nm:.1f}\t{value:.1f}\t{0.05 * value + 10:.1f}"
+        for nm, value in zip(EMISSION_NM[::-1], measured[::-1], strict=True)
+    ]
     comments = [
         "emission of CaMoO4 at room temperature, corrected for the spectrometer's response",
         "errors: 5 % of the correction, and the counting",
@@ -132,9 +137,11 @@ def _write_emission(path: Path, emission: NDArray[np.float64], random: np.random
 
 def _write_cathode(path: Path, emission: NDArray[np.float64]) -> None:
     """Read off a plot into a spreadsheet: per cent, semicolons, decimal commas."""
-    curve = CATHODE * published.EFFICIENCY.value / weighted_mean(
-        Spectrum(EMISSION_NM, emission), Spectrum(CATHODE_NM, CATHODE)
-    ).value  # fmt: skip
+    curve = (
+        CATHODE
+        * published.EFFICIENCY.value
+        / weighted_mean(Spectrum(EMISSION_NM, emission), Spectrum(CATHODE_NM, CATHODE)).value
+    )
     rows = [
         f"{nm:g};{100 * value:.3g};{100 * READING_OFF * value:.2g}".replace(".", ",")
         for nm, value in zip(CATHODE_NM, curve, strict=True)
@@ -151,8 +158,10 @@ def _write_transmittance(
     of_bulk = np.interp(TRANSMITTANCE_NM, KNOTS_NM, internal)
     measured = measured_transmittance(of_bulk, published.N_CRYSTAL.value)
     measured = measured + random.normal(0, TRANSMITTANCE_NOISE, measured.size)
-    rows = [f"{nm:g},{100 * value:.2f}"
-            for nm, value in zip(TRANSMITTANCE_NM[::-1], measured[::-1], strict=True)]  # fmt: skip
+    rows = [
+        f"{nm:g},{100 * value:.2f}"
+        for nm, value in zip(TRANSMITTANCE_NM[::-1], measured[::-1], strict=True)
+    ]
     _write(path, [f"CaMoO4, 10.0 mm, polished, in air; orientation {number}"], ["nm,%T", *rows])
 
 

@@ -27,17 +27,37 @@ from mcrim_mitsuba.output.result_writing import cells_text
 
 _QUALITY = ("chi2", "ndf", "p_value")
 _COLUMNS = (
-    "campaign", "status", "verdict", "leading", *_QUALITY, ALPHA_SCAT, f"{ALPHA_SCAT}_sigma",
-    LIGHT_YIELD, f"{LIGHT_YIELD}_sigma", "result", "reason",
-)  # fmt: skip
+    "campaign",
+    "status",
+    "verdict",
+    "leading",
+    *_QUALITY,
+    ALPHA_SCAT,
+    f"{ALPHA_SCAT}_sigma",
+    LIGHT_YIELD,
+    f"{LIGHT_YIELD}_sigma",
+    "result",
+    "reason",
+)
 
 
 @click.command()
 @click.argument("campaigns", nargs=-1, required=True, metavar="CAMPAIGN...")
-@click.option("--verb", type=click.Choice(("calibrate", "diagnose", "report")), default="calibrate",
-              show_default=True, help="What is done with each.")  # fmt: skip
-@click.option("-o", "--output", "folder", required=True, metavar="FOLDER",
-              help="Where results and summary.csv go; made if it is not there.")  # fmt: skip
+@click.option(
+    "--verb",
+    type=click.Choice(("calibrate", "diagnose", "report")),
+    default="calibrate",
+    show_default=True,
+    help="What is done with each.",
+)
+@click.option(
+    "-o",
+    "--output",
+    "folder",
+    required=True,
+    metavar="FOLDER",
+    help="Where results and summary.csv go; made if it is not there.",
+)
 @options.photons("the verb's own")
 @options.run
 @click.option("--log", metavar="FILE", help="Append the progress, unit by unit, to this file.")

@@ -95,9 +95,12 @@ def cluster_of(workers: int) -> Iterator[tuple[ClusterExecutor, str]]:
     from distributed import LocalCluster
 
     with LocalCluster(
-        n_workers=workers, threads_per_worker=1, dashboard_address=":0", memory_limit=0,
+        n_workers=workers,
+        threads_per_worker=1,
+        dashboard_address=":0",
+        memory_limit=0,
         silence_logs=logging.CRITICAL,
-    ) as made:  # fmt: skip
+    ) as made:
         made.wait_for_workers(workers)
         executor = ClusterExecutor(made.scheduler_address)
         yield executor, made.scheduler_address
@@ -108,8 +111,11 @@ def timed_table(workers: int, couplings: int) -> Timed:
     """The workload, two units per coupling in two stages, by so many workers; 0: this process."""
     from distributed import get_task_stream
 
-    axes = {"n_gap": np.linspace(1.2, 1.5, couplings).round(6).tolist(), ALPHA_ABS: [0.039],
-            ALPHA_SCAT: [0.2, 0.5, 1.0]}  # fmt: skip
+    axes = {
+        "n_gap": np.linspace(1.2, 1.5, couplings).round(6).tolist(),
+        ALPHA_ABS: [0.039],
+        ALPHA_SCAT: [0.2, 0.5, 1.0],
+    }
     with empty_cache(), contextlib.ExitStack() as around:
         tasks: list[dict] = []
         if workers:
@@ -154,11 +160,16 @@ def show_runs(screen: terminal.Screen, runs: list[Timed]) -> bool:
     rows = []
     for each in runs:
         processors = min(max(each.workers, 1), os.cpu_count() or 1)
-        rows.append([
-            each.workers or "no cluster", f"{each.seconds:.1f}", f"{units / each.seconds:.2f}",
-            f"{one / each.seconds:.2f}", f"{100 * one / each.seconds / processors:.0f} %",
-            f"{statistics.mean(each.units):.3f}" if each.units else "",
-        ])  # fmt: skip
+        rows.append(
+            [
+                each.workers or "no cluster",
+                f"{each.seconds:.1f}",
+                f"{units / each.seconds:.2f}",
+                f"{one / each.seconds:.2f}",
+                f"{100 * one / each.seconds / processors:.0f} %",
+                f"{statistics.mean(each.units):.3f}" if each.units else "",
+            ]
+        )
     head = ("workers", "seconds", "units/s", "speed-up", "efficiency", "a unit, s")
     screen.line("\n".join(markdown(head, rows, range(6))))
     same = all(each.table.rows == runs[0].table.rows for each in runs)
@@ -170,8 +181,13 @@ def show_runs(screen: terminal.Screen, runs: list[Timed]) -> bool:
 
 
 @click.command()
-@click.option("--couplings", type=options.Whole(8, 10_000), default=150, show_default=True,
-              help="Of the table: each makes two units.")  # fmt: skip
+@click.option(
+    "--couplings",
+    type=options.Whole(8, 10_000),
+    default=150,
+    show_default=True,
+    help="Of the table: each makes two units.",
+)
 def main(couplings: int) -> int:
     """Measure how the work scales, and print it as Markdown.
 

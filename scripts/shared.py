@@ -52,8 +52,9 @@ def refuse_foreign(file: Path, is_ours: Callable[[str], bool]) -> None:
             return
     raise InputError(
         "there is a file of this name, and it is no result of this script",
-        "name another folder, or move the file away", path=file,
-    )  # fmt: skip
+        "name another folder, or move the file away",
+        path=file,
+    )
 
 
 def status_of(found: EtaTable | Provenance) -> str:
@@ -62,9 +63,13 @@ def status_of(found: EtaTable | Provenance) -> str:
 
 
 def one_after_another(
-    what: str, paths: Sequence[Path], do: Callable[[Path, Progress], Row], place: str | Path,
-    log: str | None, told: Callable[[Mapping[Path, Row]], None] = lambda rows: None,
-) -> int:  # fmt: skip
+    what: str,
+    paths: Sequence[Path],
+    do: Callable[[Path, Progress], Row],
+    place: str | Path,
+    log: str | None,
+    told: Callable[[Mapping[Path, Row]], None] = lambda rows: None,
+) -> int:
     """Do a job for each path, a line each; what is refused or fails does not stop the others.
 
     A job's row has its ``status`` and ``result``, or the ``reason`` why there is none; all rows so

@@ -104,8 +104,9 @@ class App:
         self.control("effect", effect).click()
         self.browser.wait_for(
             lambda: self.is_idle() and self.browser.text("#chi2") != before,
-            f"model with {effect}", LONGEST_SIMULATION_S,
-        )  # fmt: skip
+            f"model with {effect}",
+            LONGEST_SIMULATION_S,
+        )
 
 
 @contextmanager
@@ -113,9 +114,12 @@ def running(campaign, cache, browser, photons=PHOTONS, *, settled=True):
     """Start `mcrim app`, open what it prints, end it by Ctrl-C."""
     command = [sys.executable, "-m", "mcrim_mitsuba", "app", str(campaign), "--no-browser"]
     process = subprocess.Popen(
-        [*command, "--photons", str(photons)], text=True, stdout=-1, stderr=-1,
+        [*command, "--photons", str(photons)],
+        text=True,
+        stdout=-1,
+        stderr=-1,
         env=os.environ | {"MCRIM_CACHE": str(cache)},
-    )  # fmt: skip
+    )
     try:
         line = process.stdout.readline()
         found = re.search(r"http://127\.0\.0\.1:\d+/\S+/", line)

@@ -51,6 +51,9 @@ def eta_slope(simulation, name, *, photons, seed=0) -> tuple[float, float]:
 
     along = {"alpha_scat_per_cm": (0.1, 0.0), "alpha_abs_per_cm": (0.0, 0.1)}[name]
     return slope_along(
-        simulation.launcher(), {simulation.crystal.volume: along}, photons, seed=seed,
+        simulation.launcher(),
+        {simulation.crystal.volume: along},
+        photons,
+        seed=seed,
         max_depth=simulation.depth_limit,
-    )  # fmt: skip
+    )

@@ -102,10 +102,25 @@ def shared_cache(tmp_path_factory) -> Path:
 
 #: Files that take a minute or more: begun last, one would go on when nobody else has work. Those
 #: that share a cache with `test_app` come when it is done: side by side all would simulate.
-LONGEST = ("test_app", "test_golden", "test_wheel", "test_page", "test_hidden_effects",
-           "test_render", "test_records", "test_annotations", "test_effect_responses", "test_work",
-           "test_docs", "test_commands", "test_cross_section", "test_closure",
-           "test_cluster_scripts", "test_trials", "test_article")  # fmt: skip
+LONGEST = (
+    "test_app",
+    "test_golden",
+    "test_wheel",
+    "test_page",
+    "test_hidden_effects",
+    "test_render",
+    "test_records",
+    "test_annotations",
+    "test_effect_responses",
+    "test_work",
+    "test_docs",
+    "test_commands",
+    "test_cross_section",
+    "test_closure",
+    "test_cluster_scripts",
+    "test_trials",
+    "test_article",
+)
 
 
 def pytest_collection_modifyitems(items):

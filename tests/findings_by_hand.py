@@ -53,19 +53,36 @@ MENDED = {
 
 def rows(shrunk: float = 1.0) -> tuple[FittedRow, ...]:
     return tuple(
-        FittedRow(label, 20.0 + i, 0.2, 20.0 + i - 0.2 * shrunk * pull, 0.01, shrunk * pull, 0.3,
-                  0.001, i != 15)
+        FittedRow(
+            label,
+            20.0 + i,
+            0.2,
+            20.0 + i - 0.2 * shrunk * pull,
+            0.01,
+            shrunk * pull,
+            0.3,
+            0.001,
+            i != 15,
+        )
         for i, (label, pull) in enumerate(zip(LABELS, PULLS, strict=True))
-    )  # fmt: skip
+    )
 
 
 def comparison(p_value: float | None = 2.3e-9, suspects: tuple[Suspect, ...] = ()) -> Comparison:
     return Comparison(
-        FITTED, 64.2, 12 if p_value is not None else 0, p_value, (7.1, 16.9), 2.1, 2.6, rows(),
-        {row.label: 1.1 * row.pull for row in rows() if row.use}, suspects,
+        FITTED,
+        64.2,
+        12 if p_value is not None else 0,
+        p_value,
+        (7.1, 16.9),
+        2.1,
+        2.6,
+        rows(),
+        {row.label: 1.1 * row.pull for row in rows() if row.use},
+        suspects,
         (Trend("n_gap", (1.0, 1.46), (-2.1, 2.2), 40.0, 1, 2e-4),),
         (Absorbed("alpha_abs_per_cm", "prior_pulled", 0.07, "alpha_abs = 0.07 is +2.6 sigma off"),),
-    )  # fmt: skip
+    )
 
 
 BAD = Suspect("bad_reading", (MARKUP,), 50.1, 3e-6, 14.1, 11, 0.23, 7.1, True)
@@ -74,9 +91,18 @@ SWAPPED = Suspect("swapped_rows", (QUOTES, SCRIPT), 30.2, 1e-5, 34.0, 12, 6e-4, 
 
 def calibration(parameters=FITTED, shrunk: float = 1.0, chi2: float = 64.2) -> Calibration:
     return Calibration(
-        parameters, {}, chi2, 12, 0.42 if shrunk < 1 else 2.3e-9, rows(shrunk),
-        ("alpha_scat_per_cm",), np.eye(1), np.zeros((1, 16)), True, (),
-    )  # fmt: skip
+        parameters,
+        {},
+        chi2,
+        12,
+        0.42 if shrunk < 1 else 2.3e-9,
+        rows(shrunk),
+        ("alpha_scat_per_cm",),
+        np.eye(1),
+        np.zeros((1, 16)),
+        True,
+        (),
+    )
 
 
 def candidate(
@@ -87,11 +113,29 @@ def candidate(
     plausible: bool = True,
 ) -> Candidate:
     return Candidate(
-        " + ".join(effects), effects, 64.2 - gain, 12 - len(sizes), 0.44, gain, 0.8, 1e-9, 2e-8,
-        -gain, 0.4 * gain, 54.2 - gain, 1.3, {**FITTED, **sizes}, tuple(sizes),
-        {"value": 7.52, "sigma": 0.2, "change": -0.095}, plausible,
-        any(s.at_bound for s in sizes.values()), 0.5, mimics, "surface", "Polish it again.",
-    )  # fmt: skip
+        " + ".join(effects),
+        effects,
+        64.2 - gain,
+        12 - len(sizes),
+        0.44,
+        gain,
+        0.8,
+        1e-9,
+        2e-8,
+        -gain,
+        0.4 * gain,
+        54.2 - gain,
+        1.3,
+        {**FITTED, **sizes},
+        tuple(sizes),
+        {"value": 7.52, "sigma": 0.2, "change": -0.095},
+        plausible,
+        any(s.at_bound for s in sizes.values()),
+        0.5,
+        mimics,
+        "surface",
+        "Polish it again.",
+    )
 
 
 CANDIDATES = (
@@ -102,16 +146,30 @@ CANDIDATES = (
 )
 SIZES = {"surface_loss": estimate(0.01, 0.001), "bubble_fraction": estimate(0.1, 0.02)}
 FAMILIES = (
-    FamilyProbability("surface", 0.7, (FIRST,)), FamilyProbability("gap", 0.29, (SECOND,)),
+    FamilyProbability("surface", 0.7, (FIRST,)),
+    FamilyProbability("gap", 0.29, (SECOND,)),
     FamilyProbability("none", 0.01, ()),
-)  # fmt: skip
+)
 PAIR = candidate((FIRST, SECOND), 55.0, SIZES)
 STEPS = (
-    RepairStep(0, None, (), 64.2, 12, 2.3e-9, 2.1, 2.6, 0.0, FITTED,
-               {"value": 8.31, "sigma": 0.25}),
-    RepairStep(1, FIRST, (FIRST,), 12.1, 11, 0.36, 0.9, 1.1, 0.8, MENDED,
-               {"value": 7.52, "sigma": 0.22}, TITLES[FIRST]),
-)  # fmt: skip
+    RepairStep(
+        0, None, (), 64.2, 12, 2.3e-9, 2.1, 2.6, 0.0, FITTED, {"value": 8.31, "sigma": 0.25}
+    ),
+    RepairStep(
+        1,
+        FIRST,
+        (FIRST,),
+        12.1,
+        11,
+        0.36,
+        0.9,
+        1.1,
+        0.8,
+        MENDED,
+        {"value": 7.52, "sigma": 0.22},
+        TITLES[FIRST],
+    ),
+)
 
 
 def diagnosis(verdict: str, **changed) -> Diagnosis:
@@ -134,13 +192,24 @@ def diagnosis(verdict: str, **changed) -> Diagnosis:
         "water, gap of 0.5 mm; and gel, mask of 7 mm radius",
     )
     made = Diagnosis(
-        verdict, f"as {MARKUP} shows", comparison(), CANDIDATES, (),
-        tuple(name for names in leading for name in names), leading,
-        limits if verdict == "adequate" else {}, (), STEPS,
-        (following,) if verdict == "ambiguous" else (), {"saturation": "excluded"},
-        {FIRST: 0.7, SECOND: 0.29, "none": 0.01}, AveragedYield(7.7, 0.86, 0.78, 0.34, 0.12), 1.0,
-        FAMILIES, titles=TITLES,
-    )  # fmt: skip
+        verdict,
+        f"as {MARKUP} shows",
+        comparison(),
+        CANDIDATES,
+        (),
+        tuple(name for names in leading for name in names),
+        leading,
+        limits if verdict == "adequate" else {},
+        (),
+        STEPS,
+        (following,) if verdict == "ambiguous" else (),
+        {"saturation": "excluded"},
+        {FIRST: 0.7, SECOND: 0.29, "none": 0.01},
+        AveragedYield(7.7, 0.86, 0.78, 0.34, 0.12),
+        1.0,
+        FAMILIES,
+        titles=TITLES,
+    )
     return replace(made, **changed)
 
 

@@ -143,11 +143,15 @@ class Model:
         self._names = [p.name for p in free]
         known = self.light_yield
         self.campaign = SimpleNamespace(
-            path=None, light_yield=known, switched_on=[], values=SCENE,
+            path=None,
+            light_yield=known,
+            switched_on=[],
+            values=SCENE,
             # of one crystal
             light_yields={} if known is None else {"scale": ("light_yield_ph_per_keV", known)},
-            parameter_of=lambda reading, name: name, stands_for=lambda name: name,
-        )  # fmt: skip
+            parameter_of=lambda reading, name: name,
+            stands_for=lambda name: name,
+        )
 
     def predict(self, theta, *, check=False, covariance=False) -> Prediction:
         k = len(self.free)

@@ -111,10 +111,12 @@ Process = Callable[[list[str], Path, Path], list[dict]]
 def process(*options: str, **environment: str) -> Iterator[Process]:
     """A process of its own for cases, with options of Python."""
     with subprocess.Popen(
-        [sys.executable, *options, HERE / "commands.py"], text=True,
+        [sys.executable, *options, HERE / "commands.py"],
+        text=True,
         env=os.environ | {"COLUMNS": "100"} | environment,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-    ) as started:  # fmt: skip
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as started:
 
         def answers(commands: list[str], folder: Path, cache: Path) -> list[dict]:
             words = [shlex.split(command) for command in commands]

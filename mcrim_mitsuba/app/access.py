@@ -237,9 +237,13 @@ def listen(application: Flask, *, port: int | None, key: str) -> tuple[BaseWSGIS
         # Flask's own way to stand before it
         application.wsgi_app = Guard(application.wsgi_app, number, key)  # type: ignore[method-assign]
         server = make_server(
-            HOST, number, application, threaded=True, request_handler=_SilentHandler,
+            HOST,
+            number,
+            application,
+            threaded=True,
+            request_handler=_SilentHandler,
             fd=bound.fileno(),
-        )  # fmt: skip
+        )
         tell = server.handle_error
 
         def handle_error(request: Any, client_address: Any) -> None:

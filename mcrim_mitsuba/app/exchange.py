@@ -198,10 +198,12 @@ def scene_file(
 
 
 def campaign_archive(
-    campaign: Campaign, effects: Sequence[str], values: Mapping[str, float],
+    campaign: Campaign,
+    effects: Sequence[str],
+    values: Mapping[str, float],
     priors: Mapping[str, tuple[float, float]] | None = None,
     known: Iterable[CampaignParameter] = (),
-) -> tuple[str, bytes]:  # fmt: skip
+) -> tuple[str, bytes]:
     """Name and content of a ZIP file with the mended campaign and all that it needs.
 
     Raw data stay where they are: the campaign has the numbers that they gave. Priors are what a fit
@@ -239,9 +241,11 @@ def campaign_archive(
                 shutil.copyfile(beside, copy)
         target, scene_path = folder / f"{stem}.toml", folder / f"{stem}.xml"
         moved = replace(
-            campaign, effects_folder=own, spectrum=light,
+            campaign,
+            effects_folder=own,
+            spectrum=light,
             measurements=replace(campaign.measurements, path=readings),
-        )  # fmt: skip
+        )
         fitted = {n: v for n, v in values.items() if n in campaign.parameters}
         added = [p.name for e in effects for p in campaign.catalogue[e].parameters]
         sizes = fitted | {name: values[name] for name in added}
@@ -282,16 +286,20 @@ def session_file(state: State) -> tuple[str, bytes]:
     # as it came
     campaign = state.steps[0].campaign if state.steps else state.campaign
     document = {
-        "format": _SESSION, "scene": campaign.scene.path.name,
+        "format": _SESSION,
+        "scene": campaign.scene.path.name,
         "scene_hash": campaign.scene.content_hash,
         "measurements": campaign.measurements.path.name,
         "table": readings(campaign),
-        "readings": readings(state.campaign), "settings": state.settings.to_json(),
-        "fits": [{"settings": step.asked.to_json(), "readings": readings(step.campaign)}
-                 for step in state.steps],
+        "readings": readings(state.campaign),
+        "settings": state.settings.to_json(),
+        "fits": [
+            {"settings": step.asked.to_json(), "readings": readings(step.campaign)}
+            for step in state.steps
+        ],
         "compared": state.steps.index(state.beside) if state.steps else 0,
         "diagnosed": state.diagnosed is not None,
-    }  # fmt: skip
+    }
     name = f"{safe_name(campaign.path.stem, '')}_session.json"
     return name, json_text(document).encode()
 
@@ -323,8 +331,10 @@ def read_session(name: str, content: bytes, scene: SceneFile) -> dict[str, Any]:
     if document["scene_hash"] != scene.content_hash:
         raise InputError(
             f"the session is of another scene, {document['scene']}, than {scene.path.name} as it "
-            "is now", "start mcrim app with the campaign that it was made with", path=name,
-        )  # fmt: skip
+            "is now",
+            "start mcrim app with the campaign that it was made with",
+            path=name,
+        )
     return document
 
 

@@ -53,10 +53,13 @@ def _compound_id(kind: str, name: str) -> str:
 
 
 _TEMPLATES = jinja2.Environment(
-    autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+    autoescape=True,
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
     finalize=unbroken,
     loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
-)  # fmt: skip
+)
 _TEMPLATES.filters["capital"] = capital
 _TEMPLATES.globals |= {"id_of": _compound_id, "steps": _SLIDER_STEPS}
 
@@ -71,16 +74,28 @@ def page(session: Session) -> str:
     if campaign.samples:
         choices[SAMPLE] = ("", *campaign.samples)
     heads = [
-        ("use", "use"), ("label", "reading"), *((name, name) for name in choices),
-        ("signal", "measured"), ("sigma", "± error"), *columns,
+        ("use", "use"),
+        ("label", "reading"),
+        *((name, name) for name in choices),
+        ("signal", "measured"),
+        ("sigma", "± error"),
+        *columns,
         *(("", title) for title in ("model", "pull", "η", "")),
-    ]  # fmt: skip
+    ]
     return _TEMPLATES.get_template("page.html").render(
-        session=session, campaign=campaign, range_text=range_text,
-        heads=heads, columns=columns, choices=choices,
-        merits={"chi2": "χ²", "p-value": "p", "light-yield": _light_title(session),
-                "averaged": "averaged over models"},
-    )  # fmt: skip
+        session=session,
+        campaign=campaign,
+        range_text=range_text,
+        heads=heads,
+        columns=columns,
+        choices=choices,
+        merits={
+            "chi2": "χ²",
+            "p-value": "p",
+            "light-yield": _light_title(session),
+            "averaged": "averaged over models",
+        },
+    )
 
 
 def range_text(control: Control) -> str:
@@ -110,23 +125,35 @@ def state(session: Session, known: int) -> dict[str, Any]:
     """
     status, now = session.jobs.status, session.state
     told: dict[str, Any] = {
-        "number": session.number, "settings_number": session.settings_number,
-        "file_number": session.file_number, "bench_number": session.bench_number,
+        "number": session.number,
+        "settings_number": session.settings_number,
+        "file_number": session.file_number,
+        "bench_number": session.bench_number,
         "job": {
-            "key": status.job and status.job.key, "words": status.words, "done": status.done,
-            "total": status.total, "said": status.said, "stopped": status.stopped,
+            "key": status.job and status.job.key,
+            "words": status.words,
+            "done": status.done,
+            "total": status.total,
+            "said": status.said,
+            "stopped": status.stopped,
             "waiting": [{"key": job.key, "words": job.words} for job in status.waiting],
         },
-    }  # fmt: skip
+    }
     if session.number == known:
         return told
     settings = now.settings
     told |= {
         "settings": {**settings.to_json(), "known": session.bench.known(settings)},
         "readings": [
-            {"label": r.label, "signal": r.signal, "sigma": r.sigma, "use": r.use, KIND: r.kind,
-             SAMPLE: r.sample,
-             **{name: r.parameters.get(name, "") for name in now.campaign.measurements.columns}}
+            {
+                "label": r.label,
+                "signal": r.signal,
+                "sigma": r.sigma,
+                "use": r.use,
+                KIND: r.kind,
+                SAMPLE: r.sample,
+                **{name: r.parameters.get(name, "") for name in now.campaign.measurements.columns},
+            }
             for r in now.campaign.measurements.readings
         ],
         "steps": [_falling(step) for step in now.steps],
@@ -135,7 +162,7 @@ def state(session: Session, known: int) -> dict[str, Any]:
             "diagnosis": _diagnosis_panel(now.diagnosed),
             "fitted": _fits_panel(session),
         },
-    }  # fmt: skip
+    }
     return plain(told)
 
 
@@ -143,9 +170,10 @@ def _falling(step: FitStep) -> dict[str, Any]:
     """A fit in the chart of the error."""
     fit = step.calibration
     return {
-        "name": step_name(step), "text": f"{fit.chi2:.3g} / {fit.ndf}",
+        "name": step_name(step),
+        "text": f"{fit.chi2:.3g} / {fit.ndf}",
         "height": fit.chi2 / fit.ndf if fit.ndf > 0 else None,
-    }  # fmt: skip
+    }
 
 
 def step_name(step: FitStep) -> str:
@@ -171,12 +199,16 @@ def predictions(session: Session, settings: Settings) -> dict[str, Any]:
         titles = [session.bench.effects[name][0].title for name in shown.pending]
         pending = f"These numbers are without {findings.together(titles)}: not simulated yet."
     texts = {**_merit_texts(shown, session), "pending": pending}
-    return plain({
-        "settings_number": session.settings_number, "texts": texts,
-        "cells": _readings_cells(readings, shown), "scale": shown and shown.scale,
-        "pending": bool(pending),
-        "chart": _chart(readings, shown, beside, session.state.campaign.unit),
-    })  # fmt: skip
+    return plain(
+        {
+            "settings_number": session.settings_number,
+            "texts": texts,
+            "cells": _readings_cells(readings, shown),
+            "scale": shown and shown.scale,
+            "pending": bool(pending),
+            "chart": _chart(readings, shown, beside, session.state.campaign.unit),
+        }
+    )
 
 
 def _merit_texts(shown: Shown | None, session: Session) -> dict[str, str]:
@@ -194,7 +226,7 @@ def _merit_texts(shown: Shown | None, session: Session) -> dict[str, str]:
         "p-value-words": "chance of a larger χ²",
         "light-yield": number(shown.scale, 4),
         "light-yield-words": "signal at η = 1",
-    }  # fmt: skip
+    }
     if shown.p_value is None:
         texts["p-value-words"] = "nothing to judge by: the readings determine the parameters"
     if shown.light_yield is not None:
@@ -221,10 +253,13 @@ def _readings_cells(readings: Sequence[Reading], shown: Shown | None) -> list[li
     if shown is None:
         return [["…", "…", "…"] for _ in readings]
     return [
-        [findings.signal_text(row.of_beam, row.model, row.model_sigma), f"{row.pull:+.2f}",
-         "" if row.of_beam else pdg(row.eta, row.eta_sigma)]
+        [
+            findings.signal_text(row.of_beam, row.model, row.model_sigma),
+            f"{row.pull:+.2f}",
+            "" if row.of_beam else pdg(row.eta, row.eta_sigma),
+        ]
         for row in shown.rows
-    ]  # fmt: skip
+    ]
 
 
 def _chart(
@@ -243,14 +278,15 @@ def _chart(
     return {
         "signal": [u * r.signal for r, u in zip(readings, units, strict=True)],
         "sigma": [u * r.sigma for r, u in zip(readings, units, strict=True)],
-        "use": [r.use for r in readings], 
+        "use": [r.use for r in readings],
         "short": [shortened(r.label, _LABEL_LENGTH) for r in readings],
         "unit": unit,
-        "percent": next((u / 100.0 for r, u in zip(readings, units, strict=True) if r.of_beam),
-                        None),
+        "percent": next(
+            (u / 100.0 for r, u in zip(readings, units, strict=True) if r.of_beam), None
+        ),
         "model": shown and heights(shown.rows),
         "beside": beside and {"name": step_name(beside[0]), **heights(beside[1].rows)},
-    }  # fmt: skip
+    }
 
 
 def reading(session: Session, place: int) -> str:
@@ -259,10 +295,11 @@ def reading(session: Session, place: int) -> str:
     one = measurements.readings[place]
     values = configurations(session.state.campaign)[place]
     return _TEMPLATES.get_template("reading.html").render(
-        reading=one, picture=bench_picture(one, values),
+        reading=one,
+        picture=bench_picture(one, values),
         words=bench_words(one, values, measurements.columns),
         measured=findings.signal_text(one.of_beam, one.signal, one.sigma),
-    )  # fmt: skip
+    )
 
 
 # Panels.
@@ -275,15 +312,18 @@ def _diagnosis_panel(found: Diagnosed | None) -> str:
         diagnosis = found.diagnosis
         leading = findings.leading_candidates(diagnosis)
         context = {
-            "found": diagnosis, "averaged": findings.averaged_yield(diagnosis),
-            "headline": findings.headline(diagnosis), "leading": bool(leading),
+            "found": diagnosis,
+            "averaged": findings.averaged_yield(diagnosis),
+            "headline": findings.headline(diagnosis),
+            "leading": bool(leading),
             "suspicions": [findings.suspicion(one) for one in diagnosis.suspect_readings],
             "titles": ("probability", "size", "plausible?", "fall of χ²", "p of the fit"),
             "candidates": _ranked(diagnosis, leading) if diagnosis.candidates else (),
-            "set_aside": findings.set_aside_text(diagnosis), "looks": findings.looks(diagnosis),
+            "set_aside": findings.set_aside_text(diagnosis),
+            "looks": findings.looks(diagnosis),
             "limits": _cells(limits_table(diagnosis).seen) if diagnosis.upper_limits else None,
             "next": [(m.words, *findings.bought(m)) for m in diagnosis.next_measurements],
-        }  # fmt: skip
+        }
     return _TEMPLATES.get_template("diagnosis.html").render(context)
 
 
@@ -292,16 +332,19 @@ def _ranked(diagnosis: Diagnosis, leading: Sequence[Candidate]) -> list[dict[str
     ranked = {id(c): c for c in (*leading, *diagnosis.candidates[:_MOST_CANDIDATES])}
     rows: list[dict[str, Any]] = [
         {
-            "effects": one.effects, "effect": one.effect,
+            "effects": one.effects,
+            "effect": one.effect,
             "title": findings.in_words(diagnosis, one.effects),
             "first": bool(leading) and number == 0,
             "cells": (
-                findings.size_text(one, ", "), findings.plausibility(one),
-                findings.gain_text(one), p_text(one.p_value),
+                findings.size_text(one, ", "),
+                findings.plausibility(one),
+                findings.gain_text(one),
+                p_text(one.p_value),
             ),
         }
         for number, one in enumerate(ranked.values())
-    ]  # fmt: skip
+    ]
     for name, words in findings.NO_EFFECTS.items():
         if name in diagnosis.probabilities:
             rows.append({"effects": (), "effect": name, "title": words, "cells": ("",) * 4})
@@ -324,12 +367,14 @@ def _fits_panel(session: Session) -> str:
     last, beside = now.steps[-1], now.beside
     fixed = last.calibration.fixed.items()
     return _TEMPLATES.get_template("fits.html").render(
-        steps=[_listed(session, step) for step in now.steps], compared=beside.number,
-        last=_listed(session, last), parameters=_parameters(last.calibration.parameters),
+        steps=[_listed(session, step) for step in now.steps],
+        compared=beside.number,
+        last=_listed(session, last),
+        parameters=_parameters(last.calibration.parameters),
         held=[f"{findings.title_of(n)} = {v:.4g}" for n, v in fixed],
         notes=last.calibration.notes,
         beside=None if beside is last else _side_by_side(session, beside, last),
-    )  # fmt: skip
+    )
 
 
 def _listed(session: Session, step: FitStep) -> dict[str, Any]:
@@ -338,11 +383,15 @@ def _listed(session: Session, step: FitStep) -> dict[str, Any]:
     name = LIGHT_YIELD if LIGHT_YIELD in fit.parameters else SCALE
     light = fit.parameters.get(name)
     return {
-        "number": step.number, "name": step_name(step), "chi2": _chi2_text(fit.chi2),
-        "ndf": fit.ndf, "p": p_text(fit.p_value), "chance": p_equals(fit.p_value),
+        "number": step.number,
+        "name": step_name(step),
+        "chi2": _chi2_text(fit.chi2),
+        "ndf": fit.ndf,
+        "p": p_text(fit.p_value),
+        "chance": p_equals(fit.p_value),
         "light": "held" if light is None else findings.estimate_text(light),
         "light_title": _light_title(session),
-    }  # fmt: skip
+    }
 
 
 def _titled(name: str) -> str:

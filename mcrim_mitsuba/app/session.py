@@ -239,9 +239,10 @@ class Session:
             self.bench.effects[name][0].title for name in effects if name in self.bench.effects
         ]
         self._start(
-            f"add {' '.join(effects)}", f"adding {', '.join(titles)}",
+            f"add {' '.join(effects)}",
+            f"adding {', '.join(titles)}",
             lambda: self._fit(more, settings),
-        )  # fmt: skip
+        )
 
     def _sizes(self, effects: tuple[str, ...]) -> dict[str, float]:
         """What the diagnosis made of a set of effects."""
@@ -263,17 +264,24 @@ class Session:
         self._fitted(model, found, wanted, pressed, campaign)
 
     def _fitted(
-        self, model: ResponseModel, found: Calibration, wanted: Settings, pressed: Settings,
+        self,
+        model: ResponseModel,
+        found: Calibration,
+        wanted: Settings,
+        pressed: Settings,
         campaign: Campaign,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Take over a fit of what was wanted; what was switched on since it was asked for stays."""
         now = self.state.settings
         values = {**now.values, **{n: found.parameters[n].value for n in found.names}}
         fitted = replace(wanted, values=values, fit_scale=SCALE in found.names)
         words = difference(
-            self._opened, campaign, wanted, self.bench.known(wanted),
+            self._opened,
+            campaign,
+            wanted,
+            self.bench.known(wanted),
             [*self.bench.controls, *(c for n in wanted.effects for c in self.bench.effects[n][1])],
-        )  # fmt: skip
+        )
         step = FitStep(
             next(self._numbers), wanted, fitted, campaign, found, model.campaign.priors, words
         )
@@ -324,9 +332,12 @@ class Session:
         # the campaign's own fit stays, once it is there
         steps = before.steps or self.state.steps[:1]
         self._set_controls(
-            before.settings, campaign=before.campaign, steps=steps, compared=before.compared,
+            before.settings,
+            campaign=before.campaign,
+            steps=steps,
+            compared=before.compared,
             diagnosed=before.diagnosed,
-        )  # fmt: skip
+        )
 
     def _step(self, number: int) -> FitStep:
         for step in self.state.steps:
@@ -497,12 +508,18 @@ class Session:
                 else:
                     fitted, _ = bench.fitted_campaign(campaign, settings)
                     named, known = {**fitted.parameters, SCALE: fitted.scale}, bench.known(settings)
-                    chosen = [named[c.name] for c in bench.all_controls
-                              if named.get(c.name) and known[c.name] != c.known]  # fmt: skip
+                    chosen = [
+                        named[c.name]
+                        for c in bench.all_controls
+                        if named.get(c.name) and known[c.name] != c.known
+                    ]
                     file = exchange.campaign_archive(
-                        campaign, effects, values, self._priors_of_fit(settings),
+                        campaign,
+                        effects,
+                        values,
+                        self._priors_of_fit(settings),
                         [parameter for parameter in chosen if parameter is not None],
-                    )  # fmt: skip
+                    )
             with self.lock:
                 self.file_number += 1
                 self._change(file=file)

@@ -103,10 +103,18 @@ class SimulatedBench:
         usual, scale = 4.0 * largest_signal, campaign.scale or UNKNOWN_SCALE
         start = usual if math.isnan(scale.start) else scale.start
         meaning, _ = parameter_words(campaign, SCALE)
-        own.append(Control(
-            SCALE, "scale", "signal at η = 1", 0.0, 3.0 * max(usual, start), start,
-            meaning=meaning, known=known_of(campaign.scale),
-        ))  # fmt: skip
+        own.append(
+            Control(
+                SCALE,
+                "scale",
+                "signal at η = 1",
+                0.0,
+                3.0 * max(usual, start),
+                start,
+                meaning=meaning,
+                known=known_of(campaign.scale),
+            )
+        )
         return tuple(own)
 
     @property
@@ -211,12 +219,14 @@ class SimulatedBench:
         known = self.known(settings)
         model = self._model(campaign, effects, known)
         likelihood = Likelihood(model)
-        theta = np.array([
-            min(max(settings.values.get(p.name, p.start), p.minimum), p.maximum)
-            if p.name != SCALE
-            else settings.values[SCALE]
-            for p in model.free
-        ])  # fmt: skip
+        theta = np.array(
+            [
+                min(max(settings.values.get(p.name, p.start), p.minimum), p.maximum)
+                if p.name != SCALE
+                else settings.values[SCALE]
+                for p in model.free
+            ]
+        )
         names, sigma = [parameter.name for parameter in model.free], 0.0
         if settings.fit_scale:
             sigma = _fit_scale(likelihood, theta, names.index(SCALE))
@@ -228,11 +238,14 @@ class SimulatedBench:
         held = sum(known[name].how == HELD for name in names if name in known)
         chi2, ndf = statistic.chi2(theta), likelihood.ndf + held
         return Shown(
-            rows=fitted_rows(model.readings, prediction, errors), chi2=chi2, ndf=ndf,
-            p_value=p_value(chi2, ndf), scale=prediction.scale,
+            rows=fitted_rows(model.readings, prediction, errors),
+            chi2=chi2,
+            ndf=ndf,
+            p_value=p_value(chi2, ndf),
+            scale=prediction.scale,
             light_yield=_light_yield(campaign, prediction.scale, sigma),
             pending=tuple(name for name in settings.effects if name not in effects),
-        )  # fmt: skip
+        )
 
     def _model(
         self, campaign: Campaign, effects: tuple[str, ...], known: Mapping[str, Known]

@@ -147,9 +147,16 @@ def effect_control(
     if coordinate == "logarithmic" and scale < 0:
         coordinate = "linear"
     return Control(
-        parameter.name, without_unit(parameter.name), parameter.unit, low, high,
-        min(max(start, low), high), coordinate, scale, parameter.meaning,
-    )  # fmt: skip
+        parameter.name,
+        without_unit(parameter.name),
+        parameter.unit,
+        low,
+        high,
+        min(max(start, low), high),
+        coordinate,
+        scale,
+        parameter.meaning,
+    )
 
 
 # What the session holds and shows.
@@ -264,9 +271,12 @@ class State:
 
 
 def difference(
-    first: Campaign, campaign: Campaign, settings: Settings, known: Mapping[str, Known],
+    first: Campaign,
+    campaign: Campaign,
+    settings: Settings,
+    known: Mapping[str, Known],
     controls: Iterable[Control],
-) -> str:  # fmt: skip
+) -> str:
     """What was changed besides effects, in words: ``without air, scattering held at 0.5``.
 
     Of a campaign since it was the `first`, and of what its `controls` said of parameters.

@@ -40,9 +40,12 @@ def from_printed(formula: Callable[..., SupportsFloat], *inputs: Printed) -> tup
 
 
 def derived(
-    quantity: str, paper: Printed | None, formula: Callable[..., SupportsFloat], *inputs: Printed,
+    quantity: str,
+    paper: Printed | None,
+    formula: Callable[..., SupportsFloat],
+    *inputs: Printed,
     **known: Any,
-) -> ArticleRow:  # fmt: skip
+) -> ArticleRow:
     """What a formula makes of printed numbers, as a row; `known` as for `compare`."""
     value, moved = from_printed(formula, *inputs)
     return compare(quantity, paper, value, rounding=moved, **known)
@@ -83,16 +86,22 @@ def transmittance_rows() -> list[ArticleRow]:
         percent, alpha = line.transmittance_percent, line.alpha_abs_per_cm
         rows += [
             derived(
-                f"alpha_abs from T = {percent.text} %, Eq. 4", alpha,
-                lambda t, d: absorption_coefficient(t / 100, d), percent, p.CRYSTAL_MM,
+                f"alpha_abs from T = {percent.text} %, Eq. 4",
+                alpha,
+                lambda t, d: absorption_coefficient(t / 100, d),
+                percent,
+                p.CRYSTAL_MM,
                 inconsistent=line == p.NOMINAL,
             ),
             derived(
-                f"T from alpha_abs = {alpha.text} /cm, Eq. 4", percent,
-                lambda a, d: 100 * transmittance(a, d), alpha, p.CRYSTAL_MM,
+                f"T from alpha_abs = {alpha.text} /cm, Eq. 4",
+                percent,
+                lambda a, d: 100 * transmittance(a, d),
+                alpha,
+                p.CRYSTAL_MM,
                 inconsistent=line == p.NOMINAL,
             ),
-        ]  # fmt: skip
+        ]
 
     def corrected(percent: float, n: float) -> Array:
         return 100 * internal_transmittance(percent / 100, n)
@@ -101,34 +110,64 @@ def transmittance_rows() -> list[ArticleRow]:
     return [
         *rows,
         derived(
-            "T from the measured 76 %, Sec. 4", p.CORRECTED_TRANSMITTANCE, corrected,
-            p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL, inconsistent=True,
+            "T from the measured 76 %, Sec. 4",
+            p.CORRECTED_TRANSMITTANCE,
+            corrected,
+            p.MEASURED_TRANSMITTANCE,
+            p.N_CRYSTAL,
+            inconsistent=True,
             remark="all orders of reflection, added without interference; the rounding of 76 % "
             f"and 2.01 is worth ±{moved:.1f} %",
         ),
         derived(
-            "alpha_abs from the measured 76 %, Sec. 4", p.NOMINAL.alpha_abs_per_cm,
+            "alpha_abs from the measured 76 %, Sec. 4",
+            p.NOMINAL.alpha_abs_per_cm,
             lambda t, n, d: absorption_coefficient(corrected(t, n) / 100, d),
-            p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL, p.CRYSTAL_MM, inconsistent=True,
+            p.MEASURED_TRANSMITTANCE,
+            p.N_CRYSTAL,
+            p.CRYSTAL_MM,
+            inconsistent=True,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def bare_crystal_rows() -> list[ArticleRow]:
     """Eq. 6 as a closed form."""
     return [
-        derived("one face, n = 2.01, Eq. 6", p.ETA_FACE_AIR, lambda n: 100 * escape_fraction(n),
-                p.N_CRYSTAL),
-        derived("relative index to gel, 2.01/1.46", p.RELATIVE_INDEX_GEL, lambda n, m: n / m,
-                p.N_CRYSTAL, p.N_GEL),
-        derived("one face, n = 2.01/1.46, Eq. 6", p.ETA_FACE_GEL,
-                lambda n, m: 100 * escape_fraction(n / m), p.N_CRYSTAL, p.N_GEL),
-        compare("one face, the stated n = 1.38, Eq. 6", p.ETA_FACE_GEL,
-                100 * escape_fraction(p.RELATIVE_INDEX_GEL.value), inconsistent=True,
-                remark="15.6 % needs the index before it was rounded"),
-        compare("trapped for ever, n = 2.01, 1 - 6 faces", None,
-                100 * trapped_fraction(p.N_CRYSTAL.value), unit="%"),
-    ]  # fmt: skip
+        derived(
+            "one face, n = 2.01, Eq. 6",
+            p.ETA_FACE_AIR,
+            lambda n: 100 * escape_fraction(n),
+            p.N_CRYSTAL,
+        ),
+        derived(
+            "relative index to gel, 2.01/1.46",
+            p.RELATIVE_INDEX_GEL,
+            lambda n, m: n / m,
+            p.N_CRYSTAL,
+            p.N_GEL,
+        ),
+        derived(
+            "one face, n = 2.01/1.46, Eq. 6",
+            p.ETA_FACE_GEL,
+            lambda n, m: 100 * escape_fraction(n / m),
+            p.N_CRYSTAL,
+            p.N_GEL,
+        ),
+        compare(
+            "one face, the stated n = 1.38, Eq. 6",
+            p.ETA_FACE_GEL,
+            100 * escape_fraction(p.RELATIVE_INDEX_GEL.value),
+            inconsistent=True,
+            remark="15.6 % needs the index before it was rounded",
+        ),
+        compare(
+            "trapped for ever, n = 2.01, 1 - 6 faces",
+            None,
+            100 * trapped_fraction(p.N_CRYSTAL.value),
+            unit="%",
+        ),
+    ]
 
 
 def ratio_rows() -> list[ArticleRow]:
@@ -137,22 +176,37 @@ def ratio_rows() -> list[ArticleRow]:
     _, moved = from_printed(lambda a, g: a / g, p.SIGNAL_AIR, p.SIGNAL_GEL)
     of_gel, of_air = (100 * n.stated_sigma / n.value for n in (p.SIGNAL_GEL, p.SIGNAL_AIR))
     return [
-        compare("R = 14.3/24.5, Eq. 5", p.RATIO, ratio.value, sigma=ratio.sigma,
-                difference_sigma=0.0, rounding=moved,
-                remark=f"{ratio.value:.4f} ± {ratio.sigma:.4f}: the article cuts digits off "
-                "where rounding gives 0.584 ± 0.013"),
+        compare(
+            "R = 14.3/24.5, Eq. 5",
+            p.RATIO,
+            ratio.value,
+            sigma=ratio.sigma,
+            difference_sigma=0.0,
+            rounding=moved,
+            remark=f"{ratio.value:.4f} ± {ratio.sigma:.4f}: the article cuts digits off "
+            "where rounding gives 0.584 ± 0.013",
+        ),
         compare("relative error of N_gel, Sec. 6.3", p.SIGNAL_ERROR, of_gel),
-        compare("relative error of N_air", None, of_air, unit="%",
-                remark="the article takes the larger one, 1.6 %, for both"),
-    ]  # fmt: skip
+        compare(
+            "relative error of N_air",
+            None,
+            of_air,
+            unit="%",
+            remark="the article takes the larger one, 1.6 %, for both",
+        ),
+    ]
 
 
 def yield_row(quantity: str, paper: Printed, found: Uncertain, **known: Any) -> ArticleRow:
     """A light yield with its two kinds of errors; `known` as for `compare`."""
     return compare(
-        quantity, paper, found.value, sigma=found.statistical_sigma,
-        systematic=found.systematic_sigma, **known,
-    )  # fmt: skip
+        quantity,
+        paper,
+        found.value,
+        sigma=found.statistical_sigma,
+        systematic=found.systematic_sigma,
+        **known,
+    )
 
 
 def light_yield_rows() -> list[ArticleRow]:
@@ -163,18 +217,26 @@ def light_yield_rows() -> list[ArticleRow]:
         ("Y2 (gel)", "gel", p.SIGNAL_GEL, p.NOMINAL.eta_gel_percent, p.YIELD_GEL),
     ):
         found = light_yield_ph_per_keV(
-            counted(signal, coupling), with_eta_error(eta.value / 100),
-            efficiency(p.EFFICIENCY), p.ENERGY_KEV.value,
-        )  # fmt: skip
+            counted(signal, coupling),
+            with_eta_error(eta.value / 100),
+            efficiency(p.EFFICIENCY),
+            p.ENERGY_KEV.value,
+        )
         _, moved = from_printed(
             lambda n, e, h, k: n / (e * h / 100 * k), signal, p.EFFICIENCY, eta, p.ENERGY_KEV
         )
-        rows.append(yield_row(
-            f"{name}, the article's eta = {eta.text} %", paper, found, difference_sigma=0.0,
-            rounding=moved,
-            remark=f"rounds to {found.value:.1f}, which the rounding of {eta.text} % covers"
-            if round(found.value, 1) != paper.value else "",
-        ))  # fmt: skip
+        rows.append(
+            yield_row(
+                f"{name}, the article's eta = {eta.text} %",
+                paper,
+                found,
+                difference_sigma=0.0,
+                rounding=moved,
+                remark=f"rounds to {found.value:.1f}, which the rounding of {eta.text} % covers"
+                if round(found.value, 1) != paper.value
+                else "",
+            )
+        )
     # the largest deviation from the middle line
     eta_error, moved = max(
         from_printed(lambda a, b: 100 * abs(a / b - 1), value, middle)
@@ -183,14 +245,29 @@ def light_yield_rows() -> list[ArticleRow]:
     )
     return [
         *rows,
-        compare("error of eta: spread of Table 1", p.ETA_ERROR, eta_error, rounding=moved,
-                remark="largest deviation from the middle line: 28/25 and 48/43"),
-        derived("total error: 12, 10, 1.6 % in quadrature", p.TOTAL_ERROR, math.hypot,
-                p.ETA_ERROR, p.EFFICIENCY_ERROR, p.SIGNAL_ERROR),
-        derived("total error: 16 % of 7.5",
-                p.printed(str(p.LIGHT_YIELD.sigma), "Sec. 6.3", "ph/keV"),
-                lambda y, e: y * e / 100, p.LIGHT_YIELD, p.TOTAL_ERROR),
-    ]  # fmt: skip
+        compare(
+            "error of eta: spread of Table 1",
+            p.ETA_ERROR,
+            eta_error,
+            rounding=moved,
+            remark="largest deviation from the middle line: 28/25 and 48/43",
+        ),
+        derived(
+            "total error: 12, 10, 1.6 % in quadrature",
+            p.TOTAL_ERROR,
+            math.hypot,
+            p.ETA_ERROR,
+            p.EFFICIENCY_ERROR,
+            p.SIGNAL_ERROR,
+        ),
+        derived(
+            "total error: 16 % of 7.5",
+            p.printed(str(p.LIGHT_YIELD.sigma), "Sec. 6.3", "ph/keV"),
+            lambda y, e: y * e / 100,
+            p.LIGHT_YIELD,
+            p.TOTAL_ERROR,
+        ),
+    ]
 
 
 def counted(signal: Printed, whose: str) -> Uncertain:
@@ -221,10 +298,14 @@ def relative_yield(eta: Uncertain, cawo4_eta: Uncertain) -> Uncertain:
     From efficiencies of CaMoO4 and CaWO4 at the air gap, fractions.
     """
     return light_yield_by_reference(
-        counted(p.SIGNAL_AIR, "air"), eta.own("CaMoO4"), efficiency(p.EFFICIENCY).own("CaMoO4"),
-        counted(p.CAWO4_SIGNAL, "CaWO4"), cawo4_eta.own("CaWO4"),
-        efficiency(p.CAWO4_EFFICIENCY).own("CaWO4"), reference_yield(),
-    )  # fmt: skip
+        counted(p.SIGNAL_AIR, "air"),
+        eta.own("CaMoO4"),
+        efficiency(p.EFFICIENCY).own("CaMoO4"),
+        counted(p.CAWO4_SIGNAL, "CaWO4"),
+        cawo4_eta.own("CaWO4"),
+        efficiency(p.CAWO4_EFFICIENCY).own("CaWO4"),
+        reference_yield(),
+    )
 
 
 def relative_rows() -> list[ArticleRow]:
@@ -238,28 +319,53 @@ def relative_rows() -> list[ArticleRow]:
         # eq. 7 is a product of powers: the roundings' relative effects add
         moved = found.value * sum(
             number.rounding / number.value
-            for number in (p.SIGNAL_AIR, p.CAWO4_EFFICIENCY, p.CAWO4_ETA, p.CAWO4_SIGNAL,
-                           p.EFFICIENCY, eta, p.CAWO4_YIELD)
-        )  # fmt: skip
-        rows.append(yield_row(
-            f"Y, {what}, Eq. 7", p.RELATIVE_YIELD, found, difference_sigma=0.0, rounding=moved,
-            inconsistent=eta is not p.RELATIVE_ETA,
-        ))  # fmt: skip
+            for number in (
+                p.SIGNAL_AIR,
+                p.CAWO4_EFFICIENCY,
+                p.CAWO4_ETA,
+                p.CAWO4_SIGNAL,
+                p.EFFICIENCY,
+                eta,
+                p.CAWO4_YIELD,
+            )
+        )
+        rows.append(
+            yield_row(
+                f"Y, {what}, Eq. 7",
+                p.RELATIVE_YIELD,
+                found,
+                difference_sigma=0.0,
+                rounding=moved,
+                inconsistent=eta is not p.RELATIVE_ETA,
+            )
+        )
         errors.append(found.sigma)
     signals = (p.SIGNAL_AIR, p.CAWO4_SIGNAL, p.CAWO4_YIELD)
     equal, moved = from_printed(lambda a, b, y: a / b * y, *signals)
     return [
         *rows,
-        compare("error of Eq. 7", p.printed("1.7", "Eq. 7", "ph/keV"), errors[0],
-                remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, "
-                "counts"),
-        compare("equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON, equal, rounding=moved,
-                inconsistent=True),
-        compare("with the efficiencies", p.SIMPLE_COMPARISON,
-                equal * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value, inconsistent=True,
-                remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies "
-                "as well"),
-    ]  # fmt: skip
+        compare(
+            "error of Eq. 7",
+            p.printed("1.7", "Eq. 7", "ph/keV"),
+            errors[0],
+            remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, counts",
+        ),
+        compare(
+            "equal collection: 14.3/40.1 x 16.2",
+            p.SIMPLE_COMPARISON,
+            equal,
+            rounding=moved,
+            inconsistent=True,
+        ),
+        compare(
+            "with the efficiencies",
+            p.SIMPLE_COMPARISON,
+            equal * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value,
+            inconsistent=True,
+            remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies "
+            "as well",
+        ),
+    ]
 
 
 def table_2_rows() -> list[ArticleRow]:
@@ -267,14 +373,20 @@ def table_2_rows() -> list[ArticleRow]:
     return [
         *(compare(what, number, None) for number, what in p.TABLE_2),
         *(
-            derived(quantity, paper, lambda y, h, e: y / (h * e / 1e4),
-                    p.KIM_MEASURED, eta, p.KIM_EFFICIENCY)
+            derived(
+                quantity,
+                paper,
+                lambda y, h, e: y / (h * e / 1e4),
+                p.KIM_MEASURED,
+                eta,
+                p.KIM_EFFICIENCY,
+            )
             for quantity, paper, eta in (
                 ("[13]: 3.5/(0.90 x 0.80)", p.KIM_YIELD, p.KIM_ASSUMED_ETA),
                 ("[13] corrected: 3.5/(0.56 x 0.80)", p.KIM_CORRECTED, p.WRAPPED_ETA),
             )
         ),
-    ]  # fmt: skip
+    ]
 
 
 def quoted_rows() -> list[ArticleRow]:

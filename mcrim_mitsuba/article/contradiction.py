@@ -136,48 +136,69 @@ def rows(found: Contradiction) -> list[ArticleRow]:
     made = [
         compare(
             "transmittance with the fitted alpha_scat and alpha_abs, Eqs. 3-4",
-            p.MEASURED_TRANSMITTANCE, 100 * _predicted(), inconsistent=True,
+            p.MEASURED_TRANSMITTANCE,
+            100 * _predicted(),
+            inconsistent=True,
             remark="polished faces, all scattered light lost: within 5 degrees of the beam a "
             "detector sees 0.05 % more",
         ),
         compare(
-            "the same into a sphere", p.MEASURED_TRANSMITTANCE, 100 * found.etas["sphere"],
-            inconsistent=True, remark="all that is scattered forward and leaves is taken",
+            "the same into a sphere",
+            p.MEASURED_TRANSMITTANCE,
+            100 * found.etas["sphere"],
+            inconsistent=True,
+            remark="all that is scattered forward and leaves is taken",
         ),
         compare(
             f"the same into a sphere, scattering forward (g = {_FORWARD_G:g})",
-            p.MEASURED_TRANSMITTANCE, 100 * found.etas["forward, sphere"], judged=False,
+            p.MEASURED_TRANSMITTANCE,
+            100 * found.etas["forward, sphere"],
+            judged=False,
             remark=f"the nearest single rescue, at a ratio of {ratio:.3f} where {p.RATIO.text} was "
             "measured: more scattering mends this and spoils the transmittance",
         ),
         compare(
             f"transmittance, if {p.ROUGHNESS_NM.text} nm are the rms of the faces, Sec. 4",
-            p.MEASURED_TRANSMITTANCE, 100 * hazy_transmittance(p.ROUGHNESS_NM.value), judged=False,
+            p.MEASURED_TRANSMITTANCE,
+            100 * hazy_transmittance(p.ROUGHNESS_NM.value),
+            judged=False,
             remark=f"with a clear bulk; {p.MEASURED_TRANSMITTANCE.text} % allows {smooth:.0f} nm",
         ),
         compare(
-            "alpha_scat + alpha_abs that the transmittance allows", p.ALPHA_SCAT, allowed,
-            inconsistent=True, remark="the article fits 0.54 /cm of scattering alone",
+            "alpha_scat + alpha_abs that the transmittance allows",
+            p.ALPHA_SCAT,
+            allowed,
+            inconsistent=True,
+            remark="the article fits 0.54 /cm of scattering alone",
         ),
         compare(
-            "chi2 of 14.3, 24.5 and 76 % in one fit, 1 degree of freedom", None, baseline.chi2,
-            unit="", remark=f"{_as_pull(baseline)}; errors as in {CAMPAIGN}",
+            "chi2 of 14.3, 24.5 and 76 % in one fit, 1 degree of freedom",
+            None,
+            baseline.chi2,
+            unit="",
+            remark=f"{_as_pull(baseline)}; errors as in {CAMPAIGN}",
         ),
         compare(
-            "the same, light unpolarised and born everywhere", None, found.ignorant.chi2,
-            unit="", remark=_as_pull(found.ignorant),
+            "the same, light unpolarised and born everywhere",
+            None,
+            found.ignorant.chi2,
+            unit="",
+            remark=_as_pull(found.ignorant),
         ),
-    ]  # fmt: skip
+    ]
     if averaged is not None:
         made.append(
             compare(
-                "light yield, averaged over what the three numbers allow", p.LIGHT_YIELD,
-                averaged.value, sigma=averaged.sigma, judged=False,
+                "light yield, averaged over what the three numbers allow",
+                p.LIGHT_YIELD,
+                averaged.value,
+                sigma=averaged.sigma,
+                judged=False,
                 remark=f"±{averaged.within:.2f} within explanations, ±{averaged.between:.2f} "
                 f"between them, ±{averaged.catalogue:.2f} for what is in no catalogue; the light "
                 "yields of the best four are in the sentences below",
             )
-        )  # fmt: skip
+        )
     return made
 
 

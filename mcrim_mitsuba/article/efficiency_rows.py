@@ -227,11 +227,16 @@ def bare_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
                 "; below n = sqrt(2) the six escape cones overlap, and Eq. 6 counts the light "
                 "in two of them twice"
             )
-        rows.append(compare(
-            f"one face, n = {n:.4g}, by Mitsuba", paper, face, sigma=sigma,
-            difference_sigma=math.hypot(sigma, p.ZEMAX_FACE_RELATIVE_ERROR * paper.value),
-            remark=f"{remark}; the article's own limit of 1 % enters the verdict",
-        ))  # fmt: skip
+        rows.append(
+            compare(
+                f"one face, n = {n:.4g}, by Mitsuba",
+                paper,
+                face,
+                sigma=sigma,
+                difference_sigma=math.hypot(sigma, p.ZEMAX_FACE_RELATIVE_ERROR * paper.value),
+                remark=f"{remark}; the article's own limit of 1 % enters the verdict",
+            )
+        )
     result = simulated.bare[p.N_CRYSTAL.value]
     trapped, sigma = 100 * result.budget["truncated"], 100 * result.budget_sigma["truncated"]
     distance = _distance(trapped, float(100 * trapped_fraction(p.N_CRYSTAL.value)), sigma)
@@ -255,22 +260,35 @@ def bench_rows(simulated: Simulated, photons: int) -> list[ArticleRow]:
         ("window width", p.WINDOW_WIDTH_MM, bench["window_width_mm"]),
         ("window thickness", p.WINDOW_THICKNESS_MM, bench["window_thickness_mm"]),
         ("index of the window", p.N_WINDOW, bench["n_window"]),
-        ("diameter of the aperture", p.APERTURE_DIAMETER_MM,
-         2.0 * float(bench["aperture_radius_mm"])),
+        (
+            "diameter of the aperture",
+            p.APERTURE_DIAMETER_MM,
+            2.0 * float(bench["aperture_radius_mm"]),
+        ),
         ("index of the gap, gel", p.N_GEL, simulated.couplings[GEL, True].n_gap),
         ("alpha_abs of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_ABS, cawo4[ALPHA_ABS]),
         ("alpha_scat of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_SCAT, cawo4[ALPHA_SCAT]),
-    )  # fmt: skip
+    )
     rays = Printed(f"{p.RAYS:,}", p.RAYS, 0.5, None, "Sec. 5")
     return [
         *(compare(what, number, float(ours)) for what, number, ours in stated),
-        compare("source smaller than the crystal by", p.SOURCE_MARGIN_MM, 0.0, judged=False,
-                remark="ours fills the crystal: there is no surface to keep off"),
-        compare("rays per point; ours: per curve", rays, photons, judged=False,
-                remark="100,000 rays alone leave an error of "
-                f"{100 * article_monte_carlo_sigma(0.25):.2f} % (of all light) on an efficiency "
-                "of 25 %"),
-    ]  # fmt: skip
+        compare(
+            "source smaller than the crystal by",
+            p.SOURCE_MARGIN_MM,
+            0.0,
+            judged=False,
+            remark="ours fills the crystal: there is no surface to keep off",
+        ),
+        compare(
+            "rays per point; ours: per curve",
+            rays,
+            photons,
+            judged=False,
+            remark="100,000 rays alone leave an error of "
+            f"{100 * article_monte_carlo_sigma(0.25):.2f} % (of all light) on an efficiency "
+            "of 25 %",
+        ),
+    ]
 
 
 def table_1_rows(fits: Fits) -> list[ArticleRow]:
@@ -279,27 +297,34 @@ def table_1_rows(fits: Fits) -> list[ArticleRow]:
     for polarised, lines in fits.items():
         for fit in lines:
             found, article_sigma = fit.solution, fit.article_monte_carlo_sigma
-            rows.append(compare(
-                f"alpha_scat, T = {fit.line.transmittance_percent.text} %, {_WORD[polarised]}",
-                p.ALPHA_SCAT if fit.line == p.NOMINAL else fit.line.alpha_scat_per_cm, found.value,
-                sigma=math.hypot(found.statistical_sigma, found.monte_carlo_sigma),
-                difference_sigma=math.hypot(found.monte_carlo_sigma, article_sigma),
-                remark=f"{found.value:.3f} ± {found.statistical_sigma:.3f} (from R) ± "
-                f"{found.monte_carlo_sigma:.3f} (Monte Carlo); the article's rays leave "
-                f"±{article_sigma:.3f} on its own",
-            ))  # fmt: skip
+            rows.append(
+                compare(
+                    f"alpha_scat, T = {fit.line.transmittance_percent.text} %, {_WORD[polarised]}",
+                    p.ALPHA_SCAT if fit.line == p.NOMINAL else fit.line.alpha_scat_per_cm,
+                    found.value,
+                    sigma=math.hypot(found.statistical_sigma, found.monte_carlo_sigma),
+                    difference_sigma=math.hypot(found.monte_carlo_sigma, article_sigma),
+                    remark=f"{found.value:.3f} ± {found.statistical_sigma:.3f} (from R) ± "
+                    f"{found.monte_carlo_sigma:.3f} (Monte Carlo); the article's rays leave "
+                    f"±{article_sigma:.3f} on its own",
+                )
+            )
     nominal = nominal_of(fits[True])
     found, interval = nominal.solution, ""
     if found.lower is not None and found.upper is not None:
         interval = (
             f"R ± 0.012 gives {found.lower:.2f} to {found.upper:.2f} /cm: not quite symmetric"
         )
-    rows.append(compare(
-        "error of alpha_scat from that of R, Sec. 6.2", p.printed("0.10", "Sec. 6.2", "1/cm"),
-        found.statistical_sigma, sigma=nominal.monte_carlo_of_sigma,
-        rounding=found.statistical_sigma * p.RATIO.rounding / p.RATIO.stated_sigma,
-        remark=interval,
-    ))  # fmt: skip
+    rows.append(
+        compare(
+            "error of alpha_scat from that of R, Sec. 6.2",
+            p.printed("0.10", "Sec. 6.2", "1/cm"),
+            found.statistical_sigma,
+            sigma=nominal.monte_carlo_of_sigma,
+            rounding=found.statistical_sigma * p.RATIO.rounding / p.RATIO.stated_sigma,
+            remark=interval,
+        )
+    )
     return rows
 
 
@@ -328,16 +353,24 @@ def efficiency_rows(simulated: Simulated, fits: Fits) -> list[ArticleRow]:
 
 
 def _eta_row(
-    what: str, polarised: bool, paper: Printed, point: EtaPoint, sigma: float,
-    monte_carlo: float | None = None, moved: float = 0.0,
-) -> ArticleRow:  # fmt: skip
+    what: str,
+    polarised: bool,
+    paper: Printed,
+    point: EtaPoint,
+    sigma: float,
+    monte_carlo: float | None = None,
+    moved: float = 0.0,
+) -> ArticleRow:
     """An efficiency in %; the difference has the Monte Carlo errors of both, `sigma` of ours."""
     ours = sigma if monte_carlo is None else monte_carlo
     return compare(
-        f"{what}, {'pol.' if polarised else 'unpol.'}", paper, 100 * point.eta, sigma=100 * sigma,
+        f"{what}, {'pol.' if polarised else 'unpol.'}",
+        paper,
+        100 * point.eta,
+        sigma=100 * sigma,
         rounding=100 * moved,
         difference_sigma=100 * math.hypot(ours, article_monte_carlo_sigma(point.eta)),
-    )  # fmt: skip
+    )
 
 
 def _shape_rows(simulated: Simulated) -> list[ArticleRow]:
@@ -349,20 +382,34 @@ def _shape_rows(simulated: Simulated) -> list[ArticleRow]:
     theirs = ratio * _relative_sigma_of_ratio(*points)
     position, position_sigma = position_of_maximum(gel.surface, alpha_abs)
     rows = [
-        compare("R at the article's (0.039, 0.54) /cm, pol.", p.RATIO, ratio, sigma=sigma,
-                difference_sigma=math.hypot(sigma, theirs)),
-        compare("maximum of the gel curve, Sec. 6.2", p.GEL_MAXIMUM, position,
-                sigma=position_sigma,
-                remark="at T = 96 %; its place moves with the absorption (Fig. 3)"),
-    ]  # fmt: skip
+        compare(
+            "R at the article's (0.039, 0.54) /cm, pol.",
+            p.RATIO,
+            ratio,
+            sigma=sigma,
+            difference_sigma=math.hypot(sigma, theirs),
+        ),
+        compare(
+            "maximum of the gel curve, Sec. 6.2",
+            p.GEL_MAXIMUM,
+            position,
+            sigma=position_sigma,
+            remark="at T = 96 %; its place moves with the absorption (Fig. 3)",
+        ),
+    ]
     flat = p.FLAT_ABOVE.value
     for low, high in ((0.1, flat), (flat, p.SCANNED_TO.value)):
         grown, variance = _growth(air.surface, low, high, alpha_abs)
-        rows.append(compare(
-            f"eta_air grows from {low:g} to {high:g} /cm by", None, 100 * (grown - 1),
-            sigma=100 * grown * math.sqrt(variance), unit="%",
-            remark='the article: "little change" above 0.5 /cm' if low == flat else "",
-        ))  # fmt: skip
+        rows.append(
+            compare(
+                f"eta_air grows from {low:g} to {high:g} /cm by",
+                None,
+                100 * (grown - 1),
+                sigma=100 * grown * math.sqrt(variance),
+                unit="%",
+                remark='the article: "little change" above 0.5 /cm' if low == flat else "",
+            )
+        )
     return rows
 
 
@@ -378,17 +425,31 @@ def other_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
         if reflectance != DEFAULT_WRAP_REFLECTANCE
     )
     return [
-        _crystal("thin CaMoO4, 1 mm, gel, Sec. 6.2", p.THIN_ETA, simulated.thin, None,
-                 "with 0.54 and 0.039 /cm, for the article states no others; without absorption "
-                 f"{100 * simulated.thin_clear.eta:.1f} %"),
+        _crystal(
+            "thin CaMoO4, 1 mm, gel, Sec. 6.2",
+            p.THIN_ETA,
+            simulated.thin,
+            None,
+            "with 0.54 and 0.039 /cm, for the article states no others; without absorption "
+            f"{100 * simulated.thin_clear.eta:.1f} %",
+        ),
         compare("CaWO4 of [20]: 3.8/0.25, Sec. 6.2", p.CAWO4_QUOTED_ETA, quoted, rounding=moved),
-        _crystal("CaWO4, air, Sec. 6.4", p.CAWO4_ETA, simulated.cawo4, None,
-                 "its size and index are not given: a 10 mm cube with n = 1.92 is taken"),
-        _crystal("CaMoO4 cube, wrapped, gel, Sec. 6.5", p.WRAPPED_ETA, wrapped,
-                 100 * wrapped_spread(simulated),
-                 f"five faces behind an air film, Lambertian, reflectance "
-                 f"{DEFAULT_WRAP_REFLECTANCE:g}; {spread}: the article does not say how it wraps"),
-    ]  # fmt: skip
+        _crystal(
+            "CaWO4, air, Sec. 6.4",
+            p.CAWO4_ETA,
+            simulated.cawo4,
+            None,
+            "its size and index are not given: a 10 mm cube with n = 1.92 is taken",
+        ),
+        _crystal(
+            "CaMoO4 cube, wrapped, gel, Sec. 6.5",
+            p.WRAPPED_ETA,
+            wrapped,
+            100 * wrapped_spread(simulated),
+            f"five faces behind an air film, Lambertian, reflectance "
+            f"{DEFAULT_WRAP_REFLECTANCE:g}; {spread}: the article does not say how it wraps",
+        ),
+    ]
 
 
 def _crystal(
@@ -396,9 +457,14 @@ def _crystal(
 ) -> ArticleRow:
     sigma, theirs = 100 * result.eta_sigma, 100 * article_monte_carlo_sigma(result.eta)
     return compare(
-        f"eta of {what}", paper, 100 * result.eta, sigma=sigma, systematic=systematic,
-        difference_sigma=math.hypot(sigma, systematic or 0.0, theirs), remark=remark,
-    )  # fmt: skip
+        f"eta of {what}",
+        paper,
+        100 * result.eta,
+        sigma=sigma,
+        systematic=systematic,
+        difference_sigma=math.hypot(sigma, systematic or 0.0, theirs),
+        remark=remark,
+    )
 
 
 def wrapped_spread(simulated: Simulated) -> float:

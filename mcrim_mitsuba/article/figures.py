@@ -90,9 +90,14 @@ def _synthetic(name: str) -> FittedHistogram:
 def draw_efficiency(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) -> Drawing:
     """Fig. 3: eta against alpha_scat for two couplings and three transmittances."""
     columns = (
-        "polarised", "n_gap", "transmittance_percent", "alpha_abs_per_cm", "alpha_scat_per_cm",
-        "eta", "eta_sigma",
-    )  # fmt: skip
+        "polarised",
+        "n_gap",
+        "transmittance_percent",
+        "alpha_abs_per_cm",
+        "alpha_scat_per_cm",
+        "eta",
+        "eta_sigma",
+    )
     rows = [
         (c.coupling.polarised, c.coupling.n_gap, *_line(c.line), *point)
         for c in curves
@@ -120,9 +125,18 @@ def _efficiency_figure(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine])
         _name_curve(axes, curve.line, 100 * curve.etas[-1])
         printed = curve.line.eta_air_percent if air else curve.line.eta_gel_percent
         axes.errorbar(
-            curve.line.alpha_scat_per_cm.value, printed.value, yerr=printed.rounding,
-            fmt=marker, ms=8, mfc="white", mec=colour, ecolor=colour, mew=1.8, capsize=3, zorder=5,
-        )  # fmt: skip
+            curve.line.alpha_scat_per_cm.value,
+            printed.value,
+            yerr=printed.rounding,
+            fmt=marker,
+            ms=8,
+            mfc="white",
+            mec=colour,
+            ecolor=colour,
+            mew=1.8,
+            capsize=3,
+            zorder=5,
+        )
     for fit in fits:
         for point in (fit.air, fit.gel):
             axes.plot(fit.solution.value, 100 * point.eta, **_OURS)
@@ -132,20 +146,35 @@ def _efficiency_figure(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine])
     for name, height in (("gel in the gap, n = 1.46", 51.5), ("air in the gap, n = 1.00", 8.5)):
         axes.text(0.0105, height, name, weight="bold", va="center")
     _legend(
-        axes, "lower right", "polarisation ignored",
-        Line2D([], [], color=GREY, marker="o", mfc="white", mew=1.8, ms=8, ls="",
-               label="article, Table 1"),
+        axes,
+        "lower right",
+        "polarisation ignored",
+        Line2D(
+            [],
+            [],
+            color=GREY,
+            marker="o",
+            mfc="white",
+            mew=1.8,
+            ms=8,
+            ls="",
+            label="article, Table 1",
+        ),
         Line2D([], [], ls="", label="Mitsuba, where R = 0.583", **_OURS),
-    )  # fmt: skip
+    )
     return figure
 
 
 def draw_ratio(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Drawing:
     """Fig. 4: R against alpha_scat, the measured band and the scattering coefficient."""
     columns = (
-        "polarised", "transmittance_percent", "alpha_abs_per_cm", "alpha_scat_per_cm", "ratio",
+        "polarised",
+        "transmittance_percent",
+        "alpha_abs_per_cm",
+        "alpha_scat_per_cm",
+        "ratio",
         "ratio_sigma",
-    )  # fmt: skip
+    )
     rows = [
         (c.polarised, *_line(c.line), *point)
         for c in curves
@@ -161,8 +190,14 @@ def _ratio_figure(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) ->
     ratio, error = p.RATIO.value, p.RATIO.stated_sigma
     axes.axhspan(ratio - error, ratio + error, color=PALE, lw=0)
     axes.axhline(ratio, color=GREY, lw=0.9)
-    axes.text(0.0105, ratio + error + 0.003, f"measured R = {ratio:.3f} ± {error:.3f}",
-              fontsize=10, color=GREY, va="bottom")  # fmt: skip
+    axes.text(
+        0.0105,
+        ratio + error + 0.003,
+        f"measured R = {ratio:.3f} ± {error:.3f}",
+        fontsize=10,
+        color=GREY,
+        va="bottom",
+    )
     for curve in curves:
         colour, _ = _STYLE[curve.line.transmittance_percent.value]
         nominal = curve.line == p.NOMINAL
@@ -207,13 +242,24 @@ def _contradiction_figure(curves: tuple[RatioCurve, ...], found: Contradiction) 
     three = found.diagnosis.baseline.rows
     sigma = 100 * next(row.sigma for row in three if row.measured < 1.0)
     axes.errorbar(
-        p.MEASURED_TRANSMITTANCE.value, p.RATIO.value, xerr=sigma, yerr=p.RATIO.stated_sigma,
-        fmt="o", ms=8, color="black", capsize=3, zorder=6,
-    )  # fmt: skip
+        p.MEASURED_TRANSMITTANCE.value,
+        p.RATIO.value,
+        xerr=sigma,
+        yerr=p.RATIO.stated_sigma,
+        fmt="o",
+        ms=8,
+        color="black",
+        capsize=3,
+        zorder=6,
+    )
     axes.annotate(
-        "measured", (p.MEASURED_TRANSMITTANCE.value, p.RATIO.value), xytext=(-10, 10),
-        textcoords="offset points", weight="bold", ha="right",
-    )  # fmt: skip
+        "measured",
+        (p.MEASURED_TRANSMITTANCE.value, p.RATIO.value),
+        xytext=(-10, 10),
+        textcoords="offset points",
+        weight="bold",
+        ha="right",
+    )
     axes.set_xlim(0, 92)
     axes.set_xlabel("transmittance through 10 mm (%)")
     axes.set_ylabel(r"$R = η_\mathrm{air} / η_\mathrm{gel}$")
@@ -259,15 +305,32 @@ def _mark_solution(axes: Axes, fit: FittedLine) -> None:
         [found.value, found.value], [ratio, _OURS_HEIGHT - lower], color=colour, lw=0.8, ls=":"
     )
     axes.errorbar(
-        printed.value, _ARTICLE_HEIGHT - lower, xerr=printed.sigma, fmt=marker, ms=8, mfc="white",
-        mec=colour, ecolor=colour, mew=1.8, capsize=3, zorder=5,
-    )  # fmt: skip
+        printed.value,
+        _ARTICLE_HEIGHT - lower,
+        xerr=printed.sigma,
+        fmt=marker,
+        ms=8,
+        mfc="white",
+        mec=colour,
+        ecolor=colour,
+        mew=1.8,
+        capsize=3,
+        zorder=5,
+    )
     low = found.statistical_sigma if found.lower is None else found.value - found.lower
     high = found.statistical_sigma if found.upper is None else found.upper - found.value
     axes.errorbar(
-        found.value, _OURS_HEIGHT - lower, xerr=[[low], [high]] if nominal else None, fmt="x", ms=7,
-        mew=1.8, color="black", ecolor="black", capsize=3, zorder=6,
-    )  # fmt: skip
+        found.value,
+        _OURS_HEIGHT - lower,
+        xerr=[[low], [high]] if nominal else None,
+        fmt="x",
+        ms=7,
+        mew=1.8,
+        color="black",
+        ecolor="black",
+        capsize=3,
+        zorder=6,
+    )
     if nominal:
         for height, text in (
             (_ARTICLE_HEIGHT, f"{printed.value:.2f} ± {printed.sigma:.2f} /cm"),
@@ -286,9 +349,14 @@ def _name_curve(axes: Axes, line: Table1Line, height: float) -> None:
     percent = line.transmittance_percent
     apart = 3 * np.sign(percent.value - p.NOMINAL.transmittance_percent.value)
     axes.annotate(
-        f"T = {percent.text} %", (p.SCANNED_TO.value, height), xytext=(5, apart),
-        textcoords="offset points", va="center", color=_STYLE[percent.value][0], fontsize=10,
-    )  # fmt: skip
+        f"T = {percent.text} %",
+        (p.SCANNED_TO.value, height),
+        xytext=(5, apart),
+        textcoords="offset points",
+        va="center",
+        color=_STYLE[percent.value][0],
+        fontsize=10,
+    )
 
 
 def _scattering_axis(axes: Axes) -> None:

@@ -291,8 +291,15 @@ def compare(
         agree = abs(value - paper.value) <= limit * (1 + 1e-9)
         verdict = AGREES if agree else DIFFERS
     return ArticleRow(
-        section="", quantity=quantity, unit=(paper.unit if paper else "") if unit is None else unit,
-        paper=paper.value if paper else None, paper_sigma=paper.sigma if paper else None,
-        paper_text=paper.text if paper else "", ours=value, sigma=error, systematic=systematic,
-        verdict=verdict, remark=remark,
-    )  # fmt: skip
+        section="",
+        quantity=quantity,
+        unit=(paper.unit if paper else "") if unit is None else unit,
+        paper=paper.value if paper else None,
+        paper_sigma=paper.sigma if paper else None,
+        paper_text=paper.text if paper else "",
+        ours=value,
+        sigma=error,
+        systematic=systematic,
+        verdict=verdict,
+        remark=remark,
+    )

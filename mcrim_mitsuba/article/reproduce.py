@@ -112,37 +112,48 @@ def reproduce_article(*, run: Run = Run()) -> ArticleResult:
 
 
 def _rows(
-    simulated: Simulated, fits: Fits, yields: LightYields, left_out: tuple[Neglected, ...],
-    contradicted: Contradiction, photons: int,
-) -> tuple[ArticleRow, ...]:  # fmt: skip
+    simulated: Simulated,
+    fits: Fits,
+    yields: LightYields,
+    left_out: tuple[Neglected, ...],
+    contradicted: Contradiction,
+    photons: int,
+) -> tuple[ArticleRow, ...]:
     """All rows under the article's sections."""
-    sections = {
+    sections: dict[str, Iterable[ArticleRow]] = {
         "Sec. 3-4, Eq. 4: transmittance and absorption": arithmetic.transmittance_rows(),
         "Sec. 5, Eq. 6: light that leaves a bare crystal": [
-            *arithmetic.bare_crystal_rows(), *efficiency_rows.bare_crystal_rows(simulated),
+            *arithmetic.bare_crystal_rows(),
+            *efficiency_rows.bare_crystal_rows(simulated),
         ],
-        "Sec. 4-5: the bench, as the article states it and as the scene has it":
-            efficiency_rows.bench_rows(simulated, photons),
+        "Sec. 4-5: the bench, as the article states it and as the scene has it": [
+            *efficiency_rows.bench_rows(simulated, photons),
+        ],
         "Sec. 6.1-6.2, Eq. 5: the measured ratio": arithmetic.ratio_rows(),
-        "Sec. 6.2-6.3, Table 1 and Fig. 4: scattering coefficient from the ratio":
-            efficiency_rows.table_1_rows(fits),
-        "Sec. 6.2-6.3, Table 1 and Fig. 3: light collection efficiency":
-            efficiency_rows.efficiency_rows(simulated, fits),
+        "Sec. 6.2-6.3, Table 1 and Fig. 4: scattering coefficient from the ratio": [
+            *efficiency_rows.table_1_rows(fits),
+        ],
+        "Sec. 6.2-6.3, Table 1 and Fig. 3: light collection efficiency": [
+            *efficiency_rows.efficiency_rows(simulated, fits),
+        ],
         "Sec. 6.2, 6.4, 6.5: other crystals": efficiency_rows.other_crystal_rows(simulated),
         "Sec. 6.3, Eqs. 1-2: absolute light yield": [
-            *arithmetic.light_yield_rows(), *yield_rows.yield_rows(yields),
-            *yield_rows.budget_rows(simulated), *yield_rows.neglected_rows(left_out),
+            *arithmetic.light_yield_rows(),
+            *yield_rows.yield_rows(yields),
+            *yield_rows.budget_rows(simulated),
+            *yield_rows.neglected_rows(left_out),
         ],
         "Sec. 6.4, Eq. 7: relative method": [
-            *arithmetic.relative_rows(), yield_rows.relative_yield_row(yields),
+            *arithmetic.relative_rows(),
+            yield_rows.relative_yield_row(yields),
         ],
         "Sec. 6.5, Table 2: other measurements": [
-            *arithmetic.table_2_rows(), yield_rows.wrapped_yield_row(simulated),
+            *arithmetic.table_2_rows(),
+            yield_rows.wrapped_yield_row(simulated),
         ],
         SAYS: contradiction.rows(contradicted),
-        "Quoted or measured by the article, and used or kept as they are":
-            arithmetic.quoted_rows(),
-    }  # fmt: skip
+        "Quoted or measured by the article, and used or kept as they are": arithmetic.quoted_rows(),
+    }
     return tuple(replace(row, section=name) for name, rows in sections.items() for row in rows)
 
 
@@ -208,10 +219,14 @@ def _tables(rows: tuple[ArticleRow, ...]) -> Iterator[Part]:
     for section in dict.fromkeys(row.section for row in rows):
         shown = [row for row in rows if row.section == section]
         cells = (
-            (f"{row.quantity} ({row.unit})" if row.unit else row.quantity,
-             row.paper_text or "-", _ours(row), row.verdict)
+            (
+                f"{row.quantity} ({row.unit})" if row.unit else row.quantity,
+                row.paper_text or "-",
+                _ours(row),
+                row.verdict,
+            )
             for row in shown
-        )  # fmt: skip
+        )
         yield Sentence("")
         yield table(section, ("quantity", "article", "ours", "verdict"), cells)
         yield from (Sentence(f"  {row.quantity}: {row.remark}.") for row in shown if row.remark)

@@ -122,7 +122,9 @@ def simulate_article(*, run: Run = Run()) -> Simulated:
         couplings=couplings,
         bare={
             n: runner.single(
-                "camoo4.xml", {**clear, "n_crystal": n}, f"bare crystal, n = {n:.4g}",
+                "camoo4.xml",
+                {**clear, "n_crystal": n},
+                f"bare crystal, n = {n:.4g}",
                 max_depth=_BARE_MAX_DEPTH,
             )
             for n in indices
@@ -134,7 +136,8 @@ def simulate_article(*, run: Run = Run()) -> Simulated:
         cawo4=runner.single("cawo4.xml", polarised, "CaWO4"),
         wrapped={
             reflectance: runner.single(
-                "camoo4_wrapped.xml", {**polarised, "wrap_reflectance": reflectance},
+                "camoo4_wrapped.xml",
+                {**polarised, "wrap_reflectance": reflectance},
                 f"wrapped cube, reflectance {reflectance:g}",
             )
             for reflectance in WRAP_REFLECTANCES
@@ -142,7 +145,7 @@ def simulate_article(*, run: Run = Run()) -> Simulated:
         parameters=dict(read_scene(scene_path("camoo4.xml")).parameters),
         scene_hashes=runner.scene_hashes,
         versions=runner.versions,
-    )  # fmt: skip
+    )
 
 
 @dataclass

@@ -145,14 +145,15 @@ def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
         agreement("Y1 (air) and Y2 (gel) with the article's eta", in_air, in_gel, counts),
         agreement(
             "Y1 and Y2 with our eta at the article's (0.039, 0.54) /cm",
-            *yields.at_article_point, counts,
+            *yields.at_article_point,
+            counts,
         ),
         "With our eta at our own alpha_scat Y1 and Y2 are equal by construction: that is what "
         "alpha_scat is fitted for.",
         f"Eq. 7 with our eta against Eqs. 1-2: {relative.value:.1f} and {absolute.value:.1f} "
         f"ph/keV, difference {distance:+.1f} ± {sigma:.1f} = {abs(distance) / sigma:.1f} standard "
         "errors (those of the CaWO4 side; the rest is shared)",
-    )  # fmt: skip
+    )
 
 
 def yield_rows(yields: LightYields) -> list[ArticleRow]:
@@ -164,37 +165,64 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
     return [
         *(
             yield_row(
-                f"{name}, our eta at (0.039, 0.54) /cm", paper, found,
+                f"{name}, our eta at (0.039, 0.54) /cm",
+                paper,
+                found,
                 # the article's Y has the rounding of its own eta
-                difference_sigma=0.0, rounding=found.value * eta.rounding / eta.value,
+                difference_sigma=0.0,
+                rounding=found.value * eta.rounding / eta.value,
             )
             for name, found, paper, eta in zip(
-                ("Y1 (air)", "Y2 (gel)"), yields.at_article_point, (p.YIELD_AIR, p.YIELD_GEL),
-                p.NOMINAL.etas_percent, strict=True,
+                ("Y1 (air)", "Y2 (gel)"),
+                yields.at_article_point,
+                (p.YIELD_AIR, p.YIELD_GEL),
+                p.NOMINAL.etas_percent,
+                strict=True,
             )
         ),
-        yield_row("Y, our eta at our alpha_scat", p.LIGHT_YIELD, fitted,
-                  remark="air and gel alike; first error counting and Monte Carlo, second eta and "
-                  "detector efficiency"),
-        compare("the same, detector efficiency measured in air", None,
-                fitted.value * (1.0 - reflected), sigma=fitted.statistical_sigma,
-                systematic=fitted.systematic_sigma, unit=p.LIGHT_YIELD.unit,
-                remark=f"tubes are measured in air, head-on: {100 * reflected:.2f} % that the "
-                "window reflects is in the efficiency, and in eta; no collection efficiency"),
-        compare("error of eta: spread of our Table 1", p.ETA_ERROR, 100 * yields.eta_error,
-                judged=False, remark="the article calls its 12 % conservative"),
-        compare("total error with our eta", p.TOTAL_ERROR, 100 * budget, judged=False,
-                remark=f"{100 * yields.eta_error:.1f} % eta, 10 % detector efficiency, "
-                f"{100 * counts:.1f} % counts: ±{fitted.value * budget:.2f} ph/keV"),
-    ]  # fmt: skip
+        yield_row(
+            "Y, our eta at our alpha_scat",
+            p.LIGHT_YIELD,
+            fitted,
+            remark="air and gel alike; first error counting and Monte Carlo, second eta and "
+            "detector efficiency",
+        ),
+        compare(
+            "the same, detector efficiency measured in air",
+            None,
+            fitted.value * (1.0 - reflected),
+            sigma=fitted.statistical_sigma,
+            systematic=fitted.systematic_sigma,
+            unit=p.LIGHT_YIELD.unit,
+            remark=f"tubes are measured in air, head-on: {100 * reflected:.2f} % that the "
+            "window reflects is in the efficiency, and in eta; no collection efficiency",
+        ),
+        compare(
+            "error of eta: spread of our Table 1",
+            p.ETA_ERROR,
+            100 * yields.eta_error,
+            judged=False,
+            remark="the article calls its 12 % conservative",
+        ),
+        compare(
+            "total error with our eta",
+            p.TOTAL_ERROR,
+            100 * budget,
+            judged=False,
+            remark=f"{100 * yields.eta_error:.1f} % eta, 10 % detector efficiency, "
+            f"{100 * counts:.1f} % counts: ±{fitted.value * budget:.2f} ph/keV",
+        ),
+    ]
 
 
 def relative_yield_row(yields: LightYields) -> ArticleRow:
     """Eq. 7 with our efficiencies."""
     return yield_row(
-        "Y, our eta for both crystals", p.RELATIVE_YIELD, yields.relative,
+        "Y, our eta for both crystals",
+        p.RELATIVE_YIELD,
+        yields.relative,
         remark="air gap; 12 % on the eta of CaWO4, for which Table 1 has no counterpart",
-    )  # fmt: skip
+    )
 
 
 def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
@@ -205,11 +233,15 @@ def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
     )
     spread = value * (wrapped_spread(simulated) / wrapped.eta)
     return compare(
-        "[13] with our wrapped eta", p.KIM_CORRECTED, value,
-        sigma=value * wrapped.eta_sigma / wrapped.eta, systematic=spread, difference_sigma=spread,
+        "[13] with our wrapped eta",
+        p.KIM_CORRECTED,
+        value,
+        sigma=value * wrapped.eta_sigma / wrapped.eta,
+        systematic=spread,
+        difference_sigma=spread,
         rounding=moved,
         remark=f"3.5/({wrapped.eta:.3f} x 0.80); the second error is the wrapping's reflectance",
-    )  # fmt: skip
+    )
 
 
 # The error budget of Sec. 6.3 by the campaign's fit: one likelihood for all its parts.
@@ -252,11 +284,21 @@ def budget_rows(simulated: Simulated) -> list[ArticleRow]:
     where = f"campaign fit, alpha_abs ± {sigma:.3f} /cm (half of Table 1's range)"
     return [
         compare("error budget: eta", p.ETA_ERROR, eta, judged=False, remark=where),
-        compare("error budget: counts", None, percent["statistical"], unit="%",
-                remark="with alpha_scat fitted: not the two counts' 1.6 % itself"),
-        compare("error budget: total", p.TOTAL_ERROR, total, judged=False,
-                remark="eta, counts and detector efficiency, one covariance"),
-    ]  # fmt: skip
+        compare(
+            "error budget: counts",
+            None,
+            percent["statistical"],
+            unit="%",
+            remark="with alpha_scat fitted: not the two counts' 1.6 % itself",
+        ),
+        compare(
+            "error budget: total",
+            p.TOTAL_ERROR,
+            total,
+            judged=False,
+            remark="eta, counts and detector efficiency, one covariance",
+        ),
+    ]
 
 
 _MATERIAL = "CaMoO4"
@@ -295,12 +337,15 @@ def neglected_rows(pieces: tuple[Neglected, ...]) -> list[ArticleRow]:
         units = {"alpha_scat": "1/cm", "Y": "ph/keV"} if piece.correction else {}
         for quantity, moved in moves.items():
             per = 1.0 if quantity in units else 100 / moved.before
-            rows.append(compare(
-                f"{kind} of {quantity} by {piece.title}", None,
-                per * (moved.shift if piece.correction else moved.as_error),
-                sigma=per * moved.monte_carlo_sigma,
-                systematic=(piece.correction and per * moved.size_sigma) or None,
-                unit=units.get(quantity, "%"),
-                remark=piece.put_in if quantity == list(moves)[-1] else "",
-            ))  # fmt: skip
+            rows.append(
+                compare(
+                    f"{kind} of {quantity} by {piece.title}",
+                    None,
+                    per * (moved.shift if piece.correction else moved.as_error),
+                    sigma=per * moved.monte_carlo_sigma,
+                    systematic=(piece.correction and per * moved.size_sigma) or None,
+                    unit=units.get(quantity, "%"),
+                    remark=piece.put_in if quantity == list(moves)[-1] else "",
+                )
+            )
     return rows

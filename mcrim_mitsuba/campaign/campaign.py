@@ -401,9 +401,10 @@ def _read_beam(
     transmittances = [reading for reading in measurements.readings if reading.of_beam]
     if not transmittances and given:
         raise table.refusal(
-            "", f"no reading of {measurements.path.name} is a transmittance",
+            "",
+            f"no reading of {measurements.path.name} is a transmittance",
             "add a column kind with transmittance in its row, or remove [beam]",
-        )  # fmt: skip
+        )
     if not transmittances:
         return {}
     in_beam = spectrophotometer_of(scene).parameters
@@ -412,9 +413,12 @@ def _read_beam(
             # a row may say that there is air
             if name not in in_beam or (name == GAP_INDEX and value != 1.0):
                 raise measurements.refusal(
-                    reading, name, f"{name} = {value_text(value)} of a transmittance, which is "
-                    "measured in air without the bench", "empty the cell",
-                )  # fmt: skip
+                    reading,
+                    name,
+                    f"{name} = {value_text(value)} of a transmittance, which is "
+                    "measured in air without the bench",
+                    "empty the cell",
+                )
         values = {**scene.parameters, **beam, **reading.parameters}
         if (wrong := too_wide(values)) is None:
             continue

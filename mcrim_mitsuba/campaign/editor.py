@@ -42,9 +42,12 @@ _SHORT_HASH = 12
 
 
 def campaign_with_effects(
-    campaign: Campaign, target: Path, scene: Path, starts: Mapping[str, float],
+    campaign: Campaign,
+    target: Path,
+    scene: Path,
+    starts: Mapping[str, float],
     known: Iterable[CampaignParameter] = (),
-) -> str:  # fmt: skip
+) -> str:
     """The text of a campaign file with another scene, and with all effects of the campaign.
 
     `scene` has these effects. At `starts` fitted parameters begin; those without a table of their

@@ -127,11 +127,12 @@ class Measurements:
             first = groups.setdefault(reading.group, reading)
             if first.group_sigma != reading.group_sigma:
                 raise self.refusal(
-                    reading, "group_sigma",
+                    reading,
+                    "group_sigma",
                     f"group {reading.group} has {reading.group_sigma:g} here and "
                     f"{first.group_sigma:g} on line {first.line}",
                     "give a group one group_sigma: its readings share that error",
-                )  # fmt: skip
+                )
         if not any(reading.use for reading in readings):
             problem = "no reading is in use"
             raise InputError(problem, "add rows, or set use to 1 in some", path=self.path)
@@ -276,17 +277,19 @@ class _Cells(dict[str, str]):
         kind = self.get(KIND) or LIGHT
         if kind not in (LIGHT, TRANSMITTANCE):
             raise self.refusal(
-                KIND, f"kind = {shown(kind)} is neither {LIGHT} nor {TRANSMITTANCE}",
+                KIND,
+                f"kind = {shown(kind)} is neither {LIGHT} nor {TRANSMITTANCE}",
                 f"write one of these; an empty cell means {LIGHT}",
-            )  # fmt: skip
+            )
         if histogram is None:
             signal, sigma = self._signal(kind)
             for name, value in (("signal", signal), ("sigma", sigma)):
                 if kind == TRANSMITTANCE and value >= 1.0:
                     raise self.refusal(
-                        name, f"{name} = {value:g} of a transmittance",
+                        name,
+                        f"{name} = {value:g} of a transmittance",
                         "give the fraction of the beam: 0.76 for 76 %",
-                    )  # fmt: skip
+                    )
         elif kind == TRANSMITTANCE:
             raise self.refusal(
                 _HISTOGRAM, "a transmittance with a histogram", "give its signal and sigma"
@@ -299,9 +302,19 @@ class _Cells(dict[str, str]):
             problem = f"use = '{use}' is neither 0 nor 1"
             raise self.refusal("use", problem, "write 1 to fit it, 0 not to")
         return Reading(
-            self["label"], signal, sigma, parameters, use == "1", group, group_sigma, self.line,
-            histogram, window, kind, self.get(SAMPLE, ""),
-        )  # fmt: skip
+            self["label"],
+            signal,
+            sigma,
+            parameters,
+            use == "1",
+            group,
+            group_sigma,
+            self.line,
+            histogram,
+            window,
+            kind,
+            self.get(SAMPLE, ""),
+        )
 
     def write_points(self) -> None:
         """Turn the decimal commas of its numbers into points."""
@@ -419,12 +432,13 @@ def _check_labels(table: Measurements) -> None:
             for name, value in row.parameters.items():
                 if value != first.parameters.get(name):
                     raise table.refusal(
-                        row, name,
+                        row,
+                        name,
                         f"{label} has {name} = {value} here and {first.parameters[name]} on line "
                         f"{first.line}",
                         "give each configuration its own label: rows of one label are repeated "
                         "mountings",
-                    )  # fmt: skip
+                    )
             if (row.group, row.group_sigma) != (first.group, first.group_sigma):
                 problem = f"{label} is of another group here than on line {first.line}"
                 mend = "give the mountings of one reading one group"

@@ -180,10 +180,14 @@ def _reduce_transmittance(
     numbers = () if entry.value is None else (entry.value,)
     try:
         found = absorption_from_transmittance(
-            spectra or numbers, n, entry.thickness_mm,
-            transmittance_sigma=entry.transmittance_sigma, n_sigma=n_sigma,
-            thickness_sigma_mm=entry.thickness_sigma_mm, emission=light,
-        )  # fmt: skip
+            spectra or numbers,
+            n,
+            entry.thickness_mm,
+            transmittance_sigma=entry.transmittance_sigma,
+            n_sigma=n_sigma,
+            thickness_sigma_mm=entry.thickness_sigma_mm,
+            emission=light,
+        )
     except InputError as error:
         if error.path is not None:
             raise
@@ -314,9 +318,13 @@ def _reduced_reading(mountings: list[Mounting]) -> ReducedReading:
         place, _ = peaks[outlier]
         mountings[place] = replace(mountings[place], consistent=False)
     reading = replace(
-        mountings[0].row, signal=combined.mean, sigma=combined.sigma, use=used,
-        histogram=None, window=None,
-    )  # fmt: skip
+        mountings[0].row,
+        signal=combined.mean,
+        sigma=combined.sigma,
+        use=used,
+        histogram=None,
+        window=None,
+    )
     return ReducedReading(reading, tuple(mountings), combined)
 
 

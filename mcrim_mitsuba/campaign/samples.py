@@ -112,9 +112,10 @@ def read_samples(
     for name in declared:
         if name not in used:
             raise declared.refusal(
-                name, f"no reading of {measurements.path.name} is of the sample {name}",
+                name,
+                f"no reading of {measurements.path.name} is of the sample {name}",
                 f"write {name} into a column {COLUMN} of its rows, or remove [{SAMPLES}.{name}]",
-            )  # fmt: skip
+            )
     samples = {name: _read_sample(document, name, scene, measurements) for name in declared}
     _refuse_clashes(document, samples.values(), taken)
     return samples, replace(

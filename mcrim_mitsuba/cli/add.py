@@ -41,10 +41,21 @@ def _listing() -> str:
 @click.argument("effect", shell_complete=options.complete_effects)
 @options.scene
 @options.output("NEW.xml", "The new scene; - for the screen. Never replaces a file.", required=True)
-@click.option("-D", "values", multiple=True, metavar="NAME=VALUE", callback=options.read_defines,
-              help="A value of the effect (may be repeated); mm, 1/cm.")  # fmt: skip
-@click.option("--effects-folder", "folder", type=options.Folder(), metavar="DIR",
-              help="Folder of effects of your own (*.py, which are executed).")  # fmt: skip
+@click.option(
+    "-D",
+    "values",
+    multiple=True,
+    metavar="NAME=VALUE",
+    callback=options.read_defines,
+    help="A value of the effect (may be repeated); mm, 1/cm.",
+)
+@click.option(
+    "--effects-folder",
+    "folder",
+    type=options.Folder(),
+    metavar="DIR",
+    help="Folder of effects of your own (*.py, which are executed).",
+)
 @options.trust_effects("--effects-folder")
 def add(effect, scene, path, values, folder) -> None:
     """Write SCENE with EFFECT in it as a new scene, and show what changed.

@@ -15,8 +15,12 @@ _PATIENCE_SECONDS = 5.0
 
 @click.command(short_help="Open a campaign in the browser, with sliders and switches.")
 @options.campaign
-@click.option("--port", type=options.Whole(1, 65535), metavar="NUMBER",
-              help="Where the page is (default: one that is free).")  # fmt: skip
+@click.option(
+    "--port",
+    type=options.Whole(1, 65535),
+    metavar="NUMBER",
+    help="Where the page is (default: one that is free).",
+)
 @click.option("--no-browser", is_flag=True, help="Only print the page's address.")
 @options.effect_photons
 @options.run

@@ -17,8 +17,10 @@ from mcrim_mitsuba.core.files import refuse_to_replace
 @click.command(short_help="Reduce a campaign's raw data, every step with its errors.")
 @options.campaign
 @options.output("NEW.toml", "The campaign in plain numbers, its readings beside it (NEW.csv).")
-@options.figure("the histograms with their peaks (and NAME_spectra, the detector's efficiency, and "
-                "NAME_transmittance, the absorption)")  # fmt: skip
+@options.figure(
+    "the histograms with their peaks (and NAME_spectra, the detector's efficiency, and "
+    "NAME_transmittance, the absorption)"
+)
 @options.json_output
 def reduce(campaign, path, figure, json_file) -> None:
     """Reduce the raw data of CAMPAIGN (TOML), every step with its errors.
@@ -51,8 +53,10 @@ def reduce(campaign, path, figure, json_file) -> None:
 
 @click.command(short_help="Fit a campaign: scattering coefficient and light yield.")
 @options.campaign
-@options.figure("readings with their pulls (and NAME_profiles, the profile likelihoods, and "
-                "NAME_budget, the error budget)")  # fmt: skip
+@options.figure(
+    "readings with their pulls (and NAME_profiles, the profile likelihoods, and "
+    "NAME_budget, the error budget)"
+)
 @options.photons("2.7e7 for all configurations together", at_most=True)
 @options.precision
 @options.work
@@ -101,9 +105,10 @@ def compare(campaigns, figure, json_file, work) -> None:
         found = mcrim.compare(*read, run=run)
     screen = showing.answer(found, json_file, figure)
     next_step = (
-        _after_hypotheses(found) if len(read) > 1
+        _after_hypotheses(found)
+        if len(read) > 1
         else _after_comparison(campaigns[0], read[0].measurements.path, found)
-    )  # fmt: skip
+    )
     screen.line(f"Next: {next_step}", style="bold")
 
 
@@ -127,9 +132,10 @@ def _after_comparison(campaign: str, measurements: Path, comparison) -> str:
     explained = [one for one in comparison.suspects if one.explains]
     if explained:
         mend = (
-            "swap them back" if explained[0].kind == "swapped_rows"
+            "swap them back"
+            if explained[0].kind == "swapped_rows"
             else "repeat it, or leave it out with use = 0"
-        )  # fmt: skip
+        )
         return (
             f"check {together(explained[0].labels)} in {measurements} ({mend}), then "
             f"{showing.command('compare', campaign)} again; or {diagnose}"
@@ -266,12 +272,19 @@ def report(campaign, path, json_file, work) -> None:
 
 @click.command(short_help="Show where a campaign's errors come from.")
 @options.campaign
-@click.option("--material", metavar="NAME",
-              help="What the crystal is made of, such as CaMoO4 (default: what the campaign says): "
-              "its indices, and how it stops gammas, are then known.")  # fmt: skip
+@click.option(
+    "--material",
+    metavar="NAME",
+    help="What the crystal is made of, such as CaMoO4 (default: what the campaign says): "
+    "its indices, and how it stops gammas, are then known.",
+)
 @options.file("--emission", "Emission spectrum (default: the campaign's, else a Gaussian band).")
-@click.option("--wavelength-nm", type=options.Number(200, 2000), metavar="NM",
-              help="Maximum of that Gaussian band (default: the material's).")  # fmt: skip
+@click.option(
+    "--wavelength-nm",
+    type=options.Number(200, 2000),
+    metavar="NM",
+    help="Maximum of that Gaussian band (default: the material's).",
+)
 @options.file(
     "--map",
     "Map of eta by `mcrim simulate --map`, of a reading's bench: say what it does to eta and the "
@@ -282,8 +295,10 @@ def report(campaign, path, json_file, work) -> None:
 @options.depth(1e-6, " (default: the material's, else 1).")
 @options.deposits
 @options.figure("the budget, with what the model leaves out")
-@options.photons("5e5 of each simulation with another index, fewer for many configurations",
-                 further=options.FURTHER_PHOTONS)  # fmt: skip
+@options.photons(
+    "5e5 of each simulation with another index, fewer for many configurations",
+    further=options.FURTHER_PHOTONS,
+)
 @options.work
 def budget(campaign, figure, json_file, work, map_file, **crystal) -> None:
     """Show where the errors of CAMPAIGN (TOML) come from, and which can be reduced.

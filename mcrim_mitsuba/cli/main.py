@@ -13,12 +13,22 @@ from mcrim_mitsuba.core.errors import InputError, closest
 
 #: Verbs by the module of this folder that has them.
 _VERBS = {
-    "add": ("add",), "app": ("app",), "lab": ("lab",), "merge": ("merge",), "paper": ("paper",),
+    "add": ("add",),
+    "app": ("app",),
+    "lab": ("lab",),
+    "merge": ("merge",),
+    "paper": ("paper",),
     "campaign_verbs": (
-        "budget", "calibrate", "compare", "diagnose", "reduce", "repair", "report",
+        "budget",
+        "calibrate",
+        "compare",
+        "diagnose",
+        "reduce",
+        "repair",
+        "report",
     ),
     "scene_verbs": ("check", "crosscheck", "render", "scenes", "schema", "simulate", "table"),
-}  # fmt: skip
+}
 _HOME_OF = {verb: module for module, verbs in _VERBS.items() for verb in verbs}
 
 

@@ -36,8 +36,9 @@ def merge(context, folder) -> int:
     except OSError as error:
         raise InputError(
             f"the parts were run in {command['folder']}, where one cannot go ({error.strerror})",
-            "merge on a machine that has this folder", path=units.path,
-        ) from None  # fmt: skip
+            "merge on a machine that has this folder",
+            path=units.path,
+        ) from None
     with use_executor(MergingExecutor(units)):
         return mcrim.main(command["arguments"], prog_name="mcrim", standalone_mode=False)
 
@@ -64,8 +65,9 @@ def _refuse_missing(units: UnitFolder, command: dict) -> None:
         raise InputError(
             f"{len(missing)} of {command['parts']} parts are not done: {named}",
             f"run them first: mcrim {words} --unit {missing[0]}/{command['parts']} "
-            f"--units {units.path}", path=units.path,
-        )  # fmt: skip
+            f"--units {units.path}",
+            path=units.path,
+        )
 
 
 def _refuse_other_versions(units: UnitFolder, command: dict) -> None:

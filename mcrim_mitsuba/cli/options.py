@@ -212,9 +212,13 @@ def read_defines(ctx, param, values, example: str = "n_gap=1.46") -> dict[str, s
 
 
 defines = click.option(
-    "-D", "overrides", multiple=True, metavar="NAME=VALUE", callback=read_defines,
+    "-D",
+    "overrides",
+    multiple=True,
+    metavar="NAME=VALUE",
+    callback=read_defines,
     help="Override a scene parameter (may be repeated); mm, 1/cm.",
-)  # fmt: skip
+)
 
 
 def file(option: str, explained: str, *name: str, metavar: str = "FILE"):
@@ -246,13 +250,17 @@ def depth(least: float, end: str = ".", **further: Any):
 
 
 seed = click.option(
-    "--seed", type=Whole(0, LARGEST_SEED), default=0, show_default=True,
+    "--seed",
+    type=Whole(0, LARGEST_SEED),
+    default=0,
+    show_default=True,
     help="Seed of the random numbers: the same seed gives the same result.",
-)  # fmt: skip
+)
 precision = click.option(
-    "--precision", type=Precision(),
+    "--precision",
+    type=Precision(),
     help="Relative standard error to reach, such as 0.2%; photons are spent until then.",
-)  # fmt: skip
+)
 
 
 def photons(default: str, *, at_most: bool = False, further: str = ""):
@@ -261,18 +269,22 @@ def photons(default: str, *, at_most: bool = False, further: str = ""):
     `further` are sentences on what else may be spent.
     """
     return click.option(
-        "--photons", type=PhotonCount(),
+        "--photons",
+        type=PhotonCount(),
         help=f"Photons to follow, such as 2e6 (default: {default})"
         + ("; with --precision, at most." if at_most else ".")
         + (further and f" {further}"),
-    )  # fmt: skip
+    )
 
 
 method = click.option(
-    "--method", type=click.Choice(("photons", "modes")), default="photons", show_default=True,
+    "--method",
+    type=click.Choice(("photons", "modes")),
+    default="photons",
+    show_default=True,
     help="Follow photons, or solve for a polished box by modes: in milliseconds, without noise, "
     "to --precision or as well as it can be.",
-)  # fmt: skip
+)
 
 
 def figure(what: str):
@@ -289,9 +301,12 @@ def machine(function):
         help="Processor threads (default: all).",
     )(function)
     return click.option(
-        "--variant", default="llvm_ad_rgb", show_default=True, callback=_read_variant,
+        "--variant",
+        default="llvm_ad_rgb",
+        show_default=True,
+        callback=_read_variant,
         help="Mitsuba variant; cuda_ad_rgb needs an NVIDIA GPU.",
-    )(function)  # fmt: skip
+    )(function)
 
 
 def _read_threads(ctx, param, value) -> int | None:
@@ -326,9 +341,12 @@ def complete_effects(ctx, param, incomplete: str) -> list[str]:
 def effects(option: str, explained: str):
     """An option that names effects."""
     return click.option(
-        option, metavar="EFFECT[,EFFECT]", default="", help=explained,
+        option,
+        metavar="EFFECT[,EFFECT]",
+        default="",
+        help=explained,
         shell_complete=complete_effects,
-    )  # fmt: skip
+    )
 
 
 #: Where the command's context keeps whether effects may be executed unasked, and which files the
@@ -343,9 +361,12 @@ def _remember_trust(ctx, param, value) -> None:
 def trust_effects(where: str):
     """``--trust-effects`` for `showing.when_trusted`; `where` the effects are."""
     return click.option(
-        "--trust-effects", is_flag=True, expose_value=False, callback=_remember_trust,
+        "--trust-effects",
+        is_flag=True,
+        expose_value=False,
+        callback=_remember_trust,
         help=f"Execute the Python in {where} without being asked.",
-    )  # fmt: skip
+    )
 
 
 def _reads_campaigns(argument: Callable) -> Callable:
@@ -486,19 +507,25 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
         json_output,
         file("--log", "Append the progress, unit by unit, to this file."),
         click.option(
-            "--units", type=Folder(), metavar="FOLDER", default=DEFAULT_FOLDER,
-            show_default=True, help="Folder that the parts of --unit share.",
+            "--units",
+            type=Folder(),
+            metavar="FOLDER",
+            default=DEFAULT_FOLDER,
+            show_default=True,
+            help="Folder that the parts of --unit share.",
         ),
         click.option(
-            "--unit", metavar="K/N",
+            "--unit",
+            metavar="K/N",
             help="Do part K of N only, as one job of an array; `mcrim merge` puts them together.",
         ),
         click.option(
-            "--cluster", metavar="ADDRESS",
+            "--cluster",
+            metavar="ADDRESS",
             help="Let the workers of a Dask scheduler do the work (tcp://host:8786).",
         ),
         run,
-    ):  # fmt: skip
+    ):
         made = decorate(made)
     return made
 

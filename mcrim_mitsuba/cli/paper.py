@@ -9,12 +9,22 @@ from mcrim_mitsuba.core.files import make_folder
 
 
 @click.command(short_help="Reproduce the article: its numbers beside ours.")
-@click.option("-o", "--output", "folder", default="mcrim_paper", show_default=True,
-              type=options.Folder(), metavar="FOLDER",
-              help="Where the figures go: PNG, PDF and CSV.")  # fmt: skip
-@click.option("--photons", type=options.PhotonCount(),
-              help="Photons of each of four efficiency surfaces (default: 8e6); "
-              "single configurations get a tenth.")  # fmt: skip
+@click.option(
+    "-o",
+    "--output",
+    "folder",
+    default="mcrim_paper",
+    show_default=True,
+    type=options.Folder(),
+    metavar="FOLDER",
+    help="Where the figures go: PNG, PDF and CSV.",
+)
+@click.option(
+    "--photons",
+    type=options.PhotonCount(),
+    help="Photons of each of four efficiency surfaces (default: 8e6); "
+    "single configurations get a tenth.",
+)
 @options.work
 def paper(folder, json_file, work) -> None:
     """Reproduce the article behind the method: its numbers beside ours, and its figures.

@@ -23,8 +23,14 @@ from mcrim_mitsuba.transport.launch_plan import LANES
 
 
 @click.command(short_help="List or copy the scenes and campaigns of the package.")
-@click.option("-o", "--output", "folder", type=options.Folder(), metavar="FOLDER",
-              help="Copy all of them there, to be edited; replaces nothing.")  # fmt: skip
+@click.option(
+    "-o",
+    "--output",
+    "folder",
+    type=options.Folder(),
+    metavar="FOLDER",
+    help="Copy all of them there, to be edited; replaces nothing.",
+)
 def scenes(folder) -> None:
     """List the scenes, campaigns and measurements that come with the package, or copy them."""
     from mcrim_mitsuba.scene.shipped import copy_scenes, scene_files, scenes_folder
@@ -130,21 +136,42 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
     "times_file",
     metavar="FILE.csv",
 )
-@click.option("--decay-ns", type=options.Number(1e-6, 1e9), metavar="NS",
-              help="Decay time of the scintillation, for --times; left out: all light is emitted "
-              "at once.")  # fmt: skip
-@click.option("--detected", type=options.Whole(1, 10**9), metavar="COUNT",
-              help="Detected photons of an event, for the first ones of --times (default: 1000).",
-              )  # fmt: skip
-@click.option("--group-index", multiple=True, metavar="MEDIUM=INDEX",
-              callback=partial(options.read_defines, example="crystal=2.134"),
-              help="Group index of a medium for --times, or a material such as CaMoO4@540nm (may "
-              "be repeated; default: that of the scene's materials).")  # fmt: skip
+@click.option(
+    "--decay-ns",
+    type=options.Number(1e-6, 1e9),
+    metavar="NS",
+    help="Decay time of the scintillation, for --times; left out: all light is emitted at once.",
+)
+@click.option(
+    "--detected",
+    type=options.Whole(1, 10**9),
+    metavar="COUNT",
+    help="Detected photons of an event, for the first ones of --times (default: 1000).",
+)
+@click.option(
+    "--group-index",
+    multiple=True,
+    metavar="MEDIUM=INDEX",
+    callback=partial(options.read_defines, example="crystal=2.134"),
+    help="Group index of a medium for --times, or a material such as CaMoO4@540nm (may "
+    "be repeated; default: that of the scene's materials).",
+)
 @options.work
 def simulate(
-    scene, overrides, method, figure, map_file, depth_mm, deposits, spectrum, quantum_efficiency,
-    times_file, json_file, work, **of_times,
-) -> None:  # fmt: skip
+    scene,
+    overrides,
+    method,
+    figure,
+    map_file,
+    depth_mm,
+    deposits,
+    spectrum,
+    quantum_efficiency,
+    times_file,
+    json_file,
+    work,
+    **of_times,
+) -> None:
     """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
     followed = {"--figure": None if spectrum else figure, "--map": map_file, "--times": times_file}
     for option, given in followed.items():
@@ -281,8 +308,14 @@ def read_axes(
 @click.command(short_help="Table of the light collection efficiency of a scene.")
 @options.scene
 @axes_options
-@click.option("--axis", "axes", multiple=True, metavar="NAME=LIST", callback=options.read_defines,
-              help="Values of any other parameter of the scene (may be repeated).")  # fmt: skip
+@click.option(
+    "--axis",
+    "axes",
+    multiple=True,
+    metavar="NAME=LIST",
+    callback=options.read_defines,
+    help="Values of any other parameter of the scene (may be repeated).",
+)
 @options.output("FILE", "CSV (.csv, .txt) or NetCDF (.nc) to write; - for the screen.")
 @options.defines
 @options.photons("2e6 per coupling", at_most=True, further=_NO_CAP)
@@ -368,8 +401,11 @@ def crosscheck(scene, overrides, run, json_file) -> int:
     "PICTURE.png", "The picture, a .png of 1800 x 1150 pixels.", "picture", required=True
 )
 @options.defines
-@click.option("--samples", type=options.Whole(1, 4096),
-              help="Light paths per pixel: more are smoother (default: 12).")  # fmt: skip
+@click.option(
+    "--samples",
+    type=options.Whole(1, 4096),
+    help="Light paths per pixel: more are smoother (default: 12).",
+)
 @options.run
 @options.json_output
 def render(scene, picture, overrides, samples, run, json_file) -> None:

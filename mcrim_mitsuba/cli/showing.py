@@ -35,9 +35,13 @@ def further_picture(figure: str, ending: str) -> str:
 
 
 def read_campaign(
-    campaign: str, json_file: str | None, figure: str | None = None, *endings: str,
-    inputs: Iterable[str | Path] = (), written: Written | None = None,
-):  # fmt: skip
+    campaign: str,
+    json_file: str | None,
+    figure: str | None = None,
+    *endings: str,
+    inputs: Iterable[str | Path] = (),
+    written: Written | None = None,
+):
     """A campaign; outputs are refused as `refuse_places` does, which knows further `inputs`.
 
     They are looked at before the campaign is read, and again when its files are known.
@@ -73,9 +77,12 @@ def when_trusted(read: Callable[[bool], _Read], warning: str) -> _Read:
 
 
 def refuse_places(
-    json_file: str | None, inputs: Iterable[str | Path | SceneFile | Campaign],
-    figure: str | None = None, *endings: str, written: Written | None = None,
-) -> None:  # fmt: skip
+    json_file: str | None,
+    inputs: Iterable[str | Path | SceneFile | Campaign],
+    figure: str | None = None,
+    *endings: str,
+    written: Written | None = None,
+) -> None:
     """Refuse outputs, also ``--log``, that cannot be written or would replace what is read.
 
     Parameters

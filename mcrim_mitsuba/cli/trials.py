@@ -102,16 +102,28 @@ def _read_part(_ctx: click.Context, _param: click.Parameter, text: str | None) -
 def executor_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """``--processes``, ``--cluster``, ``--unit`` and ``--units`` as `executor`; ``--log``."""
 
-    @click.option("--processes", type=options.Whole(1, 1024), default=os.cpu_count() or 1,
-                  show_default="all processors", help="Trials that are under way at a time.",
-                  )  # fmt: skip
+    @click.option(
+        "--processes",
+        type=options.Whole(1, 1024),
+        default=os.cpu_count() or 1,
+        show_default="all processors",
+        help="Trials that are under way at a time.",
+    )
     @click.option("--cluster", metavar="ADDRESS", help="Dask scheduler that does them instead.")
-    @click.option("--unit", "part", metavar="K/N", callback=_read_part,
-                  help="Do the K-th of N parts only, such as one of an array job; afterwards the "
-                  "same line without it finds what all parts have done.")  # fmt: skip
-    @click.option("--units", "folder", type=click.Path(file_okay=False, path_type=Path),
-                  help="Folder of finished trials, which are not done again; default: in the "
-                  "user's cache.")  # fmt: skip
+    @click.option(
+        "--unit",
+        "part",
+        metavar="K/N",
+        callback=_read_part,
+        help="Do the K-th of N parts only, such as one of an array job; afterwards the "
+        "same line without it finds what all parts have done.",
+    )
+    @click.option(
+        "--units",
+        "folder",
+        type=click.Path(file_okay=False, path_type=Path),
+        help="Folder of finished trials, which are not done again; default: in the user's cache.",
+    )
     @options.file("--log", "Append the progress, trial by trial, to this file.")
     @functools.wraps(function)
     def wrapped(**given: Any) -> Any:
@@ -259,9 +271,13 @@ class Trials:
     """
 
     def __init__(
-        self, name: str, parameters: dict[str, Any], wanted: Sequence[Trial],
-        code: Sequence[Path], executor: TrialExecutor,
-    ) -> None:  # fmt: skip
+        self,
+        name: str,
+        parameters: dict[str, Any],
+        wanted: Sequence[Trial],
+        code: Sequence[Path],
+        executor: TrialExecutor,
+    ) -> None:
         self._key, self._executor = trial_key(name, parameters, code), executor
         cache = cache_folder()
         place = executor.folder or (cache and cache / "trials")

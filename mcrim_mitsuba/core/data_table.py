@@ -51,8 +51,9 @@ _LEADING_ZERO = re.compile(r"[+-]?0\d+", re.ASCII)
 _WHOLE = re.compile(r"[+-]?\d+([eE][+-]?\d+)?", re.ASCII)
 #: In a line of units, these are some too.
 _COUNTED = ("counts", "cts", "cps", "counts/s", "events", "photons")
-_COMMENT = re.compile(r"\s*(#(?!n/?a\b|nv\b|div/|value!|num!|ref!|wert!|zahl!)|//|!|%(?=[\s%]|$))",
-                      re.IGNORECASE)  # fmt: skip
+_COMMENT = re.compile(
+    r"\s*(#(?!n/?a\b|nv\b|div/|value!|num!|ref!|wert!|zahl!)|//|!|%(?=[\s%]|$))", re.IGNORECASE
+)
 #: Lines that a cell in quotes may run over, such as a name in two lines.
 _MOST_JOINED = 4
 _MOST_SHOWN = 40
@@ -178,8 +179,9 @@ def _refuse_other_columns(line: _Line, separator: str, columns: int, path: Path)
             "give every column one name, "
             + ("without blanks" if separator == BLANKS else "separated as the numbers are")
             + ", or begin the line with #",
-            path=path, line=line.number,
-        )  # fmt: skip
+            path=path,
+            line=line.number,
+        )
 
 
 def _refuse_uncertain_commas(rows: list[_Line], names: Sequence[str] | None, path: Path) -> None:
@@ -196,8 +198,9 @@ def _refuse_uncertain_commas(rows: list[_Line], names: Sequence[str] | None, pat
                 f"{shown(rows[0].text)} may be {columns} whole numbers, or fewer with decimal "
                 "commas",
                 f"name the {columns} columns in a line above, or {EXPORT}",
-                path=path, line=rows[0].number,
-            )  # fmt: skip
+                path=path,
+                line=rows[0].number,
+            )
 
 
 def _numbers(rows: list[_Line], columns: _Columns) -> NDArray[np.float64]:

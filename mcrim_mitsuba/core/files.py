@@ -493,14 +493,19 @@ def _refuse_output(option: str, path: Path, inputs: list[Path], wanted: tuple[st
     checks: tuple[tuple[Callable[[], bool], str, str], ...] = (
         (path.is_dir, f"{option} names a folder", "name a file in it"),
         (replaces_an_input, f"{option} would replace what this command reads", "name another file"),
-        (lambda: suffix in refused and suffix not in wanted,
-         f"{option} would write a result under the name of {kind}",
-         f"let the name end in {'.json' if json_only else '.csv'}"),
-        (lambda: not _target(path).parent.is_dir(),
-         f"the folder {path.parent} does not exist", "make it or name another"),
+        (
+            lambda: suffix in refused and suffix not in wanted,
+            f"{option} would write a result under the name of {kind}",
+            f"let the name end in {'.json' if json_only else '.csv'}",
+        ),
+        (
+            lambda: not _target(path).parent.is_dir(),
+            f"the folder {path.parent} does not exist",
+            "make it or name another",
+        ),
         (lambda: path.parent in _DEVICES and not path.exists(), "there is no such device", _MEND),
         (may_not_be_written, "cannot be written (no permission)", _MEND),
-    )  # fmt: skip
+    )
     for is_wrong, problem, mend in checks:
         try:
             wrong = is_wrong()

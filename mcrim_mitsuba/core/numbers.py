@@ -29,10 +29,13 @@ Value = float | bool | int | str
 
 #: What names say less well than words do.
 _CALLED = {
-    ALPHA_SCAT: "scattering", ALPHA_ABS: "absorption",
-    "n_gap": "gap index", "n_crystal": "crystal index", "n_window": "window index",
+    ALPHA_SCAT: "scattering",
+    ALPHA_ABS: "absorption",
+    "n_gap": "gap index",
+    "n_crystal": "crystal index",
+    "n_window": "window index",
     "aperture_radius_mm": "mask radius",
-}  # fmt: skip
+}
 _UNITS = {"_per_cm": "1/cm", "_mm": "mm", "_nm": "nm", "_keV": "keV", "_deg": "degrees"}
 #: Longer ones are floats: Mitsuba's integers have 64 bits.
 INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
@@ -220,8 +223,11 @@ def judge(name: str, value: float) -> tuple[str, str, str] | None:
     """
     low, high = MEANINGFUL.get(name, (-math.inf, math.inf))
     if not low <= value <= high:
-        return ("value", f"it lies between {low:g} and {high:g}",
-                f"give a number from {low:g} to {high:g}")  # fmt: skip
+        return (
+            "value",
+            f"it lies between {low:g} and {high:g}",
+            f"give a number from {low:g} to {high:g}",
+        )
     # offsets may be negative, and a source's depth may exceed the crystal
     if name.endswith("_mm") and "offset" not in name:
         thin = any(word in name for word in _THIN)
@@ -232,20 +238,32 @@ def judge(name: str, value: float) -> tuple[str, str, str] | None:
         if value <= 0:
             return "value", "a length must be positive", "give it in mm"
         if value < shortest:
-            return ("unit", f"{value:g} mm is hardly a bench; it looks like metres",
-                    f"write it in mm: {value * 1000.0:g}")  # fmt: skip
+            return (
+                "unit",
+                f"{value:g} mm is hardly a bench; it looks like metres",
+                f"write it in mm: {value * 1000.0:g}",
+            )
         if value > longest and "depth" not in name:
-            return ("unit", f"{value:g} mm is hardly a bench; it looks like micrometres",
-                    f"write it in mm: {value / 1000.0:g}")  # fmt: skip
+            return (
+                "unit",
+                f"{value:g} mm is hardly a bench; it looks like micrometres",
+                f"write it in mm: {value / 1000.0:g}",
+            )
     if name.endswith("_per_cm"):
         if value < 0:
             return "coefficient", "a coefficient cannot be negative", "give 0 or more, in 1/cm"
         if value > LARGEST_PER_CM:
-            return ("unit", "no light would leave such a crystal; it looks like 1/m",
-                    f"write it in 1/cm: {value / 100.0:g}")  # fmt: skip
+            return (
+                "unit",
+                "no light would leave such a crystal; it looks like 1/m",
+                f"write it in 1/cm: {value / 100.0:g}",
+            )
     if name.startswith("n_") and not 1.0 <= value <= LARGEST_INDEX:
-        return ("index", "this is no refractive index",
-                f"give a number from 1 to {LARGEST_INDEX:g}")  # fmt: skip
+        return (
+            "index",
+            "this is no refractive index",
+            f"give a number from 1 to {LARGEST_INDEX:g}",
+        )
     if name.endswith("reflectance") and not 0.0 <= value <= 1.0:
         return "value", "a reflectance lies between 0 and 1", "give a fraction, not percent"
     return None

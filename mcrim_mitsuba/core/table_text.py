@@ -13,19 +13,49 @@ from mcrim_mitsuba.core.errors import InputError
 
 #: Units by their spellings, small letters; what is not here is kept as it was written.
 _SPELLINGS = {
-    "nm": ("nm", "nm.", "nanometer", "nanometers", "nanometre", "nanometres",
-           "нм"),
-    "µm": ("μm", "um", "micron", "microns", "micrometer", "micrometers", "micrometre",
-           "micrometres", "мкм"),
+    "nm": ("nm", "nm.", "nanometer", "nanometers", "nanometre", "nanometres", "нм"),
+    "µm": (
+        "μm",
+        "um",
+        "micron",
+        "microns",
+        "micrometer",
+        "micrometers",
+        "micrometre",
+        "micrometres",
+        "мкм",
+    ),
     "Å": ("å", "ang", "angstrom", "angstroms", "ångström", "ångstrom"),
     "eV": ("ev", "эв"),
     "1/cm": ("1/cm", "cm-1", "cm^-1", "cm⁻¹"),
-    "%": ("%", "percent", "per cent", "pct", "pct.", "prozent", "procent", "proc.", "proc", "проц.",
-          "процент"),
+    "%": (
+        "%",
+        "percent",
+        "per cent",
+        "pct",
+        "pct.",
+        "prozent",
+        "procent",
+        "proc.",
+        "proc",
+        "проц.",
+        "процент",
+    ),
     "fraction": ("fraction", "1"),
-    "a.u.": ("a.u.", "a. u.", "a.u", "au", "arb. u.", "arb. units", "arb.units", "arb.u.",
-             "arbitrary units", "rel. u.", "r.u."),
-}  # fmt: skip
+    "a.u.": (
+        "a.u.",
+        "a. u.",
+        "a.u",
+        "au",
+        "arb. u.",
+        "arb. units",
+        "arb.units",
+        "arb.u.",
+        "arbitrary units",
+        "rel. u.",
+        "r.u.",
+    ),
+}
 _UNITS = {
     unicodedata.normalize("NFKC", spelling): unit
     for unit, spellings in _SPELLINGS.items()
@@ -222,15 +252,17 @@ def has_decimal_commas(
             first = point if comma is place else comma
             raise refusal(
                 f"{shown(cell)} after {shown(first[2])}: decimal commas and points in one table",
-                "write all numbers with a decimal point", *place[:2],
-            )  # fmt: skip
+                "write all numbers with a decimal point",
+                *place[:2],
+            )
     if comma and thousands:
         text = comma[2]
         raise refusal(
             f"{shown(text)} is {text.replace(',', '.')} or {text.replace(',', '')}: all commas of "
             "this table may be either",
-            "write decimal points, and no thousands separators", *comma[:2],
-        )  # fmt: skip
+            "write decimal points, and no thousands separators",
+            *comma[:2],
+        )
     return comma is not None
 
 
@@ -326,11 +358,15 @@ def what_is_wrong(cell: str) -> tuple[str, str]:
     if is_no_number(cell):
         return f"{shown(cell)} is not a finite number", "write the number, or remove the row"
     if _THOUSANDS.fullmatch(cell):
-        return (f"{shown(cell)} has thousands separators",
-                "write numbers without them, such as 1234.5")  # fmt: skip
+        return (
+            f"{shown(cell)} has thousands separators",
+            "write numbers without them, such as 1234.5",
+        )
     if found := _OTHER_SEPARATOR.fullmatch(cell):
         return f"columns are separated by '{found[1]}'", SEPARATE
     if cell.endswith("%") and is_number(cell[:-1].strip()):
         return f"{shown(cell)} ends in %", "write % in the column's name, and numbers below it"
-    return (f"{shown(cell)} is not a number",
-            "correct it, or begin the line with # if it is no row of the table")  # fmt: skip
+    return (
+        f"{shown(cell)} is not a number",
+        "correct it, or begin the line with # if it is no row of the table",
+    )

@@ -155,9 +155,11 @@ def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:
         ) from None
     except ValueError:  # Python's limit of the digits of a whole number
         raise InputError(
-            "a whole number has thousands of digits", "correct it", path=path,
+            "a whole number has thousands of digits",
+            "correct it",
+            path=path,
             line=_line_of(_MANY_DIGITS.search(text), text),
-        ) from None  # fmt: skip
+        ) from None
     document = TomlDocument(path, content, _lines(text), kind)
     _refuse_monsters(document)
     return document
@@ -169,9 +171,11 @@ def _line_of(found: re.Match[str] | None, text: str) -> int | None:
 
 def _too_deep(path: Path, line: int | None) -> InputError:
     return InputError(
-        f"tables or lists are nested more than {_DEEPEST} deep", "is this the file you meant?",
-        path=path, line=line,
-    )  # fmt: skip
+        f"tables or lists are nested more than {_DEEPEST} deep",
+        "is this the file you meant?",
+        path=path,
+        line=line,
+    )
 
 
 def _refuse_monsters(document: TomlDocument) -> None:

@@ -18,17 +18,28 @@ from mcrim_mitsuba.scene.editor import INDICES, Node, SceneEditor
 #: Of the light in vacuum.
 WAVELENGTH = "wavelength_nm"
 _FURTHER = (
-    "int_offset", "ext_offset", "roughness_alpha", "distribution", "surface_loss",
-    "rms_roughness_nm", WAVELENGTH,
-)  # fmt: skip
+    "int_offset",
+    "ext_offset",
+    "roughness_alpha",
+    "distribution",
+    "surface_loss",
+    "rms_roughness_nm",
+    WAVELENGTH,
+)
 WIDTH, HEIGHT, GAP = "crystal_width_mm", "crystal_height_mm", "gap_mm"
 _STRETCH = {WIDTH: 1.1, HEIGHT: 1.3, GAP: 1.7}
 _TOLERANCE_MM = 1e-6
 #: Tells a part of the gap whether it is filled.
 GAP_INDEX = '<float name="index" value="$n_gap"/>'
 _FLAT = ("rectangle", "panel")
-_AXES = {"right": (0, 1), "left": (0, -1), "back": (1, 1), "front": (1, -1), "top": (2, 1),
-         "bottom": (2, -1)}  # fmt: skip
+_AXES = {
+    "right": (0, 1),
+    "left": (0, -1),
+    "back": (1, 1),
+    "front": (1, -1),
+    "top": (2, 1),
+    "bottom": (2, -1),
+}
 #: Of rough faces.
 FACETS = (
     "E. Heitz, J. Hanika, E. d'Eon and C. Dachsbacher, ACM Trans. Graph. 35 (2016) 58; B. Walter, "
@@ -112,10 +123,16 @@ def falloff(
     From `least` on, where it rises, with `nodes` below 0.
     """
     return EffectParameter(
-        name=name, unit="", meaning=f"Detection falls as 1 - this {meaning}", minimum=least,
-        maximum=1.0, start=0.2, absent=0.0, plausible=(0.6 * least, 0.6),
+        name=name,
+        unit="",
+        meaning=f"Detection falls as 1 - this {meaning}",
+        minimum=least,
+        maximum=1.0,
+        start=0.2,
+        absent=0.0,
+        plausible=(0.6 * least, 0.6),
         nodes=(*nodes, 0.15, 0.3, 0.5, 0.75, 1.0),
-    )  # fmt: skip
+    )
 
 
 def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
@@ -131,8 +148,10 @@ def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
         if part.attributes.get("name") not in INDICES + _FURTHER:
             raise editor.refusal(
                 f"{bsdf.label} has {part.attributes.get('name', part.tag)}, which an interface "
-                "with real polish has not", "remove it", part,
-            )  # fmt: skip
+                "with real polish has not",
+                "remove it",
+                part,
+            )
     if bsdf.type == "dielectric":
         editor.set_attribute(bsdf, "type", "polish")
     editor.insert_last(bsdf, f'<float name="{name}" value="{value}"/>')
@@ -170,8 +189,9 @@ def roughen(editor: SceneEditor, side: str, alpha: str) -> None:
         if bsdf is None or bsdf not in editor.crystal_polish or "id" not in bsdf.attributes:
             raise editor.refusal(
                 f"{face.label} does not wear a dielectric with an id",
-                "only faces of plain polish can be changed", face,
-            )  # fmt: skip
+                "only faces of plain polish can be changed",
+                face,
+            )
         if bsdf not in copies:
             copies[bsdf] = rough_copy(editor, bsdf, side, f"${alpha}")
         for ref in face.elements:
@@ -303,9 +323,12 @@ def gap_sides(editor: SceneEditor) -> list[Node]:
         return whole
     refuse_without_box(editor)
     faces = _sides(
-        editor, [shape for shape in found if shape.type != "frame"], "gap",
-        lambda p: (-float(p[GAP]), 0.0), ("right", "left", "back", "front"),
-    )  # fmt: skip
+        editor,
+        [shape for shape in found if shape.type != "frame"],
+        "gap",
+        lambda p: (-float(p[GAP]), 0.0),
+        ("right", "left", "back", "front"),
+    )
     return [face for side in faces.values() for face in side]
 
 
@@ -440,8 +463,10 @@ def _sides(
         if not side:
             raise editor.refusal(
                 f"{shape.label} is no rectangular face of the {what}, {WIDTH} wide, that follows "
-                "the parameters", _FORM, shape,
-            )  # fmt: skip
+                "the parameters",
+                _FORM,
+                shape,
+            )
         found[side.pop()].append(shape)
     for name, faces in found.items():
         if not faces:

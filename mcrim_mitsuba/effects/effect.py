@@ -281,8 +281,10 @@ class Effect:
 
 def _of_signal_alone(
     reading: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]],
-    signals: np.ndarray, value: float, rows: Rows,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    signals: np.ndarray,
+    value: float,
+    rows: Rows,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What an effect does that need not know when a row was read."""
     return reading(signals, value)
 

@@ -53,8 +53,9 @@ def refuse_untrusted(folder: Path, path: str | None = None, line: int | None = N
     error = UntrustedEffectsError(
         f"the Python in {folder} would be executed ({names})",
         "read these files; then say --trust-effects, or trust_effects=True in Python",
-        path=path, line=line,
-    )  # fmt: skip
+        path=path,
+        line=line,
+    )
     error.folder = folder
     raise error
 

@@ -122,8 +122,9 @@ class ArrivalTimes:
     @property
     def rows(self) -> list[tuple[float, float, float]]:
         """Of the histogram: time_ps, part, part_sigma."""
-        return list(zip(*(x.tolist() for x in (self.time_ps, self.part, self.part_sigma)),
-                        strict=True))  # fmt: skip
+        return list(
+            zip(*(x.tolist() for x in (self.time_ps, self.part, self.part_sigma)), strict=True)
+        )
 
     def to_xarray(self) -> xarray.Dataset:
         """The histogram over time_ps, and the first photons over their number and births."""
@@ -145,12 +146,12 @@ class ArrivalTimes:
         made = xarray.Dataset(
             {"part": ("time_ps", self.part), "part_sigma": ("time_ps", self.part_sigma), **first},
             {
-                "time_ps": self.time_ps, "born": [one.born for one in self.first],
+                "time_ps": self.time_ps,
+                "born": [one.born for one in self.first],
                 "photon": np.arange(1, len(self.first[0].mean_ps) + 1),
             },
-            attributes
-            | as_attributes(self.parameters),
-        )  # fmt: skip
+            attributes | as_attributes(self.parameters),
+        )
         made.part.attrs["long_name"] = "part of the detected light"
         made.time_ps.attrs["units"] = "ps"
         return made
@@ -203,10 +204,12 @@ def follow_times(
     for launch, tally in arrivals.launches(simulation, photons, run.seed, columns):
         records, followed = launch.records, followed + len(launch.records["w"])
         weight, group = records["w"].astype(float), records["batch"] % np.int64(distribution.GROUPS)
-        times = np.array([
-            records[path].astype(float) * (MM_PER_CM * known[name][0] / MM_PER_PS)
-            for name, path in zip(names, paths, strict=True)
-        ])  # fmt: skip
+        times = np.array(
+            [
+                records[path].astype(float) * (MM_PER_CM * known[name][0] / MM_PER_PS)
+                for name, path in zip(names, paths, strict=True)
+            ]
+        )
         total, kind = times.sum(axis=0), np.zeros(len(weight), np.int64)
         if by_depth:
             kind = bin_of(heights[-1] - records["birth_from_top_mm"].astype(float), heights)
@@ -239,11 +242,17 @@ def follow_times(
         )
     births = _births(simulation, heights) if by_depth else np.ones(1)
     return ArrivalTimes(
-        **_numbers(cells, decay_ps), decay_ns=decay_ns, detected=detected,
-        first=_first(cells, decay_ps, detected, births), parts=parts, photons=tally.photons,
-        seed=run.seed, parameters=dict(simulation.file.parameters),
-        scene_hash=simulation.file.content_hash, notes=tuple(notes),
-    )  # fmt: skip
+        **_numbers(cells, decay_ps),
+        decay_ns=decay_ns,
+        detected=detected,
+        first=_first(cells, decay_ps, detected, births),
+        parts=parts,
+        photons=tally.photons,
+        seed=run.seed,
+        parameters=dict(simulation.file.parameters),
+        scene_hash=simulation.file.content_hash,
+        notes=tuple(notes),
+    )
 
 
 def _numbers(cells: distribution.TimeCells, decay_ps: float) -> dict[str, Any]:
@@ -270,8 +279,10 @@ def _numbers(cells: distribution.TimeCells, decay_ps: float) -> dict[str, Any]:
     values = np.array([mean, rms, begin, rise])
     sigmas = _rounded(cells, values, np.array([mean_sigma, rms_sigma, begin_sigma, rise_sigma]))
     found: dict[str, Any] = {
-        "edges_ps": edges, "part": np.array(part), "part_sigma": np.array(part_sigma)
-    }  # fmt: skip
+        "edges_ps": edges,
+        "part": np.array(part),
+        "part_sigma": np.array(part_sigma),
+    }
     for name, value, sigma in zip(("mean", "rms", "begin", "rise"), values, sigmas, strict=True):
         found |= {f"{name}_ps": float(value), f"{name}_ps_sigma": float(sigma)}
     return found
@@ -353,10 +364,11 @@ def group_indices(
         sides = (face.interior, face.n_interior), (face.exterior, face.n_exterior)
         indices |= {name: n for name, n in sides if n is not None}
     return {
-        name: _given_index(file, name, given[name]) if name in given
+        name: _given_index(file, name, given[name])
+        if name in given
         else _index_of(file, name, indices.get(name))
         for name in names
-    }  # fmt: skip
+    }
 
 
 def _given_index(file: SceneFile, name: str, value: float | str) -> tuple[float, str]:
@@ -382,9 +394,11 @@ def _index_of(file: SceneFile, name: str, index: float | None) -> tuple[float, s
     if index is None:
         problem = f"no face tells the index of {name!r}, and with it the speed of light there"
         raise InputError(problem, "give its group index", path=file.path)
-    known = [file.materials[usual]] if usual in file.materials else [
-        one for one in file.materials.values() if usual not in file.parameters
-    ]  # fmt: skip
+    known = (
+        [file.materials[usual]]
+        if usual in file.materials
+        else [one for one in file.materials.values() if usual not in file.parameters]
+    )
     material = next((one for one in known if abs(one.value - index) < 1e-6), None)
     return (index, _PLAIN) if material is None else _of_material(material)
 

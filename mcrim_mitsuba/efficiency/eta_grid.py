@@ -188,9 +188,10 @@ class Gathering:
         return found
 
     def table(
-        self, weight: NDArray | None = None,
+        self,
+        weight: NDArray | None = None,
         colours: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
-    ) -> EtaGrid:  # fmt: skip
+    ) -> EtaGrid:
         """Eta on the grid.
 
         Every photon's weight is times `weight`, (kept,) in the order `order`. Of `colours`, parts
@@ -305,9 +306,12 @@ class TableUnit(SceneUnit):
         columns = [name for request in self.requests for name in request.columns]
         recorder = Recorder(self.loaded(threads))
         records = recorder.record(
-            self.proposals, self.photons, seed=self.seed, number=0,
+            self.proposals,
+            self.photons,
+            seed=self.seed,
+            number=0,
             columns=tuple(dict.fromkeys(columns)),
-        )  # fmt: skip
+        )
         groups: dict[tuple[bool, str, float | None], list[TableRequest]] = {}
         for request in self.requests:
             # beams are cut at their angles photon by photon: one preparation serves all
@@ -330,8 +334,10 @@ class TableUnit(SceneUnit):
             # its lines are those of a text that nobody has seen
             raise InputError(
                 f"with an effect in it (as mcrim add writes it) the scene is refused: "
-                f"{error.problem}", error.mend, path=self.scene.path,
-            ) from None  # fmt: skip
+                f"{error.problem}",
+                error.mend,
+                path=self.scene.path,
+            ) from None
 
     def _tables(
         self, records: PhotonRecords, group: list[TableRequest]

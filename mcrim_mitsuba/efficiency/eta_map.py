@@ -222,9 +222,15 @@ def map_eta(simulation: Simulation, cells: Sequence[int] = CELLS, *, run: Run = 
     with np.errstate(invalid="ignore"):
         share = np.where(inside > 0.0, born / born.sum(), np.nan)
     return EtaMap(
-        edges, light.light / share, light.sigma / share, inside / inside.sum(), tally.photons,
-        run.seed, dict(simulation.file.parameters), simulation.file.content_hash,
-    )  # fmt: skip
+        edges,
+        light.light / share,
+        light.sigma / share,
+        inside / inside.sum(),
+        tally.photons,
+        run.seed,
+        dict(simulation.file.parameters),
+        simulation.file.content_hash,
+    )
 
 
 _OF_MAP = ("eta", "eta_sigma", "volume")
@@ -262,9 +268,7 @@ def read_map(path: str | Path) -> EtaMap:
     )
     eta, sigma, volume = tables
     plain = {n: v.item() if isinstance(v, np.generic) else v for n, v in known.items()}
-    return EtaMap(
-        (x, y, z), eta, sigma, volume, int(photons), int(seed), plain, str(scene_hash)
-    )  # fmt: skip
+    return EtaMap((x, y, z), eta, sigma, volume, int(photons), int(seed), plain, str(scene_hash))
 
 
 def all_spreads(

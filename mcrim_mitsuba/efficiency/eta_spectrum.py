@@ -163,23 +163,41 @@ def eta_over(
     per_batch = eta_batches[:, :-1]
     of_emitted, product, at_mean = per_batch @ emitted, per_batch @ seen, eta_batches[:, -1]
     efficiency = float(seen.sum())
-    ratio = _with_error(product.mean() / of_emitted.mean(), product / product.mean()
-                        - of_emitted / of_emitted.mean())  # fmt: skip
+    ratio = _with_error(
+        product.mean() / of_emitted.mean(),
+        product / product.mean() - of_emitted / of_emitted.mean(),
+    )
     one = at_mean.mean() * efficiency / product.mean()
     one_off = _with_error(one, at_mean / at_mean.mean() - product / product.mean())
     return EtaSpectrum(
-        light, eta[:-1], _error(per_batch), *_with_error(of_emitted.mean(), of_emitted /
-        of_emitted.mean()), *_with_error(product.mean() / efficiency, product / product.mean()),
-        efficiency, *ratio, float(at_mean.mean()), float(_error(at_mean)), one_off[0] - 1.0,
-        one_off[1], float(off.max()), tuple(nodes.tolist()),
-        photons, cached, run.seed, dict(scene.parameters), scene.content_hash,
-    )  # fmt: skip
+        light,
+        eta[:-1],
+        _error(per_batch),
+        *_with_error(of_emitted.mean(), of_emitted / of_emitted.mean()),
+        *_with_error(product.mean() / efficiency, product / product.mean()),
+        efficiency,
+        *ratio,
+        float(at_mean.mean()),
+        float(_error(at_mean)),
+        one_off[0] - 1.0,
+        one_off[1],
+        float(off.max()),
+        tuple(nodes.tolist()),
+        photons,
+        cached,
+        run.seed,
+        dict(scene.parameters),
+        scene.content_hash,
+    )
 
 
 def _by_photons(
-    benches: Sequence[SceneFile], named: Sequence[str], points: Sequence[tuple[float, float]],
-    asked_nm: Array, run: Run,
-) -> tuple[Array, int, int]:  # fmt: skip
+    benches: Sequence[SceneFile],
+    named: Sequence[str],
+    points: Sequence[tuple[float, float]],
+    asked_nm: Array,
+    run: Run,
+) -> tuple[Array, int, int]:
     """(benches, batches, points) efficiencies; photons, and how many of them the cache had.
 
     Batches of one number belong together.

@@ -135,9 +135,15 @@ class RecordRun:
         tasks = []
         for number, block in planned(lacking, self._launches, LARGEST_LAUNCH):
             unit = RecordBlock(
-                self.what, self._scene, self._run.seed, self._run.variant,
-                number > 0 or not self._run.check, number, block, self._proposals,
-            )  # fmt: skip
+                self.what,
+                self._scene,
+                self._run.seed,
+                self._run.variant,
+                number > 0 or not self._run.check,
+                number,
+                block,
+                self._proposals,
+            )
             tasks.append(Task(unit, self._cache))
         return tasks
 

@@ -476,10 +476,14 @@ class ResponseMaker:
         return axes if further is None else (*axes, further), pairs
 
     def _response(
-        self, effect: Effect, axes: tuple[Axis, ...], pairs: _Pairs,
-        tables: Mapping[int, EtaGrid], plain: Sequence[_Simulation],
+        self,
+        effect: Effect,
+        axes: tuple[Axis, ...],
+        pairs: _Pairs,
+        tables: Mapping[int, EtaGrid],
+        plain: Sequence[_Simulation],
         known: Sequence[EtaGrid],
-    ) -> EffectResponse:  # fmt: skip
+    ) -> EffectResponse:
         """An effect's tables over those of the bench as it is."""
         readings = len(self.campaign.measurements.readings)
         shape = (*(len(axis.values) for axis in axes), readings, *self.coarse.counts)
@@ -557,10 +561,16 @@ class ResponseMaker:
         for members in groups:
             of = members[0].simulation
             unit = TableUnit(
-                self._what, ScenePlan(of.base, of.overrides), self._run.seed, self._run.variant,
-                not any(each.simulation.check for each in members), self._proposals, of.photons,
-                (self.grid, self.coarse), tuple(each.request for each in members),
-            )  # fmt: skip
+                self._what,
+                ScenePlan(of.base, of.overrides),
+                self._run.seed,
+                self._run.variant,
+                not any(each.simulation.check for each in members),
+                self._proposals,
+                of.photons,
+                (self.grid, self.coarse),
+                tuple(each.request for each in members),
+            )
             tasks.append(Task(unit, self._cache))
         errors: list[float] = []
 
@@ -663,10 +673,16 @@ def _as_effect(campaign: Campaign, name: str) -> Effect:
     # the scene's value stands in for the nearest of them
     nodes = np.delete(nodes, int(np.abs(nodes - own).argmin()))
     parameter = EffectParameter(
-        name=name, unit="", meaning="a parameter of the scene", minimum=known.minimum,
-        maximum=known.maximum, start=known.start, absent=own,
-        plausible=(known.minimum, known.maximum), nodes=tuple(map(float, nodes)),
-    )  # fmt: skip
+        name=name,
+        unit="",
+        meaning="a parameter of the scene",
+        minimum=known.minimum,
+        maximum=known.maximum,
+        start=known.start,
+        absent=own,
+        plausible=(known.minimum, known.maximum),
+        nodes=tuple(map(float, nodes)),
+    )
     # nothing to be written into the scene: it has the parameter
     return Effect(name, name, "", "", parameters=(parameter,), edit=lambda editor: None)
 
@@ -681,10 +697,17 @@ def _acceptance_as_effect(campaign: Campaign) -> Effect:
     nodes = np.delete(nodes, int(np.abs(nodes - own).argmin()))
     (parameter,) = FORWARD_BEAM.parameters
     by_angle = replace(
-        parameter, minimum=known.minimum, maximum=known.maximum, start=known.start, absent=own,
-        plausible=(known.minimum, known.maximum), nodes=tuple(map(float, nodes)), nominal=None,
-        scale=scale, limits=None,
-    )  # fmt: skip
+        parameter,
+        minimum=known.minimum,
+        maximum=known.maximum,
+        start=known.start,
+        absent=own,
+        plausible=(known.minimum, known.maximum),
+        nodes=tuple(map(float, nodes)),
+        nominal=None,
+        scale=scale,
+        limits=None,
+    )
     return replace(FORWARD_BEAM, name=ACCEPTANCE, parameters=(by_angle,))
 
 

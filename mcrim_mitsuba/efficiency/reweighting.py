@@ -393,9 +393,13 @@ def improve_shares(surface: EtaSurface, points: Sequence[Coefficients]) -> Scatt
 
     start = np.zeros(len(cost))
     found = minimize(
-        worst, start, jac=True, method="L-BFGS-B", bounds=[(-6.0, 3.0)] * len(start),
+        worst,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(-6.0, 3.0)] * len(start),
         options={"ftol": _ENOUGH},
-    )  # fmt: skip
+    )
     shares = np.exp(found.x - logsumexp(found.x))
     # less than half a unit is not worth a lane; the lowest says how far down weights may reach
     shares[1:][shares[1:] * UNITS < 0.5] = 0.0

@@ -132,12 +132,20 @@ def _collect_in_units(
                     wanted = int(_FIRST_STEP * wanted)
             tasks = [
                 Task(
-                    TallyBlock(what, simulation.file, run.seed, simulation.variant, True,
-                               number, block, max_depth),
+                    TallyBlock(
+                        what,
+                        simulation.file,
+                        run.seed,
+                        simulation.variant,
+                        True,
+                        number,
+                        block,
+                        max_depth,
+                    ),
                     cache,
                 )
                 for number, block in planned(wanted, launches, size)
-            ]  # fmt: skip
+            ]
             by_all = tally.photons == 0 and len(tasks) == 1
             for done in current_executor().do(tasks, threads=run.threads, by_all=by_all):
                 (chunk,) = done.chunks.values()
@@ -155,9 +163,15 @@ def _collect_in_units(
             raise
         interrupted = True
     return simulation.result(
-        tally, photons, run.seed, precision,
+        tally,
+        photons,
+        run.seed,
+        precision,
         # of an earlier run's photons the time that they took then
         seconds=seconds if cached else time.perf_counter() - start,
-        path_name=path, interrupted=interrupted, max_depth=max_depth,
-        cached_photons=cached, notes=cache.notes,
-    )  # fmt: skip
+        path_name=path,
+        interrupted=interrupted,
+        max_depth=max_depth,
+        cached_photons=cached,
+        notes=cache.notes,
+    )

@@ -91,7 +91,7 @@ class EtaTable:
             {name: list(values) for name, values in self.axes.items()},
             {"photons": self.photons, "seed": self.seed, "scene_hash": self.scene_hash}
             | as_attributes({n: v for n, v in self.parameters.items() if n not in self.axes}),
-        )  # fmt: skip
+        )
         made.eta.attrs["long_name"] = "light collection efficiency"
         for name in self.axes:
             made[name].attrs["units"] = unit_of(name) or "1"
@@ -143,8 +143,10 @@ def eta_table(
     varied = {name: values_as_in(file, name, values) for name, values in axes.items()}
     coefficients = (ALPHA_ABS, ALPHA_SCAT)
     outer = {name: values for name, values in varied.items() if name not in coefficients}
-    inner = {name: varied.get(name) or values_as_in(file, name, [file.parameters[name]])
-             for name in coefficients}  # fmt: skip
+    inner = {
+        name: varied.get(name) or values_as_in(file, name, [file.parameters[name]])
+        for name in coefficients
+    }
     points: list[Coefficients] = [
         (float(a_s), float(a_a)) for a_a, a_s in itertools.product(*inner.values())
     ]
@@ -171,12 +173,17 @@ def eta_table(
     work = [each for bench in benches.values() for each in bench.work]
     spent = sum(each.photons for each in work)
     made = EtaTable(
-        kept, found[..., 0].reshape(shape), found[..., 1].reshape(shape), spent,
-        sum(each.cached_photons for each in work), run.seed, dict(file.parameters),
+        kept,
+        found[..., 0].reshape(shape),
+        found[..., 1].reshape(shape),
+        spent,
+        sum(each.cached_photons for each in work),
+        run.seed,
+        dict(file.parameters),
         file.content_hash,
         # what goes wrong with the cache goes wrong every time
         tuple(dict.fromkeys(note for bench in benches.values() for note in bench.notes)),
-    )  # fmt: skip
+    )
     further = []
     if own := [each.photons for each in work if isinstance(each, SimulationResult)]:
         further.append(
@@ -256,9 +263,10 @@ def refuse_axes(file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> None:
             raise InputError(
                 f"the scene has no parameter {name}",
                 "a table varies n_gap, alpha_abs_per_cm and alpha_scat_per_cm: declare it"
-                if usual else did_you_mean(name, file.parameters),
+                if usual
+                else did_you_mean(name, file.parameters),
                 path=file.path,
-            )  # fmt: skip
+            )
         if name in axes and name in file.overrides:
             problem = f"{name} is both varied by the table and given a value"
             raise InputError(problem, "leave one of them out")

@@ -63,7 +63,7 @@ class TimeCells:
 
     def add(
         self, time_ps: Array, weight: Array, group: NDArray[np.int64], kind: NDArray[np.int64]
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Take in photons: (detected,) times, weights, groups and slices."""
         cell = np.searchsorted(self.edges_ps, time_ps, side="right") - 1
         place = np.ravel_multi_index((group, kind, cell), self._shape)
@@ -81,8 +81,9 @@ class TimeCells:
     def times_ps(self) -> Array:
         """(cells,) mean time of a cell's light; its beginning where there is none."""
         light = self.light.sum(axis=(0, 1))
-        return np.where(light > 0.0, self._times / np.where(light > 0.0, light, 1.0),
-                        self.edges_ps[:-1])  # fmt: skip
+        return np.where(
+            light > 0.0, self._times / np.where(light > 0.0, light, 1.0), self.edges_ps[:-1]
+        )
 
 
 def jackknife(number: Callable[[Array], Array], light: Array) -> tuple[Array, Array]:
@@ -166,8 +167,9 @@ def first_photons(times_ps: Array, light: Array, detected: int, most: int) -> Ar
     left = 1.0 - arrived
     odds = arrived / np.where(left > 0.0, left, 1.0)
     # probability of 0, 1, ... arrivals so far
-    chance = np.where(left > 0.0, np.exp(detected * np.log1p(-np.where(left > 0.0, arrived, 0.0))),
-                      0.0)  # fmt: skip
+    chance = np.where(
+        left > 0.0, np.exp(detected * np.log1p(-np.where(left > 0.0, arrived, 0.0))), 0.0
+    )
     fewer, found = np.zeros(len(arrived)), np.empty((2, most))
     for number in range(most):
         fewer = fewer + chance

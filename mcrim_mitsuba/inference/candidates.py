@@ -206,9 +206,12 @@ def determined_estimates(fit: Fit, evidence: Evidence) -> dict[str, ParameterEst
         own, sigma = parameters[name], evidence.sigma[name]
         if own.sigma > _UNDETERMINED * sigma:
             parameters[name] = replace(
-                own, sigma=sigma, lower=own.value - sigma, upper=own.value + sigma,
+                own,
+                sigma=sigma,
+                lower=own.value - sigma,
+                upper=own.value + sigma,
                 contributions={"plausible": sigma},
-            )  # fmt: skip
+            )
     return parameters | light_yields(parameters, fit.problem.model.campaign)
 
 
@@ -295,9 +298,14 @@ def _lowest(explanations: Explanations, fit: Fit, absent: dict[str, float]) -> t
 
 
 def _end(
-    fit: Fit, lowest: Array, least: float, name: str, nodes: list[float], height: float,
+    fit: Fit,
+    lowest: Array,
+    least: float,
+    name: str,
+    nodes: list[float],
+    height: float,
     bound: float,
-) -> float:  # fmt: skip
+) -> float:
     """Where the profile passes a height on the way to a bound; infinite if nowhere."""
     problem, place = fit.problem, fit.problem.index(name)
     best, theta = float(lowest[place]), lowest.copy()

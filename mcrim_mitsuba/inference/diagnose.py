@@ -460,9 +460,12 @@ class Diagnosed:
 
 
 def diagnose(
-    campaign: str | Path | Campaign, *, without: Sequence[str] = (), only: Sequence[str] = (),
+    campaign: str | Path | Campaign,
+    *,
+    without: Sequence[str] = (),
+    only: Sequence[str] = (),
     run: Run = Run(),
-) -> Diagnosed:  # fmt: skip
+) -> Diagnosed:
     """Rank the catalogue's effects as explanations of a campaign's misfit.
 
     Other parameters and errors as for `compare`.
@@ -476,9 +479,12 @@ def diagnose(
 
 
 def diagnose_on(
-    bench: Workbench, *, without: Sequence[str] = (), only: Sequence[str] = (),
+    bench: Workbench,
+    *,
+    without: Sequence[str] = (),
+    only: Sequence[str] = (),
     adding: Sequence[str] = (),
-) -> Diagnosed:  # fmt: skip
+) -> Diagnosed:
     """`diagnose` with a workbench that can be used further.
 
     `adding` are the effects of the repair, whatever the verdict.

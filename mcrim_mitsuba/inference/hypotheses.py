@@ -199,7 +199,9 @@ def side_by_side(made: Mapping[str, Explanations]) -> SideBySide:
             p_value=fit.p_value,
             left_out_error=left_out_error(fit),
             log_evidence=evidences[name].log - evidences[best].log,
-            log_evidence_sigma=0.0 if name == best else math.hypot(
+            log_evidence_sigma=0.0
+            if name == best
+            else math.hypot(
                 evidences[name].log_sigma, evidences[best].log_sigma, 0.5 * noise[name]
             ),
             probability=weighed.probabilities[name],
@@ -208,7 +210,7 @@ def side_by_side(made: Mapping[str, Explanations]) -> SideBySide:
             titles=tuple(each.title for each in made[name].effects.values()),
         )
         for name, fit in fits.items()
-    )  # fmt: skip
+    )
     named = {one.name: one for one in hypotheses}
     leading = tuple(n for n in order if -2.0 * named[n].log_evidence <= LEADING + 2.0 * noise[n])
     verdict, reason = _verdict([named[name] for name in leading], fits[best])
@@ -260,7 +262,7 @@ def refuse_unlike(campaigns: Sequence[Campaign]) -> None:
                 "give [parameters.scale] the same start, prior, min, max and fixed in both, or "
                 "leave it out of both",
                 path=other.path,
-            )  # fmt: skip
+            )
 
 
 def _of_scale(campaign: Campaign) -> tuple[float | None, ...]:

@@ -188,10 +188,15 @@ def descend(
         return float(residuals @ residuals), slopes.T @ residuals, slopes.T @ slopes
 
     x, chi2, converged = minimise(
-        height_at, problem.internal(theta), problem.low, problem.high, held=held,
+        height_at,
+        problem.internal(theta),
+        problem.low,
+        problem.high,
+        held=held,
         longest=np.where(problem.logarithmic, _LONGEST_STEP, np.inf),
-        steps=steps, precision=precision,
-    )  # fmt: skip
+        steps=steps,
+        precision=precision,
+    )
     # a bound's logarithm may come back as a number beyond it
     return np.clip(problem.external(x), *problem.bounds), chi2, converged
 

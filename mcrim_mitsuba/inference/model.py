@@ -120,8 +120,9 @@ def _free(
             raise InputError(
                 f"{parameter.name} may be {parameter.minimum:g}..{parameter.maximum:g}, but "
                 + known.format(low, high),
-                mend, path=campaign.path,
-            )  # fmt: skip
+                mend,
+                path=campaign.path,
+            )
         start = min(max(parameter.start, least), most)
         found[place] = replace(parameter, start=start, minimum=least, maximum=most)
     return tuple(found)
@@ -209,10 +210,11 @@ class CampaignModel:
         bounds = (surface.alpha_scat_bounds_per_cm for surface in made.values())
         lows, highs = zip(*bounds, strict=True)
         self.free = _free(
-            campaign, {ALPHA_SCAT: (max(lows), min(highs))},
+            campaign,
+            {ALPHA_SCAT: (max(lows), min(highs))},
             "the simulated photons tell about {:g}..{:g} only",
             "simulate scattering coefficients within min and max",
-        )  # fmt: skip
+        )
 
     def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
         values = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
@@ -353,9 +355,11 @@ class ResponseModel:
             high = math.inf if any(map(math.isinf, axis.values)) else max(ends)
             ranges[axis.name] = (min(ends), high)
         self.free = _free(
-            campaign, ranges, "only {:g}..{:g} is simulated",
+            campaign,
+            ranges,
+            "only {:g}..{:g} is simulated",
             "give it min and max within that range",
-        )  # fmt: skip
+        )
         self._of_signal = {SCALE, *self._named[SCALE], EFFICIENCY_FACTOR}
         # by coefficient's parameter, the rows that it stands for
         self._rows_of = {

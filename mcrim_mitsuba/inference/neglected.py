@@ -168,11 +168,13 @@ def shifts(
     sigmas = spread(after.batches[:, second] - before.batches[:, first])
     return {
         name: Shift(
-            float(before.values[i]), float(after.values[j]), float(sigma),
+            float(before.values[i]),
+            float(after.values[j]),
+            float(sigma),
             (size_sigmas or {}).get(name, 0.0),
         )
         for name, i, j, sigma in zip(common, first, second, sigmas, strict=True)
-    }  # fmt: skip
+    }
 
 
 @dataclass(frozen=True)
@@ -206,8 +208,9 @@ def refuse_far(campaign: Campaign, band: BandIndices) -> None:
         raise InputError(
             f"the scene's {INDEX} = {nominal:g} is too far from {mean:.4g}, that of "
             f"{band.material.name}",
-            f"set {INDEX} to about {mean:.4g}", path=campaign.scene.path,
-        )  # fmt: skip
+            f"set {INDEX} to about {mean:.4g}",
+            path=campaign.scene.path,
+        )
 
 
 # ---- fits with pieces put in ----
@@ -321,10 +324,14 @@ class NeglectWork:
                 )
             ]
         return Neglected(
-            name, title, correction, put_in, mend,
+            name,
+            title,
+            correction,
+            put_in,
+            mend,
             shifts(self._own.at_fixed, after.at_fixed, sizes[0]),
             shifts(self._own.refitted, after.refitted, sizes[1]),
-        )  # fmt: skip
+        )
 
     def neglected(self) -> tuple[Neglected, ...]:
         """Every piece by itself, corrections first."""

@@ -318,7 +318,10 @@ def _cloud(
     weight, scale = np.concatenate(weights), np.concatenate(scales)
     order = np.argsort(scale, kind="stable")
     return _Cloud(
-        of=np.concatenate(of)[order], names=names, weights=weight[order] / weight.sum(),
-        signals=np.concatenate(signals)[order], relative_sigma=relative,
+        of=np.concatenate(of)[order],
+        names=names,
+        weights=weight[order] / weight.sum(),
+        signals=np.concatenate(signals)[order],
+        relative_sigma=relative,
         yields=scale[order] if scale.all() else None,
-    )  # fmt: skip
+    )

@@ -115,4 +115,4 @@ def _shift(mapped: EtaMap, spread: Spread, everywhere: Spread) -> PlaceShift:
     sigma = ratio * float(np.sqrt(away @ away))
     return PlaceShift(
         spread.source, spread.eta, spread.eta_sigma, ratio - 1.0, 1.0 / ratio - 1.0, sigma
-    )  # fmt: skip
+    )

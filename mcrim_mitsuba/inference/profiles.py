@@ -153,9 +153,14 @@ def _profile(
         "max" if not above or above[-1][0] == parameter.maximum else None,
     )
     return Profile(
-        parameter.name, *_joined(sides, value, float(slope[index])), value, sigma,
-        parameter.prior, parameter.prior_sigma, ends,
-    )  # fmt: skip
+        parameter.name,
+        *_joined(sides, value, float(slope[index])),
+        value,
+        sigma,
+        parameter.prior,
+        parameter.prior_sigma,
+        ends,
+    )
 
 
 _Points = list[tuple[float, float, float]]
@@ -216,9 +221,16 @@ def _of_light_yield(scale: Profile, name: str, known: LightYieldInput) -> Profil
     sigma = math.hypot(scale.sigma * per_scale, value * relative)
     if relative == 0:
         return Profile(
-            name, scale.values * per_scale, scale.delta_chi2, scale.slopes / per_scale,
-            value, sigma, None, None, scale.ends,
-        )  # fmt: skip
+            name,
+            scale.values * per_scale,
+            scale.delta_chi2,
+            scale.slopes / per_scale,
+            value,
+            sigma,
+            None,
+            None,
+            scale.ends,
+        )
     curve, low, high = scale.curve, float(scale.values[0]), float(scale.values[-1])
 
     def height(light_yield: float) -> tuple[float, float]:

@@ -66,10 +66,16 @@ class Memory:
             }
         )
         self._number = number_of(
-            campaign.scene.content_hash, [asdict(each) for each in campaign.measurements.readings],
-            repr(campaign.parameters), repr(campaign.scale), campaign.beam, campaign.effects,
-            list(tried), run.photons, run.seed,
-        )  # fmt: skip
+            campaign.scene.content_hash,
+            [asdict(each) for each in campaign.measurements.readings],
+            repr(campaign.parameters),
+            repr(campaign.scale),
+            campaign.beam,
+            campaign.effects,
+            list(tried),
+            run.photons,
+            run.seed,
+        )
 
     def read(self) -> set[str] | None:
         """Effects that were simulated in full; None where the race was never run."""

@@ -104,15 +104,25 @@ def repair(
         mended = model.campaign
         scene_path = _write(bench.campaign, mended, calibration, campaign_path, averaged)
     return Repaired(
-        diagnosed, effects, calibration, campaign_path, scene_path, bench.provenance(), bench,
-        model, undetermined,
-    )  # fmt: skip
+        diagnosed,
+        effects,
+        calibration,
+        campaign_path,
+        scene_path,
+        bench.provenance(),
+        bench,
+        model,
+        undetermined,
+    )
 
 
 def _write(
-    campaign: Campaign, mended: Campaign, calibration: Calibration, target: Path,
+    campaign: Campaign,
+    mended: Campaign,
+    calibration: Calibration,
+    target: Path,
     averaged: AveragedYield | None,
-) -> Path:  # fmt: skip
+) -> Path:
     """Write scene and campaign; returns the scene's path."""
     scene_path = target.with_suffix(".xml")
     if scene_path.resolve() == campaign.scene.path.resolve():
@@ -144,9 +154,12 @@ def refuse_others_work(target: Path) -> None:
 
 
 def mended_files(
-    campaign: Campaign, mended: Campaign, calibration: Calibration, target: Path,
+    campaign: Campaign,
+    mended: Campaign,
+    calibration: Calibration,
+    target: Path,
     averaged: AveragedYield | None = None,
-) -> tuple[SceneFile, str]:  # fmt: skip
+) -> tuple[SceneFile, str]:
     """The mended scene and the text of the mended campaign; nothing is written.
 
     `mended` is the same with more effects switched on, as the fitted model has it, and the values

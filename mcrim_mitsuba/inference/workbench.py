@@ -231,9 +231,14 @@ class Workbench:
         minutes = self.campaign.next_measurements.get(NEXT_MINUTES, {})
         comments = {n: known.comment for n, known in self.campaign.scene.defaults.items()}
         return MeasurementProposals(
-            [*light, *beams], predict, np.array(sigmas), minutes, comments,
-            {**BEAM_PARAMETERS, **self.campaign.values}, noise,
-        )  # fmt: skip
+            [*light, *beams],
+            predict,
+            np.array(sigmas),
+            minutes,
+            comments,
+            {**BEAM_PARAMETERS, **self.campaign.values},
+            noise,
+        )
 
     def _usual_sigma(self, *, of_beam: bool) -> float:
         """Relative error of a proposed reading of a kind."""
@@ -250,12 +255,14 @@ class Workbench:
         """The model with some effects of configurations of one kind, taken for readings."""
         readings = tuple(
             Reading(
-                label=", ".join(f"{n} = {v}" for n, v in each.items()), signal=1.0, sigma=1.0,
+                label=", ".join(f"{n} = {v}" for n, v in each.items()),
+                signal=1.0,
+                sigma=1.0,
                 parameters={n: v for n, v in each.items() if n != KIND},
                 kind=str(each.get(KIND, LIGHT)),
             )
             for each in configurations
-        )  # fmt: skip
+        )
         # no columns: what one proposal changes may be fitted to the others
         measured = replace(self.campaign.measurements, columns=(), readings=readings)
         proposed = replace(self.campaign, measurements=measured)

@@ -77,11 +77,15 @@ def main_peak(values: Array, counts: Array) -> Found | None:
     high = top + np.argmin(smooth[top : found[main + 1]]) if main + 1 < len(found) else top
     base = smooth[top] - height
     return Found(
-        height, float(values[top]), float(width), float(base), float(values[low]),
+        height,
+        float(values[top]),
+        float(width),
+        float(base),
+        float(values[low]),
         float(values[high]) if high > top else math.inf,
         float((smooth[low] - base) / height) if low > 0 else 0.0,
         float((smooth[high] - base) / height) if high > top else 0.0,
-    )  # fmt: skip
+    )
 
 
 def _half_width(smooth: Array, top: int) -> tuple[float, int]:
@@ -267,7 +271,7 @@ def _refuse_other_columns(table: DataTable) -> None:
             "numbered events",
             f"keep the column {events} alone, or write bin centres first and then counts",
             path=table.path,
-        )  # fmt: skip
+        )
 
 
 def _refuse_numbered(table: DataTable) -> None:
@@ -286,7 +290,7 @@ def _refuse_numbered(table: DataTable) -> None:
             "a list of numbered events",
             "keep the second column alone; if most bins of a histogram are empty, join bins",
             path=table.path,
-        )  # fmt: skip
+        )
 
 
 def _checked(table: DataTable) -> tuple[Array, Array]:
@@ -297,12 +301,14 @@ def _checked(table: DataTable) -> tuple[Array, Array]:
     if len(bad):
         count = float(counts[bad[0]])
         raise _refusal(
-            table, bad[0], f"{count:.10g} counts are not a number of events",
+            table,
+            bad[0],
+            f"{count:.10g} counts are not a number of events",
             f"write {1000 * count:.0f}, if the point separates thousands; else correct it"
             if _may_be_thousands(count)
             else "write counts that are neither scaled nor subtracted: their errors are the square "
             "roots",
-        )  # fmt: skip
+        )
     if len(photons) < _FEWEST_BINS:
         mend = f"a histogram has {_FEWEST_BINS} at least"
         raise InputError(f"only {len(photons)} bins", mend, path=table.path)
@@ -312,10 +318,13 @@ def _checked(table: DataTable) -> tuple[Array, Array]:
     if len(bad) and not falls:
         row = bad[0] + 1
         raise _refusal(
-            table, row, f"the bin centre {photons[row]:g} does not follow {photons[row - 1]:g}",
+            table,
+            row,
+            f"the bin centre {photons[row]:g} does not follow {photons[row - 1]:g}",
             "write decimal points, if this is a list of events with decimal commas"
-            if _may_be_decimals(table) else "sort the bins, each once",
-        )  # fmt: skip
+            if _may_be_decimals(table)
+            else "sort the bins, each once",
+        )
     width = float(np.median(np.abs(steps)))
     if width < _NARROWEST:
         mend = "write the bin centres in a larger unit"
@@ -324,10 +333,12 @@ def _checked(table: DataTable) -> tuple[Array, Array]:
     if len(bad):
         row = bad[0] + 1
         raise _refusal(
-            table, row,
+            table,
+            row,
             f"the bin at {photons[row]:g} is {abs(steps[row - 1]):g} from the one before, not "
-            f"{width:g}", "give all bins one width; write empty bins with 0 counts",
-        )  # fmt: skip
+            f"{width:g}",
+            "give all bins one width; write empty bins with 0 counts",
+        )
     if not counts.any():
         raise InputError("all bins are empty", "name another file", path=table.path)
     _refuse_numbered(table)
@@ -356,8 +367,9 @@ def _binned(table: DataTable) -> tuple[Array, Array]:
         raise InputError(
             f"one column of {len(events)} numbers is no histogram, and as a list of events it is "
             "too short",
-            f"write bin centres and counts, or {_FEWEST_EVENTS} events at least", path=table.path,
-        )  # fmt: skip
+            f"write bin centres and counts, or {_FEWEST_EVENTS} events at least",
+            path=table.path,
+        )
     whole = bool(np.all(events == np.floor(events)))
     if whole and events.min() < 0:
         row = int(np.argmax(events < 0))

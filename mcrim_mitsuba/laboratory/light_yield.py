@@ -89,8 +89,10 @@ def detector_efficiency(
         problem = "the quantum efficiency is 0 wherever the crystal emits"
         raise quantum_efficiency.refusal(problem, "check both tables")
     parts = {
-        SCALE: scale_sigma * mean.value, CURVE: mean.quantity_sigma, EMISSION: mean.emission_sigma,
-    }  # fmt: skip
+        SCALE: scale_sigma * mean.value,
+        CURVE: mean.quantity_sigma,
+        EMISSION: mean.emission_sigma,
+    }
     contributions = {origin: sigma for origin, sigma in parts.items() if sigma is not None}
     return DetectorEfficiency(
         value=mean.value,
@@ -375,9 +377,10 @@ def _shared(
             value, sigma = crystal[name]
             if _own_part(value, sigma, part) is None:
                 raise table.refusal(
-                    name, f"the shared error {name} = {part:g} is larger than the {whose}'s own, "
+                    name,
+                    f"the shared error {name} = {part:g} is larger than the {whose}'s own, "
                     f"{sigma / value:.3g} of its {name}",
                     "shared errors are parts of those of both crystals, as fractions",
-                )  # fmt: skip
+                )
         shared[name] = part
     return shared

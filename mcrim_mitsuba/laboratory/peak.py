@@ -352,9 +352,17 @@ def combine(values: Sequence[float], sigmas: Sequence[float]) -> Repeated:
             f"{100 / math.sqrt(2 * ndf):.0f} %, and the error of their mean no better: measure more"
         )
     return Repeated(
-        mean, max(scatter, internal), scatter, internal, chi2, ndf, p_value, consistent, outliers,
+        mean,
+        max(scatter, internal),
+        scatter,
+        internal,
+        chi2,
+        ndf,
+        p_value,
+        consistent,
+        outliers,
         tuple(said),
-    )  # fmt: skip
+    )
 
 
 def _outliers(x: np.ndarray, errors: np.ndarray) -> tuple[int, ...]:

@@ -158,11 +158,18 @@ def fit_band(values: Array, counts: Array, shape: str, start: Array) -> tuple[Pe
     slope = (p[4] - p[3]) / (values[-1] - values[0])
     peak = Peak(
         shape=shape,
-        centroid=float(p[1]), centroid_sigma=math.sqrt(max(covariance[1, 1], 0.0)),
+        centroid=float(p[1]),
+        centroid_sigma=math.sqrt(max(covariance[1, 1], 0.0)),
         width=float(width),
         width_sigma=math.sqrt(max(of_width @ covariance[1:3, 1:3] @ of_width, 0.0)),
-        events=float(p[0]), bin_width=float(bin_width),
-        background=float(p[3] + slope * (p[1] - values[0])), background_slope=float(slope),
-        chi2=chi2, ndf=ndf, p_value=p_value, low=float(values[0]), high=float(values[-1]),
-    )  # fmt: skip
+        events=float(p[0]),
+        bin_width=float(bin_width),
+        background=float(p[3] + slope * (p[1] - values[0])),
+        background_slope=float(slope),
+        chi2=chi2,
+        ndf=ndf,
+        p_value=p_value,
+        low=float(values[0]),
+        high=float(values[-1]),
+    )
     return peak, p, bool(p[0] ** 2 > _STANDS_OUT**2 * covariance[0, 0])

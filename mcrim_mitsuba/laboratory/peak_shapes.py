@@ -67,9 +67,7 @@ def counting(values: Array, mean: float, variance: float, bin_width: int) -> tup
     exponents = counted[..., None] * np.log(means) - means - gammaln(counted + 1.0)[..., None]
     chances = np.exp(exponents) @ (weights / weights.sum())
     chances[numbers <= -1.0] = 0.0
-    below, before, last = (
-        chances[:, i : i + bin_width].sum(axis=1) / bin_width for i in range(3)
-    )  # fmt: skip
+    below, before, last = (chances[:, i : i + bin_width].sum(axis=1) / bin_width for i in range(3))
     return last, np.stack([before - last, 0.5 * (below - 2.0 * before + last)])
 
 
@@ -166,9 +164,12 @@ class PhotonSpectrum:
 
 
 def spectrum_of(
-    mean_photons: float, peak_events: float, *, intrinsic_spread: float = 0.10,
+    mean_photons: float,
+    peak_events: float,
+    *,
+    intrinsic_spread: float = 0.10,
     dark_photons: float = 0.0,
-) -> PhotonSpectrum:  # fmt: skip
+) -> PhotonSpectrum:
     """A spectrum whose pedestal and continuum grow with the events of its band.
 
     Parameters are those of `PhotonSpectrum`. In a measuring time of some minutes at a rate per
@@ -180,6 +181,10 @@ def spectrum_of(
         As `PhotonSpectrum`.
     """
     return PhotonSpectrum(
-        mean_photons, peak_events, intrinsic_spread, PEDESTAL * peak_events,
-        continuum_events=CONTINUUM * peak_events, dark_photons=dark_photons,
-    )  # fmt: skip
+        mean_photons,
+        peak_events,
+        intrinsic_spread,
+        PEDESTAL * peak_events,
+        continuum_events=CONTINUUM * peak_events,
+        dark_photons=dark_photons,
+    )

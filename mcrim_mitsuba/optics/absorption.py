@@ -115,9 +115,12 @@ def _beside_clear(measured: float, n: float) -> str:
 
 
 def _curve(
-    transmittance: Spectrum, n: Index, thickness_mm: float, inside_nm: float,
+    transmittance: Spectrum,
+    n: Index,
+    thickness_mm: float,
+    inside_nm: float,
     emission: Spectrum | None = None,
-) -> tuple[Spectrum, Array, Array]:  # fmt: skip
+) -> tuple[Spectrum, Array, Array]:
     """Apparent coefficient over wavelength, with the readings and indices there.
 
     Around `inside_nm` as far as light gets through, and no further than the emission: beyond it
@@ -338,9 +341,12 @@ def _held(slabs: Sequence[_SlabReading], sigma: float) -> tuple[float, list[str]
 
 
 def _refuse_numbers(
-    numbers: Sequence[float], thickness_mm: float, sigma: float, n_sigma: float,
+    numbers: Sequence[float],
+    thickness_mm: float,
+    sigma: float,
+    n_sigma: float,
     thickness_sigma_mm: float,
-) -> None:  # fmt: skip
+) -> None:
     for value in numbers:
         if not 0 < value <= 1:
             raise InputError(
@@ -352,9 +358,10 @@ def _refuse_numbers(
     if not (thickness_mm > 0 and math.isfinite(thickness_mm)):
         raise InputError(f"the thickness is {thickness_mm:g} mm", "give one above 0, in mm")
     for what, error, most in (
-        ("transmittance", sigma, LARGEST_SIGMA), ("index", n_sigma, 1.0),
+        ("transmittance", sigma, LARGEST_SIGMA),
+        ("index", n_sigma, 1.0),
         ("thickness", thickness_sigma_mm, thickness_mm),
-    ):  # fmt: skip
+    ):
         if not 0 <= error < most:
             example = ": 0.005 for 0.5 %" if what == "transmittance" else ""
             mend = f"give 0 or more, below {most:g}{example}"

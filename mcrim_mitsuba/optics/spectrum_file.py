@@ -41,8 +41,11 @@ _WITH_UNIT = re.compile(r"energ|wave ?number|^e$", re.IGNORECASE)
 _WAVELENGTH_NAME = re.compile(r"wave ?length|lambda|λ|wellenl|длин", re.IGNORECASE)
 #: What numbers without a unit may be, by their range.
 _LOOKS_LIKE = (
-    (0.1, 1.2, "µm"), (1.2, 12.0, "eV"), (2500.0, 10_000.0, "Å"), (10_000.0, 100_000.0, "1/cm"),
-)  # fmt: skip
+    (0.1, 1.2, "µm"),
+    (1.2, 12.0, "eV"),
+    (2500.0, 10_000.0, "Å"),
+    (10_000.0, 100_000.0, "1/cm"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,10 +114,11 @@ def _refuse_range(table: DataTable, column: int, given: Array, wavelengths: Arra
                 mend = f"write ({looks}) in the column's name, or convert to nm"
                 raise table.refusal(row, column, problem, mend)
     raise table.refusal(
-        row, column, f"{value:g} {unit or 'nm'} is no wavelength from {SHORTEST_NM:g} to "
-        f"{LONGEST_NM:g} nm",
+        row,
+        column,
+        f"{value:g} {unit or 'nm'} is no wavelength from {SHORTEST_NM:g} to {LONGEST_NM:g} nm",
         "correct it, or write the unit in the column's name",
-    )  # fmt: skip
+    )
 
 
 def _ordered(table: DataTable, column: int, given: Array, wavelengths: Array) -> NDArray[np.int64]:
@@ -214,10 +218,12 @@ _FOREIGN = {
 }
 _WANTED = {
     "emission": ("an emission spectrum", "intensities"),
-    "quantum_efficiency": ("a quantum efficiency", "% or fractions (QE = 1240 S / λ, S in A/W, "
-                           "λ in nm)"),
+    "quantum_efficiency": (
+        "a quantum efficiency",
+        "% or fractions (QE = 1240 S / λ, S in A/W, λ in nm)",
+    ),
     "transmittance": ("a transmittance", "% or fractions (T = 10^-A from an absorbance A)"),
-}  # fmt: skip
+}
 
 
 def read_spectra(paths: Sequence[str | Path], kind: Kind) -> list[Spectrum]:
@@ -285,9 +291,10 @@ def _columns(table: DataTable) -> tuple[int, int, int | None]:
         mend = "write the wavelength in nm before each value"
         raise InputError("one column of numbers", mend, path=table.path, line=int(table.lines[0]))
     lengths = [
-        i for i in range(count)
+        i
+        for i in range(count)
         if table.units[i] in ("nm", "µm", "Å", "eV", "1/cm") or _WAVELENGTH_TITLE.search(names[i])
-    ]  # fmt: skip
+    ]
     if len(lengths) > 1:
         mend = "keep one of them, and give each spectrum a file of its own"
         raise InputError(f"{len(lengths)} columns are wavelengths", mend, path=table.path)
@@ -302,8 +309,9 @@ def _columns(table: DataTable) -> tuple[int, int, int | None]:
         f"{count} columns" + (", and none is named as an error" if count == 3 else ""),
         "keep wavelength and value, and if it is known the value's standard error in a third "
         "column named sigma",
-        path=table.path, line=int(table.lines[0]),
-    )  # fmt: skip
+        path=table.path,
+        line=int(table.lines[0]),
+    )
 
 
 def _refuse_foreign(table: DataTable, value: int, kind: Kind) -> None:
@@ -381,11 +389,12 @@ def _emission(
     if np.any(below):
         row = int(np.argmax(below))
         raise table.refusal(
-            row, value,
+            row,
+            value,
             f"{given[row]:g} is below 0 by more than {100 * _NOISE_OF_EMISSION:g} % of the maximum "
             f"{highest:g}",
             "subtract the right background, or cut the spectrum there",
-        )  # fmt: skip
+        )
     unit, notes, file = table.units[places], list(axis.notes), table.path.name
     if unit in _RECIPROCAL:
         converted = f"intensities are taken per {unit} and were converted to intensities per nm"

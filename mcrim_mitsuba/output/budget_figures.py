@@ -58,8 +58,10 @@ def draw_budget(calibration: Calibration) -> style.Drawing:
     fitted = sorted(calibration.parameters.items(), key=lambda item: item[0] != LIGHT_YIELD)
     rows = [
         (name, known.value, *part, 100 * part[-1] / abs(known.value) if known.value else None)
-        for name, known in fitted if known.at_bound is None for part in contributions(known)
-    ]  # fmt: skip
+        for name, known in fitted
+        if known.at_bound is None
+        for part in contributions(known)
+    ]
     columns = ("parameter", "value", "origin", "kind", "sigma", "percent_of_value")
     if not fitted:
         nothing = style.said_alone("nothing was fitted: there are no errors")
@@ -111,8 +113,9 @@ def _draw_contributions(axes: Axes, name: str, known: ParameterEstimate) -> None
     axes.set(ylim=(max(len(parts), _FEWEST_ROWS) - 0.5, -0.5), xlim=(0, 1.28 * max(sizes)))
     axes.set_xlabel(
         f"{'% of' if in_percent else 'own unit;'} {estimate_text(known)}",
-        fontsize=10, parse_math=False,
-    )  # fmt: skip
+        fontsize=10,
+        parse_math=False,
+    )
     style.open_axes(axes, "x")
     axes.tick_params(axis="y", length=0)
 
@@ -151,23 +154,40 @@ def _neglected_numbers(budget: Budget) -> style.Numbers:
     for name, total in budget.totals.items():
         percent = 100 / abs(total.value)
         errors = [
-            *((row.name, row.kind, 100 * abs(row.relative), row.by)
-              for row in budget.contributions[name].contributions),
+            *(
+                (row.name, row.kind, 100 * abs(row.relative), row.by)
+                for row in budget.contributions[name].contributions
+            ),
             ("total", TOTAL, percent * total.sigma, ""),
             ("total, with what is left out", TOTAL, percent * total.sigma_with_neglected, ""),
-        ]  # fmt: skip
+        ]
         rows += [(name, total.value, *known, None, None, None, by) for *known, by in errors]
         for piece in budget.pieces:
             moved = piece.refitted[name]
-            rows.append((
-                name, total.value, piece.title, _kind(piece), percent * moved.as_error,
-                100 * moved.relative, percent * moved.monte_carlo_sigma,
-                percent * moved.size_sigma, piece.mend,
-            ))  # fmt: skip
+            rows.append(
+                (
+                    name,
+                    total.value,
+                    piece.title,
+                    _kind(piece),
+                    percent * moved.as_error,
+                    100 * moved.relative,
+                    percent * moved.monte_carlo_sigma,
+                    percent * moved.size_sigma,
+                    piece.mend,
+                )
+            )
     columns = (
-        "quantity", "value", "origin", "kind", "percent_of_value", "shift_percent",
-        "shift_monte_carlo_percent", "shift_size_percent", "by_what",
-    )  # fmt: skip
+        "quantity",
+        "value",
+        "origin",
+        "kind",
+        "percent_of_value",
+        "shift_percent",
+        "shift_monte_carlo_percent",
+        "shift_size_percent",
+        "by_what",
+    )
     return columns, rows
 
 
@@ -190,8 +210,11 @@ def draw_neglected(budget: Budget) -> style.Drawing:
     every = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     for axes, name in zip(every, names, strict=True):
         total = budget.totals[name]
-        drawn = [(place, kind, *sizes[name]) for place, (_, kind, sizes) in enumerate(rows)
-                 if name in sizes]  # fmt: skip
+        drawn = [
+            (place, kind, *sizes[name])
+            for place, (_, kind, sizes) in enumerate(rows)
+            if name in sizes
+        ]
         for place, kind, size, text in drawn:
             _bar(axes, place, kind, size, text, style.GREY if size < _LEAST_PERCENT else "black")
         longest = max((size for *_, size, _ in drawn), default=1.0)
@@ -221,8 +244,10 @@ def _rows(budget: Budget, names: list[str]) -> list[tuple[str, str, dict[str, tu
     totals = {n: 100 * t.sigma / abs(t.value) for n, t in budget.totals.items()}
     found.append(("total", TOTAL, {n: (size, f"{number(size)} %") for n, size in totals.items()}))
     # corrections last; what makes all of them together is one
-    for piece in (*(p for p in budget.neglected if not p.correction),
-                  *(p for p in budget.pieces if p.correction)):  # fmt: skip
+    for piece in (
+        *(p for p in budget.neglected if not p.correction),
+        *(p for p in budget.pieces if p.correction),
+    ):
         sizes = {}
         for name, moved in piece.refitted.items():
             if moved.before and piece.correction:
@@ -295,24 +320,40 @@ def draw_plan(found: Planning) -> style.Drawing:
     statistical.yaxis.set_minor_formatter("{x:g}")
     total.set_ylim(bottom=0)
     total.annotate(
-        f"wanted: {percent(found.wanted)}", (0.99, 100 * found.wanted), (0, -3),
-        xycoords=("axes fraction", "data"), textcoords="offset points",
-        ha="right", va="top", fontsize=9.5, color=style.GREY,
-    )  # fmt: skip
+        f"wanted: {percent(found.wanted)}",
+        (0.99, 100 * found.wanted),
+        (0, -3),
+        xycoords=("axes fraction", "data"),
+        textcoords="offset points",
+        ha="right",
+        va="top",
+        fontsize=9.5,
+        color=style.GREY,
+    )
     times = counted(mountings, "mounting")
     figure.suptitle(f"{times} of each coupling", x=0.01, ha="left", fontsize=11)
     figure.legend(loc="outside right upper", fontsize=9, frameon=False, handlelength=3.4)
     rows = [
         (
-            found.name(plan.configurations), plan.mountings, plan.events, plan.hours,
-            100 * plan.light_yield.statistical, 100 * plan.light_yield.systematic,
+            found.name(plan.configurations),
+            plan.mountings,
+            plan.events,
+            plan.hours,
+            100 * plan.light_yield.statistical,
+            100 * plan.light_yield.systematic,
             100 * plan.light_yield.total,
             None if plan.alpha_scat is None else 100 * plan.alpha_scat.total,
         )
         for plan in found.plans
-    ]  # fmt: skip
+    ]
     columns = (
-        "couplings", "mountings", "events", "hours", "light_yield_statistical_percent",
-        "light_yield_systematic_percent", "light_yield_total_percent", "alpha_scat_total_percent",
-    )  # fmt: skip
+        "couplings",
+        "mountings",
+        "events",
+        "hours",
+        "light_yield_statistical_percent",
+        "light_yield_systematic_percent",
+        "light_yield_total_percent",
+        "alpha_scat_total_percent",
+    )
     return style.Drawing(figure, columns, rows)

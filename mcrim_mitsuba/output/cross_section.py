@@ -64,8 +64,11 @@ class SectionAxes:
                 for side in (low, high[::-1])
             )
             self.owner[(low < rows) & (rows < high)] = region.volume
-        styles = {"dielectric": (INK, 0.8), "diffuse reflector": (INK, 1.5),
-                  "detector": (_DETECTOR, 5.0)}  # fmt: skip
+        styles = {
+            "dielectric": (INK, 0.8),
+            "diffuse reflector": (INK, 1.5),
+            "detector": (_DETECTOR, 5.0),
+        }
         band = 16 * np.diff(ax.get_ylim()) / self.box.height  # mm: as thick as 16 pixels
         for trace in cut.traces:
             face, kind = model.surfaces[trace.surface], interfaces[trace.surface].kind
@@ -147,9 +150,13 @@ class SectionAxes:
         return [f"{name}, {size}", name] if brief or not (scat or absorption) else full
 
     def place(
-        self, texts: Sequence[str], targets: np.ndarray, volume: int, beside: bool = False,
+        self,
+        texts: Sequence[str],
+        targets: np.ndarray,
+        volume: int,
+        beside: bool = False,
         leader: bool = True,
-    ) -> bool:  # fmt: skip
+    ) -> bool:
         """Write the first text that fits, near to one of the cells `targets`, shape (n, 2).
 
         It lies in `volume`, or (`beside`) in air too, with a leader. False if there is no place.
@@ -158,9 +165,15 @@ class SectionAxes:
         room = ~self.taken & ((self.owner == volume) | (beside & (self.owner == 0)))
         for text in texts if len(targets) else ():
             artist = self.ax.text(
-                0, 0, text, size=10.5, va="bottom", parse_math=False, zorder=6,
+                0,
+                0,
+                text,
+                size=10.5,
+                va="bottom",
+                parse_math=False,
+                zorder=6,
                 bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 1.0},
-            )  # fmt: skip
+            )
             w, h = size = (artist.get_window_extent().size + 2 * _CLEAR).astype(int) // _CELL + 1
             low = np.argwhere(_within(room, w, h) == w * h)[:, None, ::-1]
             if not len(low):
@@ -331,16 +344,28 @@ def draw_path(ax: Axes, path: DrawnTrail) -> None:
     """Draw a path behind all labels: an open dot where it begins, the fate's marker at its end."""
     style = fate_style(path.fate)
     ax.plot(
-        *path.points.T, color=style.line, ls=style.dashes, lw=1.3, zorder=3, path_effects=[_HALO],
-        solid_joinstyle="round", dash_joinstyle="round",
-    )  # fmt: skip
+        *path.points.T,
+        color=style.line,
+        ls=style.dashes,
+        lw=1.3,
+        zorder=3,
+        path_effects=[_HALO],
+        solid_joinstyle="round",
+        dash_joinstyle="round",
+    )
     ax.plot(*path.points[0], **_BIRTH)
     ax.plot(*path.points[-1], **_end(path.fate, path.trapped, path.points))
 
 
 _BIRTH: dict[str, Any] = {
-    "marker": "o", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 1.1, "zorder": 3.2, "ls": "",
-}  # fmt: skip
+    "marker": "o",
+    "ms": 4.5,
+    "mfc": "white",
+    "mec": INK,
+    "mew": 1.1,
+    "zorder": 3.2,
+    "ls": "",
+}
 
 
 def _end(fate: str, trapped: bool, points: np.ndarray | None = None) -> dict[str, Any]:
@@ -351,8 +376,15 @@ def _end(fate: str, trapped: bool, points: np.ndarray | None = None) -> dict[str
         across, up = points[-1] - points[-2]
         marker = (3, 0, float(np.degrees(np.arctan2(up, across))) - 90.0)
     face = "white" if trapped else style.line
-    return {"marker": marker, "ms": 7.5, "mfc": face, "mec": style.line if trapped else "white",
-            "mew": 1.4 if trapped else 0.8, "zorder": 3.4, "ls": ""}  # fmt: skip
+    return {
+        "marker": marker,
+        "ms": 7.5,
+        "mfc": face,
+        "mec": style.line if trapped else "white",
+        "mew": 1.4 if trapped else 0.8,
+        "zorder": 3.4,
+        "ls": "",
+    }
 
 
 def _handles(paths: tuple[DrawnTrail, ...], shares: dict[str, float]) -> list[Line2D]:
@@ -422,20 +454,34 @@ def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ..
     changed = ", ".join(said(name, file.parameters[name]) for name in file.overrides)
     title = textwrap.shorten(f"{file.path.name} {changed and 'with'} {changed}", 90)
     # in small print, what may be typed
-    typed = (f"{n}={v:g}" if isinstance(v, float) else f"{n}={str(v).lower()}"
-             for n, v in file.parameters.items())  # fmt: skip
+    typed = (
+        f"{n}={v:g}" if isinstance(v, float) else f"{n}={str(v).lower()}"
+        for n, v in file.parameters.items()
+    )
     shown = textwrap.fill(",  ".join(typed), 150, max_lines=3)
     style: dict[str, Any] = {
-        "ha": "center", "va": "top", "color": INK, "linespacing": 1.4, "parse_math": False,
-    }  # fmt: skip
+        "ha": "center",
+        "va": "top",
+        "color": INK,
+        "linespacing": 1.4,
+        "parse_math": False,
+    }
     figure.text(0.5, 1 - 0.18 / height_in, title, size=16, weight="bold", **style)
     figure.text(0.5, 1 - 0.55 / height_in, shown, size=9.5, **style)
     if paths:
         figure.legend(
-            handles=handles, loc="upper center", bbox_to_anchor=(0.5, 1 - 1.2 / height_in),
-            ncols=_PER_ROW, fontsize=9.5, frameon=False, handlelength=2.6, columnspacing=1.4,
-            borderaxespad=0.0, title=_TITLE, title_fontsize=9.5,
-        )  # fmt: skip
+            handles=handles,
+            loc="upper center",
+            bbox_to_anchor=(0.5, 1 - 1.2 / height_in),
+            ncols=_PER_ROW,
+            fontsize=9.5,
+            frameon=False,
+            handlelength=2.6,
+            columnspacing=1.4,
+            borderaxespad=0.0,
+            title=_TITLE,
+            title_fontsize=9.5,
+        )
 
     def panel(
         bottom_in: float, tall_in: float, x: float, z: float, half: float, title: str
@@ -469,8 +515,10 @@ def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ..
 
 def _closer_view(cut: CrossSection, crystal: int) -> tuple[float, float, float]:
     """x, z, half height (mm) around the thinnest volume or layer at the crystal's lower edge."""
-    boxes = {r.volume: (cut.corners(r.volume).min(axis=0), cut.corners(r.volume).max(axis=0))
-             for r in cut.regions}  # fmt: skip
+    boxes = {
+        r.volume: (cut.corners(r.volume).min(axis=0), cut.corners(r.volume).max(axis=0))
+        for r in cut.regions
+    }
     if crystal not in boxes:  # it is not closed: nothing to be seen
         return 0.0, 0.0, np.inf
     (_, bottom), size, outline = boxes[crystal][0], np.ptp(boxes[crystal]), cut.corners(crystal)

@@ -82,12 +82,17 @@ class Table:
 
         def of(rows: tuple[TableRow, ...]) -> tuple[TableRow, ...]:
             return tuple(
-                replace(one, cells=tuple(
-                    cell for cell, column in zip(one.cells, self.columns, strict=True)
-                    if not column.hidden
-                ))
-                for one in rows if not one.hidden
-            )  # fmt: skip
+                replace(
+                    one,
+                    cells=tuple(
+                        cell
+                        for cell, column in zip(one.cells, self.columns, strict=True)
+                        if not column.hidden
+                    ),
+                )
+                for one in rows
+                if not one.hidden
+            )
 
         return Table(self.title, columns, of(self.rows), of(self.sums))
 
@@ -262,9 +267,12 @@ def rich_tables(given: Table, width: int) -> Iterator[RichTable]:
         for at in block:
             side: JustifyMethod = "left" if at == 0 or given.columns[at].left else "right"
             made.add_column(
-                Text(broken[at][0]), justify=side, no_wrap=True, overflow="fold",
+                Text(broken[at][0]),
+                justify=side,
+                no_wrap=True,
+                overflow="fold",
                 style="dim" if given.columns[at].small else "",
-            )  # fmt: skip
+            )
         for number, one in enumerate((*given.rows, *given.sums), start=1):
             if number == len(given.rows) + 1:
                 made.add_section()
@@ -315,12 +323,15 @@ def _html_table(given: Table) -> Markup:
     def line(tag: str, texts: Iterable[str], strong: bool = False) -> Markup:
         cells = (
             Markup('<{} style="text-align:{}{}{}">{}</{}>').format(
-                tag, "left" if at == 0 or column.left else "right",
+                tag,
+                "left" if at == 0 or column.left else "right",
                 ";font-weight:bold" if strong else "",
-                ";font-size:smaller" if column.small else "", visible(content, keep="\n"), tag,
+                ";font-size:smaller" if column.small else "",
+                visible(content, keep="\n"),
+                tag,
             )
             for at, (column, content) in enumerate(zip(given.columns, texts, strict=True))
-        )  # fmt: skip
+        )
         return Markup("<tr>{}</tr>").format(Markup("").join(cells))
 
     given = given.seen

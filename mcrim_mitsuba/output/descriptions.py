@@ -87,8 +87,12 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         table(
             "parameters",
             (
-                "parameter", "value", Column("68.3 % from", "lower"), Column("to", "upper"),
-                *(Column(end, hidden=True) for end in ("lower_95", "upper_95")), _TYPED,
+                "parameter",
+                "value",
+                Column("68.3 % from", "lower"),
+                Column("to", "upper"),
+                *(Column(end, hidden=True) for end in ("lower_95", "upper_95")),
+                _TYPED,
             ),
             values,
         ),
@@ -101,7 +105,7 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
             ("reading", "measured", "model", "pull", Column("eta (simulation's error)", "eta")),
             ((*_reading(one), measured(one.eta, one.eta_sigma or None)) for one in fit.rows),
         ),
-    ]  # fmt: skip
+    ]
     if result.spent:
         declared = result.model.campaign.scene.defaults.items()
         said = {name: default.comment or "" for name, default in declared}
@@ -120,10 +124,12 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         "no p-value without degrees of freedom" if fit.p_value is None else p_equals(fit.p_value)
     )
     time = "" if seconds is None else f", {seconds:.1f} s"
-    parts.append(Sentence(
-        f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {spent.photons:,} photons in "
-        f"{len(fit.rows)} readings, seed {spent.seed}{time}"
-    ))  # fmt: skip
+    parts.append(
+        Sentence(
+            f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {spent.photons:,} photons in "
+            f"{len(fit.rows)} readings, seed {spent.seed}{time}"
+        )
+    )
     return Described("fit of a campaign", tuple(parts), notes=(*fit.notes, *spent.notes))
 
 
@@ -199,9 +205,13 @@ def of_comparison(found: Compared) -> Described:
     shares, left_out = findings.misfit_shares(comparison), comparison.left_out_pulls
     suspects = {label for one in comparison.suspects for label in one.labels}
     columns = (
-        "reading", "measured", "model", "pull",
-        Column("pull from the others", "left_out_pull"), Column("of the misfit", "part_of_misfit"),
-    )  # fmt: skip
+        "reading",
+        "measured",
+        "model",
+        "pull",
+        Column("pull from the others", "left_out_pull"),
+        Column("of the misfit", "part_of_misfit"),
+    )
     rows = (
         row(
             *_reading(one),
@@ -210,7 +220,7 @@ def of_comparison(found: Compared) -> Described:
             strong=one.label in suspects,
         )
         for one in comparison.rows
-    )  # fmt: skip
+    )
     parts: list[Part] = [
         table("readings", columns, rows),
         Sentence(findings.quality(comparison), strong=True),
@@ -274,18 +284,17 @@ def of_hypotheses(found: HypothesesCompared) -> Described:
         Sentence(f"{findings.verdict_words(compared.verdict)}: {compared.reason}", strong=True),
         *(Sentence(f"{one.name}: {findings.hypothesis_text(one)}") for one in hypotheses),
         table(
-            "hypotheses", (Column("", "quantity"), *names),
+            "hypotheses",
+            (Column("", "quantity"), *names),
             ((what, *cells) for what, cells in figures.items()),
         ),
         Sentence(_OF_HYPOTHESES),
         table("sizes", ("parameter", *names), fitted),
         Sentence(findings.apart_text(compared), strong=True),
         table("pulls", ("reading", *names, "apart"), pulls),
-        Sentence(
-            "apart: largest difference of two predictions, in standard errors of the reading"
-        ),
+        Sentence("apart: largest difference of two predictions, in standard errors of the reading"),
         table("predictions", ("reading", "measured", *names), predictions),
-    ]  # fmt: skip
+    ]
     return Described("hypotheses side by side", tuple(parts), _spent(spent), spent.notes)
 
 
@@ -305,10 +314,13 @@ def of_diagnosis(found: Diagnosed) -> Described:
     """The averaged yield, the verdict, effects as explanations, limits, what to measure next."""
     diagnosis = found.diagnosis
     columns = (
-        "configuration", Column("time", "hours"), Column("yield to", "light_yield_sigma"),
-        Column("sure to", "probability"), Column("gain in chi2", "expected_delta_chi2"),
+        "configuration",
+        Column("time", "hours"),
+        Column("yield to", "light_yield_sigma"),
+        Column("sure to", "probability"),
+        Column("gain in chi2", "expected_delta_chi2"),
         Column("tells apart", "separates"),
-    )  # fmt: skip
+    )
     rows: Iterable[tuple[str | Cell, ...]] = (
         (
             one.words,
@@ -317,7 +329,7 @@ def of_diagnosis(found: Diagnosed) -> Described:
             "; ".join(findings.told_apart(diagnosis, one)),
         )
         for one in diagnosis.next_measurements
-    )  # fmt: skip
+    )
     parts: list[Part] = [
         *_strong(findings.averaged_yield(diagnosis)),
         Sentence(findings.headline(diagnosis), strong=True),
@@ -343,11 +355,17 @@ def _beside_the_table(diagnosis: Diagnosis, what: str) -> str:
 _ID = Column("id", "effect", left=True, small=True)
 _LIGHT = Column("light yield", LIGHT_YIELD)
 _CANDIDATE = (
-    Column("effect", "title"), "probability", Column("", "parameter", hidden=True),
-    Column("size", left=True), Column("plausible?", "plausibility", left=True), _LIGHT,
-    Column("gain in chi2", "delta_chi2"), Column("p, fit", "p_value"),
-    Column("left out", "left_out_error"), _ID,
-)  # fmt: skip
+    Column("effect", "title"),
+    "probability",
+    Column("", "parameter", hidden=True),
+    Column("size", left=True),
+    Column("plausible?", "plausibility", left=True),
+    _LIGHT,
+    Column("gain in chi2", "delta_chi2"),
+    Column("p, fit", "p_value"),
+    Column("left out", "left_out_error"),
+    _ID,
+)
 _EXPLANATION = (
     "probability: among all that was tried and nothing, averaged over plausible sizes; light "
     "yield: photons per keV, and its change; gain: fall of chi2, with the simulation's error; p, "
@@ -422,23 +440,30 @@ def _candidate(diagnosis: Diagnosis, one: Candidate) -> tuple[str | Cell, ...]:
         shown(one.p_value, p_text),
         shown(one.left_out_error, number),
         one.effect,
-    )  # fmt: skip
+    )
 
 
 def limits_table(diagnosis: Diagnosis) -> Table:
     """How large each effect may be, where the readings need none."""
     rows = (
         (
-            capital(findings.in_words(diagnosis, [name])), Cell("", limit.lower),
-            Cell(findings.limit_text(limit), limit.upper), Cell("", limit.excluded),
-            Cell(limit.parameter or "on or off", limit.parameter), name,
+            capital(findings.in_words(diagnosis, [name])),
+            Cell("", limit.lower),
+            Cell(findings.limit_text(limit), limit.upper),
+            Cell("", limit.excluded),
+            Cell(limit.parameter or "on or off", limit.parameter),
+            name,
         )
         for name, limit in diagnosis.upper_limits.items()
-    )  # fmt: skip
+    )
     columns = (
-        Column("effect", "title"), Column("", "lower", hidden=True), Column("size", "upper"),
-        Column("", "excluded", hidden=True), Column("parameter", left=True, small=True), _ID,
-    )  # fmt: skip
+        Column("effect", "title"),
+        Column("", "lower", hidden=True),
+        Column("size", "upper"),
+        Column("", "excluded", hidden=True),
+        Column("parameter", left=True, small=True),
+        _ID,
+    )
     return table("what the readings allow, 95 % confidence", columns, rows)
 
 
@@ -473,10 +498,15 @@ def steps_table(steps: Iterable[RepairStep]) -> Table:
     made = tuple(steps)
     light = LIGHT_YIELD if any(LIGHT_YIELD in one.parameters for one in made) else SCALE
     columns: tuple[str | Column, ...] = (
-        "added", "chi2", "ndf", Column("chi2 / ndf", "chi2_per_ndf"), Column("p", "p_value"),
-        Column("rms pull", "rms_pull"), Column("left out", "left_out_error"),
+        "added",
+        "chi2",
+        "ndf",
+        Column("chi2 / ndf", "chi2_per_ndf"),
+        Column("p", "p_value"),
+        Column("rms pull", "rms_pull"),
+        Column("left out", "left_out_error"),
         *(Column(findings.title_of(name), name) for name in (light, ALPHA_SCAT)),
-    )  # fmt: skip
+    )
     rows = (
         (
             Cell(_added(one), one.added),
@@ -564,19 +594,25 @@ def contributions_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table
             known.setdefault(one.name, one)
     rows = (
         (
-            name.replace("_", " "), *(_part(name, budget) for budget in budgets.values()),
-            one.kind, "yes" if one.reducible else "no", one.by,
+            name.replace("_", " "),
+            *(_part(name, budget) for budget in budgets.values()),
+            one.kind,
+            "yes" if one.reducible else "no",
+            one.by,
         )
         for name, one in known.items()
-    )  # fmt: skip
+    )
     sums = (
         row(
             name,
             *(_percent_cell(getattr(budget, name)) for budget in budgets.values()),
-            "", "", "", strong=True,
+            "",
+            "",
+            "",
+            strong=True,
         )
         for name in ("statistical", "systematic", "total")
-    )  # fmt: skip
+    )
     left = (Column(name, left=True) for name in ("kind", "reducible", "by"))
     values = (Column(f"{findings.quantity(name)}, %", f"{name}, %") for name in budgets)
     return table(title, ("contribution", *values, *left), rows, sums)
@@ -595,19 +631,22 @@ def _percent_cell(fraction: float) -> Cell:
 
 def _shifts(found: Budget) -> Iterator[Part]:
     """What every piece of neglected physics does, at fixed coefficients and refitted."""
-    kinds = (("at_fixed", "at the coefficients that were fitted"),
-             ("refitted", "with everything fitted again"))  # fmt: skip
+    kinds = (
+        ("at_fixed", "at the coefficients that were fitted"),
+        ("refitted", "with everything fitted again"),
+    )
     for kind, how in kinds if found.pieces else ():
         moved = getattr(found.pieces[0], kind)
         # fitted again, the ratio is that of the readings
         names = [n for n in moved if n in found.main or (kind == "at_fixed" and " / " in n)]
         rows = (
             row(
-                piece.title, *(_shift(getattr(piece, kind)[name]) for name in names),
+                piece.title,
+                *(_shift(getattr(piece, kind)[name]) for name in names),
                 strong=piece is found.together,
             )
             for piece in found.pieces
-        )  # fmt: skip
+        )
         title = f"what the model leaves out would move, %, {how}"
         moves = (Column(findings.quantity(name), name) for name in names)
         yield table(title, ("left out", *moves), rows)
@@ -639,13 +678,18 @@ def _totals(found: Budget) -> Iterator[Part]:
     if not found.totals:
         return
     corrected = found.together is not None
-    columns = ["quantity", "as fitted", "and what is left out for good",
-               *(["corrected"] if corrected else [])]  # fmt: skip
+    columns = [
+        "quantity",
+        "as fitted",
+        "and what is left out for good",
+        *(["corrected"] if corrected else []),
+    ]
     rows = []
     for name in found.main:
         total = found.totals[name]
-        cells = [_two_digits(total.value, sigma)
-                 for sigma in (total.sigma, total.sigma_with_neglected)]  # fmt: skip
+        cells = [
+            _two_digits(total.value, sigma) for sigma in (total.sigma, total.sigma_with_neglected)
+        ]
         if total.corrected is not None and total.corrected_sigma is not None:
             cells.append(_two_digits(total.corrected, total.corrected_sigma))
         rows.append(row(Cell(findings.title_of(name), name), *cells))
@@ -682,17 +726,24 @@ def _places(found: Budget) -> Iterator[Part]:
     """What it does to readings where gammas stop."""
     if found.places is None:
         return
-    columns = ("gammas stop", "eta", Column("eta (%)", "eta_shift"),
-               Column("light yield (%)", "yield_shift"))  # fmt: skip
+    columns = (
+        "gammas stop",
+        "eta",
+        Column("eta (%)", "eta_shift"),
+        Column("light yield (%)", "yield_shift"),
+    )
     everywhere, *_ = found.places.shifts
     rows = (
         row(
-            one.source, measured(one.eta, one.eta_sigma),
-            *(Cell("") if one is everywhere else _signed(100.0 * moved, 100.0 * one.sigma)
-              for moved in (one.eta_shift, one.yield_shift)),
+            one.source,
+            measured(one.eta, one.eta_sigma),
+            *(
+                Cell("") if one is everywhere else _signed(100.0 * moved, 100.0 * one.sigma)
+                for moved in (one.eta_shift, one.yield_shift)
+            ),
         )
         for one in found.places.shifts
-    )  # fmt: skip
+    )
     yield table("where gammas stop, instead of everywhere", columns, rows)
     yield Sentence(
         f"By the map of {', '.join(found.places.readings)}, at its coefficients, beside a model "
@@ -739,17 +790,29 @@ def of_plan(found: Planning) -> Described:
     floors = table(title, columns, rows)
     rows = (
         row(
-            found.name(plan.configurations), shown(plan.mountings, "d"),
-            shown(plan.events, ",.0f"), shown(plan.hours, ".1f"),
-            *map(_relative, (plan.light_yield.statistical, plan.light_yield.systematic,
-                             plan.light_yield.total)),
+            found.name(plan.configurations),
+            shown(plan.mountings, "d"),
+            shown(plan.events, ",.0f"),
+            shown(plan.hours, ".1f"),
+            *map(
+                _relative,
+                (plan.light_yield.statistical, plan.light_yield.systematic, plan.light_yield.total),
+            ),
             "" if plan.alpha_scat is None else _relative(plan.alpha_scat.total),
             strong=plan is found.cheapest,
         )
         for plan in found.efficient[-_MOST_PLANS:]
-    )  # fmt: skip
-    columns = ("couplings", "mountings", "events", "hours", "light yield, stat.", "syst.", "total",
-               "alpha_scat")  # fmt: skip
+    )
+    columns = (
+        "couplings",
+        "mountings",
+        "events",
+        "hours",
+        "light yield, stat.",
+        "syst.",
+        "total",
+        "alpha_scat",
+    )
     plans = table("plans that no cheaper one beats (relative errors)", columns, rows)
     assumed, sets = found.conditions, "; ".join(map(found.name, found.undetermined))
     sentences = [

@@ -52,9 +52,17 @@ _LEAST_PROBABILITY = 1e-3
 #: The axis of gains reaches at least so far, and for losses so much of that.
 _LEAST_GAIN, _LOSSES = 4.0, 0.6
 _STATISTICS = (
-    "delta_chi2", "delta_chi2_sigma", "chi2", "ndf", "p_value", "p_gain", "p_global", "behind",
-    "aicc", "left_out_error",
-)  # fmt: skip
+    "delta_chi2",
+    "delta_chi2_sigma",
+    "chi2",
+    "ndf",
+    "p_value",
+    "p_gain",
+    "p_global",
+    "behind",
+    "aicc",
+    "left_out_error",
+)
 
 
 def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
@@ -62,17 +70,33 @@ def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
     leading, statistics = leading_candidates(diagnosis), attrgetter(*_STATISTICS)
     rows = [
         (
-            c.effect, c in leading, diagnosis.probabilities.get(c.effect), *statistics(c), name,
-            *((known.value, known.sigma) if known else (None, None)), c.plausible, c.at_bound,
-            (c.light_yield_ph_per_keV or {}).get("value"), " ".join(c.mimics),
+            c.effect,
+            c in leading,
+            diagnosis.probabilities.get(c.effect),
+            *statistics(c),
+            name,
+            *((known.value, known.sigma) if known else (None, None)),
+            c.plausible,
+            c.at_bound,
+            (c.light_yield_ph_per_keV or {}).get("value"),
+            " ".join(c.mimics),
         )
         for c in (*diagnosis.candidates, *diagnosis.pairs)
         for name, known in _sizes(c)
-    ]  # fmt: skip
+    ]
     columns = (
-        "effect", "leading", "probability", *_STATISTICS, "parameter", "value", "sigma",
-        "plausible", "at_bound", "light_yield_ph_per_keV", "mimics",
-    )  # fmt: skip
+        "effect",
+        "leading",
+        "probability",
+        *_STATISTICS,
+        "parameter",
+        "value",
+        "sigma",
+        "plausible",
+        "at_bound",
+        "light_yield_ph_per_keV",
+        "mimics",
+    )
     found, unknown = diagnosis.probabilities, [None] * (len(columns) - 3)
     rows += [(name, False, found[name], *unknown) for name in NO_EFFECTS if name in found]
     return columns, rows
@@ -109,12 +133,14 @@ def _rows(diagnosis: Diagnosis) -> tuple[list[_Row], list[_Row]]:
         [
             _Row(
                 capital("\n+ ".join(map(_broken, titles_of(diagnosis, one.effects)))),
-                known.get(one.effect), one in leading, one,
+                known.get(one.effect),
+                one in leading,
+                one,
             )
             for one in candidates
         ]
         for candidates in (diagnosis.candidates, diagnosis.pairs[:MOST_PAIRS])
-    )  # fmt: skip
+    )
     for name, words in NO_EFFECTS.items():
         p = known.get(name, 0.0)
         if p >= _LEAST_PROBABILITY and (singles or pairs):
@@ -178,7 +204,7 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
         for place, row, text in zip(places, rows, column, strict=True):
             beside.text(
                 left, place, text, fontsize=9.5, va="center", parse_math=False, weight=row.weight
-            )  # fmt: skip
+            )
     leading = [row for row in rows if row.leading]
     style.legend_of(figure, _handles(len(leading), threshold), "lower left", 2 if brief else 4)
     _title_ranking(figure, diagnosis)
@@ -192,9 +218,10 @@ def _beside(row: _Row, brief: bool) -> tuple[str, ...]:
     """What stands beside a row's bars."""
     one = row.candidate
     texts = (
-        ("", "", "") if one is None
+        ("", "", "")
+        if one is None
         else (p_text(one.p_value), size_text(one, "\n"), plausibility(one))
-    )  # fmt: skip
+    )
     return texts[:1] if brief else texts
 
 
@@ -225,10 +252,15 @@ def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
     for place, row, one in tried:
         ends = one.delta_chi2 - one.delta_chi2_sigma < left
         axes.barh(
-            place, max(one.delta_chi2, left), height=0.62, color=row.colour, edgecolor=style.DARK,
-            lw=0.8, xerr=None if ends else one.delta_chi2_sigma,
+            place,
+            max(one.delta_chi2, left),
+            height=0.62,
+            color=row.colour,
+            edgecolor=style.DARK,
+            lw=0.8,
+            xerr=None if ends else one.delta_chi2_sigma,
             error_kw={"ecolor": style.WARM, "capsize": 3, "lw": 1.5},
-        )  # fmt: skip
+        )
         if ends:
             style.behind(axes, f"◂ {number(one.delta_chi2)}", (left, place))
     lowest = min(one.delta_chi2 - one.delta_chi2_sigma for _, _, one in tried)
@@ -274,16 +306,22 @@ def _draw_threshold(axes: Axes, edges: np.ndarray, chi2: float, rows: Sequence[_
     """Gain with which a fit becomes acceptable; it depends on how many parameters are added."""
     tried = [row.candidate for row in rows]
     needed = [
-        math.nan if one is None
+        math.nan
+        if one is None
         else chi2 - (float(chdtri(one.ndf, ACCEPTABLE_P)) if one.ndf > 0 else 0.0)
         for one in tried
-    ]  # fmt: skip
+    ]
     if not any(gain > 0 for gain in needed):
         return False
     axes.plot(
-        np.repeat(needed, 2), np.repeat(edges, 2)[1:-1], color="black", ls="--", lw=1.4, zorder=4,
+        np.repeat(needed, 2),
+        np.repeat(edges, 2)[1:-1],
+        color="black",
+        ls="--",
+        lw=1.4,
+        zorder=4,
         path_effects=[withStroke(linewidth=3.4, foreground="white")],  # seen on dark bars too
-    )  # fmt: skip
+    )
     return True
 
 
@@ -354,23 +392,49 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
     slanted = max(map(len, names)) * _STEP_PER_CHARACTER > (width / 2 - 0.8) / len(names)
     for axes in grid[-1]:
         axes.set_xticks(
-            range(len(names)), names, rotation=25 if slanted else 0, rotation_mode="anchor",
-            ha="right" if slanted else "center", fontsize=10, parse_math=False,
-        )  # fmt: skip
+            range(len(names)),
+            names,
+            rotation=25 if slanted else 0,
+            rotation_mode="anchor",
+            ha="right" if slanted else "center",
+            fontsize=10,
+            parse_math=False,
+        )
         axes.set_xlim(-0.5, len(names) - 0.5)
     rows = []
     for stair in stairs:
         known = [stair.parameters.get(name) for name in (LIGHT_YIELD, SCALE, ALPHA_SCAT)]
-        rows.append((
-            stair.step, stair.added, isinstance(stair, _Final), stair.chi2, stair.ndf,
-            stair.delta_chi2_sigma, stair.p_value, stair.rms_pull, stair.left_out_error,
-            *(cell for k in known for cell in ((k.value, k.sigma) if k else (None, None))),
-        ))  # fmt: skip
+        rows.append(
+            (
+                stair.step,
+                stair.added,
+                isinstance(stair, _Final),
+                stair.chi2,
+                stair.ndf,
+                stair.delta_chi2_sigma,
+                stair.p_value,
+                stair.rms_pull,
+                stair.left_out_error,
+                *(cell for k in known for cell in ((k.value, k.sigma) if k else (None, None))),
+            )
+        )
     columns = (
-        "step", "added", "final_simulation", "chi2", "ndf", "delta_chi2_sigma", "p_value",
-        "rms_pull", "left_out_error", "light_yield_ph_per_keV", "light_yield_sigma", "scale",
-        "scale_sigma", "alpha_scat_per_cm", "alpha_scat_sigma",
-    )  # fmt: skip
+        "step",
+        "added",
+        "final_simulation",
+        "chi2",
+        "ndf",
+        "delta_chi2_sigma",
+        "p_value",
+        "rms_pull",
+        "left_out_error",
+        "light_yield_ph_per_keV",
+        "light_yield_sigma",
+        "scale",
+        "scale_sigma",
+        "alpha_scat_per_cm",
+        "alpha_scat_sigma",
+    )
     return style.Drawing(figure, columns, rows)
 
 
@@ -380,7 +444,7 @@ def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
     for place, wide in enumerate(spread):
         axes.fill_between(
             [place - 0.5, place + 0.5], max(1 - wide, 0), 1 + wide, color=style.PALE, lw=0
-        )  # fmt: skip
+        )
     heights = [s.chi2 / s.ndf if s.ndf > 0 else math.nan for s in steps]
     highest = max((height for height in heights if math.isfinite(height)), default=1.0)
     if highest > _STEEP:
@@ -440,17 +504,29 @@ def _stairs(
         if isinstance(step, _Final):
             look = {"fmt": "D", "ms": 8.5, "mfc": "white", "mew": 2}
         axes.errorbar(
-            place, height, yerr=None if errors is None else errors[place], color=style.DARK,
-            ecolor=style.WARM, capsize=4, lw=1.6, zorder=4, **look,
-        )  # fmt: skip
+            place,
+            height,
+            yerr=None if errors is None else errors[place],
+            color=style.DARK,
+            ecolor=style.WARM,
+            capsize=4,
+            lw=1.6,
+            zorder=4,
+            **look,
+        )
     tops = finite if errors is None else [h + e for h, e in zip(finite, errors, strict=True)]
     for place, top, text, step in zip(places, tops, texts, steps, strict=True):
         axes.annotate(
-            text, (place, top if math.isfinite(top) else axes.get_ylim()[0]),
+            text,
+            (place, top if math.isfinite(top) else axes.get_ylim()[0]),
             (0, 9 if isinstance(step, _Final) else 7),
-            textcoords="offset points", ha="center", fontsize=9.5, parse_math=False, zorder=5,
+            textcoords="offset points",
+            ha="center",
+            fontsize=9.5,
+            parse_math=False,
+            zorder=5,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8},
-        )  # fmt: skip
+        )
     axes.margins(y=0.28)
 
 

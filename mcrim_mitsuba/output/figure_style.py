@@ -87,9 +87,14 @@ def legend(axes: Axes, handles: Sequence[Artist] | None = None, **options: Any) 
 def legend_above(axes: Axes, handles: Sequence[Artist] | None = None, **options: Any) -> None:
     """A legend over the axes, where it can hide nothing."""
     legend(
-        axes, handles, loc="lower left", bbox_to_anchor=(0, 1.0), columnspacing=1.4,
-        borderaxespad=0.2, **options,
-    )  # fmt: skip
+        axes,
+        handles,
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        columnspacing=1.4,
+        borderaxespad=0.2,
+        **options,
+    )
 
 
 def legend_of(
@@ -276,7 +281,7 @@ _LOOKS: dict[str, tuple[Any, ...]] = {
     "escaped": (WARM, "#f6dccd", "", "^", (0, (3, 1.3))),
     "truncated": ("#3d3d3d", "#9a9a9a", "--", "*", ":"),
     "lost": ("#3d3d3d", "white", "**", "v", ":"),
-}  # fmt: skip
+}
 _KNOWN_FATES = {fate: FateStyle(fate_words(fate), *look) for fate, look in _LOOKS.items()}
 
 

@@ -426,7 +426,7 @@ def limit_text(limit: Limit) -> str:
     lower, upper = (
         end if end is not None and math.isfinite(end) else None
         for end in (limit.lower, limit.upper)
-    )  # fmt: skip
+    )
     if lower is None and upper is None:
         return "no limit within its range"
     if lower is None:
@@ -861,9 +861,11 @@ def value_of_others(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         light = candidate.light_yield_ph_per_keV
         scattering = candidate.parameters.get(ALPHA_SCAT)
         if light is not None or scattering is not None:
-            rows.append((
-                in_words(diagnosis, candidate.effects),
-                "-" if light is None else pdg(light["value"], light.get("sigma")),
-                "-" if scattering is None else pdg(scattering.value, scattering.sigma),
-            ))  # fmt: skip
+            rows.append(
+                (
+                    in_words(diagnosis, candidate.effects),
+                    "-" if light is None else pdg(light["value"], light.get("sigma")),
+                    "-" if scattering is None else pdg(scattering.value, scattering.sigma),
+                )
+            )
     return rows

@@ -24,18 +24,31 @@ from mcrim_mitsuba.inference.profiles import END, ONE_SIGMA, TWO_SIGMA, Profile
 from mcrim_mitsuba.output import figure_style as style
 
 _AS_IT_IS: dict[str, Any] = {
-    "color": style.WARM, "marker": "o", "mfc": "white", "mew": 1.6, "ms": 6.5, "ls": "",
-}  # fmt: skip
+    "color": style.WARM,
+    "marker": "o",
+    "mfc": "white",
+    "mew": 1.6,
+    "ms": 6.5,
+    "ls": "",
+}
 _MENDED: dict[str, Any] = {"color": style.DARK, "marker": "D", "ms": 5.5, "ls": ""}
 _HYPOTHESES: tuple[dict[str, Any], ...] = (
-    _AS_IT_IS, _MENDED, {"color": style.LIGHT, "marker": "^", "ms": 6.5, "ls": ""},
-)  # fmt: skip
+    _AS_IT_IS,
+    _MENDED,
+    {"color": style.LIGHT, "marker": "^", "ms": 6.5, "ls": ""},
+)
 _SUSPECTS: dict[str, Any] = {
     "bad_reading": ("suspected bad reading", {"facecolor": "#f6dccd", "edgecolor": style.WARM}),
-    "swapped_rows": ("suspected swap", {
-        "facecolor": "none", "edgecolor": style.WARM, "hatch": "///", "alpha": 0.55,
-    }),
-}  # fmt: skip
+    "swapped_rows": (
+        "suspected swap",
+        {
+            "facecolor": "none",
+            "edgecolor": style.WARM,
+            "hatch": "///",
+            "alpha": 0.55,
+        },
+    ),
+}
 #: After a repair the suspicion is history.
 _NO_LONGER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.6", "ls": ":"}
 #: Half the width of a prediction's dash, and how far before and after stand apart.
@@ -90,11 +103,14 @@ def draw_comparison(
     own, predicted = attrgetter(*_OWN), attrgetter(*_PREDICTED)
     rows = [
         (
-            *own(row), *predicted(row), left_out.get(row.label), suspects.get(row.label),
+            *own(row),
+            *predicted(row),
+            left_out.get(row.label),
+            suspects.get(row.label),
             *(predicted(mended[row.label]) if row.label in mended else (None, None, None)),
         )
         for row in before.rows
-    ]  # fmt: skip
+    ]
     then_predicted = (f"{name}_after" for name in _PREDICTED)
     columns = (*_OWN, *_PREDICTED, "left_out_pull", "suspect", *then_predicted)
     return style.Drawing(figure, columns, rows)
@@ -112,9 +128,12 @@ def _over_readings(
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=heights)
     crowded = _PER_READING * len(names) > _WIDEST
     lower.set_xticks(
-        np.arange(len(names)), names, rotation=0 if upright else 90, fontsize=5 if crowded else 9.5,
+        np.arange(len(names)),
+        names,
+        rotation=0 if upright else 90,
+        fontsize=5 if crowded else 9.5,
         parse_math=False,
-    )  # fmt: skip
+    )
     lower.set_xlim(-0.6, len(names) - 0.4)
     return figure, upper, lower
 
@@ -129,9 +148,10 @@ def draw_hypotheses(compared: SideBySide) -> style.Drawing:
     aside = _BESIDE * (np.arange(len(hypotheses)) - 0.5 * (len(hypotheses) - 1))
     looks = list(zip(hypotheses, _HYPOTHESES, aside.tolist(), strict=False))
     _draw_pulls(
-        upper, places,
+        upper,
+        places,
         [(style.shortened(one.words, 56), one, look, at) for one, look, at in looks],
-    )  # fmt: skip
+    )
     lower.axhline(0, color=style.GREY, lw=0.9)
     sigmas = np.array([row.sigma for row in first.rows])
     own = np.array([row.model for row in first.rows])
@@ -162,9 +182,12 @@ def _suspects(before: Comparison | Calibration) -> tuple[Suspect, ...]:
 
 
 def _draw_signals(
-    axes: Axes, places: np.ndarray, before: Comparison | Calibration, after: Calibration | None,
+    axes: Axes,
+    places: np.ndarray,
+    before: Comparison | Calibration,
+    after: Calibration | None,
     unit: str,
-) -> None:  # fmt: skip
+) -> None:
     """Readings with errors, and predictions as dashes."""
     used = np.array([row.use for row in before.rows], bool)
     units = style.units_of_signals([(row.measured, row.of_beam) for row in before.rows])
@@ -174,10 +197,21 @@ def _draw_signals(
     kinds = ((used, "black", "reading with its error"), (~used, "white", "reading not used"))
     for which, face, label in kinds:
         if which.any():
-            handles.append(axes.errorbar(
-                places[which], measured[which], yerr=sigma[which], fmt="o", ms=4.5,
-                color="black", mfc=face, capsize=3, lw=1.3, zorder=5, label=label,
-            ))  # fmt: skip
+            handles.append(
+                axes.errorbar(
+                    places[which],
+                    measured[which],
+                    yerr=sigma[which],
+                    fmt="o",
+                    ms=4.5,
+                    color="black",
+                    mfc=face,
+                    capsize=3,
+                    lw=1.3,
+                    zorder=5,
+                    label=label,
+                )
+            )
     fits = (
         (before, "model", style.WARM, (0, (2.2, 1.2))),
         (after, "mended model", style.DARK, "-"),
@@ -246,8 +280,14 @@ _CURVE: dict[str, Any] = {"color": style.DARK, "lw": 2.2, "zorder": 4}
 _PARABOLA: dict[str, Any] = {"color": style.WARM, "lw": 1.5, "ls": (0, (5, 2)), "zorder": 3}
 _PRIOR: dict[str, Any] = {"color": "0.6", "lw": 2.2, "ls": (0, (1, 1.4)), "zorder": 5}
 _CROSSING: dict[str, Any] = {
-    "marker": "o", "mfc": "white", "mec": style.DARK, "mew": 1.6, "ms": 6, "ls": "", "zorder": 5,
-}  # fmt: skip
+    "marker": "o",
+    "mfc": "white",
+    "mec": style.DARK,
+    "mew": 1.6,
+    "ms": 6,
+    "ls": "",
+    "zorder": 5,
+}
 _BOUND: dict[str, Any] = dict(facecolor=style.PALE, edgecolor=style.GREY, hatch="////", lw=0)
 #: Inches of a panel.
 _WIDE, _HIGH = 4.0, 3.3
@@ -320,10 +360,17 @@ def _draw(axes: Axes, profile: Profile) -> None:
     for rise, level in _LEVELS:
         axes.axhline(rise, color=style.GREY, lw=0.8)
         axes.text(
-            0.995, rise + 0.08, level, fontsize=9, color=style.GREY, ha="right", va="bottom",
-            transform=axes.get_yaxis_transform(), zorder=6,
+            0.995,
+            rise + 0.08,
+            level,
+            fontsize=9,
+            color=style.GREY,
+            ha="right",
+            va="bottom",
+            transform=axes.get_yaxis_transform(),
+            zorder=6,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6},
-        )  # fmt: skip
+        )
         for value in profile.crossings(rise):
             if value is not None:
                 axes.plot(value, rise, **_CROSSING)

@@ -113,20 +113,28 @@ def _of_peak(peak: Peak | None, columns: Sequence[str]) -> list[str | Cell]:
 
 def _means(raw: RawData) -> Table:
     """What the mountings of a reading make together."""
-    columns = ("reading", "signal", "error by scatter", "by the peaks",
-               "chi2 / ndf of the mountings", "p")  # fmt: skip
+    columns = (
+        "reading",
+        "signal",
+        "error by scatter",
+        "by the peaks",
+        "chi2 / ndf of the mountings",
+        "p",
+    )
     rows = []
     for reduced in raw.readings.values():
         mean, reading = reduced.combined, reduced.reading
-        rows.append(row(
-            reading.label if reading.use else f"{reading.label} (not used)",
-            measured(reading.signal, reading.sigma),
-            shown(mean.scatter_sigma, ".2g"),
-            shown(mean.internal_sigma, ".2g"),
-            f"{number(mean.chi2)} / {mean.ndf}" if mean.ndf else "",
-            "" if mean.p_value is None else shown(mean.p_value, p_text),
-            strong=not mean.consistent,
-        ))  # fmt: skip
+        rows.append(
+            row(
+                reading.label if reading.use else f"{reading.label} (not used)",
+                measured(reading.signal, reading.sigma),
+                shown(mean.scatter_sigma, ".2g"),
+                shown(mean.internal_sigma, ".2g"),
+                f"{number(mean.chi2)} / {mean.ndf}" if mean.ndf else "",
+                "" if mean.p_value is None else shown(mean.p_value, p_text),
+                strong=not mean.consistent,
+            )
+        )
     return table("readings", columns, rows)
 
 
@@ -136,11 +144,12 @@ def _origins_table(
     """An error by its origins; relative to the value where there is a third column."""
     rows = (
         (
-            origin, shown(part, ".2g"),
+            origin,
+            shown(part, ".2g"),
             Cell(f"{100 * part / value:.2g} %", part / value) if value > 0 else "",
         )[: len(columns)]
         for origin, part in parts.items()
-    )  # fmt: skip
+    )
     return table(title, columns, rows)
 
 
@@ -159,9 +168,10 @@ def _absorption(reduced: ReducedAbsorption) -> Iterator[Part]:
     yield table("absorption", ("transmittance", "alpha_abs, 1/cm"), rows)
     yield _origins_table("", _origins("1/cm"), _there(found), found.alpha_abs_per_cm)
     band = (
-        "" if found.spread_band_per_cm is None
+        ""
+        if found.spread_band_per_cm is None
         else f"; over the detected light it varies by {found.spread_band_per_cm:.2g}"
-    )  # fmt: skip
+    )
     yield Sentence(
         f"alpha_abs {pdg(found.alpha_abs_per_cm, found.sigma)} /cm, internal transmittance "
         f"{pdg(found.internal_transmittance, found.internal_transmittance_sigma)} of "
@@ -179,9 +189,11 @@ def _there(found: Absorption) -> dict[str, float]:
 
 
 def of_peaks(
-    fitted: Sequence[FittedHistogram], combined: Repeated | None, notes: Sequence[str],
+    fitted: Sequence[FittedHistogram],
+    combined: Repeated | None,
+    notes: Sequence[str],
     widths: Mapping[str, Sequence[WidthParts]],
-) -> Described:  # fmt: skip
+) -> Described:
     """The main peak of every histogram, what several mountings make together, and the widths."""
     parts: list[Part] = []
     found = sum(each.peak is not None for each in fitted)
@@ -191,12 +203,14 @@ def of_peaks(
     if combined is not None:
         mean = pdg(combined.mean, combined.sigma)
         parts.append(Sentence(f"mean of {found}: {mean}", strong=True))
-        parts.append(Sentence(
-            f"its error from their scatter {combined.scatter_sigma:.2g}, from the fits "
-            f"{combined.internal_sigma:.2g}; chi2 = {number(combined.chi2)}, ndf = {combined.ndf}, "
-            f"{p_equals(combined.p_value)}"
-            + ("" if combined.consistent else "; the set is inconsistent")
-        ))  # fmt: skip
+        parts.append(
+            Sentence(
+                f"its error from their scatter {combined.scatter_sigma:.2g}, from the fits "
+                f"{combined.internal_sigma:.2g}; chi2 = {number(combined.chi2)}, "
+                f"ndf = {combined.ndf}, {p_equals(combined.p_value)}"
+                + ("" if combined.consistent else "; the set is inconsistent")
+            )
+        )
     said = list(notes)
     if widths:
         parts += _widths(widths)
@@ -271,22 +285,31 @@ def of_absorption(
         each = zip(given, (shown(alpha, ".4g") for alpha in found.each_per_cm), strict=True)
         parts.append(table("", ("orientation", "alpha, 1/cm"), each))
     if found.spread_band_per_cm is not None:
-        parts.append(Sentence(
-            f"over the emission the coefficient varies by {found.spread_band_per_cm:.2g} /cm "
-            "(standard deviation): one number leaves that out, it is no part of the error"
-        ))  # fmt: skip
+        parts.append(
+            Sentence(
+                f"over the emission the coefficient varies by {found.spread_band_per_cm:.2g} /cm "
+                "(standard deviation): one number leaves that out, it is no part of the error"
+            )
+        )
     if sigma is not None:
-        parts.append(Sentence(
-            f"in a campaign: prior = {found.alpha_abs_per_cm:.4g}, prior_sigma = {sigma:.2g} under "
-            "[parameters.alpha_abs_per_cm]"
-        ))  # fmt: skip
+        parts.append(
+            Sentence(
+                f"in a campaign: prior = {found.alpha_abs_per_cm:.4g}, prior_sigma = {sigma:.2g} "
+                "under [parameters.alpha_abs_per_cm]"
+            )
+        )
     return Described("absorption of a sample", tuple(parts), notes=tuple(notes))
 
 
 def of_materials(indices: Mapping[Material, float | None], wavelength_nm: float) -> Described:
     """The catalogue; no number where a wavelength is outside a formula's range."""
-    columns = ("material", f"n, {wavelength_nm:g} nm", "range, nm",
-               Column("what it is", left=True), Column("source", left=True))  # fmt: skip
+    columns = (
+        "material",
+        f"n, {wavelength_nm:g} nm",
+        "range, nm",
+        Column("what it is", left=True),
+        Column("source", left=True),
+    )
     rows = (
         (each.name, shown(n, ".5f"), _range_nm(each), each.what, each.source)
         for each, n in indices.items()
@@ -295,9 +318,13 @@ def of_materials(indices: Mapping[Material, float | None], wavelength_nm: float)
 
 
 def of_index(
-    known: Material, said: Iterable[str], ordinary: float, difference: float, scene: str,
+    known: Material,
+    said: Iterable[str],
+    ordinary: float,
+    difference: float,
+    scene: str,
     notes: Sequence[str] = (),
-) -> Described:  # fmt: skip
+) -> Described:
     """An index: what is `said` of it first, its rays, what the material is, how a scene has it."""
     first, *more = said
     density = known.density_g_per_cm3
@@ -356,19 +383,26 @@ _LEAST_P_VALUE = 0.01
 
 def of_yields(
     couplings: Mapping[str, tuple[tuple[float, float], tuple[float, float], Uncertain]],
-    together: CommonValue, budgets: Mapping[str, ErrorBudget], notes: Sequence[str],
-) -> Described:  # fmt: skip
+    together: CommonValue,
+    budgets: Mapping[str, ErrorBudget],
+    notes: Sequence[str],
+) -> Described:
     """Light yields by Eq. 2 of couplings, by label: signal and eta with errors, and the yield."""
     from mcrim_mitsuba.output.descriptions import contributions_table
 
     columns = ("coupling", "signal", "eta", "weight", "Y", "statistical", "systematic", "total")
     rows = (
-        row(label, measured(signal[0], signal[1] or None), measured(eta[0], eta[1] or None),
-            Cell(f"{100 * weight:.0f} %", weight), *_yield_cells(found))
+        row(
+            label,
+            measured(signal[0], signal[1] or None),
+            measured(eta[0], eta[1] or None),
+            Cell(f"{100 * weight:.0f} %", weight),
+            *_yield_cells(found),
+        )
         for (label, (signal, eta, found)), weight in zip(
             couplings.items(), together.weights, strict=True
         )
-    )  # fmt: skip
+    )
     mean = together.mean
     sums = [row("together", "", "", "", *_yield_cells(mean))] if len(couplings) > 1 else []
     parts: list[Part] = [
@@ -378,17 +412,24 @@ def of_yields(
     if together.p_value is not None:
         numbers = f"chi2 = {together.chi2:.2g}, ndf = {together.ndf}, {p_equals(together.p_value)}"
         agree = together.p_value >= _LEAST_P_VALUE
-        parts.append(Sentence(
-            f"The couplings {'agree' if agree else 'DISAGREE'}: {numbers} (errors that they share "
-            "do not count)."
-            + ("" if agree else
-               " Efficiencies that fit both signals come from `mcrim calibrate`.")
-        ))  # fmt: skip
-    parts.append(Sentence(
-        f"Y = {pdg(mean.value, mean.sigma or None)} ph/keV "
-        f"(±{100 * mean.sigma / mean.value:.0f} %)",
-        strong=True,
-    ))  # fmt: skip
+        parts.append(
+            Sentence(
+                f"The couplings {'agree' if agree else 'DISAGREE'}: {numbers} "
+                "(errors that they share do not count)."
+                + (
+                    ""
+                    if agree
+                    else " Efficiencies that fit both signals come from `mcrim calibrate`."
+                )
+            )
+        )
+    parts.append(
+        Sentence(
+            f"Y = {pdg(mean.value, mean.sigma or None)} ph/keV "
+            f"(±{100 * mean.sigma / mean.value:.0f} %)",
+            strong=True,
+        )
+    )
     return Described("light yield", tuple(parts), notes=tuple(notes))
 
 
@@ -406,11 +447,13 @@ def of_relative(
 
     rows: list[tuple[str | Cell, ...]] = [
         (
-            name.replace("_", " "), measured(*given), measured(*read.reference[name]),
+            name.replace("_", " "),
+            measured(*given),
+            measured(*read.reference[name]),
             "none" if name not in read.shared else f"{100 * read.shared[name]:.3g} %",
         )
         for name, given in read.sample.items()
-    ]  # fmt: skip
+    ]
     rows.append(("light yield, ph/keV", "", measured(*read.reference_yield), ""))
     known, equal = found.light_yield, found.equal_collection
     ignoring, total = (100 * budget.total for budget in budgets.values())

@@ -24,8 +24,11 @@ from mcrim_mitsuba.output import figure_style as style
 #: Of each group in turn; histograms of one group differ in their lines and markers.
 _COLOURS = (style.WARM, style.DARK, style.LIGHT, style.GREY)
 _LINES = (
-    ("-", "o"), ((0, (6, 1.6)), "^"), ((0, (1.6, 1.2)), "s"), ((0, (6, 1.6, 1.4, 1.6)), "D"),
-)  # fmt: skip
+    ("-", "o"),
+    ((0, (6, 1.6)), "^"),
+    ((0, (1.6, 1.2)), "s"),
+    ((0, (6, 1.6, 1.4, 1.6)), "D"),
+)
 _FIT: dict[str, Any] = {"lw": 2.2, "zorder": 4}
 _THIN: dict[str, Any] = {"lw": 1.5, "zorder": 4}
 _BACKGROUND: dict[str, Any] = {"lw": 0.9, "ls": (0, (4, 2)), "zorder": 3}
@@ -59,17 +62,31 @@ def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> style.Numbers:
         curves = np.full((2, len(histogram.photons)), np.nan)
         if peak is not None:
             of_peak = (
-                peak.shape, peak.centroid, peak.centroid_sigma, peak.width, peak.chi2, peak.ndf
-            )  # fmt: skip
+                peak.shape,
+                peak.centroid,
+                peak.centroid_sigma,
+                peak.width,
+                peak.chi2,
+                peak.ndf,
+            )
             inside = (histogram.photons >= peak.low) & (histogram.photons <= peak.high)
             curves[0, inside] = peak.counts_at(histogram.photons[inside])
             curves[1, inside] = peak.background_at(histogram.photons[inside])
         bins = zip(histogram.photons, histogram.counts.astype(int), *curves, strict=True)
         rows += [(name, *of_bin, *of_peak) for of_bin in bins]
     columns = (
-        "histogram", "photons_per_event", "events", "fitted", "fitted_background", "shape",
-        "centroid", "centroid_sigma", "width", "chi2", "ndf",
-    )  # fmt: skip
+        "histogram",
+        "photons_per_event",
+        "events",
+        "fitted",
+        "fitted_background",
+        "shape",
+        "centroid",
+        "centroid_sigma",
+        "width",
+        "chi2",
+        "ndf",
+    )
     return columns, rows
 
 
@@ -114,10 +131,16 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
     style.legend(axes, handles, handlelength=2.6, **place)
     if highest > top:
         axes.text(
-            0.015, 0.985, f"↑ pedestal, up to {number(highest)} events", transform=axes.transAxes,
-            fontsize=9, color=style.GREY, va="top", zorder=5,
+            0.015,
+            0.985,
+            f"↑ pedestal, up to {number(highest)} events",
+            transform=axes.transAxes,
+            fontsize=9,
+            color=style.GREY,
+            va="top",
+            zorder=5,
             bbox={"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1.5},
-        )  # fmt: skip
+        )
     return style.Drawing(figure, *_histograms_numbers(fitted))
 
 
@@ -141,9 +164,14 @@ def _draw_steps(axes: Axes, histogram: Histogram, colour: str) -> None:
     axes.stairs(counts, edges, color=colour, fill=True, alpha=0.10, lw=0, zorder=1)
     some = slice(None, None, -(-len(photons) // _MOST_BARS))
     axes.errorbar(
-        photons[some], counts[some], yerr=np.sqrt(counts[some]), fmt="none", ecolor=colour,
-        elinewidth=0.9, zorder=2,
-    )  # fmt: skip
+        photons[some],
+        counts[some],
+        yerr=np.sqrt(counts[some]),
+        fmt="none",
+        ecolor=colour,
+        elinewidth=0.9,
+        zorder=2,
+    )
 
 
 def _label(name: str, peak: Peak | None) -> str:
@@ -178,9 +206,10 @@ def _efficiency_numbers(
     highest = float(emission.values.max())
     emitted, detected = (
         dict(zip(curve.wavelength_nm.tolist(), curve.sigmas.tolist(), strict=True))
-        if curve.sigmas is not None else {}
+        if curve.sigmas is not None
+        else {}
         for curve in (emission, quantum_efficiency)
-    )  # fmt: skip
+    )
     for nm in common_grid(emission, quantum_efficiency).tolist():
         light, share = float(emission.at(nm)) / highest, float(quantum_efficiency.at(nm))
         sigma = emitted[nm] / highest if nm in emitted else None
@@ -188,9 +217,15 @@ def _efficiency_numbers(
             (nm, light, sigma, share, detected.get(nm), light * share, found.value, found.sigma)
         )
     columns = (
-        "wavelength_nm", "emission", "emission_sigma", "quantum_efficiency",
-        "quantum_efficiency_sigma", "product", "weighted_mean", "weighted_mean_sigma",
-    )  # fmt: skip
+        "wavelength_nm",
+        "emission",
+        "emission_sigma",
+        "quantum_efficiency",
+        "quantum_efficiency_sigma",
+        "product",
+        "weighted_mean",
+        "weighted_mean_sigma",
+    )
     return columns, rows
 
 
@@ -215,13 +250,20 @@ def draw_efficiency(
     style.band(axes, curve.wavelength_nm, percent, band, color=style.DARK, alpha=0.15, zorder=3)
     dots = "o" if np.count_nonzero(shown) <= 40 else ""
     axes.plot(
-        curve.wavelength_nm, percent, color=style.DARK, lw=2, marker=dots, ms=4, zorder=4,
+        curve.wavelength_nm,
+        percent,
+        color=style.DARK,
+        lw=2,
+        marker=dots,
+        ms=4,
+        zorder=4,
         label="quantum efficiency ± error",
-    )  # fmt: skip
+    )
     grid = common_grid(emission, curve)
     product = 100 * curve.at(grid) * emission.at(grid) / emission.values.max()
-    axes.plot(grid, product, color=style.WARM, lw=1.8, zorder=4,
-              label="emission × quantum efficiency")  # fmt: skip
+    axes.plot(
+        grid, product, color=style.WARM, lw=1.8, zorder=4, label="emission × quantum efficiency"
+    )
     mean, sigma = 100 * found.value, 100 * found.sigma
     axes.axhspan(mean - sigma, mean + sigma, color=style.GREY, alpha=0.15, lw=0, zorder=2)
     axes.axhline(mean, label=f"weighted mean {pdg(mean, sigma)} %", **_DASHED)
@@ -239,22 +281,40 @@ def _absorption_numbers(
     for (name, measured), curve in zip(transmittances, found.curves, strict=True):
         limits, sigmas = _limits(n, curve.wavelength_nm), curve.sigmas
         for i, (nm, alpha) in enumerate(zip(curve.wavelength_nm, curve.values, strict=True)):
-            rows.append((
-                name, nm, float(measured.at(nm)), measured.sigma_at(float(nm)), limits[i], alpha,
-                None if sigmas is None else sigmas[i], found.alpha_abs_per_cm, found.sigma,
-            ))  # fmt: skip
+            rows.append(
+                (
+                    name,
+                    nm,
+                    float(measured.at(nm)),
+                    measured.sigma_at(float(nm)),
+                    limits[i],
+                    alpha,
+                    None if sigmas is None else sigmas[i],
+                    found.alpha_abs_per_cm,
+                    found.sigma,
+                )
+            )
     columns = (
-        "spectrum", "wavelength_nm", "transmittance", "transmittance_sigma", "clear_limit",
-        "alpha_per_cm", "alpha_sigma_per_cm", "alpha_abs_per_cm", "alpha_abs_sigma_per_cm",
-    )  # fmt: skip
+        "spectrum",
+        "wavelength_nm",
+        "transmittance",
+        "transmittance_sigma",
+        "clear_limit",
+        "alpha_per_cm",
+        "alpha_sigma_per_cm",
+        "alpha_abs_per_cm",
+        "alpha_abs_sigma_per_cm",
+    )
     return columns, rows
 
 
 @style.styled
 def draw_absorption(
-    transmittances: Sequence[tuple[str, Spectrum]], n: Index, found: Absorption,
+    transmittances: Sequence[tuple[str, Spectrum]],
+    n: Index,
+    found: Absorption,
     emission: Spectrum | None = None,
-) -> style.Drawing:  # fmt: skip
+) -> style.Drawing:
     """Transmittances, and the coefficient that they give.
 
     Parameters
@@ -312,15 +372,24 @@ def _frame(axes: Axes, values: Sequence[float], low: float, high: float) -> None
 
 
 def _shade_emission(
-    axes: Axes, emission: Spectrum, top: float, bottom: float = 0.0,
+    axes: Axes,
+    emission: Spectrum,
+    top: float,
+    bottom: float = 0.0,
     label: str = "emission, relative",
-) -> None:  # fmt: skip
+) -> None:
     """The emission behind the curves, its maximum at the height `top`."""
     relative = np.maximum(emission.values, 0) / emission.values.max()
     axes.fill_between(
-        emission.wavelength_nm, bottom, bottom + (top - bottom) * relative,
-        color=_EMISSION, alpha=0.45, lw=0, zorder=1, label=label,
-    )  # fmt: skip
+        emission.wavelength_nm,
+        bottom,
+        bottom + (top - bottom) * relative,
+        color=_EMISSION,
+        alpha=0.45,
+        lw=0,
+        zorder=1,
+        label=label,
+    )
 
 
 def _seen(emission: Spectrum) -> tuple[float, float]:
@@ -410,15 +479,22 @@ def draw_widths(widths: Mapping[str, Sequence[WidthParts]]) -> style.Drawing:
     axes.set(ylim=(len(several) - 0.5, -0.5), xlabel="share of the peak's variance (%)")
     axes.set_xlim(0.0, longest)
     style.open_axes(axes, "x")
-    handles = [Patch(fc=fill, ec="#222222", lw=0.8, label=words)
-               for words, fill, _ in _OF_WIDTHS.values()]  # fmt: skip
+    handles = [
+        Patch(fc=fill, ec="#222222", lw=0.8, label=words) for words, fill, _ in _OF_WIDTHS.values()
+    ]
     style.legend_of(figure, handles, "upper center", 3, handlelength=1.8)
     parts = ("total", *_OF_WIDTHS)
     columns = [f"{part}_fwhm{ending}" for part in parts for ending in ("", "_sigma")]
     rows = [
-        (name, one.source,
-         *(number for part in parts
-           for number in (getattr(one, part).fwhm, getattr(one, part).sigma)))
+        (
+            name,
+            one.source,
+            *(
+                number
+                for part in parts
+                for number in (getattr(one, part).fwhm, getattr(one, part).sigma)
+            ),
+        )
         for name, one in several
-    ]  # fmt: skip
+    ]
     return style.Drawing(figure, ("histogram", "gammas_stop", *columns), rows)

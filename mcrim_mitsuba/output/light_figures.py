@@ -46,10 +46,24 @@ _UNIT = 1e3
 def _arrival_numbers(lights: Lights) -> style.Numbers:
     """Light is a fraction of what is emitted."""
     columns = (
-        "configuration", "part", "x_low_mm", "x_high_mm", "y_low_mm", "y_high_mm", "radius_low_mm",
-        "radius_high_mm", "angle_low_deg", "angle_high_deg", "light", "light_sigma", "area_mm2",
-        "light_per_mm2", "light_per_mm2_sigma", "light_per_degree", "light_per_degree_sigma",
-    )  # fmt: skip
+        "configuration",
+        "part",
+        "x_low_mm",
+        "x_high_mm",
+        "y_low_mm",
+        "y_high_mm",
+        "radius_low_mm",
+        "radius_high_mm",
+        "angle_low_deg",
+        "angle_high_deg",
+        "light",
+        "light_sigma",
+        "area_mm2",
+        "light_per_mm2",
+        "light_per_mm2_sigma",
+        "light_per_degree",
+        "light_per_degree_sigma",
+    )
     rows = []
     for name, light in lights:
         map_edges = {"y_{}_mm": light.y_edges_mm, "x_{}_mm": light.x_edges_mm}
@@ -60,10 +74,13 @@ def _arrival_numbers(lights: Lights) -> style.Numbers:
         ):
             for place in np.ndindex(binned.light.shape):
                 row: dict[str, object] = {
-                    "configuration": name, "part": part, "light": binned.light[place],
-                    "light_sigma": binned.sigma[place], f"light_per_{unit}": binned.density[place],
+                    "configuration": name,
+                    "part": part,
+                    "light": binned.light[place],
+                    "light_sigma": binned.sigma[place],
+                    f"light_per_{unit}": binned.density[place],
                     f"light_per_{unit}_sigma": binned.density_sigma[place],
-                }  # fmt: skip
+                }
                 if unit == "mm2":
                     row["area_mm2"] = binned.size[place]
                 for at, (axis, ends) in zip(place, edges.items(), strict=True):
@@ -119,9 +136,13 @@ def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
     all_axes = [figure.add_subplot(place) for place in places]
     for axes, (name, light) in zip(all_axes, lights, strict=True):
         mesh = axes.pcolormesh(
-            light.x_edges_mm, light.y_edges_mm, _UNIT * light.map.density, norm=norm,
-            cmap="cividis", rasterized=True,
-        )  # fmt: skip
+            light.x_edges_mm,
+            light.y_edges_mm,
+            _UNIT * light.map.density,
+            norm=norm,
+            cmap="cividis",
+            rasterized=True,
+        )
         if light.crystal_mm is not None:
             axes.plot(*light.crystal_mm.T, **_OVER_MAP)
         for x, y, radius in light.masks_mm:
@@ -129,9 +150,10 @@ def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
         limits = {"xlim": light.x_edges_mm[[0, -1]], "ylim": light.y_edges_mm[[0, -1]]}
         axes.set(aspect="equal", xlabel="x on the detector (mm)", **limits)
         axes.set_title(
-            f"{style.shortened(name, 30)}\nη = {pdg(light.eta, light.eta_sigma)}", fontsize=11,
+            f"{style.shortened(name, 30)}\nη = {pdg(light.eta, light.eta_sigma)}",
+            fontsize=11,
             parse_math=False,
-        )  # fmt: skip
+        )
     all_axes[0].set_ylabel("y on the detector (mm)")
     for axes in all_axes[1:]:
         axes.tick_params(labelleft=False)
@@ -199,8 +221,12 @@ def draw_map(mapped: EtaMap, spreads: Sequence[Spread]) -> style.Drawing:
     grid = figure.add_gridspec(2, 6, height_ratios=(1.0, 1.12))
     x, y, z = mapped.edges_mm
     shown = 100.0 * mapped.eta
-    look: dict[str, Any] = {"vmin": np.nanmin(shown), "vmax": np.nanmax(shown), "cmap": "cividis",
-            "rasterized": True}  # fmt: skip
+    look: dict[str, Any] = {
+        "vmin": np.nanmin(shown),
+        "vmax": np.nanmax(shown),
+        "cmap": "cividis",
+        "rasterized": True,
+    }
     flat = []
     for place, k in enumerate(np.linspace(len(z) - 2, 0, _SLICES).round().astype(int)):
         axes = figure.add_subplot(grid[0, 2 * place : 2 * place + 2])
@@ -220,11 +246,13 @@ def draw_map(mapped: EtaMap, spreads: Sequence[Spread]) -> style.Drawing:
     _draw_spreads(figure.add_subplot(grid[1, 4:]), mapped, spreads)
     columns = ("x_mm", "y_mm", "z_mm", "volume", "eta", "eta_sigma")
     rows = [
-        (*(float(c[i]) for c, i in zip(mapped.centres_mm, at, strict=True)),
-         *(float(table[at]) for table in (mapped.volume, mapped.eta, mapped.eta_sigma)))
+        (
+            *(float(c[i]) for c, i in zip(mapped.centres_mm, at, strict=True)),
+            *(float(table[at]) for table in (mapped.volume, mapped.eta, mapped.eta_sigma)),
+        )
         for at in np.ndindex(mapped.eta.shape)
         if mapped.volume[at] > 0.0
-    ]  # fmt: skip
+    ]
     return style.Drawing(figure, columns, rows)
 
 
@@ -233,8 +261,16 @@ def _draw_heights(axes: Axes, mapped: EtaMap) -> None:
     part = mapped.volume.sum(axis=(0, 1))
     eta = np.nansum(mapped.volume * mapped.eta, axis=(0, 1)) / part
     sigma = np.sqrt(np.nansum((mapped.volume * mapped.eta_sigma) ** 2, axis=(0, 1))) / part
-    axes.errorbar(100.0 * eta, mapped.centres_mm[2], xerr=100.0 * sigma, fmt="o-", ms=4,
-                  color=style.DARK, lw=1.2, capsize=2)  # fmt: skip
+    axes.errorbar(
+        100.0 * eta,
+        mapped.centres_mm[2],
+        xerr=100.0 * sigma,
+        fmt="o-",
+        ms=4,
+        color=style.DARK,
+        lw=1.2,
+        capsize=2,
+    )
     axes.set(xlabel="η (%) of a slice", ylabel="z (mm)", ylim=mapped.edges_mm[2][[0, -1]])
     style.open_axes(axes)
 
@@ -314,11 +350,17 @@ def draw_times(found: ArrivalTimes) -> style.Drawing:
     names = "mean_ps", "mean_ps_sigma", "rms_ps", "rms_ps_sigma"
     columns = ("time_ps", "part", "part_sigma", "born", "photon", *names)
     first = [
-        (None, None, None, one.born, place + 1,
-         *(float(getattr(one, name)[place]) for name in names))
+        (
+            None,
+            None,
+            None,
+            one.born,
+            place + 1,
+            *(float(getattr(one, name)[place]) for name in names),
+        )
         for one in found.first
         for place in range(len(one.mean_ps))
-    ]  # fmt: skip
+    ]
     rows = [(*row, *(None,) * (1 + 1 + len(names))) for row in found.rows]
     return style.Drawing(figure, columns, [*rows, *first])
 
@@ -331,13 +373,24 @@ def _draw_histogram(axes: Axes, found: ArrivalTimes) -> None:
     low, high = (np.append(band, band[-1]) for band in (percent - sigma, percent + sigma))
     axes.fill_between(edges, low, high, step="post", color=style.DARK, alpha=0.25, lw=0)
     mean = f"{pdg(found.mean_ps / per, found.mean_ps_sigma / per)} {unit}"
-    axes.axvline(found.mean_ps / per, color=style.WARM, lw=1.4, ls=(0, (5, 1.6)),
-                 label=f"mean, {mean}")  # fmt: skip
+    axes.axvline(
+        found.mean_ps / per, color=style.WARM, lw=1.4, ls=(0, (5, 1.6)), label=f"mean, {mean}"
+    )
     begin, end = found.begin_ps / per, (found.begin_ps + found.rise_ps) / per
-    axes.axvspan(begin, end, color=style.LIGHT, alpha=0.18, lw=0,
-                 label=f"10 to 90 % of the light, {end - begin:.3g} {unit}")  # fmt: skip
-    axes.set(xlabel=f"arrival time ({unit})", ylabel=f"detected light (% per {edges[1]:g} {unit})",
-             xlim=(0, edges[-1]), ylim=(0, None))  # fmt: skip
+    axes.axvspan(
+        begin,
+        end,
+        color=style.LIGHT,
+        alpha=0.18,
+        lw=0,
+        label=f"10 to 90 % of the light, {end - begin:.3g} {unit}",
+    )
+    axes.set(
+        xlabel=f"arrival time ({unit})",
+        ylabel=f"detected light (% per {edges[1]:g} {unit})",
+        xlim=(0, edges[-1]),
+        ylim=(0, None),
+    )
     style.open_axes(axes)
     style.legend_above(axes, ncols=1, handlelength=2.6)
 
@@ -345,10 +398,23 @@ def _draw_histogram(axes: Axes, found: ArrivalTimes) -> None:
 def _draw_first(axes: Axes, found: ArrivalTimes) -> None:
     number = np.arange(1, len(found.first[0].mean_ps) + 1)
     for one, (colour, marker, shift) in zip(found.first, _OF_BIRTHS, strict=False):
-        axes.errorbar(number + shift, one.mean_ps, one.rms_ps, color=colour, fmt=marker, ms=4.5,
-                      lw=1.2, capsize=2.5, label=f"light of an event born {one.born}")  # fmt: skip
-    axes.set(xlabel=f"number among {found.detected:,} detected photons",
-             ylabel="arrival time, mean and rms (ps)", ylim=(0, None), xticks=number)  # fmt: skip
+        axes.errorbar(
+            number + shift,
+            one.mean_ps,
+            one.rms_ps,
+            color=colour,
+            fmt=marker,
+            ms=4.5,
+            lw=1.2,
+            capsize=2.5,
+            label=f"light of an event born {one.born}",
+        )
+    axes.set(
+        xlabel=f"number among {found.detected:,} detected photons",
+        ylabel="arrival time, mean and rms (ps)",
+        ylim=(0, None),
+        xticks=number,
+    )
     style.open_axes(axes)
     style.legend_above(axes, ncols=1)
 
@@ -382,9 +448,15 @@ def draw_fates(lights: Lights) -> style.Drawing:
     axes.spines["left"].set_visible(False)
     handles = [Patch(label=style.fate_style(fate).words, **_look(fate)) for fate in shown]
     style.legend_of(
-        figure, handles, "upper center", min(4, len(handles)), fontsize=10, handlelength=1.8,
-        handleheight=1.1, columnspacing=1.6,
-    )  # fmt: skip
+        figure,
+        handles,
+        "upper center",
+        min(4, len(handles)),
+        fontsize=10,
+        handlelength=1.8,
+        handleheight=1.1,
+        columnspacing=1.6,
+    )
     rows = [
         (name, fate, light.budget[fate], light.budget_sigma[fate], light.photons)
         for name, light in lights
@@ -416,10 +488,15 @@ def _draw_bar(axes: Axes, row: int, light: Light, shown: Sequence[str]) -> None:
     top = row - _HEIGHT / 2
     for (middle, text), at in zip(narrow, _apart([m for m, _ in narrow]), strict=True):
         axes.annotate(
-            text, (middle, top), (at, top - 0.13), ha="center", va="center", fontsize=9,
+            text,
+            (middle, top),
+            (at, top - 0.13),
+            ha="center",
+            va="center",
+            fontsize=9,
             annotation_clip=False,
             arrowprops={"arrowstyle": "-", "lw": 0.6, "shrinkA": 0, "shrinkB": 0},
-        )  # fmt: skip
+        )
 
 
 def _apart(middles: Sequence[float]) -> list[float]:
@@ -477,10 +554,15 @@ def draw_table(made: EtaTable) -> style.Drawing:
     combinations = product(*(made.axes[name] for name in others))
     for line, combination in enumerate(combinations):
         axes.errorbar(
-            at, etas[line], sigmas[line], label=", ".join(map(said, others, combination)),
-            marker=_MARKERS[line], ms=5, lw=1.2,
+            at,
+            etas[line],
+            sigmas[line],
+            label=", ".join(map(said, others, combination)),
+            marker=_MARKERS[line],
+            ms=5,
+            lw=1.2,
             color=str(0.75 * line / lines) if lines > 4 else _COLOURS[line],
-        )  # fmt: skip
+        )
     if not numbers:
         axes.set_xticks(at, [str(value) for value in values], parse_math=False)
     axes.set_xlabel(titled(along), parse_math=False)

@@ -98,9 +98,15 @@ class Sheet:
         place[:] = _tone(photograph)[: place.shape[0], : place.shape[1]]
 
     def text(
-        self, x: float, y: float, text: str, size: float = 13, *,
-        target: tuple[float, float] | None = None, **style: Any,
-    ) -> None:  # fmt: skip
+        self,
+        x: float,
+        y: float,
+        text: str,
+        size: float = 13,
+        *,
+        target: tuple[float, float] | None = None,
+        **style: Any,
+    ) -> None:
         """Write at a place (pixels)."""
         usual: dict[str, Any] = {"color": INK, "va": "top", "linespacing": 1.25}
         artist = self.axes.text(x, y, text, size=size, parse_math=False, **usual | style)
@@ -115,9 +121,12 @@ class Sheet:
         """The pixels, uint8, shape (height, width, 3)."""
         high, wide = self.pixels.shape[:2]
         self.axes.imshow(
-            np.clip(self.pixels, 0.0, 1.0), extent=(0, wide, high, 0), interpolation="none",
-            aspect="auto", zorder=-1,
-        )  # fmt: skip
+            np.clip(self.pixels, 0.0, 1.0),
+            extent=(0, wide, high, 0),
+            interpolation="none",
+            aspect="auto",
+            zorder=-1,
+        )
         self.axes.set(xlim=(0, wide), ylim=(high, 0))
         self.canvas.draw()
         return np.asarray(self.canvas.buffer_rgba())[:, :, :3].copy()
@@ -214,8 +223,12 @@ def label_layers(
             text += f"\n{layer.thickness_mm:.3g} mm"
         rows.append((edge, text, thin, (22 + 21 * thin) * scale))
     tops = [edge[:, 1].mean() - high / 2 for edge, *_, high in rows]
-    places = apart(tops, [high for *_, high in rows], panel.top + 40 * scale,
-                   panel.top + panel.camera.height - 8 * scale)  # fmt: skip
+    places = apart(
+        tops,
+        [high for *_, high in rows],
+        panel.top + 40 * scale,
+        panel.top + panel.camera.height - 8 * scale,
+    )
     for (edge, text, thin, high), top in zip(rows, places, strict=True):
         middle = edge.mean(axis=0)
         right = min(edge[:, 0]) - 34 * scale
@@ -234,8 +247,12 @@ def label_sheets(sheet: Sheet, panel: Photo, block: Block) -> None:
     rows = [(tuple(panel.at(point)), name) for name, point in block.sheets.items()]
     rows.sort(key=lambda row: row[0][1])
     high = 26 * scale
-    places = apart([y - high / 2 for (_, y), _ in rows], [high] * len(rows),
-                   panel.top + 40 * scale, panel.top + panel.camera.height)  # fmt: skip
+    places = apart(
+        [y - high / 2 for (_, y), _ in rows],
+        [high] * len(rows),
+        panel.top + 40 * scale,
+        panel.top + panel.camera.height,
+    )
     for (target, name), top in zip(rows, places, strict=True):
         sheet.text(right, top, shortened(name, 14), 13, target=target)
         sheet.line([(right - 5 * scale, top + high / 2), target])
@@ -414,9 +431,15 @@ def render(
     label_sheets(sheet, panels[1], block)
     label_parts(sheet, panels[2], parts, lifts)
     return Rendering(
-        sheet.finished(), tuple(sheet.labels), tuple(part.name for part in parts), samples,
-        run.seed, dict(file.parameters), file.content_hash, versions(run.variant),
-    )  # fmt: skip
+        sheet.finished(),
+        tuple(sheet.labels),
+        tuple(part.name for part in parts),
+        samples,
+        run.seed,
+        dict(file.parameters),
+        file.content_hash,
+        versions(run.variant),
+    )
 
 
 def _corners(bodies: Sequence[Body]) -> np.ndarray:
@@ -436,8 +459,11 @@ def _taken_apart(sheet: Sheet, parts: Sequence[BenchPart]) -> tuple[list[float],
 
 
 def _panel(
-    sheet: Sheet, place: tuple[float, ...], points: np.ndarray,
-    direction: tuple[float, float, float], margins: tuple[float, float, float, float],
-) -> Photo:  # fmt: skip
+    sheet: Sheet,
+    place: tuple[float, ...],
+    points: np.ndarray,
+    direction: tuple[float, float, float],
+    margins: tuple[float, float, float, float],
+) -> Photo:
     left, top, width, height = (round(sheet.scale * value) for value in place)
     return Photo(framed(points, direction, _FIELD_DEG, width, height, margins), left, top)

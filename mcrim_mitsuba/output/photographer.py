@@ -62,9 +62,13 @@ class Photograph:
 def photograph(scene: SceneFile, run: Run, scale: float) -> Photograph:
     """Begin to draw a scene, `scale` times as large as `mcrim render`; by the run's variant."""
     job = {
-        "path": str(scene.path), "text": scene.unwritten_text, "overrides": dict(scene.overrides),
-        "variant": run.variant, "threads": run.threads, "scale": scale,
-    }  # fmt: skip
+        "path": str(scene.path),
+        "text": scene.unwritten_text,
+        "overrides": dict(scene.overrides),
+        "variant": run.variant,
+        "threads": run.threads,
+        "scale": scale,
+    }
     command = [sys.executable, "-m", "mcrim_mitsuba.output.photographer"]
     try:
         with tempfile.TemporaryFile() as stdin:  # a pipe would have to be written meanwhile

@@ -60,9 +60,12 @@ class Answer:
     document: Mapping[str, Any]
 
     def __init__(
-        self, found: Any, described: Described, document: Mapping[str, Any],
+        self,
+        found: Any,
+        described: Described,
+        document: Mapping[str, Any],
         pictures: Mapping[str, Callable[[], Drawing | Figure]] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.found, self.described, self.document = found, described, document
         self._pictures = dict(pictures or {})
 
@@ -168,9 +171,12 @@ class Answer:
 
 
 def _chosen(
-    known: Mapping[str, Any], name: str | None, what: str, nothing: str,
+    known: Mapping[str, Any],
+    name: str | None,
+    what: str,
+    nothing: str,
     quoted: Callable[[str], str] = str,
-) -> Any:  # fmt: skip
+) -> Any:
     """The one of this name, or the first; refuses what is not there."""
     if not known:
         raise InputError(nothing, "print it")
@@ -384,9 +390,14 @@ def _noted(found: Any, file: SceneFile) -> Any:
 
 
 def eta_map(
-    scene: Scene, *, cells: Sequence[int] | None = None, depth_mm: float = 1.0,
-    deposits: str | Path | None = None, run: Run | None = None, **given: Any,
-) -> Answer:  # fmt: skip
+    scene: Scene,
+    *,
+    cells: Sequence[int] | None = None,
+    depth_mm: float = 1.0,
+    deposits: str | Path | None = None,
+    run: Run | None = None,
+    **given: Any,
+) -> Answer:
     """Light collection efficiency by where light is born, and what its spread adds to a peak.
 
     Parameters
@@ -427,9 +438,14 @@ def eta_map(
 
 
 def eta_spectrum(
-    scene: Scene, spectrum: str | Path, *, quantum_efficiency: str | Path | None = None,
-    method: str = "photons", run: Run | None = None, **given: Any,
-) -> Answer:  # fmt: skip
+    scene: Scene,
+    spectrum: str | Path,
+    *,
+    quantum_efficiency: str | Path | None = None,
+    method: str = "photons",
+    run: Run | None = None,
+    **given: Any,
+) -> Answer:
     """Light collection efficiency over the emission's wavelengths, and its means over the light.
 
     Parameters
@@ -473,9 +489,14 @@ def eta_spectrum(
 
 
 def arrival_times(
-    scene: Scene, *, group_index: Mapping[str, float | str] | None = None,
-    decay_ns: float | None = None, detected: int = 1000, run: Run | None = None, **given: Any,
-) -> Answer:  # fmt: skip
+    scene: Scene,
+    *,
+    group_index: Mapping[str, float | str] | None = None,
+    decay_ns: float | None = None,
+    detected: int = 1000,
+    run: Run | None = None,
+    **given: Any,
+) -> Answer:
     """When detected photons arrive: by their paths and the group index of every part.
 
     Parameters
@@ -662,9 +683,14 @@ def render(scene: Scene, *, run: Run | None = None, **given: Any) -> Any:
 
 
 def add(
-    effect: str, scene: Scene, output: str | Path | None = None, *,
-    effects_folder: str | Path | None = None, trust_effects: bool = False, **values: float | str,
-) -> SceneFile:  # fmt: skip
+    effect: str,
+    scene: Scene,
+    output: str | Path | None = None,
+    *,
+    effects_folder: str | Path | None = None,
+    trust_effects: bool = False,
+    **values: float | str,
+) -> SceneFile:
     """A scene with a physical effect of the catalogue in it.
 
     Parameters
@@ -771,9 +797,11 @@ def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **give
 
 
 def compare(
-    campaign: str | Path | Campaign, *others: str | Path | Campaign, run: Run | None = None,
+    campaign: str | Path | Campaign,
+    *others: str | Path | Campaign,
+    run: Run | None = None,
     **given: Any,
-) -> Answer:  # fmt: skip
+) -> Answer:
     """A campaign beside its model, or hypotheses on the same readings side by side.
 
     Parameters and errors as for `calibrate`.
@@ -807,9 +835,13 @@ def compare(
 
 
 def diagnose(
-    campaign: str | Path | Campaign, *, without: str | Sequence[str] = (),
-    only: str | Sequence[str] = (), run: Run | None = None, **given: Any,
-) -> Answer:  # fmt: skip
+    campaign: str | Path | Campaign,
+    *,
+    without: str | Sequence[str] = (),
+    only: str | Sequence[str] = (),
+    run: Run | None = None,
+    **given: Any,
+) -> Answer:
     """Which effects of the catalogue explain a campaign's misfit.
 
     Other parameters and errors as for `calibrate`; the photons (260,000) are those of every
@@ -829,18 +861,20 @@ def diagnose(
     from mcrim_mitsuba.inference.diagnose import diagnose as diagnosed
 
     campaign = _read(campaign)
-    found = diagnosed(
-        campaign, without=_names(without), only=_names(only), run=_run(run, given)
-    )  # fmt: skip
+    found = diagnosed(campaign, without=_names(without), only=_names(only), run=_run(run, given))
     pictures = {"ranking": partial(_drawn, "diagnosis_figures.draw_ranking", found.diagnosis)}
     return _answer("diagnosis", found, _of_campaign(campaign, pictures))
 
 
 def repair(
-    campaign: str | Path | Campaign, output: str | Path | None = None, *,
-    effect: str | Sequence[str] = (), run: Run | None = None,
-    on_step: Callable[[Any], None] | None = None, **given: Any,
-) -> Answer:  # fmt: skip
+    campaign: str | Path | Campaign,
+    output: str | Path | None = None,
+    *,
+    effect: str | Sequence[str] = (),
+    run: Run | None = None,
+    on_step: Callable[[Any], None] | None = None,
+    **given: Any,
+) -> Answer:
     """Add effects to a campaign one by one while the data justify it.
 
     Parameters
@@ -870,9 +904,7 @@ def repair(
     from mcrim_mitsuba.output.findings import in_words
 
     campaign = _read(campaign)
-    found = repaired(
-        campaign, output, effect=_names(effect), run=_run(run, given), on_step=on_step
-    )  # fmt: skip
+    found = repaired(campaign, output, effect=_names(effect), run=_run(run, given), on_step=on_step)
     diagnosis = found.diagnosed.diagnosis
     after = found.calibration if found.effects else None
     added = in_words(diagnosis, found.effects) if found.effects else ""
@@ -886,11 +918,17 @@ def repair(
 
 
 def budget(
-    campaign: str | Path | Campaign, *, material: str | None = None,
-    emission: str | Path | None = None, wavelength_nm: float | None = None,
-    eta_map: str | Path | None = None, depth_mm: float | None = None,
-    deposits: str | Path | None = None, run: Run | None = None, **given: Any,
-) -> Answer:  # fmt: skip
+    campaign: str | Path | Campaign,
+    *,
+    material: str | None = None,
+    emission: str | Path | None = None,
+    wavelength_nm: float | None = None,
+    eta_map: str | Path | None = None,
+    depth_mm: float | None = None,
+    deposits: str | Path | None = None,
+    run: Run | None = None,
+    **given: Any,
+) -> Answer:
     """Where all errors of a campaign come from, and what its model leaves out.
 
     Parameters
@@ -929,9 +967,15 @@ def budget(
     if depth_mm is not None:
         depth_mm = _above_0("depth_mm", depth_mm, "depth")
     found = budgeted(
-        campaign, material=material, emission=emission, wavelength_nm=wavelength_nm,
-        eta_map=eta_map, depth_mm=depth_mm, deposits=deposits, run=_run(run, given),
-    )  # fmt: skip
+        campaign,
+        material=material,
+        emission=emission,
+        wavelength_nm=wavelength_nm,
+        eta_map=eta_map,
+        depth_mm=depth_mm,
+        deposits=deposits,
+        run=_run(run, given),
+    )
     pictures = {"neglected": partial(_drawn, "budget_figures.draw_neglected", found)}
     return _answer("budget", found, _of_campaign(campaign, pictures))
 
@@ -988,9 +1032,13 @@ def plan(
 
 
 def report(
-    campaign: str | Path | Campaign, output: str | Path, *, effects: Sequence[str] | None = None,
-    run: Run | None = None, **given: Any,
-) -> Answer:  # fmt: skip
+    campaign: str | Path | Campaign,
+    output: str | Path,
+    *,
+    effects: Sequence[str] | None = None,
+    run: Run | None = None,
+    **given: Any,
+) -> Answer:
     """Diagnose and mend a campaign, and write all that was found as one HTML file.
 
     Parameters

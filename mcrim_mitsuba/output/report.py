@@ -76,16 +76,26 @@ def render(sections: Sections) -> str:
     folder = resources.files("mcrim_mitsuba.output")
     style = (folder / "style.css").read_text(encoding="utf-8")
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
         finalize=unbroken,
         loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text(encoding="utf-8")),
-    )  # fmt: skip
+    )
     environment.filters |= {
-        "said": said, "brief": brief, "capital": capital, "in_full": in_full, "p": p_text,
-        "number": number, "estimate": findings.estimate_text, "together": findings.together,
-        "value": short_text, "probability": probability,
+        "said": said,
+        "brief": brief,
+        "capital": capital,
+        "in_full": in_full,
+        "p": p_text,
+        "number": number,
+        "estimate": findings.estimate_text,
+        "together": findings.together,
+        "value": short_text,
+        "probability": probability,
         "data_uri": data_uri,
-    }  # fmt: skip
+    }
     template = environment.get_template("template.html")
     raw = sections.campaign.raw
     notes = dict.fromkeys((*sections.calibration.notes, *sections.repaired.provenance.notes))
@@ -215,9 +225,12 @@ def _mended_with(repaired: Repaired, effects: tuple[str, ...]) -> Repaired:
     bench.simulate(everything, look=set(everything) - {*effects})
     model, calibration = bench.settled_model(effects, starts)
     return replace(
-        repaired, effects=effects, calibration=calibration, model=model,
+        repaired,
+        effects=effects,
+        calibration=calibration,
+        model=model,
         provenance=bench.provenance(),
-    )  # fmt: skip
+    )
 
 
 def _command(campaign: Path, output: str | Path, run: Run) -> str:

@@ -120,9 +120,12 @@ def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
     left.set(ylabel="light collection efficiency η", ylim=(0, None))
     style.legend(left)
     right.axhspan(
-        curve.measured - curve.measured_sigma, curve.measured + curve.measured_sigma,
-        color="#f2cdb9", lw=0, label="measured, ± 1 standard error",
-    )  # fmt: skip
+        curve.measured - curve.measured_sigma,
+        curve.measured + curve.measured_sigma,
+        color="#f2cdb9",
+        lw=0,
+        label="measured, ± 1 standard error",
+    )
     right.axhline(curve.measured, color=style.WARM, lw=1.2)
     right.plot(curve.alpha_scat_per_cm, curve.ratio, color=style.DARK, lw=2, label="simulated")
     right.set_ylabel("ratio of the two signals")
@@ -131,8 +134,14 @@ def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
         axes.axvline(curve.solution_per_cm, color=style.GREY, lw=1.2, ls=":")
         axes.set(xscale="log", xlabel=r"$α_\mathrm{scat}$ (1/cm); dotted: fitted")
         style.open_axes(axes)
-    columns = ("alpha_scat_per_cm", "eta_first", "eta_second", "ratio", "measured_ratio",
-               "measured_ratio_sigma")  # fmt: skip
+    columns = (
+        "alpha_scat_per_cm",
+        "eta_first",
+        "eta_second",
+        "ratio",
+        "measured_ratio",
+        "measured_ratio_sigma",
+    )
     rows = [
         (*point, curve.measured, curve.measured_sigma)
         for point in zip(curve.alpha_scat_per_cm, *curve.eta.T, curve.ratio, strict=True)

@@ -102,10 +102,13 @@ class Sections:
         for name, known in self.calibration.parameters.items():
             statistical, systematic = errors_apart(known)
             result[name] = {
-                "name": name, "value": known.value, "statistical": statistical,
-                "systematic": systematic, "total": known.sigma,
+                "name": name,
+                "value": known.value,
+                "statistical": statistical,
+                "systematic": systematic,
+                "total": known.sigma,
                 **attributes(known, "lower upper at_bound contributions"),
-            }  # fmt: skip
+            }
         return {
             "result": result,
             "efficiencies": self.efficiencies,
@@ -229,10 +232,13 @@ def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
     return (
         changed("campaign", campaign.path.name, before, target.name, text),
         changed(
-            "scene", campaign.scene.path.name, scene_text(campaign.scene),
-            target.with_suffix(".xml").name, scene_text(scene),
+            "scene",
+            campaign.scene.path.name,
+            scene_text(campaign.scene),
+            target.with_suffix(".xml").name,
+            scene_text(scene),
         ),
-    )  # fmt: skip
+    )
 
 
 # The ratio of two signals, and the efficiency of every reading.
@@ -396,10 +402,8 @@ def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
         kept = data if len(data) <= room else None
         room -= 0 if kept is None else len(data)
         sources.append(
-            SourceFile(
-                role, path, sha256(data), kept, text[:most], max(len(text) - most, 0)
-            )
-        )  # fmt: skip
+            SourceFile(role, path, sha256(data), kept, text[:most], max(len(text) - most, 0))
+        )
     return tuple(sources)
 
 
@@ -409,9 +413,7 @@ def changed(role: str, name: str, before: str, new_name: str, after: str) -> Sou
         before.splitlines(), after.splitlines(), name, new_name, n=_AROUND, lineterm=""
     )
     data = after.encode()
-    return SourceFile(
-        f"mended {role}", Path(new_name), sha256(data), data, "\n".join(lines)
-    )  # fmt: skip
+    return SourceFile(f"mended {role}", Path(new_name), sha256(data), data, "\n".join(lines))
 
 
 # The bench: what it is made of, its parameters, its cross-section and picture.

@@ -154,9 +154,18 @@ def not_a_result(path: Path) -> InputError:
 #: Reading of a file: its rows, its readings, its provenance.
 Parts = tuple[list[dict[str, Cell]], list[dict[str, Cell]], dict[str, Any]]
 _PROVENANCE = (
-    "seed", "photons", "cached_photons", "scene_hash", "versions", "parameters", "command",
-    "notes", "polarization", "transport", "batch",
-)  # fmt: skip
+    "seed",
+    "photons",
+    "cached_photons",
+    "scene_hash",
+    "versions",
+    "parameters",
+    "command",
+    "notes",
+    "polarization",
+    "transport",
+    "batch",
+)
 
 
 def read_results(paths: Sequence[str | Path]) -> ResultTable:
@@ -308,10 +317,14 @@ def _hypotheses(document: JsonResult) -> Parts:
     for one in document.objects("hypotheses"):
         name, effects = one.text("name"), one.content.get("effects")
         added = " + ".join(map(str, effects)) if isinstance(effects, list) else ""
-        rows.append({
-            "hypothesis": name, "effects": added or "none", **one.numbers(*_QUALITY, *said),
-            **_estimates(one.object("parameters")),
-        })  # fmt: skip
+        rows.append(
+            {
+                "hypothesis": name,
+                "effects": added or "none",
+                **one.numbers(*_QUALITY, *said),
+                **_estimates(one.object("parameters")),
+            }
+        )
         readings += [{"hypothesis": name, **each} for each in _readings(one)]
     return rows, readings, _provenance(document)
 
@@ -322,18 +335,27 @@ def _diagnosis(document: JsonResult) -> Parts:
     baseline = document.object("baseline")
     rows = [
         {
-            "verdict": verdict, "effect": "none", "leading": False,
-            **baseline.numbers(*_QUALITY), **_light_yield(baseline.object("parameters")),
+            "verdict": verdict,
+            "effect": "none",
+            "leading": False,
+            **baseline.numbers(*_QUALITY),
+            **_light_yield(baseline.object("parameters")),
         }
-    ]  # fmt: skip
+    ]
     gain = ("delta_chi2", "delta_chi2_sigma", "p_global", "left_out_error", "aicc")
     for candidate in document.objects("candidates"):
         effect = candidate.text("effect")
-        rows.append({
-            "verdict": verdict, "effect": effect, "leading": effect in leading,
-            **candidate.numbers(*_QUALITY, *gain), "size": _size(candidate),
-            "plausible": candidate.flag("plausible"), **_light_yield(candidate),
-        })  # fmt: skip
+        rows.append(
+            {
+                "verdict": verdict,
+                "effect": effect,
+                "leading": effect in leading,
+                **candidate.numbers(*_QUALITY, *gain),
+                "size": _size(candidate),
+                "plausible": candidate.flag("plausible"),
+                **_light_yield(candidate),
+            }
+        )
     return rows, [], _provenance(document)
 
 
@@ -400,10 +422,12 @@ def _table_of_csv(path: Path) -> Parts:
         if len(cells) != len(COLUMNS):
             problem = f"{len(cells)} cells under {len(COLUMNS)} columns"
             raise InputError(problem, "give each column one cell", path=path, line=number)
-        rows.append({
-            name: parse_number(name, cell, path=path, line=number, column=name)
-            for name, cell in zip(COLUMNS, cells, strict=True)
-        })  # fmt: skip
+        rows.append(
+            {
+                name: parse_number(name, cell, path=path, line=number, column=name)
+                for name, cell in zip(COLUMNS, cells, strict=True)
+            }
+        )
     return _one_each(rows, path), [], known
 
 

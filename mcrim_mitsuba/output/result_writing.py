@@ -24,8 +24,12 @@ if TYPE_CHECKING:
 
 
 CALIBRATION, HYPOTHESES, DIAGNOSIS, SIMULATION, ETA_TABLE = (
-    "calibration", "hypotheses", "diagnosis", "simulation", "eta table",
-)  # fmt: skip
+    "calibration",
+    "hypotheses",
+    "diagnosis",
+    "simulation",
+    "eta table",
+)
 #: Column that names the file a row is from.
 RESULT = "result"
 SIGMA, LOWER, UPPER, AT_BOUND = "_sigma", "_lower", "_upper", "_at_bound"
@@ -84,11 +88,23 @@ _LEFT_OUT = {
     SIMULATION: ("photons",),
 }
 _SPECIAL = {
-    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#",
-    "%": r"\%", "_": r"\_", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-    "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}",
-    "±": r"$\pm$", "\u2212": "$-$",
-}  # fmt: skip
+    "\\": r"\textbackslash{}",
+    "{": r"\{",
+    "}": r"\}",
+    "$": r"\$",
+    "&": r"\&",
+    "#": r"\#",
+    "%": r"\%",
+    "_": r"\_",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    '"': r"\textquotedbl{}",
+    "±": r"$\pm$",
+    "\u2212": "$-$",
+}
 _POWER = re.compile(r"\((.*)\)e([+-]?\d+)")
 
 

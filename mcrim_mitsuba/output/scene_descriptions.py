@@ -62,13 +62,15 @@ def of_simulation(result: SimulationResult) -> Described:
     """Efficiency, and what becomes of the light."""
     rows = (
         (Cell(fate_words(fate), fate), shown(part, ".6f"), shown(result.budget_sigma[fate], ".6f"))
-        for fate, part in result.budget.items() if part > 0
-    )  # fmt: skip
+        for fate, part in result.budget.items()
+        if part > 0
+    )
     found = (
         f"{result.photons:,} photons, seed {result.seed}, {result.seconds:.1f} s, "
         f"{result.photons_per_second / 1e6:.2f} million photons/s"
-        if result.photons else f"no photons, {result.seconds:.2f} s"
-    )  # fmt: skip
+        if result.photons
+        else f"no photons, {result.seconds:.2f} s"
+    )
     found = f"eta = {pdg(result.eta, result.eta_sigma)}   ({found}, {result.transport})"
     columns = ("fate", "fraction", Column("error", "fraction_sigma"))
     fates = table("where the light ends", columns, rows)
@@ -78,12 +80,18 @@ def of_simulation(result: SimulationResult) -> Described:
 def of_map(mapped: EtaMap, spreads: Sequence[Spread]) -> Described:
     """What the efficiency varies by over the crystal, and what that does to a peak."""
     rows = (
-        (one.source, measured(one.eta, one.eta_sigma),
-         Cell(pdg(100.0 * one.relative_rms, 100.0 * one.relative_rms_sigma),
-              100.0 * one.relative_rms, 100.0 * one.relative_rms_sigma),
-         shown(100.0 * one.fwhm, ".2g"))
+        (
+            one.source,
+            measured(one.eta, one.eta_sigma),
+            Cell(
+                pdg(100.0 * one.relative_rms, 100.0 * one.relative_rms_sigma),
+                100.0 * one.relative_rms,
+                100.0 * one.relative_rms_sigma,
+            ),
+            shown(100.0 * one.fwhm, ".2g"),
+        )
         for one in spreads
-    )  # fmt: skip
+    )
     percent = Column("rms (%)", "rms_percent"), Column("FWHM (%)", "fwhm_percent")
     columns = (Column("gammas stop", "source"), "eta", *percent)
     cells = " x ".join(str(n) for n in mapped.eta.shape)
@@ -162,15 +170,21 @@ def of_times(found: ArrivalTimes) -> Described:
         ("from 10 to 90 %", measured(found.rise_ps, found.rise_ps_sigma)),
     )
     parts = (
-        (one.name, shown(one.group_index, ".5g"), one.origin,
-         measured(one.mean_ps, one.mean_ps_sigma))
+        (
+            one.name,
+            shown(one.group_index, ".5g"),
+            one.origin,
+            measured(one.mean_ps, one.mean_ps_sigma),
+        )
         for one in found.parts
-    )  # fmt: skip
+    )
     columns: list[str | Column] = ["photon"]
     for one in found.first:
         name = one.born.replace(" ", "_")
-        columns += [Column(f"{one.born}, mean (ps)", f"mean_ps_{name}"),
-                    Column(f"{one.born}, rms (ps)", f"rms_ps_{name}")]  # fmt: skip
+        columns += [
+            Column(f"{one.born}, mean (ps)", f"mean_ps_{name}"),
+            Column(f"{one.born}, rms (ps)", f"rms_ps_{name}"),
+        ]
     values = [
         pair
         for one in found.first
@@ -183,25 +197,27 @@ def of_times(found: ArrivalTimes) -> Described:
         )
         for place in range(len(found.first[0].mean_ps))
     )
-    emitted = "all emitted at once" if found.decay_ns is None else (
-        f"emitted with a decay of {found.decay_ns:g} ns"
-    )  # fmt: skip
+    emitted = (
+        "all emitted at once"
+        if found.decay_ns is None
+        else (f"emitted with a decay of {found.decay_ns:g} ns")
+    )
     said = Sentence(f"arrival of detected light, {emitted}: {found.photons:,} photons followed")
     tables = (
         table("times", ("detected light", "ps"), numbers),
-        table("where light is meanwhile",
-              ("part", "group index", Column("from", left=True), Column("mean (ps)", "mean_ps")),
-              parts),
+        table(
+            "where light is meanwhile",
+            ("part", "group index", Column("from", left=True), Column("mean (ps)", "mean_ps")),
+            parts,
+        ),
         table(f"first of {found.detected:,} detected photons", columns, first),
-    )  # fmt: skip
+    )
     births = Sentence(
         "light of one event is born everywhere in the crystal, or, as that of a gamma, at one "
         "depth, which is another one in every event"
     )
     below = (births,) if len(found.first) > 1 else ()
-    return Described(
-        "arrival times of detected light", (said, *tables, *below), notes=found.notes
-    )  # fmt: skip
+    return Described("arrival times of detected light", (said, *tables, *below), notes=found.notes)
 
 
 def of_table(
@@ -211,10 +227,12 @@ def of_table(
     parts: tuple[Table, ...] = ()
     if not written:
         rows = (
-            (*(Cell(f"{v:.5g}" if isinstance(v, float) else str(v), v) for v in at),
-             measured(float(eta), float(sigma)))
+            (
+                *(Cell(f"{v:.5g}" if isinstance(v, float) else str(v), v) for v in at),
+                measured(float(eta), float(sigma)),
+            )
             for *at, eta, sigma in (one.values() for one in made.rows)
-        )  # fmt: skip
+        )
         parts = (table("", (*made.axes, "eta"), rows),)
     spent = (
         f"{made.eta.size} points{f' written to {written}' if written else ''}: "
@@ -240,15 +258,27 @@ def of_check(report: CheckReport, *, first: bool = True) -> Described:
     """
     parts: list[Part] = [Sentence(f"- {sentence}") for sentence in report.words]
     if report.interfaces:
-        columns = ("face", "kind", "behind it", Column("n", "n_behind"), "in front of it",
-                   Column("n", "n_in_front"), "line")  # fmt: skip
+        columns = (
+            "face",
+            "kind",
+            "behind it",
+            Column("n", "n_behind"),
+            "in front of it",
+            Column("n", "n_in_front"),
+            "line",
+        )
         rows = (
             (
-                face.surface, face.kind, face.interior, shown(face.n_interior, "g"), face.exterior,
-                shown(face.n_exterior, "g"), shown(face.line, "d"),
+                face.surface,
+                face.kind,
+                face.interior,
+                shown(face.n_interior, "g"),
+                face.exterior,
+                shown(face.n_exterior, "g"),
+                shown(face.line, "d"),
             )
             for face in report.interfaces
-        )  # fmt: skip
+        )
         parts.append(table("", columns, rows))
     wrong = [
         f"{'also: ' if place else ''}{problem}" for place, problem in enumerate(report.problems)
@@ -269,23 +299,32 @@ def of_crosscheck(found: Crosscheck) -> Described:
     from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL
 
     columns: tuple[str | Column, ...] = (
-        "quantity", "Mitsuba", Column("error", "Mitsuba_sigma"), "NumPy",
-        Column("error", "NumPy_sigma"), "z",
-    )  # fmt: skip
+        "quantity",
+        "Mitsuba",
+        Column("error", "Mitsuba_sigma"),
+        "NumPy",
+        Column("error", "NumPy_sigma"),
+        "z",
+    )
     is_solved = any(one.modes is not None for one in found.rows)
     if is_solved:
         columns += ("modes", Column("error", "modes_sigma"), Column("z", "modes_z"))
     rows = (
         row(
             Cell(fate_words(one.quantity), one.quantity),
-            *(shown(value, ".6f")
-              for value in (one.mitsuba, one.mitsuba_sigma, one.numpy, one.numpy_sigma)),
+            *(
+                shown(value, ".6f")
+                for value in (one.mitsuba, one.mitsuba_sigma, one.numpy, one.numpy_sigma)
+            ),
             Cell("too few" if one.z is None else f"{one.z:+.2f}", one.z),
-            *((shown(one.modes, ".6f"), shown(one.modes_sigma, ".6f"), shown(one.modes_z, "+.2f"))
-              if is_solved else ()),
+            *(
+                (shown(one.modes, ".6f"), shown(one.modes_sigma, ".6f"), shown(one.modes_z, "+.2f"))
+                if is_solved
+                else ()
+            ),
         )
         for one in found.rows
-    )  # fmt: skip
+    )
     agreement = (
         f"the {'three' if is_solved else 'two'} {'agree' if found.agrees else 'DISAGREE'}: "
         f"family-wise {p_equals(found.family_p_value)}, tested at {FAMILY_LEVEL:g}; "

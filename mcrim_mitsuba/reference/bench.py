@@ -22,16 +22,33 @@ NARROW_COLLAR_WIDTH_MM = 1.0
 
 #: What is nothing to a crystal alone in air.
 NOT_IN_A_BEAM = (
-    "wrap_reflectance", "top_reflectance", "bubble_fraction", "bubble_area_fraction",
-    "aperture_at_detector", "detector_reflectance", "detector_specular", "cathode_nm",
-    "angular_falloff", "radial_falloff", "mask_offset_mm", "housing_reflectance",
-    "collar_mm", "narrow_collar_mm",
-)  # fmt: skip
+    "wrap_reflectance",
+    "top_reflectance",
+    "bubble_fraction",
+    "bubble_area_fraction",
+    "aperture_at_detector",
+    "detector_reflectance",
+    "detector_specular",
+    "cathode_nm",
+    "angular_falloff",
+    "radial_falloff",
+    "mask_offset_mm",
+    "housing_reflectance",
+    "collar_mm",
+    "narrow_collar_mm",
+)
 #: What a box has, and a cylinder has not.
 NOT_ON_A_CYLINDER = (
-    "wrap_reflectance", "top_reflectance", "bubble_fraction", "bubble_area_fraction", "chamfer_mm",
-    "collar_mm", "narrow_collar_mm", "black_spot_mm", "beam_diameter_mm",
-)  # fmt: skip
+    "wrap_reflectance",
+    "top_reflectance",
+    "bubble_fraction",
+    "bubble_area_fraction",
+    "chamfer_mm",
+    "collar_mm",
+    "narrow_collar_mm",
+    "black_spot_mm",
+    "beam_diameter_mm",
+)
 #: Axes that a beam may fly along.
 BEAM_AXES = ("x", "y", "z")
 
@@ -236,23 +253,37 @@ class Bench:
         for name, fits, expected in (
             ("window_width_mm", room >= width, f"at least {widest} = {width}"),
             ("gap_offset_mm", self.gap_thickness_mm > 0.0, f"more than -gap_mm = -{self.gap_mm}"),
-            ("gap_index_offset", self.gap_index >= 1.0,
-             f"an offset that leaves an index of at least 1 (n_gap = {self.n_gap})"),
-            ("bandwidth_nm",
-             not self.scattering_exponent or self.bandwidth_nm < self.wavelength_nm / 1.5,
-             f"less than two thirds of wavelength_nm = {self.wavelength_nm:g}"),
-            ("chamfer_mm", self.chamfer_mm < half,
-             f"less than half of the crystal's width and height, {half:g} mm"),
+            (
+                "gap_index_offset",
+                self.gap_index >= 1.0,
+                f"an offset that leaves an index of at least 1 (n_gap = {self.n_gap})",
+            ),
+            (
+                "bandwidth_nm",
+                not self.scattering_exponent or self.bandwidth_nm < self.wavelength_nm / 1.5,
+                f"less than two thirds of wavelength_nm = {self.wavelength_nm:g}",
+            ),
+            (
+                "chamfer_mm",
+                self.chamfer_mm < half,
+                f"less than half of the crystal's width and height, {half:g} mm",
+            ),
             ("narrow_collar_mm", wet < height, f"less than crystal_height_mm = {height}"),
-            ("window_width_mm", not wet or room >= width + 2.0 * NARROW_COLLAR_WIDTH_MM,
-             f"room for a collar of {NARROW_COLLAR_WIDTH_MM:g} mm around the crystal"),
-        ):  # fmt: skip
+            (
+                "window_width_mm",
+                not wet or room >= width + 2.0 * NARROW_COLLAR_WIDTH_MM,
+                f"room for a collar of {NARROW_COLLAR_WIDTH_MM:g} mm around the crystal",
+            ),
+        ):
             _require(fits, name, getattr(self, name), expected)
         if self.roughness_alpha:
             self._refuse_beside(
-                "roughness_alpha", "where all faces are rough",
-                "top_roughness_alpha", "side_roughness_alpha", "bottom_roughness_alpha",
-            )  # fmt: skip
+                "roughness_alpha",
+                "where all faces are rough",
+                "top_roughness_alpha",
+                "side_roughness_alpha",
+                "bottom_roughness_alpha",
+            )
         if max(self.source_depth_mm, self.side_depth_mm) < math.inf:
             both = "source_depth_mm and side_depth_mm exclude each other"
             raise InputError(f"{both}: gammas come from one side", "leave one of them out")
@@ -260,34 +291,49 @@ class Bench:
             self._require_beam()
         if self.cathode_nm:
             self._refuse_beside(
-                "cathode_nm", "where the detector is a film",
-                "detector_reflectance", "detector_specular", "angular_falloff",
-            )  # fmt: skip
+                "cathode_nm",
+                "where the detector is a film",
+                "detector_reflectance",
+                "detector_specular",
+                "angular_falloff",
+            )
             cathode_index(self.wavelength_nm)
         if self.narrow_collar_mm:
             self._refuse_beside(
-                "narrow_collar_mm", "where gel stands around the crystal",
-                "chamfer_mm", "bubble_fraction", "bubble_area_fraction", "wrap_reflectance",
+                "narrow_collar_mm",
+                "where gel stands around the crystal",
+                "chamfer_mm",
+                "bubble_fraction",
+                "bubble_area_fraction",
+                "wrap_reflectance",
                 "collar_mm",
-            )  # fmt: skip
+            )
         if self.bubble_area_fraction:
             self._refuse_beside(
-                "bubble_area_fraction", "where a round bubble is", "bubble_fraction", "chamfer_mm",
-            )  # fmt: skip
+                "bubble_area_fraction",
+                "where a round bubble is",
+                "bubble_fraction",
+                "chamfer_mm",
+            )
         if self.collar_mm:
             self._refuse_beside(
-                "collar_mm", "where gel creeps up the crystal",
-                "wrap_reflectance", "gap_absorption_per_cm",
-            )  # fmt: skip
+                "collar_mm",
+                "where gel creeps up the crystal",
+                "wrap_reflectance",
+                "gap_absorption_per_cm",
+            )
         if self.rayleigh_scattering and self.scattering_g:
             both = "rayleigh_scattering and scattering_g exclude each other"
             raise InputError(f"{both}: each is a phase function", "leave one of them out")
         if self.wrap_reflectance is not None:
             # the film's open rim would have to lead into the gap, or the wrap be there twice
             self._refuse_beside(
-                "wrap_reflectance", "for a wrapped crystal",
-                "chamfer_mm", "bubble_fraction", "top_reflectance",
-            )  # fmt: skip
+                "wrap_reflectance",
+                "for a wrapped crystal",
+                "chamfer_mm",
+                "bubble_fraction",
+                "top_reflectance",
+            )
 
     def _require_cylinder(self, diameter_mm: float) -> None:
         """Refuse a lying cylinder that does not fit its gap, and what only a box has."""
@@ -299,9 +345,12 @@ class Bench:
             _require(wet is not None and wet < diameter_mm, "wetted_width_mm", wet, expected)
             depths["source_depth_mm"] = self.source_depth_mm
             self._refuse_beside(
-                "crystal_length_mm", "on a cylinder that lies",
-                "top_roughness_alpha", "side_roughness_alpha", "bottom_roughness_alpha",
-            )  # fmt: skip
+                "crystal_length_mm",
+                "on a cylinder that lies",
+                "top_roughness_alpha",
+                "side_roughness_alpha",
+                "bottom_roughness_alpha",
+            )
         for name, depth in depths.items():
             if depth < math.inf:
                 problem = f"the NumPy tracer has no {name} on such a cylinder"
@@ -342,8 +391,9 @@ class Bench:
         if self.crystal_length_mm is None or self.wetted_width_mm is None:
             return {"crystal_diameter_mm": self.crystal_diameter_mm}
         return {
-            "crystal_length_mm": self.crystal_length_mm, "wetted_width_mm": self.wetted_width_mm
-        }  # fmt: skip
+            "crystal_length_mm": self.crystal_length_mm,
+            "wetted_width_mm": self.wetted_width_mm,
+        }
 
     @property
     def wetted_height_mm(self) -> float:

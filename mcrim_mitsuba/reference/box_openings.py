@@ -85,8 +85,12 @@ class Waves:
 
 @lru_cache
 def _waves(order: int) -> Waves:
-    pairs = [(p, q) for p in range(order + 1) for size in range(order + 1)
-             for q in ((size,) if 0 in (p, size) else (size, -size))]  # fmt: skip
+    pairs = [
+        (p, q)
+        for p in range(order + 1)
+        for size in range(order + 1)
+        for q in ((size,) if 0 in (p, size) else (size, -size))
+    ]
     signed = np.array(pairs)
     folded, begins = np.unique(np.abs(signed), axis=0, return_index=True)
     stands_for = np.where(signed.any(axis=1), 2.0, 1.0)
@@ -284,10 +288,12 @@ def side_light(bench: Bench, rules: Rules) -> FallingLight | None:
         rows = len(turned)
         starts.append(
             Starts(
-                y.reshape(rows, -1), lowest.reshape(rows, -1), highest.reshape(rows, -1),
+                y.reshape(rows, -1),
+                lowest.reshape(rows, -1),
+                highest.reshape(rows, -1),
                 shares.reshape(rows, -1, angles),
             )
-        )  # fmt: skip
+        )
         return np.repeat(turned, angles), np.repeat(w_turned, angles), polar.ravel()
 
     first, (turned, weight, polar) = _by_rules(nodes_of, *rules)
@@ -413,8 +419,9 @@ def _crossings(bench: Bench, order: int, light: _GapLight) -> tuple[_Array, _Arr
         along_x = kept(0, chord)
         weight = weight * radius * np.cos(angle)
         before = 1.0 - light.out[1][:, None] * (y < down[1][:, None])
-        along_y = [weight * before * (1.0 - out[1][:, None] * (y > far[1][:, None]))
-                   for far, out in ends]  # fmt: skip
+        along_y = [
+            weight * before * (1.0 - out[1][:, None] * (y > far[1][:, None])) for far, out in ends
+        ]
         phase = _powers(np.exp(-1j * math.pi / half * y), order)
         in_hole = [
             x.swapaxes(1, 2) @ (y[..., None] * phase) for x, y in zip(along_x, along_y, strict=True)
@@ -586,10 +593,19 @@ def end_cones(bench: Bench, rules: Rules) -> EndCones:
         coupling[:, here, here] -= (own[among] - r_crystal).T
         coupling = without_beyond(coupling)
     return EndCones(
-        first, weight, cos, sine / n * over_x, sine / n * over_y, fresnel(cos, n, 1.0), waves, own,
-        coupled, slice(None) if len(among) == len(waves.signed) else among,
-        np.ascontiguousarray(coupling.transpose(1, 0, 2)), (enters[:, None] * arrived).T,
-    )  # fmt: skip
+        first,
+        weight,
+        cos,
+        sine / n * over_x,
+        sine / n * over_y,
+        fresnel(cos, n, 1.0),
+        waves,
+        own,
+        coupled,
+        slice(None) if len(among) == len(waves.signed) else among,
+        np.ascontiguousarray(coupling.transpose(1, 0, 2)),
+        (enters[:, None] * arrived).T,
+    )
 
 
 #: Crossings of the gap, there and back, that are counted one by one.
@@ -657,9 +673,14 @@ def edges_in_reach(bench: Bench) -> bool:
 
 
 def _leaked(
-    bench: Bench, rules: Rules, first: int, sine: Floats, over_x: Floats, over_y: Floats,
+    bench: Bench,
+    rules: Rules,
+    first: int,
+    sine: Floats,
+    over_x: Floats,
+    over_y: Floats,
     signed: NDArray[np.int64],
-) -> _Array:  # fmt: skip
+) -> _Array:
     """Components of the light that leaves the gap at its sides, going down, and is detected."""
     width, gap, n_gap = bench.crystal_width_mm, bench.gap_thickness_mm, bench.gap_index
     half = width / 2.0

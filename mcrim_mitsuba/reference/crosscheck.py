@@ -102,15 +102,20 @@ def crosscheck(
     bench = bench_of(simulation)
     photons = run.photons_or(1_000_000)
     ours = simulation.collect(
-        mitsuba_photons or 4 * photons, seed=run.seed, general=general,
+        mitsuba_photons or 4 * photons,
+        seed=run.seed,
+        general=general,
         progress=lambda done, total, *_: run.tell("Mitsuba", done, total),
-    )  # fmt: skip
+    )
     if ours.interrupted:
         raise KeyboardInterrupt  # a part of the photons is no comparison
     reference = trace(
-        bench, photons, run.seed, max_depth=simulation.depth_limit,
+        bench,
+        photons,
+        run.seed,
+        max_depth=simulation.depth_limit,
         progress=lambda done: run.tell("NumPy", done, photons),
-    )  # fmt: skip
+    )
     solved = _solved(bench)
     rows = [_row("eta", "detected", ours, reference, solved)]
     for name in {**ours.budget, **reference.budget}:
@@ -139,9 +144,12 @@ _SOLVED = ("eta", "absorbed_crystal")
 
 
 def _row(
-    quantity: str, fate: str, ours: SimulationResult, reference: TracerResult,
+    quantity: str,
+    fate: str,
+    ours: SimulationResult,
+    reference: TracerResult,
     solved: BoxEfficiency | None,
-) -> CrosscheckRow:  # fmt: skip
+) -> CrosscheckRow:
     if quantity == "eta":
         a, sigma_a = ours.eta, ours.eta_sigma
         b, sigma_b = reference.eta, reference.eta_sigma

@@ -201,8 +201,9 @@ def _frame(direction: Floats) -> tuple[Floats, Floats]:
     x, y, z = direction
     flat = np.hypot(x, y)
     head_on = flat == 0.0
-    cosine, sine = (np.where(head_on, at, c / np.where(head_on, 1.0, flat))
-                    for at, c in ((1.0, x), (0.0, y)))  # fmt: skip
+    cosine, sine = (
+        np.where(head_on, at, c / np.where(head_on, 1.0, flat)) for at, c in ((1.0, x), (0.0, y))
+    )
     across = np.stack((-sine, cosine, np.zeros_like(x)))
     along = np.stack((z * cosine, z * sine, -flat))
     return across, along
@@ -236,9 +237,13 @@ class Flights:
         self._film = photocathode_of(bench)
         #: Whether the detector does anything but detect.
         self._decides = self._film is not None or any(
-            (bench.detector_reflectance, bench.detector_specular, bench.angular_falloff,
-             bench.radial_falloff)
-        )  # fmt: skip
+            (
+                bench.detector_reflectance,
+                bench.detector_specular,
+                bench.angular_falloff,
+                bench.radial_falloff,
+            )
+        )
 
     def births(self, count: int) -> PhotonArrays:
         """Photons at their `birthplace`, unpolarised: isotropic in the crystal, or a beam."""
@@ -489,9 +494,15 @@ class Flights:
         self._meet(flock, who, body, face, position, -normal, ahead)
 
     def _meet(
-        self, flock: Flock, who: Indices, body: Place, face: Indices, position: Floats,
-        normal: Floats, ahead: Codes,
-    ) -> None:  # fmt: skip
+        self,
+        flock: Flock,
+        who: Indices,
+        body: Place,
+        face: Indices,
+        position: Floats,
+        normal: Floats,
+        ahead: Codes,
+    ) -> None:
         """End photons at a face, or reflect or refract them there.
 
         `who` are the indices of the (m,) that meet faces of the body, `normal` are (3, m) unit
@@ -526,9 +537,15 @@ class Flights:
             place[reflected[lost]] = Place.ABSORBED_SURFACE
 
     def _cross(
-        self, region: Place, body: Place, face: Indices, direction: Floats, normal: Floats,
-        ahead: Codes, field: Complexes | None,
-    ) -> tuple[Floats, Flags, Complexes | None]:  # fmt: skip
+        self,
+        region: Place,
+        body: Place,
+        face: Indices,
+        direction: Floats,
+        normal: Floats,
+        ahead: Codes,
+        field: Complexes | None,
+    ) -> tuple[Floats, Flags, Complexes | None]:
         """Reflect or refract at faces, of which those of the crystal may be rough or hazy."""
         rng, layout, bench = self._rng, self._layout, self._bench
         n_in, n_out = layout.index[region], layout.index.take(ahead)

@@ -119,10 +119,21 @@ def trace_geant4(
 
 #: Parameters of a bench that `construction` builds; all others must be at their defaults.
 KNOWN_PARAMETERS = (
-    "crystal_width_mm", "crystal_height_mm", "n_crystal", "alpha_scat_per_cm",
-    "alpha_abs_per_cm", "gap_mm", "n_gap", "window_width_mm", "window_thickness_mm", "n_window",
-    "aperture_radius_mm", "polarization", "gap_absorption_per_cm", "window_absorption_per_cm",
-)  # fmt: skip
+    "crystal_width_mm",
+    "crystal_height_mm",
+    "n_crystal",
+    "alpha_scat_per_cm",
+    "alpha_abs_per_cm",
+    "gap_mm",
+    "n_gap",
+    "window_width_mm",
+    "window_thickness_mm",
+    "n_window",
+    "aperture_radius_mm",
+    "polarization",
+    "gap_absorption_per_cm",
+    "window_absorption_per_cm",
+)
 
 
 def refuse_bench(bench: Bench) -> None:
@@ -153,9 +164,12 @@ def _run(job: dict, progress: Callable[[int], None] | None) -> dict:
         with log.open("w") as noise:
             process = subprocess.Popen(
                 [sys.executable, "-m", "mcrim_mitsuba.reference.geant4_process", json.dumps(job)],
-                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=noise, text=True,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=noise,
+                text=True,
                 env=os.environ | {"GEANT4_DATA_DIR": folder, "G4ENSDFSTATEDATA": folder},
-            )  # fmt: skip
+            )
         assert process.stdout is not None
         report: dict = {}
         try:

@@ -222,9 +222,13 @@ class Cylinder(HalfSpaceBody):
     """
 
     def __init__(
-        self, radius: float, low: float, high: float,
-        axis: int = 2, centre: tuple[float, float] = (0.0, 0.0),
-    ) -> None:  # fmt: skip
+        self,
+        radius: float,
+        low: float,
+        high: float,
+        axis: int = 2,
+        centre: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         """Make it between two levels on the axis 0, 1 or 2; `centre` is its place on the others."""
         # it has no planes, but ends
         super().__init__(np.zeros((TOP + 1, 3)), np.zeros(TOP + 1))
@@ -355,9 +359,12 @@ class Medium:
         return self.absorption_per_mm + self.scattering_per_mm
 
     def free_path(
-        self, rng: np.random.Generator, position: Floats, direction: Floats,
+        self,
+        rng: np.random.Generator,
+        position: Floats,
+        direction: Floats,
         strength: Floats | None = None,
-    ) -> Floats:  # fmt: skip
+    ) -> Floats:
         """Draw the distances to the next absorption or scattering: (n,), mm.
 
         Scattering is ``strength``, (n,), times as strong, if that is given.

@@ -127,9 +127,14 @@ differ by its square."""
 
 
 def cross(
-    rng: np.random.Generator, direction: Floats, normal: Floats, n_in: _Number, n_out: Floats,
-    field: Complexes | None = None, rms_per_wavelength: _Number = 0.0,
-) -> tuple[Floats, Flags, Complexes | None]:  # fmt: skip
+    rng: np.random.Generator,
+    direction: Floats,
+    normal: Floats,
+    n_in: _Number,
+    n_out: Floats,
+    field: Complexes | None = None,
+    rms_per_wavelength: _Number = 0.0,
+) -> tuple[Floats, Flags, Complexes | None]:
     """Send photons through an interface, each as one whole quantum.
 
     Parameters
@@ -229,10 +234,17 @@ _TINY = 1e-100
 
 
 def cross_rough(
-    rng: np.random.Generator, direction: Floats, normal: Floats, n_in: float, n_out: Floats,
-    roughness: Floats, field: Complexes | None = None, rms_per_wavelength: _Number = 0.0,
-    *, beckmann: bool = False,
-) -> tuple[Floats, Flags, Complexes | None]:  # fmt: skip
+    rng: np.random.Generator,
+    direction: Floats,
+    normal: Floats,
+    n_in: float,
+    n_out: Floats,
+    roughness: Floats,
+    field: Complexes | None = None,
+    rms_per_wavelength: _Number = 0.0,
+    *,
+    beckmann: bool = False,
+) -> tuple[Floats, Flags, Complexes | None]:
     """Send photons through a rough interface, each as one whole quantum.
 
     The random walk of E. Heitz et al., ACM Transactions on Graphics 35 (2016) 58, in Smith's field
@@ -363,9 +375,14 @@ def _beckmann_facets(
 
 
 def scatter_by_haze(
-    rng: np.random.Generator, normal: Floats, cos_in: Floats, n_in: _Number, n_out: Floats,
-    transmitted: Flags, rms_per_wavelength: _Number,
-) -> tuple[Indices, Floats]:  # fmt: skip
+    rng: np.random.Generator,
+    normal: Floats,
+    cos_in: Floats,
+    n_in: _Number,
+    n_out: Floats,
+    transmitted: Flags,
+    rms_per_wavelength: _Number,
+) -> tuple[Indices, Floats]:
     """Which photons the heights of a face scatter, after it has reflected or refracted them.
 
     A wave that meets heights of an rms keeps the part exp(-q^2) of its power in the specular

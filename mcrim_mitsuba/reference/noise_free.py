@@ -71,13 +71,23 @@ def solve_simulation(simulation: Simulation, run: Run = Run()) -> SimulationResu
     fates = {name: float(part) for name, part in found.fates.items() if part}
     eta, error = float(found.eta), float(found.error)
     return SimulationResult(
-        seed=0, photons=0, cached_photons=0, scene_hash=file.content_hash,
+        seed=0,
+        photons=0,
+        cached_photons=0,
+        scene_hash=file.content_hash,
         versions=record_versions(simulation.variant, __name__),
         seconds=time.perf_counter() - start,
-        notes=notes, requested=0, interrupted=False, eta=eta, eta_sigma=error, budget=fates,
-        budget_sigma=dict.fromkeys(fates, error), parameters=dict(file.parameters),
-        polarization=False, transport="cosine modes",
-    )  # fmt: skip
+        notes=notes,
+        requested=0,
+        interrupted=False,
+        eta=eta,
+        eta_sigma=error,
+        budget=fates,
+        budget_sigma=dict.fromkeys(fates, error),
+        parameters=dict(file.parameters),
+        polarization=False,
+        transport="cosine modes",
+    )
 
 
 def noise_free_table(

@@ -116,8 +116,9 @@ class _Modes:
         size = self.size
         return _Systems(
             kernel.reshape(*shape[:2], size, size),
-            detected.reshape(*shape[:2], size), left.reshape(*shape[:2], size),
-        )  # fmt: skip
+            detected.reshape(*shape[:2], size),
+            left.reshape(*shape[:2], size),
+        )
 
     @property
     def _across(self) -> tuple[_Array, _Array]:
@@ -298,7 +299,7 @@ class _Phase(NamedTuple):
 
 def _attenuation(
     alpha: Floats, phase: _Phase, cos: Floats, length_mm: float
-) -> tuple[_Array, _Array]:  # fmt: skip
+) -> tuple[_Array, _Array]:
     """Complex attenuation per mm along an axis, and over a length: (alphas, waves, n) each."""
     per_mm = (alpha[:, None] / cos)[:, None]
     return per_mm - 1j * phase.per_mm, np.exp(-length_mm * per_mm) * phase.turn
@@ -390,9 +391,11 @@ def solve_box(
     eta, error, absorbed, trapped, left = columns.reshape(-1, *scat.shape)
     detected = eta * head_on(bench)
     fates = {
-        "detected": detected, "absorbed_crystal": absorbed, "trapped": trapped,
+        "detected": detected,
+        "absorbed_crystal": absorbed,
+        "trapped": trapped,
         "elsewhere": left - detected,
-    }  # fmt: skip
+    }
     return BoxEfficiency(scat, absorb, eta, error, fates)
 
 
@@ -526,7 +529,7 @@ def _points(modes: _Modes, scat_per_cm: Floats, abs_per_cm: Floats, rough: bool)
 
 def _solved(
     modes: _Modes, systems: _Systems, nodes: Floats, alpha: Floats, albedo: Floats
-) -> Floats:  # fmt: skip
+) -> Floats:
     """`_COLUMNS` of pairs, by interpolation between systems at nodes of log(alpha)."""
     values, size = _weights(nodes, np.log(alpha)), modes.size
     kernel = (values @ systems.kernel.reshape(2, len(nodes), -1)).reshape(2, -1, size, size)
@@ -587,14 +590,14 @@ def refuse_other_boxes(bench: Bench) -> None:
             f"window_width_mm = {bench.window_width_mm:g}: light leaves through the plate's edges, "
             "which the solver without photons does not know",
             "take a wider or thinner plate, or simulate photons",
-        )  # fmt: skip
+        )
     radius, least = bench.aperture_radius_mm, bench.crystal_width_mm / math.sqrt(2.0)
     if n_gap > n_window and radius < least:
         raise InputError(
             f"aperture_radius_mm = {radius:g}: the mask lies under the crystal and n_gap is above "
             "n_window, which the solver without photons does not know",
             f"take {least:.4g} or more, or simulate photons",
-        )  # fmt: skip
+        )
     for name, value, least, why in (
         ("n_crystal", n, math.sqrt(n_gap**2 + 1.0), "light may leave through bottom and sides"),
         ("n_window", n_window, math.sqrt(2.0), "light from air may leave the plate's edges"),
@@ -602,5 +605,6 @@ def refuse_other_boxes(bench: Bench) -> None:
         if value < least:
             raise InputError(
                 f"{name} = {value:g}: below {least:.4g} {why}, which the solver without photons "
-                "does not know", "take a larger one, or simulate photons",
-            )  # fmt: skip
+                "does not know",
+                "take a larger one, or simulate photons",
+            )

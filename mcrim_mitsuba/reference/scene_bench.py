@@ -89,8 +89,11 @@ def _refuse_other_benches(simulation: Simulation, effects: list[str]) -> None:
     if where is not None:
         raise InputError(
             f"the independent programs know the bench of {name} only, and this scene differs from "
-            f"it at {where}", "take a bench of that form", path=path, line=line,
-        )  # fmt: skip
+            f"it at {where}",
+            "take a bench of that form",
+            path=path,
+            line=line,
+        )
 
 
 def _emission(simulation: Simulation) -> tuple:
@@ -130,33 +133,55 @@ def _described(model: SceneModel) -> dict[str, list[tuple]]:
     """Faces of every surface: what they are, and their numbers."""
     found: dict[str, list[tuple]] = {}
     faces = [
-        (face.surface, [
-            *face.corner, *face.edge_u, *face.edge_v,
-            0.0 if face.circle is None else face.circle.radius_mm,
-        ])
+        (
+            face.surface,
+            [
+                *face.corner,
+                *face.edge_u,
+                *face.edge_v,
+                0.0 if face.circle is None else face.circle.radius_mm,
+            ],
+        )
         for face in model.flat_faces
-    ]  # fmt: skip
+    ]
     faces += [
-        (wall.surface, [
-            *np.concatenate(wall.bounds()), wall.circle.radius_mm, wall.circle.axis, wall.outwards,
-        ])
+        (
+            wall.surface,
+            [
+                *np.concatenate(wall.bounds()),
+                wall.circle.radius_mm,
+                wall.circle.axis,
+                wall.outwards,
+            ],
+        )
         for wall in model.walls
-    ]  # fmt: skip
+    ]
     for number, place in faces:
         surface = model.surfaces[number]
         sides = [model.volumes[i] for i in (surface.interior, surface.exterior)]
         words = (surface.kind, surface.two_sided, *(v.phase for v in sides))
         numbers = [
-            *place, surface.eta, surface.reflectance,
-            min(surface.aperture_radius_mm, 1e6), *surface.axis_mm,
-            surface.roughness, surface.surface_loss, surface.haze,
+            *place,
+            surface.eta,
+            surface.reflectance,
+            min(surface.aperture_radius_mm, 1e6),
+            *surface.axis_mm,
+            surface.roughness,
+            surface.surface_loss,
+            surface.haze,
             surface.acceptance_deg,
-            surface.specular, surface.angular_falloff, surface.radial_falloff_per_mm2,
-            surface.mask_reflectance, *_film_numbers(surface.film),
-            *(v.alpha_scat_per_mm for v in sides), *(v.alpha_abs_per_mm for v in sides),
-            *(v.scattering_g for v in sides), *(v.scattering_gradient for v in sides),
-            *(v.scattering_exponent for v in sides), *(v.relative_bandwidth for v in sides),
-        ]  # fmt: skip
+            surface.specular,
+            surface.angular_falloff,
+            surface.radial_falloff_per_mm2,
+            surface.mask_reflectance,
+            *_film_numbers(surface.film),
+            *(v.alpha_scat_per_mm for v in sides),
+            *(v.alpha_abs_per_mm for v in sides),
+            *(v.scattering_g for v in sides),
+            *(v.scattering_gradient for v in sides),
+            *(v.scattering_exponent for v in sides),
+            *(v.relative_bandwidth for v in sides),
+        ]
         # there is one, whatever it is called
         name = "detector" if surface.kind == DETECTOR else surface.name
         found.setdefault(name, []).append((words, numbers))

@@ -159,8 +159,9 @@ class ClusterExecutor(HandingExecutor):
             raise InputError(
                 f"one unit brought down {deaths} workers one after the other",
                 f"look at the log of the last one ({error.last_worker.address}): often it has too "
-                "little memory", path=self._address,
-            ) from None  # fmt: skip
+                "little memory",
+                path=self._address,
+            ) from None
         except ModuleNotFoundError as error:
             problem = f"a worker has no module {error.name}"
             mend = "install the same mcrim-mitsuba, with the same Python, for all workers"

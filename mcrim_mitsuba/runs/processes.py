@@ -58,9 +58,13 @@ class ProcessExecutor(HandingExecutor):
         self._pool: Any = None
 
     def do(
-        self, tasks: Sequence[Task], *, threads: int | None = None,
-        progress: Progress | None = None, **how: Any,
-    ) -> Iterator[Done]:  # fmt: skip
+        self,
+        tasks: Sequence[Task],
+        *,
+        threads: int | None = None,
+        progress: Progress | None = None,
+        **how: Any,
+    ) -> Iterator[Done]:
         """See `Executor.do`; a little work is done here."""
         if len(tasks) < FEWEST_UNITS or sum(task.unit.expected_s for task in tasks) < LEAST_S:
             return Executor.do(self, tasks, threads=threads, progress=progress, **how)

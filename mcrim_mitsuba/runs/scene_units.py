@@ -71,8 +71,9 @@ def _unpacked(sent: PortableScene) -> SceneFile:
         raise InputError(
             "a worker of the cluster does not see the same files as are named there",
             "name meshes and spectra relative to the scene, below its folder, or share the folder "
-            "with all workers", path=sent.path,
-        )  # fmt: skip
+            "with all workers",
+            path=sent.path,
+        )
     return scene
 
 

@@ -94,13 +94,30 @@ class CheckReport:
 
 #: Names that Mitsuba accepts in place of a number (its include/mitsuba/render/ior.h).
 NAMED_INDICES = {
-    "vacuum": 1.0, "helium": 1.000036, "hydrogen": 1.000132, "air": 1.000277,
-    "carbon dioxide": 1.00045, "water": 1.3330, "acetone": 1.36, "ethanol": 1.361,
-    "carbon tetrachloride": 1.461, "glycerol": 1.4729, "benzene": 1.501, "silicone oil": 1.52045,
-    "bromine": 1.661, "water ice": 1.31, "fused quartz": 1.458, "pyrex": 1.470,
-    "acrylic glass": 1.49, "polypropylene": 1.49, "bk7": 1.5046, "sodium chloride": 1.544,
-    "amber": 1.55, "pet": 1.5750, "diamond": 2.419,
-}  # fmt: skip
+    "vacuum": 1.0,
+    "helium": 1.000036,
+    "hydrogen": 1.000132,
+    "air": 1.000277,
+    "carbon dioxide": 1.00045,
+    "water": 1.3330,
+    "acetone": 1.36,
+    "ethanol": 1.361,
+    "carbon tetrachloride": 1.461,
+    "glycerol": 1.4729,
+    "benzene": 1.501,
+    "silicone oil": 1.52045,
+    "bromine": 1.661,
+    "water ice": 1.31,
+    "fused quartz": 1.458,
+    "pyrex": 1.470,
+    "acrylic glass": 1.49,
+    "polypropylene": 1.49,
+    "bk7": 1.5046,
+    "sodium chloride": 1.544,
+    "amber": 1.55,
+    "pet": 1.5750,
+    "diamond": 2.419,
+}
 _WITH_INDICES = {"dielectric", "polish", "roughdielectric", "thindielectric"}
 
 
@@ -263,8 +280,10 @@ def _problems_of_dielectric(
             raise InputError(
                 f"{who} has {side} = '{text}': only parameters can name a material",
                 f'write value="$n_crystal" here and \'<default name="n_crystal" value="{text}"/>\''
-                " at the top", path=path, line=line,
-            )  # fmt: skip
+                " at the top",
+                path=path,
+                line=line,
+            )
         value = parse_number(side, text, path=path, line=line)
         if not 1.0 <= value <= LARGEST_INDEX:
             text = f"{who} has {side} = {value:g}, which is no refractive index"

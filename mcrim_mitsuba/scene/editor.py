@@ -290,8 +290,10 @@ class SceneEditor:
                 if shape not in self.crystal_faces:
                     raise self.refusal(
                         f"{bsdf.label} is worn by {shape.label} too, which is no face of the "
-                        "crystal", "give the crystal's faces a bsdf of their own", bsdf,
-                    )  # fmt: skip
+                        "crystal",
+                        "give the crystal's faces a bsdf of their own",
+                        bsdf,
+                    )
         return list(found)
 
     def resolved(self, overrides: Mapping[str, Value] | None = None) -> dict[Node, etree._Element]:
@@ -511,8 +513,10 @@ class SceneEditor:
         if any(piece.path.parent.resolve() != home for piece in self._pieces):
             raise InputError(
                 f"what the effect changes is in this file, which {self.scene.path.name} includes",
-                "add the effect to this file, or move it beside the scene", path=path, line=line,
-            )  # fmt: skip
+                "add the effect to this file, or move it beside the scene",
+                path=path,
+                line=line,
+            )
 
     def _insertions(self) -> Iterator[tuple[int, int, str]]:
         """Splices of what goes into elements."""
@@ -523,8 +527,9 @@ class SceneEditor:
                 continue
             at_end = self._end_with_comment(node.elements[-1])
             for parts, beside, place in (
-                (first, node.elements[0], node.inside), (last, node.elements[-1], at_end),
-            ):  # fmt: skip
+                (first, node.elements[0], node.inside),
+                (last, node.elements[-1], at_end),
+            ):
                 if parts:
                     inner = self._indentation(beside)
                     lines = "" if inner is None else "\n" + self._block("\n".join(parts), inner)
@@ -638,9 +643,11 @@ def _parse(text: str, path: Path) -> Node:
         # libxml2, which read the scene, takes more letters for those of names
         raise InputError(
             f"this scene cannot be edited: {expat.ErrorString(error.code)}",
-            "write names of elements and attributes in letters, digits and _", path=path,
-            line=error.lineno, column=error.offset + 1,
-        ) from None  # fmt: skip
+            "write names of elements and attributes in letters, digits and _",
+            path=path,
+            line=error.lineno,
+            column=error.offset + 1,
+        ) from None
     root = top.elements[0]
     root.parent = None
     return root

@@ -271,9 +271,7 @@ def read_scene(
     return _assemble(path, overrides or {}, {}, {})
 
 
-def parse_define(
-    text: str, option: str = "-D", example: str = "n_gap=1.46"
-) -> tuple[str, str]:  # fmt: skip
+def parse_define(text: str, option: str = "-D", example: str = "n_gap=1.46") -> tuple[str, str]:
     """Split ``name=value``, what follows ``-D`` (or another `option`) on the command line.
 
     Raises
@@ -289,9 +287,12 @@ def parse_define(
 
 
 def _assemble(
-    path: Path, overrides: Mapping[str, Value], sources: dict[Path, bytes], indices: _Indices,
+    path: Path,
+    overrides: Mapping[str, Value],
+    sources: dict[Path, bytes],
+    indices: _Indices,
     unwritten: bytes | None = None,
-) -> SceneFile:  # fmt: skip
+) -> SceneFile:
     """One pass through the scene; what is not in `sources` or `indices` yet is read and added."""
     texts = {name: value_text(value) for name, value in overrides.items()}
     assembly = _Assembly(path, texts, sources, indices)
@@ -300,9 +301,18 @@ def _assemble(
     unused = tuple(name for name in assembly.defaults if name not in assembly.used)
     etree.strip_elements(root, etree.Comment, etree.ProcessingInstruction, with_tail=False)
     return SceneFile(
-        path, assembly.defaults, assembly.parameters, assembly.changed, assembly.materials, unused,
-        root, _files=assembly.files, _sources=sources, _indices=indices, _unwritten=unwritten,
-    )  # fmt: skip
+        path,
+        assembly.defaults,
+        assembly.parameters,
+        assembly.changed,
+        assembly.materials,
+        unused,
+        root,
+        _files=assembly.files,
+        _sources=sources,
+        _indices=indices,
+        _unwritten=unwritten,
+    )
 
 
 @dataclass
@@ -335,9 +345,12 @@ class _Assembly:
         return root
 
     def process(
-        self, parent: etree._Element, path: Path, chain: tuple[Path, ...],
+        self,
+        parent: etree._Element,
+        path: Path,
+        chain: tuple[Path, ...],
         declared: dict[str, int | None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Declare, include and substitute below `parent`; `declared`: lines in this file."""
         defaults = []
         for child in list(parent.iterchildren(etree.Element)):
@@ -442,8 +455,10 @@ class _Assembly:
             if self.characters > _MOST_CHARACTERS or self.references > _MOST_REFERENCES:
                 raise InputError(
                     f"parameters stand at more than {_MOST_REFERENCES:,} places, or make more than "
-                    f"{_MOST_CHARACTERS:,} characters of this scene", _MEANT, **place,
-                )  # fmt: skip
+                    f"{_MOST_CHARACTERS:,} characters of this scene",
+                    _MEANT,
+                    **place,
+                )
             return new
 
         return _REFERENCE.sub(replacement, text)
@@ -504,8 +519,10 @@ class _Assembly:
         if self.included > _MOST_FILES or len(chain) > _MOST_NESTED:
             raise InputError(
                 f"more than {_MOST_FILES} files are included, or more than {_MOST_NESTED} one in "
-                "another", "put the parts into fewer files", **place,
-            )  # fmt: skip
+                "another",
+                "put the parts into fewer files",
+                **place,
+            )
         content = self.load(target, chain)
         for child in list(content)[::-1]:
             element.addnext(child)

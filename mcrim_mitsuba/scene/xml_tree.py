@@ -54,9 +54,10 @@ def _parsed(data: bytes, path: Path) -> etree._Element:
         start = data.find(b"<!DOCTYPE")
         raise InputError(
             "a DTD (<!DOCTYPE ...>) or entities are not accepted",
-            "remove the declaration and write the text itself", path=path,
+            "remove the declaration and write the text itself",
+            path=path,
             line=None if start < 0 else data.count(b"\n", 0, start) + 1,
-        )  # fmt: skip
+        )
     _mark_start_lines(root, data)
     _refuse_monsters(root, path)
     if root.tag != "scene":

@@ -170,9 +170,12 @@ class CrystalVolume:
     aim: np.ndarray | None = None
 
     def __init__(
-        self, model: SceneModel, volume: int, source_depth_mm: float = np.inf,
+        self,
+        model: SceneModel,
+        volume: int,
+        source_depth_mm: float = np.inf,
         side_depth_mm: float = np.inf,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.model = model
         self.volume = self.birth_volume = volume
         self.source_depth_mm, self.side_depth_mm = source_depth_mm, side_depth_mm
@@ -292,12 +295,16 @@ class CrystalVolume:
             return point, searching, rng, rounds
 
         point, _, rng, rounds = dr.while_loop(
-            state=(dr.zeros(mi.Point3f, count), dr.full(mi.Bool, True, count), rng,
-                   dr.zeros(mi.UInt32, count)),
+            state=(
+                dr.zeros(mi.Point3f, count),
+                dr.full(mi.Bool, True, count),
+                rng,
+                dr.zeros(mi.UInt32, count),
+            ),
             cond=lambda point, searching, rng, rounds: searching,
             body=body,
             labels=("point", "searching", "rng", "rounds"),
-        )  # fmt: skip
+        )
         return point, rounds
 
     def part_inside(self, edges_mm: Sequence[np.ndarray]) -> np.ndarray:

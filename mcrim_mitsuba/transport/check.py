@@ -322,9 +322,8 @@ _IMPERFECTIONS = (
     ("specular", 100, "{:g} % is reflected as by a mirror"),
     ("angular_falloff", 100, "detection falls by {:g} % towards grazing incidence"),
     ("angular_falloff", -100, "detection rises by {:g} % towards grazing incidence"),
-    ("radial_falloff_per_mm2", 100,
-     "detection falls by {:.3g} % of (r / mm)^2 away from the axis"),
-)  # fmt: skip
+    ("radial_falloff_per_mm2", 100, "detection falls by {:.3g} % of (r / mm)^2 away from the axis"),
+)
 
 
 def volume_indices(interfaces: Iterable[Interface]) -> dict[str, float]:

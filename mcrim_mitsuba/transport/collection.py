@@ -220,9 +220,13 @@ class Recorder:
         # Scattered light gets out in the end; what is cut off would be missing at every alpha.
         max_depth = self._simulation.integrator.depth_limit(scatters=True)
         further = self._launcher.launch(
-            photons, seed=seed, number=number, max_depth=max_depth, proposals=proposals,
+            photons,
+            seed=seed,
+            number=number,
+            max_depth=max_depth,
+            proposals=proposals,
             columns=columns,
-        ).records  # fmt: skip
+        ).records
         tally = self._launcher.tally
         truncated = tally.fraction("truncated")
         if truncated > max(MOST_TRUNCATED, FEW_TRUNCATED / tally.photons):

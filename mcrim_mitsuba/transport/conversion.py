@@ -80,9 +80,15 @@ def read_scene_model(scene) -> SceneModel:
         raise InputError(problem, "let all have the same cathode_nm and angular_falloff")
     size = float(max(np.abs(np.array(box.min)).max(), np.abs(np.array(box.max)).max()))
     return SceneModel(
-        scene, shapes, tuple(volumes), tuple(surfaces), tuple(faces), tuple(curved), size,
+        scene,
+        shapes,
+        tuple(volumes),
+        tuple(surfaces),
+        tuple(faces),
+        tuple(curved),
+        size,
         tuple(walls),
-    )  # fmt: skip
+    )
 
 
 def _media(shape) -> tuple:

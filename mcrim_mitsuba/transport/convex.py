@@ -278,8 +278,10 @@ class Ray:
             reciprocal = dr.rcp(_component(self.direction, axis, weights))
             # from the reciprocal, so that a speed of zero of either sign is right as well
             self._known[axis] = (
-                reciprocal, _component(self.origin, axis, weights), reciprocal > 0.0
-            )  # fmt: skip
+                reciprocal,
+                _component(self.origin, axis, weights),
+                reciprocal > 0.0,
+            )
         return self._known[axis]
 
 

@@ -152,9 +152,14 @@ class GeneralPath:
         faced = dr.select(leaving, row.interior, row.exterior)
         passes = traced & ~one_volume & (met.volume != faced)
         through = replace(
-            outcome, direction=direction, field=field, fate=mi.UInt32(surface_physics.ALIVE),
-            weight=mi.Float(1.0), crossed=mi.Mask(True), volume=met.volume,
-        )  # fmt: skip
+            outcome,
+            direction=direction,
+            field=field,
+            fate=mi.UInt32(surface_physics.ALIVE),
+            weight=mi.Float(1.0),
+            crossed=mi.Mask(True),
+            volume=met.volume,
+        )
         if outcome.from_reflector is not None:
             through.from_reflector = through.from_detector = mi.Mask(False)
         if outcome.from_mask is not None:

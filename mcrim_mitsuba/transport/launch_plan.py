@@ -238,12 +238,11 @@ class PhotonRecords:
             if np.issubdtype(kind, np.integer) and not np.array_equal(converted, array):
                 raise ValueError(f"{name} does not fit into {np.dtype(kind)}")
             object.__setattr__(self, name, converted)
-        columns: list[NDArray] = [
-            self.k, self.path_cm, self.w, self.batch, *self.further.values()
-        ]  # fmt: skip
+        columns: list[NDArray] = [self.k, self.path_cm, self.w, self.batch, *self.further.values()]
         if len({len(column) for column in columns}) != 1:
-            raise ValueError(f"k, path_cm, w, batch{''.join(f', {n}' for n in self.further)} "
-                             "differ in length")  # fmt: skip
+            raise ValueError(
+                f"k, path_cm, w, batch{''.join(f', {n}' for n in self.further)} differ in length"
+            )
         if len(self.alpha_scat_proposals_per_cm) != len(self.photons_per_proposal):
             raise ValueError("photons_per_proposal does not have one number per proposal")
         if self.batches < 2:

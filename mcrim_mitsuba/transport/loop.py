@@ -51,46 +51,44 @@ SURFACE_FATES = {
 }
 
 
-# fmt: off
 @dataclass
 class Photon:
     """The loop's state: what every lane knows of its photon."""
 
-    o: mi.Point3f         #: position, mm
-    d: mi.Vector3f        #: unit direction of flight
-    field: Any            #: polarisation (`dielectric.Field`), where it is followed
-    volume: mi.UInt32     #: volume it is in
-    face: mi.UInt32       #: flat face it is on, or `NO_FACE`
-    w: mi.Float           #: weight, 1 at birth
-    steps: mi.UInt32      #: free flights so far
-    history: Any          #: what records keep of the flights (`RecordStore.nothing`)
-    left: mi.UInt32       #: photons the lane has yet to follow, this one included
-    serial: mi.UInt32     #: number of this one in the lane
-    rng: mi.PCG32         #: starts from a state of its own for every photon
-    fates: dict           #: weight that met each frequent fate, all photons of the lane so far
-    absorbed: dict        #: weight absorbed in each volume that absorbs, likewise
+    o: mi.Point3f  #: position, mm
+    d: mi.Vector3f  #: unit direction of flight
+    field: Any  #: polarisation (`dielectric.Field`), where it is followed
+    volume: mi.UInt32  #: volume it is in
+    face: mi.UInt32  #: flat face it is on, or `NO_FACE`
+    w: mi.Float  #: weight, 1 at birth
+    steps: mi.UInt32  #: free flights so far
+    history: Any  #: what records keep of the flights (`RecordStore.nothing`)
+    left: mi.UInt32  #: photons the lane has yet to follow, this one included
+    serial: mi.UInt32  #: number of this one in the lane
+    rng: mi.PCG32  #: starts from a state of its own for every photon
+    fates: dict  #: weight that met each frequent fate, all photons of the lane so far
+    absorbed: dict  #: weight absorbed in each volume that absorbs, likewise
 
 
 @dataclass
 class Step:
     """One free flight of the photons of all lanes, for those who write it down."""
 
-    p: Photon             #: at its beginning
-    survive: mi.Float     #: part of the light that a flight must leave for a photon to live
-    inside: list          #: per volume, whether the flight is in it
-    a_a: mi.Float         #: absorption there, 1/mm
-    distance: mi.Float    #: of the flight, mm
-    weighted: mi.Float    #: the same, weighted with the relative strength of scattering
+    p: Photon  #: at its beginning
+    survive: mi.Float  #: part of the light that a flight must leave for a photon to live
+    inside: list  #: per volume, whether the flight is in it
+    a_a: mi.Float  #: absorption there, 1/mm
+    distance: mi.Float  #: of the flight, mm
+    weighted: mi.Float  #: the same, weighted with the relative strength of scattering
     position: mi.Point3f  #: where the flight ends, mm
-    scatters: mi.Bool     #: whether it ends in a scattering, if the photon lives
-    scattered: Any        #: direction after a scattering or at birth
-    dies: mi.Bool         #: whether absorption took the photon whole
-    at_surface: mi.Bool   #: whether the flight ended at a surface
-    outcome: Any          #: what happened there (`surface_physics.Outcome`)
-    w: mi.Float           #: weight that is left
-    fate: mi.UInt32       #: of `surface_physics`; ALIVE where the photon goes on
-    ended: mi.Bool        #: whether the photon met its fate
-# fmt: on
+    scatters: mi.Bool  #: whether it ends in a scattering, if the photon lives
+    scattered: Any  #: direction after a scattering or at birth
+    dies: mi.Bool  #: whether absorption took the photon whole
+    at_surface: mi.Bool  #: whether the flight ended at a surface
+    outcome: Any  #: what happened there (`surface_physics.Outcome`)
+    w: mi.Float  #: weight that is left
+    fate: mi.UInt32  #: of `surface_physics`; ALIVE where the photon goes on
+    ended: mi.Bool  #: whether the photon met its fate
 
 
 @dataclass(frozen=True)
@@ -157,11 +155,19 @@ class Loop:
     """
 
     def __init__(
-        self, path, emitter: CrystalVolume, plan: LanePlan, *, seed: int, number: int,
-        max_depth: int, proposals: ScatteringProposals | None = None,
+        self,
+        path,
+        emitter: CrystalVolume,
+        plan: LanePlan,
+        *,
+        seed: int,
+        number: int,
+        max_depth: int,
+        proposals: ScatteringProposals | None = None,
         columns: Sequence[str] | None = None,
-        tangent: Mapping[int, Sequence[float]] | None = None, trails: TrailStore | None = None,
-    ) -> None:  # fmt: skip
+        tangent: Mapping[int, Sequence[float]] | None = None,
+        trails: TrailStore | None = None,
+    ) -> None:
         lanes, photons = plan.lanes, int(plan.photons.sum())
         self.path, self.emitter, self.plan = path, emitter, plan
         self.store = None if columns is None else RecordStore(emitter, photons, columns)
@@ -343,10 +349,25 @@ class Loop:
             turn = dr.select(ended, self._lattice.coordinate(point, 5), turn)
             unpolarised = unpolarised_field(scattered, dr.two_pi * turn)
             field = dr.select(fresh, unpolarised, outcome.field)
-        history = self._write(Step(
-            p, survive, inside, a_a, distance, weighted, position, scatters, scattered, dies,
-            at_surface, outcome, w, fate, ended,
-        ))  # fmt: skip
+        history = self._write(
+            Step(
+                p,
+                survive,
+                inside,
+                a_a,
+                distance,
+                weighted,
+                position,
+                scatters,
+                scattered,
+                dies,
+                at_surface,
+                outcome,
+                w,
+                fate,
+                ended,
+            )
+        )
         place = dr.select(at_surface, outcome.position, position)
         volume = dr.select(at_surface, outcome.volume, p.volume)
         return Photon(

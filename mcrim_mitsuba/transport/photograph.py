@@ -291,8 +291,9 @@ def _studio(bodies: Sequence[Body], camera: Camera, floor_z_mm: float):
     to_world = mi.ScalarTransform4f().translate([0, 0, floor_z_mm]).scale(1e3 * reach)
     white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": FLOOR}}
     described = {
-        "type": "scene", "floor": {"type": "rectangle", "to_world": to_world, "bsdf": white}
-    }  # fmt: skip
+        "type": "scene",
+        "floor": {"type": "rectangle", "to_world": to_world, "bsdf": white},
+    }
     finishes: dict[Finish, object] = {}
     for number, body in enumerate(bodies):
         if body.finish.kind == GLASS and abs(body.finish.index_ratio - 1.0) < _ALIKE:

@@ -105,8 +105,14 @@ class Camera:
         return np.stack([x, self.height / 2 - scale * (relative @ up)], axis=-1)
 
 
-def framed(points: ArrayLike, direction: ArrayLike, field_deg: float, width: int, height: int,
-           margins: tuple[float, float, float, float]) -> Camera:  # fmt: skip
+def framed(
+    points: ArrayLike,
+    direction: ArrayLike,
+    field_deg: float,
+    width: int,
+    height: int,
+    margins: tuple[float, float, float, float],
+) -> Camera:
     """A camera that sees all points (shape (n, 3), mm) within margins of the picture.
 
     `direction` leads from the points to the camera, shape (3,); `margins` are left, right, top and

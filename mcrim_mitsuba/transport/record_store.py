@@ -73,7 +73,7 @@ _OF_ALL = {
     "path_cm": Recorded(
         np.float32, lambda step, mine: dr.select(mine, step.distance, 0.0), kept=_cm
     ),
-}  # fmt: skip
+}
 #: Path in the crystal weighted with the strength of scattering, for the weights of graded crystals.
 SCATTERING_PATH = "scattering_path_cm"
 #: Largest distance from the axis of a mask at which its face was met; 0 if none.
@@ -121,7 +121,7 @@ COLUMNS = {
     "arrival_angle_deg": Recorded(
         np.float32, arrival=lambda step, birth: dr.rad2deg(dr.safe_acos(step.outcome.cosine))
     ),
-}  # fmt: skip
+}
 
 
 def _path_in(volume: int) -> Recorded:

@@ -286,9 +286,11 @@ class SceneModel:
         other = {OUTSIDE: self.endless, self.endless: OUTSIDE}
         inner, outer = (other.get(side, side) for side in surface.sides)
         ratio = self._endless_index ** (
-            (surface.interior == OUTSIDE) + (surface.exterior == self.endless)
-            - (surface.interior == self.endless) - (surface.exterior == OUTSIDE)
-        )  # fmt: skip
+            (surface.interior == OUTSIDE)
+            + (surface.exterior == self.endless)
+            - (surface.interior == self.endless)
+            - (surface.exterior == OUTSIDE)
+        )
         eta = surface.eta * ratio if surface.kind == DIELECTRIC else surface.eta
         return replace(surface, interior=inner, exterior=outer, eta=eta)
 

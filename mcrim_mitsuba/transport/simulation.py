@@ -179,13 +179,23 @@ class Simulation:
         max_depth = max_depth or self.depth_limit
         start, launcher = time.perf_counter(), self.launcher(general)
         interrupted = collect(
-            launcher, photons, seed=seed, max_depth=max_depth, precision=precision,
+            launcher,
+            photons,
+            seed=seed,
+            max_depth=max_depth,
+            precision=precision,
             progress=progress,
-        )  # fmt: skip
+        )
         return self.result(
-            launcher.tally, photons, seed, precision, seconds=time.perf_counter() - start,
-            path_name=launcher.path.name, interrupted=interrupted, max_depth=max_depth,
-        )  # fmt: skip
+            launcher.tally,
+            photons,
+            seed,
+            precision,
+            seconds=time.perf_counter() - start,
+            path_name=launcher.path.name,
+            interrupted=interrupted,
+            max_depth=max_depth,
+        )
 
     def result(
         self,
@@ -214,19 +224,27 @@ class Simulation:
             f"{tally.photons:,} photons": missed,
         }
         return SimulationResult(
-            seed=seed, photons=tally.photons, cached_photons=cached_photons,
-            scene_hash=self.file.content_hash, versions=versions(self.variant), seconds=seconds,
+            seed=seed,
+            photons=tally.photons,
+            cached_photons=cached_photons,
+            scene_hash=self.file.content_hash,
+            versions=versions(self.variant),
+            seconds=seconds,
             notes=(
                 *calibration_notes(tally.head_on),
                 *(note for note, holds in said.items() if holds),
                 *notes,
             ),
-            requested=requested, interrupted=interrupted,
-            eta=tally.eta, eta_sigma=tally.eta_sigma,
-            budget=tally.budget, budget_sigma=tally.budget_sigma,
-            parameters=dict(self.file.parameters), polarization=self.polarization,
+            requested=requested,
+            interrupted=interrupted,
+            eta=tally.eta,
+            eta_sigma=tally.eta_sigma,
+            budget=tally.budget,
+            budget_sigma=tally.budget_sigma,
+            parameters=dict(self.file.parameters),
+            polarization=self.polarization,
             transport=path_name,
-        )  # fmt: skip
+        )
 
 
 def calibration_notes(head_on: float) -> tuple[str, ...]:

@@ -67,14 +67,19 @@ class SurfaceTables:
             for rows in (
                 [(*n, s.eta) for n, s in zip(normals, surfaces, strict=True)],
                 [(s.kind, *s.sides, min(s.aperture_radius_mm, NO_MASK)) for s in surfaces],
-                [(*s.axis_mm, s.reflectance, s.two_sided or s.kind == DETECTOR)
-                 for s in surfaces],
-                [(-s.roughness if s.beckmann else s.roughness, s.surface_loss,
-                  s.angular_falloff, s.radial_falloff_per_mm2)
-                 for s in surfaces],
+                [(*s.axis_mm, s.reflectance, s.two_sided or s.kind == DETECTOR) for s in surfaces],
+                [
+                    (
+                        -s.roughness if s.beckmann else s.roughness,
+                        s.surface_loss,
+                        s.angular_falloff,
+                        s.radial_falloff_per_mm2,
+                    )
+                    for s in surfaces
+                ],
                 [(s.haze, s.least_cosine, s.specular, s.mask_reflectance) for s in surfaces],
             )
-        )  # fmt: skip
+        )
 
     def at(self, row, active) -> SurfaceRow:
         """Properties at the gathered rows."""
@@ -297,10 +302,21 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
         inwards = polished & reflected & leaving & (fate == ALIVE)
         weight = dr.select(inwards, 1.0 - row.surface_loss, weight)
     return Outcome(
-        new_direction, new_field, fate, weight, crossed, polished, cos_i,
-        volume_after(row, crossed, leaving), position, from_reflector, from_detector, from_mask,
-        mask_radius2, from_axis,
-    )  # fmt: skip
+        new_direction,
+        new_field,
+        fate,
+        weight,
+        crossed,
+        polished,
+        cos_i,
+        volume_after(row, crossed, leaving),
+        position,
+        from_reflector,
+        from_detector,
+        from_mask,
+        mask_radius2,
+        from_axis,
+    )
 
 
 def volume_after(row, crossed, leaving):

@@ -411,8 +411,9 @@ class _Judge:
                 continue
             met = crossings.distance[line][own[line]]
             for distance, axis in (
-                (first.max(), int(first.argmax())), (last.min(), int(last.argmin()))
-            ):  # fmt: skip
+                (first.max(), int(first.argmax())),
+                (last.min(), int(last.argmin())),
+            ):
                 if not (np.abs(met - distance) < 1e-3 * size).any():
                     high = abs((o + distance * d)[axis] - upper[axis]) < 1e-6 * size
                     sides[axis, bool(high)] += 1

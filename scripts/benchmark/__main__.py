@@ -72,17 +72,27 @@ _SHOWN = {
     "photons/s by the clock": ("photons_per_s", ",.0f"),
     "photons/s if idle": ("photons_per_idle_s", ",.0f"),
     "ours is faster by": ("ours_faster_by", ".3g"),
-    "eta": ("eta", ".5f"), "error": ("eta_sigma", ".5f"), "z": ("z_from_ours", ".1f"),
-    "variance/photon": ("variance_per_photon", ".3g"), f"s to {100 * GOAL:g} %": ("goal_s", ".3g"),
-    "ours is sooner by": ("ours_sooner_by", ".3g"), "start-up, s": ("start_up_s", ".2f"),
-}  # fmt: skip
+    "eta": ("eta", ".5f"),
+    "error": ("eta_sigma", ".5f"),
+    "z": ("z_from_ours", ".1f"),
+    "variance/photon": ("variance_per_photon", ".3g"),
+    f"s to {100 * GOAL:g} %": ("goal_s", ".3g"),
+    "ours is sooner by": ("ours_sooner_by", ".3g"),
+    "start-up, s": ("start_up_s", ".2f"),
+}
 
 
 def _show_engines(screen: terminal.Screen, rows: list[dict], no_scalar: str | None) -> None:
-    cells = [[f"{row['coupling']}: {row['engine']}",
-              *("" if row[name] is None else format(row[name], form)
-                for name, form in _SHOWN.values())]
-             for row in rows]  # fmt: skip
+    cells = [
+        [
+            f"{row['coupling']}: {row['engine']}",
+            *(
+                "" if row[name] is None else format(row[name], form)
+                for name, form in _SHOWN.values()
+            ),
+        ]
+        for row in rows
+    ]
     screen.show(table(f"{SCENE.name}: following photons", ["engine", *_SHOWN], cells))
     if not is_installed():
         screen.line("Geant4 is not installed: pip install '.[geant4]' lets it take part")
@@ -106,9 +116,10 @@ def race_the_table(effort: Effort, report: Callable[..., None]) -> dict[str, flo
 
     def make_table(wanted: float):
         return eta_table(
-            SCENE, {"n_gap": n_gaps, ALPHA_ABS: ALPHA_ABS_PER_CM, ALPHA_SCAT: ALPHA_SCAT_PER_CM},
+            SCENE,
+            {"n_gap": n_gaps, ALPHA_ABS: ALPHA_ABS_PER_CM, ALPHA_SCAT: ALPHA_SCAT_PER_CM},
             run=Run(precision=wanted, progress=report),
-        )  # fmt: skip
+        )
 
     make_table(FIRST_PRECISION)
     begin = time.perf_counter()
@@ -134,9 +145,17 @@ def race_the_table(effort: Effort, report: Callable[..., None]) -> dict[str, flo
             scores.append(abs(z))
         separate_s += float(np.interp(np.arange(width), chosen, seconds).sum())
     report("separate points", total, total)
-    return {"points": len(rows), "separate_points": total, "worst_error": worst_error,
-            "start_up_s": start_up_s, "table_s": table_s, "separate_s": separate_s,
-            "largest_z": max(scores), "ratio": separate_s / table_s, "target": TARGET}  # fmt: skip
+    return {
+        "points": len(rows),
+        "separate_points": total,
+        "worst_error": worst_error,
+        "start_up_s": start_up_s,
+        "table_s": table_s,
+        "separate_s": separate_s,
+        "largest_z": max(scores),
+        "ratio": separate_s / table_s,
+        "target": TARGET,
+    }
 
 
 def _separate_point(row: dict[str, float], worst_error: float) -> tuple[float, float]:
@@ -192,8 +211,9 @@ def main(quick: bool, json_file: str | None) -> None:
     terminal.write_json(json_file, found | {"versions": versions("llvm_ad_rgb")})
     _show_engines(screen, rows, no_scalar)
     _show_race(screen, race)
-    astray = [row for row in rows
-              if row["engine"] in SAME_MODEL and abs(row["z_from_ours"]) > LARGEST_Z]  # fmt: skip
+    astray = [
+        row for row in rows if row["engine"] in SAME_MODEL and abs(row["z_from_ours"]) > LARGEST_Z
+    ]
     for row in astray:
         name = f"{row['coupling']}: {row['engine']}"
         screen.say(f"{name}: eta differs from ours by {row['z_from_ours']:.1f} standard errors")

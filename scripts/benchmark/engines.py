@@ -32,9 +32,13 @@ COUPLINGS = {"air": 1.0, "gel": 1.46}
 OURS = "ours"
 #: Engines of the same model of light as ours: their eta must be the same.
 SAME_MODEL = (SCALAR, UNFOLDING, NUMPY, NEW_BENCH, KNOWN_BENCH, IN_TABLE) = (
-    "scalar tracer, C++", "scalar tracer, C++, unfolding", "NumPy tracer",
-    "modes, of a new bench", "modes, of a known bench", "modes, in a table",
-)  # fmt: skip
+    "scalar tracer, C++",
+    "scalar tracer, C++, unfolding",
+    "NumPy tracer",
+    "modes, of a new bench",
+    "modes, of a known bench",
+    "modes, in a table",
+)
 #: Those that follow no photons.
 MODES = (NEW_BENCH, KNOWN_BENCH, IN_TABLE)
 #: The table's coefficients.
@@ -98,10 +102,15 @@ class Engine:
         eta = float(photons @ etas) / total
         eta_sigma = float(np.linalg.norm(photons * sigmas)) / total
         variance = (eta_sigma / eta) ** 2 * total
-        return {"photons_per_s": float(np.median(photons / seconds)),
-                "photons_per_idle_s": idle_rate, "eta": eta, "eta_sigma": eta_sigma,
-                "variance_per_photon": variance, "goal_s": variance / GOAL**2 / idle_rate,
-                "start_up_s": self.start_up_s}  # fmt: skip
+        return {
+            "photons_per_s": float(np.median(photons / seconds)),
+            "photons_per_idle_s": idle_rate,
+            "eta": eta,
+            "eta_sigma": eta_sigma,
+            "variance_per_photon": variance,
+            "goal_s": variance / GOAL**2 / idle_rate,
+            "start_up_s": self.start_up_s,
+        }
 
 
 class NoPhotons(Engine):
@@ -110,10 +119,15 @@ class NoPhotons(Engine):
     def told(self) -> dict[str, float | None]:
         """As of others, with None for what is of photons; its error is no statistical one."""
         points, _, processor_s, etas, errors = np.array(self.samples).T
-        return {"photons_per_s": None, "photons_per_idle_s": None, "eta": float(etas[0]),
-                "eta_sigma": float(errors[0]), "variance_per_photon": None,
-                "goal_s": float(np.median(processor_s / points)) / _CORES,
-                "start_up_s": self.start_up_s}  # fmt: skip
+        return {
+            "photons_per_s": None,
+            "photons_per_idle_s": None,
+            "eta": float(etas[0]),
+            "eta_sigma": float(errors[0]),
+            "variance_per_photon": None,
+            "goal_s": float(np.median(processor_s / points)) / _CORES,
+            "start_up_s": self.start_up_s,
+        }
 
 
 def _modes(coupling: str, name: str) -> Sampler:
@@ -122,8 +136,9 @@ def _modes(coupling: str, name: str) -> Sampler:
     coefficients = {}
     if name == IN_TABLE:
         coefficients = {
-            ALPHA_SCAT: ALPHA_SCAT_PER_CM, ALPHA_ABS: np.array(ALPHA_ABS_PER_CM)[:, None]
-        }  # fmt: skip
+            ALPHA_SCAT: ALPHA_SCAT_PER_CM,
+            ALPHA_ABS: np.array(ALPHA_ABS_PER_CM)[:, None],
+        }
 
     def run(times: int, seed: int) -> Sample:
         begin, processor_begin = time.perf_counter(), time.process_time()

@@ -16,9 +16,18 @@ COMPILERS = ("g++", "c++", "clang++")
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-pthread")
 #: Parameters of a bench that the tracer knows; it does not look at the others.
 KNOWN_PARAMETERS = (
-    "crystal_width_mm", "crystal_height_mm", "n_crystal", "alpha_scat_per_cm", "alpha_abs_per_cm",
-    "gap_mm", "n_gap", "window_width_mm", "window_thickness_mm", "n_window", "aperture_radius_mm",
-)  # fmt: skip
+    "crystal_width_mm",
+    "crystal_height_mm",
+    "n_crystal",
+    "alpha_scat_per_cm",
+    "alpha_abs_per_cm",
+    "gap_mm",
+    "n_gap",
+    "window_width_mm",
+    "window_thickness_mm",
+    "n_window",
+    "aperture_radius_mm",
+)
 
 
 class ScalarTracerError(RuntimeError):
@@ -46,9 +55,14 @@ def build(folder: Path) -> Path:
 
 
 def trace_scalar(
-    program: Path, bench: Bench, photons: int, seed: int, *, unfold: bool = False,
+    program: Path,
+    bench: Bench,
+    photons: int,
+    seed: int,
+    *,
+    unfold: bool = False,
     threads: int | None = None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Trace photons, on all cores unless threads are given; what the program prints.
 
     With `unfold`, light that total reflection traps in the crystal goes to its next scattering in
@@ -57,8 +71,10 @@ def trace_scalar(
     (wall time), ``processor_s`` and ``photons_per_second``.
     """
     given = {name: getattr(bench, name) for name in KNOWN_PARAMETERS} | {
-        "photons": photons, "seed": seed, "threads": threads or os.cpu_count() or 1,
+        "photons": photons,
+        "seed": seed,
+        "threads": threads or os.cpu_count() or 1,
         "unfold": int(unfold),
-    }  # fmt: skip
+    }
     line = [str(program), *(f"{name}={value}" for name, value in given.items())]
     return json.loads(subprocess.run(line, stdout=subprocess.PIPE, check=True).stdout)

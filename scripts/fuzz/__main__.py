@@ -20,9 +20,22 @@ from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 
 #: The readers, see `targets.TARGETS`, which takes its time to load.
-NAMES = ("scene", "measurements", "campaign", "raw_campaign", "campaign_writing", "table",
-          "spectrum", "histogram", "relative", "typed", "chunk", "results", "adding",
-          "commands")  # fmt: skip
+NAMES = (
+    "scene",
+    "measurements",
+    "campaign",
+    "raw_campaign",
+    "campaign_writing",
+    "table",
+    "spectrum",
+    "histogram",
+    "relative",
+    "typed",
+    "chunk",
+    "results",
+    "adding",
+    "commands",
+)
 _PROGRESS = "progress"
 _STATUS = re.compile(r"#(\d+)\s.*\bcov: (\d+)")
 _SAVED = re.compile(r"Test unit written to (\S+)")
@@ -40,14 +53,32 @@ class Tally:
 
 
 @click.command()
-@click.option("--target", type=click.Choice(("all", *NAMES)), default="all", show_default=True,
-              help="Which reader.")  # fmt: skip
-@click.option("--seconds", type=options.Number(1, 1e6), default=600.0, show_default=True,
-              help="For each reader.")  # fmt: skip
-@click.option("-o", "--output", "folder", metavar="FOLDER", default="fuzz", show_default=True,
-              help="Where findings and interesting inputs are kept.")  # fmt: skip
-@click.option("--again", metavar="FILE", help="Give the reader this one input, and show what it "
-              "raises.")  # fmt: skip
+@click.option(
+    "--target",
+    type=click.Choice(("all", *NAMES)),
+    default="all",
+    show_default=True,
+    help="Which reader.",
+)
+@click.option(
+    "--seconds",
+    type=options.Number(1, 1e6),
+    default=600.0,
+    show_default=True,
+    help="For each reader.",
+)
+@click.option(
+    "-o",
+    "--output",
+    "folder",
+    metavar="FOLDER",
+    default="fuzz",
+    show_default=True,
+    help="Where findings and interesting inputs are kept.",
+)
+@click.option(
+    "--again", metavar="FILE", help="Give the reader this one input, and show what it raises."
+)
 def main(target: str, seconds: float, folder: str, again: str | None) -> int:
     """Fuzz the readers of scenes, campaigns, tables, results and command lines."""
     if again is not None:
@@ -60,8 +91,15 @@ def main(target: str, seconds: float, folder: str, again: str | None) -> int:
         broken = broken or bool(tally.findings)
         for found in tally.findings:
             screen.line(f"{name}: {found}")
-        rows.append((name, f"{tally.seconds:.0f}", f"{tally.inputs:,}", f"{tally.coverage:,}",
-                     len(tally.findings)))  # fmt: skip
+        rows.append(
+            (
+                name,
+                f"{tally.seconds:.0f}",
+                f"{tally.inputs:,}",
+                f"{tally.coverage:,}",
+                len(tally.findings),
+            )
+        )
     head = ("reader", "seconds", "inputs", "edges reached", "findings")
     screen.line("\n".join(markdown(head, rows, range(1, 5))))
     return terminal.OUR_FAULT if broken else terminal.DONE
@@ -86,8 +124,10 @@ def _fuzz(name: str, seconds: float, folder: Path, say: Callable[[str], None]) -
             elif found := _SAVED.search(line):
                 tally.findings.append(f"hangs, or takes too much memory: {found[1]}")
             elif line == _PROGRESS:
-                say(f"{name}: {tally.inputs:,} inputs, {tally.coverage:,} edges, "
-                    f"{len(tally.findings)} findings")  # fmt: skip
+                say(
+                    f"{name}: {tally.inputs:,} inputs, {tally.coverage:,} edges, "
+                    f"{len(tally.findings)} findings"
+                )
         if start is None:
             raise InputError(f"the reader {name} cannot be fuzzed", "install the extra fuzz")
         tally.seconds += time.monotonic() - start
@@ -100,9 +140,13 @@ def _said_by_worker(name: str, seconds: int, folder: Path) -> Iterator[str]:
     command = [sys.executable, str(worker), name, str(seconds), str(folder)]
     last = time.monotonic()
     with subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-        text=True, errors="replace",
-    ) as process:  # fmt: skip
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+    ) as process:
         for line in process.stderr:
             yield line.rstrip()
             if time.monotonic() - last > _EVERY_S:

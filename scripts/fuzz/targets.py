@@ -187,9 +187,15 @@ def _relative(data: bytes) -> None:
 def _typed(data: bytes) -> None:
     """Values of options, a line each."""
     parameter = click.Option(["--value"])
-    kinds = (options.PhotonCount(), options.Precision(), options.Number(0, 1e3),
-             options.Whole(0, 9), options.Share(), options.WithError(),
-             options.WithError(fraction=True))  # fmt: skip
+    kinds = (
+        options.PhotonCount(),
+        options.Precision(),
+        options.Number(0, 1e3),
+        options.Whole(0, 9),
+        options.Share(),
+        options.WithError(),
+        options.WithError(fraction=True),
+    )
     readers = [
         lambda text: [np.isfinite(number) for number in parse_list("--n-gap", text, "n_gap")],
         parse_define,
@@ -251,8 +257,19 @@ def _adding(data: bytes) -> None:
 
 
 _MOST_LINES = 20
-_COMMANDS = ("lab peak", "lab efficiency", "lab absorption", "lab yield", "lab relative",
-             "lab index", "lab gammas", "lab histogram", "add", "reduce", "convert")  # fmt: skip
+_COMMANDS = (
+    "lab peak",
+    "lab efficiency",
+    "lab absorption",
+    "lab yield",
+    "lab relative",
+    "lab index",
+    "lab gammas",
+    "lab histogram",
+    "add",
+    "reduce",
+    "convert",
+)
 _PLACES = ("/dev/full", "/dev/null", "/dev/stdout")
 _OURS = ("in.xml", "in.toml", "in.csv", "in.json")
 
@@ -356,52 +373,119 @@ TARGETS = {
     # scene XML, its includes and spectra
     "scene": Target(
         _scene,
-        (*(scene.replace(b"camoo4.xml", b"bench.xml") for scene in _SCENES),
-         _joined(_seed("scene.xml"), _seed("part.xml"), (RAW / "emission.csv").read_bytes())),
-        _XML_WORDS),
+        (
+            *(scene.replace(b"camoo4.xml", b"bench.xml") for scene in _SCENES),
+            _joined(_seed("scene.xml"), _seed("part.xml"), (RAW / "emission.csv").read_bytes()),
+        ),
+        _XML_WORDS,
+    ),
     "measurements": Target(
         _measurements,
-        (*_bytes(*sorted(SCENES.glob("*.csv"))), (RAW / "mountings.csv").read_bytes(), b"#" +
-         b"\nlabel,signal,sigma,use,group,group_sigma,n_gap\na,1,0.1,1,x,0.02,1\n"), _CSV_WORDS),
+        (
+            *_bytes(*sorted(SCENES.glob("*.csv"))),
+            (RAW / "mountings.csv").read_bytes(),
+            b"#" + b"\nlabel,signal,sigma,use,group,group_sigma,n_gap\na,1,0.1,1,x,0.02,1\n",
+        ),
+        _CSV_WORDS,
+    ),
     # a campaign with its readings, one with raw data, and one that goes on from another
     "campaign": Target(
-        _campaign_of, (_joined(_CAMPAIGN, _MEASURED), _joined(_EFFECTS_ON, _FEW_MORE)),
-        (*_TOML_WORDS, *_CSV_WORDS)),
+        _campaign_of,
+        (_joined(_CAMPAIGN, _MEASURED), _joined(_EFFECTS_ON, _FEW_MORE)),
+        (*_TOML_WORDS, *_CSV_WORDS),
+    ),
     "raw_campaign": Target(
         _raw_campaign,
-        (_RAW_TOML, _RAW_TOML.replace(b"[\"transmittance_1.csv\", \"transmittance_2.csv\", "
-                                      b"\"transmittance_3.csv\"]",
-                                      b"0.76\ntransmittance_sigma = 0.005")), _TOML_WORDS),
+        (
+            _RAW_TOML,
+            _RAW_TOML.replace(
+                b'["transmittance_1.csv", "transmittance_2.csv", "transmittance_3.csv"]',
+                b"0.76\ntransmittance_sigma = 0.005",
+            ),
+        ),
+        _TOML_WORDS,
+    ),
     "campaign_writing": Target(
-        _campaign_writing, (_joined(_CAMPAIGN, _FEW_MORE), _joined(_EFFECTS_ON, _FEW_MORE)),
-        _TOML_WORDS),
+        _campaign_writing,
+        (_joined(_CAMPAIGN, _FEW_MORE), _joined(_EFFECTS_ON, _FEW_MORE)),
+        _TOML_WORDS,
+    ),
     "table": Target(_table, (*_SPECTRA, *_HISTOGRAMS), _CSV_WORDS),
     "spectrum": Target(_spectrum, _SPECTRA, _CSV_WORDS),
     # or a list of events
     "histogram": Target(_histogram, _HISTOGRAMS, _CSV_WORDS),
-    "relative": Target(_relative, _bytes(SCENES / "cawo4_reference.toml"),
-                       (*_TOML_WORDS, "sample", "reference", "shared", "signal", "eta")),
-    "typed": Target(_typed, _TYPED,
-                    ("log:", ":", ",", "%", "±", "+-", "BK7@", "nm", "=", "n_", "CaMoO4", "e")),
-    "chunk": Target(_chunk, (b"\x03" + _A_CHUNK, b"\0" + _A_CHUNK),
-                    ("|O", "<f8", "<M8", "|V0", "<U9", "length", "dtype", "arrays", "null", "[")),
+    "relative": Target(
+        _relative,
+        _bytes(SCENES / "cawo4_reference.toml"),
+        (*_TOML_WORDS, "sample", "reference", "shared", "signal", "eta"),
+    ),
+    "typed": Target(
+        _typed, _TYPED, ("log:", ":", ",", "%", "±", "+-", "BK7@", "nm", "=", "n_", "CaMoO4", "e")
+    ),
+    "chunk": Target(
+        _chunk,
+        (b"\x03" + _A_CHUNK, b"\0" + _A_CHUNK),
+        ("|O", "<f8", "<M8", "|V0", "<U9", "length", "dtype", "arrays", "null", "["),
+    ),
     "results": Target(
         _results,
-        (*map(_seed, ("calibrated.json", "diagnosed.json", "simulated.json", "tabled.json")),
-         _joined(b"{}", _seed("table.csv"))),
-        _JSON_WORDS),
+        (
+            *map(_seed, ("calibrated.json", "diagnosed.json", "simulated.json", "tabled.json")),
+            _joined(b"{}", _seed("table.csv")),
+        ),
+        _JSON_WORDS,
+    ),
     "adding": Target(
         _adding,
-        (*(bytes([n]) + (SCENES / "camoo4.xml").read_bytes() for n in range(len(_EFFECTS))),
-         b"\0" + _joined((SCENES / "camoo4_thin.xml").read_bytes().replace(b"camoo4.", b"part."),
-                         (SCENES / "camoo4.xml").read_bytes())), _XML_WORDS),
+        (
+            *(bytes([n]) + (SCENES / "camoo4.xml").read_bytes() for n in range(len(_EFFECTS))),
+            b"\0"
+            + _joined(
+                (SCENES / "camoo4_thin.xml").read_bytes().replace(b"camoo4.", b"part."),
+                (SCENES / "camoo4.xml").read_bytes(),
+            ),
+        ),
+        _XML_WORDS,
+    ),
     "commands": Target(
-        _commands, _COMMAND_LINES,
-        (*(f"--{n}" for n in ("json", "figure", "help", "n", "nm", "sigma", "eta", "signal",
-                              "label", "emission", "thickness-mm", "energy-keV", "shape")),
-         "-o", "-D", "-", "in.xml", "in.toml", "in.csv", "in.json", "bench.xml", "out.json",
-         "out.png", "/dev/full", "/dev/null", *_CSV_WORDS, *_TOML_WORDS)),
-}  # fmt: skip
+        _commands,
+        _COMMAND_LINES,
+        (
+            *(
+                f"--{n}"
+                for n in (
+                    "json",
+                    "figure",
+                    "help",
+                    "n",
+                    "nm",
+                    "sigma",
+                    "eta",
+                    "signal",
+                    "label",
+                    "emission",
+                    "thickness-mm",
+                    "energy-keV",
+                    "shape",
+                )
+            ),
+            "-o",
+            "-D",
+            "-",
+            "in.xml",
+            "in.toml",
+            "in.csv",
+            "in.json",
+            "bench.xml",
+            "out.json",
+            "out.png",
+            "/dev/full",
+            "/dev/null",
+            *_CSV_WORDS,
+            *_TOML_WORDS,
+        ),
+    ),
+}
 
 
 def place_of(error: BaseException) -> str:

@@ -59,11 +59,20 @@ def main(name: str, seconds: int, folder: Path) -> None:
         (corpus / hashlib.sha256(seed).hexdigest()).write_bytes(seed)
     with targets.workplace():
         atheris.Setup(
-            [sys.argv[0], str(corpus), f"-max_total_time={seconds}", f"-timeout={_HANGING_S}",
-             f"-rss_limit_mb={_MOST_MB}", f"-max_len={largest}", "-len_control=0",
-             "-report_slow_units=1000", f"-artifact_prefix={folder}/{name}-"],
-            one_input, custom_mutator=changed,
-        )  # fmt: skip
+            [
+                sys.argv[0],
+                str(corpus),
+                f"-max_total_time={seconds}",
+                f"-timeout={_HANGING_S}",
+                f"-rss_limit_mb={_MOST_MB}",
+                f"-max_len={largest}",
+                "-len_control=0",
+                "-report_slow_units=1000",
+                f"-artifact_prefix={folder}/{name}-",
+            ],
+            one_input,
+            custom_mutator=changed,
+        )
         print(READY, file=sys.stderr, flush=True)
         atheris.Fuzz()
 

@@ -136,8 +136,9 @@ def simulate_truth(
     """
     distinct = list(dict.fromkeys(configurations))
     low, high = TRUE_ALPHA_SCAT_PER_CM
-    points = [(a_s, a_a) for a_s in (low, (low * high) ** 0.5, high)
-              for a_a in TRUE_ALPHA_ABS_PER_CM]  # fmt: skip
+    points = [
+        (a_s, a_a) for a_s in (low, (low * high) ** 0.5, high) for a_a in TRUE_ALPHA_ABS_PER_CM
+    ]
     surfaces = []
     for number, own_seed in enumerate(seeds_of(seed, 0, count=len(distinct))):
         report("truth", number, len(distinct))
@@ -247,8 +248,11 @@ def _truth_sigma(
 def _simulate(realisation: Realisation) -> dict[Configuration, EtaSurface]:
     """Surfaces of the fit by configuration."""
     truth, distinct = realisation.alpha_scat_per_cm, dict.fromkeys(realisation.configurations)
-    points = [(factor * truth, a_a) for factor in (1 / 1.2, 1.0, 1.2)
-              for a_a in (SIMULATED_ALPHA_ABS_PER_CM, *TRUE_ALPHA_ABS_PER_CM)]  # fmt: skip
+    points = [
+        (factor * truth, a_a)
+        for factor in (1 / 1.2, 1.0, 1.2)
+        for a_a in (SIMULATED_ALPHA_ABS_PER_CM, *TRUE_ALPHA_ABS_PER_CM)
+    ]
     return {
         configuration: record_surface(
             _scene_of(configuration),
@@ -268,12 +272,20 @@ def as_campaign(configurations: Sequence[Configuration], drawn: DrawnCampaign) -
     readings more and so lowers the scale, by 2 sigma^2 = 0.02 %, a hundredth of its error.
     """
     readings = tuple(
-        Reading(f"reading {number}", float(signal), READING_SIGMA * float(signal),
-                dict(zip(COLUMNS, configuration, strict=True)), True, None, None, line=number)
+        Reading(
+            f"reading {number}",
+            float(signal),
+            READING_SIGMA * float(signal),
+            dict(zip(COLUMNS, configuration, strict=True)),
+            True,
+            None,
+            None,
+            line=number,
+        )
         for number, (configuration, signal) in enumerate(
             zip(configurations, drawn.signals, strict=True), start=2
         )
-    )  # fmt: skip
+    )
     prior = drawn.prior_per_cm, PRIOR_SIGMA_PER_CM
     parameters = (
         CampaignParameter(ALPHA_SCAT, 0.5, 1e-3, 10.0, None, None, fixed=False),
@@ -284,8 +296,12 @@ def as_campaign(configurations: Sequence[Configuration], drawn: DrawnCampaign) -
         scene=read_scene(SCENE),
         measurements=Measurements(Path("closure.csv"), (), COLUMNS, readings),
         parameters={one.name: one for one in parameters},
-        scale=None, effects=(), effects_folder=None, light_yield=None, next_measurements={},
-    )  # fmt: skip
+        scale=None,
+        effects=(),
+        effects_folder=None,
+        light_yield=None,
+        next_measurements={},
+    )
 
 
 class Outcomes:
@@ -364,9 +380,13 @@ def judge(outcomes: Outcomes) -> list[ParameterRow]:
 
 
 def _jackknife(
-    outcomes: Outcomes, values: Array, statistic: Callable[..., np.float64],
-    least: float, most: float, further_error: float = 0.0,
-) -> Judged:  # fmt: skip
+    outcomes: Outcomes,
+    values: Array,
+    statistic: Callable[..., np.float64],
+    least: float,
+    most: float,
+    further_error: float = 0.0,
+) -> Judged:
     """A statistic of (fits,) values; its error is that of one realisation left out in turn."""
     numbers = np.unique(outcomes.realisation)
     without = [statistic(values[outcomes.realisation != number]) for number in numbers]
@@ -408,14 +428,25 @@ def _show(screen, effort: Effort, outcomes: Outcomes, rows: list[ParameterRow], 
         f"{len(np.unique(outcomes.realisation))} simulations of {effort.photons:,} photons "
         "per configuration"
     )
-    head = ("parameter", "Monte Carlo / error", "coverage, %", "pull's mean", "pull's width",
-            "verdict")  # fmt: skip
+    head = (
+        "parameter",
+        "Monte Carlo / error",
+        "coverage, %",
+        "pull's mean",
+        "pull's width",
+        "verdict",
+    )
     cells = [
-        (row.parameter, f"{row.monte_carlo:.2f}", _shown(row.coverage, 100, 1),
-         _shown(row.pull_mean, 1, 3, sign="+"), _shown(row.pull_width, 1, 3),
-         "within" if row.within else "OUTSIDE (!)")
+        (
+            row.parameter,
+            f"{row.monte_carlo:.2f}",
+            _shown(row.coverage, 100, 1),
+            _shown(row.pull_mean, 1, 3, sign="+"),
+            _shown(row.pull_width, 1, 3),
+            "within" if row.within else "OUTSIDE (!)",
+        )
         for row in rows
-    ]  # fmt: skip
+    ]
     screen.show(table(title, head, cells))
     verdict = "within" if p >= LEAST_KS_P else "OUTSIDE"
     screen.print(
@@ -434,8 +465,13 @@ def _shown(judged: Judged, factor: float, digits: int, sign: str = "") -> str:
 
 
 @click.command()
-@click.option("--campaigns", type=options.Whole(FEWEST_CAMPAIGNS, 1_000_000), default=1000,
-              show_default=True, help="Campaigns to fit with either effort.")  # fmt: skip
+@click.option(
+    "--campaigns",
+    type=options.Whole(FEWEST_CAMPAIGNS, 1_000_000),
+    default=1000,
+    show_default=True,
+    help="Campaigns to fit with either effort.",
+)
 @options.photons(f"{FEW_PHOTONS:,} per configuration, for the effort with few")
 @options.seed
 @options.json_output
@@ -455,8 +491,10 @@ def main(
         Effort("default effort", DEFAULT_PHOTONS // len(CONFIGURATIONS), FEWEST_REALISATIONS),
     )
     screen = terminal.console(json_file)
-    work = [EffortTrials(effort, campaigns, seed, place, executor)
-            for place, effort in enumerate(efforts, start=1)]  # fmt: skip
+    work = [
+        EffortTrials(effort, campaigns, seed, place, executor)
+        for place, effort in enumerate(efforts, start=1)
+    ]
     failures = []
     if any(one.trials.missing for one in work):
         with terminal.photon_progress(log=log) as report:
@@ -472,13 +510,17 @@ def main(
         outcomes = one.outcomes()
         rows, p = judge(outcomes), float(kstest(outcomes.p_value, "uniform").pvalue)
         good &= all(row.within for row in rows) and p >= LEAST_KS_P and not outcomes.refusals
-        found.append(effort._asdict() | {
-            "campaigns": len(outcomes.value),
-            "parameters": [asdict(row) | {"within": row.within} for row in rows],
-            "kolmogorov_smirnov_p": p, "refusals": list(outcomes.refusals),
-            "fits": {"names": list(NAMES)}
-            | {name: getattr(outcomes, name).tolist() for name in FIT_COLUMNS},
-        })  # fmt: skip
+        found.append(
+            effort._asdict()
+            | {
+                "campaigns": len(outcomes.value),
+                "parameters": [asdict(row) | {"within": row.within} for row in rows],
+                "kolmogorov_smirnov_p": p,
+                "refusals": list(outcomes.refusals),
+                "fits": {"names": list(NAMES)}
+                | {name: getattr(outcomes, name).tolist() for name in FIT_COLUMNS},
+            }
+        )
         _show(screen, effort, outcomes, rows, p)
     seconds = time.perf_counter() - start
     terminal.write_json(json_file, {"ok": good, "seed": seed, "seconds": seconds, "efforts": found})

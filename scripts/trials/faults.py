@@ -44,8 +44,18 @@ _TABLE = ("table", _SCENE, "--alpha-scat", "0.2,0.5", "--n-gap", "1.0,1.46", "--
 JOBS: dict[str, tuple[tuple[str, ...], ...]] = {
     "check": (("check", _SCENE, "-o", "c.svg", "--json", "a.json"),),
     "simulate": (
-        ("simulate", _SCENE, "--photons", "3e5", "--json", "a.json", "--figure", "f.pdf",
-         "--times", "t.csv"),
+        (
+            "simulate",
+            _SCENE,
+            "--photons",
+            "3e5",
+            "--json",
+            "a.json",
+            "--figure",
+            "f.pdf",
+            "--times",
+            "t.csv",
+        ),
     ),
     "table": ((*_TABLE, "-o", "t.nc", "--json", "a.json", "--figure", "f.png"),),
     "parts": (
@@ -58,23 +68,53 @@ JOBS: dict[str, tuple[tuple[str, ...], ...]] = {
     "budget": (("budget", *_FIT),),
     "plan": (("lab", "plan", _CAMPAIGN, "--json", "a.json", "--figure", "f.png"),),
     "repair": (
-        ("repair", "bench/five.toml", "--effect", "gap_bubble", "--photons", "16384", "-o",
-         "new.toml", "--json", "a.json", "--figure", "f.png"),
+        (
+            "repair",
+            "bench/five.toml",
+            "--effect",
+            "gap_bubble",
+            "--photons",
+            "16384",
+            "-o",
+            "new.toml",
+            "--json",
+            "a.json",
+            "--figure",
+            "f.png",
+        ),
     ),
     "report": (("report", _CAMPAIGN, "--photons", "16384", "-o", "r.html", "--json", "a.json"),),
     "reduce": (
-        ("reduce", f"{_RAW}/campaign.toml", "-o", "new.toml", "--json", "a.json", "--figure",
-         "f.png"),
+        (
+            "reduce",
+            f"{_RAW}/campaign.toml",
+            "-o",
+            "new.toml",
+            "--json",
+            "a.json",
+            "--figure",
+            "f.png",
+        ),
     ),
     "add": (("add", "gap_bubble", _SCENE, "-o", "bench/new.xml"),),
     "scenes": (("scenes", "-o", "new"),),
     "render": (("render", _SCENE, "--samples", "1", "-o", "r.png", "--json", "a.json"),),
     "crosscheck": (("crosscheck", _SCENE, "--photons", "2e4", "--json", "a.json"),),
     "paper": (("paper", "--photons", "2e5", "-o", "figures", "--json", "a.json"),),
-    "peak": (("lab", "peak", f"{_RAW}/air_1.csv", f"{_RAW}/air_2.csv", "--figure", "f.png",
-              "--json", "a.json"),),
+    "peak": (
+        (
+            "lab",
+            "peak",
+            f"{_RAW}/air_1.csv",
+            f"{_RAW}/air_2.csv",
+            "--figure",
+            "f.png",
+            "--json",
+            "a.json",
+        ),
+    ),
     "histogram": (("lab", "histogram", "--mean", "14.3", "-o", "new.csv", "--json", "a.json"),),
-}  # fmt: skip
+}
 #: Jobs that are drawn less often than others, for they take longer.
 _RARE = {"paper": 0.1, "repair": 0.5, "report": 0.5}
 #: Readings of the campaign that is repaired: it has more, which would take longer.
@@ -147,10 +187,15 @@ def run(
     with tempfile.TemporaryFile() as said:
         for line in JOBS[job]:
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "mcrim_mitsuba", *line], cwd=folder, env=environment,
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said,
-                start_new_session=True, preexec_fn=limit,
-            )  # fmt: skip
+                [sys.executable, "-P", "-m", "mcrim_mitsuba", *line],
+                cwd=folder,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=said,
+                start_new_session=True,
+                preexec_fn=limit,
+            )
             try:
                 left = max(0.0, at_s - (time.monotonic() - start))
                 with contextlib.suppress(subprocess.TimeoutExpired):
@@ -205,9 +250,10 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {
         name: path.read_bytes()
         for name, path in named
-        if not name.startswith(_NO_RESULTS) and not path.name.startswith(".mcrim_")
+        if not name.startswith(_NO_RESULTS)
+        and not path.name.startswith(".mcrim_")
         and "__pycache__" not in name
-    }  # fmt: skip
+    }
 
 
 def digits(name: str, content: bytes) -> Any:
@@ -325,8 +371,14 @@ def campaign_of(
 
 
 @click.command()
-@click.option("--trials", "count", type=options.Whole(1, 100_000), default=20, show_default=True,
-              help="Trials.")  # fmt: skip
+@click.option(
+    "--trials",
+    "count",
+    type=options.Whole(1, 100_000),
+    default=20,
+    show_default=True,
+    help="Trials.",
+)
 @click.option("--trial", type=options.Whole(1, 100_000), help="Only the one of this number.")
 @click.option("--job", "only", type=click.Choice(sorted(JOBS)), help="Trials of this job alone.")
 @options.seed

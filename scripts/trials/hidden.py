@@ -31,14 +31,30 @@ from trials.hidden_trials import EFFECTS, KINDS, TABLES, TOO_SMALL, draw_and_run
 from trials.truth import unfinished
 
 #: Trials of every kind, if not asked otherwise.
-TRIALS = {"single": 120, "none": 100, "pairs": 60, "instrument": 60, "outsiders": 20,
-          "too_small": 7, "beam": 12, "left_out": 100, "family_out": 40, "advice": 60,
-          "edge": 60}  # fmt: skip
+TRIALS = {
+    "single": 120,
+    "none": 100,
+    "pairs": 60,
+    "instrument": 60,
+    "outsiders": 20,
+    "too_small": 7,
+    "beam": 12,
+    "left_out": 100,
+    "family_out": 40,
+    "advice": 60,
+    "edge": 60,
+}
 _ORDER = (*EFFECTS, *TOO_SMALL)
 _COLUMNS = (
-    ("trial", 13), ("hidden", 44), ("excess", 6), ("verdict", 14), ("first", 22),
-    ("p after", 8), ("pulls of alpha_scat, light yield: before", 14), ("after", 14),
-)  # fmt: skip
+    ("trial", 13),
+    ("hidden", 44),
+    ("excess", 6),
+    ("verdict", 14),
+    ("first", 22),
+    ("p after", 8),
+    ("pulls of alpha_scat, light yield: before", 14),
+    ("after", 14),
+)
 
 
 def _as_line(trial: dict) -> str:
@@ -47,10 +63,12 @@ def _as_line(trial: dict) -> str:
     cells = (
         f"{trial['kind']} {trial['number']}",
         hidden or " ".join([trial["what"], *trial["spoiled"]]),
-        f"{trial['expected_excess']:.0f}", trial["verdict"], trial["first"] or "",
+        f"{trial['expected_excess']:.0f}",
+        trial["verdict"],
+        trial["first"] or "",
         f"{trial['p_after'] or 0.0:.2g}",
         *("{:+.1f} {:+.1f}".format(*trial[f"pulls_{at}"].values()) for at in ("before", "after")),
-    )  # fmt: skip
+    )
     line = "  ".join(f"{cell:<{_COLUMNS[i][1]}}" for i, cell in enumerate(cells))
     if len(trial["leading"]) > 1:
         line += f"  leading: {', '.join(trial['leading'])}"
@@ -62,23 +80,55 @@ def _as_line(trial: dict) -> str:
 
 
 @click.command()
-@click.option("--trials", "number", type=options.Whole(1, 100_000), default=None,
-              help="Trials of every kind; default: "
-              + ", ".join(f"{count} {kind}" for kind, count in TRIALS.items()) + ".")  # fmt: skip
-@click.option("--kind", "kinds", type=click.Choice([*KINDS, "all"]), multiple=True,
-              default=("all",), help="What is hidden; may be given several times.")  # fmt: skip
-@click.option("--only", type=click.Choice(list(EFFECTS)), multiple=True,
-              help="Single effects to hide, instead of all.")  # fmt: skip
+@click.option(
+    "--trials",
+    "number",
+    type=options.Whole(1, 100_000),
+    default=None,
+    help="Trials of every kind; default: "
+    + ", ".join(f"{count} {kind}" for kind, count in TRIALS.items())
+    + ".",
+)
+@click.option(
+    "--kind",
+    "kinds",
+    type=click.Choice([*KINDS, "all"]),
+    multiple=True,
+    default=("all",),
+    help="What is hidden; may be given several times.",
+)
+@click.option(
+    "--only",
+    type=click.Choice(list(EFFECTS)),
+    multiple=True,
+    help="Single effects to hide, instead of all.",
+)
 @options.seed
-@click.option("--json", "json_file", type=click.Path(dir_okay=False, path_type=str),
-              help="Write all trials, one a line.")  # fmt: skip
-@click.option("--histories", type=click.Path(file_okay=False, path_type=Path), default=None,
-              help="Folder of the traced histories; default: in the user's cache.")  # fmt: skip
-@click.option("--photons", type=options.Whole(100, 10**9), default=PHOTONS, show_default=True,
-              help="Traced per configuration and scattering coefficient, fewer for a quick look.",
-              )  # fmt: skip
-@click.option("--campaigns", type=click.Path(file_okay=False, path_type=Path), default=None,
-              help="Folder to keep the campaigns in, to look at one by hand.")  # fmt: skip
+@click.option(
+    "--json",
+    "json_file",
+    type=click.Path(dir_okay=False, path_type=str),
+    help="Write all trials, one a line.",
+)
+@click.option(
+    "--histories",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=None,
+    help="Folder of the traced histories; default: in the user's cache.",
+)
+@click.option(
+    "--photons",
+    type=options.Whole(100, 10**9),
+    default=PHOTONS,
+    show_default=True,
+    help="Traced per configuration and scattering coefficient, fewer for a quick look.",
+)
+@click.option(
+    "--campaigns",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=None,
+    help="Folder to keep the campaigns in, to look at one by hand.",
+)
 @executor_options
 def main(number, kinds, only, seed, json_file, histories, photons, campaigns, executor, log) -> int:
     """Hide effects in campaigns, let the package diagnose and repair them, and count.
@@ -107,8 +157,9 @@ def main(number, kinds, only, seed, json_file, histories, photons, campaigns, ex
             # the first one has all threads, and fills the cache for the others
             first, others = trials.missing[:1], trials.missing[1:]
             for those, threads in ((first, None), (others, 1)):
-                arguments = {trial: (maker, trial.kind, trial.number, campaigns, threads)
-                             for trial in those}  # fmt: skip
+                arguments = {
+                    trial: (maker, trial.kind, trial.number, campaigns, threads) for trial in those
+                }
                 failures += trials.do(
                     draw_and_run, arguments, report, lambda _, line: screen.line(_as_line(line))
                 )
@@ -127,8 +178,10 @@ def main(number, kinds, only, seed, json_file, histories, photons, campaigns, ex
     )
     if json_file is not None:
         write_text(json_file, "".join(json.dumps(line) + "\n" for line in found))
-    spread = {kind: [t["averaged"]["relative_sigma"] for t in found if t["kind"] == kind]
-              for kind in kinds}  # fmt: skip
+    spread = {
+        kind: [t["averaged"]["relative_sigma"] for t in found if t["kind"] == kind]
+        for kind in kinds
+    }
     screen.line(
         "averaged light yield, median error: "
         + ", ".join(

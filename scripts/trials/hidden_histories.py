@@ -46,15 +46,21 @@ STANDARD: Design = (
 EDGE: Design = tuple((n, 5.0, 10.0, 0.5) for n in (1.0, 1.46))
 #: Rows that designs are drawn from: liquids behind masks, other crystals and other gaps.
 POOL: Design = (
-    *((n, radius, 10.0, 0.05)
-      for n in (1.0, 1.333, 1.4, 1.46, 1.515, 1.6) for radius in (14.0, 10.0, 7.0)),
+    *(
+        (n, radius, 10.0, 0.05)
+        for n in (1.0, 1.333, 1.4, 1.46, 1.515, 1.6)
+        for radius in (14.0, 10.0, 7.0)
+    ),
     *((n, radius, 10.0, 0.05) for n in (1.0, 1.46) for radius in (5.0, 4.0)),
-    *((n, radius, height, 0.05)
-      for height in (2.0, 5.0, 20.0) for n in (1.0, 1.46) for radius in (14.0, 7.0)),
-    *((n, radius, 10.0, gap)
-      for gap in (0.2, 0.5) for n in (1.0, 1.46) for radius in (14.0, 7.0)),
+    *(
+        (n, radius, height, 0.05)
+        for height in (2.0, 5.0, 20.0)
+        for n in (1.0, 1.46)
+        for radius in (14.0, 7.0)
+    ),
+    *((n, radius, 10.0, gap) for gap in (0.2, 0.5) for n in (1.0, 1.46) for radius in (14.0, 7.0)),
     *EDGE,
-)  # fmt: skip
+)
 #: Readings of a design.
 _FEWEST, _MOST = 10, 16
 #: Scattering coefficients that are traced, each with the same number of photons, 1/cm.
@@ -70,8 +76,14 @@ _SHARE = {4.0: 2}
 #: Factor on the photons of the plain bench, which many trials share.
 PLAIN_FACTOR = 6
 #: Parameters that mean nothing where the gap is not filled.
-FILLED_ONLY = ("gap_index_offset", "gap_absorption_per_cm", "bubble_fraction",
-               "bubble_area_fraction", "collar_mm", "narrow_collar_mm")  # fmt: skip
+FILLED_ONLY = (
+    "gap_index_offset",
+    "gap_absorption_per_cm",
+    "bubble_fraction",
+    "bubble_area_fraction",
+    "collar_mm",
+    "narrow_collar_mm",
+)
 #: Radius that leaves the whole plate free, mm, wherever the mask is shifted to.
 _OPEN_MM = 25.0
 _APERTURES = tuple(sorted({row[1] for row in POOL}))
@@ -233,9 +245,12 @@ class HistoryStore:
                 report("histories", done, total)
 
     def etas(
-        self, changes: Changes, alpha_scat_per_cm: float, alpha_abs_per_cm: float,
+        self,
+        changes: Changes,
+        alpha_scat_per_cm: float,
+        alpha_abs_per_cm: float,
         design: Design,
-    ) -> tuple[Array, Array]:  # fmt: skip
+    ) -> tuple[Array, Array]:
         """Efficiencies of a design's rows, and their relative standard errors: (rows,)."""
         eta, error = np.empty(len(design)), np.empty(len(design))
         for mounting in dict.fromkeys(map(mounting_of, design)):
@@ -287,8 +302,12 @@ def trace_to_file(file: Path, run: Run) -> int:
     """Trace a run and write its file; returns the photons traced."""
     columns: dict[str, list[NDArray]] = {}
     for proposal, seed in zip(run.proposals_per_cm, run.seeds(), strict=True):
-        bench = Bench(aperture_radius_mm=_OPEN_MM, alpha_scat_per_cm=proposal,
-                      alpha_abs_per_cm=ABSORPTION_PER_CM, **dict(run.bench))  # fmt: skip
+        bench = Bench(
+            aperture_radius_mm=_OPEN_MM,
+            alpha_scat_per_cm=proposal,
+            alpha_abs_per_cm=ABSORPTION_PER_CM,
+            **dict(run.bench),
+        )
         found = trace(bench, run.photons, seed, histories=True).histories
         hole = np.searchsorted(_APERTURES, found.mask_radius_mm).astype(np.uint8)
         kept = hole < len(_APERTURES)

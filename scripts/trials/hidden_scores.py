@@ -72,49 +72,87 @@ def rates(trials: Sequence[dict]) -> list[Rate]:
         rate("one effect: leads, or its family", single, _leads, 0.97),
         rate("one effect: averaged yield within 2 of its errors", single, _covers, 0.9),
         rate("one effect: p > 0.01 after repair", single, _fits_after),
-        rate("one effect: repair adds it and nothing else", single,
-             lambda t: t["added"] == [t["what"]]),
+        rate(
+            "one effect: repair adds it and nothing else",
+            single,
+            lambda t: t["added"] == [t["what"]],
+        ),
         rate(f"  first right, repaired: within {CLOSE:g} sigma", right, _close_after),
         rate(f"  the same, unrepaired fit off by more than {CLOSE:g} sigma", off, _close_after),
-        rate(f"  first right, unrepaired: within {CLOSE:g} sigma",
-             right, lambda t: _close(t["pulls_before"])),
+        rate(
+            f"  first right, unrepaired: within {CLOSE:g} sigma",
+            right,
+            lambda t: _close(t["pulls_before"]),
+        ),
         rate("nothing hidden: adequate", of("none"), lambda t: t["verdict"] == "adequate", 0.95),
-        rate("nothing hidden, masks at the crystal's edge under thick gaps: adequate", of("edge"),
-             lambda t: t["verdict"] == "adequate", 0.95),
+        rate(
+            "nothing hidden, masks at the crystal's edge under thick gaps: adequate",
+            of("edge"),
+            lambda t: t["verdict"] == "adequate",
+            0.95,
+        ),
         rate("two effects: both lead, or nothing else does", pairs, _no_other, 0.9),
         rate("two effects: averaged yield within 2 of its errors", pairs, _covers, 0.85),
-        rate("two effects: both found by repair", pairs,
-             lambda t: {effect for effect, _ in t["hidden"]} <= set(t["added"])),
+        rate(
+            "two effects: both found by repair",
+            pairs,
+            lambda t: {effect for effect, _ in t["hidden"]} <= set(t["added"]),
+        ),
         rate("instrument: named, with its rows", instrument, _instrument_named, 0.85),
         *(
-            rate(f"  {what.replace('_', ' ')}",
-                 [t for t in instrument if t["what"] == what], _instrument_named)
+            rate(
+                f"  {what.replace('_', ' ')}",
+                [t for t in instrument if t["what"] == what],
+                _instrument_named,
+            )
             for what in INSTRUMENT_IN_TURN
         ),
         rate("instrument: averaged yield within 2 of its errors", instrument, _covers, 0.9),
         rate("outsiders: averaged yield within 2 of its errors", outsiders, _covers),
         rate("outsiders: not adequate", outsiders, lambda t: t["verdict"] != "adequate", 1.0),
-        rate("outsiders: not a missing effect with a yield that is off",
-             outsiders, _no_false_claim),
-        rate("effect too small to see: adequate, or named", too_small,
-             lambda t: t["verdict"] == "adequate" or t["what"] in t["leading"]),
-        rate("effect too small to see: limit holds the truth",
-             [t for t in too_small if t["limits"]], _limit_holds),
+        rate(
+            "outsiders: not a missing effect with a yield that is off", outsiders, _no_false_claim
+        ),
+        rate(
+            "effect too small to see: adequate, or named",
+            too_small,
+            lambda t: t["verdict"] == "adequate" or t["what"] in t["leading"],
+        ),
+        rate(
+            "effect too small to see: limit holds the truth",
+            [t for t in too_small if t["limits"]],
+            _limit_holds,
+        ),
         *_of_left_out(of(LEFT_OUT), "effect left out", rate, 0.85),
-        rate("  the same campaigns, the effect known: averaged yield within 2 of its errors",
-             known, _covers, 0.9),
+        rate(
+            "  the same campaigns, the effect known: averaged yield within 2 of its errors",
+            known,
+            _covers,
+            0.9,
+        ),
         *_of_left_out(of(FAMILY_OUT), "family left out", rate, 0.8),
-        rate("advice followed: light yield's error as promised within 30 %", advised,
-             lambda t: abs(t["advice"]["after"] / t["advice"]["promised"] - 1.0) < 0.3, 0.8),
-        rate("advice followed: the effect leads", advised,
-             lambda t: t["what"] in t["advice"]["leading"], 0.85),
-        rate("advice followed: averaged yield within 2 of its errors", advised,
-             lambda t: _covers(t["advice"])),
+        rate(
+            "advice followed: light yield's error as promised within 30 %",
+            advised,
+            lambda t: abs(t["advice"]["after"] / t["advice"]["promised"] - 1.0) < 0.3,
+            0.8,
+        ),
+        rate(
+            "advice followed: the effect leads",
+            advised,
+            lambda t: t["what"] in t["advice"]["leading"],
+            0.85,
+        ),
+        rate(
+            "advice followed: averaged yield within 2 of its errors",
+            advised,
+            lambda t: _covers(t["advice"]),
+        ),
         rate("with a transmittance: haze and roughness told apart", beam, _told_apart, 0.8),
         rate("  first place right", beam, lambda t: t["first"] == t["what"]),
         rate(f"  repaired: within {CLOSE:g} sigma", beam, _close_after),
         rate(f"  unrepaired: within {CLOSE:g} sigma", beam, lambda t: _close(t["pulls_before"])),
-    ]  # fmt: skip
+    ]
     return [each for each in made if each.trials]
 
 
@@ -124,11 +162,12 @@ def _of_left_out(
     """Where the truth is in no catalogue: the averaged light yield, and what is said of it."""
     return [
         rate(f"{words}: averaged yield within {CLOSE:g} of its errors", own, _covers, least),
-        rate("  within 1 of its errors", own, lambda t: abs(t["averaged"]["pull"]) < 1.0,
-             0.55, 0.8),
+        rate(
+            "  within 1 of its errors", own, lambda t: abs(t["averaged"]["pull"]) < 1.0, 0.55, 0.8
+        ),
         rate("  not adequate", own, lambda t: t["verdict"] != "adequate", 1.0),
         rate("  not a missing effect with a yield that is off", own, _no_false_claim, 0.97),
-    ]  # fmt: skip
+    ]
 
 
 def cost_of_caution(trials: Sequence[dict]) -> tuple[float, float] | None:
@@ -228,8 +267,13 @@ def as_markdown(trials: Sequence[dict], order: Sequence[str]) -> str:
     if (cost := cost_of_caution(trials)) is not None:
         averaged, right = (100 * sigma for sigma in cost)
         found_cost = f"{averaged:.2g} % and {right:.2g} %: {averaged / right:.2f} times"
-        rows.append(("median error of the averaged yield, and of the fit that knows what is hidden",
-                     found_cost, f"at most {MOST_COST:g} times"))  # fmt: skip
+        rows.append(
+            (
+                "median error of the averaged yield, and of the fit that knows what is hidden",
+                found_cost,
+                f"at most {MOST_COST:g} times",
+            )
+        )
     lines = markdown(("point", "found", "wanted"), rows)
     # effects of the catalogue together
     found: dict[str, Counter] = {}
@@ -245,10 +289,12 @@ def as_markdown(trials: Sequence[dict], order: Sequence[str]) -> str:
     if matrix:
         shown = [
             [f"`{name}`", f"{leading} of {number}"]
-            + [f"**{n}**" if n and other == name else str(n or "")
-               for n, other in zip(counts, first, strict=True)]
+            + [
+                f"**{n}**" if n and other == name else str(n or "")
+                for n, other in zip(counts, first, strict=True)
+            ]
             for name, leading, number, counts in matrix
-        ]  # fmt: skip
+        ]
         numbers = [str(1 + n) for n in range(len(first))]
         lines += ["", *markdown(["hidden", "in the leading group", *numbers], shown)]
         named = ", ".join(f"{n} `{name}`" for n, name in zip(numbers, first, strict=True))

@@ -78,8 +78,19 @@ _PLAIN_RANGES, _PLAIN_NODES = ((0.05, 4.5), (0.001, 0.12)), (11, 4)
 _EFFECT_RANGES, _EFFECT_NODES = ((0.12, 1.6), (0.001, 0.12)), (6, 3)
 # how far beyond the sizes on offer an effect may go when it is fitted, straight on
 _REACH = 2.5
-KINDS = ("single", "none", "pairs", "instrument", "outsiders", "too_small", "beam", "left_out",
-         "family_out", "advice", "edge")  # fmt: skip
+KINDS = (
+    "single",
+    "none",
+    "pairs",
+    "instrument",
+    "outsiders",
+    "too_small",
+    "beam",
+    "left_out",
+    "family_out",
+    "advice",
+    "edge",
+)
 #: Kinds that are diagnosed without the effect that is hidden, or without its relatives too; and
 #: the one where a proposed reading is added.
 LEFT_OUT, FAMILY_OUT, ADVICE = KINDS[-4:-1]
@@ -213,15 +224,19 @@ def with_transmittance(readings: Readings, hidden: Hidden, truth: Truth, seed: i
     """Readings with the transmittance of the same crystal, without error of measurement, last."""
     seen = {n: value for n, value in changes_of(hidden).items() if n not in NOT_IN_A_BEAM}
     beam = Bench(
-        alpha_scat_per_cm=truth.alpha_scat_per_cm, alpha_abs_per_cm=truth.alpha_abs_per_cm,
-        beam_diameter_mm=BEAM_DIAMETER_MM, acceptance_deg=ACCEPTANCE_DEG, **seen,
-    )  # fmt: skip
+        alpha_scat_per_cm=truth.alpha_scat_per_cm,
+        alpha_abs_per_cm=truth.alpha_abs_per_cm,
+        beam_diameter_mm=BEAM_DIAMETER_MM,
+        acceptance_deg=ACCEPTANCE_DEG,
+        **seen,
+    )
     found = trace(beam, _BEAM_PHOTONS, seed)
     sigma = math.hypot(TRANSMITTANCE_SIGMA * found.eta, found.eta_sigma)
     return replace(
         readings,
-        signal=np.append(readings.signal, found.eta), sigma=np.append(readings.sigma, sigma),
-    )  # fmt: skip
+        signal=np.append(readings.signal, found.eta),
+        sigma=np.append(readings.sigma, sigma),
+    )
 
 
 class LogEta:
@@ -369,8 +384,15 @@ def write_campaign(
 
 def labels(design: Design) -> list[str]:
     """Labels of the readings: what each differs in from the bench's own values."""
-    liquids = {1.0: "air", 1.333: "water", 1.4: "silicone", 1.46: "gel", 1.515: "oil", 1.6: "resin",
-               1.74: "iodide"}  # fmt: skip
+    liquids = {
+        1.0: "air",
+        1.333: "water",
+        1.4: "silicone",
+        1.46: "gel",
+        1.515: "oil",
+        1.6: "resin",
+        1.74: "iodide",
+    }
     usual = dict(zip((" hole", " height", " gap"), list(_USUAL.values())[1:], strict=True))
     return [
         liquids[n_gap]
@@ -522,10 +544,18 @@ class TrialMaker:
         noise = 1.0 + of_readings * rng.standard_normal(len(readings.signal))
         sizes = tuple((name, size_in_units(name, size, readings.light)) for name, size in hidden)
         return Trial(
-            kind, number, self._seed, sizes, spoiled, what, truth,
-            self._excess.plain(readings, truth), readings.design, readings.signal * noise,
+            kind,
+            number,
+            self._seed,
+            sizes,
+            spoiled,
+            what,
+            truth,
+            self._excess.plain(readings, truth),
+            readings.design,
+            readings.signal * noise,
             readings.sigma,
-        )  # fmt: skip
+        )
 
 
 @functools.cache
@@ -570,9 +600,14 @@ def run_trial(
     effects = {effect for effect, _ in trial.hidden}
     limits, before, after = said["upper_limits"], said["baseline"], said["calibration"]
     return {
-        "kind": trial.kind, "number": trial.number, "seed": trial.seed,
-        "hidden": [list(item) for item in trial.hidden], "spoiled": list(trial.spoiled),
-        "what": trial.what, "truth": asdict(trial.truth), "readings": len(trial.design),
+        "kind": trial.kind,
+        "number": trial.number,
+        "seed": trial.seed,
+        "hidden": [list(item) for item in trial.hidden],
+        "spoiled": list(trial.spoiled),
+        "what": trial.what,
+        "truth": asdict(trial.truth),
+        "readings": len(trial.design),
         "expected_excess": trial.expected_excess,
         **_judged(trial, said),
         "suspects": [one["labels"] for one in said["suspect_readings"]],
@@ -583,29 +618,38 @@ def run_trial(
         "without": list(without),
         "limits": {effect: limits[effect] for effect in effects if effect in limits},
         "steps": [[step["added"], step["chi2"], step["p_value"]] for step in said["repair"]],
-        "chi2_before": before["chi2"], "p_before": before["p_value"], "p_after": after["p_value"],
+        "chi2_before": before["chi2"],
+        "p_before": before["p_value"],
+        "p_after": after["p_value"],
         "pulls_before": _pulls(before["parameters"], trial.truth),
         "pulls_after": _pulls(after["parameters"], trial.truth),
-        "seconds": seconds, "diagnosis_seconds": said["diagnosis_seconds"], **further,
-    }  # fmt: skip
+        "seconds": seconds,
+        "diagnosis_seconds": said["diagnosis_seconds"],
+        **further,
+    }
 
 
 def _judged(trial: Trial, said: dict) -> dict:
     """The verdict, what leads, what was added, and how good the averaged light yield is."""
     averaged, truth = said["light_yield_averaged"], trial.truth.light_yield_ph_per_keV
     return {
-        "verdict": said["verdict"], "reason": said["reason"],
+        "verdict": said["verdict"],
+        "reason": said["reason"],
         "first": said["candidates"][0]["effect"] if said["candidates"] else None,
-        "leading": said["leading"], "leading_sets": said["leading_sets"], "added": said["effects"],
+        "leading": said["leading"],
+        "leading_sets": said["leading_sets"],
+        "added": said["effects"],
         "families": [[one["family"], one["probability"]] for one in said["families"][:4]],
         "probabilities": dict(list(said["probabilities"].items())[:6]),
         "averaged": {
             "relative_sigma": averaged["sigma"] / truth,
             "pull": (averaged["value"] - truth) / averaged["sigma"],
-            "value": averaged["value"], "within": averaged["within"],
-            "between": averaged["between"], "catalogue": averaged["catalogue"],
+            "value": averaged["value"],
+            "within": averaged["within"],
+            "between": averaged["between"],
+            "catalogue": averaged["catalogue"],
         },
-    }  # fmt: skip
+    }
 
 
 def _known(trial: Trial, campaign: Path, threads: int | None, photons: int | None) -> dict:
@@ -634,9 +678,12 @@ def _advised(
     campaign = write_campaign(folder, name, *further, trial.truth)
     again = diagnose_and_repair(campaign, threads, photons)
     return {
-        "proposed": proposed, "promised": best["light_yield_sigma"],
-        "before": _relative(said), "after": _relative(again), **_judged(trial, again),
-    }  # fmt: skip
+        "proposed": proposed,
+        "promised": best["light_yield_sigma"],
+        "before": _relative(said),
+        "after": _relative(again),
+        **_judged(trial, again),
+    }
 
 
 def _relative(said: dict) -> float:
@@ -696,9 +743,11 @@ def left_out_of(trial: Trial) -> tuple[str, ...]:
 
 
 def diagnose_and_repair(
-    campaign: Path, threads: int | None = None, photons: int | None = None,
+    campaign: Path,
+    threads: int | None = None,
+    photons: int | None = None,
     without: Sequence[str] = (),
-) -> dict:  # fmt: skip
+) -> dict:
     """What the package says of a campaign, as `mcrim repair --json` has it; diagnosis_seconds."""
     known = mcrim.read_campaign(campaign)
     if without:

@@ -128,10 +128,13 @@ class Job:
         # into files: a killed reader's pipe would be one more thing that can go wrong
         with said.open("w") as out, complained.open("w") as err:
             process = subprocess.Popen(
-                [*command, "--json", "-", "--log", str(log)], stdout=out, stderr=err,
-                stdin=subprocess.DEVNULL, start_new_session=True,
+                [*command, "--json", "-", "--log", str(log)],
+                stdout=out,
+                stderr=err,
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
                 env=os.environ | {FOLDER_VARIABLE: str(cache)},
-            )  # fmt: skip
+            )
             try:
                 while kill_after_s is not None and process.poll() is None:
                     if _processor_s(process.pid) < kill_after_s:
@@ -191,10 +194,16 @@ def _row(
     lost = log.lost - log_again.kept
     # a unit that was under way may have left a part of its files
     jobs = {unit.split("-")[0] for unit in lost}
-    replaced = [file for file, status in before.items()
-                if after.get(file) != status and file.parent.name[:8] not in jobs]  # fmt: skip
+    replaced = [
+        file
+        for file, status in before.items()
+        if after.get(file) != status and file.parent.name[:8] not in jobs
+    ]
     return Row(
-        trial, float(moment), killed.status, killed.stopped_s,
+        trial,
+        float(moment),
+        killed.status,
+        killed.stopped_s,
         finished=len(log.made) + len(log.kept),
         begun=len(lost),
         lost_photons=sum(log_again.made.get(unit, 0) for unit in lost),
@@ -202,18 +211,29 @@ def _row(
         remade=max(len(replaced), len(set(log.made) & set(log_again.made))),
         again_s=again.processor_s,
         same=lasting(again.said) == lasting(whole.said),
-    )  # fmt: skip
+    )
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
 @click.argument("words", nargs=-1, type=click.UNPROCESSED, metavar="[-- VERB...]")
-@click.option("--kills", type=options.Whole(1, 10_000), default=30, show_default=True,
-              help="Trials.")  # fmt: skip
-@click.option("--signal", "how", type=click.Choice(["KILL", "TERM", "INT"]), default="KILL",
-              show_default=True, help="What kills it.")  # fmt: skip
-@click.option("--processes", type=options.Whole(1, 1024), default=1, show_default=True,
-              help="Processes of the job that make units: as many units may be lost in a kill.",
-              )  # fmt: skip
+@click.option(
+    "--kills", type=options.Whole(1, 10_000), default=30, show_default=True, help="Trials."
+)
+@click.option(
+    "--signal",
+    "how",
+    type=click.Choice(["KILL", "TERM", "INT"]),
+    default="KILL",
+    show_default=True,
+    help="What kills it.",
+)
+@click.option(
+    "--processes",
+    type=options.Whole(1, 1024),
+    default=1,
+    show_default=True,
+    help="Processes of the job that make units: as many units may be lost in a kill.",
+)
 @options.seed
 @options.json_output
 def main(words, kills, how, processes, seed, json_file) -> int:
@@ -249,10 +269,17 @@ def main(words, kills, how, processes, seed, json_file) -> int:
             )
     terminal.write_json(
         json_file,
-        {"command": ["mcrim", *words], "signal": how, "seed": seed,
-         "seconds": seconds, "processor_s": whole.processor_s, "units": len(whole.log.made),
-         "photons": photons, "rows": [asdict(row) for row in rows]},
-    )  # fmt: skip
+        {
+            "command": ["mcrim", *words],
+            "signal": how,
+            "seed": seed,
+            "seconds": seconds,
+            "processor_s": whole.processor_s,
+            "units": len(whole.log.made),
+            "photons": photons,
+            "rows": [asdict(row) for row in rows],
+        },
+    )
     _show(screen, rows, how)
     return terminal.DONE if all(row.as_wanted(processes) for row in rows) else terminal.OUR_FAULT
 

@@ -55,15 +55,31 @@ def main(repeats: int, seed: int, json_file: str | None, executor, log) -> int:
         rows += judge(mean, list(chain(*of_mean))[:repeats])
     terminal.write_json(json_file, {"rows": rows, "repeats": repeats, "seed": seed})
     title = f"{repeats} histograms of {MINUTES:g} minutes at {PER_S:g} events per second"
-    head = ("photons", "shape", "centroid", "one error", "bias, errors", "mean pull", "pull width",
-            "p < 1 %", "taken by auto")  # fmt: skip
+    head = (
+        "photons",
+        "shape",
+        "centroid",
+        "one error",
+        "bias, errors",
+        "mean pull",
+        "pull width",
+        "p < 1 %",
+        "taken by auto",
+    )
     cells = [
-        (f"{row['photons']:g}", row["shape"], pdg(row["centroid"], row["centroid_error"]),
-         f"{row['sigma']:.3f}", f"{row['bias']:+.2f}",
-         pdg(row["mean_pull"], row["mean_pull_error"]), pdg(row["width"], row["width_error"]),
-         f"{100 * row['bad']:.1f} %", f"{100 * row['taken']:.1f} %")
+        (
+            f"{row['photons']:g}",
+            row["shape"],
+            pdg(row["centroid"], row["centroid_error"]),
+            f"{row['sigma']:.3f}",
+            f"{row['bias']:+.2f}",
+            pdg(row["mean_pull"], row["mean_pull_error"]),
+            pdg(row["width"], row["width_error"]),
+            f"{100 * row['bad']:.1f} %",
+            f"{100 * row['taken']:.1f} %",
+        )
         for row in rows
-    ]  # fmt: skip
+    ]
     screen.show(table(title, head, cells))
     return terminal.DONE
 
@@ -77,8 +93,10 @@ def fit_block(mean: float, seed: int, number: int) -> list[dict]:
     fits = []
     for counts in drawn:
         found = fit_peak(spectrum.photons(), counts)
-        both = {one.shape: [one.centroid, one.centroid_sigma, one.p_value]
-                for one in (found, found.other)}  # fmt: skip
+        both = {
+            one.shape: [one.centroid, one.centroid_sigma, one.p_value]
+            for one in (found, found.other)
+        }
         fits.append({"chosen": found.shape, **both})
     return fits
 
@@ -94,14 +112,20 @@ def judge(mean: float, fits: Sequence[dict]) -> list[dict]:
         truth = mean if shape == COUNTING else of_expected.centroid
         found, sigmas, p_values = np.array([one[shape] for one in fits], dtype=float).T
         pulls = (found - truth) / sigmas
-        rows.append({
-            "photons": mean, "shape": shape,
-            "centroid": found.mean(), "centroid_error": found.std(ddof=1) / math.sqrt(repeats),
-            "sigma": sigmas.mean(),
-            "bias": (of_expected.centroid - mean) / of_expected.centroid_sigma,
-            "mean_pull": pulls.mean(), "mean_pull_error": pulls.std(ddof=1) / math.sqrt(repeats),
-            "width": pulls.std(ddof=1), "width_error": pulls.std(ddof=1) / math.sqrt(2 * repeats),
-            "bad": np.mean(p_values < 0.01),
-            "taken": np.mean([one["chosen"] == shape for one in fits]),
-        })  # fmt: skip
+        rows.append(
+            {
+                "photons": mean,
+                "shape": shape,
+                "centroid": found.mean(),
+                "centroid_error": found.std(ddof=1) / math.sqrt(repeats),
+                "sigma": sigmas.mean(),
+                "bias": (of_expected.centroid - mean) / of_expected.centroid_sigma,
+                "mean_pull": pulls.mean(),
+                "mean_pull_error": pulls.std(ddof=1) / math.sqrt(repeats),
+                "width": pulls.std(ddof=1),
+                "width_error": pulls.std(ddof=1) / math.sqrt(2 * repeats),
+                "bad": np.mean(p_values < 0.01),
+                "taken": np.mean([one["chosen"] == shape for one in fits]),
+            }
+        )
     return rows

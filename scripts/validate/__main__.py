@@ -52,19 +52,44 @@ PHASE = "its polarisation leaves out the phase of total reflection: another mode
 
 
 @click.command()
-@click.option("--precision", type=options.Precision(), default="0.2%", show_default=True,
-              help="Of eta in the NumPy tracer and in Geant4.")  # fmt: skip
+@click.option(
+    "--precision",
+    type=options.Precision(),
+    default="0.2%",
+    show_default=True,
+    help="Of eta in the NumPy tracer and in Geant4.",
+)
 @options.seed
-@click.option("--processes", type=options.Whole(1, 1024), default=os.cpu_count(),
-              help="How many units are done at a time (default: one per core).")  # fmt: skip
-@click.option("-o", "--output", "page", default=str(PAGE), metavar="FILE.md",
-              show_default="docs/validation.md",
-              help="The page; a .png and a .csv go beside it.")  # fmt: skip
-@click.option("--only", multiple=True, metavar="KIND",
-              help="Compare benches of this kind alone: plain, polarised, wrapped, effect, beam or "
-              "an effect's name (repeatable; no closed forms then; needs --output).")  # fmt: skip
-@click.option("--units", "units_file", default="validation_units.jsonl", show_default=True,
-              metavar="FILE", help="Finished units; made if it is not there.")  # fmt: skip
+@click.option(
+    "--processes",
+    type=options.Whole(1, 1024),
+    default=os.cpu_count(),
+    help="How many units are done at a time (default: one per core).",
+)
+@click.option(
+    "-o",
+    "--output",
+    "page",
+    default=str(PAGE),
+    metavar="FILE.md",
+    show_default="docs/validation.md",
+    help="The page; a .png and a .csv go beside it.",
+)
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="KIND",
+    help="Compare benches of this kind alone: plain, polarised, wrapped, effect, beam or "
+    "an effect's name (repeatable; no closed forms then; needs --output).",
+)
+@click.option(
+    "--units",
+    "units_file",
+    default="validation_units.jsonl",
+    show_default=True,
+    metavar="FILE",
+    help="Finished units; made if it is not there.",
+)
 @click.option("--log", metavar="FILE", help="Append the progress to this file.")
 @options.json_output
 def main(precision, seed, processes, page, only, units_file, log, json_file) -> int:
@@ -136,9 +161,13 @@ class Comparison:
     """
 
     def __init__(
-        self, precision: float, seed: int, benches: Sequence[Case], closed: Sequence[Formula],
+        self,
+        precision: float,
+        seed: int,
+        benches: Sequence[Case],
+        closed: Sequence[Formula],
         results: Results,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.precision, self.seed, self.results = precision, seed, results
         self._benches, self._closed = list(benches), list(closed)
         self.refused: list[tuple[str, str, str]] = []
@@ -178,8 +207,10 @@ class Comparison:
     def versions(self) -> dict[str, str]:
         """Versions of everything, in words."""
         ours = self.results[next(iter(self._ours.values()))]["versions"]
-        found = {"Mitsuba": ", ".join(f"{key} {value}" for key, value in ours.items()),
-                 "NumPy": code(NUMPY)["numpy"]}  # fmt: skip
+        found = {
+            "Mitsuba": ", ".join(f"{key} {value}" for key, value in ours.items()),
+            "NumPy": code(NUMPY)["numpy"],
+        }
         if self._of_geant4:
             (unit, *_) = self._blocks(GEANT4, self._of_geant4[0])
             pybind = code(GEANT4)["geant4_pybind"]
@@ -223,10 +254,19 @@ class Comparison:
         ours = self.results[self._ours[case.name]]
         exact = self.results[Unit(FORMULA, case, 0, self.seed)]
         return Row(
-            FORMULA, case.form, case.name, case.fate.replace("detected", "eta"),
-            ours["budget"][case.fate], ours["sigma"][case.fate], exact["value"], exact["sigma"],
-            ours["photons"], 0, ours["scene_hash"], True,
-        )  # fmt: skip
+            FORMULA,
+            case.form,
+            case.name,
+            case.fate.replace("detected", "eta"),
+            ours["budget"][case.fate],
+            ours["sigma"][case.fate],
+            exact["value"],
+            exact["sigma"],
+            ours["photons"],
+            0,
+            ours["scene_hash"],
+            True,
+        )
 
     def _solved_row(self, case: Case) -> list[Row]:
         """Of a plain bench that can be solved without photons: its eta."""
@@ -241,10 +281,20 @@ class Comparison:
         eta, sigma = ours["budget"]["detected"], ours["sigma"]["detected"]
         return [
             Row(
-                SOLVER, case.group, case.name, "eta", eta, sigma, float(exact.eta),
-                float(exact.error), ours["photons"], 0, ours["scene_hash"], True,
+                SOLVER,
+                case.group,
+                case.name,
+                "eta",
+                eta,
+                sigma,
+                float(exact.eta),
+                float(exact.error),
+                ours["photons"],
+                0,
+                ours["scene_hash"],
+                True,
             )
-        ]  # fmt: skip
+        ]
 
     def _rows_of(self, program: str, case: Case) -> list[Row]:
         ours = self.results[self._ours[case.name]]
@@ -263,11 +313,20 @@ class Comparison:
             quantity = "eta" if fate == "detected" else our_fate
             found.append(
                 Row(
-                    program, case.group, case.name, quantity, budget, sigma, k / n,
-                    fraction_error(k, n), ours["photons"], n, ours["scene_hash"],
+                    program,
+                    case.group,
+                    case.name,
+                    quantity,
+                    budget,
+                    sigma,
+                    k / n,
+                    fraction_error(k, n),
+                    ours["photons"],
+                    n,
+                    ours["scene_hash"],
                     fate == "detected",
                 )
-            )  # fmt: skip
+            )
         return found
 
 

@@ -113,9 +113,13 @@ def compare(way: str, number: int, seed: int, photons: int) -> Comparison:
         return Comparison(**named, fast=None, fast_sigma=None, refused=error.problem)
     slow = mcrim.simulate(SCENE, **bench, photons=photons, seed=own_seed + 1)
     return Comparison(
-        **named, fast=eta, fast_sigma=sigma, refused=None,
-        slow=float(slow.eta), slow_sigma=float(slow.eta_sigma),
-    )  # fmt: skip
+        **named,
+        fast=eta,
+        fast_sigma=sigma,
+        refused=None,
+        slow=float(slow.eta),
+        slow_sigma=float(slow.eta_sigma),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,11 +158,21 @@ def judge(comparisons: list[Comparison]) -> Verdict:
 
 
 @click.command()
-@click.option("--way", "ways", multiple=True, type=click.Choice(list(WAYS)),
-              help="Only this fast way (repeatable).")  # fmt: skip
+@click.option(
+    "--way",
+    "ways",
+    multiple=True,
+    type=click.Choice(list(WAYS)),
+    help="Only this fast way (repeatable).",
+)
 @click.option("--benches", type=options.Whole(1, 100_000), default=400, show_default=True)
-@click.option("--photons", type=options.PhotonCount(), default=16_000_000,
-              show_default="16e6", help="Per bench, of the slow way.")  # fmt: skip
+@click.option(
+    "--photons",
+    type=options.PhotonCount(),
+    default=16_000_000,
+    show_default="16e6",
+    help="Per bench, of the slow way.",
+)
 @options.seed
 @options.json_output
 def main(ways, benches, photons, seed, json_file) -> int:

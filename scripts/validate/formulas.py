@@ -73,8 +73,11 @@ class Formula:
 def formulas() -> list[Formula]:
     """All benches with a closed form."""
     benches = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-    return [Formula(form, parameters, known["fate"])
-            for form, known in benches.items() for parameters in known["benches"]]  # fmt: skip
+    return [
+        Formula(form, parameters, known["fate"])
+        for form, known in benches.items()
+        for parameters in known["benches"]
+    ]
 
 
 def trapped_fraction(n: float, n_gap: float) -> tuple[float, float]:
@@ -191,11 +194,16 @@ def transmitted_by_slab(n: float, alpha_per_cm: float, path_cm: float) -> tuple[
 _EXACT: dict[str, Callable[[dict[str, float]], tuple[float, float]]] = {
     "trapped light": lambda p: trapped_fraction(p["n_crystal"], p["n_gap"]),
     "absorbed in a bare box": lambda p: absorbed_in_bare_box(
-        p["n_crystal"], (p["crystal_width_mm"], p["crystal_width_mm"], p["crystal_height_mm"]),
+        p["n_crystal"],
+        (p["crystal_width_mm"], p["crystal_width_mm"], p["crystal_height_mm"]),
         p["alpha_abs_per_cm"],
     ),
     "box on a black foot": lambda p: detected_at_black_foot(
-        p["n_crystal"], p["n_gap"], _WIDTH_MM, p["crystal_height_mm"], p["gap_mm"] + _WINDOW_MM,
+        p["n_crystal"],
+        p["n_gap"],
+        _WIDTH_MM,
+        p["crystal_height_mm"],
+        p["gap_mm"] + _WINDOW_MM,
         p["alpha_abs_per_cm"],
     ),
     "solid angle": lambda p: solid_angle_fraction(
@@ -205,7 +213,7 @@ _EXACT: dict[str, Callable[[dict[str, float]], tuple[float, float]]] = {
         p["n_crystal"], p["alpha_scat_per_cm"] + p["alpha_abs_per_cm"], _WIDTH_MM / 10.0
     ),
     "ball": lambda p: escape_from_ball(p["n_ball"], BALL_RADIUS_MM, p["alpha_abs_per_cm"]),
-}  # fmt: skip
+}
 
 
 def _cosines(u: Array, v: Array) -> tuple[Array, Array, Array]:

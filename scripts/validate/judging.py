@@ -71,15 +71,20 @@ def judge(z: Scores, sigma: Scores, all_z: Scores, programs: int) -> Judgement:
         "largest": min(1.0, len(all_z) * 2 * float(norm.sf(abs(largest)))),
     }
     return Judgement(
-        benches=n, scores=len(all_z),
-        mean=float(np.mean(z)), mean_error=1 / math.sqrt(n), rms=math.sqrt(squares / n),
+        benches=n,
+        scores=len(all_z),
+        mean=float(np.mean(z)),
+        mean_error=1 / math.sqrt(n),
+        rms=math.sqrt(squares / n),
         median_error=float(np.median(sigma)),
         shift=float(np.sum(z * sigma * weight) / np.sum(weight)),
         shift_error=float(1 / math.sqrt(np.sum(weight))),
-        p_values=p_values, largest=largest, level=level,
+        p_values=p_values,
+        largest=largest,
+        level=level,
         noticed_shift=float((beyond + sure) / lift),
         noticed_error=float((beyond_all + sure) * np.median(sigma)),
-    )  # fmt: skip
+    )
 
 
 def agree(judgements: Mapping[str, Judgement]) -> bool:

@@ -17,14 +17,34 @@ from validate.formulas import SOURCES
 from validate.judging import FALSE_ALARM, POWER, TESTS, Judgement, agree, quantile_band
 
 COLUMNS = (
-    "program", "group", "bench", "quantity", "mitsuba", "mitsuba_sigma", "other", "other_sigma",
-    "z", "mitsuba_photons", "other_photons", "scene_hash",
-)  # fmt: skip
+    "program",
+    "group",
+    "bench",
+    "quantity",
+    "mitsuba",
+    "mitsuba_sigma",
+    "other",
+    "other_sigma",
+    "z",
+    "mitsuba_photons",
+    "other_photons",
+    "scene_hash",
+)
 #: A `Row` in these.
 _cells = attrgetter(
-    "program", "group", "bench", "quantity", "ours", "ours_sigma", "other", "other_sigma", "z",
-    "photons", "other_photons", "scene_hash",
-)  # fmt: skip
+    "program",
+    "group",
+    "bench",
+    "quantity",
+    "ours",
+    "ours_sigma",
+    "other",
+    "other_sigma",
+    "z",
+    "photons",
+    "other_photons",
+    "scene_hash",
+)
 
 
 @dataclass(frozen=True)
@@ -76,8 +96,11 @@ def write_report(
 
 def verdict(judged: Mapping[str, Judgement]) -> str:
     """One sentence."""
-    failed = [f"{program} ({', '.join(t for t in TESTS if j.p_values[t] < j.level)})"
-              for program, j in judged.items() if not j.agrees]  # fmt: skip
+    failed = [
+        f"{program} ({', '.join(t for t in TESTS if j.p_values[t] < j.level)})"
+        for program, j in judged.items()
+        if not j.agrees
+    ]
     tested = f"right programs pass this with {100 * (1 - FALSE_ALARM):g} % probability"
     if agree(judged):
         return f"Mitsuba agrees with {_listed(list(judged))}: {tested}."
@@ -88,19 +111,31 @@ def summary(judged: Mapping[str, Judgement]) -> list[tuple[str, ...]]:
     """A row of words for each program, under `SUMMARY_HEAD`."""
     return [
         (
-            program, f"{j.benches}", f"{100 * j.median_error:.2g} %",
-            f"{j.mean:+.2f} ± {j.mean_error:.2f}", f"{j.rms:.2f}",
-            *(f"{j.p_values[test]:.2g}" for test in TESTS), f"{j.largest:+.2f} of {j.scores}",
-            f"{100 * j.shift:+.3f} ± {100 * j.shift_error:.3f} %", "yes" if j.agrees else "NO",
+            program,
+            f"{j.benches}",
+            f"{100 * j.median_error:.2g} %",
+            f"{j.mean:+.2f} ± {j.mean_error:.2f}",
+            f"{j.rms:.2f}",
+            *(f"{j.p_values[test]:.2g}" for test in TESTS),
+            f"{j.largest:+.2f} of {j.scores}",
+            f"{100 * j.shift:+.3f} ± {100 * j.shift_error:.3f} %",
+            "yes" if j.agrees else "NO",
         )
         for program, j in judged.items()
-    ]  # fmt: skip
+    ]
 
 
 SUMMARY_HEAD = (
-    "Mitsuba against", "benches", "error of each", "mean z", "rms z",
-    *(f"p ({test})" for test in TESTS), "largest z", "mean shift", "agrees",
-)  # fmt: skip
+    "Mitsuba against",
+    "benches",
+    "error of each",
+    "mean z",
+    "rms z",
+    *(f"p ({test})" for test in TESTS),
+    "largest z",
+    "mean shift",
+    "agrees",
+)
 
 
 @style.styled
@@ -119,11 +154,14 @@ def draw(path: Path, rows: Sequence[Row], judged: Mapping[str, Judgement]) -> No
         axes.set_title(f"Mitsuba − {program}", loc="left")
         axes.set_xlabel("z expected of the standard normal")
         axes.text(
-            0.97, 0.04,
+            0.97,
+            0.04,
             f"{found.benches} benches\nmean {found.mean:+.2f} ± {found.mean_error:.2f}\n"
             f"rms {found.rms:.2f}\np(χ²) = {found.p_values['chi2']:.2g}",
-            transform=axes.transAxes, ha="right", va="bottom",
-        )  # fmt: skip
+            transform=axes.transAxes,
+            ha="right",
+            va="bottom",
+        )
         style.open_axes(axes)
     first = figure.axes[0]
     first.set_ylabel("z found: difference of η in its own errors")
@@ -181,11 +219,17 @@ def _benches(rows: Sequence[Row], program: str) -> list[str]:
             of_bench.append(f"{row.quantity} {row.z:+.1f}")
     head = ["bench", "quantity", "Mitsuba", program, "z", "z of other fates"]
     found = [
-        (row.bench, row.quantity, f"{row.ours:.5f} ± {row.ours_sigma:.5f}",
-         f"{row.other:.5f} ± {row.other_sigma:.5f}", f"{row.z:+.2f}", ", ".join(fates[row.bench]))
+        (
+            row.bench,
+            row.quantity,
+            f"{row.ours:.5f} ± {row.ours_sigma:.5f}",
+            f"{row.other:.5f} ± {row.other_sigma:.5f}",
+            f"{row.z:+.2f}",
+            ", ".join(fates[row.bench]),
+        )
         for row in own
         if row.leading
-    ]  # fmt: skip
+    ]
     width = len(head) if any(fates.values()) else len(head) - 1
     return markdown(head[:width], [row[:width] for row in found])
 

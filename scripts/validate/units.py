@@ -109,9 +109,10 @@ class Results:
                 os.fsync(stream.fileno())
         except OSError as error:
             raise InputError(
-                f"cannot be written ({error.strerror})", "make room; finished units are kept",
+                f"cannot be written ({error.strerror})",
+                "make room; finished units are kept",
                 path=self.path,
-            ) from None  # fmt: skip
+            ) from None
         self._found[unit.key] = result
 
 
@@ -186,15 +187,21 @@ def _do_mitsuba(unit: Unit) -> dict[str, Any]:
     trapped = isinstance(unit.case, Formula) and unit.case.fate == "truncated"
     simulation = Simulation(scene_of(unit.case), variant=VARIANT, check=False)
     found = simulation.collect(
-        unit.photons, precision=unit.precision, seed=unit.own_seed,
+        unit.photons,
+        precision=unit.precision,
+        seed=unit.own_seed,
         max_depth=MAX_DEPTH_TRAPPED if trapped else MAX_DEPTH,
-    )  # fmt: skip
+    )
     if found.interrupted:
         raise KeyboardInterrupt
     return {
-        "photons": found.photons, "budget": found.budget, "sigma": found.budget_sigma,
-        "scene_hash": found.scene_hash, "versions": found.versions, "path": found.transport,
-    }  # fmt: skip
+        "photons": found.photons,
+        "budget": found.budget,
+        "sigma": found.budget_sigma,
+        "scene_hash": found.scene_hash,
+        "versions": found.versions,
+        "path": found.transport,
+    }
 
 
 def _hash(*parts: Any) -> str:

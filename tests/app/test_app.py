@@ -235,9 +235,11 @@ def test_without_a_mouse(browser, campaign, shared_cache):
         browser.driver.get_log("performance")
         browser.find("#upload-button").send_keys(KEYS["enter"])
         browser.wait_for(
-            lambda: any("fileChooserOpened" in e["message"]
-                        for e in browser.driver.get_log("performance")), "file dialogue"
-        )  # fmt: skip
+            lambda: any(
+                "fileChooserOpened" in e["message"] for e in browser.driver.get_log("performance")
+            ),
+            "file dialogue",
+        )
         browser.screenshot_whole("5 keyboard")
         assert browser.complaints() == []
 

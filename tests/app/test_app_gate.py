@@ -152,11 +152,18 @@ def test_every_answer_forbids_frames_and_foreign_scripts(page):
 @pytest.mark.parametrize(
     "host",
     [
-        "evil.test:{port}", "127.0.0.1", "127.0.0.1:1", "[::1]:{port}", "0.0.0.0:{port}",
-        "127.0.0.1.evil.test:{port}", "localhost:{port}.evil.test", "127.0.0.1:{port}, evil.test",
-        "", None,
+        "evil.test:{port}",
+        "127.0.0.1",
+        "127.0.0.1:1",
+        "[::1]:{port}",
+        "0.0.0.0:{port}",
+        "127.0.0.1.evil.test:{port}",
+        "localhost:{port}.evil.test",
+        "127.0.0.1:{port}, evil.test",
+        "",
+        None,
     ],
-)  # fmt: skip
+)
 def test_a_name_that_is_not_ours_is_refused(page, host):
     host = host and host.format(port=page.port)
     for status, _, text in (ask(page, Host=host), press(page, Host=host)):
@@ -168,11 +175,22 @@ def test_a_name_that_is_not_ours_is_refused(page, host):
 @pytest.mark.parametrize(
     "path",
     [
-        "/", "", "/favicon.ico", "/{wrong}/", "/{wrong}/state", "/{key}", "/{less}/",
-        "/{key}x/", "/./{key}/", "/{wrong}/../{key}/", "/%2f{key}/", "/%ff%00/",
-        "/state?key={key}", "/%D0%BA%D0%BB%D1%8E%D1%87/",
+        "/",
+        "",
+        "/favicon.ico",
+        "/{wrong}/",
+        "/{wrong}/state",
+        "/{key}",
+        "/{less}/",
+        "/{key}x/",
+        "/./{key}/",
+        "/{wrong}/../{key}/",
+        "/%2f{key}/",
+        "/%ff%00/",
+        "/state?key={key}",
+        "/%D0%BA%D0%BB%D1%8E%D1%87/",
     ],
-)  # fmt: skip
+)
 def test_no_key_no_page(page, path):
     path = path.format(key=page.key, less=page.key[:-1], wrong=new_key())
     status, _, text = ask(page, path=path)
@@ -190,12 +208,17 @@ def test_another_page_is_refused_even_with_the_key(page, headers):
     assert (page.counted, page.passed) == (0, [])
 
 
-@cases("method", "headers", "status", more=[
-    ("POST", {"Content-Type": None}, 415),
-    ("POST", {"Content-Length": str(LARGEST_BODY + 1)}, 413),
-    ("POST", {"Content-Length": "9" * 5000}, 411),
-    ("POST", {"Content-Length": None}, 411),
-])  # fmt: skip
+@cases(
+    "method",
+    "headers",
+    "status",
+    more=[
+        ("POST", {"Content-Type": None}, 415),
+        ("POST", {"Content-Length": str(LARGEST_BODY + 1)}, 413),
+        ("POST", {"Content-Length": "9" * 5000}, 411),
+        ("POST", {"Content-Length": None}, 411),
+    ],
+)
 def test_forms_of_request_that_the_page_does_not_use(page, method, headers, status):
     given, named, text = ask(page, method, f"/{page.key}/do", COUNT, **headers)
     assert given == status and (text.count("\n") == 1 or method == "HEAD")

@@ -9,8 +9,17 @@ from contextlib import ExitStack
 import pytest
 from places import SCENES
 
-PAGE = ["-m", "mcrim_mitsuba", "app", SCENES / "camoo4_campaign.toml", "--no-browser",
-        "--photons", "1000", "--threads", "1"]  # fmt: skip
+PAGE = [
+    "-m",
+    "mcrim_mitsuba",
+    "app",
+    SCENES / "camoo4_campaign.toml",
+    "--no-browser",
+    "--photons",
+    "1000",
+    "--threads",
+    "1",
+]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="folders have no locks there")
@@ -21,9 +30,11 @@ def test_what_a_killed_page_leaves_goes_with_the_next_one(tmp_path):
             """A page that is ready, and its folder."""
             before = set(tmp_path.glob("mcrim_app_*"))
             page = subprocess.Popen(
-                [sys.executable, *PAGE], env=os.environ | {"TMPDIR": str(tmp_path)},
-                stdout=subprocess.PIPE, text=True,
-            )  # fmt: skip
+                [sys.executable, *PAGE],
+                env=os.environ | {"TMPDIR": str(tmp_path)},
+                stdout=subprocess.PIPE,
+                text=True,
+            )
             stack.enter_context(page)
             stack.callback(page.kill)
             assert "the page is at" in page.stdout.readline()

@@ -190,9 +190,13 @@ def test_samples_are_fitted_and_shown_side_by_side(files, scenes):
         asked, found = session.state.settings, session.state.steps[0].calibration
         titles = [control.title for control in session.bench.controls]
         assert titles == [
-            "scattering", "absorption", "scattering of cawo4", "absorption of cawo4",
-            "scale of cawo4", "scale",
-        ]  # fmt: skip
+            "scattering",
+            "absorption",
+            "scattering of cawo4",
+            "absorption of cawo4",
+            "scale of cawo4",
+            "scale",
+        ]
         assert asked.known == {} and session.bench.controls[2].known.how == HELD
         shown = session.show(asked)
         assert (shown.chi2, shown.ndf) == (pytest.approx(found.chi2, rel=1e-4), found.ndf)
@@ -311,9 +315,11 @@ def test_a_size_that_is_held_is_simulated_where_it_is_held(files):
         settings = session.state.settings
         values = {**settings.values, "bubble_fraction": 0.4}
         found = fitted(
-            session, effects=("gap_bubble", "surface_absorption"), values=values,
+            session,
+            effects=("gap_bubble", "surface_absorption"),
+            values=values,
             known={"bubble_fraction": Known(HELD)},
-        )  # fmt: skip
+        )
         assert found.fixed == {"bubble_fraction": 0.4} and "surface_loss" in found.names
         [anchor] = session.bench._anchors.values()
         assert anchor.values["bubble_fraction"] == 0.4
@@ -418,35 +424,69 @@ def no_settings(**changes):
     return {"settings": {"effects": [], "values": {}, "fit_scale": True, "known": {}} | changes}
 
 
-@pytest.mark.parametrize("body", [
-    "{}", "[]", "[[]]", "null", "5", '"do"', "", "{", "[" * 100_000, {"settings": []},
-    {"settings": {}}, no_settings(values=[]), no_settings(known={"alpha_scat_per_cm": 5}),
-    no_settings(effects=5), no_settings(effects=[[]]),
-], ids=lambda body: str(body)[:40])  # fmt: skip
+@pytest.mark.parametrize(
+    "body",
+    [
+        "{}",
+        "[]",
+        "[[]]",
+        "null",
+        "5",
+        '"do"',
+        "",
+        "{",
+        "[" * 100_000,
+        {"settings": []},
+        {"settings": {}},
+        no_settings(values=[]),
+        no_settings(known={"alpha_scat_per_cm": 5}),
+        no_settings(effects=5),
+        no_settings(effects=[[]]),
+    ],
+    ids=lambda body: str(body)[:40],
+)
 def test_bodies_that_no_page_sends_are_bad_requests(post, capsys, body):
     for address in ("do", "predictions"):
         assert post(address, body) == (400, "mcrim app: Bad Request\n")
     assert capsys.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("asked", [
-    {}, {"what": 5}, {"what": "nothing"}, {"what": "copy", "name": "x"},
-    {"what": "drop", "name": "1" * 5000}, {"what": "edit", "name": "0", "column": []},
-    {"what": "show", "name": ""}, {"what": "compare", "name": None}, {"what": "remove"},
-    {"what": "stop", "name": 5}, {"what": "add", "name": "nothing"}, {"what": "add", "name": []},
-    {"what": "get", "name": "../x"}, {"what": "upload", "content": 5}, {"what": [], "known": 0},
-    {"what": "stop", "known": "x"}, {"what": "effect", "name": "nothing"},
-], ids=str)  # fmt: skip
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {},
+        {"what": 5},
+        {"what": "nothing"},
+        {"what": "copy", "name": "x"},
+        {"what": "drop", "name": "1" * 5000},
+        {"what": "edit", "name": "0", "column": []},
+        {"what": "show", "name": ""},
+        {"what": "compare", "name": None},
+        {"what": "remove"},
+        {"what": "stop", "name": 5},
+        {"what": "add", "name": "nothing"},
+        {"what": "add", "name": []},
+        {"what": "get", "name": "../x"},
+        {"what": "upload", "content": 5},
+        {"what": [], "known": 0},
+        {"what": "stop", "known": "x"},
+        {"what": "effect", "name": "nothing"},
+    ],
+    ids=str,
+)
 def test_what_no_page_asks_for_is_a_bad_request(post, capsys, asked):
     assert post("do", asked) == (400, "mcrim app: Bad Request\n")
     assert capsys.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize(("name", "content", "slip"), [
-    ("mine.json", b"[" * 100_000, "mine.json: this is not a session of the page"),
-    ("mine.csv", b"[" * 100_000, "mine.csv, line 1"),
-    ("mine.csv", None, "the file did not arrive whole"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "content", "slip"),
+    [
+        ("mine.json", b"[" * 100_000, "mine.json: this is not a session of the page"),
+        ("mine.csv", b"[" * 100_000, "mine.csv, line 1"),
+        ("mine.csv", None, "the file did not arrive whole"),
+    ],
+)
 def test_uploads_of_rubbish_are_refused_in_a_line(post, capsys, name, content, slip):
     coded = "é" if content is None else base64.b64encode(content).decode()
     status, text = post("do", {"what": "upload", "name": name, "content": f"data:,{coded}"})

@@ -46,9 +46,13 @@ from mcrim_mitsuba.transport.simulation import Simulation
 
 # alpha_scat, 1/cm, where R = 0.583, by (polarised, T in %); of an independent calculation
 ALPHA_SCAT_REFERENCE = {
-    (True, 98.6): 0.379, (True, 96.0): 0.542, (True, 93.0): 0.687,
-    (False, 98.6): 0.395, (False, 96.0): 0.560, (False, 93.0): 0.709,
-}  # fmt: skip
+    (True, 98.6): 0.379,
+    (True, 96.0): 0.542,
+    (True, 93.0): 0.687,
+    (False, 98.6): 0.395,
+    (False, 96.0): 0.560,
+    (False, 93.0): 0.709,
+}
 # eta, %, at (0.039, 0.54) /cm
 ETA_REFERENCE = {
     "eta_air at (0.039, 0.54) /cm, pol.": 25.26,
@@ -111,10 +115,13 @@ def test_printed_error_enters_the_verdict():
 
 def test_numbers_that_follow_from_the_article_alone():
     rows = [
-        *arithmetic.transmittance_rows(), *arithmetic.bare_crystal_rows(),
-        *arithmetic.ratio_rows(), *arithmetic.light_yield_rows(), *arithmetic.relative_rows(),
+        *arithmetic.transmittance_rows(),
+        *arithmetic.bare_crystal_rows(),
+        *arithmetic.ratio_rows(),
+        *arithmetic.light_yield_rows(),
+        *arithmetic.relative_rows(),
         *arithmetic.table_2_rows(),
-    ]  # fmt: skip
+    ]
     for quantity, (value, verdict) in tables_of(__file__)["expected"].items():
         found = row(rows, quantity)
         digits = len(str(value).partition(".")[2])
@@ -206,9 +213,11 @@ def test_other_crystals_and_what_differs(result):
     assert wrapped.systematic == pytest.approx(1.9, abs=0.2)  # 0.67 to 0.71
     differs = [found.quantity for found in result.rows if found.verdict == DIFFERS]
     assert differs == [
-        "eta of thin CaMoO4, 1 mm, gel, Sec. 6.2", "eta of CaWO4, air, Sec. 6.4",
-        "eta of CaMoO4 cube, wrapped, gel, Sec. 6.5", "[13] with our wrapped eta",
-    ]  # fmt: skip
+        "eta of thin CaMoO4, 1 mm, gel, Sec. 6.2",
+        "eta of CaWO4, air, Sec. 6.4",
+        "eta of CaMoO4 cube, wrapped, gel, Sec. 6.5",
+        "[13] with our wrapped eta",
+    ]
     assert row(result.rows, "[13] with our wrapped eta").ours == pytest.approx(6.32, abs=0.03)
 
 
@@ -245,9 +254,11 @@ def test_what_the_article_leaves_out_has_rows(result):
     photons per configuration.
     """
     for quantity, expected, unit in (
-        ("eta_air", -4.83, "%"), ("eta_gel", -4.36, "%"), ("alpha_scat", 0.025, "1/cm"),
+        ("eta_air", -4.83, "%"),
+        ("eta_gel", -4.36, "%"),
+        ("alpha_scat", 0.025, "1/cm"),
         ("Y", 0.376, "ph/keV"),
-    ):  # fmt: skip
+    ):
         found = row(result.rows, f"shift of {quantity} by source depth")
         assert abs(found.ours - expected) < 4 * found.sigma and found.unit == unit
         assert found.systematic > 0 and found.verdict == REFERENCE

@@ -95,9 +95,14 @@ HEADER = "label,signal,sigma\n"
 GROUPS = "label,signal,sigma,group,group_sigma\n"
 
 
-@cases("text", "place", "says", more=[
-    (b"x" * 10_000_001, "", "larger than 10 MB"),
-])  # fmt: skip
+@cases(
+    "text",
+    "place",
+    "says",
+    more=[
+        (b"x" * 10_000_001, "", "larger than 10 MB"),
+    ],
+)
 def test_bad_measurements_are_refused_in_one_line(tmp_path, text, place, says):
     refused = refusal(readings, tmp_path, text)
     assert refused.startswith(str(tmp_path / "rows.csv")) and place in refused and says in refused
@@ -117,8 +122,11 @@ def test_campaign_of_the_article(folder):
     assert read.scene.parameters["n_gap"] == 1.0
     assert len(read.measurements.in_use) == 2
     assert (read.scale, read.effects, read.effects_folder, read.next_measurements) == (
-        None, (), None, {},
-    )  # fmt: skip
+        None,
+        (),
+        None,
+        {},
+    )
 
 
 def test_fixed_scale_and_lengths(folder):
@@ -133,8 +141,10 @@ def test_fixed_scale_and_lengths(folder):
     assert (read.scale.start, read.scale.maximum) == (1.0, math.inf)
     assert read.parameters["gap_mm"].maximum == pytest.approx(0.5)
     assert read.next_measurements == {
-        "n_gap": [1.0, 1.46], "sigma_relative": 0.007, "minutes": {"n_gap": 20.0},
-    }  # fmt: skip
+        "n_gap": [1.0, 1.46],
+        "sigma_relative": 0.007,
+        "minutes": {"n_gap": 20.0},
+    }
     for minutes, problem in (
         ("20", "minutes is not a table; write minutes = { n_gap = 20 }"),
         ("{n_gpa = 20}", "n_gpa is not a parameter of camoo4.xml; did you mean n_gap"),
@@ -241,10 +251,16 @@ def test_effects_of_the_users_own(folder, monkeypatch):
     assert "drift" not in campaign(folder, CAMPAIGN).catalogue
 
 
-@cases("old", "new", "place", "says", more=[
-    ("effects = []", f"effects = [{'1, ' * 100_000}]", "line 3", "not a list of names"),
-    ("effects = []", f'effects = ["{"x" * 500_000}"]', "line 3", "there is no effect"),
-])  # fmt: skip
+@cases(
+    "old",
+    "new",
+    "place",
+    "says",
+    more=[
+        ("effects = []", f"effects = [{'1, ' * 100_000}]", "line 3", "not a list of names"),
+        ("effects = []", f'effects = ["{"x" * 500_000}"]', "line 3", "there is no effect"),
+    ],
+)
 def test_bad_campaigns_are_refused_in_one_line(folder, old, new, place, says):
     assert old in CAMPAIGN
     refused = refusal(campaign, folder, CAMPAIGN.replace(old, new, 1))
@@ -418,13 +434,18 @@ def rows(three, header, *cells):
 
 def test_each_kind_of_reading_leaves_the_others_cells_empty(three):
     read = rows(
-        three, "n_gap,acceptance_deg", "air,light,14.3,0.2,1,", "gel,,24.5,0.4,1.46,",
-        "t,transmittance,0.76,0.012,,1", "t wide,transmittance,0.77,0.012,1,30",
-    )  # fmt: skip
+        three,
+        "n_gap,acceptance_deg",
+        "air,light,14.3,0.2,1,",
+        "gel,,24.5,0.4,1.46,",
+        "t,transmittance,0.76,0.012,,1",
+        "t wide,transmittance,0.77,0.012,1,30",
+    )
     assert [reading.of_beam for reading in read.measurements.readings] == [False, False, True, True]
     assert [reading.parameters for reading in read.measurements.readings][2:] == [
-        {"acceptance_deg": 1.0}, {"n_gap": 1.0, "acceptance_deg": 30.0},
-    ]  # fmt: skip
+        {"acceptance_deg": 1.0},
+        {"n_gap": 1.0, "acceptance_deg": 30.0},
+    ]
     assert read.beam == {"beam_diameter_mm": 3.0, "beam_axis": "x", "acceptance_deg": 5.0}
     assert read.values["acceptance_deg"] == 5.0 and "acceptance_deg" not in read.scene.parameters
 

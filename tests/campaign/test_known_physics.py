@@ -150,8 +150,10 @@ def test_a_budget_does_not_list_what_is_in_the_model(campaign_of, three):
     run = Run(8192, seed=3)
     inside = budget(campaign_of(three), run=run)
     assert {piece.name for piece in inside.neglected} == {
-        "crystal_index", "index_spread", "birefringence",
-    }  # fmt: skip
+        "crystal_index",
+        "index_spread",
+        "birefringence",
+    }
     assert inside.not_estimated == dict.fromkeys(
         ("source_depth", "polarization"), "it is in the model"
     )

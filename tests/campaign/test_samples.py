@@ -72,8 +72,13 @@ def test_what_samples_share_and_what_is_their_own(read):
     shared = [ALPHA_SCAT, ALPHA_ABS, SCALE]
     assert named == [shared, shared, [ALPHA_SCAT, "alpha_abs_other_per_cm", "scale_other"]]
     assert campaign.free == (
-        ALPHA_SCAT, ALPHA_ABS, "alpha_abs_other_per_cm", "scale_other", "efficiency_factor", SCALE
-    )  # fmt: skip
+        ALPHA_SCAT,
+        ALPHA_ABS,
+        "alpha_abs_other_per_cm",
+        "scale_other",
+        "efficiency_factor",
+        SCALE,
+    )
     own = campaign.parameters["alpha_abs_other_per_cm"]
     assert (own.start, own.maximum) == (0.1, 0.5)
     # what is shared of the efficiency's error is taken out of it: sqrt(0.1^2 - 0.05^2)
@@ -113,25 +118,41 @@ def test_one_detector_reads_all_samples(read):
 @pytest.mark.parametrize(
     ("old", "new", "place", "says"),
     [
-        ("[samples.thin.scene]", "[samples.c]\n[samples.thin.scene]", "line 12",
-         "no reading of rows.csv"),
+        (
+            "[samples.thin.scene]",
+            "[samples.c]\n[samples.thin.scene]",
+            "line 12",
+            "no reading of rows.csv",
+        ),
         ("[samples.thin.scene]", "[samples.t-hin.scene]", "line 12", "letters, digits"),
         ("crystal_height_mm = 5", "crystal_heigth_mm = 5", "line 13", "mean crystal_height_mm?"),
         ("crystal_height_mm = 5", "crystal_height_mm = 0.005", "line 13", "in mm: 5"),
         ("crystal_height_mm = 5", "alpha_abs_per_cm = 5", "line 13", "fixed = true"),
         ("crystal_height_mm = 5", "crystal_height_mm = [5]", "line 13", "not one value"),
         ("[samples.thin.scene]", "[samples.thin.scenes]", "line 12", "did you mean scene?"),
-        ("[samples.other.parameters.alpha_abs", "[samples.other.parameters.alpha_bas", "line 17",
-         "did you mean alpha_abs_per_cm?"),
-        ("[parameters.alpha_abs_per_cm]", "[parameters.n_crystal]\n[parameters.alpha_abs_per_cm]",
-         "line 17", "n_crystal is fitted"),
-        ("[parameters.alpha_scat", f"{SPECTRUM}\n[parameters.alpha_scat",
-         "line 16", "spectrum is of one crystal"),
+        (
+            "[samples.other.parameters.alpha_abs",
+            "[samples.other.parameters.alpha_bas",
+            "line 17",
+            "did you mean alpha_abs_per_cm?",
+        ),
+        (
+            "[parameters.alpha_abs_per_cm]",
+            "[parameters.n_crystal]\n[parameters.alpha_abs_per_cm]",
+            "line 17",
+            "n_crystal is fitted",
+        ),
+        (
+            "[parameters.alpha_scat",
+            f"{SPECTRUM}\n[parameters.alpha_scat",
+            "line 16",
+            "spectrum is of one crystal",
+        ),
         ("= 0.026", "= 0.009", "line 23", "5 % that samples share"),
         ("= 0.026", "= 0.026\nlight_yield_ph_per_keV = 16", "line 20", "both or none"),
         ("shared_efficiency_sigma = 0.05", "shared_efficiency_sigma = 5", "line 11", "0.05 for 5"),
     ],
-)  # fmt: skip
+)
 def test_bad_samples_are_refused_in_one_line(read, old, new, place, says):
     assert old in CAMPAIGN
     refused = refusal(read, CAMPAIGN.replace(old, new, 1))

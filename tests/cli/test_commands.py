@@ -24,8 +24,20 @@ BENCH = str(SCENES / "camoo4.xml")
 
 def test_table_agrees_with_the_solution_without_photons(mcrim, tmp_path):
     path = tmp_path / "T.csv"
-    mcrim.shown("table", BENCH, "--alpha-scat", "0,0.02,0.54,6", "--alpha-abs", "0.014:0.072:2",
-                "--n-gap", "1,1.46", "--photons", "4e5", "-o", path)  # fmt: skip
+    mcrim.shown(
+        "table",
+        BENCH,
+        "--alpha-scat",
+        "0,0.02,0.54,6",
+        "--alpha-abs",
+        "0.014:0.072:2",
+        "--n-gap",
+        "1,1.46",
+        "--photons",
+        "4e5",
+        "-o",
+        path,
+    )
     with path.open() as stream:
         rows = list(csv.DictReader(stream))
     assert list(rows[0]) == ["n_gap", "alpha_abs_per_cm", "alpha_scat_per_cm", "eta", "eta_sigma"]
@@ -125,8 +137,11 @@ def test_an_unusable_llvm_is_refused_before_dr_jit_sees_it(library, words):
     environment = os.environ | {"DRJIT_LIBLLVM_PATH": library}
     done = subprocess.run(
         [sys.executable, "-m", "mcrim_mitsuba", "check"],
-        env=environment, capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
     assert done.returncode == 2 and done.stderr.count("\n") == 1
     assert all(word in done.stderr for word in words)
 
@@ -161,10 +176,16 @@ def test_impossible_outputs_are_refused_before_any_work(mcrim, monkeypatch, camp
         raise AssertionError("work was done before the outputs were checked")
 
     for place in (
-        "transport.simulation.Simulation", "efficiency.table.eta_table", "inference.repair.repair",
-        "inference.calibrate.calibrate", "inference.compare.compare", "reference.crosscheck.crosscheck",
-        "inference.diagnose.diagnose", "transport.simulation.check_scene", "article.reproduce.reproduce_article",
-    ):  # fmt: skip
+        "transport.simulation.Simulation",
+        "efficiency.table.eta_table",
+        "inference.repair.repair",
+        "inference.calibrate.calibrate",
+        "inference.compare.compare",
+        "reference.crosscheck.crosscheck",
+        "inference.diagnose.diagnose",
+        "transport.simulation.check_scene",
+        "article.reproduce.reproduce_article",
+    ):
         monkeypatch.setattr(f"mcrim_mitsuba.{place}", worked)
     Path("here.xml").write_text("somebody's work")
     of_campaign = "camoo4_campaign.toml" in READS[verb]
@@ -201,8 +222,18 @@ def test_notes_and_what_was_spent_are_seen_beside_a_table_on_standard_output(mcr
 
 def test_what_a_table_is_asked_twice_is_simulated_once(mcrim):
     def table(absorption, couplings):
-        return mcrim.json("table", BENCH, "--alpha-scat", "0.5", "--alpha-abs", absorption,
-                          "--n-gap", couplings, "--photons", "2e4")  # fmt: skip
+        return mcrim.json(
+            "table",
+            BENCH,
+            "--alpha-scat",
+            "0.5",
+            "--alpha-abs",
+            absorption,
+            "--n-gap",
+            couplings,
+            "--photons",
+            "2e4",
+        )
 
     once, again = table("100,0.039", "1.46,1"), table("100,0.039,100", "1.46,1,1.46")
     gel, air = once["rows"][:2], once["rows"][2:]
@@ -214,8 +245,11 @@ def test_a_parameter_at_its_bound_gets_no_error(mcrim, monkeypatch, tmp_path):
     """Its sigma knows nothing of the bound, and is several times the interval."""
     campaign = tmp_path / "c.toml"
     text = (SCENES / "camoo4_campaign.toml").read_text()
-    for old, new in (("start = 0.5", "start = 0.2"), ("max = 10.0", "max = 0.3"),
-                     ('= "camoo4', f'= "{SCENES}/camoo4')):  # fmt: skip
+    for old, new in (
+        ("start = 0.5", "start = 0.2"),
+        ("max = 10.0", "max = 0.3"),
+        ('= "camoo4', f'= "{SCENES}/camoo4'),
+    ):
         assert old in text
         text = text.replace(old, new)
     campaign.write_text(text)
@@ -226,8 +260,9 @@ def test_a_parameter_at_its_bound_gets_no_error(mcrim, monkeypatch, tmp_path):
     assert estimate.at_bound == "max"
     values, budget = (
         [cell.strip() for cell in line.split("│")[1:-1]]
-        for line in out.splitlines() if "│ scattering (1/cm)" in line
-    )  # fmt: skip
+        for line in out.splitlines()
+        if "│ scattering (1/cm)" in line
+    )
     assert values[1:4] == ["0.3, at its bound", f"{estimate.lower:.4g}", "0.3"]
     assert not any(budget[1:])
     # its notes are seen beside JSON too
@@ -244,20 +279,31 @@ FINE = "label,signal,sigma,n_gap\nair,14.3,0.2,1.0\ngel,24.5,0.4,1.46\n"
 @pytest.mark.parametrize(
     ("scene", "rows", "further", "says"),
     [
-        ("camoo4.xml", f"label,histogram\nair,{LONG}.csv\n", "",
-         ("m.csv, line 2, column histogram: ", "does not exist")),
+        (
+            "camoo4.xml",
+            f"label,histogram\nair,{LONG}.csv\n",
+            "",
+            ("m.csv, line 2, column histogram: ", "does not exist"),
+        ),
         (f"{LONG}.xml", FINE, "", ("c.toml, line 1: ", "does not exist")),
-        ("camoo4.xml", FINE, "[parameters.alpha_abs_per_cm]\n"
-         f'transmittance = "{LONG}.csv"\nthickness_mm = 10.0\n',
-         ("c.toml, line 4: ", "does not exist")),
+        (
+            "camoo4.xml",
+            FINE,
+            f'[parameters.alpha_abs_per_cm]\ntransmittance = "{LONG}.csv"\nthickness_mm = 10.0\n',
+            ("c.toml, line 4: ", "does not exist"),
+        ),
         # a depth that raw data give is not called a start
-        ("camoo4.xml", FINE, 'effects = ["source_depth"]\n[parameters.source_depth_mm]\n'
-         'gammas_in = "CaMoO4"\n[light_yield]\nenergy_keV = 10.0\ndetector_efficiency = 0.127\n'
-         "detector_efficiency_sigma = 0.013\n",
-         ("c.toml, line 5: ", "the prior of source_depth_mm", "is far outside 0.2..100")),
+        (
+            "camoo4.xml",
+            FINE,
+            'effects = ["source_depth"]\n[parameters.source_depth_mm]\n'
+            'gammas_in = "CaMoO4"\n[light_yield]\nenergy_keV = 10.0\ndetector_efficiency = 0.127\n'
+            "detector_efficiency_sigma = 0.013\n",
+            ("c.toml, line 5: ", "the prior of source_depth_mm", "is far outside 0.2..100"),
+        ),
     ],
     ids=["histogram", "scene", "transmittance", "depth"],
-)  # fmt: skip
+)
 def test_campaigns_are_refused_with_their_line(mcrim, campaign_here, scene, rows, further, says):
     Path("m.csv").write_text(rows)
     Path("c.toml").write_text(f'scene = "{scene}"\nmeasurements = "m.csv"\n{further}')
@@ -266,8 +312,18 @@ def test_campaigns_are_refused_with_their_line(mcrim, campaign_here, scene, rows
 
 
 def test_a_table_says_what_it_understood(mcrim):
-    out = mcrim.shown("table", BENCH, "--alpha-scat", "0.1:1.0:10", "--alpha-abs", "0.039",
-                      "--n-gap", "1,1.46", "--photons", "1e4")  # fmt: skip
+    out = mcrim.shown(
+        "table",
+        BENCH,
+        "--alpha-scat",
+        "0.1:1.0:10",
+        "--alpha-abs",
+        "0.039",
+        "--n-gap",
+        "1,1.46",
+        "--photons",
+        "1e4",
+    )
     said = "alpha_scat 0.1, 0.2, ..., 1 (10 values) /cm; alpha_abs 0.039 /cm; n_gap 1, 1.46"
     assert out.splitlines()[0] == said
 
@@ -279,8 +335,11 @@ def into_a_closed_pipe(*arguments: str):
     try:
         return subprocess.run(
             [sys.executable, "-m", "mcrim_mitsuba", *arguments],
-            stdout=writer, stderr=subprocess.PIPE, text=True, timeout=120,
-        )  # fmt: skip
+            stdout=writer,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=120,
+        )
     finally:
         os.close(writer)
 
@@ -289,11 +348,22 @@ def into_a_closed_pipe(*arguments: str):
     ("arguments", "written"),
     [
         (["simulate", BENCH, "--photons", "1e4", "--json", "a.json"], ["a.json"]),
-        (["table", BENCH, *LISTS, "--photons", "1e4", "-o", "t.csv", "--json", "a.json"],
-         ["t.csv", "a.json"]),
+        (
+            ["table", BENCH, *LISTS, "--photons", "1e4", "-o", "t.csv", "--json", "a.json"],
+            ["t.csv", "a.json"],
+        ),
         (["table", BENCH, *LISTS, "--photons", "1e4", "-o", "-", "--json", "a.json"], ["a.json"]),
-        (["calibrate", str(SCENES / "camoo4_campaign.toml"), "--photons", "3e5", "--json",
-          "a.json"], ["a.json"]),
+        (
+            [
+                "calibrate",
+                str(SCENES / "camoo4_campaign.toml"),
+                "--photons",
+                "3e5",
+                "--json",
+                "a.json",
+            ],
+            ["a.json"],
+        ),
         (["crosscheck", BENCH, "--photons", "2e4", "--json", "a.json"], ["a.json"]),
         (["check", BENCH, "-o", "x.png", "--json", "a.json"], ["x.png", "a.json"]),
         (["simulate", BENCH, "--photons", "1e4", "--json", "-"], []),
@@ -302,7 +372,7 @@ def into_a_closed_pipe(*arguments: str):
         ([], []),
     ],
     ids=lambda value: value[0] if value else "none",
-)  # fmt: skip
+)
 def test_a_reader_that_leaves_costs_no_results(here, arguments, written):
     done = into_a_closed_pipe(*arguments)
     # who reads a table of standard output is told beside it what was spent

@@ -60,9 +60,15 @@ def found(monkeypatch):
         "diagnose": Diagnosed(by.calibration(), by.diagnosis("missing_effect"), by.PROVENANCE),
     }
     results["repair"] = Repaired(
-        results["diagnose"], (by.FIRST,), by.calibration(by.MENDED, 0.3, 12.0), Path("new.toml"),
-        Path("new.xml"), by.PROVENANCE, None, None,
-    )  # fmt: skip
+        results["diagnose"],
+        (by.FIRST,),
+        by.calibration(by.MENDED, 0.3, 12.0),
+        Path("new.toml"),
+        Path("new.xml"),
+        by.PROVENANCE,
+        None,
+        None,
+    )
 
     def repaired(*_, on_step, **__):
         for step in results["repair"].diagnosed.diagnosis.repair:
@@ -87,8 +93,12 @@ def test_compare_shows_where_the_misfit_lies(mcrim, campaign, found):
     assert (status, err) == (0, "")
     # of the 15 readings in use: 36 of 49 in squares
     assert row_of(out, by.MARKUP)[1:] == [
-        "20.00 ± 0.20", "18.800 ± 0.010", "+6.00", "+6.60", "73 %",
-    ]  # fmt: skip
+        "20.00 ± 0.20",
+        "18.800 ± 0.010",
+        "+6.00",
+        "+6.60",
+        "73 %",
+    ]
     assert row_of(out, f"{by.LABELS[-1]} (not used)")[-2:] == ["", ""]
     assert (
         "chi2 = 64.2 where 12 ± 4.9 is expected (ndf = 12), p = 2.3e-09: the model does not" in out
@@ -155,13 +165,21 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
     assert lines[1] == FIRST_LINES[verdict]
     assert lines[-1].startswith(LAST_LINES[verdict])
     assert row_of(out, FIRST) == [
-        FIRST, "70 %", "surface loss = 0.0123 ± 0.0008", "usual size", "7.52 (-9.5 %)",
-        "52.1 ± 0.8", "0.44", "1.3", by.FIRST,
-    ]  # fmt: skip
+        FIRST,
+        "70 %",
+        "surface loss = 0.0123 ± 0.0008",
+        "usual size",
+        "7.52 (-9.5 %)",
+        "52.1 ± 0.8",
+        "0.44",
+        "1.3",
+        by.FIRST,
+    ]
     assert row_of(out, "Air bubble in the gap")[3] == "unusual size"
     assert row_of(out, "Absorbing liquid in the gap")[2:4] == [
-        "gap absorption (1/cm) = 20, at its bound", "end of its range",
-    ]  # fmt: skip
+        "gap absorption (1/cm) = 20, at its bound",
+        "end of its range",
+    ]
     assert row_of(out, "Polarisation of the light")[1:6:2] == ["", "on or off", "-2.2 ± 0.8"]
     named = verdict in ("missing_effect", "ambiguous")
     assert ("How to look for it, without a fit:" in lines) == named
@@ -173,11 +191,12 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
         # the table of effects comes first, that of limits last
         out = out[out.index("what the readings allow") :]
         for name, text in {
-            FIRST: "< 0.0021", "Source near the top face": "> 3.25",
+            FIRST: "< 0.0021",
+            "Source near the top face": "> 3.25",
             "Wrong index of the liquid": "-0.02 to 0.031",
             "Wrong index of the crystal": "no limit within its range",
             "Polarisation of the light": "excluded (chi2 rises by 9.3 with it)",
-        }.items():  # fmt: skip
+        }.items():
             assert row_of(out, name)[1] == text
         assert row_of(out, "Source near the top face")[2:] == ["source_depth_mm", "source_depth"]
     if verdict == "ambiguous":
@@ -224,9 +243,12 @@ def test_repair_shows_the_error_fall_and_how_to_go_on(mcrim, campaign, found):
 
 def test_an_unusual_size_is_told_and_not_added(mcrim, campaign, found):
     aside = by.diagnosis(
-        "ambiguous", leading_sets=((by.SECOND,), (by.FIRST,)), set_aside=(by.SECOND,),
-        next_measurements=(), repair=by.STEPS[:1],
-    )  # fmt: skip
+        "ambiguous",
+        leading_sets=((by.SECOND,), (by.FIRST,)),
+        set_aside=(by.SECOND,),
+        next_measurements=(),
+        repair=by.STEPS[:1],
+    )
     told = (
         "The likeliest explanation, air bubble in the gap (bubble fraction = 0.200 ± 0.010), has a "
         "size that a laboratory does not usually meet, and is not added. If you have seen it, say "
@@ -236,8 +258,15 @@ def test_an_unusual_size_is_told_and_not_added(mcrim, campaign, found):
     lines = mcrim.shown("diagnose", campaign).splitlines()
     assert told in lines and "--effect gap_bubble -o" in lines[-1]
     found["repair"] = Repaired(
-        found["diagnose"], (), by.calibration(), None, None, by.PROVENANCE, None, None,
-    )  # fmt: skip
+        found["diagnose"],
+        (),
+        by.calibration(),
+        None,
+        None,
+        by.PROVENANCE,
+        None,
+        None,
+    )
     lines = mcrim.shown("repair", campaign, "-o", "new.toml").splitlines()
     assert told in lines and "Nothing was added, and no file written." in lines
     usual = replace(found["diagnose"], diagnosis=by.diagnosis("missing_effect"))
@@ -297,16 +326,25 @@ COMMENTS = {name: known.comment for name, known in CAMOO4.defaults.items()}
 @pytest.mark.parametrize(
     ("parameters", "comments", "words"),
     [
-        ({"n_gap": 1.46, "aperture_radius_mm": 4.0}, COMMENTS,
-         "optical gel (n = 1.46), mask of 4 mm radius"),
+        (
+            {"n_gap": 1.46, "aperture_radius_mm": 4.0},
+            COMMENTS,
+            "optical gel (n = 1.46), mask of 4 mm radius",
+        ),
         ({"n_gap": 1.333, "gap_mm": 0.5}, COMMENTS, "liquid (n = 1.333), gap of 0.5 mm"),
         ({"n_gap": 1.0, "crystal_height_mm": 20.0}, {}, "air (n = 1), crystal 20 mm high"),
-        ({"n_window": 1.5, "spot_mm": 2.0}, COMMENTS,
-         "Refractive index of the window (BK7 glass) 1.5, spot_mm = 2"),
-        ({"kind": "transmittance", "acceptance_deg": 5.0, "beam_axis": "z"}, {},
-         "transmittance, within 5 degrees, beam along z"),
+        (
+            {"n_window": 1.5, "spot_mm": 2.0},
+            COMMENTS,
+            "Refractive index of the window (BK7 glass) 1.5, spot_mm = 2",
+        ),
+        (
+            {"kind": "transmittance", "acceptance_deg": 5.0, "beam_axis": "z"},
+            {},
+            "transmittance, within 5 degrees, beam along z",
+        ),
     ],
-)  # fmt: skip
+)
 def test_configurations_are_told_in_words(parameters, comments, words):
     assert configuration_words(parameters, comments) == words
 
@@ -386,9 +424,15 @@ def test_a_profile_that_is_no_parabola_is_said():
 
 def test_repair_says_where_nothing_was_added(mcrim, campaign, found):
     found["repair"] = Repaired(
-        replace(found["diagnose"], diagnosis=by.diagnosis("adequate", repair=by.STEPS[:1])), (),
-        by.calibration(), None, None, by.PROVENANCE, None, None,
-    )  # fmt: skip
+        replace(found["diagnose"], diagnosis=by.diagnosis("adequate", repair=by.STEPS[:1])),
+        (),
+        by.calibration(),
+        None,
+        None,
+        by.PROVENANCE,
+        None,
+        None,
+    )
     out = mcrim.shown("repair", campaign, "-o", "new.toml")
     assert "Nothing was added, and no file written." in out.splitlines()
 
@@ -410,9 +454,12 @@ def test_figures_come_with_their_numbers(mcrim, campaign, found):
     assert float(tables["repair_readings"][0]["pull_after"]) == pytest.approx(1.8)
     ranked = tables["diagnose"]
     assert [(row["effect"], row["leading"]) for row in ranked] == [
-        (by.FIRST, "1"), (by.SECOND, "0"), ("gap_absorption", "0"), (by.OFF, "0"),
+        (by.FIRST, "1"),
+        (by.SECOND, "0"),
+        ("gap_absorption", "0"),
+        (by.OFF, "0"),
         ("none", "0"),
-    ]  # fmt: skip
+    ]
     assert (ranked[0]["value"], ranked[0]["mimics"], ranked[3]["value"]) == (
         "0.0123",
         by.SECOND,
@@ -427,9 +474,10 @@ def test_figures_come_with_their_numbers(mcrim, campaign, found):
 
 def test_labels_of_figures_do_not_overlap():
     figure = draw_comparison(
-        by.comparison(suspects=(by.BAD, by.SWAPPED)), by.calibration(by.MENDED, 0.3),
+        by.comparison(suspects=(by.BAD, by.SWAPPED)),
+        by.calibration(by.MENDED, 0.3),
         added="anisotropic_scattering, surface_absorption and scattering_gradient",
-    ).figure  # fmt: skip
+    ).figure
     lower = figure.axes[1]
     assert lower.get_xticklabels()[0].get_text().startswith("[bold red]gel")
     legends = [text for axes in figure.axes for text in axes.get_legend().get_texts()]
@@ -463,9 +511,10 @@ def test_labels_of_figures_do_not_overlap():
 def test_a_hopeless_effect_hides_no_other_and_what_has_no_name_has_a_row():
     hopeless = by.candidate((by.OFF,), -480.0, {})
     found = by.diagnosis(
-        "ambiguous", candidates=(*by.CANDIDATES[:3], hopeless),
+        "ambiguous",
+        candidates=(*by.CANDIDATES[:3], hopeless),
         probabilities={by.FIRST: 0.7, "unknown": 0.2, by.SECOND: 0.0995, "none": 0.0005},
-    )  # fmt: skip
+    )
     drawing = draw_ranking(found)
     chances, gains, beside = drawing.figure.axes
     left, right = gains.get_xlim()
@@ -491,20 +540,27 @@ def test_titles_are_whole_and_within_their_figure(brief):
 
 def test_frames_hold_numbers():
     """Texts are for people: a data frame has values, errors and names with units."""
-    found = Diagnosed(
-        by.calibration(), by.diagnosis("adequate", pairs=(by.PAIR,)), by.PROVENANCE
-    )  # fmt: skip
+    found = Diagnosed(by.calibration(), by.diagnosis("adequate", pairs=(by.PAIR,)), by.PROVENANCE)
     tables = descriptions.of_diagnosis(found).tables
     numbers = [
-        "probability", "size", "size_sigma", "light_yield_ph_per_keV",
-        "light_yield_ph_per_keV_sigma", "delta_chi2", "delta_chi2_sigma", "p_value",
+        "probability",
+        "size",
+        "size_sigma",
+        "light_yield_ph_per_keV",
+        "light_yield_ph_per_keV_sigma",
+        "delta_chi2",
+        "delta_chi2_sigma",
+        "p_value",
         "left_out_error",
-    ]  # fmt: skip
+    ]
     effects = tables["effects, each added alone"].frame()
     assert [name for name in effects if effects[name].dtype == float] == numbers
     assert list(effects.columns.difference(numbers)) == [
-        "effect", "parameter", "plausibility", "title"
-    ]  # fmt: skip
+        "effect",
+        "parameter",
+        "plausibility",
+        "title",
+    ]
     first, _, at_bound, switched = (row for _, row in effects.iterrows())
     assert (first["effect"], first["parameter"]) == (by.FIRST, "surface_loss")
     assert (first["size"], first["size_sigma"]) == (0.0123, 0.0008)
@@ -519,14 +575,24 @@ def test_frames_hold_numbers():
     further = Diagnosed(by.calibration(), by.diagnosis("ambiguous"), by.PROVENANCE)
     following = descriptions.of_diagnosis(further).tables["what to measure next"].frame()
     assert following.loc[0, ["hours", "light_yield_sigma", "probability"]].tolist() == [
-        1.0, 0.083, 0.94
-    ]  # fmt: skip
+        1.0,
+        0.083,
+        0.94,
+    ]
     steps = descriptions.steps_table(by.STEPS).frame()
     assert list(steps.columns) == [
-        "added", "chi2", "ndf", "chi2_per_ndf", "p_value", "rms_pull", "left_out_error",
-        "light_yield_ph_per_keV", "light_yield_ph_per_keV_sigma", "alpha_scat_per_cm",
+        "added",
+        "chi2",
+        "ndf",
+        "chi2_per_ndf",
+        "p_value",
+        "rms_pull",
+        "left_out_error",
+        "light_yield_ph_per_keV",
+        "light_yield_ph_per_keV_sigma",
+        "alpha_scat_per_cm",
         "alpha_scat_per_cm_sigma",
-    ]  # fmt: skip
+    ]
     assert all(steps.drop(columns="added").dtypes.map(lambda each: each.kind in "if"))
     assert steps.loc[1, "added"] == by.FIRST and steps.loc[1, "alpha_scat_per_cm"] == 0.543
 
@@ -559,11 +625,12 @@ def test_a_tiny_p_value_is_below_and_equals_nothing():
     never = by.comparison(p_value=0.0)
     of_never = by.diagnosis("unexplained", baseline=never)
     told = [
-        findings.quality(never), descriptions.step_text(replace(by.STEPS[0], p_value=0.0)),
+        findings.quality(never),
+        descriptions.step_text(replace(by.STEPS[0], p_value=0.0)),
         draw_ranking(of_never).figure.get_suptitle(),
         findings.trust(of_never, replace(by.calibration(), p_value=0.0), ()),
         findings.suspicion(replace(by.BAD, p_value=0.0)),
-    ]  # fmt: skip
+    ]
     assert not [text for text in told if "= <" in text]
 
 
@@ -579,12 +646,21 @@ def side_by_side() -> HypothesesCompared:
     }
     hypotheses = tuple(
         FittedHypothesis(
-            name, Path("a campaign.toml"), ("anisotropic_scattering", "scattering_gradient"),
-            1234.5, 13, 1.2e-10, 2.61, -123.4 * place, 1.7 * place, 0.3,
-            sizes if place else by.FITTED, by.rows(1.0 - 0.4 * place),
+            name,
+            Path("a campaign.toml"),
+            ("anisotropic_scattering", "scattering_gradient"),
+            1234.5,
+            13,
+            1.2e-10,
+            2.61,
+            -123.4 * place,
+            1.7 * place,
+            0.3,
+            sizes if place else by.FITTED,
+            by.rows(1.0 - 0.4 * place),
         )
         for place, name in enumerate(NAMES)
-    )  # fmt: skip
+    )
     apart = {row.label: 0.8 * abs(row.pull) for row in by.rows()}
     found = SideBySide("preferred", "as A shows", ("A",), hypotheses, apart)
     return HypothesesCompared(found, by.PROVENANCE, dict.fromkeys(NAMES, "hash"))

@@ -72,9 +72,10 @@ def bench(here, scenes):
         shutil.copy(scenes / "camoo4_raw/emission.csv", here / name)
     readings = (here / "raw/mountings.csv").read_text()
     (here / "raw/mountings.csv").write_text(
-        readings.replace("n_gap", "n_gap,n_window").replace("1.00\n", "1.00,1.52\n")
+        readings.replace("n_gap", "n_gap,n_window")
+        .replace("1.00\n", "1.00,1.52\n")
         .replace("1.46\n", "1.46,BK7@../row.csv\n")
-    )  # fmt: skip
+    )
     campaign = (here / "raw/campaign.toml").read_text()
     campaign = campaign.replace('scene = "../camoo4.xml"', 'scene = "../bench.xml"')
     (here / "raw/campaign.toml").write_text(f'effects_folder = "../own"\n{campaign}')
@@ -146,8 +147,12 @@ def test_a_link_stays_and_what_it_leads_to_is_written(here):
         write_text(name, "{}")
         assert Path(name).is_symlink() and (here / "results" / written).read_text() == "{}"
     assert sorted(path.name for path in here.rglob("*.*")) == [
-        "further.json", "link.json", "new.json", "new.json", "old.json",
-    ]  # fmt: skip
+        "further.json",
+        "link.json",
+        "new.json",
+        "new.json",
+        "old.json",
+    ]
 
 
 @pytest.mark.skipif(not Path("/dev/fd").exists(), reason="descriptors have no names here")

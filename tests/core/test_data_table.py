@@ -40,23 +40,42 @@ def test_excel_s_encodings(tmp_path, encoding):
 @pytest.mark.parametrize(
     ("cell", "name", "unit"),
     [
-        ("wavelength (nm)", "wavelength", "nm"), ("Wavelength [nm]", "Wavelength", "nm"),
-        ("λ/nm", "λ", "nm"), ("λ, nm", "λ", "nm"), ("nm", "nm", "nm"),
-        ("Wavelength nm.", "Wavelength", "nm"), ("wavelength_nm", "wavelength", "nm"),
-        ("energy (eV)", "energy", "eV"), ("Photon energy / eV", "Photon energy", "eV"),
-        ("λ (µm)", "λ", "µm"), ("λ (\u03bcm)", "λ", "µm"), ("lambda (um)", "lambda", "µm"),
-        ("λ (Å)", "λ", "Å"), ("λ (\u212b)", "λ", "Å"), ("Wavelength (A)", "Wavelength", "A"),
+        ("wavelength (nm)", "wavelength", "nm"),
+        ("Wavelength [nm]", "Wavelength", "nm"),
+        ("λ/nm", "λ", "nm"),
+        ("λ, nm", "λ", "nm"),
+        ("nm", "nm", "nm"),
+        ("Wavelength nm.", "Wavelength", "nm"),
+        ("wavelength_nm", "wavelength", "nm"),
+        ("energy (eV)", "energy", "eV"),
+        ("Photon energy / eV", "Photon energy", "eV"),
+        ("λ (µm)", "λ", "µm"),
+        ("λ (\u03bcm)", "λ", "µm"),
+        ("lambda (um)", "lambda", "µm"),
+        ("λ (Å)", "λ", "Å"),
+        ("λ (\u212b)", "λ", "Å"),
+        ("Wavelength (A)", "Wavelength", "A"),
         ("wavenumber (cm-1)", "wavenumber", "1/cm"),
-        ("T (%)", "T", "%"), ("%T", "T", "%"), ("T%", "T", "%"),
-        ("QE [%]", "QE", "%"), ("QE, %", "QE", "%"), ("QE Prozent", "QE", "%"),
-        ("QE in percent", "QE", "%"), ("QE in per cent", "QE", "%"), ("QE proc.", "QE", "%"),
-        ("Quanteneffizienz in Prozent", "Quanteneffizienz", "%"), ("QE", "QE", None),
-        ("intensity (a.u.)", "intensity", "a.u."), ("S (mA/W)", "S", "mA/W"),
-        ("T = 76 %", "T = 76 %", None), ("events at 300 nm", "events at 300 nm", None),
-        ("dark counts", "dark counts", None), ("photons_per_event", "photons_per_event", None),
+        ("T (%)", "T", "%"),
+        ("%T", "T", "%"),
+        ("T%", "T", "%"),
+        ("QE [%]", "QE", "%"),
+        ("QE, %", "QE", "%"),
+        ("QE Prozent", "QE", "%"),
+        ("QE in percent", "QE", "%"),
+        ("QE in per cent", "QE", "%"),
+        ("QE proc.", "QE", "%"),
+        ("Quanteneffizienz in Prozent", "Quanteneffizienz", "%"),
+        ("QE", "QE", None),
+        ("intensity (a.u.)", "intensity", "a.u."),
+        ("S (mA/W)", "S", "mA/W"),
+        ("T = 76 %", "T = 76 %", None),
+        ("events at 300 nm", "events at 300 nm", None),
+        ("dark counts", "dark counts", None),
+        ("photons_per_event", "photons_per_event", None),
         ("A", "A", None),
     ],
-)  # fmt: skip
+)
 def test_names_and_units(cell, name, unit):
     assert name_and_unit(cell) == (name, unit)
 
@@ -91,17 +110,21 @@ def test_a_single_column_and_its_comments(tmp_path):
     assert table.refusal(None, None, "bad", "mend").place == str(table.path)
 
 
-@cases("content", "says", more=[
-    (b"PK\x03\x04\x14\x00", "a spreadsheet (.xlsx, .ods)"),
-    (b"\xd0\xcf\x11\xe0\xa1\xb1", "an Excel workbook (.xls)"),
-    (b"%PDF-1.4\n", "a PDF"),
-    (b"\x1f\x8b\x08\x00", "a gzip archive"),
-    ("400,1\n".encode("utf-16-le"), "zero bytes"),
-    # no such thing as a table
-    ("1 " * 4_000_000, "line 1: a line of more than 100,000 characters"),
-    ("x,y\n1,2\n" + "a b" * 1_000_000, "line 3: a line of more than"),
-    ("\n" * 9_000_000 + "1", "more than 2,000,000 lines"),
-])  # fmt: skip
+@cases(
+    "content",
+    "says",
+    more=[
+        (b"PK\x03\x04\x14\x00", "a spreadsheet (.xlsx, .ods)"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1", "an Excel workbook (.xls)"),
+        (b"%PDF-1.4\n", "a PDF"),
+        (b"\x1f\x8b\x08\x00", "a gzip archive"),
+        ("400,1\n".encode("utf-16-le"), "zero bytes"),
+        # no such thing as a table
+        ("1 " * 4_000_000, "line 1: a line of more than 100,000 characters"),
+        ("x,y\n1,2\n" + "a b" * 1_000_000, "line 3: a line of more than"),
+        ("\n" * 9_000_000 + "1", "more than 2,000,000 lines"),
+    ],
+)
 def test_what_is_not_certain_is_refused_with_its_row(tmp_path, content, says):
     refused = refusal(read, tmp_path, content)
     assert says in refused and refused.startswith(str(tmp_path))

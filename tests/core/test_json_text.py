@@ -28,7 +28,10 @@ def test_what_results_are_made_of_becomes_plain():
 
 def test_no_number_that_json_lacks_is_written():
     assert plain([math.nan, -math.inf, np.float64("inf"), np.array([math.nan])]) == [
-        None, None, None, [None],
-    ]  # fmt: skip
+        None,
+        None,
+        None,
+        [None],
+    ]
     with pytest.raises(TypeError, match="a complex"):
         plain({"x": 1j})

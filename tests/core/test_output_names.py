@@ -48,14 +48,25 @@ def test_a_campaign_without_a_name_is_refused(here, mcrim):
 @pytest.mark.parametrize(
     "words",
     [
-        ("table", BENCH, "--alpha-scat", "0.5", "--alpha-abs", "0.039", "--n-gap", "1",
-         "--unit", "1/2", "--units"),
+        (
+            "table",
+            BENCH,
+            "--alpha-scat",
+            "0.5",
+            "--alpha-abs",
+            "0.039",
+            "--n-gap",
+            "1",
+            "--unit",
+            "1/2",
+            "--units",
+        ),
         ("scenes", "-o"),
         ("paper", "-o"),
         ("add", "gap_bubble", BENCH, "-o", "new.xml", "--effects-folder"),
     ],
     ids=lambda words: words[0],
-)  # fmt: skip
+)
 def test_the_empty_name_is_not_the_folder_one_is_in(here, mcrim, words):
     assert "names no folder; give its name; . is the one you are in" in mcrim.refused(*words, "")
     assert not any(here.iterdir())

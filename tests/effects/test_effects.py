@@ -24,26 +24,67 @@ KNOWN = catalogue()
 EDITS = [name for name, effect in KNOWN.items() if effect.edit is not None]
 #: Effects that change the same parts of a scene.
 NEIGHBOURS = [
-    ("anisotropic_scattering", "rayleigh_scattering", "scattering_gradient",
-     "spectral_scattering"),
+    ("anisotropic_scattering", "rayleigh_scattering", "scattering_gradient", "spectral_scattering"),
     ("source_depth", "side_source"),
     ("ground", "surface_absorption", "gap_bubble", "edge_chamfer", "surface_haze"),
     ("ground_top", "ground_side", "ground_bottom", "gap_bubble", "edge_chamfer"),
-    ("surface_roughness", "surface_absorption", "gap_index", "gap_bubble", "edge_chamfer",
-     "aperture_at_detector"),
-    ("surface_haze", "top_roughness", "side_roughness", "bottom_roughness", "surface_absorption",
-     "gap_bubble"),
-    ("gel_creep", "gap_bubble", "gap_index", "edge_chamfer", "side_roughness", "bottom_roughness",
-     "surface_haze", "gap_absorption"),
-    ("gap_bubble_round", "gap_bubble", "edge_chamfer", "gap_thickness", "gel_creep", "gap_index",
-     "bottom_roughness", "surface_absorption", "aperture_at_detector"),
+    (
+        "surface_roughness",
+        "surface_absorption",
+        "gap_index",
+        "gap_bubble",
+        "edge_chamfer",
+        "aperture_at_detector",
+    ),
+    (
+        "surface_haze",
+        "top_roughness",
+        "side_roughness",
+        "bottom_roughness",
+        "surface_absorption",
+        "gap_bubble",
+    ),
+    (
+        "gel_creep",
+        "gap_bubble",
+        "gap_index",
+        "edge_chamfer",
+        "side_roughness",
+        "bottom_roughness",
+        "surface_haze",
+        "gap_absorption",
+    ),
+    (
+        "gap_bubble_round",
+        "gap_bubble",
+        "edge_chamfer",
+        "gap_thickness",
+        "gel_creep",
+        "gap_index",
+        "bottom_roughness",
+        "surface_absorption",
+        "aperture_at_detector",
+    ),
     ("gel_creep", "surface_roughness", "surface_absorption", "gap_thickness"),
     ("gap_thickness", "gap_bubble", "edge_chamfer", "top_reflector", "gap_absorption"),
-    ("detector_reflection", "detector_angle", "detector_radius", "aperture_at_detector",
-     "gap_thickness"),
-    ("detector_reflection", "detector_specular", "detector_angle", "photocathode_film",
-     "mask_offset", "housing_reflection", "aperture_at_detector", "surface_haze"),
-]  # fmt: skip
+    (
+        "detector_reflection",
+        "detector_angle",
+        "detector_radius",
+        "aperture_at_detector",
+        "gap_thickness",
+    ),
+    (
+        "detector_reflection",
+        "detector_specular",
+        "detector_angle",
+        "photocathode_film",
+        "mask_offset",
+        "housing_reflection",
+        "aperture_at_detector",
+        "surface_haze",
+    ),
+]
 EXCLUDED = {
     frozenset(("anisotropic_scattering", "rayleigh_scattering")),
     frozenset(("source_depth", "side_source")),
@@ -103,25 +144,43 @@ def test_every_effect_of_the_definitions_is_there():
     assert KNOWN["anisotropic_scattering"].excludes == ("rayleigh_scattering",)
     ranges = {p.name: (p.minimum, p.maximum) for e in KNOWN.values() for p in e.parameters}
     assert ranges == {
-        "scattering_g": (-0.5, 0.95), "scattering_gradient": (-1, 1), "scattering_exponent": (0, 4),
-        "source_depth_mm": (0.2, 100), "side_depth_mm": (0.2, 100),
-        "roughness_alpha": (0, 0.3), "surface_loss": (0, 0.05),
-        "rms_roughness_nm": (0, 30), "top_roughness_alpha": (0, 0.5),
-        "side_roughness_alpha": (0, 0.5), "bottom_roughness_alpha": (0, 0.5),
-        "ground_alpha": (0.1, 0.6), "ground_top_alpha": (0.1, 0.6),
+        "scattering_g": (-0.5, 0.95),
+        "scattering_gradient": (-1, 1),
+        "scattering_exponent": (0, 4),
+        "source_depth_mm": (0.2, 100),
+        "side_depth_mm": (0.2, 100),
+        "roughness_alpha": (0, 0.3),
+        "surface_loss": (0, 0.05),
+        "rms_roughness_nm": (0, 30),
+        "top_roughness_alpha": (0, 0.5),
+        "side_roughness_alpha": (0, 0.5),
+        "bottom_roughness_alpha": (0, 0.5),
+        "ground_alpha": (0.1, 0.6),
+        "ground_top_alpha": (0.1, 0.6),
         "ground_side_alpha": (0.1, 0.6),
         "ground_bottom_alpha": (0.1, 0.6),
-        "n_crystal": (-0.1, 0.1), "gap_index_offset": (-0.1, 0.1), "gap_offset_mm": (-0.04, 0.5),
-        "gap_absorption_per_cm": (0, 20), "bubble_fraction": (0, 0.6), "collar_mm": (0, 3),
+        "n_crystal": (-0.1, 0.1),
+        "gap_index_offset": (-0.1, 0.1),
+        "gap_offset_mm": (-0.04, 0.5),
+        "gap_absorption_per_cm": (0, 20),
+        "bubble_fraction": (0, 0.6),
+        "collar_mm": (0, 3),
         "bubble_area_fraction": (0, 0.6),
-        "top_reflectance": (0, 0.99), "detector_reflectance": (0, 0.5),
-        "cathode_nm": (10, 35), "detector_specular": (0, 0.5), "mask_offset_mm": (0, 6),
+        "top_reflectance": (0, 0.99),
+        "detector_reflectance": (0, 0.5),
+        "cathode_nm": (10, 35),
+        "detector_specular": (0, 0.5),
+        "mask_offset_mm": (0, 6),
         "housing_reflectance": (0, 0.2),
-        "angular_falloff": (-1, 1), "radial_falloff": (0, 1), "chamfer_mm": (0, 1),
+        "angular_falloff": (-1, 1),
+        "radial_falloff": (0, 1),
+        "chamfer_mm": (0, 1),
         "acceptance_deg": (-89, 89),
-        "background": (-math.inf, math.inf), "saturation": (0, 0.05),
-        "gain_drift": (-0.1, 0.1), "sample_scale": (-0.2, 0.2),
-    }  # fmt: skip
+        "background": (-math.inf, math.inf),
+        "saturation": (0, 0.05),
+        "gain_drift": (-0.1, 0.1),
+        "sample_scale": (-0.2, 0.2),
+    }
 
 
 @pytest.mark.parametrize("name", EDITS)
@@ -175,9 +234,15 @@ def test_all_geometric_effects_together(bench):
         assert found == set(names.split()), shape
     lowered = [n for n, s in shapes.items() if s.find("transform/scale[@z='-1']") is not None]
     assert lowered == [
-        "window_under_gap", "window_under_bubble", "window_beside_gap", "window_edge_right",
-        "window_edge_left", "window_edge_back", "window_edge_front", "detector",
-    ]  # fmt: skip
+        "window_under_gap",
+        "window_under_bubble",
+        "window_beside_gap",
+        "window_edge_right",
+        "window_edge_left",
+        "window_edge_back",
+        "window_edge_front",
+        "detector",
+    ]
 
 
 def test_values_are_those_asked_for(bench):
@@ -295,8 +360,11 @@ def test_mitsuba_loads_a_text_that_was_never_written(scenes):
 
 
 PARAMETERS = {
-    "crystal_height_mm": 10.0, "crystal_width_mm": 10.0, "n_gap": 1.46, "aperture_radius_mm": 7.0,
-}  # fmt: skip
+    "crystal_height_mm": 10.0,
+    "crystal_width_mm": 10.0,
+    "n_gap": 1.46,
+    "aperture_radius_mm": 7.0,
+}
 
 
 def factor(name, values, parameters=PARAMETERS, **columns):
@@ -328,11 +396,15 @@ def test_weights_are_ratios_of_densities():
         ("housing_reflection", {"housing_reflectance": 0.1}, {"mask_hits": [0, 2]}, [1, 0.25]),
         ("detector_radius", {"radial_falloff": 1}, {"arrival_radius_mm": [7, 19]}, [0.75, 0]),
         ("top_reflector", {"top_reflectance": 0.0}, {"reflector_hits": [0, 1]}, [1, 0]),
-        ("detector_reflection", {"detector_reflectance": 0.25}, {"detector_hits": [0, 2]},
-         [1.5, 0.375]),
+        (
+            "detector_reflection",
+            {"detector_reflectance": 0.25},
+            {"detector_hits": [0, 2]},
+            [1.5, 0.375],
+        ),
         ("rayleigh_scattering", {}, {"log_rayleigh": [math.log(1.5)]}, [1.5]),
         ("aperture_at_detector", {}, {"arrival_radius_mm": [6.9, 7.1]}, [1, 0]),
-    ):  # fmt: skip
+    ):
         assert factor(name, values, **columns) == pytest.approx(expected), name
 
 
@@ -396,8 +468,10 @@ def test_a_users_own_effect(bench, tmp_path):
     assert "  <!-- Radius of the spot, mm: 0 to 5 -->" in put
     assert '    <float name="radius" value="$spot_mm"/>' in put
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "_helper.py", "notes.txt", "spot.py"
-    ]  # fmt: skip
+        "_helper.py",
+        "notes.txt",
+        "spot.py",
+    ]
 
 
 @cases("old", "new", "line", "says")
@@ -490,8 +564,13 @@ def test_a_broken_distribution_is_named(distribution, point, module, says):
 
 #: Effects that are written for a box.
 OF_A_BOX = {
-    "edge_chamfer", "gap_bubble", "gap_bubble_round", "gap_thickness", "gel_creep", "top_reflector",
-}  # fmt: skip
+    "edge_chamfer",
+    "gap_bubble",
+    "gap_bubble_round",
+    "gap_thickness",
+    "gel_creep",
+    "top_reflector",
+}
 
 
 @pytest.mark.parametrize("form", ["cylinder", "cylinder_lying", "hexagonal", "pyramid"])

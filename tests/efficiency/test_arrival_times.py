@@ -72,16 +72,21 @@ def test_light_from_all_of_a_ball(tmp_path):
     square = quad(lambda t: 2.0 * t * (1.0 - arrived(t)) ** photons, 0.0, 2.0 * scale)[0]
     ends = [brentq(lambda t, p=p: arrived(t) - p, 0.0, 2.0 * scale) for p in (0.1, 0.9)]
     expected = {
-        "mean_ps": 0.75 * scale, "rms_ps": scale * np.sqrt(0.8 - 0.75**2), "begin_ps": ends[0],
+        "mean_ps": 0.75 * scale,
+        "rms_ps": scale * np.sqrt(0.8 - 0.75**2),
+        "begin_ps": ends[0],
         "rise_ps": ends[1] - ends[0],
-    }  # fmt: skip
+    }
     zs: dict[str, list[float]] = {}
     parts = []
     for seed in range(10):
         found = mcrim.arrival_times(
-            ball(tmp_path, core=False), group_index={"crystal": INDEX}, detected=photons,
-            photons=30_000, seed=seed,
-        )  # fmt: skip
+            ball(tmp_path, core=False),
+            group_index={"crystal": INDEX},
+            detected=photons,
+            photons=30_000,
+            seed=seed,
+        )
         for name, value in expected.items():
             z = (getattr(found, name) - value) / getattr(found, f"{name}_sigma")
             zs.setdefault(name, []).append(z)
@@ -102,10 +107,15 @@ def test_weights_of_a_beam_in_a_slab():
     """Round trips between two faces: a geometric series, dimmed by absorption."""
     index, group, absorption, length = 4.0, 4.4, 0.5, 10.0
     found = mcrim.arrival_times(
-        SCENES / "spectrophotometer.xml", group_index={"crystal": group}, n_crystal=index,
-        alpha_abs_per_cm=absorption, alpha_scat_per_cm=0, acceptance_deg=90, photons=300_000,
+        SCENES / "spectrophotometer.xml",
+        group_index={"crystal": group},
+        n_crystal=index,
+        alpha_abs_per_cm=absorption,
+        alpha_scat_per_cm=0,
+        acceptance_deg=90,
+        photons=300_000,
         seed=5,
-    )  # fmt: skip
+    )
     again = ((index - 1.0) / (index + 1.0)) ** 4 * np.exp(-2.0 * absorption * length / 10.0)
     trip = 2.0 * length * group / MM_PER_PS
     (crystal,) = (one for one in found.parts if one.name == "crystal")
@@ -150,14 +160,18 @@ def test_group_indices_are_those_of_the_materials():
     exact = sum(
         b * c * micron**2 / (micron**2 - c) ** 2
         for b, c in zip(glass.strengths, glass.squares_um2, strict=True)
-    ) / material("BK7").index(540.0)  # fmt: skip
+    ) / material("BK7").index(540.0)
     assert material("BK7").group_index(540.0) == pytest.approx(
         material("BK7").index(540.0) + exact, rel=1e-8
     )
     found = mcrim.arrival_times(
-        BENCH, n_crystal="CaMoO4@540nm", n_window="BK7@540nm", n_gap="Cargille_0607@540nm",
-        group_index={"gap": "glycerol@540nm"}, photons=20_000,
-    )  # fmt: skip
+        BENCH,
+        n_crystal="CaMoO4@540nm",
+        n_window="BK7@540nm",
+        n_gap="Cargille_0607@540nm",
+        group_index={"gap": "glycerol@540nm"},
+        photons=20_000,
+    )
     names = {"crystal": "CaMoO4", "window": "BK7", "gap": "glycerol"}
     for one in found.parts:
         if one.name in names:
@@ -184,9 +198,19 @@ def test_wrong_input_is_refused(given, told):
 
 def test_times_as_a_dataset_and_beside_a_simulation(here, mcrim):
     shown = mcrim.shown(
-        "simulate", BENCH, "--photons", "20000", "--times", "t.csv",
-        "--group-index", "crystal=2.08", "--detected", "3", "--figure", "light.png",
-    )  # fmt: skip
+        "simulate",
+        BENCH,
+        "--photons",
+        "20000",
+        "--times",
+        "t.csv",
+        "--group-index",
+        "crystal=2.08",
+        "--detected",
+        "3",
+        "--figure",
+        "light.png",
+    )
     assert "first of 3 detected photons" in shown and "light_times.png" in shown
     lines = (here / "t.csv").read_text().splitlines()
     assert lines[0] == "time_ps,part,part_sigma"

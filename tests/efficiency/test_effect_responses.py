@@ -102,8 +102,12 @@ def test_interpolation_says_how_wrong_it_may_be(campaign, made):
 def test_effects_together_are_simulated_together(campaign, made):
     """Where two strong effects do not add up, the anchor puts it right."""
     sizes = {"top_reflector": {"top_reflectance": 0.9}, "gap_bubble": {"bubble_fraction": 0.5}}
-    values = {"alpha_scat_per_cm": 0.5, "alpha_abs_per_cm": 0.039,
-              "top_reflectance": 0.9, "bubble_fraction": 0.5}  # fmt: skip
+    values = {
+        "alpha_scat_per_cm": 0.5,
+        "alpha_abs_per_cm": 0.039,
+        "top_reflectance": 0.9,
+        "bubble_fraction": 0.5,
+    }
     maker, responses = made
     assert not maker.is_exact([campaign.catalogue[name] for name in sizes])
     assert maker.is_exact([campaign.catalogue["surface_absorption"]])
@@ -214,8 +218,11 @@ def test_an_effect_of_filled_gaps_is_in_no_empty_one(campaign):
 def test_few_photons_are_not_the_usual_number(campaign):
     """A share that rounds to none is the least that records can have."""
     reflected = campaign.with_effects(["top_reflector"])
-    runs = (Run(2, check=False), Run(3 * PLAIN_FACTOR * LANES, check=False),
-            Run(precision=1.5, check=False))  # fmt: skip
+    runs = (
+        Run(2, check=False),
+        Run(3 * PLAIN_FACTOR * LANES, check=False),
+        Run(precision=1.5, check=False),
+    )
     least, *others = (calibrate(reflected, run=run).provenance.photons for run in runs)
     assert others == [least, least]
 
@@ -229,13 +236,20 @@ def test_slopes_of_the_model_are_those_of_its_values(campaign, made):
         "gain_drift": {"gain_drift": -0.04},
         "sample_scale": {"sample_scale": 0.07},
     }
-    rows = [replace(reading, label=f"{reading.label} of a thin piece", line=9 + i,
-                    parameters={**reading.parameters, "crystal_height_mm": 5.0})
-            for i, reading in enumerate(campaign.measurements.readings)]  # fmt: skip
+    rows = [
+        replace(
+            reading,
+            label=f"{reading.label} of a thin piece",
+            line=9 + i,
+            parameters={**reading.parameters, "crystal_height_mm": 5.0},
+        )
+        for i, reading in enumerate(campaign.measurements.readings)
+    ]
     measured = replace(
-        campaign.measurements, readings=(*campaign.measurements.readings, *rows),
+        campaign.measurements,
+        readings=(*campaign.measurements.readings, *rows),
         columns=(*campaign.measurements.columns, "crystal_height_mm"),
-    )  # fmt: skip
+    )
     campaign = replace(campaign, measurements=measured)
     mended = campaign.with_effects(list(sizes))
     effects = [campaign.catalogue[name] for name in sizes]
@@ -277,8 +291,13 @@ def test_rows_know_when_they_were_read_and_of_which_crystal(campaign, tmp_path):
     own = replace(own, measurements=replace(own.measurements, readings=readings))
     maker = ResponseMaker(own, Run(LANES, seed=3, check=False))
     model = ResponseModel(own, maker.make(own.switched_on), own.switched_on)
-    values = {"alpha_scat_per_cm": 0.6, "alpha_abs_per_cm": 0.03, "scale": 40.0,
-              "gain_drift": 0.1, "sample_scale": 0.2}  # fmt: skip
+    values = {
+        "alpha_scat_per_cm": 0.6,
+        "alpha_abs_per_cm": 0.03,
+        "scale": 40.0,
+        "gain_drift": 0.1,
+        "sample_scale": 0.2,
+    }
     plain, both = (
         model.predict(np.array([values[p.name] * part.get(p.name, 1) for p in model.free])).signal
         for part in ({"gain_drift": 0, "sample_scale": 0}, {})
@@ -295,13 +314,17 @@ def test_a_mended_campaign_says_the_same_by_every_command(campaign, tmp_path, mo
     monkeypatch.setenv("MCRIM_CACHE", str(tmp_path / "cache"))
     truth = {"surface_absorption": {"surface_loss": 0.03}}
     rows = ["label,signal,sigma,n_gap,aperture_radius_mm,crystal_height_mm"]
-    configurations = [(n, radius, height) for n in (1.0, 1.46) for radius in (14, 7)
-                      for height in (10, 3)]  # fmt: skip
+    configurations = [
+        (n, radius, height) for n in (1.0, 1.46) for radius in (14, 7) for height in (10, 3)
+    ]
     for number, (n, radius, height) in enumerate(configurations):
         scene = campaign.scene.edited(
-            add(campaign.catalogue["surface_absorption"], campaign.scene,
-                truth["surface_absorption"])
-        )  # fmt: skip
+            add(
+                campaign.catalogue["surface_absorption"],
+                campaign.scene,
+                truth["surface_absorption"],
+            )
+        )
         own = {"n_gap": n, "aperture_radius_mm": radius, "crystal_height_mm": height}
         found = Simulation(scene.with_overrides(own), check=False).collect(10**6, seed=number)
         signal = 40.0 * found.eta

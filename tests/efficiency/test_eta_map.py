@@ -97,8 +97,12 @@ def test_map_as_a_dataset_with_a_picture(tmp_path):
     assert float((data.eta * data.volume).sum()) == pytest.approx(0.4335, abs=0.006)
     assert "everywhere" in str(made) and len(made.document["spreads"]) == 3
     figure, numbers = made.plot(), made.draw(tmp_path / "map.png")[1]
-    [said, *_] = (text.get_text() for axes in figure.axes if axes.get_legend()
-                  for text in axes.get_legend().get_texts())  # fmt: skip
+    [said, *_] = (
+        text.get_text()
+        for axes in figure.axes
+        if axes.get_legend()
+        for text in axes.get_legend().get_texts()
+    )
     assert "everywhere: FWHM " in said and " ± " in said
     assert len(figure.axes) == 6 and len(numbers.read_text().splitlines()) == 13
 

@@ -136,7 +136,7 @@ def test_means_are_integrals_over_the_light(tenfold, tmp_path):
         ("wavelength_nm,emission (photons/nm)\n400,0\n500,0\n600,0\n", "no area"),
         ("wavelength_nm,emission,alpha_scat_per_cm\n400,1,-1\n500,1,2\n", "-1 is out of range"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_said_with_its_place(tmp_path, text, said):
     file = tmp_path / "light.csv"
     file.write_text(text)
@@ -147,16 +147,30 @@ def test_what_is_wrong_is_said_with_its_place(tmp_path, text, said):
 
 def test_the_command_shows_and_draws_it(tenfold, mcrim, here):
     said = mcrim(
-        "simulate", str(BENCH), "--photons", "300000", "--spectrum", str(tenfold),
-        "--figure", "picture.png", "--json", "light.json",
-    )  # fmt: skip
+        "simulate",
+        str(BENCH),
+        "--photons",
+        "300000",
+        "--spectrum",
+        str(tenfold),
+        "--figure",
+        "picture.png",
+        "--json",
+        "light.json",
+    )
     assert said.status == 0 and "what is detected would be off by" in said.out
     assert (here / "picture_spectrum.png").stat().st_size > 20_000
     assert "one_wavelength_off" in (here / "light.json").read_text()
     solved = mcrim(
-        "simulate", str(BENCH), "--method", "modes", "--spectrum", str(tenfold),
-        "--figure", "solved.png",
-    )  # fmt: skip
+        "simulate",
+        str(BENCH),
+        "--method",
+        "modes",
+        "--spectrum",
+        str(tenfold),
+        "--figure",
+        "solved.png",
+    )
     assert solved.status == 0 and "(a bench solved by modes)" in solved.out
     assert (here / "solved_spectrum.png").exists() and not (here / "solved.png").exists()
     said = mcrim("simulate", str(BENCH), "--quantum-efficiency", "x.csv")

@@ -188,9 +188,16 @@ def test_numbers_behind_the_figures_add_up(lights, tmp_path):
 
 
 def test_percentages_do_not_cover_each_other(lights):
-    budget = {"detected": 0.02, "absorbed_crystal": 0.02, "absorbed_gap": 0.01, "escaped": 0.87,
-              "absorbed_aperture": 0.03, "absorbed_surface": 0.003, "truncated": 0.03,
-              "lost": 0.017}  # fmt: skip
+    budget = {
+        "detected": 0.02,
+        "absorbed_crystal": 0.02,
+        "absorbed_gap": 0.01,
+        "escaped": 0.87,
+        "absorbed_aperture": 0.03,
+        "absorbed_surface": 0.003,
+        "truncated": 0.03,
+        "lost": 0.017,
+    }
     light = dataclasses.replace(lights["gel"], budget=budget)
     figure = draw_fates([("50 % $grey", light), ("much\nlonger " * 8, lights["gel"])]).figure
     figure.canvas.draw()

@@ -62,8 +62,9 @@ def toy_records(seed=1, photons=65_536):
         path = rng.exponential(3.0, photons)
         k = rng.poisson(a_s * path)
         seen = k <= 3
-        parts.append((k[seen], path[seen], np.exp(-0.004 * path[seen]),
-                      np.arange(photons)[seen] % 256))  # fmt: skip
+        parts.append(
+            (k[seen], path[seen], np.exp(-0.004 * path[seen]), np.arange(photons)[seen] % 256)
+        )
     k, path, w, batch = (np.concatenate(part) for part in zip(*parts, strict=True))
     return PhotonRecords(k, path, w, batch, 256, [photons] * 4, (0.05, 0.2, 0.8, 3.0), 0.004)
 
@@ -89,9 +90,15 @@ def test_a_weight_and_a_mask_act_photon_by_photon():
     gathering = Gathering(records, GRID, kept)
     table = gathering.table(weight[gathering.order])
     changed = PhotonRecords(
-        records.k, records.path_cm, records.w * weight * kept, records.batch, 256,
-        records.photons_per_proposal, records.alpha_scat_proposals_per_cm, 0.004,
-    )  # fmt: skip
+        records.k,
+        records.path_cm,
+        records.w * weight * kept,
+        records.batch,
+        256,
+        records.photons_per_proposal,
+        records.alpha_scat_proposals_per_cm,
+        0.004,
+    )
     direct = Gathering(changed, GRID).table()
     assert table.log_eta == pytest.approx(direct.log_eta, abs=2e-6)
     assert table.deviations == pytest.approx(direct.deviations, abs=1e-4)

@@ -83,9 +83,17 @@ def test_impossible_indices_are_refused(indices):
 def synthetic_response(rng):
     """Two readings whose log eta is a parabola in an index about 2.0, at 3 x 2 coefficients."""
     parameter = EffectParameter(
-        name="n", unit="", meaning="", minimum=-0.1, maximum=0.1, start=0.03, absent=0.0,
-        plausible=(-0.05, 0.05), nodes=(-0.1, 0.1), nominal="n",
-    )  # fmt: skip
+        name="n",
+        unit="",
+        meaning="",
+        minimum=-0.1,
+        maximum=0.1,
+        start=0.03,
+        absent=0.0,
+        plausible=(-0.05, 0.05),
+        nodes=(-0.1, 0.1),
+        nominal="n",
+    )
     nodes = np.array([0.0, -0.1, 0.1])
     slope, curve = rng.normal(-1.0, 0.2, (2, 3, 2)), rng.normal(3.0, 0.5, (2, 3, 2))
     at_nodes = slope * nodes[:, None, None, None] + curve * nodes[:, None, None, None] ** 2
@@ -220,18 +228,22 @@ def test_totals_have_the_pieces_in_them(found):
     assert light.corrected_sigma > 0.1 * light.corrected
     kinds = {each.name: each.correction for each in found.neglected}
     assert kinds == {
-        "source_depth": True, "polarization": True, "crystal_index": True,
-        "index_spread": False, "birefringence": False,
-    }  # fmt: skip
+        "source_depth": True,
+        "polarization": True,
+        "crystal_index": True,
+        "index_spread": False,
+        "birefringence": False,
+    }
 
 
 def test_the_sources_depth_dims_the_articles_bench(found):
     """Light is born far from the detector: eta falls by nearly 5 %, and the yield rises so."""
     depth = piece(found, "source_depth")
     for moved, expected in (
-        (depth.at_fixed["eta air"], -0.0117), (depth.at_fixed["eta gel"], -0.0192),
+        (depth.at_fixed["eta air"], -0.0117),
+        (depth.at_fixed["eta gel"], -0.0192),
         (depth.refitted[LIGHT_YIELD], 0.365),
-    ):  # fmt: skip
+    ):
         assert abs(moved.shift - expected) < Z * moved.monte_carlo_sigma
         assert abs(moved.shift) > Z * moved.monte_carlo_sigma
     light = depth.refitted[LIGHT_YIELD]
@@ -303,8 +315,10 @@ def test_what_is_in_the_model_is_not_put_in_again(campaign):
     assert found.not_estimated["source_depth"] == "it is in the model"
     assert found.not_estimated["polarization"] == "it is in the model"
     assert {each.name for each in found.neglected} == {
-        "crystal_index", "index_spread", "birefringence",
-    }  # fmt: skip
+        "crystal_index",
+        "index_spread",
+        "birefringence",
+    }
     assert found.pieces == found.neglected
     origins = {row.name for row in found.contributions[LIGHT_YIELD].contributions}
     assert {"source depth", "absorption"} <= origins

@@ -88,8 +88,10 @@ def test_a_misfit_is_not_lessened_by_poor_simulations(campaign):
     found = calibrate(path, run=Run(4_000_000, seed=0)).calibration
     best = least_squares(
         lambda x: np.append((signals(*x) - measured) / sigmas, (x[1] - 0.039) / 0.012),
-        [1.0, 0.039, 50.0], bounds=([0.02, 0.001, 1.0], [8.0, 0.2, 500.0]), x_scale="jac",
-    )  # fmt: skip
+        [1.0, 0.039, 50.0],
+        bounds=([0.02, 0.001, 1.0], [8.0, 0.2, 500.0]),
+        x_scale="jac",
+    )
     assert found.chi2 == pytest.approx(2.0 * best.cost, rel=0.15)
     value = found.parameters["alpha_scat_per_cm"]
     assert abs(value.value - best.x[0]) < value.sigma

@@ -40,10 +40,17 @@ TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 SOME = {
     name: bench.EFFECTS[name]
     for name in (
-        "polarization", "scattering_gradient", "source_depth", "surface_absorption", "gap_bubble",
-        "detector_angle", "detector_radius", "background", "saturation",
+        "polarization",
+        "scattering_gradient",
+        "source_depth",
+        "surface_absorption",
+        "gap_bubble",
+        "detector_angle",
+        "detector_radius",
+        "background",
+        "saturation",
     )
-}  # fmt: skip
+}
 #: Family-wise false alarms of the statistical tests below; seeds are fixed.
 FALSE_ALARM = 0.001
 
@@ -335,16 +342,39 @@ def test_json_has_the_fields_of_the_interface(one_hidden):
     text = json.dumps(found, allow_nan=False)
     assert json.loads(text) == found
     assert {
-        "verdict", "baseline", "candidates", "upper_limits", "suspect_readings", "leading",
-        "repair", "next_measurements", "seconds",
-    } <= set(found)  # fmt: skip
+        "verdict",
+        "baseline",
+        "candidates",
+        "upper_limits",
+        "suspect_readings",
+        "leading",
+        "repair",
+        "next_measurements",
+        "seconds",
+    } <= set(found)
     assert {
-        "effect", "chi2", "ndf", "p_value", "delta_chi2", "delta_chi2_sigma", "parameters",
-        "light_yield_ph_per_keV", "left_out_error", "aicc", "plausible", "mimics",
-    } <= set(found["candidates"][0])  # fmt: skip
+        "effect",
+        "chi2",
+        "ndf",
+        "p_value",
+        "delta_chi2",
+        "delta_chi2_sigma",
+        "parameters",
+        "light_yield_ph_per_keV",
+        "left_out_error",
+        "aicc",
+        "plausible",
+        "mimics",
+    } <= set(found["candidates"][0])
     assert {
-        "step", "added", "chi2", "ndf", "p_value", "rms_pull", "left_out_error",
-    } <= set(found["repair"][0])  # fmt: skip
+        "step",
+        "added",
+        "chi2",
+        "ndf",
+        "p_value",
+        "rms_pull",
+        "left_out_error",
+    } <= set(found["repair"][0])
     baseline = found["baseline"]
     assert {"parameters", "chi2", "ndf", "p_value", "rows"} <= set(baseline)
     assert baseline["expected_chi2"][1] == pytest.approx(14 + math.sqrt(28))

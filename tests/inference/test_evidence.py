@@ -52,9 +52,15 @@ def rough():
 
 @pytest.mark.parametrize(
     "effects",
-    [(), ("gap_bubble",), ("scattering_gradient",), ("background",), ("source_depth",),
-     ("edge_chamfer", "gap_bubble")],
-)  # fmt: skip
+    [
+        (),
+        ("gap_bubble",),
+        ("scattering_gradient",),
+        ("background",),
+        ("source_depth",),
+        ("edge_chamfer", "gap_bubble"),
+    ],
+)
 def test_evidence_is_the_average_over_the_priors(rough, effects):
     """To 0.1 in the logarithm, by 262,144 even points, of which several hundred count."""
     fit, priors = rough.fit(effects), rough.priors(effects)
@@ -94,10 +100,15 @@ def test_evidence_of_precise_readings_is_that_of_a_fine_grid(effects):
         factor = np.linalg.cholesky(covariance + 1e-8 * np.eye(len(centre)))
     axis = np.linspace(-7.0, 7.0, 19)
     logs = [
-        height(centre + np.stack(np.meshgrid([first], *[axis] * (len(centre) - 1)), -1)
-               .reshape(-1, len(centre)) @ factor.T)
+        height(
+            centre
+            + np.stack(np.meshgrid([first], *[axis] * (len(centre) - 1)), -1).reshape(
+                -1, len(centre)
+            )
+            @ factor.T
+        )
         for first in axis
-    ]  # fmt: skip
+    ]
     cell = (axis[1] - axis[0]) ** len(centre) * np.prod(np.diag(factor))
     assert found.log == pytest.approx(special.logsumexp(logs) + math.log(cell), abs=0.1)
 
@@ -133,10 +144,12 @@ def test_probabilities_and_the_averaged_yield():
     hypotheses = [
         Hypothesis(
             Evidence(log, 0.0, {"scale": scale}, {"scale": 1.0}, 1e3, np.empty((0, 1))),
-            -len(key) * math.log(2), key, common=0.05 * len(key),
+            -len(key) * math.log(2),
+            key,
+            common=0.05 * len(key),
         )
         for key, (log, scale) in at.items()
-    ]  # fmt: skip
+    ]
     found = weigh(hypotheses, known)
     assert list(found.probabilities) == ["none", "one", "other"]
     odds = np.array([1.0, math.exp(3.0) / 2, math.exp(2.0) / 2])
@@ -169,12 +182,13 @@ def test_an_unlikely_model_far_away_is_no_error():
     def light_yield(log):
         return weigh(
             [
-                Hypothesis(Evidence(at, 0.0, {"scale": scale}, {"scale": 0.4}, 1e3,
-                                    np.empty((0, 1))), 0.0)
+                Hypothesis(
+                    Evidence(at, 0.0, {"scale": scale}, {"scale": 0.4}, 1e3, np.empty((0, 1))), 0.0
+                )
                 for at, scale in ((0.0, 40.0), (log, 20.0))
             ],
             LightYieldInput(50.0, 0.1, 0.0),
-        ).light_yield  # fmt: skip
+        ).light_yield
 
     alone = light_yield(-50.0)
     assert alone.sigma == pytest.approx(0.08, rel=1e-3)

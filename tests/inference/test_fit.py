@@ -113,9 +113,10 @@ def test_cells_stand_for_every_record_and_batches_for_the_error():
     at, other = (0.3, 0.1), (0.5, 0.02)
     batches = [
         np.bincount(records.batch, contributions(records, *target), BATCHES)
-        * BATCHES / records.photons
+        * BATCHES
+        / records.photons
         for target in (at, other)
-    ]  # fmt: skip
+    ]
     covariance = np.cov(batches) / BATCHES
     names = (ALPHA_SCAT, ALPHA_ABS)
     points = [dict(zip(names, point, strict=True)) for point in (at, other)]
@@ -279,15 +280,24 @@ def test_surface_refuses_an_error_that_one_photon_makes():
     assert "its error on" in refusal(surface(60.0).evaluate, 0.5, 0.5)
 
 
-@cases("changed", "says", more=[
-    ({"further": {"reflections": np.zeros(3)}}, "reflections differ in length"),
-])  # fmt: skip
+@cases(
+    "changed",
+    "says",
+    more=[
+        ({"further": {"reflections": np.zeros(3)}}, "reflections differ in length"),
+    ],
+)
 def test_records_that_no_simulation_gives(changed, says):
     sound = {
-        "k": [1, 2], "path_cm": [1.0, 2.0], "w": [1.0, 1.0], "batch": [0, 0], "batches": 2,
-        "photons_per_proposal": [10, 10], "alpha_scat_proposals_per_cm": [0.1, 1.0],
+        "k": [1, 2],
+        "path_cm": [1.0, 2.0],
+        "w": [1.0, 1.0],
+        "batch": [0, 0],
+        "batches": 2,
+        "photons_per_proposal": [10, 10],
+        "alpha_scat_proposals_per_cm": [0.1, 1.0],
         "alpha_abs_proposal_per_cm": 0.0,
-    }  # fmt: skip
+    }
     PhotonRecords(**sound)
     with pytest.raises(ValueError, match=says):
         PhotonRecords(**{**sound, **changed})
@@ -570,9 +580,12 @@ def test_factors_of_a_covariance_weigh_as_its_matrix_does():
     for sources, mountings in ((0, 1), (5, 1), (5, 9), (90, 20)):
         simulated = rng.normal(size=(60, sources)) * (rng.random((60, sources)) < 0.3)
         errors = search.ErrorMatrices(
-            rng.uniform(0.1, 2, 60), rng.normal(size=60) * (mountings > 1),
-            rng.integers(0, mountings, 60), simulated, np.eye(60),
-        )  # fmt: skip
+            rng.uniform(0.1, 2, 60),
+            rng.normal(size=60) * (mountings > 1),
+            rng.integers(0, mountings, 60),
+            simulated,
+            np.eye(60),
+        )
         some = rng.normal(size=(3, 60))
         of_readings = np.einsum("ij,jk,ik->i", some, errors.readings, some)
         assert errors.statistical_variances(some) == pytest.approx(of_readings)
@@ -617,8 +630,9 @@ def test_an_absorption_column_belongs_to_its_row(campaign):
         f"a{a},{50 * air(0.3, a)},0.1,{a}\n" for a in (0.01, 0.1, 0.3)
     )
     calls = []
-    result = fit_campaign(campaign(ALPHA + FIXED_SCALE.replace("1.0", "50.0"), rows),
-                       couplings(0.001, calls=calls))  # fmt: skip
+    result = fit_campaign(
+        campaign(ALPHA + FIXED_SCALE.replace("1.0", "50.0"), rows), couplings(0.001, calls=calls)
+    )
     assert len(calls) == 1  # the bench is the same: one simulation
     assert result.parameters[ALPHA_SCAT].value == pytest.approx(0.3, rel=1e-3)
     assert result.chi2 < 1e-5

@@ -131,7 +131,7 @@ def files(here):
         ("air,12.963,0.0924,1,14,10,0.05\n", "", "b.csv, line 4, column label"),
         ("gel hole 4", "gel hole 4 more", "gel hole 4"),
     ],
-)  # fmt: skip
+)
 def test_other_readings_are_refused_at_the_first_row(files, old, new, says):
     first, other = files("a"), files("b", change=lambda text: text.replace(old, new, 1))
     said = refusal(refuse_unlike, [mcrim.read_campaign(first), mcrim.read_campaign(other)])

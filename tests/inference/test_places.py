@@ -14,8 +14,16 @@ def rising(folder, **parameters):
     """Eta that falls from 0.27 at the bottom to 0.23 at the top, in ten slices."""
     edges = np.linspace(-5, 5, 3), np.linspace(-5, 5, 3), np.linspace(0, 10, 11)
     eta = np.broadcast_to(np.linspace(0.27, 0.23, 10), (2, 2, 10)).copy()
-    known = EtaMap(edges, eta, np.full(eta.shape, 0.001), np.full(eta.shape, 1 / 40), 40_000, 0,
-                   {"crystal_width_mm": 10.0} | parameters, "0")  # fmt: skip
+    known = EtaMap(
+        edges,
+        eta,
+        np.full(eta.shape, 0.001),
+        np.full(eta.shape, 1 / 40),
+        40_000,
+        0,
+        {"crystal_width_mm": 10.0} | parameters,
+        "0",
+    )
     file = folder / "eta.nc"
     file.write_bytes(netcdf_bytes(known.to_xarray()))
     return file

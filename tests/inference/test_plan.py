@@ -103,9 +103,10 @@ def measured(campaign, planned, chosen, signals, mountings, events, prior=None):
 
 def planned_error(planned, chosen, mountings, events):
     return next(
-        p for p in planned.plans
+        p
+        for p in planned.plans
         if (p.configurations, p.mountings, p.events) == (chosen, mountings, events)
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("mean", [14.3, 24.5])
@@ -139,9 +140,8 @@ def test_expected_errors_are_the_fit_s_own(article, without_photons):
         for ours, theirs in (
             (expected.light_yield.statistical, light.contributions["statistical"]),
             (expected.light_yield.parts["prior of alpha_abs_per_cm"], light.contributions["prior"]),
-            (expected.light_yield.parts[EFFICIENCY],
-             light.contributions["detector_efficiency"]),
-        ):  # fmt: skip
+            (expected.light_yield.parts[EFFICIENCY], light.contributions["detector_efficiency"]),
+        ):
             assert ours == pytest.approx(theirs / light.value, rel=1e-3)
 
 
@@ -155,9 +155,11 @@ def test_100_synthetic_campaigns_scatter_as_planned(scenes, article, without_pho
         index = parameters["n_gap"]
         if index not in made:
             made[index], _ = record_surface(
-                scene.with_overrides({"n_gap": index}), [(0.3, 0.02), (0.55, 0.04), (1.0, 0.06)],
-                run=Run(49_152, seed=3), alpha_scat_range_per_cm=(0.1, 3.0),
-            )  # fmt: skip
+                scene.with_overrides({"n_gap": index}),
+                [(0.3, 0.02), (0.55, 0.04), (1.0, 0.06)],
+                run=Run(49_152, seed=3),
+                alpha_scat_range_per_cm=(0.1, 3.0),
+            )
         return made[index]
 
     without_photons(surfaces)
@@ -190,8 +192,11 @@ def test_plans_are_ordered_and_add_up(article, without_photons):
     )
     assert planned.undetermined == ((0,), (1,))
     assert [(p.mountings, p.events) for p in planned.plans] == [
-        (1, 1e3), (1, 1e4), (4, 1e3), (4, 1e4),
-    ]  # fmt: skip
+        (1, 1e3),
+        (1, 1e4),
+        (4, 1e3),
+        (4, 1e4),
+    ]
     assert planned.plans[-1].hours == pytest.approx(2 * 4 * (1 + 1e4 / 36e3))
     for each in planned.plans:
         light = each.light_yield
@@ -231,8 +236,10 @@ def test_what_forbids_a_precision_is_named(article, without_photons):
 def test_the_efficiency_s_error_is_named_by_its_origins(article, without_photons):
     without_photons(formulas)
     known = article.light_yield
-    parts = {"tube scale": 0.06 * known.detector_efficiency,
-             "quantum efficiency curve": 0.08 * known.detector_efficiency}  # fmt: skip
+    parts = {
+        "tube scale": 0.06 * known.detector_efficiency,
+        "quantum efficiency curve": 0.08 * known.detector_efficiency,
+    }
     campaign = replace(article, light_yield=replace(known, efficiency_parts=parts))
     planned = plan(campaign, 0.09, **TWO)
     light = planned.plans[0].light_yield
@@ -269,8 +276,9 @@ def _hold_the_scale(campaign):
 
 
 def _efficiencies(campaign):
-    readings = [replace(r, signal=r.signal / 57, sigma=r.sigma / 57)
-                for r in campaign.measurements.readings]  # fmt: skip
+    readings = [
+        replace(r, signal=r.signal / 57, sigma=r.sigma / 57) for r in campaign.measurements.readings
+    ]
     return replace(campaign, measurements=replace(campaign.measurements, readings=tuple(readings)))
 
 
@@ -297,8 +305,10 @@ def test_the_default_precision_is_shown_as_it_is_written(mcrim):
 
 def test_the_scatter_of_a_raw_campaign_is_its_own(article):
     def reading(centroids, sigma):
-        peaks = [SimpleNamespace(centroid=c, centroid_sigma=sigma, shape=COUNTING,
-                                 intrinsic_spread=0.08) for c in centroids]  # fmt: skip
+        peaks = [
+            SimpleNamespace(centroid=c, centroid_sigma=sigma, shape=COUNTING, intrinsic_spread=0.08)
+            for c in centroids
+        ]
         mountings = [SimpleNamespace(use=True, peak=peak) for peak in peaks]
         combined = SimpleNamespace(mean=float(np.mean(centroids)))
         return SimpleNamespace(mountings=mountings, combined=combined)
@@ -327,9 +337,11 @@ def test_transmittances_that_were_not_measured_are_proposed(scenes):
     own = {"kind": "transmittance", "acceptance_deg": 5.0}
     along = own | {"beam_axis": "z"}
     assert beams == [
-        own | {"acceptance_deg": 1.0}, own | {"acceptance_deg": 30.0},
-        along, along | {"crystal_height_mm": 20.0},
-    ]  # fmt: skip
+        own | {"acceptance_deg": 1.0},
+        own | {"acceptance_deg": 30.0},
+        along,
+        along | {"crystal_height_mm": 20.0},
+    ]
     assert sigmas == pytest.approx(0.012 / 0.76)
     only = replace(three, next_measurements={"n_gap": [1.0, 1.333]})
     assert Workbench(only, Run()).proposals().configurations == [{"n_gap": 1.333}]
@@ -355,8 +367,9 @@ def test_a_measured_transmittance_goes_on_into_a_plan(scenes, without_photons):
     names = ["alpha_scat_per_cm", "scale"]
     model = SimpleNamespace(
         free=[CampaignParameter(name, 1.0, 0.0, 100.0) for name in names],
-        readings=(*light, beam), campaign=three,
-    )  # fmt: skip
+        readings=(*light, beam),
+        campaign=three,
+    )
     slopes = np.array([[8.0, 0.29], [3.0, 0.52], [-0.7, 0.0], [8.0, 0.29], [3.0, 0.52]])
     prediction = SimpleNamespace(
         signal=np.array([14.0, 25.0, 0.76, 14.0, 25.0]), signal_slopes=slopes
@@ -365,9 +378,12 @@ def test_a_measured_transmittance_goes_on_into_a_plan(scenes, without_photons):
     theta = np.array([0.1, 48.0])
     found = Expectation(model, theta, prediction, candidates, Conditions())
     without = Expectation(
-        SimpleNamespace(free=model.free, readings=tuple(light), campaign=three), theta,
-        prediction, candidates, Conditions(),
-    )  # fmt: skip
+        SimpleNamespace(free=model.free, readings=tuple(light), campaign=three),
+        theta,
+        prediction,
+        candidates,
+        Conditions(),
+    )
     assert found.determined([0]) and not without.determined([0])
     told, less = (each.errors([0, 1], 4, 1e4)[0] for each in (found, without))
     assert told.of_plan < less.of_plan

@@ -46,9 +46,12 @@ def test_two_thicknesses_of_a_boule_beside_another_crystal(tmp_path):
     for number, (sample, n, height, a_a) in enumerate(crystals):
         for n_gap in (1.0, 1.46):
             bench = Bench(
-                n_crystal=n, crystal_height_mm=height, alpha_scat_per_cm=0.5,
-                alpha_abs_per_cm=a_a, n_gap=n_gap,
-            )  # fmt: skip
+                n_crystal=n,
+                crystal_height_mm=height,
+                alpha_scat_per_cm=0.5,
+                alpha_abs_per_cm=a_a,
+                n_gap=n_gap,
+            )
             seen = trace(bench, PHOTONS, seed=20 + 2 * number + (n_gap > 1))
             signal, sigma = (TRUTH["scale"] * x for x in (seen.eta, seen.eta_sigma))
             rows.append(f"{number} {n_gap},{sample},{signal!r},{sigma!r},{n_gap},{height}")

@@ -89,9 +89,11 @@ def test_propagation_against_random_numbers():
             known.append(Uncertain(value, systematic={o: value * r for o, r in parts.items()}))
             drawn.append(value * (1 + sum(r * draws[o] for o, r in parts.items())))
     found = light_yield_by_reference(*known, 16.2)
-    sample = light_yield_by_reference(*(Uncertain(1.0),) * 6, 1.0).value * 16.2 * (
-        drawn[0] * drawn[4] * drawn[5] / (drawn[1] * drawn[2] * drawn[3])
-    )  # fmt: skip
+    sample = (
+        light_yield_by_reference(*(Uncertain(1.0),) * 6, 1.0).value
+        * 16.2
+        * (drawn[0] * drawn[4] * drawn[5] / (drawn[1] * drawn[2] * drawn[3]))
+    )
     width = sample.std() / sample.mean()
     # the shared part of eta is larger in the reference: 4 % - 2 % is left
     expected = math.hypot(0.014, 0.010, 0.03, 0.02, 0.02)
@@ -126,10 +128,12 @@ def test_shared_errors_of_almost_one_size_do_not_choose_a_value():
     air, gel = (0.014, 0.120), (0.016, 0.116)
     off = gel[1] * (gel[1] - air[1]) + gel[0] ** 2, air[1] * (air[1] - gel[1]) + air[0] ** 2
     assert off[0] / sum(off) == pytest.approx(-0.44, abs=0.005)
-    together = common_value([
-        Uncertain(1.0, {"counts, air": air[0]}, {"eta": air[1]}),
-        Uncertain(2.0, {"counts, gel": 2 * gel[0]}, {"eta": 2 * gel[1]}),
-    ])  # fmt: skip
+    together = common_value(
+        [
+            Uncertain(1.0, {"counts, air": air[0]}, {"eta": air[1]}),
+            Uncertain(2.0, {"counts, gel": 2 * gel[0]}, {"eta": 2 * gel[1]}),
+        ]
+    )
     assert (together.weights > 0.1).all()
     assert together.mean.systematic_sigma / together.mean.value == pytest.approx(
         together.weights @ [air[1], gel[1]]
@@ -160,12 +164,14 @@ def test_mean_against_random_numbers():
     drawn = 7.5 * (1 + counts * rng.standard_normal((count, 3)))
     drawn *= 1 + scale * rng.standard_normal((count, 1))
     found = [
-        common_value([
-            Uncertain(v, {f"counts, {place}": c * v}, {"detector_efficiency": -scale * v})
-            for place, (v, c) in enumerate(zip(row, counts, strict=True))
-        ])
+        common_value(
+            [
+                Uncertain(v, {f"counts, {place}": c * v}, {"detector_efficiency": -scale * v})
+                for place, (v, c) in enumerate(zip(row, counts, strict=True))
+            ]
+        )
         for row in drawn
-    ]  # fmt: skip
+    ]
     pulls = np.array([(known.mean.value - 7.5) / known.mean.sigma for known in found])
     chi2 = np.array([known.chi2 for known in found])
     assert abs(pulls.mean()) < SIGMAS / math.sqrt(count)
@@ -194,8 +200,10 @@ def test_light_yields_of_the_article_and_their_budget():
     assert pdg(7.5, air.sigma) == "7.5 ± 1.2"
     budget = budget_of(air)
     assert [row.name for row in budget.contributions] == [
-        "eta", "detector_efficiency", "counts, air"
-    ]  # fmt: skip
+        "eta",
+        "detector_efficiency",
+        "counts, air",
+    ]
     assert [abs(row.relative) for row in budget.contributions] == pytest.approx([0.12, 0.10, 0.016])
     assert [row.kind[:4] for row in budget.contributions] == ["syst", "syst", "stat"]
     assert all(row.by for row in budget.contributions)
@@ -207,8 +215,10 @@ def test_light_yields_of_the_article_and_their_budget():
     together = budget_of(common_value([air, gel]).mean)
     assert together.statistical == pytest.approx(0.016 / math.sqrt(2), rel=1e-4)
     assert {row.name for row in together.merged.contributions} == {
-        "counts", "eta", "detector_efficiency"
-    }  # fmt: skip
+        "counts",
+        "eta",
+        "detector_efficiency",
+    }
     assert together.merged.total == pytest.approx(together.total)
 
 
@@ -224,11 +234,15 @@ def test_advice_covers_what_other_modules_name():
 def test_relative_method_of_the_article():
     """Sec. 6.4: 7.1 ± 1.7 with eta = 0.23 and all errors independent."""
     sample = {
-        "signal": (14.3, 0.2), "eta": (0.23, 0.12 * 0.23), "detector_efficiency": (0.127, 0.0127)
-    }  # fmt: skip
+        "signal": (14.3, 0.2),
+        "eta": (0.23, 0.12 * 0.23),
+        "detector_efficiency": (0.127, 0.0127),
+    }
     reference = {
-        "signal": (40.1, 0.4), "eta": (0.162, 0.12 * 0.162), "detector_efficiency": (0.221, 0.0221)
-    }  # fmt: skip
+        "signal": (40.1, 0.4),
+        "eta": (0.162, 0.12 * 0.162),
+        "detector_efficiency": (0.221, 0.0221),
+    }
     independent = relative_yield(sample, reference, (16.2, 1.6), {})
     assert pdg(independent.light_yield.value, independent.light_yield.sigma) == "7.1 ± 1.7"
     assert independent.light_yield.sigma == pytest.approx(independent.uncorrelated.sigma)

@@ -46,9 +46,8 @@ def assert_honest(fits, mean, bias):
 def test_errors_are_honest_over_200_repeats(mean):
     spectrum, random = spectrum_of(mean, 20_000), np.random.default_rng(2013)
     fits = [
-        fit_peak(spectrum.photons(), spectrum.sample(random), shape="counting")
-        for _ in range(200)
-    ]  # fmt: skip
+        fit_peak(spectrum.photons(), spectrum.sample(random), shape="counting") for _ in range(200)
+    ]
     pulls = assert_honest(fits, mean, bias=0.2)
     assert 0.9 < pulls.std(ddof=1) < 1.1
     # p-values are right: at most so many are below 1 % (binomial, 200 repeats)
@@ -301,18 +300,24 @@ def test_synthetic_histograms_have_the_mean_that_they_say():
     assert expected @ (photons - 14.8) ** 2 / 1e5 == pytest.approx(variance, rel=1e-4)
     assert np.array_equal(spectrum.sample(3), spectrum.sample(3))
     events = spectrum.events(3)
-    assert np.array_equal(np.bincount(events.astype(int), minlength=len(photons)),
-                          spectrum.sample(3))  # fmt: skip
+    assert np.array_equal(
+        np.bincount(events.astype(int), minlength=len(photons)), spectrum.sample(3)
+    )
     with_pedestal = PhotonSpectrum(14.3).expected(np.arange(400.0))
     assert with_pedestal.sum() == pytest.approx(38_000, rel=1e-6)
 
 
 @pytest.mark.parametrize(
     "numbers",
-    [{"mean_photons": 0}, {"mean_photons": math.nan}, {"mean_photons": 1e6},
-     {"mean_photons": 9, "peak_events": -1}, {"mean_photons": 9, "intrinsic_spread": 0.5},
-     {"mean_photons": 9, "dark_photons": math.inf}],
-)  # fmt: skip
+    [
+        {"mean_photons": 0},
+        {"mean_photons": math.nan},
+        {"mean_photons": 1e6},
+        {"mean_photons": 9, "peak_events": -1},
+        {"mean_photons": 9, "intrinsic_spread": 0.5},
+        {"mean_photons": 9, "dark_photons": math.inf},
+    ],
+)
 def test_spectra_that_cannot_be_are_refused(numbers):
     with pytest.raises(InputError):
         PhotonSpectrum(**numbers)
@@ -323,16 +328,20 @@ def test_spectra_that_cannot_be_are_refused(numbers):
 GOOD = "".join(f"{i},{i * (20 - i)}\n" for i in range(20))
 
 
-@cases("text", "says", more=[
-    (GOOD.replace("\n5,75\n", "\n"), "line 6: the bin at 6 is 2 from the one before, not 1"),
-    ("n,m,k\n" + GOOD.replace(",", ",1,"), "line 2: 3 columns, not 2"),
-    ("3\n5\n" * 200, "fill 3 bins"),
-    ("3\n500000\n" * 200, "fill 499998 bins"),
-    ("3\n5\n" * 200 + "-1\n", "line 401: -1 photons in an event"),
-    ("0.25\n" * 400, "fill 0 bins"),
-    ("1e30\n3\n" * 200, "line 1, column bin centre: 1e+30 is too large"),
-    ("14,3\n9,1\n16,2\n" * 200, "a list of events with decimal commas"),
-])  # fmt: skip
+@cases(
+    "text",
+    "says",
+    more=[
+        (GOOD.replace("\n5,75\n", "\n"), "line 6: the bin at 6 is 2 from the one before, not 1"),
+        ("n,m,k\n" + GOOD.replace(",", ",1,"), "line 2: 3 columns, not 2"),
+        ("3\n5\n" * 200, "fill 3 bins"),
+        ("3\n500000\n" * 200, "fill 499998 bins"),
+        ("3\n5\n" * 200 + "-1\n", "line 401: -1 photons in an event"),
+        ("0.25\n" * 400, "fill 0 bins"),
+        ("1e30\n3\n" * 200, "line 1, column bin centre: 1e+30 is too large"),
+        ("14,3\n9,1\n16,2\n" * 200, "a list of events with decimal commas"),
+    ],
+)
 def test_histograms_that_cannot_be_used_are_refused(tmp_path, text, says):
     path = tmp_path / "h.csv"
     path.write_text(text.replace("GOOD", GOOD))
@@ -345,15 +354,18 @@ def test_histograms_that_cannot_be_used_are_refused(tmp_path, text, says):
     [
         GOOD.encode(),
         GOOD.replace(",", "  ").encode(),
-        ("\ufeff# from the counter\r\nphotons;events\r\n"
-         + GOOD.replace(",", ",0;").replace("\n", "\r\n")).encode(),
+        (
+            "\ufeff# from the counter\r\nphotons;events\r\n"
+            + GOOD.replace(",", ",0;").replace("\n", "\r\n")
+        ).encode(),
         ("sep=;\r\nphotons;events\r\n" + GOOD.replace(",", ";")).encode("utf-16"),
         ("Live time 600 s\nchannel\tcounts\n" + GOOD.replace(",", "\t")).encode(),
-        "".join(sorted(GOOD.splitlines(keepends=True), key=lambda row: -int(row.split(",")[0])))
-        .encode(),
+        "".join(
+            sorted(GOOD.splitlines(keepends=True), key=lambda row: -int(row.split(",")[0]))
+        ).encode(),
     ],
     ids=["csv", "blanks", "excel", "unicode text", "tabs", "descending"],
-)  # fmt: skip
+)
 def test_histograms_are_read_as_programs_write_them(tmp_path, content):
     path = tmp_path / "h.txt"
     path.write_bytes(content)

@@ -266,8 +266,10 @@ def test_overrides_name_materials_and_keep_them(bench):
     later = scene.with_overrides({"gap_mm": 0.1})
     assert later.overrides == {"n_gap": "water@540nm", "gap_mm": "0.1"}
     assert later.overrides_for_mitsuba() == {
-        "n_gap": "1.33506", "gap_mm": "0.1", "n_crystal": "2.00562"
-    }  # fmt: skip
+        "n_gap": "1.33506",
+        "gap_mm": "0.1",
+        "n_crystal": "2.00562",
+    }
     assert later.read_again().content_hash == later.content_hash
     typed = later.with_overrides({"n_crystal": 1.9})
     assert list(typed.materials) == ["n_gap"]
@@ -286,8 +288,9 @@ def test_a_wavelength_may_be_a_parameter(bench):
     assert read_scene(path).parameters["n_crystal"] == 2.00562
     longer = read_scene(path, {"wavelength_nm": 600})
     assert longer.overrides_for_mitsuba() == {
-        "wavelength_nm": "600.0", "n_crystal": str(round(index("CaMoO4", 600.0), 5))
-    }  # fmt: skip
+        "wavelength_nm": "600.0",
+        "n_crystal": str(round(index("CaMoO4", 600.0), 5)),
+    }
 
 
 def test_a_spectrum_beside_the_scene_gives_the_mean_over_it(bench, spectrum_file):

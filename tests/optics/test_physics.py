@@ -57,8 +57,11 @@ def test_a_film_obeys_what_holds_for_all_films():
     # a film of glass, of vacuum or of no thickness is the bare face
     cosine = cosine[1:]
     bare = np.abs(np.array(amplitudes(cosine, 1.52, 1.0))) ** 2
-    for other in (photocathode(540.0, 1.52), photocathode(540.0, 1.0),
-                  photocathode(540.0, thickness_nm=0.0)):  # fmt: skip
+    for other in (
+        photocathode(540.0, 1.52),
+        photocathode(540.0, 1.0),
+        photocathode(540.0, thickness_nm=0.0),
+    ):
         reflected, transmitted = other.powers(cosine)
         assert reflected == pytest.approx(bare, abs=1e-12)
         assert reflected + transmitted == pytest.approx(np.ones_like(bare), abs=1e-12)
@@ -129,9 +132,14 @@ def test_multiple_reflection_is_the_sum_of_its_orders_and_inverts():
             assert internal_transmittance(measured_transmittance(t, n), n) == pytest.approx(t)
 
 
-@cases("value", "sigma", "text", more=[
-    (0.252, None, "0.252"),
-])  # fmt: skip
+@cases(
+    "value",
+    "sigma",
+    "text",
+    more=[
+        (0.252, None, "0.252"),
+    ],
+)
 def test_pdg_rounding(value, sigma, text):
     assert pdg(value, sigma) == text
 

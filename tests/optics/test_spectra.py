@@ -163,8 +163,10 @@ def test_the_detector_s_efficiency_and_its_errors():
     assert found.value == pytest.approx(0.28 * 160 / 350, rel=1e-4)
     assert found.contributions["tube scale"] == pytest.approx(0.05 * found.value)
     assert list(found.contributions) == [
-        "tube scale", "quantum efficiency curve", "emission spectrum",
-    ]  # fmt: skip
+        "tube scale",
+        "quantum efficiency curve",
+        "emission spectrum",
+    ]
     assert found.sigma == pytest.approx(math.hypot(*found.contributions.values()))
     # eight points with an error of their own each, or one error for all of them
     assert 0.003 < found.contributions["quantum efficiency curve"] < 0.01
@@ -263,15 +265,16 @@ def test_orientations_enter_with_their_whole_spread():
     assert found.each_per_cm == pytest.approx((0.04, 0.05, 0.06))
     assert found.contributions["orientations"] == pytest.approx(0.01)
     # what the readings share is not averaged
-    one = absorption([float(transmitted(0.05))], 2.0, 10.0,
-                                        transmittance_sigma=0.003)  # fmt: skip
+    one = absorption([float(transmitted(0.05))], 2.0, 10.0, transmittance_sigma=0.003)
     assert found.contributions["transmittance"] == pytest.approx(
         one.contributions["transmittance"], rel=1e-3
     )
     weighted = absorption(
-        [Spectrum([400, 550, 700], np.full(3, float(transmitted(a)))) for a in (0.04, 0.06)], 2.0,
-        10.0, emission=gaussian(points=61, sigmas=np.full(61, 0.05)),
-    )  # fmt: skip
+        [Spectrum([400, 550, 700], np.full(3, float(transmitted(a)))) for a in (0.04, 0.06)],
+        2.0,
+        10.0,
+        emission=gaussian(points=61, sigmas=np.full(61, 0.05)),
+    )
     assert weighted.contributions["orientations"] == pytest.approx(0.01 * math.sqrt(2))
     assert weighted.contributions["emission spectrum"] < 1e-12
 
@@ -301,11 +304,13 @@ def test_noise_about_the_limit_is_not_clipped():
     clear = float(clear_limit(2.0))
     apparent = [
         absorption(
-            [Spectrum(places, clear + rng.normal(0, 0.01, 61), np.full(61, 0.01))], 2.0, 10.0,
+            [Spectrum(places, clear + rng.normal(0, 0.01, 61), np.full(61, 0.01))],
+            2.0,
+            10.0,
             emission=gaussian(points=61),
         ).apparent_per_cm
         for _ in range(100)
-    ]  # fmt: skip
+    ]
     assert abs(np.mean(apparent)) < 4.5 * np.std(apparent) / 10
     assert 20 < np.count_nonzero(np.array(apparent) < 0) < 80
 
@@ -330,18 +335,26 @@ def test_a_material_serves_the_whole_emission():
     emission = gaussian(mean=520, width=45, points=301)
     band = index_over("CaMoO4", emission)
     found = absorption(
-        [Spectrum([390, 550, 710], [0.76] * 3)], band.material.held_index, 10.0,
-        n_sigma=band.sigma, emission=emission,
-    )  # fmt: skip
+        [Spectrum([390, 550, 710], [0.76] * 3)],
+        band.material.held_index,
+        10.0,
+        n_sigma=band.sigma,
+        emission=emission,
+    )
     assert found.contributions["index"] > 0 and 1.9 < found.n < 2.1
     assert "outside 450" in band.notes[0]
 
 
-@cases("arguments", "more", "says", more=[
-    (([0.7], lambda nm: 2 + 0 * nm, 10.0), {}, "an index that is no number"),
-    (([gaussian()], 2.0, 10.0), {}, "a transmittance spectrum says nothing"),
-    (([gaussian()], 2.0, 10.0), {"emission": gaussian(), "wavelength_nm": 5.0}, "both"),
-])  # fmt: skip
+@cases(
+    "arguments",
+    "more",
+    "says",
+    more=[
+        (([0.7], lambda nm: 2 + 0 * nm, 10.0), {}, "an index that is no number"),
+        (([gaussian()], 2.0, 10.0), {}, "a transmittance spectrum says nothing"),
+        (([gaussian()], 2.0, 10.0), {"emission": gaussian(), "wavelength_nm": 5.0}, "both"),
+    ],
+)
 def test_impossible_numbers_are_refused(arguments, more, says):
     assert says in refusal(absorption, *arguments, **more)
 
@@ -409,8 +422,11 @@ def test_power_becomes_photons(tmp_path, title):
 
 
 def test_noise_of_an_emission_is_kept_and_gaps_are_said(tmp_path):
-    text = "".join(f"{nm},{-0.5 if nm in (402, 598) else 50}\n" for nm in range(400, 602, 2)
-                   if not 500 < nm < 522)  # fmt: skip
+    text = "".join(
+        f"{nm},{-0.5 if nm in (402, 598) else 50}\n"
+        for nm in range(400, 602, 2)
+        if not 500 < nm < 522
+    )
     found = read(tmp_path, f"nm,counts\n{text}", "emission")
     assert found.values.min() == -0.5
     assert found.notes == (
@@ -461,8 +477,9 @@ def test_the_absorption_command(folder, mcrim):
     said = mcrim.shown("lab", "absorption", "0.76", *usual)
     assert "alpha_abs 0.04714 /cm, internal transmittance 95.4 %" in said
     assert "the article (Sec. 4) has 96 % and 0.039 /cm" in said and "no error is given" in said
-    assert "the article" not in mcrim.shown("lab", "absorption", "76%", "--n", "2.02",
-                                            "--thickness-mm", "10", "--sigma", "0.5%")  # fmt: skip
+    assert "the article" not in mcrim.shown(
+        "lab", "absorption", "76%", "--n", "2.02", "--thickness-mm", "10", "--sigma", "0.5%"
+    )
     named = ["--n", "CaMoO4", "--thickness-mm", "10"]
     # the spectra go to wavelengths at which the material's index is not known
     mcrim.shown("lab", "absorption", "t_1.csv", *named, "--nm", "540", "--figure", "b.png")

@@ -19,8 +19,14 @@ HOSTILE = r"50 % & $x$_1 #2 {a}~^\ <b> ± | " + "\nnext\u202e line"
 
 
 def estimate(value, sigma, **further):
-    return {"value": value, "sigma": sigma, "lower": value - sigma, "upper": None,
-            "at_bound": None, "contributions": {}} | further  # fmt: skip
+    return {
+        "value": value,
+        "sigma": sigma,
+        "lower": value - sigma,
+        "upper": None,
+        "at_bound": None,
+        "contributions": {},
+    } | further
 
 
 def calibration(**changes):
@@ -30,56 +36,122 @@ def calibration(**changes):
             "alpha_scat_per_cm": estimate(0.566, 0.126),
             "light_yield_ph_per_keV": estimate(7.494, 0.79),
         },
-        "fixed": {"n_crystal": 2.01}, "chi2": 1.25, "ndf": 0, "p_value": None,
+        "fixed": {"n_crystal": 2.01},
+        "chi2": 1.25,
+        "ndf": 0,
+        "p_value": None,
         "rows": [
-            {"label": HOSTILE, "measured": 14.3, "sigma": 0.2, "model": 14.2, "model_sigma": 0.01,
-             "pull": 0.5, "eta": 0.25, "eta_sigma": 0.0002, "use": True},
-            {"label": "gel", "measured": 24.5, "sigma": 0.4, "model": 24.6, "model_sigma": 0.01,
-             "pull": -0.25, "eta": 0.43, "eta_sigma": 0.0003, "use": False},
+            {
+                "label": HOSTILE,
+                "measured": 14.3,
+                "sigma": 0.2,
+                "model": 14.2,
+                "model_sigma": 0.01,
+                "pull": 0.5,
+                "eta": 0.25,
+                "eta_sigma": 0.0002,
+                "use": True,
+            },
+            {
+                "label": "gel",
+                "measured": 24.5,
+                "sigma": 0.4,
+                "model": 24.6,
+                "model_sigma": 0.01,
+                "pull": -0.25,
+                "eta": 0.43,
+                "eta_sigma": 0.0003,
+                "use": False,
+            },
         ],
-        "seed": 2**62 + 1, "scene_hash": "ab" * 32, "versions": {"mitsuba": "3.9.1"},
+        "seed": 2**62 + 1,
+        "scene_hash": "ab" * 32,
+        "versions": {"mitsuba": "3.9.1"},
         "notes": ["a note with ± and \u03b1"],
-    } | changes  # fmt: skip
+    } | changes
 
 
 def eta_rows(n_gap=(1.0, 1.46), alpha_abs=(0.014, 0.039), alpha_scat=(0.1, 0.5, 1 / 3)):
     rng = np.random.default_rng(4)
     return [
-        {"n_gap": n, "alpha_abs_per_cm": a, "alpha_scat_per_cm": s, "eta": rng.uniform(0.2, 0.5),
-         "eta_sigma": rng.uniform(1e-4, 1e-3)}
-        for n in n_gap for a in alpha_abs for s in alpha_scat
-    ]  # fmt: skip
+        {
+            "n_gap": n,
+            "alpha_abs_per_cm": a,
+            "alpha_scat_per_cm": s,
+            "eta": rng.uniform(0.2, 0.5),
+            "eta_sigma": rng.uniform(1e-4, 1e-3),
+        }
+        for n in n_gap
+        for a in alpha_abs
+        for s in alpha_scat
+    ]
 
 
 def table(**changes):
     """As ``mcrim table --json`` writes it."""
-    return {"rows": eta_rows(), "photons": 4_000_000, "cached_photons": 0, "seed": 3,
-            "seconds": 1.0, "parameters": {"gap_mm": 0.05, "polarization": False},
-            "scene_hash": "cd" * 32, "notes": []} | changes  # fmt: skip
+    return {
+        "rows": eta_rows(),
+        "photons": 4_000_000,
+        "cached_photons": 0,
+        "seed": 3,
+        "seconds": 1.0,
+        "parameters": {"gap_mm": 0.05, "polarization": False},
+        "scene_hash": "cd" * 32,
+        "notes": [],
+    } | changes
 
 
 def simulation(**changes):
-    return {"eta": 0.2528, "eta_sigma": 0.0007, "photons": 300_000, "seed": 0,
-            "budget": {"detected": 0.2528, "absorbed_my-crystal": 0.7472, "lost": 0.0},
-            "budget_sigma": {"detected": 0.0007, "absorbed_my-crystal": 0.0007, "lost": 3e-6},
-            "parameters": {"n_gap": 1.0, "polarization": False}} | changes  # fmt: skip
+    return {
+        "eta": 0.2528,
+        "eta_sigma": 0.0007,
+        "photons": 300_000,
+        "seed": 0,
+        "budget": {"detected": 0.2528, "absorbed_my-crystal": 0.7472, "lost": 0.0},
+        "budget_sigma": {"detected": 0.0007, "absorbed_my-crystal": 0.0007, "lost": 3e-6},
+        "parameters": {"n_gap": 1.0, "polarization": False},
+    } | changes
 
 
 def diagnosis():
-    own = {name: 1.0 for name in ("ndf", "p_value", "delta_chi2", "delta_chi2_sigma", "p_global",
-                                  "left_out_error", "aicc")}  # fmt: skip
+    own = {
+        name: 1.0
+        for name in (
+            "ndf",
+            "p_value",
+            "delta_chi2",
+            "delta_chi2_sigma",
+            "p_global",
+            "left_out_error",
+            "aicc",
+        )
+    }
     light = {"light_yield_ph_per_keV": {"value": 7.6, "sigma": 0.8, "change": 0.1}}
     return {
-        "verdict": "ambiguous", "leading": ["gap_bubble"],
+        "verdict": "ambiguous",
+        "leading": ["gap_bubble"],
         "baseline": calibration(chi2=110.0),
         "candidates": [
-            {"effect": "gap_bubble", "effect_parameters": ["bubble_fraction"], "chi2": 9.07,
-             "parameters": {"bubble_fraction": estimate(0.27, 0.07)}, "plausible": True,
-             **own, **light},
-            {"effect": "polarization", "effect_parameters": [], "chi2": 100.0, "parameters": {},
-             "plausible": None, **own, **light},
+            {
+                "effect": "gap_bubble",
+                "effect_parameters": ["bubble_fraction"],
+                "chi2": 9.07,
+                "parameters": {"bubble_fraction": estimate(0.27, 0.07)},
+                "plausible": True,
+                **own,
+                **light,
+            },
+            {
+                "effect": "polarization",
+                "effect_parameters": [],
+                "chi2": 100.0,
+                "parameters": {},
+                "plausible": None,
+                **own,
+                **light,
+            },
         ],
-    }  # fmt: skip
+    }
 
 
 @pytest.fixture
@@ -219,17 +291,22 @@ def test_large_and_small_numbers(write):
     assert r"$1.2 \times 10^{-12}$" in text and r"$(1.234 \pm 0.006) \times 10^{9}$" in text
 
 
-@cases("name", "content", "says", more=[
-    ("a.json", "[" * 100_000, "nested too deeply"),
-    ("a.json", calibration(chi2="small"), "chi2: not a number"),
-    ("a.json", json.dumps(calibration(chi2=math.inf)), "chi2: not finite"),
-    ("a.json", calibration(rows=[1]), "rows: not a list of objects"),
-    ("a.json", calibration(parameters={"a/b\n": {}}), "cannot be a column"),
-    ("a.json", calibration(parameters={"a": {"value": None}}), "it has no value"),
-    ("a.json", calibration(parameters={"a": 1.0}), "parameters.a: not an object"),
-    ("a.json", table(rows=[{"n_gap": 1.0}]), "no result of mcrim"),
-    ("a.json", table(rows=[]), "a table without rows"),
-])  # fmt: skip
+@cases(
+    "name",
+    "content",
+    "says",
+    more=[
+        ("a.json", "[" * 100_000, "nested too deeply"),
+        ("a.json", calibration(chi2="small"), "chi2: not a number"),
+        ("a.json", json.dumps(calibration(chi2=math.inf)), "chi2: not finite"),
+        ("a.json", calibration(rows=[1]), "rows: not a list of objects"),
+        ("a.json", calibration(parameters={"a/b\n": {}}), "cannot be a column"),
+        ("a.json", calibration(parameters={"a": {"value": None}}), "it has no value"),
+        ("a.json", calibration(parameters={"a": 1.0}), "parameters.a: not an object"),
+        ("a.json", table(rows=[{"n_gap": 1.0}]), "no result of mcrim"),
+        ("a.json", table(rows=[]), "a table without rows"),
+    ],
+)
 def test_one_line_for_what_is_no_result(write, name, content, says):
     assert says in refusal(read_results, [write(name, content)])
 

@@ -28,10 +28,11 @@ BLOCK = """<medium type="bulk" id="block"/><shape type="cube" id="block_faces">
 TEXTS = {
     "ball": Path(__file__).with_name("ball.xml").read_text(),
     "block": BENCH.replace("</scene>", BLOCK),
-    "open": BENCH.replace('<shape type="rectangle" id="crystal_top">',
-                          '<shape type="rectangle" id="crystal_top"><boolean name="flip_normals" '
-                          'value="true"/>'),
-}  # fmt: skip
+    "open": BENCH.replace(
+        '<shape type="rectangle" id="crystal_top">',
+        '<shape type="rectangle" id="crystal_top"><boolean name="flip_normals" value="true"/>',
+    ),
+}
 
 TABLES = tables_of(__file__)
 #: scene, what is changed, areas that the plane cuts (mm2, analytic)

@@ -87,9 +87,10 @@ def test_profiles_cross_where_the_intervals_end(scenes, tmp_path):
 
 def test_a_profile_ends_at_its_bound(scenes, tmp_path):
     model, found = fitted(
-        scenes, tmp_path,
+        scenes,
+        tmp_path,
         lambda text: text.replace("max = 10.0", "max = 0.3").replace("start = 0.5", "start = 0.2"),
-    )  # fmt: skip
+    )
     profile = profiles_of(model, found)[0]
     known = found.parameters[ALPHA_SCAT]
     assert known.at_bound == "max" and profile.ends == (None, "max")
@@ -171,9 +172,10 @@ def suspicious(found, label):
 def test_hostile_labels_break_no_figure(scenes, tmp_path):
     model, found = fitted(scenes, tmp_path)
     hostile = replace(
-        found, rows=rows(HOSTILE),
+        found,
+        rows=rows(HOSTILE),
         parameters={**found.parameters, **dict.fromkeys(HOSTILE, found.parameters["scale"])},
-    )  # fmt: skip
+    )
     compared = suspicious(hostile, HOSTILE[0])
     steps = [
         RepairStep(i, name, HOSTILE[:i], 9.0, 3, 0.1, 1.0, 1.0, 0.0, found.parameters, None)
@@ -185,15 +187,17 @@ def test_hostile_labels_break_no_figure(scenes, tmp_path):
     histogram = Histogram(Path("air"), (), spectrum.photons(), spectrum.sample(1))
     peak = fit_peak(histogram.photons, histogram.counts)
     named = [histograms.FittedHistogram(name, histogram, peak, name[:1]) for name in HOSTILE]
-    for i, figure in enumerate([
-        comparison.draw_comparison(compared).figure,
-        comparison.draw_comparison(compared, hostile, added=HOSTILE[1]).figure,
-        comparison.draw_comparison(hostile, unit=HOSTILE[1]).entitled(HOSTILE[0]).figure,
-        staircase.draw_staircase(steps, hostile).figure,
-        profiles.draw_profiles(curves).figure,
-        budget.draw_budget(hostile).figure,
-        histograms.draw_histograms(named, title=HOSTILE[1]).figure,
-    ]):  # fmt: skip
+    for i, figure in enumerate(
+        [
+            comparison.draw_comparison(compared).figure,
+            comparison.draw_comparison(compared, hostile, added=HOSTILE[1]).figure,
+            comparison.draw_comparison(hostile, unit=HOSTILE[1]).entitled(HOSTILE[0]).figure,
+            staircase.draw_staircase(steps, hostile).figure,
+            profiles.draw_profiles(curves).figure,
+            budget.draw_budget(hostile).figure,
+            histograms.draw_histograms(named, title=HOSTILE[1]).figure,
+        ]
+    ):
         assert isinstance(figure, Figure)
         width, height = figure.get_size_inches()
         assert width < 30 and height < 40
@@ -235,10 +239,11 @@ def test_figures_carry_title_and_unit(scenes, tmp_path):
 def test_nothing_to_draw_is_said(scenes, tmp_path):
     def hold_all(text):
         return (
-            text.replace("prior = 0.039\nprior_sigma = 0.012", "fixed = true")
-            .replace("min = 0.001\nmax = 10.0", "fixed = true")
+            text.replace("prior = 0.039\nprior_sigma = 0.012", "fixed = true").replace(
+                "min = 0.001\nmax = 10.0", "fixed = true"
+            )
             + "\n[parameters.scale]\nstart = 57.0\nfixed = true\n"
-        )  # fmt: skip
+        )
 
     model, found = fitted(scenes, tmp_path, hold_all)
     assert profiles_of(model, found) == ()

@@ -105,13 +105,15 @@ UNSOUND = {
     "no XML": ("something else", "line 1"),
     "no bench": ('<scene version="3.0.0"/>', "integrator"),
     "a face is missing": (
-        (SCENES / "camoo4.xml").read_text(encoding="utf-8").replace(
+        (SCENES / "camoo4.xml")
+        .read_text(encoding="utf-8")
+        .replace(
             '<shape type="rectangle" id="crystal_top">',
             '<shape type="rectangle" id="crystal_top"><boolean name="flip_normals" value="true"/>',
         ),
         "crystal_top",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", UNSOUND)

@@ -29,8 +29,17 @@ SCRIPT = "<script>window.hacked = 1</script>"
 BREAKOUT = "{{7*7}}</pre></style></title>]]>--><svg onload=window.hacked=1> javascript:x"
 BACKWARDS, LONG = "\u202egnp.exe", "A<" * 5000
 LABELS = (f'{SCRIPT} "quoted"', BACKWARDS)
-SECTIONS = ["summary", "measured", "bench", "baseline", "explanations", "repair", "result", "next",
-            "reproduce"]  # fmt: skip
+SECTIONS = [
+    "summary",
+    "measured",
+    "bench",
+    "baseline",
+    "explanations",
+    "repair",
+    "result",
+    "next",
+    "reproduce",
+]
 #: All that the page may hold: nothing that runs, loads or sends.
 ELEMENTS = set(
     "html head meta title style body header main section nav h1 h2 h3 p a br ol ul li dl dt dd "
@@ -51,10 +60,12 @@ def write_campaign(folder: Path, scenes: Path) -> Path:
     )
     campaign = folder / f"camp{SCRIPT.replace('/', '-')}.toml"
     campaign.write_text(
-        (scenes / "camoo4_campaign.toml").read_text()
-        .replace("camoo4.xml", scene.name).replace("camoo4_measured.csv", "mea'sured <i>.csv")
+        (scenes / "camoo4_campaign.toml")
+        .read_text()
+        .replace("camoo4.xml", scene.name)
+        .replace("camoo4_measured.csv", "mea'sured <i>.csv")
         + f"\n# {BREAKOUT}\n"
-    )  # fmt: skip
+    )
     return campaign
 
 
@@ -134,8 +145,21 @@ def test_the_story_is_told_in_order_with_the_numbers_of_the_fit(made, parsed):
     assert f"{found['photons']:,}, seed 0" in shown
     assert found["verdict"] == "ambiguous" and "the readings cannot tell which" in shown
     pictures = {e.get("id") for e in parsed.iter("figure")}
-    assert {f"figure-{n}" for n in ("view", "bench", "cross-section", "comparison", "ranking",
-            "ratio", "profiles", "error-budget", "fates", "arrival")} == pictures  # fmt: skip
+    assert {
+        f"figure-{n}"
+        for n in (
+            "view",
+            "bench",
+            "cross-section",
+            "comparison",
+            "ranking",
+            "ratio",
+            "profiles",
+            "error-budget",
+            "fates",
+            "arrival",
+        )
+    } == pictures
 
 
 def test_files_are_inside_as_they_were_read(made, parsed):

@@ -41,9 +41,15 @@ class Site:
         self.folder = folder / "site"
         # which writes the pages that autodoc will fill in
         app = sphinx_application.Sphinx(
-            source, source, self.folder, folder / "doctrees", "html", status=None,
-            warning=complaints, confoverrides={"nb_execution_mode": "off"},
-        )  # fmt: skip
+            source,
+            source,
+            self.folder,
+            folder / "doctrees",
+            "html",
+            status=None,
+            warning=complaints,
+            confoverrides={"nb_execution_mode": "off"},
+        )
         stubs = {path: path.read_text() for path in (source / "api").glob("*.rst")}
         self.modules = set(re.findall(r"automodule:: (\S+)", "\n".join(stubs.values())))
         # filling in all takes a minute: one package stands for the others

@@ -49,8 +49,18 @@ def fill(folder):
 
 def test_units_survive_a_full_disk(scenes, disk, tmp_path, monkeypatch, capsys):
     result = disk / "table.json"
-    line = ["table", str(scenes / "camoo4.xml"), "--alpha-scat", "0.1,0.5", "--alpha-abs", "0.039",
-            "--n-gap", "1.0,1.3,1.46", "--photons", "2e5"]  # fmt: skip
+    line = [
+        "table",
+        str(scenes / "camoo4.xml"),
+        "--alpha-scat",
+        "0.1,0.5",
+        "--alpha-abs",
+        "0.039",
+        "--n-gap",
+        "1.0,1.3,1.46",
+        "--photons",
+        "2e5",
+    ]
     assert main([*line, "--json", str(tmp_path / "whole.json")]) == 0
     whole = json.loads((tmp_path / "whole.json").read_text())
     monkeypatch.setenv("MCRIM_CACHE", str(disk / "cache"))
@@ -101,8 +111,18 @@ def number(n):
     return n
 
 
-TABLE = ["table", "{bench}", "--alpha-scat", "0.5", "--alpha-abs", "0.039", "--n-gap", "1",
-         "--photons", "2e4"]  # fmt: skip
+TABLE = [
+    "table",
+    "{bench}",
+    "--alpha-scat",
+    "0.5",
+    "--alpha-abs",
+    "0.039",
+    "--n-gap",
+    "1",
+    "--photons",
+    "2e4",
+]
 
 
 @pytest.mark.parametrize(
@@ -156,10 +176,22 @@ def test_a_full_temporary_folder_is_named(scenes, disk, monkeypatch):
 def test_standard_output_on_a_full_disk(further):
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "mcrim_mitsuba", "lab", "index", "CaMoO4", "--nm", "540",
-             *further],
-            stdout=full, stderr=subprocess.PIPE, text=True, check=False,
-        )  # fmt: skip
+            [
+                sys.executable,
+                "-m",
+                "mcrim_mitsuba",
+                "lab",
+                "index",
+                "CaMoO4",
+                "--nm",
+                "540",
+                *further,
+            ],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
     assert done.returncode == 2
     assert done.stderr == (
         "mcrim: what standard output goes to: cannot be written (No space left on device); "

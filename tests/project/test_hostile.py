@@ -62,8 +62,10 @@ def parameters_in_parameters():
     [
         (laughs("&l9;"), "line 1"),
         (f'<!DOCTYPE s [<!ENTITY x SYSTEM "file:///etc/passwd">]>{HEAD}&x;{TAIL}', "DTD"),
-        (f'<!DOCTYPE s [<!ENTITY x SYSTEM "file:///etc/passwd">]>{HEAD}<a b="&x;"/>{TAIL}',
-         "external entity 'x'"),
+        (
+            f'<!DOCTYPE s [<!ENTITY x SYSTEM "file:///etc/passwd">]>{HEAD}<a b="&x;"/>{TAIL}',
+            "external entity 'x'",
+        ),
         (f'<!DOCTYPE s SYSTEM "http://127.0.0.1:9/x.dtd">{HEAD}{TAIL}', "DTD"),
         (f'<!DOCTYPE s [<!ENTITY % p SYSTEM "file:///etc/passwd"> %p;]>{HEAD}{TAIL}', "DTD"),
         (parameters_in_parameters(), "parameters stand at more than 50,000 places"),
@@ -90,7 +92,7 @@ def parameters_in_parameters():
         (f'{HEAD}<default name="n_a" value="BK7@pipe"/>{TAIL}', "nobody writes into this pipe"),
         (f'{HEAD}<default name="n_a" value="BK7@/dev/zero"/>{TAIL}', "larger than 10 MB"),
     ],
-)  # fmt: skip
+)
 def test_scenes_that_would_grow_wander_off_or_hang(tmp_path, monkeypatch, text, said):
     monkeypatch.setattr(reading, "_PATIENCE_S", 0.05)
     (tmp_path / "away.xml").symlink_to("/etc/passwd")
@@ -105,10 +107,19 @@ def test_scenes_that_would_grow_wander_off_or_hang(tmp_path, monkeypatch, text, 
     assert said in refusal(read_scene, scene(tmp_path, text))
 
 
-@pytest.mark.parametrize("name", ["pipe", "/dev/zero", "/dev/null", "folder", "circle", "a\0b",
-                                  "a" * 300, "gone"])  # fmt: skip
-@pytest.mark.parametrize("reader", [read_scene, read_measurements, read_data_table, read_campaign,
-                                    lambda path: read_results([path])])  # fmt: skip
+@pytest.mark.parametrize(
+    "name", ["pipe", "/dev/zero", "/dev/null", "folder", "circle", "a\0b", "a" * 300, "gone"]
+)
+@pytest.mark.parametrize(
+    "reader",
+    [
+        read_scene,
+        read_measurements,
+        read_data_table,
+        read_campaign,
+        lambda path: read_results([path]),
+    ],
+)
 def test_what_is_no_file_hangs_nobody(tmp_path, monkeypatch, reader, name):
     monkeypatch.setattr(reading, "_PATIENCE_S", 0.05)
     os.mkfifo(tmp_path / "pipe")
@@ -212,11 +223,16 @@ def test_measurement_files_that_are_no_such_thing(tmp_path, text, said):
     assert said in refusal(read_measurements, path)
 
 
-@pytest.mark.parametrize("reader", [
-    lambda: parse_list("--n-gap", f"1:2:{'9' * 5000}"), lambda: parse_list("--n-gap", "1:2:٣"),
-    lambda: parse_list("--n-gap", "1e308:-1e308:5"), lambda: parse_value("x", "9" * 5000),
-    lambda: WithError().convert("1e200±1e199", type("O", (), {"opts": ["--eta"]}), None),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "reader",
+    [
+        lambda: parse_list("--n-gap", f"1:2:{'9' * 5000}"),
+        lambda: parse_list("--n-gap", "1:2:٣"),
+        lambda: parse_list("--n-gap", "1e308:-1e308:5"),
+        lambda: parse_value("x", "9" * 5000),
+        lambda: WithError().convert("1e200±1e199", type("O", (), {"opts": ["--eta"]}), None),
+    ],
+)
 def test_numbers_on_the_command_line(reader):
     refusal(reader)
 
@@ -256,13 +272,36 @@ def test_a_file_of_the_cache_is_what_was_written_or_nothing():
     data = np.arange(8.0).tobytes()
     assert read(chunk_of(GOOD)).arrays == {}
     assert list(read(chunk_of(an_array(), data)).arrays["a"]) == list(range(8))
-    for header in ("[]", "null", "1", "{", "\x80", "[" * 50_000, "NaN", '"a"', {},
-                   {**GOOD, "key_hash": 1}, {**GOOD, "number": 1}, {**GOOD, "metadata": []},
-                   {**GOOD, "arrays": {}}, {**GOOD, "arrays": [1]}, an_array(length=9),
-                   an_array(length=-8), an_array(length=7), an_array(length=2**70),
-                   an_array(length=8.0), an_array(length="8"), an_array("|O"), an_array("<M8[s]"),
-                   an_array("|V8"), an_array("<U2"), an_array("f8,f8"), an_array("nonsense"),
-                   an_array(8), an_array(name=None)):  # fmt: skip
+    for header in (
+        "[]",
+        "null",
+        "1",
+        "{",
+        "\x80",
+        "[" * 50_000,
+        "NaN",
+        '"a"',
+        {},
+        {**GOOD, "key_hash": 1},
+        {**GOOD, "number": 1},
+        {**GOOD, "metadata": []},
+        {**GOOD, "arrays": {}},
+        {**GOOD, "arrays": [1]},
+        an_array(length=9),
+        an_array(length=-8),
+        an_array(length=7),
+        an_array(length=2**70),
+        an_array(length=8.0),
+        an_array(length="8"),
+        an_array("|O"),
+        an_array("<M8[s]"),
+        an_array("|V8"),
+        an_array("<U2"),
+        an_array("f8,f8"),
+        an_array("nonsense"),
+        an_array(8),
+        an_array(name=None),
+    ):
         assert read(chunk_of(header, data)) is None, header
     assert read(chunk_of(an_array(), data + bytes(64))) is None
     assert read(chunk_of(GOOD, length=2**63)) is None
@@ -271,15 +310,26 @@ def test_a_file_of_the_cache_is_what_was_written_or_nothing():
     assert read(bytes(newer)) is None and read(b"") is None and read(bytes(newer[:20])) is None
 
 
-CALIBRATED = {"chi2": 1.0, "ndf": 1, "p_value": 0.3, "rows": [], "fixed": {},
-              "parameters": {"scale": {"value": 57.0, "sigma": 2.0}}}  # fmt: skip
+CALIBRATED = {
+    "chi2": 1.0,
+    "ndf": 1,
+    "p_value": 0.3,
+    "rows": [],
+    "fixed": {},
+    "parameters": {"scale": {"value": 57.0, "sigma": 2.0}},
+}
 
 
-@cases("old", "new", "said", more=[
-    ("57.0", "9" * 400, "parameters.scale.value: a whole number of more than 64 bits"),
-    ("57.0", "9" * 5000, "nested too deeply or too long"),
-    ("57.0", "[" * 100_000, "nested too deeply or too long"),
-])  # fmt: skip
+@cases(
+    "old",
+    "new",
+    "said",
+    more=[
+        ("57.0", "9" * 400, "parameters.scale.value: a whole number of more than 64 bits"),
+        ("57.0", "9" * 5000, "nested too deeply or too long"),
+        ("57.0", "[" * 100_000, "nested too deeply or too long"),
+    ],
+)
 def test_results_that_no_command_wrote(tmp_path, old, new, said):
     path = tmp_path / "result.json"
     path.write_text(json.dumps(CALIBRATED).replace(old, new))
@@ -301,8 +351,13 @@ def test_names_and_numbers_that_netcdf_cannot_hold(tmp_path):
     columns = "n_gap,alpha_abs_per_cm,alpha_scat_per_cm,eta,eta_sigma"
     table.write_text(f"# see\uff11\uff12d: 1.5\n{columns}\n1,1,1,0.25,0.01\n")
     assert "cannot hold the name" in refusal(write_table, read_results([table]), target)
-    row = {"n_gap": 2**31, "alpha_abs_per_cm": 0, "alpha_scat_per_cm": 1, "eta": 0.2,
-           "eta_sigma": 0.01}  # fmt: skip
+    row = {
+        "n_gap": 2**31,
+        "alpha_abs_per_cm": 0,
+        "alpha_scat_per_cm": 1,
+        "eta": 0.2,
+        "eta_sigma": 0.01,
+    }
     path.write_text(json.dumps({"scene_hash": "ab", "rows": [row]}))
     write_table(read_results([path]), target)
     assert target.stat().st_size > 0
@@ -313,8 +368,11 @@ def test_scenes_that_cannot_be_edited(scenes, tmp_path):
     odd = read_scene(scene(tmp_path, text.replace("</scene>", "<scale１/></scene>")))
     assert "cannot be edited" in refusal(effects.add, "edge_chamfer", odd)
     still = re.sub(r'<rotate x="1"', '<rotate x="0"', text)
-    for turned in (still, text.replace('angle="90"', 'angle="nan"'),
-                   text.replace('<scale value="0.5"/>', '<scale value="1e60"/>' * 9)):  # fmt: skip
+    for turned in (
+        still,
+        text.replace('angle="90"', 'angle="nan"'),
+        text.replace('<scale value="0.5"/>', '<scale value="1e60"/>' * 9),
+    ):
         broken = read_scene(scene(tmp_path, turned))
         assert "no rectangular face" in refusal(effects.add, "gap_bubble", broken)
 
@@ -373,9 +431,26 @@ def test_links_that_lead_nowhere_become_files(tmp_path):
 
 def test_labels_do_not_steer_the_terminal(mcrim):
     label = "\x1b[31mred\u202e\x07"
-    said = mcrim("lab", "yield", "--signal", "14±1", "--eta", "0.3±0.01", "--label", label,
-                 "--signal", "15±1", "--eta", "0.3±0.01", "--label", "b",
-                 "--efficiency", "0.1±0.01", "--energy-keV", "59")  # fmt: skip
+    said = mcrim(
+        "lab",
+        "yield",
+        "--signal",
+        "14±1",
+        "--eta",
+        "0.3±0.01",
+        "--label",
+        label,
+        "--signal",
+        "15±1",
+        "--eta",
+        "0.3±0.01",
+        "--label",
+        "b",
+        "--efficiency",
+        "0.1±0.01",
+        "--energy-keV",
+        "59",
+    )
     assert said.status == 0 and "<U+001B>[31mred<U+202E>" in said.out
     assert not {"\x1b", "\u202e", "\x07"} & {*said.out, *said.err}
     for line in (["peak", f"{label}.csv"], ["efficiency", "a", "b", label], ["peak", f"--{label}"]):
@@ -383,8 +458,21 @@ def test_labels_do_not_steer_the_terminal(mcrim):
 
 
 #: Rounds of changed inputs, and the readers that answer at once.
-ROUNDS, QUICK = 4, ("scene", "measurements", "campaign", "raw_campaign", "table", "spectrum",
-                     "histogram", "relative", "chunk", "results")  # fmt: skip
+ROUNDS, QUICK = (
+    4,
+    (
+        "scene",
+        "measurements",
+        "campaign",
+        "raw_campaign",
+        "table",
+        "spectrum",
+        "histogram",
+        "relative",
+        "chunk",
+        "results",
+    ),
+)
 
 
 @pytest.mark.parametrize("name", TARGETS)

@@ -74,15 +74,25 @@ def test_a_refusal_is_one_line_that_steers_no_terminal(problem, mend, line, path
 @given(
     st.lists(
         st.tuples(names, sizes, sizes, st.booleans(), st.floats(1.0, 3.0)),
-        min_size=1, max_size=5, unique_by=lambda row: row[0],
+        min_size=1,
+        max_size=5,
+        unique_by=lambda row: row[0],
     )
-)  # fmt: skip
+)
 def test_a_measurement_file_is_read_as_it_was_written(campaign, folder, rows):
     readings = tuple(
-        Reading(label, float(f"{signal:.6g}"), float(f"{sigma:.6g}"), {"n_gap": n}, use, None, None,
-                line)
+        Reading(
+            label,
+            float(f"{signal:.6g}"),
+            float(f"{sigma:.6g}"),
+            {"n_gap": n},
+            use,
+            None,
+            None,
+            line,
+        )
         for line, (label, signal, sigma, use, n) in enumerate(rows)
-    )  # fmt: skip
+    )
     readings = (*readings, Reading("in use, surely", 1.0, 0.1, {"n_gap": 1.5}, True, None, None, 0))
     written = Measurements(folder / "old.csv", (), ("n_gap",), readings)
     raw = RawData({}, None, None, None, {}, ())

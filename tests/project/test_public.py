@@ -22,16 +22,31 @@ from mcrim_mitsuba.transport.llvm import ENVIRONMENT_VARIABLE, selected_llvm
 
 BENCH = SCENES / "camoo4.xml"
 VERBS = {
-    "simulate", "table", "calibrate", "compare", "diagnose", "repair", "budget", "plan", "check",
-    "reduce", "render", "report", "crosscheck", "add",
-}  # fmt: skip
+    "simulate",
+    "table",
+    "calibrate",
+    "compare",
+    "diagnose",
+    "repair",
+    "budget",
+    "plan",
+    "check",
+    "reduce",
+    "render",
+    "report",
+    "crosscheck",
+    "add",
+}
 
 
 def python(code: str, **variables: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | variables,
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env=os.environ | variables,
         timeout=120,
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -186,12 +201,19 @@ def test_results_are_sent_between_processes():
 @pytest.mark.parametrize(
     "verb, given",
     [
-        ("table", {"gap_mm": [0.05, 0.1]}), ("eta_map", {"cells": (2, 2, 2)}), ("check", {}),
-        ("crosscheck", {}), ("arrival_times", {}), ("calibrate", {}), ("compare", {}),
-        ("diagnose", {"only": "background"}), ("repair", {}),
-        ("budget", {}), ("plan", {"wanted": 0.2}),
+        ("table", {"gap_mm": [0.05, 0.1]}),
+        ("eta_map", {"cells": (2, 2, 2)}),
+        ("check", {}),
+        ("crosscheck", {}),
+        ("arrival_times", {}),
+        ("calibrate", {}),
+        ("compare", {}),
+        ("diagnose", {"only": "background"}),
+        ("repair", {}),
+        ("budget", {}),
+        ("plan", {"wanted": 0.2}),
     ],
-)  # fmt: skip
+)
 def test_every_result_is_what_it_was_after_pickling(verb, given):
     of_campaign = verb in ("calibrate", "compare", "diagnose", "repair", "budget", "plan")
     source = SCENES / "camoo4_campaign.toml" if of_campaign else BENCH
@@ -205,9 +227,10 @@ def test_every_result_is_what_it_was_after_pickling(verb, given):
 
 def test_a_picture_that_is_still_drawn_is_waited_for_when_it_is_sent():
     process = subprocess.Popen(
-        [sys.executable, "-c", "raise SystemExit('no')"], stdout=subprocess.PIPE,
+        [sys.executable, "-c", "raise SystemExit('no')"],
+        stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-    )  # fmt: skip
+    )
     assert pickle.loads(pickle.dumps(Photograph(process))).trouble == "no"
 
 
@@ -223,9 +246,23 @@ WHOLE = [
     Decimal(2),
 ]
 NOT_WHOLE = [
-    2.5, math.nan, math.inf, -math.inf, "two", "", True, np.True_, [2], np.array([2]), 2j, {}, b"2",
-    object(), -1, 10**400,
-]  # fmt: skip
+    2.5,
+    math.nan,
+    math.inf,
+    -math.inf,
+    "two",
+    "",
+    True,
+    np.True_,
+    [2],
+    np.array([2]),
+    2j,
+    {},
+    b"2",
+    object(),
+    -1,
+    10**400,
+]
 
 
 @pytest.mark.parametrize("field", ["photons", "seed", "threads"])

@@ -90,5 +90,10 @@ def test_the_page_has_its_recipes():
     assert len(recipes()) == 14
     headings = re.findall(r"^## (.+)$", PAGE, re.M)
     assert headings == [
-        "Change the shape", "Tilt a face", "Grind a face", "Add a second mask", "Wrap it", "Glue it"
-    ]  # fmt: skip
+        "Change the shape",
+        "Tilt a face",
+        "Grind a face",
+        "Add a second mask",
+        "Wrap it",
+        "Glue it",
+    ]

@@ -33,11 +33,17 @@ def typed(line, **environment):
     [
         (">&-", 2, CLOSED),
         (">&- 2>&-", 2, ""),
-        pytest.param(">/dev/full", 2, FULL, marks=pytest.mark.skipif(
-            not Path("/dev/full").exists(), reason="there is no /dev/full")),
+        pytest.param(
+            ">/dev/full",
+            2,
+            FULL,
+            marks=pytest.mark.skipif(
+                not Path("/dev/full").exists(), reason="there is no /dev/full"
+            ),
+        ),
         ("2>&-", 0, ""),
     ],
-)  # fmt: skip
+)
 def test_streams_that_take_nothing(scenes, here, verb, streams, status, said):
     done = typed(f"mcrim {verb.format(scenes / 'camoo4.xml')} {streams}")
     assert done.returncode == status and done.stderr.startswith(said)

@@ -85,12 +85,17 @@ def test_it_reproduces_the_article_away_from_the_checkout(wheel, unpacked, tmp_p
     version = Parser().parsestr(metadata(wheel, "METADATA"))["Version"]
     # before the editable install of the tests
     found = subprocess.run(
-        [sys.executable, "-P", "-c", WHERE], cwd=tmp_path, text=True, capture_output=True,
+        [sys.executable, "-P", "-c", WHERE],
+        cwd=tmp_path,
+        text=True,
+        capture_output=True,
         env=os.environ | {"PYTHONPATH": str(unpacked)},
-    )  # fmt: skip
+    )
     assert found.stdout.splitlines() == [
-        str(package / "__init__.py"), version, str(package / "scenes/camoo4.xml"),
-    ], found.stderr  # fmt: skip
+        str(package / "__init__.py"),
+        version,
+        str(package / "scenes/camoo4.xml"),
+    ], found.stderr
     assert files_below(tmp_path / "bench") == {
         name.replace("scenes", "bench", 1) for name in files_below(ROOT / "scenes")
     }

@@ -123,8 +123,11 @@ def test_the_shipped_beam_is_compared(scenes):
         scenes / "spectrophotometer.xml", {"acceptance_deg": 30.0}, run=Run(20_000, seed=4)
     )
     assert found.agrees and [row.quantity for row in found.rows] == [
-        "eta", "absorbed_surface", "escaped", "absorbed_crystal"
-    ]  # fmt: skip
+        "eta",
+        "absorbed_surface",
+        "escaped",
+        "absorbed_crystal",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -132,10 +135,13 @@ def test_the_shipped_beam_is_compared(scenes):
     [
         ('name="diameter" value="$beam_diameter_mm"', 'name="diameter" value="2"', "its emitter"),
         ('value="$acceptance_deg"', 'value="2"', "detector"),
-        ('name="polarization" value="$polarization"', 'name="polarization" value="true"',
-         "its polarization"),
+        (
+            'name="polarization" value="$polarization"',
+            'name="polarization" value="true"',
+            "its polarization",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_beam_of_other_numbers_than_its_parameters_is_refused(
     written, instead, words, scenes, tmp_path
 ):

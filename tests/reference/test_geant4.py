@@ -54,8 +54,13 @@ def test_the_same_seed_gives_the_same_count_and_another_seed_another():
 
 @needs_geant4
 def test_a_failure_of_the_process_is_one_line():
-    job = {"bench": {"n_crystal": -1.0}, "photons": 100, "engine_seed": 1, "threads": 1,
-           "depolarize": False}  # fmt: skip
+    job = {
+        "bench": {"n_crystal": -1.0},
+        "photons": 100,
+        "engine_seed": 1,
+        "threads": 1,
+        "depolarize": False,
+    }
     with pytest.raises(Geant4Error, match=r"^Geant4 ended with status 1: .*n_crystal.*$"):
         geant4_trace._run(job, None)
 

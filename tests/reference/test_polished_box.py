@@ -58,9 +58,12 @@ def test_bottom_without_scattering_is_the_sum_over_images(n_gap, alpha_per_cm):
 def test_side_light_that_all_lands_is_a_quadrature():
     # a window without end and without mask: half of what leaves the sides falls on it
     bench = Bench(
-        alpha_scat_per_cm=0.0, alpha_abs_per_cm=5.0, gap_mm=THIN_GAP, window_width_mm=1e8,
+        alpha_scat_per_cm=0.0,
+        alpha_abs_per_cm=5.0,
+        gap_mm=THIN_GAP,
+        window_width_mm=1e8,
         aperture_radius_mm=1e8,
-    )  # fmt: skip
+    )
     theta, w_theta = np.polynomial.legendre.leggauss(80)
     phi, w_phi = theta * math.pi / 2.0, w_theta * math.pi / 2.0
     theta, w_theta = (1.0 + theta) * math.pi / 4.0, w_theta * math.pi / 4.0
@@ -122,13 +125,18 @@ def test_strong_scattering_lets_less_and_less_out():
 @pytest.mark.parametrize(
     "bench",
     [
-        Bench(), GEL, Bench(n_gap=1.2, gap_mm=0.4), Bench(aperture_radius_mm=6.0),
-        Bench(aperture_radius_mm=4.0), Bench(aperture_radius_mm=3.0, n_gap=1.4, gap_mm=0.2),
+        Bench(),
+        GEL,
+        Bench(n_gap=1.2, gap_mm=0.4),
+        Bench(aperture_radius_mm=6.0),
+        Bench(aperture_radius_mm=4.0),
+        Bench(aperture_radius_mm=3.0, n_gap=1.4, gap_mm=0.2),
         Bench(crystal_width_mm=5.0, crystal_height_mm=20.0),
         Bench(crystal_height_mm=1.0, n_gap=1.46, alpha_scat_per_cm=3.0),
-        Bench(n_crystal=2.2, n_gap=1.74), Bench(window_width_mm=16.0, aperture_radius_mm=9.0),
+        Bench(n_crystal=2.2, n_gap=1.74),
+        Bench(window_width_mm=16.0, aperture_radius_mm=9.0),
     ],
-)  # fmt: skip
+)
 def test_error_holds_against_twice_the_modes_and_nodes(bench):
     coefficients = bench.alpha_scat_per_cm, bench.alpha_abs_per_cm
     few, coarser = _nodes(bench, *coefficients)

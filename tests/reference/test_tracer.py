@@ -218,10 +218,17 @@ def test_index_matched_bench_is_straight_lines(monkeypatch):
     # a liquid as thin as air, so that the gap absorbs
     monkeypatch.setattr("mcrim_mitsuba.reference.bench.FILLED_ABOVE", 0.5)
     bench = Bench(
-        **MATCHED, alpha_scat_per_cm=0.0, alpha_abs_per_cm=0.5, crystal_height_mm=6.0, gap_mm=0.8,
-        gap_absorption_per_cm=4.0, window_width_mm=18.0, window_absorption_per_cm=3.0,
-        window_thickness_mm=2.0, aperture_radius_mm=5.0,
-    )  # fmt: skip
+        **MATCHED,
+        alpha_scat_per_cm=0.0,
+        alpha_abs_per_cm=0.5,
+        crystal_height_mm=6.0,
+        gap_mm=0.8,
+        gap_absorption_per_cm=4.0,
+        window_width_mm=18.0,
+        window_absorption_per_cm=3.0,
+        window_thickness_mm=2.0,
+        aperture_radius_mm=5.0,
+    )
     result = trace(bench, 100_000, 5)
     expected, expected_sigma = _straight_lines(bench, 400_000, 6)
     for fate, fraction in expected.items():

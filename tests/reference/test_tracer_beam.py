@@ -39,10 +39,15 @@ def test_the_polished_crystal_follows_the_closed_form(n):
     ):
         found = trace(
             Bench(
-                n_crystal=n, beam_diameter_mm=3.0, alpha_scat_per_cm=scat,
-                alpha_abs_per_cm=absorption, acceptance_deg=0.3,
-            ), 60_000, 100 + number,
-        )  # fmt: skip
+                n_crystal=n,
+                beam_diameter_mm=3.0,
+                alpha_scat_per_cm=scat,
+                alpha_abs_per_cm=absorption,
+                acceptance_deg=0.3,
+            ),
+            60_000,
+            100 + number,
+        )
         exact = through_slab(n, -math.expm1(-(scat + absorption)))
         assert_compatible(found.eta, found.eta_sigma, exact, what=f"{scat}, {absorption}")
         assert found.counts["lost"] == 0
@@ -75,9 +80,13 @@ def test_a_beam_is_round_even_and_centred():
 @pytest.mark.parametrize("axis", ["x", "z"])
 def test_histories_of_all_light_answer_every_acceptance(axis):
     bench = Bench(
-        beam_diameter_mm=3.0, beam_axis=axis, alpha_scat_per_cm=0.5, scattering_g=0.9,
-        acceptance_deg=90.0, polarization=axis == "z",
-    )  # fmt: skip
+        beam_diameter_mm=3.0,
+        beam_axis=axis,
+        alpha_scat_per_cm=0.5,
+        scattering_g=0.9,
+        acceptance_deg=90.0,
+        polarization=axis == "z",
+    )
     everything = trace(bench, 60_000, 3, histories=True).histories
     assert everything.arrival_radius_mm.max() < math.hypot(5.0, 5.0)
     for angle in (1.0, 5.0, 30.0):
@@ -122,9 +131,14 @@ def test_haze_takes_its_part_of_the_specular_light(n_in, n_out):
             phases[True] = abs(n_in * cos_in - n_out * math.sqrt(1.0 - sine * sine))
         for through, path in phases.items():
             who, direction = scatter_by_haze(
-                rng, normal, np.full(count, cos_in), n_in, np.full(count, n_out),
-                np.full(count, through), heights,
-            )  # fmt: skip
+                rng,
+                normal,
+                np.full(count, cos_in),
+                n_in,
+                np.full(count, n_out),
+                np.full(count, through),
+                heights,
+            )
             part = scattered(path)
             sigma = math.sqrt(part * (1.0 - part) / count)
             assert_compatible(who.size / count, sigma, part, what=f"{angle}, {through}")
@@ -144,9 +158,12 @@ def test_haze_takes_its_part_of_the_specular_light(n_in, n_out):
 def test_a_hazy_beam_keeps_its_specular_part(polarization):
     n, height = 2.01, 25.0 / 600.0
     bench = Bench(
-        **BEAM, rms_roughness_nm=25.0, wavelength_nm=600.0, acceptance_deg=0.2,
+        **BEAM,
+        rms_roughness_nm=25.0,
+        wavelength_nm=600.0,
+        acceptance_deg=0.2,
         polarization=polarization,
-    )  # fmt: skip
+    )
     found = trace(bench, 200_000, 5)
     kept = [math.exp(-((2.0 * math.pi * height * path) ** 2)) for path in (n - 1.0, 2.0 * n)]
     exact = through_slab(n, -math.expm1(-0.02), kept)
@@ -159,8 +176,9 @@ def test_light_that_haze_scatters_has_no_polarisation_left():
     flights = Flights(bench, np.random.default_rng(6), records=False)
     photons = flights.births(40_000)
     photons.position[:] = [[0.0], [0.0], [5.0]]
-    photons.direction[:] = lambertian(np.random.default_rng(7), np.repeat(
-        [[1.0], [0.0], [0.0]], 40_000, axis=1))  # fmt: skip
+    photons.direction[:] = lambertian(
+        np.random.default_rng(7), np.repeat([[1.0], [0.0], [0.0]], 40_000, axis=1)
+    )
     place = flights.fly(Place.CRYSTAL, photons)
     inside = np.flatnonzero((place == Place.CRYSTAL) & (photons.position[0] == 5.0))
     direction, field = photons.direction[:, inside], photons.field[:, inside]
@@ -197,9 +215,12 @@ def test_a_beam_meets_the_faces_that_it_goes_through(axis, unseen):
 def test_a_chamfer_takes_what_it_covers_from_a_wide_beam():
     """A plane beam of the whole width, which a clear crystal of index 1 only shades."""
     bench = Bench(
-        n_crystal=1.0, alpha_scat_per_cm=0.0, alpha_abs_per_cm=5.0, beam_diameter_mm=9.999,
+        n_crystal=1.0,
+        alpha_scat_per_cm=0.0,
+        alpha_abs_per_cm=5.0,
+        beam_diameter_mm=9.999,
         chamfer_mm=1.0,
-    )  # fmt: skip
+    )
     rng = np.random.default_rng(10)
     radius, azimuth = 4.9995 * np.sqrt(rng.random(400_000)), 2.0 * np.pi * rng.random(400_000)
     y, z = radius * np.cos(azimuth), radius * np.sin(azimuth)
@@ -214,14 +235,26 @@ def test_a_chamfer_takes_what_it_covers_from_a_wide_beam():
 @pytest.mark.parametrize(
     ("own", "air", "gel", "error"),
     [
-        ({"alpha_scat_per_cm": 0.03, "alpha_abs_per_cm": 0.02, "roughness_alpha": 0.05},
-         0.2775, 0.4773, 2e-4),
-        ({"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0.001, "top_roughness_alpha": 0.22},
-         0.369, 0.590, 1e-3),
-        ({"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0.001, "top_roughness_alpha": 0.4},
-         0.368, 0.578, 1e-3),
+        (
+            {"alpha_scat_per_cm": 0.03, "alpha_abs_per_cm": 0.02, "roughness_alpha": 0.05},
+            0.2775,
+            0.4773,
+            2e-4,
+        ),
+        (
+            {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0.001, "top_roughness_alpha": 0.22},
+            0.369,
+            0.590,
+            1e-3,
+        ),
+        (
+            {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0.001, "top_roughness_alpha": 0.4},
+            0.368,
+            0.578,
+            1e-3,
+        ),
     ],
-)  # fmt: skip
+)
 def test_the_numbers_of_another_tracer(own, air, gel, error):
     """A third program's efficiencies, with their errors."""
     for number, (n_gap, expected) in enumerate(((1.0, air), (1.46, gel))):

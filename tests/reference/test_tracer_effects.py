@@ -205,9 +205,18 @@ def _facets(view, alpha, beckmann=False):
 @pytest.mark.parametrize("beckmann", [False, True])
 @pytest.mark.parametrize(
     ("alpha", "angle"),
-    [(0.05, 1.0), (0.3, 1.0), (0.05, 40.0), (0.3, 40.0), (0.05, 85.0), (0.3, 85.0), (0.3, 91.0),
-     (0.3, 100.0), (0.6, 120.0)],
-)  # fmt: skip
+    [
+        (0.05, 1.0),
+        (0.3, 1.0),
+        (0.05, 40.0),
+        (0.3, 40.0),
+        (0.05, 85.0),
+        (0.3, 85.0),
+        (0.3, 91.0),
+        (0.3, 100.0),
+        (0.6, 120.0),
+    ],
+)
 def test_visible_normals_have_heitzs_distribution(alpha, angle, beckmann):
     """Also those that light sees which flies up, away from the face."""
     angle = math.radians(angle)
@@ -221,9 +230,12 @@ def test_visible_normals_have_heitzs_distribution(alpha, angle, beckmann):
     np.testing.assert_allclose(dot(facet, facet), 1.0, rtol=1e-13)
     assert dot(facet, view).min() > 0.0
     for sample, value in [
-        (facet[2], grid[2]), (facet[0], grid[0]), (facet[0] ** 2, grid[0] ** 2),
-        (facet[1] ** 2, grid[1] ** 2), (dot(facet, view), view[:, 0] @ grid),
-    ]:  # fmt: skip
+        (facet[2], grid[2]),
+        (facet[0], grid[0]),
+        (facet[0] ** 2, grid[0] ** 2),
+        (facet[1] ** 2, grid[1] ** 2),
+        (dot(facet, view), view[:, 0] @ grid),
+    ]:
         assert_mean(sample, weight @ value)
 
 
@@ -264,9 +276,14 @@ def test_rough_faces_reflect_and_transmit_what_single_facets_do_and_more(
     through = weight @ np.where((down > 0) & (cosine_out > 0), (1 - reflectance) * leaving, 0)
     normal = np.repeat([[0.0], [0.0], [-1.0]], count, axis=1)
     direction, transmitted, _ = cross_rough(
-        np.random.default_rng(11), -view * np.ones(count), normal, n_in, np.full(count, n_out),
-        np.full(count, alpha), beckmann=beckmann,
-    )  # fmt: skip
+        np.random.default_rng(11),
+        -view * np.ones(count),
+        normal,
+        n_in,
+        np.full(count, n_out),
+        np.full(count, alpha),
+        beckmann=beckmann,
+    )
     assert np.array_equal(direction[2] < 0, transmitted)
     share = transmitted.mean()
     error = 4.5 * math.sqrt(share * (1 - share) / count) + 3e-4
@@ -568,9 +585,11 @@ def test_a_mask_that_reflects_sends_light_out_of_a_matched_bench():
         getattr(plain, name)["absorbed_aperture"] for name in ("budget", "budget_sigma")
     )
     assert_compatible(
-        grey.budget["absorbed_aperture"], grey.budget_sigma["absorbed_aperture"],
-        0.6 * masked, 0.6 * sigma,
-    )  # fmt: skip
+        grey.budget["absorbed_aperture"],
+        grey.budget_sigma["absorbed_aperture"],
+        0.6 * masked,
+        0.6 * sigma,
+    )
     # its lower side is black: light that total reflection keeps in the plate ends there
     below = trace(Bench(**GEL, aperture_radius_mm=1e-3, housing_reflectance=1.0), 20_000, 56)
     assert below.eta < 1e-3 and below.counts["absorbed_aperture"] < 20
@@ -596,8 +615,9 @@ def test_a_shifted_mask_is_one_over_a_crystal_that_is_shifted_back():
 @pytest.mark.parametrize("offset", [0.0, 3.0])
 @pytest.mark.parametrize("at_detector", [False, True])
 def test_histories_of_an_open_mask_predict_every_aperture(gap, at_detector, offset):
-    bench = Bench(**gap, aperture_radius_mm=25.0, aperture_at_detector=at_detector,
-                  mask_offset_mm=offset)  # fmt: skip
+    bench = Bench(
+        **gap, aperture_radius_mm=25.0, aperture_at_detector=at_detector, mask_offset_mm=offset
+    )
     opened = trace(bench, 80_000, 41, histories=True)
     assert opened.counts["absorbed_aperture"] == 0
     for radius in (4.0, 7.0, 14.0):
@@ -612,24 +632,42 @@ def test_histories_of_an_open_mask_predict_every_aperture(gap, at_detector, offs
 # ---------------------------------------------------------------- all of them
 
 EFFECTS = {
-    "scattering_g": 0.8, "rayleigh_scattering": True, "scattering_gradient": -1.0,
+    "scattering_g": 0.8,
+    "rayleigh_scattering": True,
+    "scattering_gradient": -1.0,
     "scattering_exponent": 4.0,
-    "source_depth_mm": 0.5, "side_depth_mm": 0.5, "roughness_alpha": 0.3, "surface_loss": 0.05,
+    "source_depth_mm": 0.5,
+    "side_depth_mm": 0.5,
+    "roughness_alpha": 0.3,
+    "surface_loss": 0.05,
     "n_crystal": 1.91,
-    "gap_index_offset": 0.1, "gap_offset_mm": -0.04, "gap_absorption_per_cm": 20.0,
-    "bubble_fraction": 0.4, "collar_mm": 2.0, "bubble_area_fraction": 0.5, "top_reflectance": 0.95,
+    "gap_index_offset": 0.1,
+    "gap_offset_mm": -0.04,
+    "gap_absorption_per_cm": 20.0,
+    "bubble_fraction": 0.4,
+    "collar_mm": 2.0,
+    "bubble_area_fraction": 0.5,
+    "top_reflectance": 0.95,
     "detector_reflectance": 0.5,
-    "angular_falloff": 1.0, "radial_falloff": 1.0, "aperture_at_detector": True, "chamfer_mm": 0.7,
-    "detector_specular": 0.3, "mask_offset_mm": 2.0, "housing_reflectance": 0.2,
-}  # fmt: skip
+    "angular_falloff": 1.0,
+    "radial_falloff": 1.0,
+    "aperture_at_detector": True,
+    "chamfer_mm": 0.7,
+    "detector_specular": 0.3,
+    "mask_offset_mm": 2.0,
+    "housing_reflectance": 0.2,
+}
 
 
 @pytest.mark.parametrize("polarization", [False, True])
 @pytest.mark.parametrize("gap", [{}, GEL], ids=["air", "gel"])
 def test_nothing_is_ever_lost(gap, polarization):
     excluded = (
-        "rayleigh_scattering", "side_depth_mm", "gap_absorption_per_cm", "bubble_area_fraction",
-    )  # fmt: skip
+        "rayleigh_scattering",
+        "side_depth_mm",
+        "gap_absorption_per_cm",
+        "bubble_area_fraction",
+    )
     everything = {name: size for name, size in EFFECTS.items() if name not in excluded}
     alone = [{name: size} for name, size in EFFECTS.items()]
     for number, effect in enumerate([*alone, everything]):
@@ -643,9 +681,14 @@ def test_nothing_is_ever_lost(gap, polarization):
 
 def test_fields_stay_transverse_whatever_is_met():
     bench = Bench(
-        **GEL, roughness_alpha=0.2, chamfer_mm=1.0, bubble_fraction=0.5, polarization=True,
-        top_reflectance=0.9, detector_reflectance=0.5,
-    )  # fmt: skip
+        **GEL,
+        roughness_alpha=0.2,
+        chamfer_mm=1.0,
+        bubble_fraction=0.5,
+        polarization=True,
+        top_reflectance=0.9,
+        detector_reflectance=0.5,
+    )
     flights, met = Flights(bench, np.random.default_rng(70), records=False), set()
     groups = [(Place.CRYSTAL, flights.births(10_000))]
     for _ in range(60):
@@ -662,10 +705,13 @@ def test_fields_stay_transverse_whatever_is_met():
     assert met == {Place.CRYSTAL, Place.GAP, Place.WINDOW, Place.OUTSIDE}
 
 
-@cases("wrong", more=[
-    {"alpha_scat_per_cm": None},
-    {"roughness_alpha": None},
-])  # fmt: skip
+@cases(
+    "wrong",
+    more=[
+        {"alpha_scat_per_cm": None},
+        {"roughness_alpha": None},
+    ],
+)
 def test_bench_refuses_values_that_cannot_be(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         Bench.from_parameters(wrong)

@@ -24,8 +24,14 @@ from mcrim_mitsuba.runs.cache import code_hash, record_versions
 PACKAGE = Path(cache.__file__).parents[1]
 UNITS = [kind.__module__ for kind in (TallyBlock, RecordBlock, TableUnit)]
 #: Each decides what some unit makes, and is no near neighbour of it.
-DECIDING = ("scene.check_text", "transport.plugins.bsdfs", "transport.surface_physics",
-            "optics.thin_film", "efficiency.cells", "efficiency.surface")  # fmt: skip
+DECIDING = (
+    "scene.check_text",
+    "transport.plugins.bsdfs",
+    "transport.surface_physics",
+    "optics.thin_film",
+    "efficiency.cells",
+    "efficiency.surface",
+)
 
 
 @pytest.fixture(scope="module")
@@ -192,15 +198,30 @@ def test_another_copy_of_the_package_mixes_into_nothing(scenes, tmp_path):
     text = rule.read_text()
     rule.write_text(text.replace("FILLED_ABOVE = 1.0005", "FILLED_ABOVE = 1.9"))
     assert rule.read_text() != text
-    made = ["table", "gap.xml", "--alpha-scat", "0.5", "--alpha-abs", "0.039", "--n-gap", "1.46",
-            "--photons", "6e4", "-o", "T.csv"]  # fmt: skip
+    made = [
+        "table",
+        "gap.xml",
+        "--alpha-scat",
+        "0.5",
+        "--alpha-abs",
+        "0.039",
+        "--n-gap",
+        "1.46",
+        "--photons",
+        "6e4",
+        "-o",
+        "T.csv",
+    ]
 
     def run(package: Path, *arguments: str, cached: bool = True) -> subprocess.CompletedProcess:
         place = {"PYTHONPATH": str(package), "MCRIM_CACHE": "cache" if cached else "off"}
         return subprocess.run(
-            [sys.executable, "-m", PACKAGE.name, *arguments], cwd=tmp_path, text=True,
-            capture_output=True, env=os.environ | place,
-        )  # fmt: skip
+            [sys.executable, "-m", PACKAGE.name, *arguments],
+            cwd=tmp_path,
+            text=True,
+            capture_output=True,
+            env=os.environ | place,
+        )
 
     def table(package: Path, *arguments: str, **how: bool) -> str:
         done = run(package, *made, *arguments, **how)

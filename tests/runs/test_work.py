@@ -43,8 +43,7 @@ from mcrim_mitsuba.transport.simulation import Simulation
 
 cases = cases_of(__file__)
 
-TABLE = ["--alpha-scat", "0,0.3,1", "--alpha-abs", "0.039", "--n-gap", "1,1.46",
-         "--photons", "6e5"]  # fmt: skip
+TABLE = ["--alpha-scat", "0,0.3,1", "--alpha-abs", "0.039", "--n-gap", "1,1.46", "--photons", "6e5"]
 
 
 def make_units_small(patch):
@@ -86,12 +85,29 @@ def test_parts_of_an_array_job_merge_to_the_same_digits(scenes, tmp_path, whole,
     assert path.read_bytes() == whole
     # points that were simulated on their own depend on nothing: all of it was there
     assert "of the cache" in capsys.readouterr().out
-    made = [line.split(" made")[0] for line in (tmp_path / "log").read_text().splitlines()
-            if " made, " in line]  # fmt: skip
+    made = [
+        line.split(" made")[0]
+        for line in (tmp_path / "log").read_text().splitlines()
+        if " made, " in line
+    ]
     assert len(made) > 10
     # nobody may mix in parts of something else
-    assert main(["table", str(scenes / "camoo4.xml"), *TABLE, "--seed", "1", "-o", str(path),
-                 *parts, "1/3"]) == 2  # fmt: skip
+    assert (
+        main(
+            [
+                "table",
+                str(scenes / "camoo4.xml"),
+                *TABLE,
+                "--seed",
+                "1",
+                "-o",
+                str(path),
+                *parts,
+                "1/3",
+            ]
+        )
+        == 2
+    )
     assert "parts of another command" in capsys.readouterr().err
     command = json.loads((tmp_path / "units" / "command.json").read_text())
     command["versions"]["mitsuba"] = "3.9.0"
@@ -106,16 +122,34 @@ def test_parts_of_an_array_job_merge_to_the_same_digits(scenes, tmp_path, whole,
 @pytest.mark.parametrize(
     "changes",
     [
-        {"arguments": 5}, {"arguments": ["table", 5]}, {"arguments": ["table", "a\0b"]},
-        {"arguments": []}, {"arguments": ["app", "c.toml"]}, {"arguments": ["merge", "."]},
-        {"arguments": ["lab"]}, {"folder": None}, {"folder": "\ud800"}, {"parts": "1"},
-        {"parts": 1e999}, {"parts": 10**8}, {"parts": 0}, {"versions": {}},
-        {"versions": {"variant": 4}}, {"files": []}, {"files": {"a.xml": 5}}, None,
+        {"arguments": 5},
+        {"arguments": ["table", 5]},
+        {"arguments": ["table", "a\0b"]},
+        {"arguments": []},
+        {"arguments": ["app", "c.toml"]},
+        {"arguments": ["merge", "."]},
+        {"arguments": ["lab"]},
+        {"folder": None},
+        {"folder": "\ud800"},
+        {"parts": "1"},
+        {"parts": 1e999},
+        {"parts": 10**8},
+        {"parts": 0},
+        {"versions": {}},
+        {"versions": {"variant": 4}},
+        {"files": []},
+        {"files": {"a.xml": 5}},
+        None,
     ],
-)  # fmt: skip
+)
 def test_merge_runs_nothing_that_no_part_has_written(here, mcrim, changes):
-    command = {"arguments": ["table"], "folder": str(here), "parts": 1,
-               "versions": {"variant": "llvm_ad_rgb"}, "files": {}}  # fmt: skip
+    command = {
+        "arguments": ["table"],
+        "folder": str(here),
+        "parts": 1,
+        "versions": {"variant": "llvm_ad_rgb"},
+        "files": {},
+    }
     text = "[" * 100_000 if changes is None else json.dumps(command | changes)
     (here / "command.json").write_text(text)
     (here / "part-1-of-1.json").write_text("{}")
@@ -138,8 +172,12 @@ def test_a_folder_belongs_to_one_command(tmp_path, monkeypatch):
 
     def begin(number: int) -> bool:
         here.begins = True
-        command = {"arguments": ["table", str(number)], "folder": "", "files": {},
-                   "versions": {"variant": ""}}  # fmt: skip
+        command = {
+            "arguments": ["table", str(number)],
+            "folder": "",
+            "files": {},
+            "versions": {"variant": ""},
+        }
         try:
             UnitFolder(tmp_path / "units").begin(command, ArrayPart(1, 2))
         except InputError as error:
@@ -178,8 +216,16 @@ def test_parts_of_files_that_were_edited_are_not_merged(scenes, here, mcrim, edi
     campaign = campaign.replace("camoo4_measured.csv", "readings.csv")
     Path("first.toml").write_text('effects_folder = "own"\n' + campaign)
     Path("second.toml").write_text(campaign)
-    command = ["compare", "first.toml", "second.toml", "--trust-effects", "--photons", "16384",
-               "--json", "found.json"]  # fmt: skip
+    command = [
+        "compare",
+        "first.toml",
+        "second.toml",
+        "--trust-effects",
+        "--photons",
+        "16384",
+        "--json",
+        "found.json",
+    ]
     mcrim(*command, "--unit", "1/2")
     text = Path(edited).read_text()
     remark = "<!-- edited -->\n" if edited.endswith(".xml") else "# edited\n"
@@ -200,8 +246,14 @@ def test_parts_of_files_that_were_edited_are_not_merged(scenes, here, mcrim, edi
 def test_parts_that_follow_each_other_share_the_same_units(scenes, tmp_path):
     """A part that finds what others have made still does its own half, and no less."""
     units, found = str(tmp_path / "units"), tmp_path / "found.json"
-    command = ["compare", str(scenes / "camoo4_campaign.toml"), "--photons", "16384",
-               "--json", str(found)]  # fmt: skip
+    command = [
+        "compare",
+        str(scenes / "camoo4_campaign.toml"),
+        "--photons",
+        "16384",
+        "--json",
+        str(found),
+    ]
     for part in ("1/2", "2/2"):
         assert main([*command, "--units", units, "--unit", part]) == 0
         assert not found.exists()
@@ -250,14 +302,18 @@ def test_without_dask_the_line_says_what_to_install(monkeypatch):
 def two_workers():
     """A Dask cluster of this machine: a scheduler and two processes."""
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address="127.0.0.1:0",
         silence_logs=logging.CRITICAL,
-    ) as cluster:  # fmt: skip
+    ) as cluster:
         yield cluster
 
 
-def test_a_cluster_whose_worker_dies_gives_the_same_digits(scenes, tmp_path, whole, two_workers,
-                                                            monkeypatch):  # fmt: skip
+def test_a_cluster_whose_worker_dies_gives_the_same_digits(
+    scenes, tmp_path, whole, two_workers, monkeypatch
+):
     monkeypatch.setenv("MCRIM_CACHE", str(tmp_path / "cache"))
     first = next(iter(two_workers.workers.values())).pid
     killed = []
@@ -334,8 +390,9 @@ def test_who_waits_for_workers_is_told(scenes, tmp_path, monkeypatch, capsys):
     assert "nobody works here" in wrong
 
 
-def test_a_scene_that_is_not_sound_is_refused_with_its_own_lines(scenes, tmp_path, two_workers,
-                                                                  capsys):  # fmt: skip
+def test_a_scene_that_is_not_sound_is_refused_with_its_own_lines(
+    scenes, tmp_path, two_workers, capsys
+):
     text = (scenes / "camoo4.xml").read_text()
     path = tmp_path / "leaky.xml"
     shape = text.index("<shape", text.index('id="crystal_top"') - 60)
@@ -350,10 +407,15 @@ def test_a_scene_that_is_not_sound_is_refused_with_its_own_lines(scenes, tmp_pat
 
 def block(scene, **changes) -> RecordBlock:
     given = {
-        "what": "x", "scene": scene, "proposals": ScatteringProposals((0.3,), (UNITS,), 0.039),
-        "seed": 1, "variant": "llvm_ad_rgb", "first": 0, "launches": (LANES,),
+        "what": "x",
+        "scene": scene,
+        "proposals": ScatteringProposals((0.3,), (UNITS,), 0.039),
+        "seed": 1,
+        "variant": "llvm_ad_rgb",
+        "first": 0,
+        "launches": (LANES,),
         "checked": True,
-    }  # fmt: skip
+    }
     return RecordBlock(**given | changes)
 
 
@@ -435,8 +497,10 @@ def test_long_runs_begin_with_the_same_units():
     every = list(cut.blocks(launches))
     assert list(itertools.chain(*every)) == launches
     for length in (1, 3, 50, 64, 65, 200):
-        assert list(cut.blocks(launches[:length]))[:-1] == every[: len(list(
-            cut.blocks(launches[:length]))) - 1]  # fmt: skip
+        assert (
+            list(cut.blocks(launches[:length]))[:-1]
+            == every[: len(list(cut.blocks(launches[:length]))) - 1]
+        )
     assert len(every) < 35  # long runs leave few files
 
 
@@ -487,7 +551,7 @@ def test_a_long_simulation_is_kept_in_units(scenes, tmp_path, monkeypatch):
             simulation, run=Run(photons, seed=3, progress=lambda *told: notes.append(told))
         )
         for _ in range(2)
-    ]  # fmt: skip
+    ]
     assert (runs[0].eta, runs[0].eta_sigma) == (runs[1].eta, runs[1].eta_sigma)
     assert runs[0].eta == pytest.approx(at_once.eta, rel=1e-12)
     assert runs[0].eta_sigma == pytest.approx(at_once.eta_sigma, rel=1e-9)
@@ -527,9 +591,10 @@ def test_progress_is_silent_in_a_pipe_and_written_to_a_log(scenes, tmp_path, mcr
     log = tmp_path / "log"
     command = ["table", scenes / "camoo4.xml", *TABLE, "-o", tmp_path / "T.csv", "--log"]
     done = subprocess.run(
-        [sys.executable, "-m", "mcrim_mitsuba", *map(str, command), str(log)], capture_output=True,
+        [sys.executable, "-m", "mcrim_mitsuba", *map(str, command), str(log)],
+        capture_output=True,
         env={**os.environ, "MCRIM_CACHE": "off"},
-    )  # fmt: skip
+    )
     assert done.returncode == 0 and done.stderr == b""
     lines = log.read_text().splitlines()
     assert all(line[:2] == "20" and line[19:21] == "Z " for line in lines)

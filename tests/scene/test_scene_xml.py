@@ -25,9 +25,7 @@ def write(tmp_path, text, name="bench.xml"):
 def test_parameters_keep_their_comment_unit_and_line(tmp_path):
     scene = read_scene(write(tmp_path, SCENE))
     known = scene.defaults
-    assert list(known) == [
-        "n_crystal", "n_gap", "gap_mm", "polarization", "max_depth", "below_mm"
-    ]  # fmt: skip
+    assert list(known) == ["n_crystal", "n_gap", "gap_mm", "polarization", "max_depth", "below_mm"]
     assert known["n_crystal"].comment.startswith("Refractive index of the crystal at the")
     assert known["n_gap"].comment == "index of the gap"
     assert known["gap_mm"].comment == ""  # the comment above belongs to n_gap
@@ -35,9 +33,13 @@ def test_parameters_keep_their_comment_unit_and_line(tmp_path):
     assert (known["gap_mm"].unit, known["n_gap"].unit, known["gap_mm"].line) == ("mm", None, 9)
     assert known["below_mm"].value == "-$gap_mm"
     assert scene.parameters == {
-        "n_crystal": 2.01, "n_gap": 1.0, "gap_mm": 0.05,
-        "polarization": False, "max_depth": 100, "below_mm": -0.05,
-    }  # fmt: skip
+        "n_crystal": 2.01,
+        "n_gap": 1.0,
+        "gap_mm": 0.05,
+        "polarization": False,
+        "max_depth": 100,
+        "below_mm": -0.05,
+    }
 
 
 def test_elements_have_names_put_in_and_the_line_where_they_start(tmp_path):
@@ -125,9 +127,14 @@ def test_an_edited_text_stands_for_the_file(tmp_path):
     )
 
 
-@cases("text", "place", "says", more=[
-    (b"<scene version='3.0.0'>\n<a b='\xe9'/></scene>", "line 2", "UTF-8"),
-])  # fmt: skip
+@cases(
+    "text",
+    "place",
+    "says",
+    more=[
+        (b"<scene version='3.0.0'>\n<a b='\xe9'/></scene>", "line 2", "UTF-8"),
+    ],
+)
 def test_bad_scenes_are_refused_in_one_line(tmp_path, text, place, says):
     refused = refusal(read_scene, write(tmp_path, text))
     assert str(tmp_path / "bench.xml") in refused and place in refused and says in refused

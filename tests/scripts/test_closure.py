@@ -107,12 +107,19 @@ def test_the_script_s_verdicts():
         ones = np.ones(3)
         fits = [
             dict(
-                realisation=number % 50, truth=0 * ones, value=value, sigma=ones,
-                lower=value - interval, upper=value + interval, monte_carlo=0.3 * ones,
-                truth_sigma=0 * ones, correlation=np.eye(3), p_value=0.5,
+                realisation=number % 50,
+                truth=0 * ones,
+                value=value,
+                sigma=ones,
+                lower=value - interval,
+                upper=value + interval,
+                monte_carlo=0.3 * ones,
+                truth_sigma=0 * ones,
+                correlation=np.eye(3),
+                p_value=0.5,
             )
             for number, value in enumerate(rng.normal(shift, width, (4000, 3)))
-        ]  # fmt: skip
+        ]
         return closure.judge(closure.Outcomes(fits))
 
     for row in rows(1.0, 0.0, 1.0):

@@ -34,8 +34,9 @@ SIMULATE = ["simulate", "--photons", "3e5", "--seed", "2"]
 
 def run(*arguments: str, env=None) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(SCRIPTS / "cluster.py"), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=100,
-                          env={**os.environ, **(env or {})})  # fmt: skip
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=100, env={**os.environ, **(env or {})}
+    )
 
 
 def eta_line(text: str) -> str:
@@ -52,18 +53,37 @@ def test_a_command_on_a_batch_system(system, scenes, tmp_path):
     fake = {"FAKE": str(tmp_path), "PATH": f"{tmp_path}:{os.environ['PATH']}"}
     plain = subprocess.run(
         [sys.executable, "-m", "mcrim_mitsuba", *SIMULATE, str(scenes / "camoo4.xml")],
-        capture_output=True, text=True,
-    )  # fmt: skip
-    done = run(system, "--jobs", "1", "--cores", "1", "--memory", "2GB", "--", *SIMULATE,
-               str(scenes / "camoo4.xml"), env=fake)  # fmt: skip
+        capture_output=True,
+        text=True,
+    )
+    done = run(
+        system,
+        "--jobs",
+        "1",
+        "--cores",
+        "1",
+        "--memory",
+        "2GB",
+        "--",
+        *SIMULATE,
+        str(scenes / "camoo4.xml"),
+        env=fake,
+    )
     log = tmp_path / "job.out"
     assert done.returncode == 0, done.stderr + (log.read_text() if log.exists() else "no job")
     assert eta_line(done.stdout) == eta_line(plain.stdout)
 
 
 def test_without_a_batch_system_one_line(scenes):
-    done = run("slurm", "--jobs", "1", "--", *SIMULATE, str(scenes / "camoo4.xml"),
-               env={"PATH": "/nowhere"})  # fmt: skip
+    done = run(
+        "slurm",
+        "--jobs",
+        "1",
+        "--",
+        *SIMULATE,
+        str(scenes / "camoo4.xml"),
+        env={"PATH": "/nowhere"},
+    )
     line = "cluster: there is no command sbatch here; run this where jobs can be submitted\n"
     assert (done.returncode, done.stderr) == (2, line)
 
@@ -77,6 +97,5 @@ def test_a_job_can_be_looked_at_beforehand():
 def test_a_command_on_this_machine(scenes):
     done = run("local", "--workers", "1", "--", "check", str(scenes / "camoo4.xml"))
     assert done.returncode == 2 and "--cluster" in done.stderr  # has no use for a cluster
-    done = run("local", "--workers", "1", "--", "mcrim", *SIMULATE,
-               str(scenes / "camoo4.xml"))  # fmt: skip
+    done = run("local", "--workers", "1", "--", "mcrim", *SIMULATE, str(scenes / "camoo4.xml"))
     assert done.returncode == 0 and eta_line(done.stdout), done.stderr

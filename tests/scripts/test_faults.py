@@ -7,8 +7,12 @@ from trials.faults import OLD, Ended, Trial, Whole
 
 def test_verbs_that_are_stopped_go_on():
     said = []
-    trials = [Trial(1, "scenes", "KILL", 0.9), Trial(2, "histogram", "TERM", 0.6),
-              Trial(3, "add", "INT", 0.9), Trial(4, "histogram", "disk", 0.0)]  # fmt: skip
+    trials = [
+        Trial(1, "scenes", "KILL", 0.9),
+        Trial(2, "histogram", "TERM", 0.6),
+        Trial(3, "add", "INT", 0.9),
+        Trial(4, "histogram", "disk", 0.0),
+    ]
     assert faults.campaign_of(trials, said.append) == {} and said == []
 
 

@@ -20,9 +20,19 @@ from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 
 SEED, TRACED, SIMULATED = 1, 8_000, 131_072
 #: What the package knows: all of the catalogue is tried by `scripts/trials`, this is quicker.
-KNOWN = {"surface_absorption", "surface_roughness", "gap_index", "gap_bubble", "gap_absorption",
-         "detector_radius", "detector_reflection", "top_reflector", "background", "saturation",
-         "polarization"}  # fmt: skip
+KNOWN = {
+    "surface_absorption",
+    "surface_roughness",
+    "gap_index",
+    "gap_bubble",
+    "gap_absorption",
+    "detector_radius",
+    "detector_reflection",
+    "top_reflector",
+    "background",
+    "saturation",
+    "polarization",
+}
 Z_MAX = 4.5
 #: What designs are drawn from, where it is not cut to the standard one.
 POOL = histories.POOL
@@ -71,11 +81,17 @@ def test_histories_answer_other_coefficients_and_smaller_apertures(store):
         n_gap, aperture, height, gap = histories.STANDARD[reading]
         direct = trace(
             Bench(
-                n_gap=n_gap, aperture_radius_mm=aperture, crystal_height_mm=height, gap_mm=gap,
-                alpha_scat_per_cm=0.35, alpha_abs_per_cm=0.045, **changes,
+                n_gap=n_gap,
+                aperture_radius_mm=aperture,
+                crystal_height_mm=height,
+                gap_mm=gap,
+                alpha_scat_per_cm=0.35,
+                alpha_abs_per_cm=0.045,
+                **changes,
             ),
-            20_000, seed=5,
-        )  # fmt: skip
+            20_000,
+            seed=5,
+        )
         sigma = np.hypot(direct.eta_sigma, eta[reading] * error[reading])
         assert abs(direct.eta - eta[reading]) < Z_MAX * sigma, reading
     filled = store.runs({"gap_absorption_per_cm": 3.0})
@@ -148,11 +164,23 @@ def test_what_is_measured_on_advice_is_the_same_bench(monkeypatch):
     truth = trials.Truth(0.4, 0.039, 40.0, 0.04)
     design = ((1.0, 14.0, 10.0, 0.05), (1.46, 14.0, 5.0, 0.05), (1.0, 7.0, 10.0, 0.05))
     rng = np.random.default_rng(3)
-    eta = np.array([
-        trace(Bench(n_gap=n, aperture_radius_mm=r, crystal_height_mm=h, alpha_scat_per_cm=0.4,
-                    alpha_abs_per_cm=0.039, surface_loss=0.02), 200_000, rng.integers(99)).eta
-        for n, r, h, _ in design
-    ])  # fmt: skip
+    eta = np.array(
+        [
+            trace(
+                Bench(
+                    n_gap=n,
+                    aperture_radius_mm=r,
+                    crystal_height_mm=h,
+                    alpha_scat_per_cm=0.4,
+                    alpha_abs_per_cm=0.039,
+                    surface_loss=0.02,
+                ),
+                200_000,
+                rng.integers(99),
+            ).eta
+            for n, r, h, _ in design
+        ]
+    )
     signal, _ = trials.distort(sizes, truth.scale * eta, design)
     hidden = (("surface_absorption", 0.02), *sizes.items())
     trial = trials.Trial(
@@ -178,8 +206,9 @@ def test_whatever_may_be_proposed_can_be_measured(monkeypatch):
     monkeypatch.setattr(trials, "_FURTHER_PHOTONS", 2_000)
     monkeypatch.setattr(trials, "_BEAM_PHOTONS", 4_000)
     for effect, size in (("detector_specular", 0.3), ("top_reflector", 0.5)):
-        trial = trials.Trial("advice", 0, 1, ((effect, size),), (), "", truth, 50.0, design, signal,
-                             0.007 * signal)  # fmt: skip
+        trial = trials.Trial(
+            "advice", 0, 1, ((effect, size),), (), "", truth, 50.0, design, signal, 0.007 * signal
+        )
         proposed = [{"n_gap": n} for n in USUAL_LIQUIDS] + [{"kind": "transmittance"}]
         rows, signals, _ = trials.measured(trial, proposed)
         assert len(rows) == 2 + len(USUAL_LIQUIDS) and 0.2 < signals[-1] < 0.7
@@ -213,14 +242,26 @@ def test_a_transmittance_is_the_last_reading(tmp_path):
 def a_trial(**changed):
     """A line as `run_trial` makes it: a bubble, found."""
     return {
-        "kind": "single", "number": 0, "what": "gap_bubble", "hidden": [["gap_bubble", 0.3]],
-        "spoiled": [], "suspects": [], "expected_excess": 100.0, "verdict": "missing_effect",
-        "first": "gap_bubble", "leading": ["gap_bubble"], "added": ["gap_bubble"], "limits": {},
-        "p_after": 0.3, "seconds": 1.0, "leading_sets": [["gap_bubble"]],
-        "families": [["gap", 0.9]], "averaged": {"pull": 0.5, "relative_sigma": 0.1},
+        "kind": "single",
+        "number": 0,
+        "what": "gap_bubble",
+        "hidden": [["gap_bubble", 0.3]],
+        "spoiled": [],
+        "suspects": [],
+        "expected_excess": 100.0,
+        "verdict": "missing_effect",
+        "first": "gap_bubble",
+        "leading": ["gap_bubble"],
+        "added": ["gap_bubble"],
+        "limits": {},
+        "p_after": 0.3,
+        "seconds": 1.0,
+        "leading_sets": [["gap_bubble"]],
+        "families": [["gap", 0.9]],
+        "averaged": {"pull": 0.5, "relative_sigma": 0.1},
         "pulls_before": {"alpha_scat_per_cm": 3.0, "light_yield_ph_per_keV": 1.0},
         "pulls_after": {"alpha_scat_per_cm": 0.3, "light_yield_ph_per_keV": -1.0},
-    } | changed  # fmt: skip
+    } | changed
 
 
 def test_rates_and_confusion():
@@ -228,22 +269,34 @@ def test_rates_and_confusion():
         a_trial(),
         a_trial(first="gap_absorption", leading=["gap_absorption", "gap_bubble"], p_after=1e-3),
         a_trial(kind="none", what="nothing", hidden=[], verdict="adequate"),
-        a_trial(kind="instrument", what="bad_reading", spoiled=["air"], suspects=[["air"]],
-                verdict="unexplained"),
+        a_trial(
+            kind="instrument",
+            what="bad_reading",
+            spoiled=["air"],
+            suspects=[["air"]],
+            verdict="unexplained",
+        ),
         a_trial(kind="instrument", what="gain_drift", leading=["gap_bubble"]),
         a_trial(kind="pairs", hidden=[["gap_bubble", 0.3], ["gap_index", 0.1]]),
-        a_trial(kind="too_small", what="gap_thickness", hidden=[["gap_thickness", 0.5]],
-                verdict="adequate", limits={"gap_thickness": {
-                    "parameter": "gap_offset_mm", "lower": None, "upper": 0.4}}),
+        a_trial(
+            kind="too_small",
+            what="gap_thickness",
+            hidden=[["gap_thickness", 0.5]],
+            verdict="adequate",
+            limits={"gap_thickness": {"parameter": "gap_offset_mm", "lower": None, "upper": 0.4}},
+        ),
         a_trial(kind="beam", what="surface_haze", leading=["surface_haze", "gap_bubble"]),
         a_trial(kind="beam", what="surface_haze", leading=["surface_haze", "surface_roughness"]),
         a_trial(kind="beam", what="surface_roughness", leading=["surface_haze"]),
         a_trial(kind="left_out", known=a_trial(right_relative_sigma=0.08)),
-        a_trial(kind="left_out", averaged={"pull": -2.5, "relative_sigma": 0.1},
-                known=a_trial(right_relative_sigma=0.06)),
+        a_trial(
+            kind="left_out",
+            averaged={"pull": -2.5, "relative_sigma": 0.1},
+            known=a_trial(right_relative_sigma=0.06),
+        ),
         a_trial(kind="advice", advice=None),
         a_trial(kind="advice", advice=a_trial(promised=0.01, after=0.0125, leading=["gap_index"])),
-    ]  # fmt: skip
+    ]
     found = {rate.point.strip(): (rate.hits, rate.trials) for rate in scores.rates(lines)}
     assert found["one effect: first place right"] == (1, 2)
     assert found["one effect: leads, or its family"] == (2, 2)

@@ -10,10 +10,23 @@ from trials import kill
 def test_a_table_that_is_killed_goes_on(scenes, tmp_path):
     """Seven units, killed with SIGKILL after two thirds of its time, most of which is its start."""
     job = kill.Job(
-        ["table", str(scenes / "camoo4.xml"), "--alpha-scat", "0.2,0.5", "--alpha-abs", "0.039",
-         "--n-gap", "1.2:1.5:7", "--photons", "131072", "--threads", "1"],
-        tmp_path, signal.SIGKILL,
-    )  # fmt: skip
+        [
+            "table",
+            str(scenes / "camoo4.xml"),
+            "--alpha-scat",
+            "0.2,0.5",
+            "--alpha-abs",
+            "0.039",
+            "--n-gap",
+            "1.2:1.5:7",
+            "--photons",
+            "131072",
+            "--threads",
+            "1",
+        ],
+        tmp_path,
+        signal.SIGKILL,
+    )
     whole = job.run(job.cache("whole"))
     assert len(whole.log.made) == 7 and not whole.log.kept and not whole.log.lost
     cache = job.cache("killed")

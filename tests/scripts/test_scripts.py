@@ -50,8 +50,19 @@ def campaigns(scenes, tmp_path):
 def test_tables_of_all_combinations_and_only_once(scenes, tmp_path, do, cache):
     (tmp_path / "camoo4.xml").write_text((scenes / "camoo4.xml").read_text())
     folder = tmp_path / "tables"
-    line = [tmp_path / "camoo4.xml", "--alpha-scat", "0.1,0.5", "--alpha-abs", "0.039", "--n-gap",
-            "1.0", *PHOTONS, "-o", folder, "-D"]  # fmt: skip
+    line = [
+        tmp_path / "camoo4.xml",
+        "--alpha-scat",
+        "0.1,0.5",
+        "--alpha-abs",
+        "0.039",
+        "--n-gap",
+        "1.0",
+        *PHOTONS,
+        "-o",
+        folder,
+        "-D",
+    ]
     # as if the first run had been interrupted within the second table
     status, out, err = do(eta_tables, *line, "gap_mm=0.05")
     assert (status, err) == (0, "") and out.endswith(f"1 tables: 1 made; {folder}\n")
@@ -70,16 +81,28 @@ def test_tables_of_all_combinations_and_only_once(scenes, tmp_path, do, cache):
     line.append("gap_mm=0.05,0.5")
     assert ": 2 made;" in do(eta_tables, *line, "--seed", "1")[1]
     scene = tmp_path / "camoo4.xml"
-    scene.write_text(scene.read_text().replace('name="n_window" value="1.52"',
-                                               'name="n_window" value="1.5"'))  # fmt: skip
+    scene.write_text(
+        scene.read_text().replace('name="n_window" value="1.52"', 'name="n_window" value="1.5"')
+    )
     assert ": 2 made;" in do(eta_tables, *line, "--seed", "1")[1]
 
 
 def test_a_table_that_is_refused_stops_no_other(scenes, tmp_path, do):
     status, out, err = do(
-        eta_tables, scenes / "camoo4.xml", "--alpha-scat", "0.5", "--alpha-abs", "0.039",
-        "--n-gap", "1.0", "-D", "gap_mm=50,0.05", *PHOTONS, "-o", tmp_path,
-    )  # fmt: skip
+        eta_tables,
+        scenes / "camoo4.xml",
+        "--alpha-scat",
+        "0.5",
+        "--alpha-abs",
+        "0.039",
+        "--n-gap",
+        "1.0",
+        "-D",
+        "gap_mm=50,0.05",
+        *PHOTONS,
+        "-o",
+        tmp_path,
+    )
     assert (status, err) == (2, "")
     refused, made, _ = out.splitlines()
     assert "gap_mm=50.0.csv: refused: " in refused and "gap_mm=0.05.csv: made: " in made
@@ -94,9 +117,18 @@ def test_an_interrupted_table_is_no_table(scenes, tmp_path, do, monkeypatch):
 
     monkeypatch.setattr(transport, "launch", interrupted)
     status, out, err = do(
-        eta_tables, scenes / "camoo4.xml", "--alpha-scat", "0", "--alpha-abs", "0.039", "--n-gap",
-        "1.0", *PHOTONS, "-o", tmp_path,
-    )  # fmt: skip
+        eta_tables,
+        scenes / "camoo4.xml",
+        "--alpha-scat",
+        "0",
+        "--alpha-abs",
+        "0.039",
+        "--n-gap",
+        "1.0",
+        *PHOTONS,
+        "-o",
+        tmp_path,
+    )
     assert (status, err) == (130, "")
     assert out == "interrupted after 0 of 1; the same line goes on from here\n"
     assert not list(tmp_path.iterdir())
@@ -110,9 +142,19 @@ def test_slips_are_found_before_anything_is_simulated(
     (tmp_path / "camoo4.xml").write_text((scenes / "camoo4.xml").read_text())
     monkeypatch.chdir(tmp_path)
     status, out, err = do(
-        eta_tables, scenes / "camoo4.xml", "--alpha-scat", "0.5", "--alpha-abs", "0.039",
-        "--n-gap", "1.0", "-o", tmp_path / "tables", *PHOTONS, *further,
-    )  # fmt: skip
+        eta_tables,
+        scenes / "camoo4.xml",
+        "--alpha-scat",
+        "0.5",
+        "--alpha-abs",
+        "0.039",
+        "--n-gap",
+        "1.0",
+        "-o",
+        tmp_path / "tables",
+        *PHOTONS,
+        *further,
+    )
     assert status == 2
     # what a table refuses is said in its line
     assert says in (err or out) and (err or out).count("\n") == (1 if err else 2)
@@ -129,9 +171,18 @@ def test_what_is_no_table_is_not_replaced(scenes, tmp_path, do):
     measured = tmp_path / "camoo4.csv"
     measured.write_text("# photons, events\n1,2\n")
     status, out, err = do(
-        eta_tables, scenes / "camoo4.xml", "--alpha-scat", "0.5", "--alpha-abs", "0.039",
-        "--n-gap", "1.0", "-o", tmp_path, *PHOTONS,
-    )  # fmt: skip
+        eta_tables,
+        scenes / "camoo4.xml",
+        "--alpha-scat",
+        "0.5",
+        "--alpha-abs",
+        "0.039",
+        "--n-gap",
+        "1.0",
+        "-o",
+        tmp_path,
+        *PHOTONS,
+    )
     assert (status, out) == (2, "") and err.count("\n") == 1
     assert f"{measured}: there is a file of this name, and it is no result of this script" in err
     assert measured.read_text() == "# photons, events\n1,2\n"
@@ -155,12 +206,14 @@ def test_a_night_goes_on_past_a_bad_campaign(campaigns, tmp_path, do, cache):
     assert "1 kept, 2 refused" in do(night_batch, *line)[1]
     assert "1 made, 2 refused" in do(night_batch, *line, "--seed", "1")[1]
     scene = campaigns[0].with_name("camoo4.xml")
-    scene.write_text(scene.read_text().replace('name="n_window" value="1.52"',
-                                               'name="n_window" value="1.5"'))  # fmt: skip
+    scene.write_text(
+        scene.read_text().replace('name="n_window" value="1.52"', 'name="n_window" value="1.5"')
+    )
     assert "1 made, 2 refused" in do(night_batch, *line)[1]
     # and converted as it is
-    status, out, err = do(convert_results, night / "good_camoo4_campaign.json", "-o",
-                          tmp_path / "night.tex")  # fmt: skip
+    status, out, err = do(
+        convert_results, night / "good_camoo4_campaign.json", "-o", tmp_path / "night.tex"
+    )
     assert (status, err) == (0, "") and "calibration, 1 rows" in out
     assert r"$7.5 \pm 0.8$" in (tmp_path / "night.tex").read_text()
 

@@ -152,8 +152,9 @@ def test_a_script_that_is_killed_goes_on(tmp_path, capfd, monkeypatch):
     words = ["--repeats", "60", "--json", "-", "--processes"]
     process = subprocess.Popen(
         [sys.executable, str(SCRIPTS / "trials"), "peak", *words, "2"],
-        start_new_session=True, stdout=subprocess.DEVNULL,
-    )  # fmt: skip
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+    )
     folder = tmp_path / "cache" / "trials"
     while not list(folder.rglob("*.json")):
         assert process.poll() is None

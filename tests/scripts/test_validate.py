@@ -84,8 +84,11 @@ def test_the_grid_has_all_it_should_and_nothing_twice():
     cases = benches.cases()
     plain = [case.bench() for case in cases if case.group == "plain"]
     assert len(plain) >= 40
-    for name, values in {"n_gap": (1.0, 1.333, 1.46, 1.515, 1.74), "gap_mm": (0.05, 0.5),
-                         "n_crystal": (2.01, 1.85, 1.5)}.items():  # fmt: skip
+    for name, values in {
+        "n_gap": (1.0, 1.333, 1.46, 1.515, 1.74),
+        "gap_mm": (0.05, 0.5),
+        "n_crystal": (2.01, 1.85, 1.5),
+    }.items():
         assert set(values) <= {getattr(bench, name) for bench in plain}, name
     assert (
         min(b.alpha_scat_per_cm for b in plain) == 0 < 2 <= max(b.alpha_scat_per_cm for b in plain)
@@ -126,13 +129,22 @@ def made_up(bias):
                 fates[unit.case.fate] = truth
             sigma = {fate: 0.0007 * value for fate, value in fates.items()}
             budget = {fate: rng.normal(value, sigma[fate]) for fate, value in fates.items()}
-            return {"photons": 10**6, "budget": budget, "sigma": sigma, "scene_hash": "",
-                    "versions": {}, "path": ""}  # fmt: skip
+            return {
+                "photons": 10**6,
+                "budget": budget,
+                "sigma": sigma,
+                "scene_hash": "",
+                "versions": {},
+                "path": "",
+            }
         if unit.program == GEANT4:
             fates["elsewhere"] = fates.pop("escaped")
         counts = rng.multinomial(unit.photons, list(fates.values()))
-        return {"photons": unit.photons, "version": "0",
-                "counts": dict(zip(fates, map(int, counts), strict=True))}  # fmt: skip
+        return {
+            "photons": unit.photons,
+            "version": "0",
+            "counts": dict(zip(fates, map(int, counts), strict=True)),
+        }
 
     return do
 
@@ -163,10 +175,20 @@ def validated(tmp_path, monkeypatch):
             monkeypatch.setattr(module, "code", lambda program: code)
         place = tmp_path / "-".join(bias or ["right"])
         place.mkdir()
-        status = run(command.main, "validate", [
-            "--precision", "0.5%", "-o", f"{place}/v.md", "--units", f"{place}/u.jsonl",
-            "--json", f"{place}/v.json",
-        ])  # fmt: skip
+        status = run(
+            command.main,
+            "validate",
+            [
+                "--precision",
+                "0.5%",
+                "-o",
+                f"{place}/v.md",
+                "--units",
+                f"{place}/u.jsonl",
+                "--json",
+                f"{place}/v.json",
+            ],
+        )
         return status, json.loads((place / "v.json").read_text()), (place / "v.md").read_text()
 
     return validated
@@ -190,8 +212,12 @@ def test_plain_benches_are_compared_with_the_solver():
 
     class Ours:
         def __getitem__(self, unit):
-            return {"photons": 10**6, "budget": {"detected": 0.25194 * 1.002},
-                    "sigma": {"detected": 0.25194 * 0.001}, "scene_hash": ""}  # fmt: skip
+            return {
+                "photons": 10**6,
+                "budget": {"detected": 0.25194 * 1.002},
+                "sigma": {"detected": 0.25194 * 0.001},
+                "scene_hash": "",
+            }
 
     compared = command.Comparison(0.01, 0, [plain, chamfered], [], Ours())
     (row,) = (row for case in (plain, chamfered) for row in compared._solved_row(case))
@@ -286,9 +312,14 @@ def test_a_file_that_is_no_file_of_units_is_left_alone(tmp_path):
 def test_what_a_unit_rests_on_is_its_key():
     case = benches.Case("plain", {"n_gap": 1.46})
     other = benches.Case("plain", {"n_gap": 1.47})
-    made = [Unit(program, one, photons, seed, number)
-             for program in (NUMPY, MITSUBA) for one in (case, other)
-             for photons in (100, 200) for seed in (0, 1) for number in (0, 1)]  # fmt: skip
+    made = [
+        Unit(program, one, photons, seed, number)
+        for program in (NUMPY, MITSUBA)
+        for one in (case, other)
+        for photons in (100, 200)
+        for seed in (0, 1)
+        for number in (0, 1)
+    ]
     assert len({unit.key for unit in made}) == len(made)
     assert len({unit.own_seed for unit in made}) == len(made) / 2  # photons do not change it
 
@@ -330,9 +361,14 @@ def test_a_fast_way_that_is_off_on_few_benches_is_found():
 
     def compared(number, z):
         return fast_ways.Comparison(
-            number=number, bench={}, fast=0.25 + 1e-3 * z, fast_sigma=6e-4, refused=None,
-            slow=0.25, slow_sigma=8e-4,
-        )  # fmt: skip
+            number=number,
+            bench={},
+            fast=0.25 + 1e-3 * z,
+            fast_sigma=6e-4,
+            refused=None,
+            slow=0.25,
+            slow_sigma=8e-4,
+        )
 
     right = [compared(number, z) for number, z in enumerate(rng.normal(size=40))]
     assert fast_ways.judge(right).agrees

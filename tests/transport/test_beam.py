@@ -31,9 +31,13 @@ def test_the_polished_crystal_follows_the_closed_form():
             exact = float(measured_transmittance(transmittance(scat + absorption, 10.0), n))
             photons = int((1.0 / exact - 1.0) / 0.9e-3**2)
             found, sigma = transmitted(
-                BEAM, photons, n_crystal=n, alpha_scat_per_cm=scat, alpha_abs_per_cm=absorption,
+                BEAM,
+                photons,
+                n_crystal=n,
+                alpha_scat_per_cm=scat,
+                alpha_abs_per_cm=absorption,
                 acceptance_deg=0.5,
-            )  # fmt: skip
+            )
             assert sigma < 1.05e-3 * found
             z.append((found - exact) / sigma)
     assert np.abs(z).max() < -ndtri(0.005 / len(z))
@@ -56,12 +60,23 @@ def test_effects_of_the_bench_alone_leave_the_beam_as_it_is():
     plain = spectrophotometer_of(bench).content_hash
     seen = {
         name: spectrophotometer_of(bench.edited(add(name, bench))).content_hash != plain
-        for name in ("detector_angle", "top_reflector", "source_depth", "gap_thickness",
-                     "surface_haze", "side_roughness", "scattering_gradient", "crystal_index")
-    }  # fmt: skip
+        for name in (
+            "detector_angle",
+            "top_reflector",
+            "source_depth",
+            "gap_thickness",
+            "surface_haze",
+            "side_roughness",
+            "scattering_gradient",
+            "crystal_index",
+        )
+    }
     assert [name for name, is_seen in seen.items() if is_seen] == [
-        "surface_haze", "side_roughness", "scattering_gradient", "crystal_index"
-    ]  # fmt: skip
+        "surface_haze",
+        "side_roughness",
+        "scattering_gradient",
+        "crystal_index",
+    ]
 
 
 def test_what_the_liquid_does_is_not_seen_by_the_beam():
@@ -99,9 +114,13 @@ def test_a_hazy_beam_keeps_its_specular_part():
     inside = math.exp(-0.02)
     exact = through**2 * inside / (1.0 - (back * inside) ** 2)
     found, sigma = transmitted(
-        scene, 2**20, rms_roughness_nm=25.0, alpha_scat_per_cm=0.0, alpha_abs_per_cm=0.02,
+        scene,
+        2**20,
+        rms_roughness_nm=25.0,
+        alpha_scat_per_cm=0.0,
+        alpha_abs_per_cm=0.02,
         acceptance_deg=0.2,
-    )  # fmt: skip
+    )
     assert abs(found - exact) < 3.5 * sigma < 0.005
 
 

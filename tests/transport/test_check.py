@@ -64,31 +64,56 @@ BROKEN = {
     },
     "missing top": (replaced(shape("crystal_top"), ""), "missing_face", ["crystal", "z = 10"]),
     "missing side of the gap": (
-        replaced(shape("gap_side_left"), ""), "missing_face", ["gap", "x = -5"]),
+        replaced(shape("gap_side_left"), ""),
+        "missing_face",
+        ["gap", "x = -5"],
+    ),
     "missing detector": (replaced(shape("detector"), ""), "file", ["detector", "photodetector"]),
     "face drawn twice": (
         added(shape("gap_side_front").replace("gap_side_front", "gap_side_again")),
-        "overlap", ["gap_side_again", "gap_side_front"]),
+        "overlap",
+        ["gap_side_again", "gap_side_front"],
+    ),
     "face under the gap's bottom": (added(DISC.format("-0.0501")), "thin_gap", ["extra", "thin"]),
     "block inside the crystal": (added(BLOCK.format(0.3)), "overlap", ["crystal", "block"]),
     "block half in the crystal": (added(BLOCK.format(5.0)), "overlap", ["crystal", "block"]),
     "albedo above 1": (
-        replaced(BULK, HOMOGENEOUS.format(1.2)), "coefficient", ["crystal", "albedo", "1.2"]),
+        replaced(BULK, HOMOGENEOUS.format(1.2)),
+        "coefficient",
+        ["crystal", "albedo", "1.2"],
+    ),
     "detector behind a wall": (
         edited(
             ("window_under_gap", '<ref id="masked_window_to_gap"/>', '<ref id="wall"/>'),
             ("window_beside_gap", "masked_window_to_air", "wall"),
-            ("", '<bsdf type="dielectric" id="gap_to_air">',
-             '<bsdf type="twosided" id="wall"><bsdf type="diffuse">'
-             '<spectrum name="reflectance" value="0"/></bsdf></bsdf>\n'
-             '  <bsdf type="dielectric" id="gap_to_air">'),
+            (
+                "",
+                '<bsdf type="dielectric" id="gap_to_air">',
+                '<bsdf type="twosided" id="wall"><bsdf type="diffuse">'
+                '<spectrum name="reflectance" value="0"/></bsdf></bsdf>\n'
+                '  <bsdf type="dielectric" id="gap_to_air">',
+            ),
             # the masks are no longer used
-            ("", BENCH[BENCH.index('  <bsdf type="aperture" id="masked_window_to_gap">') :
-                       BENCH.index("  <!-- ============================= Crystal")], ""),
-            ("", "  <!-- Radius of the round hole in the black mask on the window's entrance face, "
-             'mm -->\n  <default name="aperture_radius_mm" value="14"/>\n', "")),
-        "detector", ["detector", "no light"]),
-}  # fmt: skip
+            (
+                "",
+                BENCH[
+                    BENCH.index('  <bsdf type="aperture" id="masked_window_to_gap">') : BENCH.index(
+                        "  <!-- ============================= Crystal"
+                    )
+                ],
+                "",
+            ),
+            (
+                "",
+                "  <!-- Radius of the round hole in the black mask on the window's entrance face, "
+                'mm -->\n  <default name="aperture_radius_mm" value="14"/>\n',
+                "",
+            ),
+        ),
+        "detector",
+        ["detector", "no light"],
+    ),
+}
 
 
 @pytest.mark.parametrize("name", BROKEN)
@@ -137,13 +162,14 @@ def test_shipped_scenes_are_sound(path):
 @pytest.mark.parametrize(
     "overrides",
     [
-        {"gap_mm": 0.02}, {"gap_mm": 2, "n_gap": 1.8},
+        {"gap_mm": 0.02},
+        {"gap_mm": 2, "n_gap": 1.8},
         {"crystal_width_mm": 5, "crystal_height_mm": 20},
         {"aperture_radius_mm": 3, "alpha_scat_per_cm": 20},
         {"alpha_scat_per_cm": 0, "alpha_abs_per_cm": 0},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_sound_variations_are_not_refused(overrides):
     report = check_scene(SCENES / "camoo4.xml", overrides)
     assert report.ok, report.problems

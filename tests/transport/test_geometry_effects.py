@@ -106,9 +106,12 @@ def test_a_chamfered_crystal_has_its_volume_and_area(write, width, height, leg):
 )
 def test_a_bubble_takes_its_part_of_the_gap(write, fraction, leg, left_out):
     simulation = loaded(
-        write("chamfer", "bubble", "thickness"), n_gap=1.46, bubble_fraction=fraction,
-        chamfer_mm=leg, gap_offset_mm=0.2,
-    )  # fmt: skip
+        write("chamfer", "bubble", "thickness"),
+        n_gap=1.46,
+        bubble_fraction=fraction,
+        chamfer_mm=leg,
+        gap_offset_mm=0.2,
+    )
     model = simulation.model
     assert len(model.scene.shapes()) - len(model.surfaces) == left_out
     names = [surface.name for surface in model.surfaces]
@@ -134,8 +137,10 @@ def test_a_round_bubble_takes_its_part_of_the_gap(write, share):
     for face in model.faces:
         name = model.surfaces[face.surface].name
         areas[name] = areas.get(name, 0.0) + face.area
-    for whole, part in (("crystal_bottom", "crystal_bottom_bubble"),
-                        ("window_under_gap", "window_under_bubble")):  # fmt: skip
+    for whole, part in (
+        ("crystal_bottom", "crystal_bottom_bubble"),
+        ("window_under_gap", "window_under_bubble"),
+    ):
         assert areas[part] == pytest.approx(100.0 * share, rel=1e-5)
         assert areas[whole] == pytest.approx(100.0 * (1.0 - share), rel=1e-5)
     assert len(model.walls) == (share > 0.0)
@@ -148,8 +153,9 @@ def test_a_round_bubble_takes_its_part_of_the_gap(write, share):
             2 * np.sqrt(np.pi * 100 * share) * 0.25, rel=2e-3
         )
     assert len(convex_solids(model)) == 3
-    assert check_scene(write("round", "thickness"), {"bubble_area_fraction": share, "n_gap": 1.46},
-                       light=False).ok  # fmt: skip
+    assert check_scene(
+        write("round", "thickness"), {"bubble_area_fraction": share, "n_gap": 1.46}, light=False
+    ).ok
 
 
 def test_a_round_bubble_passes_what_a_film_of_air_does(write):
@@ -157,9 +163,17 @@ def test_a_round_bubble_passes_what_a_film_of_air_does(write):
 
     What arrives has come straight down, or by the sides, which the mask lets nothing else pass.
     """
-    numbers = {"n_crystal": 1.5, "n_window": 1.5, "n_gap": 1.5, "bubble_area_fraction": 0.3,
-               "aperture_radius_mm": 4.9, "gap_mm": 0.01, "alpha_scat_per_cm": 0.0,
-               "alpha_abs_per_cm": 8.0, "crystal_height_mm": 12.0}  # fmt: skip
+    numbers = {
+        "n_crystal": 1.5,
+        "n_window": 1.5,
+        "n_gap": 1.5,
+        "bubble_area_fraction": 0.3,
+        "aperture_radius_mm": 4.9,
+        "gap_mm": 0.01,
+        "alpha_scat_per_cm": 0.0,
+        "alpha_abs_per_cm": 8.0,
+        "crystal_height_mm": 12.0,
+    }
     rng, count = np.random.default_rng(11), 2_000_000
     start = rng.random((3, count)) * [[10.0], [10.0], [12.0]] - [[5.0], [5.0], [0.0]]
     way = rng.standard_normal((3, count))
@@ -243,20 +257,40 @@ DOWN = '<scale z="-1"/><translate z="$gap_offset_mm"/><scale z="-1"/>'
     [
         (("chamfer",), without("gap_top_rim"), ["missing_face"], ["gap", "z = 0 mm"]),
         (("chamfer",), without("crystal_chamfers"), ["missing_face"], ["crystal"]),
-        (("chamfer",), replaced('"leg" value="$chamfer_mm"', '"leg" value="0.41"'),
-         ["leak", "missing_face"], ["crystal"]),
+        (
+            ("chamfer",),
+            replaced('"leg" value="$chamfer_mm"', '"leg" value="0.41"'),
+            ["leak", "missing_face"],
+            ["crystal"],
+        ),
         (("bubble",), without("window_under_bubble"), ["missing_face"], ["window", "z = -0.05"]),
-        (("bubble",), replaced('"cut" value="$bubble_fraction"', '"cut" value="0"', "gap_sides"),
-         ["missing_face"], ["gap"]),
-        (("bubble",), replaced('"keep" value="before"', '"keep" value="beyond"'),
-         ["overlap"], ["lie on each other"]),
-        (("thickness",), replaced(DOWN, '<translate z="$gap_offset_mm"/>', "window_under_gap"),
-         ["missing_face"], ["gap"]),
-        (("bubble",), replaced('<bsdf type="dielectric" id="gap_to_air">',
-                               POLISH.format("gap_to_air")), ["index"], ["gap", "1.48", "1.46"]),
+        (
+            ("bubble",),
+            replaced('"cut" value="$bubble_fraction"', '"cut" value="0"', "gap_sides"),
+            ["missing_face"],
+            ["gap"],
+        ),
+        (
+            ("bubble",),
+            replaced('"keep" value="before"', '"keep" value="beyond"'),
+            ["overlap"],
+            ["lie on each other"],
+        ),
+        (
+            ("thickness",),
+            replaced(DOWN, '<translate z="$gap_offset_mm"/>', "window_under_gap"),
+            ["missing_face"],
+            ["gap"],
+        ),
+        (
+            ("bubble",),
+            replaced('<bsdf type="dielectric" id="gap_to_air">', POLISH.format("gap_to_air")),
+            ["index"],
+            ["gap", "1.48", "1.46"],
+        ),
     ],
     ids=["no_rim", "no_chamfers", "leg", "no_bubble_face", "no_cut", "twice", "up", "offset"],
-)  # fmt: skip
+)
 def test_planted_faults_are_found(tmp_path, effects, edit, kinds, words):
     path = tmp_path / "scene.xml"
     path.write_text(edit(text_of(*effects)), encoding="utf-8")
@@ -337,9 +371,16 @@ def test_light_goes_straight_from_wet_sides_to_the_hole(write, index):
 
     In air the sides are dry, and most light stays.
     """
-    numbers = {"n_crystal": 1.5, "n_window": 1.5, "n_gap": index, "collar_mm": 10.0,
-               "aperture_radius_mm": 7.0, "gap_mm": 0.02, "alpha_scat_per_cm": 0.0,
-               "alpha_abs_per_cm": 1.0}  # fmt: skip
+    numbers = {
+        "n_crystal": 1.5,
+        "n_window": 1.5,
+        "n_gap": index,
+        "collar_mm": 10.0,
+        "aperture_radius_mm": 7.0,
+        "gap_mm": 0.02,
+        "alpha_scat_per_cm": 0.0,
+        "alpha_abs_per_cm": 1.0,
+    }
     rng, count = np.random.default_rng(8), 400_000
     start = rng.random((3, count)) * 10.0 - [[5.0], [5.0], [0.0]]
     way = rng.standard_normal((3, count))
@@ -374,8 +415,13 @@ def test_what_comes_back_into_the_liquid_is_lost(write):
     scene = read_scene(write("creep"))
     for name in ("mask_offset", "housing_reflection"):
         scene = scene.edited(add(name, scene))
-    numbers = {"n_gap": 1.46, "collar_mm": 3.0, "mask_offset_mm": 4.0, "housing_reflectance": 1.0,
-               "aperture_radius_mm": 6.0}  # fmt: skip
+    numbers = {
+        "n_gap": 1.46,
+        "collar_mm": 3.0,
+        "mask_offset_mm": 4.0,
+        "housing_reflectance": 1.0,
+        "aperture_radius_mm": 6.0,
+    }
     ours = Simulation(scene, numbers, check=False).collect(2**21, seed=15)
     other = trace(Bench(**numbers), 400_000, 16)
     for fate in ("detected", "escaped"):

@@ -80,10 +80,12 @@ def boxed(tmp_path, phase="", **overrides) -> Simulation:
 
 def record(simulation, columns=(), *, seed, launches=64, alpha_scat=0.54, alpha_abs=0.039):
     return Recorder(simulation).record(
-        ScatteringProposals((alpha_scat,), (UNITS,), alpha_abs), launches * LANES,
-        seed=seed, number=0,
+        ScatteringProposals((alpha_scat,), (UNITS,), alpha_abs),
+        launches * LANES,
+        seed=seed,
+        number=0,
         columns=columns,
-    )  # fmt: skip
+    )
 
 
 def mean_per_photon(records, values):
@@ -222,15 +224,28 @@ def test_stock_media_scatter_as_ours_do(bench):
         '<medium type="homogeneous" id="crystal"><spectrum name="sigma_t" value="0.0579"/>'
         '<spectrum name="albedo" value="0.932642487"/>'
     )
-    theirs = bench("", GEL, [
-        (stock, homogeneous + HG.format(0.6)),
-        ('<default name="alpha_scat_per_cm" value="0.54"/>', ""),
-        ('<default name="alpha_abs_per_cm" value="0.039"/>', ""),
-    ])  # fmt: skip
+    theirs = bench(
+        "",
+        GEL,
+        [
+            (stock, homogeneous + HG.format(0.6)),
+            ('<default name="alpha_scat_per_cm" value="0.54"/>', ""),
+            ('<default name="alpha_abs_per_cm" value="0.039"/>', ""),
+        ],
+    )
     assert_same_light(ours, theirs.collect(500_000, seed=7), z_max=Z)
     with pytest.raises(InputError, match="phase functions isotropic, hg and rayleigh"):
-        bench("", None, [(_CRYSTAL, _CRYSTAL + '<phase type="tabphase">'
-                          '<string name="values" value="1, 2, 3"/></phase>')])  # fmt: skip
+        bench(
+            "",
+            None,
+            [
+                (
+                    _CRYSTAL,
+                    _CRYSTAL + '<phase type="tabphase">'
+                    '<string name="values" value="1, 2, 3"/></phase>',
+                )
+            ],
+        )
 
 
 # ---- rough and lossy surfaces -------------------------------------------------------------------
@@ -265,9 +280,26 @@ def test_facets_are_drawn_as_they_are_seen(cosine, alpha, beckmann):
 
 
 #: Roughness, negative of Beckmann's facets, and heights in nm, of faces in equilibrium.
-FACES = [(0.02, 0), (0.1, 0), (0.2, 0), (0.3, 0), (0.45, 0), (0.6, 0), (1.0, 0), (-0.02, 0),
-         (-0.1, 0), (-0.2, 0), (-0.3, 0), (-0.45, 0), (-0.6, 0), (-1.0, 0), (0, 2), (0, 10),
-         (0, 30), (0.2, 15)]  # fmt: skip
+FACES = [
+    (0.02, 0),
+    (0.1, 0),
+    (0.2, 0),
+    (0.3, 0),
+    (0.45, 0),
+    (0.6, 0),
+    (1.0, 0),
+    (-0.02, 0),
+    (-0.1, 0),
+    (-0.2, 0),
+    (-0.3, 0),
+    (-0.45, 0),
+    (-0.6, 0),
+    (-1.0, 0),
+    (0, 2),
+    (0, 10),
+    (0, 30),
+    (0.2, 15),
+]
 
 
 @pytest.mark.parametrize("contrast", [(2.01, 1.0), (2.01, 1.46), (1.82, 1.0003), (1.46, 1.0)])
@@ -281,8 +313,10 @@ def test_isotropic_light_in_equilibrium_stays_isotropic(contrast):
     count, bins = 1_000_000, np.linspace(0, 1, 11)
     for polarised in (False, True):
         for alpha, heights_nm in FACES[4 * polarised :: 1 + 5 * polarised]:
-            ways = [_through_a_face(*pair, alpha, heights_nm, count, polarised)
-                    for pair in (contrast, contrast[::-1])]  # fmt: skip
+            ways = [
+                _through_a_face(*pair, alpha, heights_nm, count, polarised)
+                for pair in (contrast, contrast[::-1])
+            ]
             flux = [n**2 * np.count_nonzero(way < 0) for n, way in zip(contrast, ways, strict=True)]
             sigma = np.hypot(*(1 / np.sqrt(f / n**2) for f, n in zip(flux, contrast, strict=True)))
             assert abs(flux[0] / flux[1] - 1) < 0.003 + 4 * sigma, (alpha, heights_nm, flux)
@@ -310,13 +344,19 @@ def _through_a_face(n_i, n_t, alpha, heights_nm, count, polarised):
     way = dielectric.split(direction, field, facing, ratio, cosine, rng.next_float32())
     if alpha:
         way = dielectric.walk_facets(
-            way, at_all, direction, field, facing, ratio, opaque([alpha]), haze, rng,
+            way,
+            at_all,
+            direction,
+            field,
+            facing,
+            ratio,
+            opaque([alpha]),
+            haze,
+            rng,
             beckmann=alpha < 0,
-        )  # fmt: skip
+        )
     elif heights_nm:
-        way = dielectric.scatter_by_haze(
-            way, haze, at_all, field, facing, ratio, cosine, rng
-        )  # fmt: skip
+        way = dielectric.scatter_by_haze(way, haze, at_all, field, facing, ratio, cosine, rng)
     height, reflected = np.array(way[0].z, dtype=float), np.array(way[2])
     assert np.all((height > 0) == reflected)
     return height
@@ -361,8 +401,9 @@ def test_both_paths_agree_on_rough_lossy_crystals_and_choosy_detectors(bench, po
 def test_births_fall_with_depth(bench, depth, side):
     """Kolmogorov and Smirnov at 1e-4, sampled directly and by rejection."""
     use_variant()
-    crystal = bench(*(("side", {"side_depth_mm": depth}) if side else
-                      ("depth", {"source_depth_mm": depth}))).crystal  # fmt: skip
+    crystal = bench(
+        *(("side", {"side_depth_mm": depth}) if side else ("depth", {"source_depth_mm": depth}))
+    ).crystal
     rng = lane_generators(50_000, 13)
     for point in (
         crystal.from_uniforms(*(rng.next_float32() for _ in range(3))),
@@ -416,8 +457,9 @@ def test_records_of_the_plain_bench_answer_for_effects(bench, unmasked):
 
 
 def test_hits_answer_for_other_reflectances(bench):
-    records = record(bench("detector", GEL | {"detector_reflectance": 0.5}),
-                     ("detector_hits",), seed=32)  # fmt: skip
+    records = record(
+        bench("detector", GEL | {"detector_reflectance": 0.5}), ("detector_hits",), seed=32
+    )
     hits = records.further["detector_hits"].astype(float)
     direct = bench("detector", GEL | {"detector_reflectance": 0.2}).collect(10**6, seed=33)
     assert_eta(records, 0.8 / 0.5 * 0.4**hits, direct)
@@ -494,14 +536,22 @@ OWN_INDEX = '<float name="cathode_n" value="2.5"/><float name="cathode_k" value=
 @pytest.mark.parametrize(
     ("polarization", "general", "index"),
     [
-        ("false", False, ""), ("false", True, ""), ("true", False, ""), ("true", True, ""),
+        ("false", False, ""),
+        ("false", True, ""),
+        ("true", False, ""),
+        ("true", True, ""),
         ("false", False, OWN_INDEX),
     ],
-)  # fmt: skip
+)
 def test_straight_light_on_a_photocathode(tmp_path, polarization, general, index):
-    turns = ["", '<rotate y="1" angle="90"/>', '<rotate y="1" angle="-90"/>',
-             '<rotate x="1" angle="90"/>', '<rotate x="1" angle="-90"/>',
-             '<rotate x="1" angle="180"/>']  # fmt: skip
+    turns = [
+        "",
+        '<rotate y="1" angle="90"/>',
+        '<rotate y="1" angle="-90"/>',
+        '<rotate x="1" angle="90"/>',
+        '<rotate x="1" angle="-90"/>',
+        '<rotate x="1" angle="180"/>',
+    ]
     faces = [
         f'<shape type="rectangle" id="face{i}"><transform name="to_world"><translate z="1"/>{turn}'
         f'<scale value="5"/></transform><ref id="{"film" if i == 5 else "black"}"/>'
@@ -522,20 +572,28 @@ def test_straight_light_on_a_photocathode(tmp_path, polarization, general, index
     reflected, transmitted = (part.mean(axis=0) for part in film.powers(cosine))
     for value, sigma, expected in (
         (found.eta, found.eta_sigma, down * film.absorptance(cosine) / film.head_on),
-        (found.budget["absorbed_surface"], found.budget_sigma["absorbed_surface"],
-         down * transmitted),
-        (found.budget["absorbed_reflector"], found.budget_sigma["absorbed_reflector"],
-         ~down + down * reflected),
-    ):  # fmt: skip
+        (
+            found.budget["absorbed_surface"],
+            found.budget_sigma["absorbed_surface"],
+            down * transmitted,
+        ),
+        (
+            found.budget["absorbed_reflector"],
+            found.budget_sigma["absorbed_reflector"],
+            ~down + down * reflected,
+        ),
+    ):
         error = expected.std() / np.sqrt(count)
         assert_compatible(value, sigma, expected.mean(), error, z_max=Z)
     assert found.eta == found.budget["detected"] / film.head_on
     assert sum(found.budget.values()) == pytest.approx(1, abs=1e-6)
     assert "absorbed_surface" in found.budget and "of light that arrives head-on" in found.notes[0]
     # records carry the same weights
-    records = simulation.launcher(general).launch(
-        2**17, seed=51, number=0, max_depth=100, columns=("arrival_cosine",)
-    ).records  # fmt: skip
+    records = (
+        simulation.launcher(general)
+        .launch(2**17, seed=51, number=0, max_depth=100, columns=("arrival_cosine",))
+        .records
+    )
     arrived = records["arrival_cosine"].astype(float)
     reflected, _ = (part.mean(axis=0) for part in film.powers(arrived))
     if polarization == "false":
@@ -600,19 +658,24 @@ def test_records_hold_what_is_asked_for(bench, tmp_path):
     further = record(simulation, wanted, seed=40, launches=1).further
     kinds = {name: column.dtype for name, column in further.items()}
     assert kinds == {
-        "arrival_cosine": np.float16, "detector_hits": np.uint8, "path_gap_cm": np.float16,
+        "arrival_cosine": np.float16,
+        "detector_hits": np.uint8,
+        "path_gap_cm": np.float16,
         "log_rayleigh": np.float32,
-    }  # fmt: skip
+    }
     with pytest.raises(InputError, match="no column 'path_crystal_cm'"):
         record(simulation, ("path_crystal_cm",), seed=40, launches=1)
     # counts stay at the largest number of their kind
     box = boxed(tmp_path).file.path
-    box.write_text(BOX.format(phase="").replace(
-        '<bsdf type="photodetector"/>',
-        '<bsdf type="photodetector"><float name="reflectance" value="0.995"/></bsdf>',
-    ))  # fmt: skip
-    hits = record(Simulation(box, check=False), ("detector_hits",), seed=41, launches=1,
-                  alpha_abs=0).further["detector_hits"]  # fmt: skip
+    box.write_text(
+        BOX.format(phase="").replace(
+            '<bsdf type="photodetector"/>',
+            '<bsdf type="photodetector"><float name="reflectance" value="0.995"/></bsdf>',
+        )
+    )
+    hits = record(
+        Simulation(box, check=False), ("detector_hits",), seed=41, launches=1, alpha_abs=0
+    ).further["detector_hits"]
     # of photons that leave with probability 0.005, 0.995^255 are sent back 255 times or more
     assert np.mean(hits == 255) == pytest.approx(0.995**255, abs=0.02)
 
@@ -623,9 +686,13 @@ def test_photons_that_do_the_same_have_the_same_numbers(bench):
     def etas(n_gap):
         simulation = bench("", {"n_gap": n_gap})
         found = transport.launch(
-            collection.choose_path(simulation.model, False), simulation.crystal,
-            plan_lanes(32 * LANES), seed=42, number=0, max_depth=200_000,
-        )  # fmt: skip
+            collection.choose_path(simulation.model, False),
+            simulation.crystal,
+            plan_lanes(32 * LANES),
+            seed=42,
+            number=0,
+            max_depth=200_000,
+        )
         return found.weights["detected"] / found.photons_per_batch
 
     one, other, air = etas(1.46), etas(1.461), etas(1.0)

@@ -54,9 +54,15 @@ def sampled(mi, emitter, count=50_000):
 
 
 @pytest.mark.parametrize(
-    "name", ["camoo4.xml", "camoo4_mask_at_detector.xml", "camoo4_wrapped.xml", "cawo4.xml",
-             "spectrophotometer.xml"],
-)  # fmt: skip
+    "name",
+    [
+        "camoo4.xml",
+        "camoo4_mask_at_detector.xml",
+        "camoo4_wrapped.xml",
+        "cawo4.xml",
+        "spectrophotometer.xml",
+    ],
+)
 def test_mitsuba_renders_a_shipped_scene(mi, load, scenes, name):
     scene = load(name)
     assert "LightMeter" in str(scene)
@@ -205,10 +211,11 @@ def run(*words) -> subprocess.CompletedProcess:
 
 def test_the_package_may_come_after_mitsubas_variant():
     done = run(
-        sys.executable, "-c",
+        sys.executable,
+        "-c",
         "import mitsuba as mi; mi.set_variant('llvm_ad_mono'); import mcrim_mitsuba\n"
         "print(mi.render(mi.load_file('scenes/camoo4.xml'), spp=20_000).shape)",
-    )  # fmt: skip
+    )
     assert done.stdout == "(1, 1, 1)\n", done.stderr
 
 

@@ -85,8 +85,11 @@ def test_total_reflection_traps_light_in_a_clear_rod_for_good(tmp_path, general)
     kept = 1 - 1 / 1.9**2  # least cosine squared of light that is let out
     trapped, _ = dblquad(
         lambda b, u: 4 / np.pi * np.sqrt(1 - b * b),
-        0, np.sqrt(kept), lambda u: np.sqrt(max(0.0, 1 - kept / (1 - u * u))), 1,
-    )  # fmt: skip
+        0,
+        np.sqrt(kept),
+        lambda u: np.sqrt(max(0.0, 1 - kept / (1 - u * u))),
+        1,
+    )
     sigma = np.sqrt(trapped * (1 - trapped) / result.photons)
     assert_compatible(result.budget["truncated"], sigma, trapped, z_max=Z)
 

@@ -41,9 +41,19 @@ from mcrim_mitsuba.transport.variants import use_variant
 COUPLINGS = (1.0, 1.46)
 #: From little to much of both, and the article's own values among them.
 PAIRS = [
-    (0.01, 0.01), (0.01, 0.1), (0.03, 0.039), (0.1, 0.014), (0.2, 0.072), (0.395, 0.014),
-    (0.54, 0.039), (0.709, 0.072), (1.0, 0.01), (1.6, 0.05), (3.0, 0.01), (3.0, 0.1),
-]  # fmt: skip
+    (0.01, 0.01),
+    (0.01, 0.1),
+    (0.03, 0.039),
+    (0.1, 0.014),
+    (0.2, 0.072),
+    (0.395, 0.014),
+    (0.54, 0.039),
+    (0.709, 0.072),
+    (1.0, 0.01),
+    (1.6, 0.05),
+    (3.0, 0.01),
+    (3.0, 0.1),
+]
 
 
 @pytest.fixture(scope="module")
@@ -303,11 +313,23 @@ TABLE = ["--alpha-scat", "0.05:2:20", "--alpha-abs", "0.014,0.072", "--n-gap", "
 def table(scenes, folder, cache, *options):
     """A process that writes a table, and where it writes it."""
     path = folder / "T.csv"
-    command = [sys.executable, "-m", "mcrim_mitsuba", "table", str(scenes / "camoo4.xml"), *TABLE,
-               "--photons", "1.5e6", "-o", str(path), *options]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "mcrim_mitsuba",
+        "table",
+        str(scenes / "camoo4.xml"),
+        *TABLE,
+        "--photons",
+        "1.5e6",
+        "-o",
+        str(path),
+        *options,
+    ]
     environment = {**os.environ, "MCRIM_CACHE": str(cache)}
-    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE,
-                            stderr=subprocess.PIPE), path  # fmt: skip
+    return subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ), path
 
 
 def test_killed_at_any_moment_the_next_run_goes_on(scenes, tmp_path):
@@ -347,9 +369,10 @@ def test_cache_knows_what_determines_records(bench, tmp_path, monkeypatch):
 
     def run(overrides=None, seed=1, photons=LANES, proposals=(0.3, 0.9)):
         made = RecordRun(
-            bench.with_overrides(overrides or {}), ScatteringProposals(proposals, (32, 32), 0.039),
+            bench.with_overrides(overrides or {}),
+            ScatteringProposals(proposals, (32, 32), 0.039),
             Run(seed=seed, check=False),
-        )  # fmt: skip
+        )
         made.extend(photons)
         return made
 
@@ -358,9 +381,11 @@ def test_cache_knows_what_determines_records(bench, tmp_path, monkeypatch):
     assert first.surface.evaluate(0.5, 0.05) == again.surface.evaluate(0.5, 0.05)
     assert run(photons=6 * LANES).cached_photons == 0  # another first launch
     for changed in (
-        {"overrides": {"n_gap": 1.46}}, {"seed": 2}, {"proposals": (0.3, 0.8)},
+        {"overrides": {"n_gap": 1.46}},
+        {"seed": 2},
+        {"proposals": (0.3, 0.8)},
         {"overrides": {"polarization": True}},
-    ):  # fmt: skip
+    ):
         assert run(**changed).cached_photons == 0, changed
 
 
@@ -372,8 +397,9 @@ def test_a_scene_edited_meanwhile_leaves_no_trace_in_the_cache(bench, tmp_path, 
     path.write_text(text)
     proposals = ScatteringProposals((0.5,), (UNITS,), 0.039)
     run = RecordRun(read_scene(path), proposals, Run(check=False))
-    path.write_text(text.replace('name="crystal_height_mm" value="10"',
-                                 'name="crystal_height_mm" value="20"'))  # fmt: skip
+    path.write_text(
+        text.replace('name="crystal_height_mm" value="10"', 'name="crystal_height_mm" value="20"')
+    )
     with pytest.raises(InputError, match="changed while it was being used"):
         run.extend(LANES)
     path.write_text(text)

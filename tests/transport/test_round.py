@@ -106,12 +106,18 @@ def test_a_standing_cylinder_as_the_numpy_tracer_has_it(scenes, n_gap):
     ("name", "form", "transport"),
     [
         ("cylinder", "cylinder of 10 mm diameter, 10 mm high", IN_REGISTERS),
-        ("hexagonal", "hexagonal prism, 10 mm across flats, 10 mm high",
-         "fast path for flat faces"),
-        ("pyramid", "cut square pyramid, 10 mm wide below and 6 mm above, 10 mm high",
-         "fast path for flat faces"),
+        (
+            "hexagonal",
+            "hexagonal prism, 10 mm across flats, 10 mm high",
+            "fast path for flat faces",
+        ),
+        (
+            "pyramid",
+            "cut square pyramid, 10 mm wide below and 6 mm above, 10 mm high",
+            "fast path for flat faces",
+        ),
     ],
-)  # fmt: skip
+)
 def test_mitsubas_own_intersections_agree(scenes, name, form, transport):
     simulation = Simulation(scenes / f"camoo4_{name}.xml", {"n_gap": 1.46})
     assert form_of(simulation.model, simulation.crystal.volume) == form
@@ -182,12 +188,18 @@ def test_a_sheet_around_a_cylinder_is_met_from_both_sides(scenes, tmp_path):
     ("old", "new", "words"),
     [
         ('"sides" value="6"', '"sides" value="40"', "sides is 40; give 3 to 12, or a cylinder"),
-        ('"outer_width" value="$window_width_mm"', '"outer_width" value="11"',
-         "a frame's hole reaches beyond its outer_width"),
-        ('"height" value="$crystal_height_mm"', '"height" value="0"',
-         "the width and the height of a prism must be positive"),
+        (
+            '"outer_width" value="$window_width_mm"',
+            '"outer_width" value="11"',
+            "a frame's hole reaches beyond its outer_width",
+        ),
+        (
+            '"height" value="$crystal_height_mm"',
+            '"height" value="0"',
+            "the width and the height of a prism must be positive",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_prism_is_refused(scenes, tmp_path, old, new, words):
     path = tmp_path / "prism.xml"
     path.write_text((scenes / "camoo4_hexagonal.xml").read_text().replace(old, new))
@@ -203,7 +215,7 @@ def test_what_is_no_prism_is_refused(scenes, tmp_path, old, new, words):
         ({"crystal_diameter_mm": 10.0, "crystal_length_mm": 9.0}, "wetted_width_mm = None"),
         ({"crystal_diameter_mm": 30.0}, "at least crystal_diameter_mm = 30"),
     ],
-)  # fmt: skip
+)
 def test_the_tracer_refuses_what_is_no_cylinder(numbers, words):
     with pytest.raises(InputError, match=words):
         Bench(**numbers)

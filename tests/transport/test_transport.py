@@ -79,9 +79,14 @@ def test_free_path_law_and_number_of_scatterings(scenes):
     )
     photons = 409_600
     found = transport.launch(
-        collection.choose_path(simulation.model, False), simulation.crystal, plan_lanes(photons),
-        seed=3, number=0, max_depth=2000, columns=(),
-    )  # fmt: skip
+        collection.choose_path(simulation.model, False),
+        simulation.crystal,
+        plan_lanes(photons),
+        seed=3,
+        number=0,
+        max_depth=2000,
+        columns=(),
+    )
     k = found.records["k"]
     ours = np.count_nonzero(k == 0) / photons
     position, direction, distance = from_box(np.random.default_rng(3), photons)
@@ -248,9 +253,12 @@ def test_fresnel_both_ways():
         for shift, crosses in ((1e-4, True), (-1e-4, False)):
             choice = expected + shift
             outcome = physics.interact(
-                rows, mi.Point3f(0.0), direction, None,
+                rows,
+                mi.Point3f(0.0),
+                direction,
+                None,
                 (mi.Float(choice), mi.Float(0.5), mi.Float(0.5)),
-            )  # fmt: skip
+            )
             possible = (choice > 0) & (choice < 1)
             assert np.all((np.array(outcome.crossed) == crosses)[possible])
             bent = np.array(outcome.direction)
@@ -275,9 +283,12 @@ def test_polarised_reflection_follows_the_amplitudes():
         expected = np.abs(r_s * c_s) ** 2 + np.abs(r_p * c_p) ** 2
         for shift in (1e-4, -1e-4):
             outcome = physics.interact(
-                rows, mi.Point3f(0.0), direction, field,
+                rows,
+                mi.Point3f(0.0),
+                direction,
+                field,
                 (mi.Float(expected + shift), mi.Float(0.5), mi.Float(0.5), mi.Float(0.0)),
-            )  # fmt: skip
+            )
             possible = (expected + shift > 0) & (expected + shift < 1)
             assert np.all((np.array(outcome.crossed) == (shift > 0))[possible])
         new = np.array(outcome.field.re) + 1j * np.array(outcome.field.im)

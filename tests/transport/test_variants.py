@@ -112,11 +112,29 @@ def test_a_gpus_photon_records_answer_like_the_processors(scenes, tmp_path, monk
     tables = []
     for variant, seed in ((PROCESSOR, "1"), (GPU, "2")):
         path = tmp_path / f"{variant}.csv"
-        assert main([
-            "table", str(scenes / "camoo4.xml"), "--alpha-scat", "0.1,0.54", "--alpha-abs",
-            "0.014,0.039", "--n-gap", "1.0,1.46", "--photons", "4e6", "--seed", seed,
-            "--variant", variant, "-o", str(path),
-        ]) == 0  # fmt: skip
+        assert (
+            main(
+                [
+                    "table",
+                    str(scenes / "camoo4.xml"),
+                    "--alpha-scat",
+                    "0.1,0.54",
+                    "--alpha-abs",
+                    "0.014,0.039",
+                    "--n-gap",
+                    "1.0,1.46",
+                    "--photons",
+                    "4e6",
+                    "--seed",
+                    seed,
+                    "--variant",
+                    variant,
+                    "-o",
+                    str(path),
+                ]
+            )
+            == 0
+        )
         tables.append(np.genfromtxt(path, delimiter=",", names=True, comments="#"))
     one, other = tables
     error = np.hypot(one["eta_sigma"], other["eta_sigma"])
@@ -212,10 +230,14 @@ def test_records_of_another_gpu_are_not_taken(monkeypatch):
     """CUDA and the GPU's kind decide how kernels are compiled: they are part of a cache's key."""
     known = []
     for version, capability in (((12, 4), 90), ((12, 8), 90), ((12, 4), 120)):
-        detail = type("Detail", (), {
-            "cuda_version": staticmethod(lambda version=version: version),
-            "cuda_compute_capability": staticmethod(lambda capability=capability: capability),
-        })  # fmt: skip
+        detail = type(
+            "Detail",
+            (),
+            {
+                "cuda_version": staticmethod(lambda version=version: version),
+                "cuda_compute_capability": staticmethod(lambda capability=capability: capability),
+            },
+        )
         monkeypatch.setattr(sys.modules["drjit"], "detail", detail)
         known.append(record_versions(GPU))
     assert known[0]["cuda"] == "12.4" and known[0]["compute_capability"] == "9.0"

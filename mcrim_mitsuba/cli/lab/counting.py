@@ -40,14 +40,19 @@ class _Window(options.Written):
 @click.command(short_help="Centroid of the main peak of histograms, photons per event.")
 @click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILE...")
 @click.option(
-    "--shape", default="auto", show_default=True, metavar="|".join(_SHAPES),
+    "--shape",
+    default="auto",
+    show_default=True,
+    metavar="|".join(_SHAPES),
     help="Of the band. counting: whole photons of a mean number that varies from event to event; "
     "auto: counting for bins of whole numbers, otherwise gaussian.",
-)  # fmt: skip
+)
 @click.option(
-    "--window", type=_Window(), metavar="LOW:HIGH",
+    "--window",
+    type=_Window(),
+    metavar="LOW:HIGH",
     help="Bins to fit, in photons (default: chosen about the peak).",
-)  # fmt: skip
+)
 @options.file(
     "--map",
     "Map of eta by `mcrim simulate --map`: split the peaks' widths into counted photoelectrons, "
@@ -122,11 +127,13 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
     }
     pictures = {"histograms": lambda: draw_histograms(fitted)}
     widths = {
-        name: [width_parts(one, each.source, each.relative_rms, each.relative_rms_sigma)
-               for each in spreads]
+        name: [
+            width_parts(one, each.source, each.relative_rms, each.relative_rms_sigma)
+            for each in spreads
+        ]
         for name, one in peaks.items()
         if spreads
-    }  # fmt: skip
+    }
     if widths:
         pictures["widths"] = lambda: draw_widths(widths)
         document["widths"] = [
@@ -138,10 +145,11 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
     if without:
         raise InputError(
             "no peak stands out",
-            "measure longer, or show where it is with --window" if window is None
+            "measure longer, or show where it is with --window"
+            if window is None
             else "let --window have the whole peak, and some background beside it",
             path=without[0].histogram.path,
-        )  # fmt: skip
+        )
 
 
 def _spreads(map_file: str | None, depth_mm: float, deposits: str | None):
@@ -169,8 +177,9 @@ def _refuse_duplicates(files: tuple[str, ...]) -> None:
     same = resolved(Path(first)) == resolved(Path(second))
     raise InputError(
         "the file is given twice" if same else f"it holds the same bytes as {first}",
-        "name each mounting once", path=second,
-    )  # fmt: skip
+        "name each mounting once",
+        path=second,
+    )
 
 
 def _notes(combined, outliers: list[str]) -> list[str]:
@@ -229,24 +238,54 @@ class _Number(options.Written):
 
 
 @click.command(short_help="Synthetic histogram of photons per event.")
-@click.option("--mean", type=_Number("mean_photons"), required=True, metavar="PHOTONS",
-              help="Mean number of photons of the band's events.")  # fmt: skip
-@click.option("--events", type=_Number("peak_events"), metavar="COUNT",
-              help=f"Events of the band (default: {_EVENTS:.0f}).")  # fmt: skip
-@click.option("--rate", type=_Number(), metavar="PER_S",
-              help="Events of the band per second, instead of --events.")  # fmt: skip
-@click.option("--minutes", type=_Number(), metavar="MINUTES",
-              help=f"Time of the measurement, with --rate (default: {_MINUTES:g}).")  # fmt: skip
-@click.option("--spread", type=_Number("intrinsic_spread", percent=True), default="10%",
-              show_default=True, metavar="FRACTION",
-              help="Relative standard deviation of an event's light, besides the counting of "
-              "its photons: 0.1 or 10%.")  # fmt: skip
-@click.option("--dark", type=_Number("dark_photons"), default=0.0, show_default=True,
-              metavar="PHOTONS",
-              help="Mean number of dark counts per event: dark rate times gate; they add to the "
-              "mean.")  # fmt: skip
-@click.option("--list", "as_list", is_flag=True,
-              help="Write the photons of every event, one a line, instead of bins.")  # fmt: skip
+@click.option(
+    "--mean",
+    type=_Number("mean_photons"),
+    required=True,
+    metavar="PHOTONS",
+    help="Mean number of photons of the band's events.",
+)
+@click.option(
+    "--events",
+    type=_Number("peak_events"),
+    metavar="COUNT",
+    help=f"Events of the band (default: {_EVENTS:.0f}).",
+)
+@click.option(
+    "--rate",
+    type=_Number(),
+    metavar="PER_S",
+    help="Events of the band per second, instead of --events.",
+)
+@click.option(
+    "--minutes",
+    type=_Number(),
+    metavar="MINUTES",
+    help=f"Time of the measurement, with --rate (default: {_MINUTES:g}).",
+)
+@click.option(
+    "--spread",
+    type=_Number("intrinsic_spread", percent=True),
+    default="10%",
+    show_default=True,
+    metavar="FRACTION",
+    help="Relative standard deviation of an event's light, besides the counting of "
+    "its photons: 0.1 or 10%.",
+)
+@click.option(
+    "--dark",
+    type=_Number("dark_photons"),
+    default=0.0,
+    show_default=True,
+    metavar="PHOTONS",
+    help="Mean number of dark counts per event: dark rate times gate; they add to the mean.",
+)
+@click.option(
+    "--list",
+    "as_list",
+    is_flag=True,
+    help="Write the photons of every event, one a line, instead of bins.",
+)
 @options.seed
 @options.output("FILE", "CSV to write; - for the screen.", required=True)
 @options.json_output
@@ -302,7 +341,7 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
             ),
             "seed": seed,
         },
-    )  # fmt: skip
+    )
     screen = terminal.console(json_file, path)
     if path not in STDOUT:
         screen.line(f"{len(rows)} {'events' if as_list else 'bins'} written to {path}")

@@ -15,26 +15,42 @@ from mcrim_mitsuba.output.documents import of_contributions
 
 @click.command("yield", short_help="Light yield by Eq. 2, with its error budget.")
 @click.option(
-    "--signal", "signals", type=WithError(), multiple=True, required=True,
+    "--signal",
+    "signals",
+    type=WithError(),
+    multiple=True,
+    required=True,
     help="Photons (photoelectrons) per event; again for every further coupling.",
-)  # fmt: skip
+)
 @click.option(
-    "--eta", "etas", type=WithError(fraction=True), multiple=True, required=True,
+    "--eta",
+    "etas",
+    type=WithError(fraction=True),
+    multiple=True,
+    required=True,
     help="Light collection efficiency (0.25 or 25%), in the order of the signals; its error "
     "counts as common to all couplings.",
-)  # fmt: skip
+)
 @click.option(
-    "--label", "labels", multiple=True, metavar="TEXT",
+    "--label",
+    "labels",
+    multiple=True,
+    metavar="TEXT",
     help="Name of the coupling, in the order of the signals.",
-)  # fmt: skip
+)
 @click.option(
-    "--efficiency", type=WithError(fraction=True), required=True,
+    "--efficiency",
+    type=WithError(fraction=True),
+    required=True,
     help="Emission-weighted detector efficiency (0.127 or 12.7%), common to all couplings.",
-)  # fmt: skip
+)
 @click.option(
-    "--energy-keV", "energy_keV", type=WithError(), required=True,
+    "--energy-keV",
+    "energy_keV",
+    type=WithError(),
+    required=True,
     help="Energy deposited per event, keV.",
-)  # fmt: skip
+)
 @options.json_output
 def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> None:
     """Light yield (photons per keV) by Eq. 2, Y = N / (epsilon eta E), with its error budget.
@@ -58,9 +74,11 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     # energies of sources are exact beside all else
     given = {"--signal": signals, "--eta": etas, "--efficiency": (efficiency,)}
     lacking = [option for option, numbers in given.items() if not all(n.sigma for n in numbers)]
-    notes = [
-        f"{' and '.join(lacking)} came without an error (as in 14.3±0.2): the budget lacks it"
-    ] if lacking else []  # fmt: skip
+    notes = (
+        [f"{' and '.join(lacking)} came without an error (as in 14.3±0.2): the budget lacks it"]
+        if lacking
+        else []
+    )
     notes.append(
         "--efficiency counts as that of light inside the window: measured in air it has the "
         "window's reflection in it, and the yield is lower by that (4.26 % at n = 1.52)"
@@ -83,9 +101,14 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     document = {
         "yields": [
             {
-                "label": label, "signal": signal[0], "signal_sigma": signal[1],
-                "eta": eta[0], "eta_sigma": eta[1], "weight": weight,
-                **_yield_json(found), "budget": of_contributions(budgets[label]),
+                "label": label,
+                "signal": signal[0],
+                "signal_sigma": signal[1],
+                "eta": eta[0],
+                "eta_sigma": eta[1],
+                "weight": weight,
+                **_yield_json(found),
+                "budget": of_contributions(budgets[label]),
             }
             for (label, (signal, eta, found)), weight in zip(
                 couplings.items(), together.weights, strict=True
@@ -95,7 +118,7 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
         "budget": of_contributions(list(budgets.values())[-1]),
         **attributes(together, "chi2 ndf p_value"),
         "notes": notes,
-    }  # fmt: skip
+    }
     described = descriptions.of_yields(couplings, together, budgets, notes)
     showing.answer(mcrim.Answer(together, described, document), json_file)
 
@@ -118,9 +141,12 @@ def _labels(signals, etas, labels: tuple[str, ...]) -> tuple[str, ...]:
 
 def _yield_json(known) -> dict:
     return attributes(
-        known, light_yield_ph_per_keV="value", sigma="sigma", statistical="statistical_sigma",
+        known,
+        light_yield_ph_per_keV="value",
+        sigma="sigma",
+        statistical="statistical_sigma",
         systematic="systematic_sigma",
-    )  # fmt: skip
+    )
 
 
 @click.command(short_help="Light yield of a sample against a reference crystal, Eq. 7.")
@@ -141,8 +167,9 @@ def relative(file, json_file) -> None:
     read = read_comparison(file)
     found = relative_yield(read.sample, read.reference, read.reference_yield, read.shared)
     budgets = {
-        "nothing shared": budget_of(found.uncorrelated), "Y": budget_of(found.light_yield),
-    }  # fmt: skip
+        "nothing shared": budget_of(found.uncorrelated),
+        "Y": budget_of(found.light_yield),
+    }
     document = {
         **_yield_json(found.light_yield),
         "sigma_ignoring_shared": found.uncorrelated.sigma,

@@ -22,9 +22,12 @@ from mcrim_mitsuba.scene.values import SEPARATOR, material_at
 @click.argument("emission", type=click.Path(path_type=str))
 @click.argument("quantum_efficiency", type=click.Path(path_type=str))
 @click.option(
-    "--scale-sigma", type=Share(), default="5%", show_default=True,
+    "--scale-sigma",
+    type=Share(),
+    default="5%",
+    show_default=True,
     help="Relative error that all points of the quantum efficiency share.",
-)  # fmt: skip
+)
 @options.figure("both curves with their product and the weighted mean")
 @options.json_output
 def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> None:
@@ -46,12 +49,14 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
     found = detector_efficiency(light, curve, scale_sigma)
     notes = [*light.notes, *curve.notes, *found.notes]
     document = {
-        "emission": emission, "quantum_efficiency": quantum_efficiency,
+        "emission": emission,
+        "quantum_efficiency": quantum_efficiency,
         "scale_sigma": scale_sigma,
         **attributes(found, detector_efficiency="value", detector_efficiency_sigma="sigma"),
         **attributes(found, "contributions spread"),
-        "outside": found.mean.outside, "notes": notes,
-    }  # fmt: skip
+        "outside": found.mean.outside,
+        "notes": notes,
+    }
 
     def drawn():
         from mcrim_mitsuba.output.laboratory_figures import draw_efficiency
@@ -69,30 +74,65 @@ _INDEX_LIKE = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 
 @click.command(short_help="Absorption from the transmittance of a polished sample.")
 @click.argument("transmittance", nargs=-1, required=True, metavar="T_OR_FILE...")
-@click.option("--thickness-mm", type=options.Number(), required=True, metavar="MM",
-              help="Thickness of the sample, mm.")  # fmt: skip
-@click.option("--n", "index", required=True, metavar="INDEX",
-              help="Refractive index, a number or a material such as CaMoO4.")  # fmt: skip
-@click.option("--n-sigma", type=options.Number(), metavar="ERROR",
-              help="Standard error of the index (default: the material's, or 0).")  # fmt: skip
-@click.option("--sigma", type=Share(), default="0",
-              help="Standard error that all readings share, 0.005 or 0.5% of full "
-              "transmission.")  # fmt: skip
-@click.option("--thickness-sigma-mm", type=options.Number(), default=0.0, metavar="MM",
-              help="Standard error of the thickness, mm.")  # fmt: skip
+@click.option(
+    "--thickness-mm",
+    type=options.Number(),
+    required=True,
+    metavar="MM",
+    help="Thickness of the sample, mm.",
+)
+@click.option(
+    "--n",
+    "index",
+    required=True,
+    metavar="INDEX",
+    help="Refractive index, a number or a material such as CaMoO4.",
+)
+@click.option(
+    "--n-sigma",
+    type=options.Number(),
+    metavar="ERROR",
+    help="Standard error of the index (default: the material's, or 0).",
+)
+@click.option(
+    "--sigma",
+    type=Share(),
+    default="0",
+    help="Standard error that all readings share, 0.005 or 0.5% of full transmission.",
+)
+@click.option(
+    "--thickness-sigma-mm",
+    type=options.Number(),
+    default=0.0,
+    metavar="MM",
+    help="Standard error of the thickness, mm.",
+)
 @options.file("--emission", "Emission spectrum to average over.")
 @options.file(
     "--quantum-efficiency", "Of the detector: the average is then over the light that it sees."
 )
-@click.option("--nm", "wavelength_nm", type=options.Number(), metavar="NM",
-              help="Wavelength at which spectra or a material's index are taken, instead of "
-              "--emission.")  # fmt: skip
+@click.option(
+    "--nm",
+    "wavelength_nm",
+    type=options.Number(),
+    metavar="NM",
+    help="Wavelength at which spectra or a material's index are taken, instead of --emission.",
+)
 @options.figure("transmittances and coefficients over wavelength")
 @options.json_output
 def absorption(
-    transmittance, thickness_mm, index, n_sigma, sigma, thickness_sigma_mm, emission,
-    quantum_efficiency, wavelength_nm, figure, json_file,
-) -> None:  # fmt: skip
+    transmittance,
+    thickness_mm,
+    index,
+    n_sigma,
+    sigma,
+    thickness_sigma_mm,
+    emission,
+    quantum_efficiency,
+    wavelength_nm,
+    figure,
+    json_file,
+) -> None:
     r"""Absorption coefficient from the transmittance of a polished sample in air (Eq. 4).
 
     \b
@@ -134,24 +174,34 @@ def absorption(
     spectra = read_spectra(files, "transmittance")
     readings = [parse_share("the transmittance", text) for text in numbers]
     found = absorption_from_transmittance(
-        spectra or readings, n, thickness_mm, transmittance_sigma=sigma, n_sigma=n_sigma,
-        thickness_sigma_mm=thickness_sigma_mm, emission=light, wavelength_nm=wavelength_nm,
-    )  # fmt: skip
+        spectra or readings,
+        n,
+        thickness_mm,
+        transmittance_sigma=sigma,
+        n_sigma=n_sigma,
+        thickness_sigma_mm=thickness_sigma_mm,
+        emission=light,
+        wavelength_nm=wavelength_nm,
+    )
     notes = [*of_light, *notes, *(note for each in spectra for note in each.notes), *found.notes]
     if not any(part > 0 for origin, part in found.contributions.items() if origin != EMISSION):
         notes.append("no error is given: give --sigma, --n-sigma or --thickness-sigma-mm")
     article = _beside_the_article(readings, n, thickness_mm)
     document = {
-        "transmittance": readings or files, "n": found.n, "n_sigma": n_sigma,
-        "thickness_mm": thickness_mm, "alpha_abs_per_cm": found.alpha_abs_per_cm,
+        "transmittance": readings or files,
+        "n": found.n,
+        "n_sigma": n_sigma,
+        "thickness_mm": thickness_mm,
+        "alpha_abs_per_cm": found.alpha_abs_per_cm,
         "alpha_abs_sigma_per_cm": found.sigma,
         **attributes(
             found,
             "contributions internal_transmittance internal_transmittance_sigma each_per_cm "
             "spread_orientations_per_cm spread_band_per_cm apparent_per_cm",
         ),
-        "article": article, "notes": notes,
-    }  # fmt: skip
+        "article": article,
+        "notes": notes,
+    }
 
     def drawn():
         from mcrim_mitsuba.output.laboratory_figures import draw_absorption
@@ -159,10 +209,14 @@ def absorption(
         named = [(Path(file).stem, known) for file, known in zip(files, spectra, strict=True)]
         return draw_absorption(named, n, found, light)
 
-    beside = "" if article is None else (
-        f"the article ({article['where']}) has {100 * article['internal_transmittance']:.0f} % "
-        f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
-    )  # fmt: skip
+    beside = (
+        ""
+        if article is None
+        else (
+            f"the article ({article['where']}) has {100 * article['internal_transmittance']:.0f} % "
+            f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
+        )
+    )
     described = descriptions.of_absorption(found, transmittance, beside, notes)
     answer = mcrim.Answer(found, described, document, {"absorption": drawn})
     showing.answer(answer, json_file, figure)
@@ -205,8 +259,13 @@ _USUAL_NM = 540.0
 
 @click.command(short_help="Refractive index of a material; without one, the catalogue.")
 @click.argument("material", required=False)
-@click.option("--nm", "wavelength_nm", type=options.Number(1, 1e6), metavar="NM",
-              help=f"Wavelength in nm (default: {_USUAL_NM:g}).")  # fmt: skip
+@click.option(
+    "--nm",
+    "wavelength_nm",
+    type=options.Number(1, 1e6),
+    metavar="NM",
+    help=f"Wavelength in nm (default: {_USUAL_NM:g}).",
+)
 @options.file("--emission", "Emission spectrum to average the index over, instead of --nm.")
 @options.json_output
 def index(material, wavelength_nm, emission, json_file) -> None:
@@ -269,10 +328,14 @@ def _at(name: str, wavelength_nm: float) -> mcrim.Answer:
     n, difference = float(known.index(wavelength_nm)), float(known.birefringence(wavelength_nm))
     ordinary = float(known.ordinary.index(wavelength_nm, known.name))
     document = {
-        **_json(known), "wavelength_nm": wavelength_nm, "n": n, "n_ordinary": ordinary,
+        **_json(known),
+        "wavelength_nm": wavelength_nm,
+        "n": n,
+        "n_ordinary": ordinary,
         "n_extraordinary": None if known.extraordinary is None else ordinary + difference,
-        "birefringence": difference, "notes": [],
-    }  # fmt: skip
+        "birefringence": difference,
+        "notes": [],
+    }
     said = [f"n = {n:.5f} ± {known.sigma:g} at {wavelength_nm:g} nm"]
     scene = f'in a scene: value="{known.name}@{wavelength_nm:g}nm"'
     described = descriptions.of_index(known, said, ordinary, difference, scene)
@@ -288,14 +351,19 @@ def _over(name: str, emission: str) -> mcrim.Answer:
     band = index_over(name, spectrum)
     known, notes = band.material, [*spectrum.notes, *band.notes]
     document = {
-        **_json(known), "emission": emission,
+        **_json(known),
+        "emission": emission,
         **attributes(
-            band, n="mean", n_sigma="sigma", spread="spread", n_ordinary="ordinary_mean",
+            band,
+            n="mean",
+            n_sigma="sigma",
+            spread="spread",
+            n_ordinary="ordinary_mean",
             n_extraordinary="extraordinary_mean",
         ),
         **attributes(band, "birefringence mean_wavelength_nm outside outside_sigma"),
         "notes": notes,
-    }  # fmt: skip
+    }
     said = [
         f"n = {pdg(band.mean, band.sigma)}, mean over {emission}",
         f"spread over the band {band.spread:.4f} (standard deviation); mean wavelength "
@@ -313,10 +381,11 @@ def _json(known) -> dict:
     shortest, longest = known.range_nm
     return {
         **attributes(known, material="name", what="what", source="source"),
-        "shortest_nm": shortest, "longest_nm": longest,
+        "shortest_nm": shortest,
+        "longest_nm": longest,
         **attributes(known, n_sigma="sigma", formula="formula"),
         "density_g_per_cm3": known.density_g_per_cm3,
-    }  # fmt: skip
+    }
 
 
 _DEPTHS_MM = (1.0, 2.0, 5.0, 10.0)
@@ -324,10 +393,21 @@ _DEPTHS_MM = (1.0, 2.0, 5.0, 10.0)
 
 @click.command(short_help="Depth at which gammas stop in a crystal: a prior.")
 @click.argument("formula")
-@click.option("--energy-keV", "energy_keV", type=options.Number(), required=True, metavar="KEV",
-              help="Energy of the gammas, keV.")  # fmt: skip
-@click.option("--density-g-per-cm3", "density", type=options.Number(), metavar="DENSITY",
-              help="Density in g/cm3 (default: that of the catalogue's material).")  # fmt: skip
+@click.option(
+    "--energy-keV",
+    "energy_keV",
+    type=options.Number(),
+    required=True,
+    metavar="KEV",
+    help="Energy of the gammas, keV.",
+)
+@click.option(
+    "--density-g-per-cm3",
+    "density",
+    type=options.Number(),
+    metavar="DENSITY",
+    help="Density in g/cm3 (default: that of the catalogue's material).",
+)
 @options.json_output
 def gammas(formula, energy_keV, density, json_file) -> None:
     """Where gammas stop in a crystal of a chemical FORMULA: the prior of source_depth_mm.

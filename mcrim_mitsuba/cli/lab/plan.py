@@ -20,30 +20,79 @@ _LARGEST_COUNT, _MOST_MOUNTINGS = 1e12, 10_000
 
 @click.command(short_help="How many events, mountings and which couplings are needed.")
 @options.campaign
-@click.option("--yield-error", "wanted", type=options.Precision(), default="10%", show_default=True,
-              help="Wanted error of the light yield.")  # fmt: skip
-@click.option("--n-gap", default=_COUPLINGS, show_default=True, metavar="LIST",
-              help="Couplings to choose from, such as 1.0,glycerol@540nm; 8 at most; every set is "
-                   "tried.")  # fmt: skip
-@click.option("--events", default=_EVENTS, show_default=True, metavar="LIST",
-              help="Events in the band of each mounting's histogram.")  # fmt: skip
-@click.option("--mountings", default=_MOUNTINGS, show_default=True, metavar="LIST",
-              help="Mountings of each coupling.")  # fmt: skip
-@click.option("--rate", type=options.Number(1e-6, 1e9), metavar="PER_S", default=30.0,
-              show_default=True, help="Events in the band per second.")  # fmt: skip
-@click.option("--minutes", type=options.Number(0.0, 1e6), metavar="MINUTES", default=30.0,
-              show_default=True,
-              help="Time of a mounting besides the counting, in minutes.")  # fmt: skip
-@click.option("--scatter", type=options.Precision(),
-              help="Scatter of the signal from mounting to mounting (default: that of the "
-                   "campaign's histograms; without any 2.8%, the article's).")  # fmt: skip
-@click.option("--spread", type=options.Precision(),
-              help="Spread of an event's light besides the counting (default: that of the "
-                   "campaign's histograms; without any 10%).")  # fmt: skip
+@click.option(
+    "--yield-error",
+    "wanted",
+    type=options.Precision(),
+    default="10%",
+    show_default=True,
+    help="Wanted error of the light yield.",
+)
+@click.option(
+    "--n-gap",
+    default=_COUPLINGS,
+    show_default=True,
+    metavar="LIST",
+    help="Couplings to choose from, such as 1.0,glycerol@540nm; 8 at most; every set is tried.",
+)
+@click.option(
+    "--events",
+    default=_EVENTS,
+    show_default=True,
+    metavar="LIST",
+    help="Events in the band of each mounting's histogram.",
+)
+@click.option(
+    "--mountings",
+    default=_MOUNTINGS,
+    show_default=True,
+    metavar="LIST",
+    help="Mountings of each coupling.",
+)
+@click.option(
+    "--rate",
+    type=options.Number(1e-6, 1e9),
+    metavar="PER_S",
+    default=30.0,
+    show_default=True,
+    help="Events in the band per second.",
+)
+@click.option(
+    "--minutes",
+    type=options.Number(0.0, 1e6),
+    metavar="MINUTES",
+    default=30.0,
+    show_default=True,
+    help="Time of a mounting besides the counting, in minutes.",
+)
+@click.option(
+    "--scatter",
+    type=options.Precision(),
+    help="Scatter of the signal from mounting to mounting (default: that of the "
+    "campaign's histograms; without any 2.8%, the article's).",
+)
+@click.option(
+    "--spread",
+    type=options.Precision(),
+    help="Spread of an event's light besides the counting (default: that of the "
+    "campaign's histograms; without any 10%).",
+)
 @options.figure("the error of the light yield over events, for each set of couplings")
 @options.work
-def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spread, figure,
-         json_file, work) -> None:  # fmt: skip
+def plan(
+    campaign,
+    wanted,
+    n_gap,
+    events,
+    mountings,
+    rate,
+    minutes,
+    scatter,
+    spread,
+    figure,
+    json_file,
+    work,
+) -> None:
     """Plan a measurement: how many events, mountings and which couplings CAMPAIGN (TOML) needs.
 
     From the campaign's solution the model predicts what every set of couplings would bring; its
@@ -61,15 +110,25 @@ def plan(campaign, wanted, n_gap, events, mountings, rate, minutes, scatter, spr
     read = showing.read_campaign(campaign, json_file, figure, inputs=spectra)
     terminal.console(json_file).say_notes(comma)
     conditions = dataclasses.replace(
-        measured_conditions(read), events_per_second=rate, minutes_per_mounting=minutes,
-        **{name: value for name, value in (("mounting_scatter", scatter),
-                                           ("intrinsic_spread", spread)) if value is not None},
-    )  # fmt: skip
+        measured_conditions(read),
+        events_per_second=rate,
+        minutes_per_mounting=minutes,
+        **{
+            name: value
+            for name, value in (("mounting_scatter", scatter), ("intrinsic_spread", spread))
+            if value is not None
+        },
+    )
     with work.begin() as run:
         found = mcrim.plan(
-            read, wanted, n_gap=couplings, mountings=times, events=counts, conditions=conditions,
+            read,
+            wanted,
+            n_gap=couplings,
+            mountings=times,
+            events=counts,
+            conditions=conditions,
             run=run,
-        )  # fmt: skip
+        )
     showing.answer(found, json_file, figure)
 
 

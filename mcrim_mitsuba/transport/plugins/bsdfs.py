@@ -178,9 +178,13 @@ class Photodetector(mi.BSDF):
         return mi.depolarizer(mi.UnpolarizedSpectrum(self.reflectance))
 
     traverse, to_string = described(
-        "reflectance", "specular", "cathode_nm", "angular_falloff", "radial_falloff",
+        "reflectance",
+        "specular",
+        "cathode_nm",
+        "angular_falloff",
+        "radial_falloff",
         "acceptance_deg",
-    )  # fmt: skip
+    )
 
 
 mi.register_bsdf("photodetector", Photodetector)

@@ -117,9 +117,14 @@ class LyingMantle(_Lying):
         is_wet, level = keep == "wet", float(_height(radius, wet))
         circle = Circle((0.0, radius), radius, axis=0)
         self.wall = RoundWall(
-            circle, -length / 2, length / 2, -1, outwards=True,
-            below_mm=level if is_wet else None, above_mm=None if is_wet else level,
-        )  # fmt: skip
+            circle,
+            -length / 2,
+            length / 2,
+            -1,
+            outwards=True,
+            below_mm=level if is_wet else None,
+            above_mm=None if is_wet else level,
+        )
         edge = float(np.arcsin(wet / radius))
         # from the lowest line on, against the clock seen from +x
         start, end = (-edge, edge) if is_wet else (edge, 2.0 * np.pi - edge)
@@ -127,10 +132,16 @@ class LyingMantle(_Lying):
         y, z = radius * np.sin(angle), radius * (1.0 - np.cos(angle))
         half = length / 2
         return [
-            np.array([(half, y[i], z[i]), (-half, y[i], z[i]),
-                      (-half, y[i + 1], z[i + 1]), (half, y[i + 1], z[i + 1])])
+            np.array(
+                [
+                    (half, y[i], z[i]),
+                    (-half, y[i], z[i]),
+                    (-half, y[i + 1], z[i + 1]),
+                    (half, y[i + 1], z[i + 1]),
+                ]
+            )
             for i in range(len(angle) - 1)
-        ]  # fmt: skip
+        ]
 
 
 class LyingFillet(_Lying):
@@ -155,9 +166,11 @@ class LyingFillet(_Lying):
         low = np.array([-half, -wet, -thickness])
         circle = Circle((0.0, radius), radius, inside=False, axis=0)
         self.round_faces = (
-            (low, x, z, None), (low + y, z, x, None),
-            (low, z, y, circle), (low + x, y, z, circle),
-        )  # fmt: skip
+            (low, x, z, None),
+            (low + y, z, x, None),
+            (low, z, y, circle),
+            (low + x, y, z, circle),
+        )
         walls: Sequence = [
             np.array([low, low + x, low + x + z, low + z]),
             np.array([low + y, low + y + z, low + y + z + x, low + y + x]),
@@ -166,14 +179,22 @@ class LyingFillet(_Lying):
         under = [(at, float(_height(radius, at))) for at in across]
         ends = []
         for (one, up), (other, next_up) in itertools.pairwise(under):
-            end = np.array([(half, one, -thickness), (half, other, -thickness),
-                            (half, other, next_up), (half, one, up)])  # fmt: skip
+            end = np.array(
+                [
+                    (half, one, -thickness),
+                    (half, other, -thickness),
+                    (half, other, next_up),
+                    (half, one, up),
+                ]
+            )
             ends += [end, (end * (-1.0, 1.0, 1.0))[::-1]]
         return [*walls, *ends]
 
 
 for _shape, _name in {
-    Polygon: "polygon", PrismSides: "prism_sides", LyingMantle: "lying_mantle",
+    Polygon: "polygon",
+    PrismSides: "prism_sides",
+    LyingMantle: "lying_mantle",
     LyingFillet: "lying_fillet",
-}.items():  # fmt: skip
+}.items():
     mi.register_shape(_name, _shape)

@@ -207,9 +207,7 @@ class PanelShape(Polygons):
         if inside:
             half = half * (2.0 * radius / width)
         circle = Circle((float(middle[0]), float(middle[1])), radius, inside)
-        self.round_faces = (
-            (middle - half[0] - half[1], 2.0 * half[0], 2.0 * half[1], circle),
-        )  # fmt: skip
+        self.round_faces = ((middle - half[0] - half[1], 2.0 * half[0], 2.0 * half[1], circle),)
         ring = _ring(2.0 * radius / width)
         ring = np.column_stack([ring, np.zeros(len(ring))])
         return [ring] if inside else _square_around(ring, 1.0)
@@ -537,7 +535,12 @@ class BeamDetector(Polygons):
 
 
 for _shape, _name in {
-    PanelShape: "panel", Frame: "frame", GapSides: "gap_sides", Chamfers: "chamfers",
-    RoundWallShape: "round_wall", Wrapping: "wrapping", BeamDetector: "beam_detector",
-}.items():  # fmt: skip
+    PanelShape: "panel",
+    Frame: "frame",
+    GapSides: "gap_sides",
+    Chamfers: "chamfers",
+    RoundWallShape: "round_wall",
+    Wrapping: "wrapping",
+    BeamDetector: "beam_detector",
+}.items():
     mi.register_shape(_name, _shape)
