@@ -51,13 +51,13 @@ Rules = tuple[Nodes, Nodes]
 
 @dataclass(frozen=True, eq=False)
 class Waves:
-    """Plane waves across the box, one of each pair of opposite ones, (m,), by (p, |q|)."""
+    """Plane waves across the box, one of each pair of opposite ones, (m,), by ``(p, |q|)``."""
 
     #: (m, 2) int: p and q, wave numbers in 2 pi / width; the first is (0, 0).
     signed: NDArray[np.int64]
     #: (m,) float64: how many waves each stands for, itself and its opposite.
     stands_for: Floats
-    #: (groups,) int: where waves begin that have the next p and |q|; (groups, 2) int: these.
+    #: (groups,) int: where waves begin that have the next p and ``|q|``; (groups, 2) int: these.
     begins: NDArray[np.int64]
     folded: NDArray[np.int64]
 

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 #: Seconds within which a scheduler must answer, and after which its workers are counted again.
 ANSWER_S, LOOK_S = 10.0, 1.0
+#: How often a scheduler is asked: Dask's client may fail by itself while the machine is busy.
+CONNECT_TRIES = 3
 #: Units that are handed out ahead, per thread of the workers, and at least.
 AHEAD, LEAST_AHEAD = 3, 8
 _FILE = "name the one that dask scheduler writes"
@@ -68,6 +70,24 @@ def connect(address: str) -> Client:
         distributed.comm.get_address_host_port(address)
     except ValueError as error:
         raise InputError(f"no Dask scheduler answers at {address} ({error})", _START) from None
+    for _ in range(CONNECT_TRIES):
+        answer = _client_of(address)
+        try:
+            # Dask's own limit does not hold for what takes the connection and says nothing
+            return answer.result(2 * ANSWER_S)
+        except Exception as error:  # of many kinds, from sockets to assertions in Dask's client
+            why = "what listens there says nothing"
+            if answer.done():
+                why = (str(error).strip() or type(error).__name__).splitlines()[0]
+            if isinstance(error, OSError):  # nobody answered within ANSWER_S, Dask's own tries too
+                break
+    raise InputError(f"no Dask scheduler answers at {address} ({why})", _START)
+
+
+def _client_of(address: str) -> concurrent.futures.Future[Client]:
+    """A client of the scheduler at an address, when it is there, or what Dask's client raises."""
+    import distributed
+
     answer: concurrent.futures.Future[Client] = concurrent.futures.Future()
 
     def ask() -> None:
@@ -75,18 +95,11 @@ def connect(address: str) -> Client:
             # as Dask's default it would be asked by xarray, too, even when it is lost
             client = distributed.Client(address, timeout=ANSWER_S, set_as_default=False)
             answer.set_result(client)
-        except Exception as error:  # of many kinds, from sockets to the parsing of addresses
+        except Exception as error:
             answer.set_exception(error)
 
-    # its own limit does not hold for what takes the connection and says nothing
     threading.Thread(target=ask, daemon=True).start()
-    try:
-        return answer.result(2 * ANSWER_S)
-    except Exception as error:
-        why = "what listens there says nothing"
-        if answer.done():
-            why = (str(error).strip() or type(error).__name__).splitlines()[0]
-    raise InputError(f"no Dask scheduler answers at {address} ({why})", _START)
+    return answer
 
 
 class ClusterExecutor(HandingExecutor):

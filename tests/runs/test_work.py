@@ -292,6 +292,31 @@ def test_something_else_that_listens_is_no_scheduler(scenes):
     assert done.stderr.count("\n") == 1
 
 
+class StumblingClient:
+    """Dask's client as it is on a busy machine: it fails by itself so often, then it is there."""
+
+    stumbles = 0
+
+    def __init__(self, address: str, **settings) -> None:
+        if StumblingClient.stumbles:
+            StumblingClient.stumbles -= 1
+            raise AssertionError("Status.running")
+
+
+def test_a_client_that_fails_by_itself_is_made_again(monkeypatch):
+    monkeypatch.setattr(distributed, "Client", StumblingClient)
+    monkeypatch.setattr(StumblingClient, "stumbles", 1)
+    assert isinstance(on_cluster.connect("tcp://127.0.0.1:8786"), StumblingClient)
+
+
+def test_a_client_that_always_fails_is_told_with_its_reason(monkeypatch):
+    monkeypatch.setattr(distributed, "Client", StumblingClient)
+    monkeypatch.setattr(StumblingClient, "stumbles", 100)
+    said = refusal(on_cluster.connect, "tcp://127.0.0.1:8786")
+    assert said.startswith("no Dask scheduler answers at tcp://127.0.0.1:8786 (Status.running); ")
+    assert StumblingClient.stumbles == 100 - on_cluster.CONNECT_TRIES
+
+
 def test_without_dask_the_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"pip install 'mcrim-mitsuba\[cluster\]'"):

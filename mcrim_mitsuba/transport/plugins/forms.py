@@ -21,6 +21,7 @@ class Polygon(Polygons):
     XML: ``<shape type="polygon">`` with
 
     ``sides`` : integer, default 4
+        How many.
     ``width`` : float
         Across flats, in the scene's millimetres; one side is across the x axis. 0 is no polygon.
     """
@@ -47,11 +48,13 @@ class PrismSides(Polygons):
     ``<shape type="prism_sides">`` with
 
     ``sides`` : integer, default 4
+        How many.
     ``width`` : float
         Of the foot, across flats, in the scene's millimetres; one side is across the x axis.
     ``top_width`` : float, default ``width``
         The same at the top; 0 makes a point.
     ``height`` : float
+        From the foot to the top.
     """
 
     def polygons(self, props, to_world):
@@ -104,7 +107,7 @@ class LyingMantle(_Lying):
     ``diameter``, ``length`` : float
         In the scene's millimetres.
     ``wetted_width`` : float
-        Of the strip along its lowest line, which is what lies at |y| up to half of this.
+        Of the strip along its lowest line, which is what lies at ``|y|`` up to half of this.
     ``keep`` : string
         ``wet``: the strip; ``dry``: the rest.
     """

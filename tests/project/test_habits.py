@@ -1,0 +1,94 @@
+"""Habits that keep the code readable, counted: what is above a limit today may not grow.
+
+`python tests/project/test_habits.py` shows the figures, and where they come from.
+"""
+
+import ast
+import collections
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "mcrim_mitsuba"
+
+#: Local names and parameters that say nothing of what a thing is.
+BANNED = {"found", "one", "each", "own", "made", "said", "known", "told"}
+MOST_BANNED = 1269
+#: Lines that a function should have, and those that it must not exceed.
+LONG, TOO_LONG = 60, 80
+MOST_LONG, MOST_TOO_LONG = 54, 19
+#: The transport's step is one page in titled sections.
+MAY_BE_LONG = {"transport/loop.py:step"}
+#: Lines of the tests that the formatter leaves alone.
+MOST_SKIPPED_IN_TESTS = 10
+
+Functions = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def modules() -> Iterator[tuple[str, ast.Module]]:
+    """The package's modules: path below the package, and syntax tree."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        yield path.relative_to(PACKAGE).as_posix(), ast.parse(path.read_text())
+
+
+def banned_names() -> collections.Counter[str]:
+    """How often locals and parameters have banned names, by room."""
+    count: collections.Counter[str] = collections.Counter()
+    for path, tree in modules():
+        for node in ast.walk(tree):
+            stored = isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+            name = node.arg if isinstance(node, ast.arg) else node.id if stored else None
+            count[path.split("/")[0]] += name in BANNED
+    return count
+
+
+def long_functions(lines: int) -> dict[str, int]:
+    """Functions with more lines than that, docstrings included, the longest first."""
+    sizes = {
+        f"{path}:{node.name}": node.end_lineno - node.lineno + 1
+        for path, tree in modules()
+        for node in ast.walk(tree)
+        if isinstance(node, Functions)
+    }
+    longest = sorted(sizes.items(), key=lambda item: -item[1])
+    return {name: size for name, size in longest if size > lines and name not in MAY_BE_LONG}
+
+
+def skipped_lines(folder: Path) -> list[str]:
+    """Places that ask the formatter to leave them alone."""
+    mark = re.compile(r"#\s*fmt:\s*" + "(skip|off)")
+    return [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in sorted(folder.rglob("*.py"))
+        for number, line in enumerate(path.read_text().splitlines(), start=1)
+        if mark.search(line)
+    ]
+
+
+def test_local_names_say_what_a_thing_is():
+    count = banned_names()
+    assert count.total() <= MOST_BANNED, count.most_common()
+
+
+@pytest.mark.parametrize(("lines", "most"), [(LONG, MOST_LONG), (TOO_LONG, MOST_TOO_LONG)])
+def test_functions_are_short(lines, most):
+    longer = long_functions(lines)
+    assert len(longer) <= most, longer
+
+
+def test_the_formatter_lays_out_everything():
+    assert skipped_lines(PACKAGE) == []
+    assert len(skipped_lines(ROOT / "tests")) <= MOST_SKIPPED_IN_TESTS
+
+
+if __name__ == "__main__":
+    names = banned_names()
+    print(f"{names.total()} banned names:", dict(names.most_common()))
+    for name, size in long_functions(LONG).items():
+        print(f"{size:4d} {name}")
+    print(*skipped_lines(ROOT), sep="\n")
+    sys.exit()
