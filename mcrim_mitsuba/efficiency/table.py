@@ -16,6 +16,7 @@ from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.numbers import (
     ALPHA_ABS,
     ALPHA_SCAT,
+    COEFFICIENTS,
     Value,
     as_attributes,
     judge,
@@ -44,7 +45,7 @@ COLUMNS = ("n_gap", ALPHA_ABS, ALPHA_SCAT, "eta", "eta_sigma")
 DEFAULT_PHOTONS = 2_000_000
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class EtaTable:
     """Eta at every combination of some parameters' values."""
 
@@ -73,8 +74,8 @@ class EtaTable:
     def rows(self) -> tuple[dict[str, Value], ...]:
         """A point each, by column; the last axis runs fastest."""
         points = itertools.product(*self.axes.values())
-        found = zip(points, self.eta.ravel().tolist(), self.eta_sigma.ravel().tolist(), strict=True)
-        return tuple(dict(zip(self.columns, (*p, *eta), strict=True)) for p, *eta in found)
+        etas = zip(points, self.eta.ravel().tolist(), self.eta_sigma.ravel().tolist(), strict=True)
+        return tuple(dict(zip(self.columns, (*p, *eta), strict=True)) for p, *eta in etas)
 
     @property
     def largest_relative_sigma(self) -> float:
@@ -86,16 +87,16 @@ class EtaTable:
         """Eta and eta_sigma over the axes, with units; attributes make it reproducible."""
         import xarray
 
-        made = xarray.Dataset(
+        dataset = xarray.Dataset(
             {name: (tuple(self.axes), getattr(self, name)) for name in ("eta", "eta_sigma")},
             {name: list(values) for name, values in self.axes.items()},
             {"photons": self.photons, "seed": self.seed, "scene_hash": self.scene_hash}
             | as_attributes({n: v for n, v in self.parameters.items() if n not in self.axes}),
         )
-        made.eta.attrs["long_name"] = "light collection efficiency"
+        dataset.eta.attrs["long_name"] = "light collection efficiency"
         for name in self.axes:
-            made[name].attrs["units"] = unit_of(name) or "1"
-        return made
+            dataset[name].attrs["units"] = unit_of(name) or "1"
+        return dataset
 
     def write(self, path: str | Path) -> None:
         """Write the table as CSV.
@@ -139,107 +140,164 @@ def eta_table(
         If the scene is not sound or lacks one of the parameters, or a value is out of range.
     """
     file = read_scene(scene)
-    refuse_axes(file, axes)
-    varied = {name: values_as_in(file, name, values) for name, values in axes.items()}
-    coefficients = (ALPHA_ABS, ALPHA_SCAT)
-    outer = {name: values for name, values in varied.items() if name not in coefficients}
-    inner = {
-        name: varied.get(name) or values_as_in(file, name, [file.parameters[name]])
-        for name in coefficients
-    }
-    points: list[Coefficients] = [
-        (float(a_s), float(a_a)) for a_a, a_s in itertools.product(*inner.values())
-    ]
-    configurations = list(itertools.product(*outer.values()))
-    benches = {
-        one: _Bench(file, dict(zip(outer, one, strict=True)))
-        for one in dict.fromkeys(configurations)
-    }
+    grid = TableGrid.of(file, axes)
     precision = run.precision
     run = replace(run, photons=run.photons_or(MOST_PHOTONS if precision else DEFAULT_PHOTONS))
-    distinct = list(dict.fromkeys(points))
-    scattering = [point for point in distinct if point[0] > 0.0]
-    wishes = {
-        one: SurfaceWish(bench.name, bench.file, scattering, run)
-        for one, bench in benches.items()
-        if scattering and surfaces_answer(bench.file)
-    }
-    surfaces = dict(zip(wishes, record_surfaces(list(wishes.values())), strict=True))
-    for one, bench in benches.items():
-        bench.answer(distinct, surfaces.get(one), run)
-    found = np.array([[benches[one].found[point] for point in points] for one in configurations])
-    kept = {name: values for name, values in (*outer.items(), *inner.items()) if name in varied}
-    shape = tuple(map(len, kept.values()))
-    work = [each for bench in benches.values() for each in bench.work]
-    spent = sum(each.photons for each in work)
-    made = EtaTable(
-        kept,
-        found[..., 0].reshape(shape),
-        found[..., 1].reshape(shape),
-        spent,
-        sum(each.cached_photons for each in work),
-        run.seed,
-        dict(file.parameters),
-        file.content_hash,
+    answers = _answer_all(file, grid, run)
+    values = np.array([answers[key].values[p] for key in grid.configurations for p in grid.points])
+    work = [part for answer in answers.values() for part in answer.work]
+    table = EtaTable(
+        axes=grid.axes,
+        eta=values[:, 0].reshape(grid.shape),
+        eta_sigma=values[:, 1].reshape(grid.shape),
+        photons=sum(part.photons for part in work),
+        cached_photons=sum(part.cached_photons for part in work),
+        seed=run.seed,
+        parameters=dict(file.parameters),
+        scene_hash=file.content_hash,
         # what goes wrong with the cache goes wrong every time
-        tuple(dict.fromkeys(note for bench in benches.values() for note in bench.notes)),
+        notes=tuple(dict.fromkeys(n for answer in answers.values() for n in answer.notes)),
     )
-    further = []
-    if own := [each.photons for each in work if isinstance(each, SimulationResult)]:
-        further.append(
-            f"{len(own)} of {len(benches) * len(distinct)} points, about which photon records say "
-            f"too little, were simulated on their own: {sum(own):,} of {spent:,} photons"
+    notes = []
+    if alone := [part.photons for part in work if isinstance(part, SimulationResult)]:
+        points = len(answers) * len(dict.fromkeys(grid.points))
+        notes.append(
+            f"{len(alone)} of {points} points, about which photon records say too little, were "
+            f"simulated on their own: {sum(alone):,} of {table.photons:,} photons"
         )
-    worst = made.largest_relative_sigma
+    worst = table.largest_relative_sigma
     if precision and worst > 1.2 * precision:
-        further.append(
+        notes.append(
             f"the wanted precision of {100 * precision:g} % was not reached: errors go up to "
             f"{100 * worst:.2g} %"
         )
-    return replace(made, notes=(*made.notes, *further))
+    return replace(table, notes=(*table.notes, *notes))
 
 
-class _Bench:
-    """A configuration with its answers: eta and its error by point."""
+@dataclass(frozen=True)
+class TableGrid:
+    """The points of a table: configurations, and the crystal's coefficients in each of them."""
 
-    def __init__(self, file: SceneFile, changed: Mapping[str, Value]) -> None:
-        self.file = file.with_overrides(changed)
-        shown = {n: f"{v:g}" if isinstance(v, float) else v for n, v in changed.items()}
-        self.name = ", ".join(f"{n} = {v}" for n, v in shown.items()) or file.path.name
-        self.found: dict[Coefficients, tuple[float, float]] = {}
-        #: What was simulated.
-        self.work: list[RecordRun | SimulationResult] = []
-        self.notes: list[str] = []
+    #: Values by parameter: those that make configurations, and those of alpha_abs and alpha_scat,
+    #: which are the scene's where no axis names them.
+    outer: dict[str, tuple[Value, ...]]
+    inner: dict[str, tuple[Value, ...]]
+    #: Values by parameter of the axes that were asked for, configurations first.
+    axes: dict[str, tuple[Value, ...]]
+
+    @classmethod
+    def of(cls, file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> TableGrid:
+        """The grid of axes over a scene; errors as `eta_table`."""
+        _refuse_axes(file, axes)
+        varied = {name: _values_as_in(file, name, values) for name, values in axes.items()}
+        outer = {name: values for name, values in varied.items() if name not in COEFFICIENTS}
+        inner = {
+            name: varied.get(name) or _values_as_in(file, name, [file.parameters[name]])
+            for name in (ALPHA_ABS, ALPHA_SCAT)
+        }
+        shown = {name: values for name, values in (outer | inner).items() if name in varied}
+        return cls(outer, inner, shown)
+
+    @property
+    def configurations(self) -> list[tuple[Value, ...]]:
+        """Values of the outer parameters; the last one runs fastest."""
+        return list(itertools.product(*self.outer.values()))
+
+    @property
+    def points(self) -> list[Coefficients]:
+        """Scattering and absorption, 1/cm, within a configuration; scattering runs fastest."""
+        pairs = itertools.product(*self.inner.values())
+        return [(float(a_s), float(a_a)) for a_a, a_s in pairs]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Numbers of values along the axes."""
+        return tuple(map(len, self.axes.values()))
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """Eta of one configuration at all points, and what was simulated for it."""
+
+    #: Eta and its error by point.
+    values: dict[Coefficients, tuple[float, float]]
+    work: tuple[RecordRun | SimulationResult, ...]
+    notes: tuple[str, ...]
+
+
+def _answer_all(file: SceneFile, grid: TableGrid, run: Run) -> dict[tuple[Value, ...], _Answer]:
+    """Answers by configuration: the records of all are simulated together."""
+    points = list(dict.fromkeys(grid.points))
+    configurations = {
+        key: Configuration.of(file, dict(zip(grid.outer, key, strict=True)))
+        for key in dict.fromkeys(grid.configurations)
+    }
+    scattering = [point for point in points if point[0] > 0.0]
+    wishes = {
+        key: SurfaceWish(configuration.name, configuration.file, scattering, run)
+        for key, configuration in configurations.items()
+        if scattering and surfaces_answer(configuration.file)
+    }
+    surfaces = dict(zip(wishes, record_surfaces(list(wishes.values())), strict=True))
+    return {
+        key: configuration.answer(points, surfaces.get(key), run)
+        for key, configuration in configurations.items()
+    }
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """The bench of a scene with the values of some parameters."""
+
+    file: SceneFile
+    #: These values in words; the scene's name where there are none.
+    name: str
+
+    @classmethod
+    def of(cls, file: SceneFile, values: Mapping[str, Value]) -> Configuration:
+        """A scene with other values of parameters."""
+        words = (
+            f"{n} = {v:g}" if isinstance(v, float) else f"{n} = {v}" for n, v in values.items()
+        )
+        return cls(file.with_overrides(values), ", ".join(words) or file.path.name)
 
     def answer(
-        self, points: list[Coefficients], known: tuple[EtaSurface, RecordRun] | None, run: Run
-    ) -> None:
-        """From its surface where that knows enough, else from simulations of their own."""
+        self, points: list[Coefficients], recorded: tuple[EtaSurface, RecordRun] | None, run: Run
+    ) -> _Answer:
+        """Eta at the points: from photon records where these tell enough, else simulated alone."""
+        work: list[RecordRun | SimulationResult] = []
+        notes: list[str] = []
+        by_records: list[EtaPoint | None] = [None] * len(points)
+        if recorded is not None:
+            surface, record_run = recorded
+            by_records = surface.evaluate_all(points)
+            work.append(record_run)
+            notes += record_run.notes
+        values = {}
+        for point, answer in zip(points, by_records, strict=True):
+            if answer is None:
+                result = self._simulate(point, run)
+                values[point] = result.eta, result.eta_sigma
+                work.append(result)
+                a_s, a_a = point
+                place = f"{self.name}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
+                notes += [f"{place}: {note}" for note in result.notes]
+            else:
+                values[point] = answer.eta, answer.sigma
+        return _Answer(values, tuple(work), tuple(notes))
+
+    def _simulate(self, point: Coefficients, run: Run) -> SimulationResult:
         from mcrim_mitsuba.transport.simulation import Simulation
 
-        found: list[EtaPoint | None] = [None] * len(points)
-        if known is not None:
-            surface, recorded = known
-            found = surface.evaluate_all(points)
-            self.work.append(recorded)
-            self.notes += recorded.notes
-        for point, answered in zip(points, found, strict=True):
-            if answered is not None:
-                self.found[point] = answered.eta, answered.sigma
-                continue
-            values = dict(zip((ALPHA_SCAT, ALPHA_ABS), point, strict=True))
-            simulation = Simulation(self.file, values, variant=run.variant, threads=run.threads)
-            own = collect(simulation, run=run, what=self.name)
-            if own.interrupted:
-                raise KeyboardInterrupt  # one point cut short is no table
-            self.found[point] = own.eta, own.eta_sigma
-            self.work.append(own)
-            a_s, a_a = point
-            place = f"{self.name}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
-            self.notes += [f"{place}: {note}" for note in own.notes]
+        coefficients = dict(zip(COEFFICIENTS, point, strict=True))
+        simulation = Simulation(self.file, coefficients, variant=run.variant, threads=run.threads)
+        result = collect(simulation, run=run, what=self.name)
+        if result.interrupted:
+            raise KeyboardInterrupt  # one point cut short is no table
+        return result
 
 
-def values_as_in(file: SceneFile, name: str, values: Sequence[Value]) -> tuple[Value, ...]:
+def _values_as_in(file: SceneFile, name: str, values: Sequence[Value]) -> tuple[Value, ...]:
     """Values of the kind that the scene has: 1 is 1.0, where it has a length."""
     if isinstance(file.parameters[name], float):
         return tuple(v if isinstance(v, str) else float(_value(name, v)) for v in values)
@@ -250,7 +308,7 @@ def _value(name: str, value: object) -> float:
     return number_of(f"a value of {name}", value, "give a list of plain numbers")
 
 
-def refuse_axes(file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> None:
+def _refuse_axes(file: SceneFile, axes: Mapping[str, Sequence[Value]]) -> None:
     """Refuse axes that a scene has no parameters for, and values out of range.
 
     Raises

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.table import EtaTable, refuse_axes, values_as_in
+from mcrim_mitsuba.efficiency.table import EtaTable, TableGrid
 from mcrim_mitsuba.reference.polished_box import solve_box
 from mcrim_mitsuba.reference.scene_bench import bench_of
 from mcrim_mitsuba.runs.cache import record_versions
@@ -102,31 +101,24 @@ def noise_free_table(
         bench is not one that the solver knows.
     """
     file = read_scene(scene)
-    refuse_axes(file, axes)
-    varied = {name: values_as_in(file, name, values) for name, values in axes.items()}
-    outer = {name: values for name, values in varied.items() if name not in (ALPHA_SCAT, ALPHA_ABS)}
-    inner = {name: varied[name] for name in (ALPHA_ABS, ALPHA_SCAT) if name in varied}
-    scat, absorb = (
-        np.array(inner.get(name, [file.parameters[name]]), float)
-        for name in (ALPHA_SCAT, ALPHA_ABS)
-    )
+    grid = TableGrid.of(file, axes)
+    absorption, scattering = (np.array(grid.inner[name], float) for name in (ALPHA_ABS, ALPHA_SCAT))
     benches = [
-        file.with_overrides(dict(zip(outer, values, strict=True)))
-        for values in itertools.product(*outer.values())
+        file.with_overrides(dict(zip(grid.outer, values, strict=True)))
+        for values in grid.configurations
     ]
-    found = solve_benches(benches, scat, absorb[:, None], run)
-    shape = [len(values) for values in (*outer.values(), *inner.values())]
-    eta, error = (np.array(each).reshape(shape) for each in zip(*found, strict=True))
+    solved = solve_benches(benches, scattering, absorption[:, None], run)
+    eta, error = (np.array(part).reshape(grid.shape) for part in zip(*solved, strict=True))
     return EtaTable(
-        outer | inner,
-        eta,
-        error,
-        0,
-        0,
-        0,
-        dict(file.parameters),
-        file.content_hash,
-        _notes(eta, error, run.precision),
+        axes=grid.axes,
+        eta=eta,
+        eta_sigma=error,
+        photons=0,
+        cached_photons=0,
+        seed=0,
+        parameters=dict(file.parameters),
+        scene_hash=file.content_hash,
+        notes=_notes(eta, error, run.precision),
     )
 
 
