@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
@@ -32,27 +33,42 @@ if TYPE_CHECKING:
     import xarray
 
     from mcrim_mitsuba.scene.scene_file import SceneFile
+    from mcrim_mitsuba.transport.launch_plan import FateTally
     from mcrim_mitsuba.transport.simulation import Simulation
 
-#: Photons unless asked otherwise, and the most: they tell the mean to a few parts in ten thousand.
-DEFAULT_PHOTONS, MOST_PHOTONS = 2_000_000, 40_000_000
-#: Detected photons of an event unless asked otherwise, and how many of the first are told of.
-DETECTED, _FIRST = 1000, 10
+#: Photons unless asked otherwise: they tell the mean to a few parts in ten thousand.
+DEFAULT_PHOTONS = 2_000_000
+MOST_PHOTONS = 40_000_000
+#: Detected photons of an event unless asked otherwise.
+DETECTED = 1000
 MM_PER_PS = 0.299792458
 _PS_PER_NS = 1000.0
-#: Depths at which light is born that are told apart; cells across the crystal that weigh them.
-_SLICES, _ACROSS = 20, 8
-#: Bins of the histogram, and the part of the light that they reach to.
-_BINS, _SHOWN = 100, 0.995
-#: Detected photons of a first launch, below which there is no distribution; and simulated ones
-#: per one of an event, below which a note says so.
-_FEWEST = 10
-_RISE = np.array([0.1, 0.9])
-#: What cells add to the error of a time, in their width and in the time: they grow with it.
-_OF_CELL, _OF_TIME = 0.02, 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class TimingSettings:
+    """How times are counted and told."""
+
+    #: Depths at which light is born that are told apart.
+    slices: int = 20
+    #: Cells along x and y of the crystal that weigh these depths.
+    cells_across: int = 8
+    #: Bins of the histogram, and the part of the light that they reach to.
+    bins: int = 100
+    shown_part: float = 0.995
+    #: Parts of the light between whose arrivals the light rises.
+    rise: tuple[float, float] = (0.1, 0.9)
+    #: Detected photons of a first launch, below which there is no distribution; and simulated ones
+    #: per one of an event, below which a note says so.
+    fewest: int = 10
+
+
+SETTINGS = TimingSettings()
+#: Where the group index of a medium without dispersion is from.
+_PLAIN = "its index"
+
+
+@dataclass(frozen=True, kw_only=True)
 class Part:
     """A part of the bench that light crosses."""
 
@@ -66,19 +82,7 @@ class Part:
     mean_ps_sigma: float
 
 
-@dataclass(frozen=True, eq=False)
-class FirstPhotons:
-    """When the first, second, ... photon of an event is detected; arrays are (photons,) float64."""
-
-    #: Where the light of an event is born, in words.
-    born: str
-    mean_ps: Array
-    mean_ps_sigma: Array
-    rms_ps: Array
-    rms_ps_sigma: Array
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ArrivalTimes:
     """Distribution of the times at which detected photons arrive, from the event on.
 
@@ -105,7 +109,7 @@ class ArrivalTimes:
     decay_ns: float | None
     #: Detected photons of an event, for what follows.
     detected: int
-    first: tuple[FirstPhotons, ...]
+    first: tuple[distribution.FirstPhotons, ...]
     parts: tuple[Part, ...]
     photons: int
     seed: int
@@ -130,31 +134,31 @@ class ArrivalTimes:
         """The histogram over time_ps, and the first photons over their number and births."""
         import xarray
 
-        names = "mean_ps", "mean_ps_sigma", "rms_ps", "rms_ps_sigma"
+        names = ("mean_ps", "mean_ps_sigma", "rms_ps", "rms_ps_sigma")
         first = {
             f"first_{name}": (
                 ("born", "photon"),
-                np.array([getattr(one, name) for one in self.first]),
+                np.array([getattr(photons, name) for photons in self.first]),
             )
             for name in names
         }
-        one_number = (*names, "begin_ps", "begin_ps_sigma", "rise_ps", "rise_ps_sigma")
-        attributes = {name: getattr(self, name) for name in one_number}
+        numbers = (*names, "begin_ps", "begin_ps_sigma", "rise_ps", "rise_ps_sigma")
+        attributes = {name: getattr(self, name) for name in numbers}
         attributes |= {"decay_ns": self.decay_ns or 0.0, "detected": self.detected}
-        attributes |= {f"group_index_{one.name}": one.group_index for one in self.parts}
         attributes |= {"photons": self.photons, "seed": self.seed, "scene_hash": self.scene_hash}
-        made = xarray.Dataset(
+        attributes |= {f"group_index_{part.name}": part.group_index for part in self.parts}
+        dataset = xarray.Dataset(
             {"part": ("time_ps", self.part), "part_sigma": ("time_ps", self.part_sigma), **first},
             {
                 "time_ps": self.time_ps,
-                "born": [one.born for one in self.first],
+                "born": [photons.born for photons in self.first],
                 "photon": np.arange(1, len(self.first[0].mean_ps) + 1),
             },
             attributes | as_attributes(self.parameters),
         )
-        made.part.attrs["long_name"] = "part of the detected light"
-        made.time_ps.attrs["units"] = "ps"
-        return made
+        dataset.part.attrs["long_name"] = "part of the detected light"
+        dataset.time_ps.attrs["units"] = "ps"
+        return dataset
 
 
 def follow_times(
@@ -187,72 +191,143 @@ def follow_times(
     InputError
         If the scene leaks or no light is detected, or a group index is not known or wrong.
     """
-    from mcrim_mitsuba.transport import arrivals
-
-    known = group_indices(simulation, group_index or {})
-    photons = min(run.photons_or(DEFAULT_PHOTONS), MOST_PHOTONS)
+    bench = TimedBench.of(simulation, group_index or {})
     decay_ps = (decay_ns or 0.0) * _PS_PER_NS
-    crystal, names = simulation.crystal, list(known)
-    own = simulation.model.volume_names[crystal.volume]
-    paths = ["path_cm" if name == own else f"path_{name}_cm" for name in names]
-    # a beam's light is born outside the crystal, at one height
-    by_depth = crystal.birth_volume == crystal.volume
-    heights = np.linspace(crystal.lower[2], crystal.upper[2], (_SLICES if by_depth else 1) + 1)
-    columns = [path for path in paths if path != "path_cm"] + ["birth_from_top_mm"] * by_depth
-    cells: distribution.TimeCells | None = None
-    spent, followed = np.zeros((distribution.GROUPS, len(names))), 0
-    for launch, tally in arrivals.launches(simulation, photons, run.seed, columns):
-        records, followed = launch.records, followed + len(launch.records["w"])
-        weight, group = records["w"].astype(float), records["batch"] % np.int64(distribution.GROUPS)
-        times = np.array(
-            [
-                records[path].astype(float) * (MM_PER_CM * known[name][0] / MM_PER_PS)
-                for name, path in zip(names, paths, strict=True)
-            ]
-        )
-        total, kind = times.sum(axis=0), np.zeros(len(weight), np.int64)
-        if by_depth:
-            kind = bin_of(heights[-1] - records["birth_from_top_mm"].astype(float), heights)
-        if cells is None:
-            if len(weight) < _FEWEST:
-                problem = f"{len(weight)} of {tally.photons:,} photons are detected"
-                raise InputError(problem, "follow more, or mend it", path=simulation.file.path)
-            ends = float(total.min()), float(np.quantile(total, _SHOWN))
-            edges = distribution.cell_edges(*ends, decay_ps)
-            cells = distribution.TimeCells(edges, len(heights) - 1)
-        cells.add(total, weight, group, kind)
-        for place, time_ps in enumerate(times):
-            spent[:, place] += np.bincount(group, weight * time_ps, distribution.GROUPS)
-        run.tell("following times", min(tally.photons, photons), photons)
-    assert cells is not None  # a run has one photon at least
-    in_parts = distribution.jackknife(
-        lambda sums: sums[1:] / sums[0], np.column_stack([cells.moments[:, 0], spent])
-    )
-    found = (
-        Part(name, *known[name], float(mean), float(sigma))
-        for name, mean, sigma in zip(names, *in_parts, strict=True)
-    )
-    # where light is born first, what lies around all of it last
-    parts = tuple(sorted(found, key=lambda one: (one.name != own, one.name == names[0])))
-    notes = _notes(parts, detected, followed / (len(heights) - 1))
-    if (truncated := tally.fraction("truncated")) > 0.0:
-        notes.append(
-            f"{100 * truncated:.3g} % of the light was still under way after "
-            f"{simulation.depth_limit:,} flights: the latest arrivals are missing"
-        )
-    births = _births(simulation, heights) if by_depth else np.ones(1)
+    timed = _follow(simulation, bench, decay_ps, run)
+    parts = _parts(bench, timed)
     return ArrivalTimes(
-        **_numbers(cells, decay_ps),
+        **_numbers(timed.cells, decay_ps),
         decay_ns=decay_ns,
         detected=detected,
-        first=_first(cells, decay_ps, detected, births),
+        first=distribution.first_of_event(timed.cells, decay_ps, detected, bench.births),
         parts=parts,
-        photons=tally.photons,
+        photons=timed.tally.photons,
         seed=run.seed,
         parameters=dict(simulation.file.parameters),
         scene_hash=simulation.file.content_hash,
-        notes=tuple(notes),
+        notes=(
+            *_notes(parts, detected, timed.detected / len(bench.births)),
+            *_truncation_note(timed.tally.fraction("truncated"), simulation.depth_limit),
+        ),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class TimedBench:
+    """A bench whose photon records are turned into times."""
+
+    #: Group index by medium, and where it is from; what lies around all of them comes first.
+    media: dict[str, tuple[float, str]]
+    #: The medium in which light is born.
+    crystal: str
+    #: (slices + 1,) float64: Borders of the depths of birth, rising. A beam's light is born
+    #: outside the crystal, at one height.
+    heights_mm: Array
+    #: (slices,) float64: Part of the light that is born between them.
+    births: Array
+
+    @classmethod
+    def of(cls, simulation: Simulation, group_index: Mapping[str, float | str]) -> TimedBench:
+        """A checked bench; errors as `follow_times`."""
+        crystal = simulation.crystal
+        of_beam = crystal.birth_volume != crystal.volume
+        low, high = crystal.lower, crystal.upper
+        heights = np.linspace(low[2], high[2], (1 if of_beam else SETTINGS.slices) + 1)
+        births = np.ones(1)
+        if not of_beam:
+            across = (np.linspace(low[i], high[i], SETTINGS.cells_across + 1) for i in (0, 1))
+            edges = (*across, heights)
+            born = crystal.part_inside(edges) * crystal.birth_density(edges)
+            births = np.asarray(born.sum(axis=(0, 1)) / born.sum(), float)
+        media = group_indices(simulation, group_index)
+        return cls(media, simulation.model.volume_names[crystal.volume], heights, births)
+
+    @property
+    def columns(self) -> list[str]:
+        """What records must have besides ``path_cm``."""
+        depth = [] if len(self.births) == 1 else ["birth_from_top_mm"]
+        return [self._path(name) for name in self.media if name != self.crystal] + depth
+
+    def _path(self, medium: str) -> str:
+        return "path_cm" if medium == self.crystal else f"path_{medium}_cm"
+
+    def times_ps(self, records: Mapping[str, Array]) -> Array:
+        """(media, detected) times that photons spend in every medium."""
+        return np.array(
+            [
+                records[self._path(name)].astype(float) * (MM_PER_CM * index / MM_PER_PS)
+                for name, (index, _) in self.media.items()
+            ]
+        )
+
+    def slices(self, records: Mapping[str, Array]) -> NDArray[np.int64]:
+        """(detected,) numbers of the depths at which photons were born."""
+        if len(self.births) == 1:
+            return np.zeros(len(records["w"]), np.int64)
+        return bin_of(
+            self.heights_mm[-1] - records["birth_from_top_mm"].astype(float), self.heights_mm
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _TimedPhotons:
+    """What was followed: detected photons by their times, and the fates of all."""
+
+    cells: distribution.TimeCells
+    #: (groups, media) float64: Of light times the time that it spends in a medium.
+    spent: Array
+    #: Detected photons.
+    detected: int
+    tally: FateTally
+
+
+def _follow(simulation: Simulation, bench: TimedBench, decay_ps: float, run: Run) -> _TimedPhotons:
+    """Follow photons, and put them into cells that the first launch sets."""
+    from mcrim_mitsuba.transport import arrivals
+
+    photons = min(run.photons_or(DEFAULT_PHOTONS), MOST_PHOTONS)
+    cells: distribution.TimeCells | None = None
+    spent, detected = np.zeros((distribution.GROUPS, len(bench.media))), 0
+    for launch, tally in arrivals.launches(simulation, photons, run.seed, bench.columns):
+        records = launch.records
+        weight, group = records["w"].astype(float), records["batch"] % np.int64(distribution.GROUPS)
+        detected += len(weight)
+        times = bench.times_ps(records)
+        total = times.sum(axis=0)
+        if cells is None:
+            if len(weight) < SETTINGS.fewest:
+                problem = f"{len(weight)} of {tally.photons:,} photons are detected"
+                raise InputError(problem, "follow more, or mend it", path=simulation.file.path)
+            ends = float(total.min()), float(np.quantile(total, SETTINGS.shown_part))
+            edges = distribution.cell_edges(*ends, decay_ps)
+            cells = distribution.TimeCells(edges, len(bench.births))
+        cells.add(total, weight, group, bench.slices(records))
+        for column, time_ps in enumerate(times):
+            spent[:, column] += np.bincount(group, weight * time_ps, distribution.GROUPS)
+        run.tell("following times", min(tally.photons, photons), photons)
+    assert cells is not None  # a run has one photon at least
+    return _TimedPhotons(cells, spent, detected, tally)
+
+
+def _parts(bench: TimedBench, timed: _TimedPhotons) -> tuple[Part, ...]:
+    """The media with the times in them: where light is born first, what lies around all last."""
+    means, sigmas = distribution.jackknife(
+        lambda sums: sums[1:] / sums[0], np.column_stack([timed.cells.moments[:, 0], timed.spent])
+    )
+    parts = [
+        Part(
+            name=name,
+            group_index=index,
+            origin=origin,
+            mean_ps=float(mean),
+            mean_ps_sigma=float(sigma),
+        )
+        for (name, (index, origin)), mean, sigma in zip(
+            bench.media.items(), means, sigmas, strict=True
+        )
+    ]
+    surroundings = parts[0]
+    return tuple(sorted(parts, key=lambda part: (part.name != bench.crystal, part is surroundings)))
 
 
 def _numbers(cells: distribution.TimeCells, decay_ps: float) -> dict[str, Any]:
@@ -264,12 +339,14 @@ def _numbers(cells: distribution.TimeCells, decay_ps: float) -> dict[str, Any]:
         # variances add, and that of the decay is known
         both = math.hypot(rms, decay_ps)
         mean, rms, rms_sigma = mean + decay_ps, both, rms_sigma * rms / both
-    light = _emitted(cells, decay_ps, cells.light.sum(axis=1))
-    latest = float(distribution.quantiles(cells.edges_ps, light.sum(axis=0), np.array(_SHOWN)))
+    light = cells.emitted(cells.light.sum(axis=1), decay_ps)
+    latest = float(
+        distribution.quantiles(cells.edges_ps, light.sum(axis=0), np.array(SETTINGS.shown_part))
+    )
     edges = _round_edges(latest)
 
     def all_at_once(light: Array) -> Array:
-        begin, end = distribution.quantiles(cells.edges_ps, light, _RISE)
+        begin, end = distribution.quantiles(cells.edges_ps, light, np.array(SETTINGS.rise))
         part = np.diff(distribution.arrived_at(cells.edges_ps, light, edges))
         return np.array([begin, end - begin, *part])
 
@@ -277,75 +354,25 @@ def _numbers(cells: distribution.TimeCells, decay_ps: float) -> dict[str, Any]:
         all_at_once, light
     )
     values = np.array([mean, rms, begin, rise])
-    sigmas = _rounded(cells, values, np.array([mean_sigma, rms_sigma, begin_sigma, rise_sigma]))
-    found: dict[str, Any] = {
+    sigmas = cells.with_cell_errors(
+        values, np.array([mean_sigma, rms_sigma, begin_sigma, rise_sigma])
+    )
+    numbers: dict[str, Any] = {
         "edges_ps": edges,
         "part": np.array(part),
         "part_sigma": np.array(part_sigma),
     }
     for name, value, sigma in zip(("mean", "rms", "begin", "rise"), values, sigmas, strict=True):
-        found |= {f"{name}_ps": float(value), f"{name}_ps_sigma": float(sigma)}
-    return found
-
-
-def _rounded(cells: distribution.TimeCells, values: Array, sigmas: Array) -> Array:
-    """Errors of times, ps, with what the cells add."""
-    return np.sqrt(sigmas**2 + (_OF_CELL * cells.width_ps) ** 2 + (_OF_TIME * values) ** 2)
+        numbers |= {f"{name}_ps": float(value), f"{name}_ps_sigma": float(sigma)}
+    return numbers
 
 
 def _round_edges(latest_ps: float) -> Array:
-    """Borders of some `_BINS` bins of a round width, from 0 on."""
-    step = latest_ps / _BINS
+    """Borders of some `TimingSettings.bins` bins of a round width, from 0 on."""
+    step = latest_ps / SETTINGS.bins
     power = 10.0 ** math.floor(math.log10(step))
     step = next(n * power for n in (1.0, 2.0, 5.0, 10.0) if n * power >= step * (1.0 - 1e-9))
     return np.asarray(step * np.arange(math.ceil(latest_ps / step * (1.0 - 1e-9)) + 1), float)
-
-
-def _emitted(cells: distribution.TimeCells, decay_ps: float, light: Array) -> Array:
-    """Light, (..., cells), with the decay of its emission."""
-    if not decay_ps:
-        return light
-    return distribution.decayed(cells.edges_ps, cells.times_ps, light, decay_ps)
-
-
-def _first(
-    cells: distribution.TimeCells, decay_ps: float, detected: int, births: Array
-) -> tuple[FirstPhotons, ...]:
-    """The first photons of an event, born everywhere, and at one depth of (slices,) `births`."""
-    light, times = _emitted(cells, decay_ps, cells.light), cells.times_ps
-    if decay_ps:
-        edges = cells.edges_ps
-        times = np.append(0.5 * (edges[1:-1] + edges[:-2]), edges[-2])
-    most = min(_FIRST, detected)
-
-    def everywhere(light: Array) -> Array:
-        return distribution.first_photons(times, light.sum(axis=0), detected, most)
-
-    def by_depth(light: Array) -> Array:
-        # where no light is detected there is no event of so many photons
-        seen = (births > 0.0) & (light.sum(axis=1) > 0.0)
-        share = births[seen] / births[seen].sum()
-        found = [distribution.first_photons(times, one, detected, most) for one in light[seen]]
-        means, rms = np.moveaxis(np.array(found), 1, 0)
-        mean = share @ means
-        return np.array([mean, np.sqrt(share @ (rms**2 + (means - mean) ** 2))])
-
-    chosen = {"everywhere": everywhere} | ({"at one depth": by_depth} if len(births) > 1 else {})
-    first = []
-    for born, number in chosen.items():
-        values, sigmas = distribution.jackknife(number, light)
-        (mean, rms), (mean_sigma, rms_sigma) = values, _rounded(cells, values, sigmas)
-        first.append(FirstPhotons(born, mean, mean_sigma, rms, rms_sigma))
-    return tuple(first)
-
-
-def _births(simulation: Simulation, heights: Array) -> Array:
-    """Part of the births in each slice, (slices,)."""
-    crystal = simulation.crystal
-    across = [np.linspace(crystal.lower[axis], crystal.upper[axis], _ACROSS + 1) for axis in (0, 1)]
-    edges = (*across, heights)
-    born = crystal.part_inside(edges) * crystal.birth_density(edges)
-    return np.asarray(born.sum(axis=(0, 1)) / born.sum(), float)
 
 
 def group_indices(
@@ -373,15 +400,15 @@ def group_indices(
 
 def _given_index(file: SceneFile, name: str, value: float | str) -> tuple[float, str]:
     """What the user says: a number, or a material at a wavelength or over an emission."""
-    said, text = f"the group index of {name}, {value},", str(value)
+    what, text = f"the group index of {name}, {value},", str(value)
     wavelength = file.parameters.get("wavelength_nm")
     if is_known(text) and wavelength is not None:
         text = f"{text}{SEPARATOR}{wavelength:g}nm"
     if SEPARATOR in text or is_known(text):
-        return _of_material(read_index(said, text, file.path.parent))
+        return _of_material(read_index(what, text, file.path.parent))
     number = parse_number(f"the group index of {name}", text)
     if not number >= 1.0:
-        raise InputError(f"{said} is below 1", "give n - lambda dn/dlambda")
+        raise InputError(f"{what} is below 1", "give n - lambda dn/dlambda")
     return number, "given"
 
 
@@ -394,37 +421,43 @@ def _index_of(file: SceneFile, name: str, index: float | None) -> tuple[float, s
     if index is None:
         problem = f"no face tells the index of {name!r}, and with it the speed of light there"
         raise InputError(problem, "give its group index", path=file.path)
-    known = (
+    materials = (
         [file.materials[usual]]
         if usual in file.materials
-        else [one for one in file.materials.values() if usual not in file.parameters]
+        else [m for m in file.materials.values() if usual not in file.parameters]
     )
-    material = next((one for one in known if abs(one.value - index) < 1e-6), None)
+    material = next((m for m in materials if abs(m.value - index) < 1e-6), None)
     return (index, _PLAIN) if material is None else _of_material(material)
 
 
-def _of_material(known: MaterialIndex) -> tuple[float, str]:
-    if not known.material.is_dispersive:
-        return known.group_index, _PLAIN
-    where = f"{known.wavelength_nm:g} nm" if known.emission is None else known.emission.name
-    return known.group_index, f"{known.material.name}, {where}"
+def _of_material(index: MaterialIndex) -> tuple[float, str]:
+    if not index.material.is_dispersive:
+        return index.group_index, _PLAIN
+    where = f"{index.wavelength_nm:g} nm" if index.emission is None else index.emission.name
+    return index.group_index, f"{index.material.name}, {where}"
 
 
-_PLAIN = "its index"
+def _truncation_note(truncated: float, depth_limit: int) -> list[str]:
+    if not truncated > 0.0:
+        return []
+    return [
+        f"{100 * truncated:.3g} % of the light was still under way after {depth_limit:,} flights: "
+        "the latest arrivals are missing"
+    ]
 
 
 def _notes(parts: Sequence[Part], detected: int, followed: float) -> list[str]:
     """What must be known; `followed` photons are the detected ones of a depth."""
     notes = []
-    plain = [one for one in parts if one.origin == _PLAIN and is_filled(one.group_index)]
+    plain = [part for part in parts if part.origin == _PLAIN and is_filled(part.group_index)]
     if plain:
-        told = ", ".join(f"{one.name} ({one.group_index:g})" for one in plain)
+        names = ", ".join(f"{part.name} ({part.group_index:g})" for part in plain)
         notes.append(
-            f"of {told} the index is a number without dispersion, and stands for the group index: "
+            f"of {names} the index is a number without dispersion, and stands for the group index: "
             f"light is slower by some per cent; give --group-index {plain[0].name}=... or a "
             "material, such as -D n_crystal=CaMoO4@540nm"
         )
-    if detected * _FEWEST > followed:
+    if detected * SETTINGS.fewest > followed:
         notes.append(
             f"{detected:,} photons of an event are many beside the {followed:,.0f} simulated ones "
             "that were detected of a depth: the first ones may be earlier than it says; follow more"

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +20,26 @@ from mcrim_mitsuba.core.descent import Array
 
 #: Groups of the jackknife: they tell an error to 13 per cent.
 GROUPS = 32
-#: Cells of one width over the times of nearly all light; those beyond grow by so much.
-_CELLS, _GROWTH = 8192, 0.002
-#: What the cells reach to: times that of nearly all light, and decay times.
-_LATEST, _DECAYS = 64.0, 40.0
+#: How many of an event's first photons are told of.
+FIRST = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellSettings:
+    """How finely times are kept."""
+
+    #: Cells of one width over the times of nearly all light; those beyond grow by this part.
+    cells: int = 8192
+    growth: float = 0.002
+    #: What the cells reach to: times that of nearly all light, and decay times.
+    latest: float = 64.0
+    decays: float = 40.0
+    #: What cells add to the error of a time: of their width, and of the time, with which they grow.
+    error_of_width: float = 0.02
+    error_of_time: float = 1e-6
+
+
+SETTINGS = CellSettings()
 
 
 def cell_edges(begin_ps: float, end_ps: float, decay_ps: float) -> Array:
@@ -33,11 +50,13 @@ def cell_edges(begin_ps: float, end_ps: float, decay_ps: float) -> Array:
     """
     begin_ps = max(begin_ps, 0.0)
     # light of one path has no range: cells of the width of rounding
-    step = max(end_ps - begin_ps, 1e-3 * max(end_ps, 1e-3)) / _CELLS
-    fine = begin_ps + step * np.arange(_CELLS + 1)
-    latest = _LATEST * fine[-1] + _DECAYS * decay_ps
-    growing = math.ceil(math.log1p((latest - fine[-1]) * _GROWTH / step) / _GROWTH)
-    beyond = fine[-1] + step * np.expm1(_GROWTH * np.arange(1, growing + 1)) / _GROWTH
+    step = max(end_ps - begin_ps, 1e-3 * max(end_ps, 1e-3)) / SETTINGS.cells
+    fine = begin_ps + step * np.arange(SETTINGS.cells + 1)
+    latest = SETTINGS.latest * fine[-1] + SETTINGS.decays * decay_ps
+    growing = math.ceil(math.log1p((latest - fine[-1]) * SETTINGS.growth / step) / SETTINGS.growth)
+    beyond = (
+        fine[-1] + step * np.expm1(SETTINGS.growth * np.arange(1, growing + 1)) / SETTINGS.growth
+    )
     before = [0.0] if begin_ps > 0.0 else []
     return np.array([*before, *fine, *beyond, math.inf])
 
@@ -85,6 +104,15 @@ class TimeCells:
             light > 0.0, self._times / np.where(light > 0.0, light, 1.0), self.edges_ps[:-1]
         )
 
+    def emitted(self, light: Array, decay_ps: float) -> Array:
+        """Light, (..., cells), with the decay of its emission; 0: all is emitted at once."""
+        return decayed(self.edges_ps, self.times_ps, light, decay_ps) if decay_ps else light
+
+    def with_cell_errors(self, times_ps: Array, sigmas_ps: Array) -> Array:
+        """Errors of times, ps, with what the cells' widths add."""
+        of_cells = SETTINGS.error_of_width * self.width_ps
+        return np.sqrt(sigmas_ps**2 + of_cells**2 + (SETTINGS.error_of_time * times_ps) ** 2)
+
 
 def jackknife(number: Callable[[Array], Array], light: Array) -> tuple[Array, Array]:
     """A number, or several, of all light, and their standard errors.
@@ -96,7 +124,7 @@ def jackknife(number: Callable[[Array], Array], light: Array) -> tuple[Array, Ar
     light : (groups, ...) float64
     """
     whole = light.sum(axis=0)
-    without = np.array([number(whole - one) for one in light])
+    without = np.array([number(whole - group) for group in light])
     spread = np.square(without - without.mean(axis=0)).sum(axis=0)
     return number(whole), np.sqrt(spread * (len(light) - 1) / len(light))
 
@@ -148,12 +176,12 @@ def decayed(edges_ps: Array, times_ps: Array, light: Array, decay_ps: float) -> 
     to_come = np.exp(-np.where(np.isfinite(widths), edges_ps[1:] - times_ps, math.inf) / decay_ps)
     # cell after cell: what waits is one row of memory
     emitted = np.ascontiguousarray(np.moveaxis(light, -1, 0))
-    found, waiting = np.empty(emitted.shape), np.zeros(emitted.shape[1:])
-    for cell, own in enumerate(emitted):
-        remaining = waiting * kept[cell] + own * to_come[cell]
-        found[cell] = waiting + own - remaining
+    arrived, waiting = np.empty(emitted.shape), np.zeros(emitted.shape[1:])
+    for cell, begun in enumerate(emitted):
+        remaining = waiting * kept[cell] + begun * to_come[cell]
+        arrived[cell] = waiting + begun - remaining
         waiting = remaining
-    return np.moveaxis(found, 0, -1)
+    return np.moveaxis(arrived, 0, -1)
 
 
 def first_photons(times_ps: Array, light: Array, detected: int, most: int) -> Array:
@@ -170,13 +198,72 @@ def first_photons(times_ps: Array, light: Array, detected: int, most: int) -> Ar
     chance = np.where(
         left > 0.0, np.exp(detected * np.log1p(-np.where(left > 0.0, arrived, 0.0))), 0.0
     )
-    fewer, found = np.zeros(len(arrived)), np.empty((2, most))
+    fewer, mean_and_spread = np.zeros(len(arrived)), np.empty((2, most))
     for number in range(most):
         fewer = fewer + chance
         part = -np.diff(fewer, prepend=1.0)
         # no products of BLAS, whose threads wait for each other
         mean = float((part * times_ps).sum())
         variance = float((part * (times_ps - mean) ** 2).sum())
-        found[:, number] = mean, math.sqrt(max(variance, 0.0))
+        mean_and_spread[:, number] = mean, math.sqrt(max(variance, 0.0))
         chance = chance * odds * ((detected - number) / (number + 1))
-    return found
+    return mean_and_spread
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FirstPhotons:
+    """When the first, second, ... photon of an event is detected; arrays are (photons,) float64."""
+
+    #: Where the light of an event is born, in words.
+    born: str
+    mean_ps: Array
+    mean_ps_sigma: Array
+    rms_ps: Array
+    rms_ps_sigma: Array
+
+
+def first_of_event(
+    cells: TimeCells, decay_ps: float, detected: int, births: Array
+) -> tuple[FirstPhotons, ...]:
+    """First photons of an event of so many detected ones: born everywhere, and at one depth.
+
+    Parameters
+    ----------
+    births : (slices,) float64
+        Part of the events at each depth; without several depths there is the first answer alone.
+    """
+    light, times = cells.emitted(cells.light, decay_ps), cells.times_ps
+    if decay_ps:
+        edges = cells.edges_ps
+        times = np.append(0.5 * (edges[1:-1] + edges[:-2]), edges[-2])
+    most = min(FIRST, detected)
+
+    def everywhere(light: Array) -> Array:
+        return first_photons(times, light.sum(axis=0), detected, most)
+
+    def at_one_depth(light: Array) -> Array:
+        # where no light is detected there is no event of so many photons
+        seen = (births > 0.0) & (light.sum(axis=1) > 0.0)
+        share = births[seen] / births[seen].sum()
+        arrivals = [first_photons(times, of_slice, detected, most) for of_slice in light[seen]]
+        means, rms = np.moveaxis(np.array(arrivals), 1, 0)
+        mean = share @ means
+        return np.array([mean, np.sqrt(share @ (rms**2 + (means - mean) ** 2))])
+
+    numbers = {"everywhere": everywhere}
+    if len(births) > 1:
+        numbers["at one depth"] = at_one_depth
+    first = []
+    for born, number in numbers.items():
+        values, sigmas = jackknife(number, light)
+        (mean, rms), (mean_sigma, rms_sigma) = values, cells.with_cell_errors(values, sigmas)
+        first.append(
+            FirstPhotons(
+                born=born,
+                mean_ps=mean,
+                mean_ps_sigma=mean_sigma,
+                rms_ps=rms,
+                rms_ps_sigma=rms_sigma,
+            )
+        )
+    return tuple(first)
