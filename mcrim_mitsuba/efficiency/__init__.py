@@ -5,7 +5,8 @@ Two engines do that (`docs/architecture.md` says why two): cells of records, sim
 are asked (`recording`, `cells`, `reweighting`), for tables and campaigns; and grids, one per
 reading and value of an effect (`response_maker`, `eta_grid`, `responses`). Other rooms may take
 
-- `simulate` (`collect`), `table` (`eta_table`), `lighting` (`follow_light`: where light arrives);
+- `simulate` (`collect`), `table` (`eta_table`), `lighting` (`follow_light`, `map_eta`: where light
+  arrives and is born);
 - `recording` (`record_surface`, `record_surfaces`, `SurfaceWish`), `reweighting` (`EtaSurface`),
   `surface` (what all surfaces can be asked; `InterpolatedSurface`);
 - `response_maker` (`ResponseMaker`), `responses` (`Responses`, `Anchor`).

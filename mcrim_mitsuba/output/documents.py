@@ -11,8 +11,8 @@ from mcrim_mitsuba.core.files import attributes
 if TYPE_CHECKING:
     from mcrim_mitsuba.core.run import Provenance
     from mcrim_mitsuba.efficiency.arrival_times import ArrivalTimes
-    from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
     from mcrim_mitsuba.efficiency.eta_spectrum import EtaSpectrum
+    from mcrim_mitsuba.efficiency.lighting import EtaMap, Spread
     from mcrim_mitsuba.efficiency.table import EtaTable
     from mcrim_mitsuba.inference.budget import Budget
     from mcrim_mitsuba.inference.calibrate import CampaignResult

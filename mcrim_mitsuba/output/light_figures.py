@@ -20,9 +20,8 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import FWHM, Value, said, titled
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.arrival_times import ArrivalTimes
-from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
 from mcrim_mitsuba.efficiency.eta_spectrum import EtaSpectrum
-from mcrim_mitsuba.efficiency.lighting import Binned, Light
+from mcrim_mitsuba.efficiency.lighting import Binned, EtaMap, Light, Spread
 from mcrim_mitsuba.efficiency.table import EtaTable
 from mcrim_mitsuba.output import figure_style as style
 

@@ -416,7 +416,7 @@ def eta_map(
     Returns
     -------
     Answer
-        With the fields of `efficiency.eta_map.EtaMap`; picture ``map``; `to_xarray` gives the map.
+        With the fields of `efficiency.lighting.EtaMap`; picture ``map``; `to_xarray` gives the map.
 
     Raises
     ------
@@ -424,7 +424,7 @@ def eta_map(
         If the scene is not sound, a parameter is wrong, photons are too few, or a deposit is
         outside the crystal.
     """
-    from mcrim_mitsuba.efficiency.eta_map import CELLS, all_spreads, map_eta
+    from mcrim_mitsuba.efficiency.lighting import CELLS, all_spreads, map_eta
     from mcrim_mitsuba.transport.simulation import Simulation
 
     run, parameters = _split(run, given)

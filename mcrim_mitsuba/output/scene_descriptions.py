@@ -27,8 +27,8 @@ from mcrim_mitsuba.output.described import (
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.efficiency.arrival_times import ArrivalTimes
-    from mcrim_mitsuba.efficiency.eta_map import EtaMap, Spread
     from mcrim_mitsuba.efficiency.eta_spectrum import EtaSpectrum
+    from mcrim_mitsuba.efficiency.lighting import EtaMap, Spread
     from mcrim_mitsuba.efficiency.table import EtaTable
     from mcrim_mitsuba.reference.crosscheck import Crosscheck
     from mcrim_mitsuba.scene.check_text import CheckReport

@@ -11,7 +11,7 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import FWHM
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.eta_map import map_eta, read_map
+from mcrim_mitsuba.efficiency.lighting import map_eta, read_map
 from mcrim_mitsuba.efficiency.simulate import collect
 from mcrim_mitsuba.output.result_writing import netcdf_bytes
 from mcrim_mitsuba.scene.scene_file import read_scene

@@ -5,7 +5,7 @@ import pytest
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.efficiency.eta_map import EtaMap
+from mcrim_mitsuba.efficiency.lighting import EtaMap
 from mcrim_mitsuba.inference.places import places_of
 from mcrim_mitsuba.output.result_writing import netcdf_bytes
 
@@ -15,14 +15,14 @@ def rising(folder, **parameters):
     edges = np.linspace(-5, 5, 3), np.linspace(-5, 5, 3), np.linspace(0, 10, 11)
     eta = np.broadcast_to(np.linspace(0.27, 0.23, 10), (2, 2, 10)).copy()
     known = EtaMap(
-        edges,
-        eta,
-        np.full(eta.shape, 0.001),
-        np.full(eta.shape, 1 / 40),
-        40_000,
-        0,
-        {"crystal_width_mm": 10.0} | parameters,
-        "0",
+        edges_mm=edges,
+        eta=eta,
+        eta_sigma=np.full(eta.shape, 0.001),
+        volume=np.full(eta.shape, 1 / 40),
+        photons=40_000,
+        seed=0,
+        parameters={"crystal_width_mm": 10.0} | parameters,
+        scene_hash="0",
     )
     file = folder / "eta.nc"
     file.write_bytes(netcdf_bytes(known.to_xarray()))

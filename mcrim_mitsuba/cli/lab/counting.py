@@ -156,7 +156,7 @@ def _spreads(map_file: str | None, depth_mm: float, deposits: str | None):
     """What a map of eta varies by over where gammas stop; nothing without one."""
     if map_file is None:
         return ()
-    from mcrim_mitsuba.efficiency.eta_map import all_spreads, read_map
+    from mcrim_mitsuba.efficiency.lighting import all_spreads, read_map
 
     return all_spreads(read_map(map_file), depth_mm, deposits)
 
