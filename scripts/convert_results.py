@@ -15,8 +15,7 @@ import click
 
 from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.files import refuse_outputs
-from mcrim_mitsuba.output.result_reading import read_results
-from mcrim_mitsuba.output.result_writing import SUFFIXES, write_table
+from mcrim_mitsuba.output.codec import SUFFIXES, read_results, write_table
 
 
 @click.command()

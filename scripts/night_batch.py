@@ -22,8 +22,7 @@ from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import make_folder, refuse_outputs, resolved, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
-from mcrim_mitsuba.output.result_reading import read_results
-from mcrim_mitsuba.output.result_writing import cells_text
+from mcrim_mitsuba.output.codec import csv_lines, read_results
 
 _QUALITY = ("chi2", "ndf", "p_value")
 _COLUMNS = (
@@ -84,7 +83,8 @@ def main(campaigns, verb, folder, run, log) -> int:
 
     def told(rows: Mapping[Path, dict]) -> None:
         lines = [{"campaign": str(campaign), **row} for campaign, row in rows.items()]
-        write_text(summary, cells_text(_COLUMNS, lines))
+        cells = ([line.get(name) for name in _COLUMNS] for line in lines)
+        write_text(summary, csv_lines(_COLUMNS, cells))
 
     return one_after_another("campaigns", list(results), do, summary, log, told)
 

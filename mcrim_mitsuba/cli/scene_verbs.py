@@ -235,11 +235,11 @@ def simulate(
     showing.show(screen, found.described, found.draw(figure) if figure else ())
     for name, one in further.items():
         if name == "map":
-            from mcrim_mitsuba.output.result_writing import netcdf_bytes
+            from mcrim_mitsuba.output.codec import netcdf_bytes
 
             write_bytes(map_file, netcdf_bytes(one.to_xarray()))
         elif name == "times":
-            from mcrim_mitsuba.output.result_writing import csv_lines
+            from mcrim_mitsuba.output.codec import csv_lines
 
             write_text(times_file, csv_lines(("time_ps", "part", "part_sigma"), one.rows))
         files = [Path(wanted[name][0])] if name in wanted else []
@@ -358,7 +358,7 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **own) 
     with work.begin() as run:
         made = mcrim.table(file, run=run, method=method, **lists)
     if path and path.lower().endswith(".nc"):
-        from mcrim_mitsuba.output.result_writing import netcdf_bytes
+        from mcrim_mitsuba.output.codec import netcdf_bytes
 
         write_bytes(path, netcdf_bytes(made.to_xarray()))
     elif path:

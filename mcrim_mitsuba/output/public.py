@@ -124,8 +124,7 @@ class Answer:
         Tables of eta lie over their axes, simulations, fits and diagnoses as converted files do; of
         other results it is `to_dataframe`.
         """
-        from mcrim_mitsuba.output.result_reading import is_convertible, table_of_document
-        from mcrim_mitsuba.output.result_writing import dataset
+        from mcrim_mitsuba.output.codec import dataset, is_convertible, table_of_document
 
         if hasattr(self.found, "to_xarray"):
             return self.found.to_xarray()

@@ -13,7 +13,7 @@ from mcrim_mitsuba.core.numbers import FWHM
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.lighting import map_eta, read_map
 from mcrim_mitsuba.efficiency.simulate import collect
-from mcrim_mitsuba.output.result_writing import netcdf_bytes
+from mcrim_mitsuba.output.codec import netcdf_bytes
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.conversion import opaque_vector
 from mcrim_mitsuba.transport.simulation import Simulation

@@ -15,7 +15,7 @@ from refusals import refusal
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.hypotheses import refuse_unlike, side_by_side
-from mcrim_mitsuba.output.result_reading import read_results
+from mcrim_mitsuba.output.codec import read_results
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 

@@ -7,7 +7,7 @@ from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.efficiency.lighting import EtaMap
 from mcrim_mitsuba.inference.places import places_of
-from mcrim_mitsuba.output.result_writing import netcdf_bytes
+from mcrim_mitsuba.output.codec import netcdf_bytes
 
 
 def rising(folder, **parameters):

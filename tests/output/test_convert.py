@@ -10,8 +10,7 @@ import xarray
 from places import cases_of
 from refusals import refusal
 
-from mcrim_mitsuba.output.result_reading import read_results
-from mcrim_mitsuba.output.result_writing import dataset, escaped, latex_text, write_table
+from mcrim_mitsuba.output.codec import dataset, escaped, latex_text, read_results, write_table
 
 cases = cases_of(__file__)
 

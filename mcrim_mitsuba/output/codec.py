@@ -1,0 +1,759 @@
+"""Documents of results read again, and tables of them: CSV, NetCDF (xarray) or LaTeX.
+
+`registry.document_of` makes what ``--json`` writes of a result; its ``kind`` says here how it is
+read. A result becomes rows of numbers, an error beside each (`ResultTable`).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mcrim_mitsuba import __version__
+from mcrim_mitsuba.core.errors import InputError, visible
+from mcrim_mitsuba.core.files import json_text, read_text, resolved, write_bytes
+from mcrim_mitsuba.core.numbers import parse_number, unit_of
+from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.core.table_text import csv_cells
+from mcrim_mitsuba.efficiency.table import COLUMNS
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
+
+if TYPE_CHECKING:
+    import xarray
+
+_LIMIT_MB = 200
+#: Whole numbers beyond are nobody's result, and no float can hold the largest that JSON may have.
+_LARGEST_WHOLE = 2**63
+_MEND = "give what --json of calibrate, compare, diagnose, report, simulate or table wrote"
+# a column's name: what NetCDF and CSV can hold
+_NAME = re.compile(r"[^\W\d][^\x00-\x1f/\"]*")
+
+#: What tables are of; fits are also what comparisons, repairs and reports end with.
+CALIBRATION = "calibration"
+HYPOTHESES = "hypotheses"
+DIAGNOSIS = "diagnosis"
+SIMULATION = "simulation"
+ETA_TABLE = "eta table"
+
+#: Column that names the file a row is from.
+RESULT = "result"
+SIGMA = "_sigma"
+LOWER = "_lower"
+UPPER = "_upper"
+AT_BOUND = "_at_bound"
+_ENDINGS = {
+    SIGMA: "standard error",
+    LOWER: "lower end of the 68.3 % interval",
+    UPPER: "upper end of the 68.3 % interval",
+    AT_BOUND: "bound that stopped the fit",
+}
+
+Cell = float | int | bool | str | None
+Row = dict[str, Any]
+#: Reading of a file: its rows, its readings, its provenance.
+Part = tuple[list[Row], list[Row], dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class ResultTable:
+    """Results of one kind."""
+
+    #: `CALIBRATION`, `HYPOTHESES`, `DIAGNOSIS`, `SIMULATION` or `ETA_TABLE`.
+    kind: str
+    #: By column; the error of NAME is NAME_sigma. Calibrations and simulations have one row
+    #: each, hypotheses one each, diagnoses one per effect, eta tables one per point.
+    rows: tuple[Row, ...]
+    #: Of calibrations and hypotheses: a reading beside its prediction each.
+    readings: tuple[Row, ...]
+    #: Per result what makes it reproducible: seed, hashes, versions, parameters, notes.
+    provenance: dict[str, dict[str, Any]]
+
+
+def columns_of(rows: Sequence[Row]) -> list[str]:
+    """Columns in the order of their first appearance, a name's error right after it."""
+    names: list[str] = []
+    for row in rows:
+        before = None
+        for name in row:
+            if name not in names:
+                names.insert(len(names) if before is None else names.index(before) + 1, name)
+            before = name
+    return names
+
+
+# ---------------------------------------------------------------- documents
+
+#: Entries that are no numbers.
+_TEXTS = ("label", "name", "verdict", "effect", "at_bound")
+_FLAGS = ("use", "plausible")
+
+
+class JsonObject:
+    """An object of a JSON file; `place` says where in it, for messages.
+
+    What it is asked for and holds as something else is an `InputError`.
+    """
+
+    def __init__(self, path: Path, content: dict[str, Any], place: str = "") -> None:
+        self.path, self.content, self._place = path, content, place
+
+    def __contains__(self, name: str) -> bool:
+        return self.content.get(name) is not None
+
+    def cell(self, name: str) -> Any:
+        """A finite number, a text or a flag; None for null and for what is not there."""
+        value, problem = self.content.get(name), ""
+        if value is None:
+            return None
+        if name in _TEXTS:
+            problem = "" if isinstance(value, str) else "not a text"
+        elif name in _FLAGS:
+            problem = "" if isinstance(value, bool) else "neither true nor false"
+        elif isinstance(value, bool) or not isinstance(value, int | float):
+            problem = "not a number"
+        elif isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
+            problem = "a whole number of more than 64 bits"
+        elif not math.isfinite(value):
+            problem = "not finite"
+        elif name.endswith("sigma") and value < 0:
+            problem = "a negative error"
+        if problem:
+            raise self.refusal(name, problem)
+        return value
+
+    def row(self, *names: str) -> Row:
+        """Such cells by name."""
+        return {name: self.cell(name) for name in names}
+
+    def estimate(self, name: str) -> Row:
+        """A fitted parameter as columns; at a bound there is no error."""
+        read = self.object(name).row("value", "sigma", "lower", "upper", "at_bound")
+        if read["value"] is None:
+            raise self.refusal(name, "it has no value")
+        bound = read["at_bound"]
+        row = {name: read["value"], name + SIGMA: None if bound else read["sigma"]}
+        row |= {name + LOWER: read["lower"], name + UPPER: read["upper"]}
+        return row | ({name + AT_BOUND: bound} if bound else {})
+
+    def object(self, name: str) -> JsonObject:
+        """An object in this one; an empty one where there is none."""
+        value = self.content.get(name, {})
+        if not isinstance(value, dict):
+            raise self.refusal(name, "not an object")
+        for key in value:
+            if not _NAME.fullmatch(key):
+                raise self.refusal(name, f"the name {key[:40]!r} cannot be a column")
+        return JsonObject(self.path, value, self._at(name))
+
+    def objects(self, name: str) -> Iterator[JsonObject]:
+        """Objects of a list in this one; none where there is no list."""
+        items = self.content.get(name, [])
+        if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
+            raise self.refusal(name, "not a list of objects")
+        for place, item in enumerate(items):
+            yield JsonObject(self.path, item, f"{self._at(name)}[{place}]")
+
+    def refusal(self, name: str, problem: str) -> InputError:
+        """The error that says what is wrong with the entry `name`."""
+        return InputError(f"{self._at(name)}: {problem}", _MEND, path=self.path)
+
+    def _at(self, name: str) -> str:
+        return f"{self._place}.{name}" if self._place else name
+
+
+def read_json(path: Path) -> JsonObject:
+    """Read a file that holds one JSON object.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is no JSON, or holds something else.
+    """
+    text = read_text(path, _LIMIT_MB)
+    try:
+        content = json.loads(text)
+        json.dumps(content, ensure_ascii=False).encode()
+    except json.JSONDecodeError as error:
+        problem = f"not JSON ({error.msg})"
+        raise InputError(problem, _MEND, path=path, line=error.lineno, column=error.colno) from None
+    except UnicodeEncodeError:
+        problem = "JSON with half a character (\\ud800 or the like)"
+        raise InputError(problem, _MEND, path=path) from None
+    except (RecursionError, ValueError):
+        raise InputError("JSON that is nested too deeply or too long", _MEND, path=path) from None
+    if not isinstance(content, dict):
+        raise InputError("JSON, but not of a result", _MEND, path=path)
+    return JsonObject(path, content)
+
+
+def _kind_of(document: JsonObject) -> str:
+    """The `kind` that a document says, if it is one that tables are made of."""
+    kind = document.content.get("kind", _kind_by_keys(document.content))
+    if kind not in _READERS:
+        raise _not_a_result(document.path)
+    return str(kind)
+
+
+def _not_a_result(path: Path) -> InputError:
+    """JSON of another program, or of a command without a result in numbers."""
+    return InputError("JSON, but no result of mcrim that can be converted", _MEND, path=path)
+
+
+def _kind_by_keys(content: Mapping[str, Any]) -> str:
+    """What a document without `kind` is, by what only such a result has.
+
+    Documents of the version before `kind` are read for one release; this goes with the next.
+    """
+    there = {name for name, value in content.items() if value is not None}
+    by_keys = (
+        ("repair", {"calibration"}),
+        ("diagnosis", {"verdict", "candidates", "baseline"}),
+        ("hypotheses", {"hypotheses", "leading"}),
+        ("fit", {"chi2", "parameters", "rows"}),
+        ("simulation", {"eta", "budget"}),
+        ("table", {"rows", "scene_hash"}),
+    )
+    return next((kind for kind, keys in by_keys if keys <= there), "")
+
+
+def is_convertible(document: Mapping[str, Any]) -> bool:
+    """Whether `table_of_document` takes a document."""
+    return document.get("kind", _kind_by_keys(document)) in _READERS
+
+
+def table_of_document(document: dict[str, Any], name: str) -> ResultTable:
+    """A document as rows and columns; `name` stands for the file.
+
+    Raises
+    ------
+    InputError
+        If it is no result of calibrate, compare, diagnose, report, simulate or table.
+    """
+    kind, part = _read_document(JsonObject(Path(name), document))
+    return _joined(kind, {name: part})
+
+
+def read_results(paths: Sequence[str | Path]) -> ResultTable:
+    """Read results of one kind.
+
+    Parameters
+    ----------
+    paths : sequence of str or Path
+        ``.json`` of calibrate, compare, diagnose, report, simulate or table, or the ``.csv`` that
+        table writes. A report counts as the calibration that it ends with.
+
+    Raises
+    ------
+    InputError
+        If a file is none of these, is there twice, or is of another kind than the first.
+    """
+    files = [Path(path) for path in paths]
+    if not files:
+        raise InputError("no result is named", "name one file at least")
+    for path, count in Counter(map(resolved, files)).items():
+        if count > 1:
+            raise InputError("named twice", "name it once", path=path)
+    parts: dict[str, Part] = {}
+    first = ""
+    for path, name in zip(files, _short_names(files), strict=True):
+        kind, parts[name] = _read(path)
+        first = first or kind
+        if kind != first:
+            problem = f"this is of the kind {kind}, but {files[0]} of the kind {first}"
+            raise InputError(problem, "convert results of one kind at a time", path=path)
+    return _joined(first, parts)
+
+
+def _joined(kind: str, parts: Mapping[str, Part]) -> ResultTable:
+    """Results of one kind, by name."""
+    return ResultTable(
+        kind,
+        tuple({RESULT: name, **row} for name, (rows, _, _) in parts.items() for row in rows),
+        tuple({RESULT: name, **row} for name, (_, rows, _) in parts.items() for row in rows),
+        {name: provenance for name, (_, _, provenance) in parts.items()},
+    )
+
+
+def _short_names(files: Sequence[Path]) -> list[str]:
+    """Short names, unlike each other: without folder and suffix where that suffices."""
+    for short in (lambda p: p.stem, lambda p: p.name, lambda p: f"{p.parent.name}/{p.name}", str):
+        names = [short(file) for file in files]
+        if len(set(names)) == len(names):
+            return names
+    return [str(resolved(file)) for file in files]
+
+
+def _read(path: Path) -> tuple[str, Part]:
+    if path.suffix.lower() == ".csv":
+        return ETA_TABLE, _table_of_csv(path)
+    if path.suffix.lower() != ".json":
+        problem = f"a result ends in .json or .csv, not in {path.suffix or 'nothing'}"
+        raise InputError(problem, "give the file that --json or table -o wrote", path=path)
+    return _read_document(read_json(path))
+
+
+def _read_document(document: JsonObject) -> tuple[str, Part]:
+    """What its table is of, and its rows, readings and provenance."""
+    kind, read = _READERS[_kind_of(document)]
+    rows, readings = read(document)
+    provenance = {name: document.content[name] for name in _PROVENANCE if name in document}
+    if kind == CALIBRATION and "calibration" not in document:
+        provenance.pop("parameters", None)  # the fit's, which are the row
+    return kind, (rows, readings, provenance)
+
+
+_PROVENANCE = (
+    "seed",
+    "photons",
+    "cached_photons",
+    "scene_hash",
+    "versions",
+    "parameters",
+    "command",
+    "notes",
+    "polarization",
+    "transport",
+    "batch",
+)
+_QUALITY = ("chi2", "ndf", "p_value")
+_OF_READING = ("label", "measured", "sigma", "model", "model_sigma", "pull", "eta", "eta_sigma")
+_OF_HYPOTHESIS = ("left_out_error", "log_evidence", "log_evidence_sigma", "probability")
+_OF_CANDIDATE = ("delta_chi2", "delta_chi2_sigma", "p_global", "left_out_error", "aicc")
+
+Rows = tuple[list[Row], list[Row]]
+
+
+def _estimates(document: JsonObject) -> Row:
+    """The parameters of a fit as columns."""
+    parameters = document.object("parameters")
+    return {n: cell for name in parameters.content for n, cell in parameters.estimate(name).items()}
+
+
+def _fit(document: JsonObject) -> Rows:
+    """A fit, or the one with which a repair, a report or a budget ends."""
+    fit = document.object("calibration") if "calibration" in document else document
+    row = fit.row(*_QUALITY) | _estimates(fit)
+    held = fit.object("fixed")
+    row |= held.row(*(name for name in held.content if name not in row))
+    return [row], _readings(fit)
+
+
+def _readings(fit: JsonObject) -> list[Row]:
+    """Every reading beside its prediction."""
+    return [row.row(*_OF_READING, "use") for row in fit.objects("rows")]
+
+
+def _hypotheses(document: JsonObject) -> Rows:
+    """Hypotheses in the order in which they were given."""
+    rows: list[Row] = []
+    readings: list[Row] = []
+    for hypothesis in document.objects("hypotheses"):
+        name, effects = hypothesis.cell("name"), hypothesis.content.get("effects")
+        added = " + ".join(map(str, effects)) if isinstance(effects, list) else ""
+        numbers = hypothesis.row(*_QUALITY, *_OF_HYPOTHESIS) | _estimates(hypothesis)
+        rows.append({"hypothesis": name, "effects": added or "none", **numbers})
+        readings += [{"hypothesis": name, **row} for row in _readings(hypothesis)]
+    return rows, readings
+
+
+def _diagnosis(document: JsonObject) -> Rows:
+    """The campaign without any effect first, then the candidates as they were ranked."""
+    leading, baseline = document.content.get("leading") or [], document.object("baseline")
+    verdict = document.row("verdict")
+    without = {"effect": "none", "leading": False, **baseline.row(*_QUALITY)}
+    rows = [verdict | without | _light_yield(baseline.object("parameters"))]
+    for candidate in document.objects("candidates"):
+        row = verdict | candidate.row("effect")
+        row |= {"leading": row["effect"] in leading}
+        row |= candidate.row(*_QUALITY, *_OF_CANDIDATE)
+        row["size"] = _size(candidate)
+        rows.append(row | candidate.row("plausible") | _light_yield(candidate))
+    return rows, []
+
+
+def _light_yield(parameters: JsonObject) -> Row:
+    if LIGHT_YIELD not in parameters:
+        return {}
+    estimate = parameters.estimate(LIGHT_YIELD)
+    return {name: estimate[name] for name in (LIGHT_YIELD, LIGHT_YIELD + SIGMA)}
+
+
+def _size(candidate: JsonObject) -> str:
+    """``bubble_fraction = 0.27 ± 0.07``; of an effect that is on or off: ``on``."""
+    names = candidate.content.get("effect_parameters") or []
+    fitted = candidate.object("parameters")
+    sizes = []
+    for name in names if isinstance(names, list) else []:
+        if name in fitted:
+            row = fitted.estimate(name)
+            at_bound, value, sigma = name + AT_BOUND in row, row[name], row[name + SIGMA]
+            size = f"{value:.4g}, at its bound" if at_bound else pdg(value, sigma)
+            sizes.append(f"{name} = {size}")
+    return "; ".join(sizes) or "on"
+
+
+def _simulation(document: JsonObject) -> Rows:
+    row = document.row("eta", "eta_sigma")
+    fates, sigmas = document.object("budget"), document.object("budget_sigma")
+    for name in fates.content:
+        row |= {name: fates.cell(name), name + SIGMA: sigmas.cell(name)}
+    row |= document.row("photons")
+    parameters = document.object("parameters")
+    for name, value in parameters.content.items():
+        if isinstance(value, float | int | bool | str):
+            cell = value if isinstance(value, bool | str) else parameters.cell(name)
+            row[name if name not in row else f"parameter_{name}"] = cell
+    return [row], []
+
+
+def _table_of_json(document: JsonObject) -> Rows:
+    rows = [point.row(*COLUMNS) for point in document.objects("rows")]
+    if any(None in row.values() for row in rows):
+        raise _not_a_result(document.path)
+    return _without_repeated(rows, document.path), []
+
+
+def _table_of_csv(path: Path) -> Part:
+    """Lines that begin with # and hold ``name: value`` are provenance."""
+    provenance: dict[str, Any] = {}
+    lines = []
+    for number, text in enumerate(read_text(path, _LIMIT_MB).split("\n"), start=1):
+        if text.startswith("#"):
+            name, colon, value = text.lstrip("# ").partition(": ")
+            if colon and name.isidentifier():
+                provenance[name] = value
+        elif text.strip():
+            lines.append((number, text))
+    if not lines or tuple(csv_cells(lines[0][1], path, lines[0][0])) != COLUMNS:
+        mend = f"its header is {','.join(COLUMNS)}, as mcrim table writes it"
+        raise InputError("no table of eta", mend, path=path, line=lines[0][0] if lines else None)
+    rows: list[Row] = []
+    for number, text in lines[1:]:
+        cells = csv_cells(text, path, number)
+        if len(cells) != len(COLUMNS):
+            problem = f"{len(cells)} cells under {len(COLUMNS)} columns"
+            raise InputError(problem, "give each column one cell", path=path, line=number)
+        rows.append(
+            {
+                name: parse_number(name, cell, path=path, line=number, column=name)
+                for name, cell in zip(COLUMNS, cells, strict=True)
+            }
+        )
+    return _without_repeated(rows, path), [], provenance
+
+
+def _without_repeated(rows: list[Row], path: Path) -> list[Row]:
+    """Rows without those that say the same again."""
+    points: dict[tuple, Row] = {}
+    for row in rows:
+        point = tuple(row[name] for name in COLUMNS[:3])
+        if points.setdefault(point, row) != row:
+            where = ", ".join(f"{n} = {v:g}" for n, v in zip(COLUMNS, point, strict=False))
+            raise InputError(f"two values of eta at {where}", "keep one", path=path)
+    if not points:
+        raise InputError("a table without rows", "give one with rows", path=path)
+    return list(points.values())
+
+
+#: By a document's kind: what its table is of, and how it is read.
+_READERS: dict[str, tuple[str, Callable[[JsonObject], Rows]]] = {
+    "simulation": (SIMULATION, _simulation),
+    "table": (ETA_TABLE, _table_of_json),
+    "fit": (CALIBRATION, _fit),
+    "comparison": (CALIBRATION, _fit),
+    "repair": (CALIBRATION, _fit),
+    "report": (CALIBRATION, _fit),
+    "budget": (CALIBRATION, _fit),
+    "hypotheses": (HYPOTHESES, _hypotheses),
+    "diagnosis": (DIAGNOSIS, _diagnosis),
+}
+
+
+# ---------------------------------------------------------------- LaTeX
+# (booktabs), rounded as the Particle Data Group does
+
+_HEADINGS = {
+    LIGHT_YIELD: r"light yield (ph\,keV$^{-1}$)",
+    "alpha_scat_per_cm": r"$\alpha_{\mathrm{scat}}$ (cm$^{-1}$)",
+    "alpha_abs_per_cm": r"$\alpha_{\mathrm{abs}}$ (cm$^{-1}$)",
+    "n_gap": r"$n_{\mathrm{gap}}$",
+    "n_crystal": r"$n_{\mathrm{crystal}}$",
+    "eta": r"$\eta$",
+    "chi2": r"$\chi^2$",
+    "delta_chi2": r"$\Delta\chi^2$",
+    "p_value": "$p$",
+}
+_LEFT_OUT = {
+    DIAGNOSIS: ("p_global", "left_out_error", "aicc", "plausible", "verdict"),
+    SIMULATION: ("photons",),
+}
+_SPECIAL = str.maketrans(
+    {character: f"\\{character}" for character in "{}$&#%_"}
+    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    | {"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}"}
+    | {"±": r"$\pm$", "\u2212": "$-$"}
+)
+_POWER = re.compile(r"\((.*)\)e([+-]?\d+)")
+
+
+def latex_text(table: ResultTable) -> str:
+    """A ``tabular``; its document needs the package booktabs.
+
+    Values get the places that their errors deserve; what makes the results reproducible is in
+    the JSON and in NetCDF, not here.
+    """
+    columns = _columns_to_read(table)
+    texts = {n for row in table.rows for n, cell in row.items() if isinstance(cell, str | bool)}
+    headings = [_HEADINGS.get(name) or escaped(name.replace("_", " ")) for name in columns]
+    names = ", ".join(visible(" ".join(name.split())) for name in table.provenance)
+    lines = [
+        rf"% needs \usepackage{{booktabs}}; made by mcrim_mitsuba from {names}",
+        r"\begin{tabular}{" + "".join("l" if name in texts else "r" for name in columns) + "}",
+        r"\toprule",
+        _latex_line(headings),
+        r"\midrule",
+        *(_latex_line([_latex_cell(row, name) for name in columns]) for row in table.rows),
+        r"\bottomrule",
+        r"\end{tabular}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _latex_line(cells: Sequence[str]) -> str:
+    return " & ".join(cells) + r" \\"
+
+
+def escaped(text: str) -> str:
+    """A text that LaTeX shows as it is."""
+    return visible(" ".join(text.split())).translate(_SPECIAL)
+
+
+def _columns_to_read(table: ResultTable) -> list[str]:
+    """Columns of a table that is read: errors stand beside values, what is alike is left out."""
+    names = columns_of(table.rows)
+    columns = []
+    for name in names:
+        cells = [row.get(name) for row in table.rows]
+        beside = any(name.endswith(end) and name.removesuffix(end) in names for end in _ENDINGS)
+        if beside or name in _LEFT_OUT.get(table.kind, ()) or all(c in (None, "") for c in cells):
+            continue
+        several_rows = table.kind in (ETA_TABLE, DIAGNOSIS, HYPOTHESES)
+        if name == RESULT and several_rows and len(table.provenance) == 1:
+            continue
+        # parameters of scenes, and fates that no light met
+        if table.kind == SIMULATION and name not in (RESULT, "eta"):
+            alike = name + SIGMA not in names and all(cell == cells[0] for cell in cells)
+            if alike or all(cell == 0 for cell in cells):
+                continue
+        columns.append(name)
+    return columns
+
+
+def _latex_cell(row: Row, name: str) -> str:
+    value = row.get(name)
+    if value is None or value == "":
+        return "--"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, str):
+        return escaped(value)
+    if row.get(name + AT_BOUND):
+        return f"{_latex_number(value)} (at its bound)"
+    sigma = row.get(name + SIGMA)
+    if sigma is not None and float(sigma) > 0:
+        return _latex_rounded(pdg(float(value), float(sigma)))
+    return _latex_number(value)
+
+
+def _latex_rounded(text: str) -> str:
+    r"""``7.5 ± 1.2`` as ``$7.5 \pm 1.2$``."""
+    power = _POWER.fullmatch(text)
+    body = (power[1] if power else text).replace("±", r"\pm")
+    return rf"$({body}) \times 10^{{{power[2]}}}$" if power else f"${body}$"
+
+
+def _latex_number(value: float | int) -> str:
+    """A number without an error: an integer as it is, others in four digits."""
+    if isinstance(value, int):
+        return f"${value}$"
+    mantissa, _, power = f"{value:.4g}".partition("e")
+    return rf"${mantissa} \times 10^{{{int(power)}}}$" if power else f"${mantissa}$"
+
+
+# ---------------------------------------------------------------- xarray, NetCDF 3
+#
+# NetCDF 3 needs SciPy alone. It knows neither missing values of whole numbers nor numbers of more
+# than 32 bits: such columns become floats, and an unknown number becomes NaN. Texts that are not
+# known become empty.
+
+_AXES = COLUMNS[:3]
+_MEANINGS = {
+    "eta": "light collection efficiency",
+    "n_gap": "refractive index of the gap",
+    "alpha_abs_per_cm": "absorption coefficient of the crystal",
+    "alpha_scat_per_cm": "scattering coefficient of the crystal",
+    LIGHT_YIELD: "absolute light yield",
+    "scale": "signal per light collection efficiency",
+    "p_value": "probability of a larger chi2",
+    "pull": "(measured - model) over all errors of the two",
+}
+_LARGEST_INT = 2**31 - 1
+
+
+def dataset(table: ResultTable) -> xarray.Dataset:
+    """Results as a dataset.
+
+    Returns
+    -------
+    xarray.Dataset
+        Of eta tables: eta and eta_sigma over (n_gap, alpha_abs_per_cm, alpha_scat_per_cm), with
+        `result` before them where there is more than one table; points that a table does not
+        have are NaN. Of others: every column over ``row`` (``result`` where each has one row),
+        and readings over ``reading``. Units and meanings are attributes of the variables, what
+        makes the results reproducible is one of the dataset.
+    """
+    import xarray
+
+    if table.kind == ETA_TABLE:
+        data = _grid(table)
+    else:
+        single = len(table.rows) == len(table.provenance)
+        data = xarray.Dataset(_variables(table.rows, RESULT if single else "row"))
+        if single:
+            data = data.set_coords(RESULT)
+        data = data.assign(_variables(table.readings, "reading", prefix="reading_"))
+    for name, variable in data.variables.items():
+        variable.attrs.update(_attributes(str(name)))
+    data.attrs |= {
+        "title": f"mcrim_mitsuba: {table.kind}",
+        "source": f"mcrim_mitsuba {__version__}",
+        "kind": table.kind,
+        "provenance": json_text(table.provenance),
+    }
+    if len(table.provenance) == 1:
+        (provenance,) = table.provenance.values()
+        texts = {n: v if isinstance(v, str) else json_text(v) for n, v in provenance.items()}
+        data.attrs |= {name: text for name, text in texts.items() if name.isidentifier()}
+    return data
+
+
+def netcdf_bytes(data: xarray.Dataset) -> bytes:
+    """The dataset as the content of a NetCDF 3 file.
+
+    Raises
+    ------
+    InputError
+        If a variable has a name that SciPy cannot write.
+    """
+    for name in map(str, (*data.variables, *data.attrs)):
+        if not name.isascii():
+            problem = f"NetCDF 3 cannot hold the name {name[:40]}"
+            raise InputError(problem, "write .csv, or rename it")
+    return bytes(data.to_netcdf(engine="scipy", format="NETCDF3_64BIT"))
+
+
+def _grid(table: ResultTable) -> xarray.Dataset:
+    import pandas
+
+    names = list(table.provenance)
+    frame = pandas.DataFrame(table.rows).astype(dict.fromkeys(COLUMNS, float))
+    grid = frame.set_index([RESULT, *_AXES])[["eta", "eta_sigma"]].to_xarray()
+    grid = grid.reindex({RESULT: names}).assign_coords({RESULT: np.array(names)})
+    return grid.isel({RESULT: 0}, drop=True) if len(names) == 1 else grid
+
+
+def _variables(rows: Sequence[Row], dimension: str, prefix: str = "") -> dict[str, Any]:
+    """Columns as variables; those of which nothing is known are left out."""
+    columns = {name: [row.get(name) for row in rows] for name in columns_of(rows)}
+    return {
+        prefix + name: (dimension, _array(cells))
+        for name, cells in columns.items()
+        if not all(cell is None or cell == "" for cell in cells)
+    }
+
+
+def _array(cells: Sequence[Cell]) -> np.ndarray:
+    if any(isinstance(cell, str) for cell in cells):
+        return np.array(["" if cell is None else str(cell) for cell in cells])
+    if all(isinstance(cell, bool) for cell in cells):
+        return np.array(cells, dtype=np.int8)
+    if all(type(cell) is int and abs(cell) <= _LARGEST_INT for cell in cells):
+        return np.array(cells, dtype=np.int32)
+    return np.array([np.nan if cell is None else float(cell) for cell in cells])
+
+
+def _attributes(name: str) -> dict[str, str]:
+    """Unit and meaning of a variable."""
+    name = name.removeprefix("reading_")
+    ending = next((end for end in _ENDINGS if name.endswith(end)), "")
+    quantity, what = name.removesuffix(ending), _ENDINGS.get(ending, "")
+    meaning = _MEANINGS.get(quantity, quantity if what else "")
+    unit = "1/keV" if quantity == LIGHT_YIELD else unit_of(quantity)
+    unit = unit or ("1" if quantity in _MEANINGS else None)
+    attributes = {
+        "long_name": " of ".join(filter(None, (what, meaning))),
+        "units": "" if unit is None or ending == AT_BOUND else unit,
+    }
+    return {attribute: text for attribute, text in attributes.items() if text}
+
+
+# ---------------------------------------------------------------- files
+
+
+def write_table(table: ResultTable, path: str | Path) -> None:
+    """Write results whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        Ends in ``.csv``, ``.nc`` or ``.tex``.
+
+    Raises
+    ------
+    InputError
+        If the suffix is another one, or the file cannot be written.
+    """
+    write = _WRITERS.get(Path(path).suffix.lower())
+    if write is None:
+        problem = "results are written as .csv, .nc or .tex"
+        raise InputError(problem, "let the name end in one of these", path=path)
+    write_bytes(path, write(table))
+
+
+def csv_text(table: ResultTable) -> str:
+    """A row per row; what is not known is an empty cell.
+
+    One eta table has the columns of ``mcrim table``, which reads like one again.
+    """
+    columns = columns_of(table.rows)
+    if table.kind == ETA_TABLE and len(table.provenance) == 1:
+        columns.remove(RESULT)
+    return csv_lines(columns, ([row.get(name) for name in columns] for row in table.rows))
+
+
+def csv_lines(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
+    """CSV with all digits; None is an empty cell, true is 1."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([int(c) if isinstance(c, bool) else c for c in row] for row in rows)
+    return text.getvalue()
+
+
+_WRITERS: dict[str, Callable[[ResultTable], bytes]] = {
+    ".csv": lambda table: csv_text(table).encode(),
+    ".nc": lambda table: netcdf_bytes(dataset(table)),
+    ".tex": lambda table: latex_text(table).encode(),
+}
+#: Suffixes of the files that `write_table` writes.
+SUFFIXES = tuple(_WRITERS)
