@@ -25,10 +25,8 @@ Row = dict[str, Any]
 _LIMIT_MB = 200
 _REFERENCE = Path(reference.__file__).parent
 #: Modules of the NumPy tracer, and of Geant4, which knows the tracer's bench.
-GEANT4_CODE = [*_REFERENCE.glob("geant4*.py"), _REFERENCE / "bench.py"]
-TRACER_CODE = sorted(
-    file for file in _REFERENCE.glob("*.py") if not file.stem.startswith(("geant4", "crosscheck"))
-)
+GEANT4_CODE = [*Path(__file__).parent.glob("geant4*.py"), _REFERENCE / "bench.py"]
+TRACER_CODE = sorted(file for file in _REFERENCE.glob("*.py") if file.stem != "crosscheck")
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence], right: Iterable[int] = ()) -> list[str]:

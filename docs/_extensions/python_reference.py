@@ -9,8 +9,6 @@ from pathlib import Path
 
 PACKAGE = "mcrim_mitsuba"
 FOLDER = "api"
-#: Cannot be imported without the extra ``geant4``.
-NEEDS_GEANT4 = (f"{PACKAGE}.reference.geant4_process",)
 
 _OPTIONS = ("members", "ignore-module-all")
 
@@ -40,8 +38,7 @@ def pages(package: str, folder: Path) -> dict[str, str]:
         text += "".join(f"   {package}.{each}\n" for each in packages) + "\n"
     modules = [f"{package}.{each.name}" for each in found if not each.ispkg]
     for module in modules:
-        if module not in NEEDS_GEANT4:
-            text += titled(short(module), "-") + automodule(module)
+        text += titled(short(module), "-") + automodule(module)
     made = {package: text}
     for each in packages:
         made |= pages(f"{package}.{each}", folder / each)

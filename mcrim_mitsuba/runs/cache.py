@@ -21,7 +21,6 @@ import shutil
 import weakref
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import platformdirs
@@ -29,7 +28,6 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_bytes, sha256, write_whole
-from mcrim_mitsuba.core.run import DEFAULT_VARIANT
 from mcrim_mitsuba.runs import cache_files
 from mcrim_mitsuba.runs.cache_files import Chunk, decode, encode
 from mcrim_mitsuba.transport.variants import software_versions
@@ -81,17 +79,6 @@ def other_version(versions: Mapping[str, str]) -> tuple[str, str, str] | None:
             theirs, own = (str(each.get(name, "none"))[:12] for each in (versions, mine))
             return name.replace("_", " "), theirs, own
     return None
-
-
-def trial_key(name: str, parameters: dict[str, Any], code: Iterable[Path]) -> str:
-    """SHA-256 (hexadecimal) of what trials of a kind have in common, and of the software.
-
-    `code` are Python files that make the trials. Of the package's own the commands do not count.
-    """
-    own = {"code": package_hash(), "trials": source_hash(code)}
-    software = {**software_versions(DEFAULT_VARIANT), **own}
-    named = {"software": software, "name": name, "parameters": parameters}
-    return sha256(json.dumps(named, sort_keys=True).encode())
 
 
 def source_hash(files: Iterable[Path]) -> str:

@@ -14,6 +14,7 @@ import click
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from geant4 import Geant4Error, is_installed
 from shared import SCENE
 
 from benchmark.engines import (
@@ -37,7 +38,6 @@ from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.table import eta_table
 from mcrim_mitsuba.output.described import table
-from mcrim_mitsuba.reference.geant4 import Geant4Error, is_installed
 from mcrim_mitsuba.transport.simulation import Simulation
 from mcrim_mitsuba.transport.variants import versions
 

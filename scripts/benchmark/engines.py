@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from geant4 import Geant4Result, is_installed, trace_geant4
 from shared import SCENE
 
 from benchmark.scalar import trace_scalar
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.geant4 import Geant4Result, is_installed, trace_geant4
 from mcrim_mitsuba.reference.polished_box import solve_box
 from mcrim_mitsuba.reference.tracer import TracerResult, trace
 from mcrim_mitsuba.transport.collection import Recorder

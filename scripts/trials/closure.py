@@ -33,7 +33,6 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.cli import options, terminal
-from mcrim_mitsuba.cli.trials import Trial, TrialExecutor, Trials, executor_options
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
@@ -48,6 +47,7 @@ from mcrim_mitsuba.output.described import table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from trials import truth as common
+from trials.executor import Trial, TrialExecutor, Trials, executor_options
 from trials.truth import PRIOR_SIGMA_PER_CM, TRUE_ALPHA_ABS_PER_CM, TRUE_ALPHA_SCAT_PER_CM
 
 NAMES = (ALPHA_SCAT, ALPHA_ABS, SCALE)

@@ -22,9 +22,9 @@ import click
 import platformdirs
 
 from mcrim_mitsuba.cli import options, terminal
-from mcrim_mitsuba.cli.trials import Trial, Trials, executor_options
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import make_folder, refuse_outputs, write_text
+from trials.executor import Trial, Trials, executor_options
 from trials.hidden_histories import PHOTONS, HistoryStore
 from trials.hidden_scores import as_markdown, rates
 from trials.hidden_trials import EFFECTS, KINDS, TABLES, TOO_SMALL, draw_and_run, trial_maker

@@ -19,11 +19,11 @@ import click
 import numpy as np
 
 from mcrim_mitsuba.cli import options, terminal
-from mcrim_mitsuba.cli.trials import Trial, Trials, executor_options
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.laboratory.peak import COUNTING, GAUSSIAN, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import spectrum_of
 from mcrim_mitsuba.output.described import table
+from trials.executor import Trial, Trials, executor_options
 from trials.truth import unfinished
 
 MEANS, MINUTES, PER_S = (14.3, 24.5), 10.0, 33.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mcrim_mitsuba.cli.terminal import DONE, OUR_FAULT, Screen
-from mcrim_mitsuba.cli.trials import Trials
+from trials.executor import Trials
 
 #: Where truths are drawn: alpha_scat evenly in its logarithm, the others evenly.
 TRUE_ALPHA_SCAT_PER_CM, TRUE_ALPHA_ABS_PER_CM = (0.15, 1.2), (0.027, 0.051)

@@ -13,13 +13,13 @@ from pathlib import Path
 import click
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from geant4 import is_installed, refuse_bench
 from shared import fraction_error
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.output.described import table
-from mcrim_mitsuba.reference.geant4 import is_installed, refuse_bench
 from mcrim_mitsuba.reference.polished_box import solve_box
 from validate.benches import Case, cases
 from validate.formulas import Formula, formulas

@@ -49,9 +49,9 @@ def in_geant4(sigma_alpha: float, n_gap: float, photons: int) -> float:
 
 def work(sigma_alpha: float, n_gap: float, photons: int) -> None:
     """Trace, and print how many are detected; a cap of the crystal's medium has the ground face."""
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+    import geant4_process as process
     import geant4_pybind as g4
-
-    from mcrim_mitsuba.reference import geant4_process as process
 
     class GroundTop(process.BenchConstruction):
         def Construct(self):

@@ -124,8 +124,7 @@ def test_the_reference_has_every_module(site):
         for name in names
         if "._" not in name.replace(".__init__", "")
     }
-    # these cannot be imported without the extra geant4
-    assert site.modules == public - {f"mcrim_mitsuba.reference.{n}" for n in ("geant4_process",)}
+    assert site.modules == public
 
 
 def test_the_reference_shows_docstrings(site):

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 from refusals import refusal
+from trials.executor import Trial, TrialExecutor, Trials
 
 from mcrim_mitsuba.app.exchange import with_readings
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.cli.trials import Trial, TrialExecutor, Trials
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output.photographer import photograph

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from trials import closure
-
-from mcrim_mitsuba.cli.trials import Trial, TrialExecutor
+from trials.executor import Trial, TrialExecutor
 
 SEED, CAMPAIGNS, REALISATIONS = 1, 60, 15
 PHOTONS, TRUTH_PHOTONS = 49_152, 1_500_000

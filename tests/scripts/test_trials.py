@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from places import SCRIPTS
 from trials import peak
+from trials.executor import Trial, TrialExecutor, Trials
 
 from mcrim_mitsuba.cli.terminal import run
-from mcrim_mitsuba.cli.trials import Trial, TrialExecutor, Trials
 from mcrim_mitsuba.core.errors import InputError
 
 WANTED = [Trial("third", number) for number in range(7)]

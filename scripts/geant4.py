@@ -19,6 +19,7 @@ import numpy as np
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.reference.bench import Bench, FateCounts, whole_number
 
+_PROCESS = Path(__file__).with_name("geant4_process.py")
 #: Volumes in which the light that ends is counted, and what the other programs call that fate.
 DETECTOR, CRYSTAL, MASK = "detector", "crystal", "mask"
 FATES = {DETECTOR: "detected", CRYSTAL: "absorbed_crystal", MASK: "absorbed_aperture"}
@@ -163,7 +164,7 @@ def _run(job: dict, progress: Callable[[int], None] | None) -> dict:
         log = Path(folder, "log")
         with log.open("w") as noise:
             process = subprocess.Popen(
-                [sys.executable, "-m", "mcrim_mitsuba.reference.geant4_process", json.dumps(job)],
+                [sys.executable, str(_PROCESS), json.dumps(job)],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=noise,

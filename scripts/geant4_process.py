@@ -1,4 +1,4 @@
-"""The process in which Geant4 runs: ``python -m mcrim_mitsuba.reference.geant4_process JOB``.
+"""The process in which Geant4 runs: ``python scripts/geant4_process.py JOB``.
 
 It writes one JSON object a line to standard output: ``{"done": photons}`` while it goes on, and
 the result last. What Geant4 itself prints goes to standard error."""
@@ -13,9 +13,9 @@ import threading
 import time
 
 import geant4_pybind as g4
+from geant4 import CRYSTAL, DETECTOR, FATES, MASK
 
 from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.geant4 import CRYSTAL, DETECTOR, FATES, MASK
 
 LIGHT = "light"
 #: Optical properties are given at these photon energies, and light has one in between.

@@ -2,12 +2,12 @@
 
 import math
 
+import geant4 as geant4_trace
 import pytest
+from geant4 import Geant4Error, is_installed, trace_geant4
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.reference import geant4 as geant4_trace
 from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.geant4 import Geant4Error, is_installed, trace_geant4
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.simulation import Simulation
 

@@ -16,7 +16,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Generator, Hashable, Mapping, Sequence
+from collections.abc import Callable, Generator, Hashable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -28,10 +28,12 @@ import click
 from mcrim_mitsuba.cli import options
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import make_folder, read_text, sha256, write_text
-from mcrim_mitsuba.core.run import Progress
+from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Progress
 from mcrim_mitsuba.runs.array_job import ArrayPart
-from mcrim_mitsuba.runs.cache import cache_folder, package_hash, trial_key
+from mcrim_mitsuba.runs.cache import cache_folder, package_hash, source_hash
+from mcrim_mitsuba.runs.cluster import connect
 from mcrim_mitsuba.runs.executors import log
+from mcrim_mitsuba.transport.variants import software_versions
 
 #: Processes that may die one after the other before a call ends.
 _MOST_DEATHS = 3
@@ -203,13 +205,12 @@ def _begin() -> None:
 
 def _by_cluster(address: str, work: Mapping[Name, _Packed]) -> Outcomes[Name]:
     """Outcomes as they come; the scheduler gives the calls of workers that die to others."""
-    from mcrim_mitsuba.runs.cluster import connect
-
+    scripts = str(Path(__file__).parents[1])
     with connect(address) as client:
         from distributed import as_completed as as_they_come
 
         futures = {
-            client.submit(_attempt_there, package_hash(), *packed, pure=False): name
+            client.submit(_by_value, scripts, package_hash(), *packed, pure=False): name
             for name, packed in work.items()
         }
         for future in as_they_come(futures, loop=client.loop):
@@ -220,7 +221,22 @@ def _by_cluster(address: str, work: Mapping[Name, _Packed]) -> Outcomes[Name]:
             yield futures[future], *outcome
 
 
-def _attempt_there(code: str, path: str, packed: bytes) -> tuple[Any, str | None]:
+def _by_value(scripts: str, code: str, path: str, packed: bytes) -> tuple[Any, str | None]:
+    """`attempt_on_worker`, which a worker finds only where these scripts lie."""
+    import sys
+
+    if scripts not in sys.path:
+        sys.path.append(scripts)
+    from trials.executor import attempt_on_worker
+
+    return attempt_on_worker(code, path, packed)
+
+
+#: What is of no module that others have is sent as a whole, not by its name.
+_by_value.__module__ = "__main__"
+
+
+def attempt_on_worker(code: str, path: str, packed: bytes) -> tuple[Any, str | None]:
     """`_attempt` on a worker, if it has the same code as who asks for it."""
     if package_hash() != code:
         return None, "a worker has other code of mcrim_mitsuba; install the same everywhere"
@@ -228,6 +244,17 @@ def _attempt_there(code: str, path: str, packed: bytes) -> tuple[Any, str | None
 
 
 _LIMIT_MB = 200
+
+
+def trial_key(name: str, parameters: dict[str, Any], code: Iterable[Path]) -> str:
+    """SHA-256 (hexadecimal) of what trials of a kind have in common, and of the software.
+
+    `code` are Python files that make the trials. Of the package's own the commands do not count.
+    """
+    own = {"code": package_hash(), "trials": source_hash(code)}
+    software = {**software_versions(DEFAULT_VARIANT), **own}
+    named = {"software": software, "name": name, "parameters": parameters}
+    return sha256(json.dumps(named, sort_keys=True).encode())
 
 
 @dataclass(frozen=True)
