@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.reference.bench import Bench, FateCounts, whole_number
+from mcrim_mitsuba.efficiency.bench import Bench
+from mcrim_mitsuba.reference.tracer import FateCounts, whole_number
 
 _PROCESS = Path(__file__).with_name("geant4_process.py")
 #: Volumes in which the light that ends is counted, and what the other programs call that fate.

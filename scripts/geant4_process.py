@@ -15,7 +15,7 @@ import time
 import geant4_pybind as g4
 from geant4 import CRYSTAL, DETECTOR, FATES, MASK
 
-from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.efficiency.bench import Bench
 
 LIGHT = "light"
 #: Optical properties are given at these photon energies, and light has one in between.

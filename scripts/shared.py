@@ -14,6 +14,7 @@ from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there, read_text
 from mcrim_mitsuba.core.run import Progress, Provenance
+from mcrim_mitsuba.efficiency import bench
 from mcrim_mitsuba.efficiency.table import EtaTable
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
@@ -23,10 +24,11 @@ SCENE = SCENES / "camoo4.xml"
 MADE, KEPT, REFUSED, FAILED = "made", "kept", "refused", "failed"
 Row = dict[str, Any]
 _LIMIT_MB = 200
-_REFERENCE = Path(reference.__file__).parent
-#: Modules of the NumPy tracer, and of Geant4, which knows the tracer's bench.
-GEANT4_CODE = [*Path(__file__).parent.glob("geant4*.py"), _REFERENCE / "bench.py"]
-TRACER_CODE = sorted(file for file in _REFERENCE.glob("*.py") if file.stem != "crosscheck")
+#: How the bench is told to programs that know no scenes; these programs.
+_BENCH_CODE = Path(bench.__file__)
+_TRACER = Path(reference.__file__).parent.glob("*.py")
+TRACER_CODE = [*(file for file in _TRACER if file.stem != "crosscheck"), _BENCH_CODE]
+GEANT4_CODE = [*Path(__file__).parent.glob("geant4*.py"), _BENCH_CODE]
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence], right: Iterable[int] = ()) -> list[str]:

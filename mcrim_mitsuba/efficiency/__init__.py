@@ -9,5 +9,7 @@ reading and value of an effect (`response_maker`, `eta_grid`, `responses`). Othe
   arrives and is born);
 - `recording` (`record_surface`, `record_surfaces`, `SurfaceWish`), `reweighting` (`EtaSurface`),
   `surface` (what all surfaces can be asked; `InterpolatedSurface`);
-- `response_maker` (`ResponseMaker`), `responses` (`Responses`, `Anchor`).
+- `response_maker` (`ResponseMaker`), `responses` (`Responses`, `Anchor`);
+- `noise_free` (the method ``modes``: scenes solved without photons, by `polished_box.solve_box`),
+  `bench` (`Bench`: a bench told by its parameters), `scene_bench` (`bench_of` a loaded scene).
 """

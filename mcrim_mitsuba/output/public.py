@@ -332,8 +332,8 @@ def simulate(
     InputError
         If the scene is not sound, a parameter is wrong, or the method does not know such a bench.
     """
+    from mcrim_mitsuba.efficiency.noise_free import refuse_method, solve_simulation
     from mcrim_mitsuba.efficiency.simulate import collect
-    from mcrim_mitsuba.reference.noise_free import refuse_method, solve_simulation
     from mcrim_mitsuba.transport.simulation import Simulation
 
     run, parameters = _split(run, given)
@@ -474,7 +474,7 @@ def eta_spectrum(
         wavelength, or the method does not know such a bench.
     """
     from mcrim_mitsuba.efficiency.eta_spectrum import eta_over
-    from mcrim_mitsuba.reference.noise_free import refuse_method, solve_benches
+    from mcrim_mitsuba.efficiency.noise_free import refuse_method, solve_benches
     from mcrim_mitsuba.scene.emitted_light import read_light
 
     run, parameters = _split(run, given)
@@ -572,8 +572,8 @@ def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **gi
         If the scene is not sound or lacks one of the parameters, a value is out of range, or the
         method does not know such a bench.
     """
+    from mcrim_mitsuba.efficiency.noise_free import noise_free_table, refuse_method
     from mcrim_mitsuba.efficiency.table import eta_table
-    from mcrim_mitsuba.reference.noise_free import noise_free_table, refuse_method
 
     run, parameters = _split(run, given)
     refuse_method(method, run)

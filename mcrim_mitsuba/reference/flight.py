@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mcrim_mitsuba.optics.thin_film import cathode_index
-from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.reference.geometry import (
     BOTTOM,
     FIRST_FATE,
@@ -31,6 +30,7 @@ from mcrim_mitsuba.reference.geometry import (
 from mcrim_mitsuba.reference.interface import (
     AbsorbingFilm,
     about,
+    cathode_index,
     cross,
     cross_rough,
     isotropic,

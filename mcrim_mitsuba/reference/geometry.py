@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.numbers import MM_PER_CM
-from mcrim_mitsuba.reference.bench import (
+from mcrim_mitsuba.efficiency.bench import (
     BEAM_AXES,
     NARROW_COLLAR_WIDTH_MM,
     PLATE_DISTANCE_MM,

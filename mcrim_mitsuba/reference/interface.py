@@ -489,3 +489,24 @@ class AbsorbingFilm(NamedTuple):
             entering = 4.0 * of_glass * of_vacuum.real / np.abs(of_glass * b + c) ** 2
             transmitted.append(entering)
         return np.array(reflected), np.array(transmitted)
+
+
+# The photocathode K-Cs-Sb: wavelengths in nm, and n and k of its index n + ik. D. Motta and
+# S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217, as tabulated in WCSim
+# (data/CathodeParameters_KCsCb.txt); 420 and 540 nm are this project's.
+_CATHODE_NM = np.array(sorted([*range(380, 681, 15), 420, 540]), dtype=float)
+_CATHODE_N = """
+    1.92 2.18 2.38 2.57 2.61 2.70 2.87 3.00 3.00 3.00 3.09 3.26
+    3.22 3.20 3.12 3.06 3.01 2.98 2.96 2.95 2.95 2.95 2.96
+"""
+_CATHODE_K = """
+    1.69 1.69 1.71 1.57 1.53 1.50 1.44 1.34 1.11 1.06 1.05 0.86
+    0.7055 0.63 0.53 0.46 0.42 0.38 0.37 0.35 0.34 0.34 0.33
+"""
+
+
+def cathode_index(wavelength_nm: float) -> complex:
+    """Index n + ik of the photocathode, on straight lines between the tabulated wavelengths."""
+    tables = (np.array(table.split(), float) for table in (_CATHODE_N, _CATHODE_K))
+    n, k = (np.interp(wavelength_nm, _CATHODE_NM, table) for table in tables)
+    return complex(n, k)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import operator
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
-from mcrim_mitsuba.reference.bench import Bench, FateCounts, whole_number
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.reference.flight import Flights, PhotonArrays, Record, head_on
 from mcrim_mitsuba.reference.geometry import FATES, FIRST_FATE, REGIONS, Floats, Place
 
@@ -43,6 +47,47 @@ class DetectedHistories:
 
 
 @dataclass(frozen=True)
+class FateCounts:
+    """How often each fate was met."""
+
+    photons: int
+    seed: int
+    #: Photons by fate; the values add up to ``photons``.
+    counts: dict[str, int]
+    #: Part that the detector detects of what arrives head-on; it was calibrated so.
+    head_on: float = field(default=1.0, kw_only=True)
+
+    @property
+    def budget(self) -> dict[str, float]:
+        """Fraction of the emitted photons by fate."""
+        return {fate: count / self.photons for fate, count in self.counts.items()}
+
+    @property
+    def budget_sigma(self) -> dict[str, float]:
+        """Standard deviation of each fraction.
+
+        That of the binomial proportion's posterior under a uniform prior,
+        Beta(k + 1, n - k + 1): sqrt(k (n - k) / n^3) for large counts, and
+        about 1/n rather than 0 when no photon, or every one, met that fate.
+        """
+        n = self.photons
+        return {
+            fate: ((k + 1) * (n - k + 1) / ((n + 2) ** 2 * (n + 3))) ** 0.5
+            for fate, k in self.counts.items()
+        }
+
+    @property
+    def eta(self) -> float:
+        """Light collection efficiency: detected over emitted, relative to light head-on."""
+        return self.budget["detected"] / self.head_on
+
+    @property
+    def eta_sigma(self) -> float:
+        """Standard deviation of `eta`."""
+        return self.budget_sigma["detected"] / self.head_on
+
+
+@dataclass(frozen=True)
 class TracerResult(FateCounts):
     """Every photon's fate, counted.
 
@@ -54,6 +99,16 @@ class TracerResult(FateCounts):
 
     #: None unless asked for. Results are compared without them.
     histories: DetectedHistories | None = field(default=None, compare=False)
+
+
+def whole_number(name: str, value: Any, lowest: int) -> int:
+    """`value` as an int of at least `lowest`; InputError if it is none."""
+    with contextlib.suppress(TypeError):
+        if not isinstance(value, bool) and operator.index(value) >= lowest:
+            return operator.index(value)
+    raise InputError(
+        f"{name} = {value!r} cannot be used", f"give a whole number, at least {lowest}"
+    )
 
 
 def trace(

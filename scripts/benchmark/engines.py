@@ -21,8 +21,8 @@ from shared import SCENE
 
 from benchmark.scalar import trace_scalar
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.polished_box import solve_box
+from mcrim_mitsuba.efficiency.bench import Bench
+from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.reference.tracer import TracerResult, trace
 from mcrim_mitsuba.transport.collection import Recorder
 from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals

@@ -9,7 +9,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.efficiency.bench import Bench
 
 SOURCE = Path(__file__).with_name("scalar_tracer.cpp")
 COMPILERS = ("g++", "c++", "clang++")

@@ -25,7 +25,7 @@ from shared import TRACER_CODE
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.files import make_folder, write_bytes
-from mcrim_mitsuba.reference.bench import FILLED_ABOVE, Bench
+from mcrim_mitsuba.efficiency.bench import FILLED_ABOVE, Bench
 from mcrim_mitsuba.reference.flight import head_on
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.cache import source_hash

@@ -19,8 +19,8 @@ from shared import fraction_error
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
+from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.output.described import table
-from mcrim_mitsuba.reference.polished_box import solve_box
 from validate.benches import Case, cases
 from validate.formulas import Formula, formulas
 from validate.judging import Judgement, agree, judge

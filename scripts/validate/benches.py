@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from mcrim_mitsuba.effects.catalogue import add, catalogue
-from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
 

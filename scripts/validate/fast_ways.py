@@ -27,8 +27,8 @@ from shared import SCENE
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.polished_box import solve_box
+from mcrim_mitsuba.efficiency.bench import Bench
+from mcrim_mitsuba.efficiency.polished_box import solve_box
 from validate.judging import FALSE_ALARM
 
 #: Within these the coefficients of the benches lie, in 1/cm.

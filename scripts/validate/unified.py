@@ -19,7 +19,7 @@ from pathlib import Path
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 

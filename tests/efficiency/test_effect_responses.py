@@ -15,14 +15,14 @@ from places import SCENES, tables_of
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, difference
+from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR, ResponseMaker
 from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.repair import mended_files, repair
 from mcrim_mitsuba.inference.workbench import Workbench
-from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.polished_box import solve_box
 from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
 from mcrim_mitsuba.transport.launch_plan import LANES
 from mcrim_mitsuba.transport.simulation import Simulation

@@ -11,9 +11,9 @@ import mcrim_mitsuba
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.eta_spectrum import eta_over
+from mcrim_mitsuba.efficiency.noise_free import solve_benches
 from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
 from mcrim_mitsuba.optics.materials import material
-from mcrim_mitsuba.reference.noise_free import solve_benches
 from mcrim_mitsuba.scene.emitted_light import read_light
 from mcrim_mitsuba.scene.scene_file import read_scene
 

@@ -17,9 +17,9 @@ from scipy.stats import chi2
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.lighting import follow_light
 from mcrim_mitsuba.output.light_figures import draw_arrival, draw_fates
-from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.arrivals import arrivals, detector_plane

@@ -11,10 +11,10 @@ from scipy.optimize import least_squares
 from mcrim_mitsuba.campaign.campaign import as_campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.bench import Bench
+from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.inference.calibrate import PILOT_PHOTONS, calibrate
 from mcrim_mitsuba.inference.diagnose import diagnose
-from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.polished_box import solve_box
 from mcrim_mitsuba.transport.launch_plan import LANES
 
 

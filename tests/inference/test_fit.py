@@ -21,6 +21,7 @@ from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface, choose_proposals
 from mcrim_mitsuba.efficiency.surface import InterpolatedSurface, axes_for
 from mcrim_mitsuba.inference import likelihood as search
@@ -29,7 +30,6 @@ from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, fit_from_
 from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.inference.profiles import profiles_of
 from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
-from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords
 

@@ -10,10 +10,10 @@ from scipy.stats import chi2
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.workbench import Workbench
-from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 
 PHOTONS = 40_000

@@ -13,7 +13,7 @@ import pytest
 from comparisons import assert_compatible
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.reference.geometry import (
     BOTTOM,
     TOP,
@@ -216,7 +216,7 @@ def test_clear_cube_traps_the_fraction_between_the_escape_cones(polarization):
 
 def test_index_matched_bench_is_straight_lines(monkeypatch):
     # a liquid as thin as air, so that the gap absorbs
-    monkeypatch.setattr("mcrim_mitsuba.reference.bench.FILLED_ABOVE", 0.5)
+    monkeypatch.setattr("mcrim_mitsuba.efficiency.bench.FILLED_ABOVE", 0.5)
     bench = Bench(
         **MATCHED,
         alpha_scat_per_cm=0.0,

@@ -13,7 +13,7 @@ import pytest
 from comparisons import assert_compatible, assert_same_eta
 from refusals import refusal
 
-from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.reference.flight import Flights
 from mcrim_mitsuba.reference.geometry import Place, dot
 from mcrim_mitsuba.reference.interface import lambertian, scatter_by_haze, unpolarised_reflectance

@@ -16,8 +16,8 @@ from places import cases_of
 from scipy import special
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.efficiency.bench import CATHODE_WAVELENGTHS_NM, Bench
 from mcrim_mitsuba.optics.thin_film import ThinFilm, cathode_index
-from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.flight import (
     Flights,
     PhotonArrays,
@@ -34,6 +34,7 @@ from mcrim_mitsuba.reference.interface import (
     unpolarised_reflectance,
     visible_normals,
 )
+from mcrim_mitsuba.reference.interface import cathode_index as own_cathode_index
 from mcrim_mitsuba.reference.tracer import trace
 
 cases = cases_of(__file__)
@@ -454,7 +455,7 @@ def test_bubbles_of_no_size_and_bubbles_in_a_liquid_as_thin_as_air(monkeypatch):
     tiny = trace(Bench(**GEL, bubble_fraction=1e-9), 60_000, 26)
     assert_same_eta(tiny, trace(Bench(**GEL), 60_000, 27))
     air = trace(Bench(), 100_000, 28)
-    monkeypatch.setattr("mcrim_mitsuba.reference.bench.FILLED_ABOVE", 0.5)
+    monkeypatch.setattr("mcrim_mitsuba.efficiency.bench.FILLED_ABOVE", 0.5)
     # there is nothing that a bubble's wall could do
     assert_same_eta(trace(Bench(bubble_fraction=0.4), 100_000, 29), air)
     assert_same_eta(
@@ -530,6 +531,15 @@ def test_detector_reflects_before_it_refuses():
     )
     white = trace(Bench(**GEL, detector_reflectance=1.0), 5_000, 40)
     assert white.counts["detected"] == white.counts["absorbed_surface"] == 0
+
+
+def test_the_tracers_table_of_the_photocathode_is_the_transports():
+    """Two tables, written apart, and two interpolations."""
+    for wavelength in np.linspace(*CATHODE_WAVELENGTHS_NM, 601):
+        assert own_cathode_index(wavelength) == pytest.approx(cathode_index(wavelength), abs=1e-12)
+    for outside in (379.9, 680.1):
+        with pytest.raises(InputError, match="the photocathode's index is not known there"):
+            Bench(cathode_nm=20.0, wavelength_nm=outside)
 
 
 def test_detectors_that_see_slanted_light_better_count_relative_to_head_on():

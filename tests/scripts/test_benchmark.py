@@ -5,7 +5,7 @@ import math
 import pytest
 from benchmark import scalar
 
-from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 
 PHOTONS = 100_000

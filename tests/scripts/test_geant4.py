@@ -7,7 +7,7 @@ import pytest
 from geant4 import Geant4Error, is_installed, trace_geant4
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.simulation import Simulation
 

@@ -16,9 +16,9 @@ from places import SCENES, cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.optics.fresnel import reflectance
 from mcrim_mitsuba.output.cross_section import cross_section
-from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.bulk import lane_generators

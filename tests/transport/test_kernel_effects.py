@@ -15,9 +15,9 @@ from scipy.stats import kstest
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.catalogue import add, catalogue
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.optics.emission_band import scattering_of_colours
 from mcrim_mitsuba.optics.thin_film import ThinFilm, cathode_index
-from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport import collection, dielectric, surface_physics

@@ -17,8 +17,8 @@ from scipy.integrate import dblquad, quad
 from scipy.spatial import ConvexHull
 
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.optics.fresnel import amplitudes
-from mcrim_mitsuba.reference.bench import Bench
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport import general_path, surface_physics
 from mcrim_mitsuba.transport.conversion import surface_properties

@@ -20,10 +20,10 @@ from scipy.stats import chi2, norm
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.bench import Bench
+from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.efficiency.recording import RecordRun, record_surface
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface, choose_proposals, improve_shares
-from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.polished_box import solve_box
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport import record_store
 from mcrim_mitsuba.transport.bulk import GENERATORS, BirthLattice

@@ -16,7 +16,7 @@ from scipy.integrate import dblquad
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.reference.crosscheck import crosscheck
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.convex import convex_solids

@@ -1,15 +1,16 @@
-"""The scene's parameters: what the tracer can express, in the units people use."""
+"""The bench by its parameters, as scenes name them, for what knows no scenes.
+
+The solver without photons (`polished_box`), the NumPy tracer and Geant4 are told their bench so."""
 
 from __future__ import annotations
 
 import math
 import operator
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.optics.thin_film import cathode_index
 
 #: A gap is filled where its nominal index is above this.
 FILLED_ABOVE = 1.0005
@@ -49,6 +50,32 @@ NOT_ON_A_CYLINDER = (
     "black_spot_mm",
     "beam_diameter_mm",
 )
+_OF_SOME_FACES = ("top_roughness_alpha", "side_roughness_alpha", "bottom_roughness_alpha")
+#: What is alone: in which words, and beside what it may not be. A wrapping's film is closed: its
+#: open rim would have to lead into the gap, or the wrapping be there twice.
+_ALONE = {
+    "roughness_alpha": ("where all faces are rough", _OF_SOME_FACES),
+    "beam_diameter_mm": ("in a beam", NOT_IN_A_BEAM),
+    "cathode_nm": (
+        "where the detector is a film",
+        ("detector_reflectance", "detector_specular", "angular_falloff"),
+    ),
+    "narrow_collar_mm": (
+        "where gel stands around the crystal",
+        ("chamfer_mm", "bubble_fraction", "bubble_area_fraction", "wrap_reflectance", "collar_mm"),
+    ),
+    "bubble_area_fraction": ("where a round bubble is", ("bubble_fraction", "chamfer_mm")),
+    "collar_mm": (
+        "where gel creeps up the crystal",
+        ("wrap_reflectance", "gap_absorption_per_cm"),
+    ),
+    "wrap_reflectance": (
+        "for a wrapped crystal",
+        ("chamfer_mm", "bubble_fraction", "top_reflectance"),
+    ),
+}
+#: Where the photocathode's index is known.
+CATHODE_WAVELENGTHS_NM = (380.0, 680.0)
 #: Axes that a beam may fly along.
 BEAM_AXES = ("x", "y", "z")
 
@@ -227,13 +254,13 @@ class Bench:
     black_spot_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            name, value = each.name, getattr(self, each.name)
-            if isinstance(each.default, bool):
+        for field in fields(self):
+            name, value = field.name, getattr(self, field.name)
+            if isinstance(field.default, bool):
                 _require(isinstance(value, bool), name, value, "true or false")
-            elif isinstance(each.default, str):
+            elif isinstance(field.default, str):
                 _require(value in BEAM_AXES, name, value, " or ".join(BEAM_AXES))
-            elif value is None and each.default is None:
+            elif value is None and field.default is None:
                 continue
             else:
                 unit = name.rpartition("_")[2]
@@ -243,13 +270,36 @@ class Bench:
 
     def _require_compatible(self) -> None:
         """Refuse values that do not fit each other."""
-        height, room = self.height_mm, self.window_width_mm
         if self.crystal_diameter_mm is None and self.crystal_length_mm is not None:
             raise InputError("crystal_length_mm is that of a cylinder", "give crystal_diameter_mm")
         if self.crystal_diameter_mm is not None:
             self._require_cylinder(self.crystal_diameter_mm)
+        self._require_room()
+        if self.beam_diameter_mm is not None:
+            self._require_narrow_beam(self.beam_diameter_mm)
+        if max(self.source_depth_mm, self.side_depth_mm) < math.inf:
+            both = "source_depth_mm and side_depth_mm exclude each other"
+            raise InputError(f"{both}: gammas come from one side", "leave one of them out")
+        if self.rayleigh_scattering and self.scattering_g:
+            both = "rayleigh_scattering and scattering_g exclude each other"
+            raise InputError(f"{both}: each is a phase function", "leave one of them out")
+        for name, (where, others) in _ALONE.items():
+            # a wrapping that reflects nothing is there too
+            if self.wrap_reflectance is not None if name == "wrap_reflectance" else self._has(name):
+                self._refuse_beside(name, where, others)
+        shortest, longest = CATHODE_WAVELENGTHS_NM
+        if self.cathode_nm and not shortest <= self.wavelength_nm <= longest:
+            problem = "the photocathode's index is not known there"
+            raise InputError(
+                f"wavelength_nm = {self.wavelength_nm:g}: {problem}",
+                f"give {shortest:g} to {longest:g} nm",
+            )
+
+    def _require_room(self) -> None:
+        """Refuse parts that are too large for their neighbours."""
+        height, room, collar = self.height_mm, self.window_width_mm, self.narrow_collar_mm
         widest, width = max(self._footprint_mm.items(), key=operator.itemgetter(1))
-        half, wet = min(width, height) / 2.0, self.narrow_collar_mm
+        half = min(width, height) / 2.0
         for name, fits, expected in (
             ("window_width_mm", room >= width, f"at least {widest} = {width}"),
             ("gap_offset_mm", self.gap_thickness_mm > 0.0, f"more than -gap_mm = -{self.gap_mm}"),
@@ -268,108 +318,47 @@ class Bench:
                 self.chamfer_mm < half,
                 f"less than half of the crystal's width and height, {half:g} mm",
             ),
-            ("narrow_collar_mm", wet < height, f"less than crystal_height_mm = {height}"),
+            ("narrow_collar_mm", collar < height, f"less than crystal_height_mm = {height}"),
             (
                 "window_width_mm",
-                not wet or room >= width + 2.0 * NARROW_COLLAR_WIDTH_MM,
+                not collar or room >= width + 2.0 * NARROW_COLLAR_WIDTH_MM,
                 f"room for a collar of {NARROW_COLLAR_WIDTH_MM:g} mm around the crystal",
             ),
         ):
             _require(fits, name, getattr(self, name), expected)
-        if self.roughness_alpha:
-            self._refuse_beside(
-                "roughness_alpha",
-                "where all faces are rough",
-                "top_roughness_alpha",
-                "side_roughness_alpha",
-                "bottom_roughness_alpha",
-            )
-        if max(self.source_depth_mm, self.side_depth_mm) < math.inf:
-            both = "source_depth_mm and side_depth_mm exclude each other"
-            raise InputError(f"{both}: gammas come from one side", "leave one of them out")
-        if self.beam_diameter_mm is not None:
-            self._require_beam()
-        if self.cathode_nm:
-            self._refuse_beside(
-                "cathode_nm",
-                "where the detector is a film",
-                "detector_reflectance",
-                "detector_specular",
-                "angular_falloff",
-            )
-            cathode_index(self.wavelength_nm)
-        if self.narrow_collar_mm:
-            self._refuse_beside(
-                "narrow_collar_mm",
-                "where gel stands around the crystal",
-                "chamfer_mm",
-                "bubble_fraction",
-                "bubble_area_fraction",
-                "wrap_reflectance",
-                "collar_mm",
-            )
-        if self.bubble_area_fraction:
-            self._refuse_beside(
-                "bubble_area_fraction",
-                "where a round bubble is",
-                "bubble_fraction",
-                "chamfer_mm",
-            )
-        if self.collar_mm:
-            self._refuse_beside(
-                "collar_mm",
-                "where gel creeps up the crystal",
-                "wrap_reflectance",
-                "gap_absorption_per_cm",
-            )
-        if self.rayleigh_scattering and self.scattering_g:
-            both = "rayleigh_scattering and scattering_g exclude each other"
-            raise InputError(f"{both}: each is a phase function", "leave one of them out")
-        if self.wrap_reflectance is not None:
-            # the film's open rim would have to lead into the gap, or the wrap be there twice
-            self._refuse_beside(
-                "wrap_reflectance",
-                "for a wrapped crystal",
-                "chamfer_mm",
-                "bubble_fraction",
-                "top_reflectance",
-            )
 
     def _require_cylinder(self, diameter_mm: float) -> None:
         """Refuse a lying cylinder that does not fit its gap, and what only a box has."""
-        self._refuse_beside("crystal_diameter_mm", "on a cylinder", *NOT_ON_A_CYLINDER)
+        self._refuse_beside("crystal_diameter_mm", "on a cylinder", NOT_ON_A_CYLINDER)
         depths = {"side_depth_mm": self.side_depth_mm}
         if self.crystal_length_mm is not None:
             wet = self.wetted_width_mm
             expected = f"a number below crystal_diameter_mm = {diameter_mm}"
             _require(wet is not None and wet < diameter_mm, "wetted_width_mm", wet, expected)
             depths["source_depth_mm"] = self.source_depth_mm
-            self._refuse_beside(
-                "crystal_length_mm",
-                "on a cylinder that lies",
-                "top_roughness_alpha",
-                "side_roughness_alpha",
-                "bottom_roughness_alpha",
-            )
+            self._refuse_beside("crystal_length_mm", "on a cylinder that lies", _OF_SOME_FACES)
         for name, depth in depths.items():
             if depth < math.inf:
                 problem = f"the NumPy tracer has no {name} on such a cylinder"
                 raise InputError(problem, f"leave {name} out")
 
-    def _require_beam(self) -> None:
-        """Refuse a beam that misses the crystal, and what is nothing to a crystal alone in air."""
-        narrowest, beam = min(self._sizes_across_beam), self.beam_diameter_mm
-        assert beam is not None
+    def _require_narrow_beam(self, beam_mm: float) -> None:
+        """Refuse a beam that is wider than the crystal's side."""
+        sizes = dict.fromkeys(BEAM_AXES, self.crystal_width_mm) | {"z": self.crystal_height_mm}
+        narrowest = min(size for axis, size in sizes.items() if axis != self.beam_axis)
         expected = f"less than the crystal's side, {narrowest:g} mm"
-        _require(beam < narrowest, "beam_diameter_mm", beam, expected)
-        self._refuse_beside("beam_diameter_mm", "in a beam", *NOT_IN_A_BEAM)
+        _require(beam_mm < narrowest, "beam_diameter_mm", beam_mm, expected)
 
-    def _refuse_beside(self, there: str, where: str, *others: str) -> None:
+    def _refuse_beside(self, name: str, where: str, others: tuple[str, ...]) -> None:
         """Refuse what the tracer does not know beside another parameter."""
-        for name in others:
-            if getattr(self, name):
-                problem = f"the NumPy tracer has no {name} {where}"
-                raise InputError(problem, f"leave {name} or {there} out")
+        for other in others:
+            if self._has(other):
+                problem = f"the NumPy tracer has no {other} {where}"
+                raise InputError(problem, f"leave {other} or {name} out")
+
+    def _has(self, name: str) -> bool:
+        """Whether a parameter is neither 0 nor absent."""
+        return bool(getattr(self, name))
 
     @property
     def lies(self) -> bool:
@@ -401,11 +390,6 @@ class Bench:
         assert self.crystal_diameter_mm is not None and self.wetted_width_mm is not None
         radius, half = self.crystal_diameter_mm / 2.0, self.wetted_width_mm / 2.0
         return half**2 / (radius + math.sqrt(radius**2 - half**2))
-
-    @property
-    def _sizes_across_beam(self) -> list[float]:
-        sizes = dict.fromkeys(BEAM_AXES, self.crystal_width_mm) | {"z": self.crystal_height_mm}
-        return [size for axis, size in sizes.items() if axis != self.beam_axis]
 
     @property
     def face_roughness(self) -> tuple[float, ...]:
@@ -464,12 +448,12 @@ class Bench:
             For a name that is not an attribute: silently leaving a parameter
             out would make the comparison meaningless.
         """
-        known = {each.name for each in fields(cls)}
+        names = {field.name for field in fields(cls)}
         parameters = {_GROUND.get(name, name): value for name, value in parameters.items()}
-        unknown = sorted(set(parameters) - known)
+        unknown = sorted(set(parameters) - names)
         if unknown:
             problem = f"the NumPy tracer cannot express {', '.join(unknown)}"
-            raise InputError(problem, f"leave it out, or use only {', '.join(sorted(known))}")
+            raise InputError(problem, f"leave it out, or use only {', '.join(sorted(names))}")
         return cls(**parameters)
 
 
@@ -493,18 +477,6 @@ def _number(name: str, value: Any, lowest: float, highest: float) -> float:
     return number
 
 
-def whole_number(name: str, value: Any, lowest: int) -> int:
-    """``value`` as an int of at least ``lowest``; InputError if it is none."""
-    expected = f"a whole number, at least {lowest}"
-    _require(not isinstance(value, bool), name, value, expected)
-    try:
-        number = operator.index(value)
-    except TypeError:
-        _require(False, name, value, expected)
-    _require(number >= lowest, name, value, expected)
-    return number
-
-
 def _range_in_words(lowest: float, highest: float, infinite: bool) -> str:
     if lowest == -math.inf:
         return "a finite number"
@@ -520,44 +492,3 @@ def _range_in_words(lowest: float, highest: float, infinite: bool) -> str:
 def _require(condition: bool, name: str, value: Any, expected: str) -> None:
     if not condition:
         raise InputError(f"{name} = {value!r} cannot be used", f"give {expected}")
-
-
-@dataclass(frozen=True)
-class FateCounts:
-    """How often each fate was met."""
-
-    photons: int
-    seed: int
-    #: Photons by fate; the values add up to ``photons``.
-    counts: dict[str, int]
-    #: Part that the detector detects of what arrives head-on; it was calibrated so.
-    head_on: float = field(default=1.0, kw_only=True)
-
-    @property
-    def budget(self) -> dict[str, float]:
-        """Fraction of the emitted photons by fate."""
-        return {fate: count / self.photons for fate, count in self.counts.items()}
-
-    @property
-    def budget_sigma(self) -> dict[str, float]:
-        """Standard deviation of each fraction.
-
-        That of the binomial proportion's posterior under a uniform prior,
-        Beta(k + 1, n - k + 1): sqrt(k (n - k) / n^3) for large counts, and
-        about 1/n rather than 0 when no photon, or every one, met that fate.
-        """
-        n = self.photons
-        return {
-            fate: ((k + 1) * (n - k + 1) / ((n + 2) ** 2 * (n + 3))) ** 0.5
-            for fate, k in self.counts.items()
-        }
-
-    @property
-    def eta(self) -> float:
-        """Light collection efficiency: detected over emitted, relative to light head-on."""
-        return self.budget["detected"] / self.head_on
-
-    @property
-    def eta_sigma(self) -> float:
-        """Standard deviation of `eta`."""
-        return self.budget_sigma["detected"] / self.head_on

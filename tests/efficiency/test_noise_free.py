@@ -7,8 +7,8 @@ import pytest
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.polished_box import solve_box
+from mcrim_mitsuba.efficiency.bench import Bench
+from mcrim_mitsuba.efficiency.polished_box import solve_box
 
 SCENE = "scenes/camoo4.xml"
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.numbers import MM_PER_CM
-from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.efficiency.bench import Bench
 
 Floats = NDArray[np.float64]
 _Array = NDArray[Any]

@@ -11,9 +11,9 @@ import pytest
 from scipy.integrate import quad
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.box_openings import fresnel
-from mcrim_mitsuba.reference.polished_box import _Modes, _nodes, _points, solve_box
+from mcrim_mitsuba.efficiency.bench import Bench
+from mcrim_mitsuba.efficiency.box_openings import fresnel
+from mcrim_mitsuba.efficiency.polished_box import _Modes, _nodes, _points, solve_box
 
 GEL = Bench(n_gap=1.46)
 THIN_GAP = 1e-9

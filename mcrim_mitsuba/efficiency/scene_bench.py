@@ -8,7 +8,7 @@ import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.effects.catalogue import add, catalogue
-from mcrim_mitsuba.reference.bench import Bench
+from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, spectrophotometer_of

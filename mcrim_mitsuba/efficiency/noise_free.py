@@ -14,9 +14,9 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.polished_box import solve_box
+from mcrim_mitsuba.efficiency.scene_bench import bench_of
 from mcrim_mitsuba.efficiency.table import EtaTable, TableGrid
-from mcrim_mitsuba.reference.polished_box import solve_box
-from mcrim_mitsuba.reference.scene_bench import bench_of
 from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.simulation import SimulationResult, calibration_notes

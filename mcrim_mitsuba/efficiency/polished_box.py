@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.core.run import one_thread
-from mcrim_mitsuba.reference.bench import Bench
-from mcrim_mitsuba.reference.box_openings import (
+from mcrim_mitsuba.efficiency.bench import Bench
+from mcrim_mitsuba.efficiency.box_openings import (
     EndCones,
     FallingLight,
     Floats,
@@ -28,7 +28,6 @@ from mcrim_mitsuba.reference.box_openings import (
     side_cone,
     side_light,
 )
-from mcrim_mitsuba.reference.flight import head_on
 
 _Array = NDArray[Any]
 
@@ -389,7 +388,8 @@ def solve_box(
         if not wanting.size:
             break
     eta, error, absorbed, trapped, left = columns.reshape(-1, *scat.shape)
-    detected = eta * head_on(bench)
+    # eta is relative to light that arrives head-on, of which a falloff below 0 detects a part
+    detected = eta / max(1.0, 1.0 - bench.angular_falloff)
     fates = {
         "detected": detected,
         "absorbed_crystal": absorbed,
