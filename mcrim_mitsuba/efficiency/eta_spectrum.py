@@ -24,7 +24,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, as_attributes
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
-from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
+from mcrim_mitsuba.efficiency.surface import Coefficients, Lagrange, chebyshev_nodes
 from mcrim_mitsuba.scene.emitted_light import EFFICIENCY, EMISSION, EmittedLight
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
@@ -37,7 +37,7 @@ PHOTONS = 2_000_000
 NODES = 4
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class EtaSpectrum:
     """Efficiency by wavelength, and its means over the light; errors are Monte Carlo's.
 
@@ -87,7 +87,7 @@ class EtaSpectrum:
         import xarray
 
         light, names = self.light, ("eta", "eta_sigma", "detected_part")
-        made = xarray.Dataset(
+        dataset = xarray.Dataset(
             {name: ("wavelength_nm", getattr(self, name)) for name in names}
             | {name: ("wavelength_nm", getattr(light, name)) for name in (EMISSION, EFFICIENCY)}
             | {name: ("wavelength_nm", values) for name, values in light.parameters.items()},
@@ -95,9 +95,9 @@ class EtaSpectrum:
             {"photons": self.photons, "seed": self.seed, "scene_hash": self.scene_hash}
             | as_attributes(self.parameters),
         )
-        made.wavelength_nm.attrs["units"] = "nm"
-        made.eta.attrs["long_name"] = "light collection efficiency"
-        return made
+        dataset.wavelength_nm.attrs["units"] = "nm"
+        dataset.eta.attrs["long_name"] = "light collection efficiency"
+        return dataset
 
 
 #: ``solver(benches, scattering, absorption, run)`` gives the efficiency of every bench, and its
@@ -127,112 +127,140 @@ def eta_over(
         If the scene is not sound or lacks coefficients, photons cannot answer a wavelength, a value
         is out of range, or the solver does not know such a bench.
     """
-    at = light.wavelength_nm
-    mean_nm = light.mean_nm
-    asked = np.append(at, mean_nm)
-    points = [_coefficients(scene, light, float(each)) for each in asked]
-    bending = [name for name in light.parameters if name not in COEFFICIENTS]
-    nodes = np.array([mean_nm])
-    if bending:
-        low, high = 1.0 / at[-1] ** 2, 1.0 / at[0] ** 2
-        nodes = 1.0 / np.sqrt(chebyshev_nodes(low, high, NODES))
-    benches = []
-    for each in nodes.tolist():
-        own = {name: value for name, value in light.at(each).items() if name in bending}
-        benches.append(scene.with_overrides(own))
-    photons = cached = 0
-    if solver is not None:
-        scattering, absorption = np.array(points).T
-        solved = solver(benches, scattering, absorption, run)
-        # as four batches, the mean of which has that error: all wavelengths off alike, and one end
-        # of the band up with the other one down; a pair +-x adds x^2 / 6 to the mean's variance
-        tilt = np.interp(asked, at[[0, -1]], (-1.0, 1.0))
-        alike = np.ones_like(tilt)
-        signs = math.sqrt(6.0) * np.array([tilt, -tilt, alike, -alike])
-        batches = np.array([eta + signs * error for eta, error in solved])
-    else:
-        named = [f"{each:.0f} nm" for each in nodes]
-        batches, photons, cached = _by_photons(benches, named, points, asked, run)
-    weights, fewer = _between(nodes, asked)
-    eta_batches = np.einsum("wn,nbw->bw", weights, batches)
-    eta = eta_batches.mean(axis=0)
-    off = np.abs(np.einsum("wn,nbw->w", fewer - weights, batches) / len(eta_batches) / eta)
-
-    emitted = light.weights
-    seen = emitted * light.efficiency
-    per_batch = eta_batches[:, :-1]
-    of_emitted, product, at_mean = per_batch @ emitted, per_batch @ seen, eta_batches[:, -1]
-    efficiency = float(seen.sum())
-    ratio = _with_error(
-        product.mean() / of_emitted.mean(),
-        product / product.mean() - of_emitted / of_emitted.mean(),
-    )
-    one = at_mean.mean() * efficiency / product.mean()
-    one_off = _with_error(one, at_mean / at_mean.mean() - product / product.mean())
+    plan = _Plan.of(scene, light)
+    answer = _by_photons(plan, run) if solver is None else _by_solver(plan, solver, run)
+    weights, fewer = _between(plan.nodes_nm, plan.asked_nm)
+    batches = np.einsum("wn,nbw->bw", weights, answer.eta)
+    eta = batches.mean(axis=0)
+    # what the polynomial says without the farthest node, over what it says
+    off = np.einsum("wn,nbw->w", fewer - weights, answer.eta) / len(batches) / eta
     return EtaSpectrum(
-        light,
-        eta[:-1],
-        _error(per_batch),
-        *_with_error(of_emitted.mean(), of_emitted / of_emitted.mean()),
-        *_with_error(product.mean() / efficiency, product / product.mean()),
-        efficiency,
-        *ratio,
-        float(at_mean.mean()),
-        float(_error(at_mean)),
-        one_off[0] - 1.0,
-        one_off[1],
-        float(off.max()),
-        tuple(nodes.tolist()),
-        photons,
-        cached,
-        run.seed,
-        dict(scene.parameters),
-        scene.content_hash,
+        light=light,
+        eta=eta[:-1],
+        eta_sigma=_error(batches[:, :-1]),
+        **_means(light, batches),
+        interpolation_error=float(np.abs(off).max()),
+        nodes_nm=tuple(plan.nodes_nm.tolist()),
+        photons=answer.photons,
+        cached_photons=answer.cached_photons,
+        seed=run.seed,
+        parameters=dict(scene.parameters),
+        scene_hash=scene.content_hash,
     )
 
 
-def _by_photons(
-    benches: Sequence[SceneFile],
-    named: Sequence[str],
-    points: Sequence[tuple[float, float]],
-    asked_nm: Array,
-    run: Run,
-) -> tuple[Array, int, int]:
-    """(benches, batches, points) efficiencies; photons, and how many of them the cache had.
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """The benches to simulate, and what they are asked."""
 
-    Batches of one number belong together.
+    #: (wavelengths + 1,) float64: Of the light, rising, and its mean at the end.
+    asked_nm: Array
+    #: Scattering and absorption there, 1/cm.
+    points: list[Coefficients]
+    #: (nodes,) float64: Wavelengths of the benches; the mean alone where no index varies.
+    nodes_nm: Array
+    benches: list[SceneFile]
+
+    @classmethod
+    def of(cls, scene: SceneFile, light: EmittedLight) -> _Plan:
+        at, mean_nm = light.wavelength_nm, light.mean_nm
+        asked = np.append(at, mean_nm)
+        points = [_coefficients(scene, light, nm) for nm in asked.tolist()]
+        bending = [name for name in light.parameters if name not in COEFFICIENTS]
+        nodes = np.array([mean_nm])
+        if bending:
+            nodes = 1.0 / np.sqrt(chebyshev_nodes(1.0 / at[-1] ** 2, 1.0 / at[0] ** 2, NODES))
+        benches = []
+        for nm in nodes.tolist():
+            values = light.at(nm)
+            benches.append(scene.with_overrides({name: values[name] for name in bending}))
+        return cls(asked, points, nodes, benches)
+
+
+@dataclass(frozen=True, eq=False)
+class _Batches:
+    """Efficiencies whose spread over batches is their error."""
+
+    #: (benches, batches, points) float64; batches of one number belong together.
+    eta: Array
+    photons: int = 0
+    cached_photons: int = 0
+
+
+def _by_solver(plan: _Plan, solver: Solver, run: Run) -> _Batches:
+    """Four batches, the mean of which has the solver's error.
+
+    All wavelengths are off alike, and one end of the band is up with the other one down; a pair
+    +-x adds x^2 / 6 to the mean's variance.
     """
+    scattering, absorption = np.array(plan.points).T
+    ends = plan.asked_nm[[0, -2]]
+    tilt = np.interp(plan.asked_nm, ends, (-1.0, 1.0))
+    alike = np.ones_like(tilt)
+    signs = math.sqrt(6.0) * np.array([tilt, -tilt, alike, -alike])
+    solved = solver(plan.benches, scattering, absorption, run)
+    return _Batches(np.array([eta + signs * error for eta, error in solved]))
+
+
+def _by_photons(plan: _Plan, run: Run) -> _Batches:
+    """Batches of photons; errors as `eta_over`."""
     if run.photons is None and run.precision is None:
         run = replace(run, photons=PHOTONS)
-    wishes = [
-        SurfaceWish(name, held, points, run) for name, held in zip(named, benches, strict=True)
-    ]
-    found = record_surfaces(wishes)
+    records = record_surfaces(
+        [
+            SurfaceWish(f"{nm:.0f} nm", bench, plan.points, run)
+            for nm, bench in zip(plan.nodes_nm, plan.benches, strict=True)
+        ]
+    )
     rows = []
-    for surface, _ in found:
-        for nm, point, known in zip(asked_nm, points, surface.evaluate_all(points), strict=True):
-            if known is None:
+    for surface, _ in records:
+        answers = surface.evaluate_all(plan.points)
+        for nm, point, answer in zip(plan.asked_nm, plan.points, answers, strict=True):
+            if answer is None:
                 problem = f"too few photons tell eta at {nm:.0f} nm"
                 mend = "follow more, or cut the spectrum there"
-                raise InputError(problem, mend, path=benches[0].path)
+                raise InputError(problem, mend, path=plan.benches[0].path)
             # sums by batch are of wide cells, and good enough for errors alone
             of_batches = surface.batches(*point)
-            rows.append(known.eta * of_batches / of_batches.mean())
-    photons, cached = (
-        sum(getattr(each, name) for _, each in found) for name in ("photons", "cached_photons")
+            rows.append(answer.eta * of_batches / of_batches.mean())
+    batches = np.array(rows).reshape(len(records), len(plan.points), -1)
+    return _Batches(
+        batches.transpose(0, 2, 1),
+        sum(spent.photons for _, spent in records),
+        sum(spent.cached_photons for _, spent in records),
     )
-    batches = np.array(rows).reshape(len(found), len(points), -1)
-    return batches.transpose(0, 2, 1), photons, cached
 
 
-def _coefficients(
-    scene: SceneFile, light: EmittedLight, wavelength_nm: float
-) -> tuple[float, float]:
+def _means(light: EmittedLight, batches: Array) -> dict[str, float]:
+    """Means over the light, from (batches, wavelengths + 1) efficiencies, the mean's at the end."""
+    emission, efficiency = light.weights, float((light.weights * light.efficiency).sum())
+    emitted, at_mean = batches[:, :-1] @ emission, batches[:, -1]
+    detected = batches[:, :-1] @ (emission * light.efficiency)
+    # relative to their means, as the errors of products and quotients add
+    of_emitted, of_detected, of_mean = (
+        values / values.mean() for values in (emitted, detected, at_mean)
+    )
+    numbers = {
+        "eta_emitted": (emitted.mean(), of_emitted),
+        "eta_detected": (detected.mean() / efficiency, of_detected),
+        "efficiency_arriving": (detected.mean() / emitted.mean(), of_detected - of_emitted),
+        "one_wavelength_off": (
+            at_mean.mean() * efficiency / detected.mean(),
+            of_mean - of_detected,
+        ),
+        "eta_at_mean": (at_mean.mean(), of_mean),
+    }
+    means = {name: float(value) for name, (value, _) in numbers.items()}
+    means |= {f"{name}_sigma": float(value * _error(of)) for name, (value, of) in numbers.items()}
+    means["one_wavelength_off"] -= 1.0
+    return means | {"efficiency_emitted": efficiency}
+
+
+def _coefficients(scene: SceneFile, light: EmittedLight, wavelength_nm: float) -> Coefficients:
     """Scattering and absorption at a wavelength, 1/cm."""
-    own = light.at(wavelength_nm)
-    values = []
+    varying, values = light.at(wavelength_nm), []
     for name in COEFFICIENTS:
-        value = own.get(name, scene.parameters.get(name))
+        value = varying.get(name, scene.parameters.get(name))
         if not isinstance(value, float):
             problem = f"the scene has no parameter {name}"
             raise InputError(problem, "declare the crystal's coefficients", path=scene.path)
@@ -255,8 +283,3 @@ def _between(nodes_nm: Array, wavelength_nm: Array) -> tuple[Array, Array]:
 def _error(batches: Array) -> Array:
     """Standard error of the mean of (batches, ...) values."""
     return np.asarray(batches.std(axis=0, ddof=1) / math.sqrt(len(batches)), float)
-
-
-def _with_error(value: float, relative: Array) -> tuple[float, float]:
-    """A value and its error, from what batches say of it, relative."""
-    return float(value), float(value * _error(relative))
