@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,9 +11,9 @@ from typing import TYPE_CHECKING
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.runs.array_job import PartExecutor
 from mcrim_mitsuba.runs.cache import record_versions
-from mcrim_mitsuba.runs.executors import Content, Executor, Task, current_executor
+from mcrim_mitsuba.runs.executors import Content, Done, Executor, Task, current_executor
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned, remember
-from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH
+from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, FateTally
 from mcrim_mitsuba.transport.simulation import DEFAULT_PHOTONS, SimulationResult
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def collect(
         return simulation.collect(
             photons, precision=run.precision, seed=run.seed, progress=tell if run.progress else None
         )
-    return _collect_in_units(simulation, photons, run, what, size, tell)
+    return _collect_in_units(simulation, photons, run, what, tell)
 
 
 def _lacking(simulation: Simulation, photons: int, run: Run) -> int:
@@ -97,20 +98,52 @@ def _lacking(simulation: Simulation, photons: int, run: Run) -> int:
     return min(photons, launcher.tally.lacking(run.precision))
 
 
+class _Progress:
+    """What the units of one run have tallied so far."""
+
+    def __init__(self, head_on: float) -> None:
+        self.tally = FateTally(head_on=head_on)
+        self.launches = self.cached_photons = 0
+        self.seconds, self.path = 0.0, ""
+
+    def add(self, done: Done) -> None:
+        """Take in a unit."""
+        (chunk,) = done.chunks.values()
+        unit = done.task.unit
+        assert isinstance(unit, TallyBlock)
+        self.tally.merge(FateTally(*(chunk.metadata[name] for name in _TALLY)))
+        self.launches += len(unit.launches)
+        self.cached_photons += unit.photons if done.cached else 0
+        self.seconds += chunk.metadata["seconds"]
+        self.path = chunk.metadata["path"]
+
+    def lacking(self, photons: int, precision: float | None, size: int) -> int:
+        """Photons to follow before looking again at what is reached; 0 at the end.
+
+        Launches have `size` of them.
+        """
+        tally = self.tally
+        if tally.photons >= photons or tally.reaches(precision):
+            return 0
+        wanted = photons - tally.photons
+        if precision is None:
+            return wanted
+        wanted = min(wanted, tally.lacking(precision) if tally.photons else FIRST_LAUNCH)
+        return int(_FIRST_STEP * wanted) if wanted > _AT_ONCE * size else wanted
+
+
 def _collect_in_units(
     simulation: Simulation,
     photons: int,
     run: Run,
     what: str,
-    size: int,
     tell: Callable[[int, int, float, float], None],
 ) -> SimulationResult:
-    """As `Simulation.collect`, in units of launches of `size` photons after the first one."""
-    from mcrim_mitsuba.transport.launch_plan import FateTally
-
+    """As `Simulation.collect`, in units of launches that are kept."""
     remember(simulation)
-    precision, max_depth = run.precision, simulation.depth_limit
-    cache = current_executor().cache(
+    max_depth, executor = simulation.depth_limit, current_executor()
+    size = simulation.launcher().size
+    cache = executor.cache(
         {
             "what": "tallies",
             "scene": simulation.file.content_hash,
@@ -120,58 +153,35 @@ def _collect_in_units(
             "layout": _LAYOUT,
         }
     )
-    tally = FateTally(head_on=simulation.model.head_on)
-    launches, cached, path, interrupted = 0, 0, "", False
-    start, seconds = time.perf_counter(), 0.0
+    block = functools.partial(
+        TallyBlock, what, simulation.file, run.seed, simulation.variant, True, max_depth=max_depth
+    )
+    progress, interrupted = _Progress(simulation.model.head_on), False
+    tally, start = progress.tally, time.perf_counter()
     try:
-        while tally.photons < photons and not tally.reaches(precision):
-            wanted = photons - tally.photons
-            if precision is not None:
-                wanted = min(wanted, tally.lacking(precision) if tally.photons else FIRST_LAUNCH)
-                if wanted > _AT_ONCE * size:
-                    wanted = int(_FIRST_STEP * wanted)
-            tasks = [
-                Task(
-                    TallyBlock(
-                        what,
-                        simulation.file,
-                        run.seed,
-                        simulation.variant,
-                        True,
-                        number,
-                        block,
-                        max_depth,
-                    ),
-                    cache,
-                )
-                for number, block in planned(wanted, launches, size)
-            ]
+        while wanted := progress.lacking(photons, run.precision, size):
+            launches = planned(wanted, progress.launches, size)
+            tasks = [Task(block(first=n, launches=of_unit), cache) for n, of_unit in launches]
             by_all = tally.photons == 0 and len(tasks) == 1
-            for done in current_executor().do(tasks, threads=run.threads, by_all=by_all):
-                (chunk,) = done.chunks.values()
-                tally.merge(FateTally(*(chunk.metadata[name] for name in _TALLY)))
-                unit = done.task.unit
-                assert isinstance(unit, TallyBlock)
-                launches += len(unit.launches)
-                cached += unit.photons if done.cached else 0
-                seconds += chunk.metadata["seconds"]
-                path = chunk.metadata["path"]
+            for done in executor.do(tasks, threads=run.threads, by_all=by_all):
+                progress.add(done)
                 tell(tally.photons, photons, tally.eta, tally.eta_sigma)
     except KeyboardInterrupt:
         # a part of an array job has no result, and is not done
-        if tally.photons == 0 or isinstance(current_executor(), PartExecutor):
+        if tally.photons == 0 or isinstance(executor, PartExecutor):
             raise
         interrupted = True
+    # of an earlier run's photons the time that they took then
+    seconds = progress.seconds if progress.cached_photons else time.perf_counter() - start
     return simulation.result(
         tally,
         photons,
         run.seed,
-        precision,
-        # of an earlier run's photons the time that they took then
-        seconds=seconds if cached else time.perf_counter() - start,
-        path_name=path,
+        run.precision,
+        seconds=seconds,
+        path_name=progress.path,
         interrupted=interrupted,
         max_depth=max_depth,
-        cached_photons=cached,
+        cached_photons=progress.cached_photons,
         notes=cache.notes,
     )
