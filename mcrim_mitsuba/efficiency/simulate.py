@@ -98,7 +98,7 @@ def _lacking(simulation: Simulation, photons: int, run: Run) -> int:
     return min(photons, launcher.tally.lacking(run.precision))
 
 
-class _Progress:
+class _UnitTally:
     """What the units of one run have tallied so far."""
 
     def __init__(self, head_on: float) -> None:
@@ -156,15 +156,15 @@ def _collect_in_units(
     block = functools.partial(
         TallyBlock, what, simulation.file, run.seed, simulation.variant, True, max_depth=max_depth
     )
-    progress, interrupted = _Progress(simulation.model.head_on), False
-    tally, start = progress.tally, time.perf_counter()
+    so_far, interrupted = _UnitTally(simulation.model.head_on), False
+    tally, start = so_far.tally, time.perf_counter()
     try:
-        while wanted := progress.lacking(photons, run.precision, size):
-            launches = planned(wanted, progress.launches, size)
+        while wanted := so_far.lacking(photons, run.precision, size):
+            launches = planned(wanted, so_far.launches, size)
             tasks = [Task(block(first=n, launches=of_unit), cache) for n, of_unit in launches]
             by_all = tally.photons == 0 and len(tasks) == 1
             for done in executor.do(tasks, threads=run.threads, by_all=by_all):
-                progress.add(done)
+                so_far.add(done)
                 tell(tally.photons, photons, tally.eta, tally.eta_sigma)
     except KeyboardInterrupt:
         # a part of an array job has no result, and is not done
@@ -172,16 +172,16 @@ def _collect_in_units(
             raise
         interrupted = True
     # of an earlier run's photons the time that they took then
-    seconds = progress.seconds if progress.cached_photons else time.perf_counter() - start
+    seconds = so_far.seconds if so_far.cached_photons else time.perf_counter() - start
     return simulation.result(
         tally,
         photons,
         run.seed,
         run.precision,
         seconds=seconds,
-        path_name=progress.path,
+        path_name=so_far.path,
         interrupted=interrupted,
         max_depth=max_depth,
-        cached_photons=progress.cached_photons,
+        cached_photons=so_far.cached_photons,
         notes=cache.notes,
     )
