@@ -12,7 +12,7 @@ from sphinx.util.docutils import SphinxDirective
 from mcrim_mitsuba.core.rounding import capital
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
-from mcrim_mitsuba.output.descriptions import not_modelled
+from mcrim_mitsuba.output.describe_campaign import not_modelled
 
 _SPECIAL = re.compile(r"([\\`*_\[\]<>$|])")
 

@@ -32,9 +32,9 @@ from mcrim_mitsuba.efficiency.response_maker import configurations
 from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow, ParameterEstimate
-from mcrim_mitsuba.output import findings
-from mcrim_mitsuba.output.described import Table
-from mcrim_mitsuba.output.descriptions import limits_table
+from mcrim_mitsuba.output import sentences
+from mcrim_mitsuba.output.describe_campaign import limits_table
+from mcrim_mitsuba.output.description import Table
 from mcrim_mitsuba.output.figure_style import shortened, units_of_signals
 
 #: Candidates that are shown.
@@ -179,7 +179,7 @@ def _falling(step: FitStep) -> dict[str, Any]:
 def step_name(step: FitStep) -> str:
     """``with air bubble in the gap, without air``; of the campaign's own fit ``as it came``."""
     titles = [step.campaign.catalogue[name].title for name in step.settings.effects]
-    parts = [f"with {findings.together(titles)}"] if titles else []
+    parts = [f"with {sentences.together(titles)}"] if titles else []
     return ", ".join([*parts, step.words] if step.words else parts) or "as it came"
 
 
@@ -197,7 +197,7 @@ def predictions(session: Session, settings: Settings) -> dict[str, Any]:
     pending = ""
     if shown and shown.pending:
         titles = [session.bench.effects[name][0].title for name in shown.pending]
-        pending = f"These numbers are without {findings.together(titles)}: not simulated yet."
+        pending = f"These numbers are without {sentences.together(titles)}: not simulated yet."
     texts = {**_merit_texts(shown, session), "pending": pending}
     return plain(
         {
@@ -254,7 +254,7 @@ def _readings_cells(readings: Sequence[Reading], shown: Shown | None) -> list[li
         return [["…", "…", "…"] for _ in readings]
     return [
         [
-            findings.signal_text(row.of_beam, row.model, row.model_sigma),
+            sentences.signal_text(row.of_beam, row.model, row.model_sigma),
             f"{row.pull:+.2f}",
             "" if row.of_beam else pdg(row.eta, row.eta_sigma),
         ]
@@ -298,7 +298,7 @@ def reading(session: Session, place: int) -> str:
         reading=one,
         picture=bench_picture(one, values),
         words=bench_words(one, values, measurements.columns),
-        measured=findings.signal_text(one.of_beam, one.signal, one.sigma),
+        measured=sentences.signal_text(one.of_beam, one.signal, one.sigma),
     )
 
 
@@ -310,19 +310,21 @@ def _diagnosis_panel(found: Diagnosed | None) -> str:
     context: dict[str, Any] = {"found": None}
     if found is not None:
         diagnosis = found.diagnosis
-        leading = findings.leading_candidates(diagnosis)
+        leading = sentences.leading_candidates(diagnosis)
         context = {
             "found": diagnosis,
-            "averaged": findings.averaged_yield(diagnosis),
-            "headline": findings.headline(diagnosis),
+            "averaged": sentences.averaged_yield(diagnosis),
+            "headline": sentences.headline(diagnosis),
             "leading": bool(leading),
-            "suspicions": [findings.suspicion(one) for one in diagnosis.suspect_readings],
+            "suspicions": [sentences.suspicion(one) for one in diagnosis.suspect_readings],
             "titles": ("probability", "size", "plausible?", "fall of χ²", "p of the fit"),
             "candidates": _ranked(diagnosis, leading) if diagnosis.candidates else (),
-            "set_aside": findings.set_aside_text(diagnosis),
-            "looks": findings.looks(diagnosis),
+            "set_aside": sentences.set_aside_text(diagnosis),
+            "looks": sentences.how_to_look(diagnosis),
             "limits": _cells(limits_table(diagnosis).seen) if diagnosis.upper_limits else None,
-            "next": [(m.words, *findings.bought(m)) for m in diagnosis.next_measurements],
+            "next": [
+                (m.words, *sentences.measurement_value(m)) for m in diagnosis.next_measurements
+            ],
         }
     return _TEMPLATES.get_template("diagnosis.html").render(context)
 
@@ -334,18 +336,18 @@ def _ranked(diagnosis: Diagnosis, leading: Sequence[Candidate]) -> list[dict[str
         {
             "effects": one.effects,
             "effect": one.effect,
-            "title": findings.in_words(diagnosis, one.effects),
+            "title": sentences.in_words(diagnosis, one.effects),
             "first": bool(leading) and number == 0,
             "cells": (
-                findings.size_text(one, ", "),
-                findings.plausibility(one),
-                findings.gain_text(one),
+                sentences.size_text(one, ", "),
+                sentences.plausibility(one),
+                sentences.gain_text(one),
                 p_text(one.p_value),
             ),
         }
         for number, one in enumerate(ranked.values())
     ]
-    for name, words in findings.NO_EFFECTS.items():
+    for name, words in sentences.NO_EFFECTS.items():
         if name in diagnosis.probabilities:
             rows.append({"effects": (), "effect": name, "title": words, "cells": ("",) * 4})
     for row in rows:
@@ -371,7 +373,7 @@ def _fits_panel(session: Session) -> str:
         compared=beside.number,
         last=_listed(session, last),
         parameters=_parameters(last.calibration.parameters),
-        held=[f"{findings.title_of(n)} = {v:.4g}" for n, v in fixed],
+        held=[f"{sentences.title_of(n)} = {v:.4g}" for n, v in fixed],
         notes=last.calibration.notes,
         beside=None if beside is last else _side_by_side(session, beside, last),
     )
@@ -389,14 +391,14 @@ def _listed(session: Session, step: FitStep) -> dict[str, Any]:
         "ndf": fit.ndf,
         "p": p_text(fit.p_value),
         "chance": p_equals(fit.p_value),
-        "light": "held" if light is None else findings.estimate_text(light),
+        "light": "held" if light is None else sentences.estimate_text(light),
         "light_title": _light_title(session),
     }
 
 
 def _titled(name: str) -> str:
     """A parameter in words, and its name in small print where that is another."""
-    title = findings.title_of(name)
+    title = sentences.title_of(name)
     return title if title == name else Markup("{} <small>{}</small>").format(title, name)
 
 
@@ -406,8 +408,8 @@ def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[tuple[str, 
     for name, known in parameters.items():
         apart: tuple[str, ...] = ("", "")
         if known.at_bound is None and known.contributions:
-            apart = tuple(number(part, 2) for part in findings.errors_apart(known))
-        found.append((_titled(name), findings.estimate_text(known), *apart))
+            apart = tuple(number(part, 2) for part in sentences.errors_apart(known))
+        found.append((_titled(name), sentences.estimate_text(known), *apart))
     return found
 
 
@@ -422,7 +424,7 @@ def _side_by_side(session: Session, first: FitStep, second: FitStep) -> dict[str
         for fit in both:
             known = fit.parameters.get(name)
             held = f"{fit.fixed[name]:.4g}, {HELD}" if name in fit.fixed else "-"
-            cells.append(held if known is None else findings.estimate_text(known))
+            cells.append(held if known is None else sentences.estimate_text(known))
         rows.append((_titled(name), *cells))
     by_label = [{row.label: f"{row.pull:+.2f}" for row in fit.rows} for fit in both]
     labels = dict.fromkeys(label for each in by_label for label in each)

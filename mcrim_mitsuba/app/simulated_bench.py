@@ -32,7 +32,7 @@ from mcrim_mitsuba.inference.estimates import fitted_rows
 from mcrim_mitsuba.inference.likelihood import FrozenStatistic, Likelihood, p_value
 from mcrim_mitsuba.inference.model import UNKNOWN_SCALE, ResponseModel
 from mcrim_mitsuba.inference.workbench import Workbench
-from mcrim_mitsuba.output.findings import parameter_words
+from mcrim_mitsuba.output.sentences import parameter_words
 
 #: Steps of the scale's fit: it is linear but for effects of the readings, which bend it a little.
 _SCALE_STEPS = 4

@@ -17,7 +17,7 @@ from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.inference.diagnose import Diagnosed
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
-from mcrim_mitsuba.output.findings import quantity
+from mcrim_mitsuba.output.sentences import quantity
 
 #: Smallest value of a slider that runs along a logarithm, as part of the largest.
 _LEAST_PART = 1e-3

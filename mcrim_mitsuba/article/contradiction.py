@@ -35,7 +35,7 @@ from mcrim_mitsuba.optics.attenuation import (
     measured_transmittance,
     transmittance,
 )
-from mcrim_mitsuba.output.findings import IN_NO_CATALOGUE, told_apart
+from mcrim_mitsuba.output.sentences import IN_NO_CATALOGUE, told_apart
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE, spectrophotometer_of

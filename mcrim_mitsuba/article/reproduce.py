@@ -27,7 +27,7 @@ from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.neglected import Neglected
-from mcrim_mitsuba.output.described import Described, Part, Sentence, table
+from mcrim_mitsuba.output.description import Description, Part, Sentence, table
 
 SAYS = "What the article's own transmittance says"
 #: How the Monte Carlo errors come about.
@@ -157,7 +157,7 @@ def _rows(
     return tuple(replace(row, section=name) for name, rows in sections.items() for row in rows)
 
 
-# How it is shown and written; see `output.described`.
+# How it is shown and written; see `output.description`.
 
 
 def document_of(result: ArticleResult, figures: Iterable[Path]) -> dict[str, Any]:
@@ -179,7 +179,7 @@ def document_of(result: ArticleResult, figures: Iterable[Path]) -> dict[str, Any
     }
 
 
-def described(result: ArticleResult, folder: str) -> Described:
+def described(result: ArticleResult, folder: str) -> Description:
     """Every number beside ours, section by section, and what follows; figures are in `folder`."""
     fitted, verdicts = result.yields.fitted, [row.verdict for row in result.rows]
     counts = (f"{verdicts.count(name)} {name}" for name in (AGREES, DIFFERS, INCONSISTENT))
@@ -212,7 +212,7 @@ def described(result: ArticleResult, folder: str) -> Described:
         f"{result.photons:,} photons per surface, seed {result.seed}, {result.seconds:.0f} s. "
         f"Figs. 2, 3 and 4, and one of the transmittance, are in {folder} (PNG, PDF, CSV)."
     )
-    return Described("the article, number by number", parts, spent)
+    return Description("the article, number by number", parts, spent)
 
 
 def _tables(rows: tuple[ArticleRow, ...]) -> Iterator[Part]:

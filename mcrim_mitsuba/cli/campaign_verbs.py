@@ -75,7 +75,7 @@ def calibrate(campaign, figure, json_file, work) -> None:
 
 
 def _after_calibration(campaign: str, fit) -> str:
-    from mcrim_mitsuba.output.findings import fails
+    from mcrim_mitsuba.output.sentences import fails
 
     if fails(fit):
         return f"{showing.command('compare', campaign)} for where the model fails"
@@ -114,7 +114,7 @@ def compare(campaigns, figure, json_file, work) -> None:
 
 def _after_hypotheses(compared) -> str:
     from mcrim_mitsuba.inference.diagnose import AMBIGUOUS, UNEXPLAINED
-    from mcrim_mitsuba.output.findings import most_apart
+    from mcrim_mitsuba.output.sentences import most_apart
 
     best = compared.named[compared.leading[0]].campaign
     if compared.verdict == UNEXPLAINED:
@@ -126,7 +126,7 @@ def _after_hypotheses(compared) -> str:
 
 
 def _after_comparison(campaign: str, measurements: Path, comparison) -> str:
-    from mcrim_mitsuba.output.findings import fails, together
+    from mcrim_mitsuba.output.sentences import fails, together
 
     diagnose = showing.command("diagnose", campaign)
     explained = [one for one in comparison.suspects if one.explains]
@@ -218,8 +218,8 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
     Writes a campaign and a scene with the effects in them, to go on from.
     """
     from mcrim_mitsuba.inference.repair import refuse_others_work
-    from mcrim_mitsuba.output import descriptions
-    from mcrim_mitsuba.output.described import rich_tables
+    from mcrim_mitsuba.output import describe_campaign
+    from mcrim_mitsuba.output.description import rich_tables
 
     scene = Path(path).parent / f"{Path(path).stem}.xml"
     written = {"--output": (path, (".toml",)), "the scene of --output": (str(scene), (".xml",))}
@@ -233,13 +233,13 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
 
     def show(step) -> None:
         steps.append(step)
-        growing.renderables[:] = rich_tables(descriptions.steps_table(steps), screen.room)
+        growing.renderables[:] = rich_tables(describe_campaign.steps_table(steps), screen.room)
         if not live:
-            screen.line(descriptions.step_text(step))
+            screen.line(describe_campaign.step_text(step))
 
     with work.begin(growing if live else None) as run:
         found = mcrim.repair(read, path, effect=effect, on_step=show, run=run)
-    found.described = descriptions.of_repair(found.found, with_steps=live)
+    found.described = describe_campaign.of_repair(found.found, with_steps=live)
     showing.answer(found, json_file, figure)
     next_step = f"Next: {showing.command('diagnose', campaign)} says more"
     if found.campaign_path is not None:

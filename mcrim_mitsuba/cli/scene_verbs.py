@@ -18,7 +18,7 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import READS, STDOUT, collected, write_bytes, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.output import documents, scene_descriptions
+from mcrim_mitsuba.output import describe_scene, documents
 from mcrim_mitsuba.transport.launch_plan import LANES
 
 
@@ -77,7 +77,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
         showing.refuse_places(json_file, [])
         parts = describe_installation(variant, threads)
         terminal.write_json(json_file, documents.of_installation(parts))
-        terminal.console(json_file).show(*scene_descriptions.of_installation(parts).parts)
+        terminal.console(json_file).show(*describe_scene.of_installation(parts).parts)
         return
     inputs: list = [scene]
     with contextlib.suppress(InputError):  # what is wrong is among the result's problems
@@ -91,7 +91,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
 
         write_cross_section(found.plot(), picture)
     screen = terminal.console(json_file)
-    showing.show(screen, scene_descriptions.of_check(found.found, first=False))
+    showing.show(screen, describe_scene.of_check(found.found, first=False))
     if not found.ok:
         raise found.problems[0].error()
     if picture:
@@ -365,7 +365,7 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **own) 
         made.write(path)
     terminal.write_json(json_file, made.document)
     seconds = made.document["seconds"]
-    described = scene_descriptions.of_table(made.found, seconds=seconds, written=path)
+    described = describe_scene.of_table(made.found, seconds=seconds, written=path)
     if path in STDOUT:
         screen.say(described.spent)  # unlike the JSON, the CSV has no place for it
     showing.show(screen, described, made.draw(figure) if figure else ())

@@ -13,7 +13,7 @@ import click
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.terminal import Screen
-from mcrim_mitsuba.output.described import Described
+from mcrim_mitsuba.output.description import Description
 from mcrim_mitsuba.runs.array_job import MergingExecutor, UnitFolder
 from mcrim_mitsuba.runs.executors import current_executor
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -130,11 +130,11 @@ def refuse_places(
     refuse_outputs(places, files, suffixes=suffixes)
 
 
-def show(screen: Screen, described: Described, drawn: Iterable[Path] = ()) -> None:
+def show(screen: Screen, described: Description, drawn: Iterable[Path] = ()) -> None:
     """A result, which figures were drawn of it, and what the reader must know before using it."""
     screen.show(*described.parts)
     if names := [str(path) for path in drawn]:
-        from mcrim_mitsuba.output.findings import together
+        from mcrim_mitsuba.output.sentences import together
 
         screen.line(f"drawn to {together(names)}")
     if described.spent:

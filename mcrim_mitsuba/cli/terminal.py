@@ -44,7 +44,7 @@ from mcrim_mitsuba.core.files import (
     write_text,
 )
 from mcrim_mitsuba.core.run import ENDING_SIGNALS
-from mcrim_mitsuba.output.described import UNLIMITED, Part, renderables, sentence
+from mcrim_mitsuba.output.description import UNLIMITED, Part, renderables, sentence
 from mcrim_mitsuba.runs.array_job import PartDoneError
 from mcrim_mitsuba.runs.executors import log
 

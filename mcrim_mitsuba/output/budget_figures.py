@@ -17,7 +17,7 @@ from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.plan import Plan, Planning
 from mcrim_mitsuba.output import figure_style as style
-from mcrim_mitsuba.output.findings import estimate_text
+from mcrim_mitsuba.output.sentences import estimate_text
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.inference.budget import Budget

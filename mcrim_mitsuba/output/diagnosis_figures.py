@@ -27,7 +27,7 @@ from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.output import figure_style as style
-from mcrim_mitsuba.output.findings import (
+from mcrim_mitsuba.output.sentences import (
     ACCEPTABLE_P,
     MOST_PAIRS,
     NO_EFFECTS,

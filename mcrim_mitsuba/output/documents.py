@@ -154,7 +154,7 @@ _SUMS = "statistical systematic total"
 
 
 def of_planning(found: Planning, seed: int) -> Document:
-    from mcrim_mitsuba.output import findings
+    from mcrim_mitsuba.output import sentences
 
     floors = [
         {"configurations": chosen, **_expected(error)} for chosen, error in found.floors.items()
@@ -164,7 +164,7 @@ def of_planning(found: Planning, seed: int) -> Document:
         "reached": found.cheapest is not None,
         "cheapest": _plan(found, found.cheapest),
         "cheapest_statistical": _plan(found, found.cheapest_statistical),
-        "verdict": findings.verdict(found),
+        "verdict": sentences.verdict(found),
         **attributes(found, "conditions candidates"),
         "floors": floors,
         "undetermined": found.undetermined,

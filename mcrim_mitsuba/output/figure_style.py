@@ -24,7 +24,7 @@ from mcrim_mitsuba.core.files import refuse_suffix, write_bytes, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.codec import csv_lines
-from mcrim_mitsuba.output.scene_descriptions import fate_words
+from mcrim_mitsuba.output.describe_scene import fate_words
 
 #: Columns and rows of the CSV beside a figure.
 Numbers = tuple[Sequence[str], Sequence[Sequence[object]]]

@@ -24,8 +24,8 @@ from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
 from mcrim_mitsuba.core.files import json_text, plain, write_text
 from mcrim_mitsuba.core.numbers import number_of, said, unit_of, whole_of
 from mcrim_mitsuba.core.run import MOST_PHOTONS, Run
-from mcrim_mitsuba.output import described, documents, scene_descriptions
-from mcrim_mitsuba.output.described import Described
+from mcrim_mitsuba.output import describe_scene, description, documents
+from mcrim_mitsuba.output.description import Description
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 if TYPE_CHECKING:
@@ -55,14 +55,14 @@ class Answer:
     #: What was found.
     found: Any
     #: How it is shown.
-    described: Described
+    described: Description
     #: As ``--json`` writes it.
     document: Mapping[str, Any]
 
     def __init__(
         self,
         found: Any,
-        described: Described,
+        described: Description,
         document: Mapping[str, Any],
         pictures: Mapping[str, Callable[[], Drawing | Figure]] | None = None,
     ) -> None:
@@ -87,13 +87,13 @@ class Answer:
         return sorted({*super().__dir__(), *names})
 
     def __str__(self) -> str:
-        return described.text(self.described)
+        return description.text(self.described)
 
     def __repr__(self) -> str:
         return f"<Answer: {self.described.title}; print it to read it>"
 
     def _repr_html_(self) -> str:
-        return str(described.html(self.described))
+        return str(description.html(self.described))
 
     def to_json(self, path: str | Path | None = None) -> str:
         """The document of ``--json`` as text; written to a file too, if one is named."""
@@ -202,7 +202,7 @@ class Fitted:
 
     def __str__(self) -> str:
         from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
-        from mcrim_mitsuba.output.findings import estimate_text
+        from mcrim_mitsuba.output.sentences import estimate_text
 
         unit = "ph/keV" if self._name == LIGHT_YIELD else unit_of(self._name)
         return " ".join(filter(None, (estimate_text(self._known), unit)))
@@ -224,9 +224,9 @@ def _answer(
     result: str, found: Any, pictures: Mapping[str, Callable[[], Any]] | None = None, **told: Any
 ) -> Answer:
     """Of a result; the sentences on campaigns are imported when they are needed."""
-    words: ModuleType = scene_descriptions
+    words: ModuleType = describe_scene
     if not hasattr(words, f"of_{result}"):
-        words = importlib.import_module("mcrim_mitsuba.output.descriptions")
+        words = importlib.import_module("mcrim_mitsuba.output.describe_campaign")
     described, document = (
         getattr(module, f"of_{result}")(found, **told) for module in (words, documents)
     )
@@ -649,7 +649,7 @@ def crosscheck(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
     run, parameters = _split(run, given)
     found = compared(scene, parameters, run=run)
     return Answer(
-        found, scene_descriptions.of_crosscheck(found), documents.of_crosscheck(found, run.seed)
+        found, describe_scene.of_crosscheck(found), documents.of_crosscheck(found, run.seed)
     )
 
 
@@ -749,7 +749,7 @@ def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) ->
         If a file cannot be used or written, or if the campaign has no raw data.
     """
     from mcrim_mitsuba.campaign import editor
-    from mcrim_mitsuba.output.laboratory_descriptions import of_reduction
+    from mcrim_mitsuba.output.describe_laboratory import of_reduction
 
     campaign = editor.reduce(campaign, output)
     raw = campaign.raw
@@ -900,7 +900,7 @@ def repair(
         As for `diagnose`, or if the files cannot be written.
     """
     from mcrim_mitsuba.inference.repair import repair as repaired
-    from mcrim_mitsuba.output.findings import in_words
+    from mcrim_mitsuba.output.sentences import in_words
 
     campaign = _read(campaign)
     found = repaired(campaign, output, effect=_names(effect), run=_run(run, given), on_step=on_step)
@@ -1013,7 +1013,7 @@ def plan(
         As for `calibrate`.
     """
     from mcrim_mitsuba.inference.plan import plan as planned
-    from mcrim_mitsuba.output import descriptions
+    from mcrim_mitsuba.output import describe_campaign
 
     campaign = _read(campaign)
     choices = {name: given.pop(name) for name in ("conditions", *_OF_PLAN) if name in given}
@@ -1024,7 +1024,7 @@ def plan(
     found = planned(campaign, wanted, run=run, **choices)
     return Answer(
         found,
-        descriptions.of_plan(found),
+        describe_campaign.of_plan(found),
         documents.of_planning(found, run.seed),
         _of_campaign(campaign, {"plan": partial(_drawn, "budget_figures.draw_plan", found)}),
     )

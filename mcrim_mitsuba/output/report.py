@@ -34,11 +34,11 @@ from mcrim_mitsuba.core.rounding import (
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.repair import Repaired, repair
-from mcrim_mitsuba.output import findings
+from mcrim_mitsuba.output import sentences
 from mcrim_mitsuba.output.figure_style import shortened
-from mcrim_mitsuba.output.findings import leading_candidates
 from mcrim_mitsuba.output.report_pictures import album_of, data_uri, efficiencies_csv
 from mcrim_mitsuba.output.report_sections import Sections, gather
+from mcrim_mitsuba.output.sentences import leading_candidates
 
 #: Characters of a text in a table or a sentence; files are shown in full.
 MOST_IN_A_TABLE = 80
@@ -90,8 +90,8 @@ def render(sections: Sections) -> str:
         "in_full": in_full,
         "p": p_text,
         "number": number,
-        "estimate": findings.estimate_text,
-        "together": findings.together,
+        "estimate": sentences.estimate_text,
+        "together": sentences.together,
         "value": short_text,
         "probability": probability,
         "data_uri": data_uri,
@@ -114,8 +114,8 @@ def render(sections: Sections) -> str:
         ],
         most_rows=MOST_ROWS,
         most_printed=MOST_PRINTED,
-        leading=findings.leading_candidates(sections.diagnosis),
-        findings=findings,
+        leading=sentences.leading_candidates(sections.diagnosis),
+        sentences=sentences,
         pdg=pdg,
         # ours, and hashed as it stands
         style=Markup(style),

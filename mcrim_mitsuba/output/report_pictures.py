@@ -17,12 +17,12 @@ from PIL import Image
 from mcrim_mitsuba.output import figure_style as style
 from mcrim_mitsuba.output.budget_figures import draw_budget
 from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
-from mcrim_mitsuba.output.findings import in_words
 from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_profiles
 from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 from mcrim_mitsuba.output.light_figures import Lights, draw_arrival, draw_fates
 from mcrim_mitsuba.output.photograph import BENCH_PANEL
 from mcrim_mitsuba.output.report_sections import PICTURE_SCALE, RatioOfSignals, Sections
+from mcrim_mitsuba.output.sentences import in_words
 
 # matplotlib writes texts into comments and a date into the metadata; a page needs neither
 _COMMENTS = re.compile(r"<!--.*?-->\n?|<metadata>.*?</metadata>\n?|<!DOCTYPE.*?>\n?", re.DOTALL)

@@ -29,7 +29,7 @@ from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.profiles import Profile, profiles_of
 from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
 from mcrim_mitsuba.output import photographer
-from mcrim_mitsuba.output.findings import errors_apart, plain_headline
+from mcrim_mitsuba.output.sentences import errors_apart, plain_headline
 from mcrim_mitsuba.runs.cache import RecordCache, code_hash, record_versions
 from mcrim_mitsuba.runs.cache_files import Chunk
 from mcrim_mitsuba.scene.check_text import CheckReport

@@ -37,7 +37,7 @@ from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.table import eta_table
-from mcrim_mitsuba.output.described import table
+from mcrim_mitsuba.output.description import table
 from mcrim_mitsuba.transport.simulation import Simulation
 from mcrim_mitsuba.transport.variants import versions
 

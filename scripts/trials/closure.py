@@ -43,7 +43,7 @@ from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.inference.calibrate import DEFAULT_PHOTONS, REACH
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import CampaignModel
-from mcrim_mitsuba.output.described import table
+from mcrim_mitsuba.output.description import table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from trials import truth as common

@@ -33,7 +33,7 @@ from shared import SCENES
 
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.output.described import table
+from mcrim_mitsuba.output.description import table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 
 JOB = ("diagnose", str(SCENES / "camoo4_misfit.toml"), "--photons", "65536")

@@ -22,7 +22,7 @@ from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.laboratory.peak import COUNTING, GAUSSIAN, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import spectrum_of
-from mcrim_mitsuba.output.described import table
+from mcrim_mitsuba.output.description import table
 from trials.executor import Trial, Trials, executor_options
 from trials.truth import unfinished
 

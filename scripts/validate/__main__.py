@@ -20,7 +20,7 @@ from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.efficiency.polished_box import solve_box
-from mcrim_mitsuba.output.described import table
+from mcrim_mitsuba.output.description import table
 from validate.benches import Case, cases
 from validate.formulas import Formula, formulas
 from validate.judging import Judgement, agree, judge

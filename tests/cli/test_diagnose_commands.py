@@ -31,7 +31,7 @@ from mcrim_mitsuba.inference.hypotheses import (
 from mcrim_mitsuba.inference.next_measurements import configuration_words
 from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.repair import Repaired
-from mcrim_mitsuba.output import described, descriptions, findings
+from mcrim_mitsuba.output import describe_campaign, description, sentences
 from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
 from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_hypotheses
 from mcrim_mitsuba.scene.scene_file import read_scene
@@ -79,7 +79,7 @@ def found(monkeypatch):
     monkeypatch.setattr(diagnosing, "diagnose", lambda *_, **__: results["diagnose"])
     monkeypatch.setattr(repairing, "repair", repaired)
     # findings made by hand have no model
-    monkeypatch.setattr(descriptions, "profiles_of", lambda *_: ())
+    monkeypatch.setattr(describe_campaign, "profiles_of", lambda *_: ())
     return results
 
 
@@ -287,7 +287,7 @@ def test_what_is_alike_is_said_by_family():
     ]
     first, second = (replace(one, mimics=tuple(families)) for one in leading)
     found = by.diagnosis("ambiguous", candidates=(first, second, *alike))
-    assert findings.mistakable(found) == (
+    assert sentences.mistakable(found) == (
         "By these readings absorbing crystal surface and air bubble in the gap could be mistaken "
         "for each other, effect_6 or one of gap (4), bulk (2)."
     )
@@ -297,25 +297,25 @@ def test_what_to_measure_next_is_named_with_its_part_of_the_error():
     contributions = {"statistical": 0.1, "prior": 0.29, "detector_efficiency": 0.75}
     light = replace(by.estimate(7.5, 0.81), contributions=contributions)
     fit = by.calibration({"light_yield_ph_per_keV": light})
-    assert findings.next_for_fit(fit, ()) == (
+    assert sentences.next_for_fit(fit, ()) == (
         "What to measure next: the detector's efficiency: 10.0 of the light yield's 10.8 %, in "
         "quadrature. What helps: the tube's calibration against a standard, an emission spectrum "
         "of one's own."
     )
     known = replace(light, efficiency_contributions={"tube scale": 0.2, "emission spectrum": 0.1})
     fit = by.calibration({"light_yield_ph_per_keV": known})
-    said = findings.next_for_fit(fit, ["alpha_abs_per_cm"])
+    said = sentences.next_for_fit(fit, ["alpha_abs_per_cm"])
     assert "next: the absorption of the crystal: 3.9 of the light yield's 5.1 %, in" in said
     bound = by.estimate(7.5, 0.8, "max")
-    assert findings.next_for_fit(by.calibration({"light_yield_ph_per_keV": bound}), ()) == ""
-    assert findings.next_for_fit(by.calibration({}), ()) == ""
+    assert sentences.next_for_fit(by.calibration({"light_yield_ph_per_keV": bound}), ()) == ""
+    assert sentences.next_for_fit(by.calibration({}), ()) == ""
     # what no reading determines has the error that is plausible
     known = replace(light, contributions={"plausible": 0.75, "detector_efficiency": 0.3})
-    said = findings.next_for_fit(by.calibration({"light_yield_ph_per_keV": known}), ())
+    said = sentences.next_for_fit(by.calibration({"light_yield_ph_per_keV": known}), ())
     assert "the size of what is missing: 10.0 of the light yield's 10.8 %" in said
     # which explanation is right may count for more than anything that they have in common
     found = by.diagnosis("ambiguous", light_yield_averaged=AveragedYield(7.5, 1.1, 0.2, 1.05, 0.3))
-    said = findings.next_for_average(found)
+    said = sentences.next_for_average(found)
     assert "next: which explanation is right: 14.0 of the averaged light yield's 14.8 %, in" in said
 
 
@@ -350,14 +350,14 @@ def test_configurations_are_told_in_words(parameters, comments, words):
 
 
 def test_transmittances_are_shown_in_per_cent_and_on_a_scale_of_their_own():
-    assert findings.signal_text(True, 0.76, 0.012) == "(76.0 ± 1.2) %"
-    assert findings.signal_text(True, 0.751011743317966, 0.0) == "75.1 %"
-    assert findings.signal_text(False, 24.5, 0.4) == "24.5 ± 0.4"
-    assert findings.estimate_text(by.estimate(0.0, math.inf)) == "0, not determined"
+    assert sentences.signal_text(True, 0.76, 0.012) == "(76.0 ± 1.2) %"
+    assert sentences.signal_text(True, 0.751011743317966, 0.0) == "75.1 %"
+    assert sentences.signal_text(False, 24.5, 0.4) == "24.5 ± 0.4"
+    assert sentences.estimate_text(by.estimate(0.0, math.inf)) == "0, not determined"
     first, second, *others = by.rows()
     beam = replace(second, measured=0.76, sigma=0.01, model=0.7, kind="transmittance")
     found = replace(by.comparison(), rows=(first, beam, *others))
-    assert findings.apart(found) == [
+    assert sentences.beam_conflict(found) == [
         "the couplings and the beam pull apart: " + by.QUOTES + " was measured 3.3 standard errors "
         "below what all other readings predict, which ask for less to be lost in the crystal than "
         "the beam loses"
@@ -366,7 +366,7 @@ def test_transmittances_are_shown_in_per_cent_and_on_a_scale_of_their_own():
     drawing.figure.draw_without_rendering()
     (of_beam,) = drawing.figure.axes[0].child_axes
     assert of_beam.get_ylabel() == "transmittance (%)"
-    assert by.comparison().p_value is not None and findings.apart(by.comparison()) == []
+    assert by.comparison().p_value is not None and sentences.beam_conflict(by.comparison()) == []
 
 
 DRIFT = """from mcrim_mitsuba.effects import Effect, EffectParameter
@@ -408,18 +408,20 @@ def test_a_profile_that_is_no_parabola_is_said():
     even = Profile(
         "even", values, rise, 2 * (values - 0.3) / 0.03**2, 0.3, 0.03, None, None, (None, None)
     )
-    assert findings.shapes([even]) == []
+    assert sentences.shapes([even]) == []
     # a shelf below the best value
     shelf = np.where(values < 0.26, 2.0 + 100 * (0.26 - values) ** 2, rise)
     slopes = np.gradient(shelf, values)
-    (said,) = findings.shapes([even, replace(even, name="bubble", delta_chi2=shelf, slopes=slopes)])
+    (said,) = sentences.shapes(
+        [even, replace(even, name="bubble", delta_chi2=shelf, slopes=slopes)]
+    )
     assert said == (
         "bubble: the 95 % interval is 0.124 to 0.359, not 0.241 to 0.359 as 0.300 ± 0.030 would "
         "have it: chi2 does not rise like a parabola"
     )
     # a bound that is near cuts the interval off, and is said by the fit
     near = replace(even, values=values[28:], delta_chi2=rise[28:], slopes=even.slopes[28:])
-    assert findings.shapes([replace(near, ends=("min", None))]) == []
+    assert sentences.shapes([replace(near, ends=("min", None))]) == []
 
 
 def test_repair_says_where_nothing_was_added(mcrim, campaign, found):
@@ -541,7 +543,7 @@ def test_titles_are_whole_and_within_their_figure(brief):
 def test_frames_hold_numbers():
     """Texts are for people: a data frame has values, errors and names with units."""
     found = Diagnosed(by.calibration(), by.diagnosis("adequate", pairs=(by.PAIR,)), by.PROVENANCE)
-    tables = descriptions.of_diagnosis(found).tables
+    tables = describe_campaign.of_diagnosis(found).tables
     numbers = [
         "probability",
         "size",
@@ -573,13 +575,13 @@ def test_frames_hold_numbers():
     assert limits.loc["gap_index", ["lower", "upper"]].tolist() == [-0.02, 0.031]
     assert bool(limits.loc[by.OFF, "excluded"])
     further = Diagnosed(by.calibration(), by.diagnosis("ambiguous"), by.PROVENANCE)
-    following = descriptions.of_diagnosis(further).tables["what to measure next"].frame()
+    following = describe_campaign.of_diagnosis(further).tables["what to measure next"].frame()
     assert following.loc[0, ["hours", "light_yield_sigma", "probability"]].tolist() == [
         1.0,
         0.083,
         0.94,
     ]
-    steps = descriptions.steps_table(by.STEPS).frame()
+    steps = describe_campaign.steps_table(by.STEPS).frame()
     assert list(steps.columns) == [
         "added",
         "chi2",
@@ -606,8 +608,8 @@ def test_what_matters_is_shown_and_the_rest_is_counted():
     )
     limits = dict.fromkeys((*effects, by.FIRST), by.diagnosis("adequate").upper_limits[by.OFF])
     of_all = by.diagnosis("missing_effect", candidates=many, upper_limits=limits)
-    shown = descriptions.of_diagnosis(Diagnosed(by.calibration(), of_all, by.PROVENANCE))
-    text = described.text(shown, 100)
+    shown = describe_campaign.of_diagnosis(Diagnosed(by.calibration(), of_all, by.PROVENANCE))
+    text = description.text(shown, 100)
     (more,) = {line for line in text.split("\n") if line.startswith("and ")}
     assert more.startswith("and 18 more, less likely than these: the file of --json has all 31")
     assert text.count("and 18 more") == 2
@@ -616,7 +618,7 @@ def test_what_matters_is_shown_and_the_rest_is_counted():
     # where a table goes on, its words have the room that is there
     on = text.partition("each added alone, continued")[2].partition("└")[0]
     for name in (effects[3], by.FIRST):
-        assert findings.capital(by.TITLES[name]) in on and name in on
+        assert sentences.capital(by.TITLES[name]) in on and name in on
 
 
 def test_a_tiny_p_value_is_below_and_equals_nothing():
@@ -625,11 +627,11 @@ def test_a_tiny_p_value_is_below_and_equals_nothing():
     never = by.comparison(p_value=0.0)
     of_never = by.diagnosis("unexplained", baseline=never)
     told = [
-        findings.quality(never),
-        descriptions.step_text(replace(by.STEPS[0], p_value=0.0)),
+        sentences.quality(never),
+        describe_campaign.step_text(replace(by.STEPS[0], p_value=0.0)),
         draw_ranking(of_never).figure.get_suptitle(),
-        findings.trust(of_never, replace(by.calibration(), p_value=0.0), ()),
-        findings.suspicion(replace(by.BAD, p_value=0.0)),
+        sentences.reliability(of_never, replace(by.calibration(), p_value=0.0), ()),
+        sentences.suspicion(replace(by.BAD, p_value=0.0)),
     ]
     assert not [text for text in told if "= <" in text]
 
@@ -668,8 +670,8 @@ def side_by_side() -> HypothesesCompared:
 
 @pytest.mark.parametrize("width", [80, 100, 140])
 def test_hypotheses_fit_a_terminal_and_their_figure(width):
-    shown = descriptions.of_hypotheses(side_by_side())
-    lines = described.text(shown, width).splitlines()
+    shown = describe_campaign.of_hypotheses(side_by_side())
+    lines = description.text(shown, width).splitlines()
     tables = [line for line in lines if line[:1] in "┏┃┡│└"]
     assert max(map(len, tables)) <= width
     whole = "\n".join(tables)

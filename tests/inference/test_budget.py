@@ -27,8 +27,8 @@ from mcrim_mitsuba.optics.dispersion import extraordinary_index, indices_of_ligh
 from mcrim_mitsuba.optics.emission_band import indices_over_band
 from mcrim_mitsuba.optics.spectrum import Spectrum
 from mcrim_mitsuba.output.budget_figures import draw_neglected
-from mcrim_mitsuba.output.described import text
-from mcrim_mitsuba.output.descriptions import not_modelled, of_budget
+from mcrim_mitsuba.output.describe_campaign import not_modelled, of_budget
+from mcrim_mitsuba.output.description import text
 
 Z = 4.0
 PHOTONS, SEED = 32_768, 11

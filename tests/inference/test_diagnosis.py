@@ -33,7 +33,7 @@ from mcrim_mitsuba.inference.least_squares import (
 from mcrim_mitsuba.inference.likelihood import Likelihood, find_minima
 from mcrim_mitsuba.inference.race import contenders
 from mcrim_mitsuba.inference.workbench import MeasurementProposals
-from mcrim_mitsuba.output.findings import limit_text
+from mcrim_mitsuba.output.sentences import limit_text
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 #: A part of the catalogue, where all of it would only take longer.

@@ -33,7 +33,7 @@ from mcrim_mitsuba.inference.plan import (
 from mcrim_mitsuba.inference.workbench import Workbench
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
-from mcrim_mitsuba.output.findings import verdict
+from mcrim_mitsuba.output.sentences import verdict
 from mcrim_mitsuba.scene.scene_file import read_scene
 
 # a right code fails each statistical test with one in 1000 fresh seeds

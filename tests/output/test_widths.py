@@ -12,7 +12,7 @@ from rich.console import Console
 
 from mcrim_mitsuba.cli.main import mcrim
 from mcrim_mitsuba.cli.terminal import Screen, console, progress_bar
-from mcrim_mitsuba.output.described import Column, Part, Sentence, Table, table
+from mcrim_mitsuba.output.description import Column, Part, Sentence, Table, table
 
 GOLDEN = sorted((Path(__file__).parents[1] / "golden").glob("*.json"))
 WIDTHS = 80, 100, 140

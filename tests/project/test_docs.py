@@ -17,7 +17,7 @@ from places import ROOT
 from mcrim_mitsuba.cli.main import mcrim
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
-from mcrim_mitsuba.output.descriptions import not_modelled
+from mcrim_mitsuba.output.describe_campaign import not_modelled
 from mcrim_mitsuba.transport.variants import use_variant
 
 sphinx_application = pytest.importorskip("sphinx.application", reason="extra docs")

@@ -19,7 +19,7 @@ from mcrim_mitsuba.core.files import (
     write_text,
 )
 from mcrim_mitsuba.core.numbers import parse_number
-from mcrim_mitsuba.output.laboratory_descriptions import of_peaks
+from mcrim_mitsuba.output.describe_laboratory import of_peaks
 
 _SHAPES = ("auto", "counting", "gaussian")
 

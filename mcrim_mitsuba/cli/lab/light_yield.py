@@ -9,7 +9,7 @@ from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.cli.options import NumberWithError, WithError
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes
-from mcrim_mitsuba.output import laboratory_descriptions as descriptions
+from mcrim_mitsuba.output import describe_laboratory
 from mcrim_mitsuba.output.documents import of_contributions
 
 
@@ -119,7 +119,7 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
         **attributes(together, "chi2 ndf p_value"),
         "notes": notes,
     }
-    described = descriptions.of_yields(couplings, together, budgets, notes)
+    described = describe_laboratory.of_yields(couplings, together, budgets, notes)
     showing.answer(mcrim.Answer(together, described, document), json_file)
 
 
@@ -179,5 +179,5 @@ def relative(file, json_file) -> None:
         "equal_collection_ph_per_keV": found.equal_collection,
         "signals_alone_ph_per_keV": found.signals_alone,
     }
-    described = descriptions.of_relative(read, found, budgets)
+    described = describe_laboratory.of_relative(read, found, budgets)
     showing.answer(mcrim.Answer(found, described, document), json_file)

@@ -14,7 +14,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.rounding import pdg
-from mcrim_mitsuba.output import laboratory_descriptions as descriptions
+from mcrim_mitsuba.output import describe_laboratory
 from mcrim_mitsuba.scene.values import SEPARATOR, material_at
 
 
@@ -63,7 +63,7 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
 
         return draw_efficiency(light, curve, found)
 
-    described = descriptions.of_efficiency(found, notes)
+    described = describe_laboratory.of_efficiency(found, notes)
     answer = mcrim.Answer(found, described, document, {"efficiency": drawn})
     showing.answer(answer, json_file, figure)
 
@@ -217,7 +217,7 @@ def absorption(
             f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
         )
     )
-    described = descriptions.of_absorption(found, transmittance, beside, notes)
+    described = describe_laboratory.of_absorption(found, transmittance, beside, notes)
     answer = mcrim.Answer(found, described, document, {"absorption": drawn})
     showing.answer(answer, json_file, figure)
 
@@ -316,7 +316,7 @@ def _catalogue(wavelength_nm: float) -> mcrim.Answer:
         "wavelength_nm": wavelength_nm,
         "materials": [{**_json(each), "n": n} for each, n in indices.items()],
     }
-    described = descriptions.of_materials(indices, wavelength_nm)
+    described = describe_laboratory.of_materials(indices, wavelength_nm)
     return mcrim.Answer(indices, described, document)
 
 
@@ -338,7 +338,7 @@ def _at(name: str, wavelength_nm: float) -> mcrim.Answer:
     }
     said = [f"n = {n:.5f} ± {known.sigma:g} at {wavelength_nm:g} nm"]
     scene = f'in a scene: value="{known.name}@{wavelength_nm:g}nm"'
-    described = descriptions.of_index(known, said, ordinary, difference, scene)
+    described = describe_laboratory.of_index(known, said, ordinary, difference, scene)
     return mcrim.Answer(n, described, document)
 
 
@@ -370,7 +370,7 @@ def _over(name: str, emission: str) -> mcrim.Answer:
         f"{band.mean_wavelength_nm:.1f} nm",
     ]
     scene = f'in a scene in its folder: value="{known.name}@{Path(emission).name}"'
-    described = descriptions.of_index(
+    described = describe_laboratory.of_index(
         known, said, band.ordinary_mean, band.birefringence, scene, notes
     )
     return mcrim.Answer(band, described, document)
@@ -434,5 +434,5 @@ def gammas(formula, energy_keV, density, json_file) -> None:
         "stopped": [{"depth_mm": depth, "share": share} for depth, share in stopped.items()],
         "source": SOURCE,
     }
-    described = descriptions.of_gammas(found, parts, stopped)
+    described = describe_laboratory.of_gammas(found, parts, stopped)
     showing.answer(mcrim.Answer(found, described, document), json_file)

@@ -1,4 +1,4 @@
-"""Results on scenes described: simulations, tables, checks, crosschecks; see `described`.
+"""Results on scenes described: simulations, tables, checks, crosschecks; see `description`.
 
 They stand apart from those on campaigns, whose sentences take half a second to import.
 """
@@ -12,10 +12,10 @@ import numpy as np
 
 from mcrim_mitsuba.core.numbers import titled
 from mcrim_mitsuba.core.rounding import counted, p_equals, pdg
-from mcrim_mitsuba.output.described import (
+from mcrim_mitsuba.output.description import (
     Cell,
     Column,
-    Described,
+    Description,
     Part,
     Sentence,
     Table,
@@ -58,7 +58,7 @@ def fate_words(fate: str) -> str:
     return f"absorbed in {the}{medium}" if fate != medium else fate
 
 
-def of_simulation(result: SimulationResult) -> Described:
+def of_simulation(result: SimulationResult) -> Description:
     """Efficiency, and what becomes of the light."""
     rows = (
         (Cell(fate_words(fate), fate), shown(part, ".6f"), shown(result.budget_sigma[fate], ".6f"))
@@ -74,10 +74,10 @@ def of_simulation(result: SimulationResult) -> Described:
     found = f"eta = {pdg(result.eta, result.eta_sigma)}   ({found}, {result.transport})"
     columns = ("fate", "fraction", Column("error", "fraction_sigma"))
     fates = table("where the light ends", columns, rows)
-    return Described("light collection efficiency", (Sentence(found), fates), notes=result.notes)
+    return Description("light collection efficiency", (Sentence(found), fates), notes=result.notes)
 
 
-def of_map(mapped: EtaMap, spreads: Sequence[Spread]) -> Described:
+def of_map(mapped: EtaMap, spreads: Sequence[Spread]) -> Description:
     """What the efficiency varies by over the crystal, and what that does to a peak."""
     rows = (
         (
@@ -100,13 +100,13 @@ def of_map(mapped: EtaMap, spreads: Sequence[Spread]) -> Described:
         f"by where light is born: {cells} cells, {mapped.photons:,} photons, {100 * error:.2g} % "
         "error of one; FWHM is what a peak gets from the place alone"
     )
-    return Described(
+    return Description(
         "map of the light collection efficiency",
         (Sentence(said), table("efficiency where gammas stop", columns, rows)),
     )
 
 
-def of_spectrum(found: EtaSpectrum) -> Described:
+def of_spectrum(found: EtaSpectrum) -> Description:
     """Means over the light, what one wavelength is off by, and some wavelengths."""
     light, off = found.light, (found.one_wavelength_off, found.one_wavelength_off_sigma)
     eta = pdg(found.eta_detected, found.eta_detected_sigma)
@@ -154,14 +154,14 @@ def of_spectrum(found: EtaSpectrum) -> Described:
             f"wrong by {100 * found.interpolation_error:.2g} %{included}",
         )
     parts: list[Part] = [*map(Sentence, said), table("some wavelengths", columns, rows)]
-    return Described("light collection efficiency over wavelengths", tuple(parts), notes=notes)
+    return Description("light collection efficiency over wavelengths", tuple(parts), notes=notes)
 
 
 def _percent(value: float, sigma: float) -> tuple[float, float]:
     return 100.0 * value, 100.0 * sigma
 
 
-def of_times(found: ArrivalTimes) -> Described:
+def of_times(found: ArrivalTimes) -> Description:
     """When detected light arrives, in which parts it was, and when the first photons do."""
     numbers = (
         ("mean", measured(found.mean_ps, found.mean_ps_sigma)),
@@ -217,12 +217,14 @@ def of_times(found: ArrivalTimes) -> Described:
         "depth, which is another one in every event"
     )
     below = (births,) if len(found.first) > 1 else ()
-    return Described("arrival times of detected light", (said, *tables, *below), notes=found.notes)
+    return Description(
+        "arrival times of detected light", (said, *tables, *below), notes=found.notes
+    )
 
 
 def of_table(
     made: EtaTable, *, seconds: float | None = None, written: str | None = None
-) -> Described:
+) -> Description:
     """Points of a table; of one that was written to a file what it took alone."""
     parts: tuple[Table, ...] = ()
     if not written:
@@ -244,14 +246,14 @@ def of_table(
         + f"{seconds_text(seconds)}errors up to "
         f"{100 * made.largest_relative_sigma:.2g} %"
     )
-    return Described("table of the light collection efficiency", parts, spent, made.notes)
+    return Description("table of the light collection efficiency", parts, spent, made.notes)
 
 
 def seconds_text(seconds: float | None) -> str:
     return "" if seconds is None else f"{seconds:.1f} s, "
 
 
-def of_check(report: CheckReport, *, first: bool = True) -> Described:
+def of_check(report: CheckReport, *, first: bool = True) -> Description:
     """What a scene means, its faces, and what is wrong with it.
 
     The command raises the first problem, and shows the others.
@@ -284,17 +286,17 @@ def of_check(report: CheckReport, *, first: bool = True) -> Described:
         f"{'also: ' if place else ''}{problem}" for place, problem in enumerate(report.problems)
     ]
     parts += map(Sentence, wrong if first else wrong[1:])
-    return Described("check of a scene", tuple(parts), notes=report.notes)
+    return Description("check of a scene", tuple(parts), notes=report.notes)
 
 
-def of_installation(found: Mapping[str, object]) -> Described:
+def of_installation(found: Mapping[str, object]) -> Description:
     """What is installed, by part."""
     rows = ((name, Cell(str(value), value)) for name, value in found.items())
     said = Sentence("the installation works: a kernel was compiled and run")
-    return Described("the installation", (table("", ("part", "found"), rows), said))
+    return Description("the installation", (table("", ("part", "found"), rows), said))
 
 
-def of_crosscheck(found: Crosscheck) -> Described:
+def of_crosscheck(found: Crosscheck) -> Description:
     """Every fate from the programs, and whether they agree."""
     from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL
 
@@ -331,4 +333,4 @@ def of_crosscheck(found: Crosscheck) -> Described:
         f"{found.mitsuba_photons:,} and {found.numpy_photons:,} photons"
     )
     parts = (table("", columns, rows), Sentence(agreement))
-    return Described("Mitsuba beside the NumPy tracer", parts)
+    return Description("Mitsuba beside the NumPy tracer", parts)

@@ -1,8 +1,8 @@
 """What a result looks like, said once: tables and sentences, shown by a terminal or a notebook.
 
 A description holds texts as people read them and, in the cells of its tables, the numbers behind
-them. `descriptions` makes one of every result; `text`, `renderables` (of rich), `html` and
-`Table.frame` show it.
+them. `describe_scene`, `describe_campaign` and `describe_laboratory` make one of every result;
+`text`, `renderables` (of rich), `html` and `Table.frame` show it.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ Part = Table | Sentence
 
 
 @dataclass(frozen=True)
-class Described:
+class Description:
     """A result as it is shown."""
 
     #: What it is, in a few words.
@@ -295,7 +295,7 @@ def _blocks(least: Sequence[int], width: int) -> list[list[int]]:
     return blocks
 
 
-def text(described: Described, width: int = UNLIMITED) -> str:
+def text(described: Description, width: int = UNLIMITED) -> str:
     """The whole as lines of text."""
     stream = io.StringIO()
     # in a notebook rich would show each part by itself, and leave the text empty
@@ -308,7 +308,7 @@ def text(described: Described, width: int = UNLIMITED) -> str:
 # In a notebook.
 
 
-def html(described: Described) -> Markup:
+def html(described: Description) -> Markup:
     """The whole as a piece of a page; all texts are shown as they are."""
     parts = (_html_table(p) if isinstance(p, Table) else _html_line(p) for p in described.whole)
     return Markup("<div>{}</div>").format(Markup("\n").join(parts))

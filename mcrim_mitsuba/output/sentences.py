@@ -1,4 +1,4 @@
-"""Findings in sentences, for terminal, figures and report: said once."""
+"""Sentences on results, for terminal, figures and report, each worded once."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def signal_text(of_beam: bool, value: float, sigma: float | None) -> str:
     return f"({text}) %" if "±" in text else f"{text} %"
 
 
-def apart(comparison: Comparison) -> list[str]:
+def beam_conflict(comparison: Comparison) -> list[str]:
     """Where light and beam contradict each other, in sentences."""
     pulls = {
         row.label: comparison.left_out_pulls.get(row.label, 0.0)
@@ -286,7 +286,7 @@ def not_tried(diagnosis: Diagnosis) -> list[str]:
     ]
 
 
-def looks(diagnosis: Diagnosis) -> list[str]:
+def how_to_look(diagnosis: Diagnosis) -> list[str]:
     """How to look for the leading effects without a fit, a sentence or two for each."""
     named = {one.effect: one.look for one in diagnosis.candidates}
     leading = dict.fromkeys(name for one in leading_candidates(diagnosis) for name in one.effects)
@@ -436,7 +436,7 @@ def limit_text(limit: Limit) -> str:
     return f"{number(lower)} to {number(upper)}"
 
 
-def bought(measurement: NextMeasurement) -> tuple[str, str, str]:
+def measurement_value(measurement: NextMeasurement) -> tuple[str, str, str]:
     """In words: hours, the light yield's relative error then, the likeliest's probability."""
     error = measurement.light_yield_sigma
     return (
@@ -501,10 +501,10 @@ _WHICH = Contribution(
 _NO_EFFECT = Contribution("what is in no catalogue", 0.0, "systematic", False, "")
 
 
-def called(name: str) -> str:
+def parameter_label(name: str) -> str:
     """A fitted parameter in words: ``light yield``."""
     if (own := of_sample(name)) is not None:
-        return f"{called(own[0]).removesuffix(' of the crystal')} of {own[1]}"
+        return f"{parameter_label(own[0]).removesuffix(' of the crystal')} of {own[1]}"
     return NAMES[name][0].partition(":")[0] if name in NAMES else without_unit(name)
 
 
@@ -544,7 +544,7 @@ def next_for_fit(fit: Calibration, priors: Iterable[str]) -> str:
     if known is None or known.at_bound is not None or not known.value:
         return ""
     origin = "absorption" if list(priors) == [ALPHA_ABS] else "prior"
-    return what_next(ErrorBudget(_parts(known, origin)), called(name))
+    return what_next(ErrorBudget(_parts(known, origin)), parameter_label(name))
 
 
 def next_for_average(diagnosis: Diagnosis) -> str:
@@ -805,7 +805,7 @@ def plain_headline(diagnosis: Diagnosis, effects: tuple[str, ...]) -> str:
     return f"{plain}, and nothing that was tried does."
 
 
-def trust(diagnosis: Diagnosis, calibration: Calibration, effects: tuple[str, ...]) -> str:
+def reliability(diagnosis: Diagnosis, calibration: Calibration, effects: tuple[str, ...]) -> str:
     """How far the numbers can be believed, in plain words."""
     p_value = calibration.p_value
     fit = f"χ² = {number(calibration.chi2)} for {calibration.ndf} degrees of freedom"
@@ -841,7 +841,7 @@ def trust(diagnosis: Diagnosis, calibration: Calibration, effects: tuple[str, ..
     return told
 
 
-def beam(campaign: Campaign, calibration: Calibration) -> str:
+def beam_doubt(campaign: Campaign, calibration: Calibration) -> str:
     """What speaks against the scattering that was found; empty where nothing does."""
     found = calibration.parameters.get(ALPHA_SCAT)
     if campaign.raw is None or found is None:

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.rounding import number, p_equals, p_text, pdg
-from mcrim_mitsuba.output.described import (
+from mcrim_mitsuba.output.description import (
     Cell,
     Column,
-    Described,
+    Description,
     Part,
     Sentence,
     Table,
@@ -41,7 +41,7 @@ _SCATTER = (
 )
 
 
-def of_reduction(raw: RawData) -> Described:
+def of_reduction(raw: RawData) -> Description:
     """Every step from raw data to readings, efficiency and priors, with its errors."""
     parts: list[Part] = []
     if raw.readings:
@@ -70,7 +70,7 @@ def of_reduction(raw: RawData) -> Described:
             _origins_table(title, _origins("mm"), origins, depth.length_mm),
             Sentence(said, strong=True),
         ]
-    return Described("reduction of raw data", tuple(parts), notes=raw.notes)
+    return Description("reduction of raw data", tuple(parts), notes=raw.notes)
 
 
 def _peaks(raw: RawData) -> Table:
@@ -193,7 +193,7 @@ def of_peaks(
     combined: Repeated | None,
     notes: Sequence[str],
     widths: Mapping[str, Sequence[WidthParts]],
-) -> Described:
+) -> Description:
     """The main peak of every histogram, what several mountings make together, and the widths."""
     parts: list[Part] = []
     found = sum(each.peak is not None for each in fitted)
@@ -222,7 +222,7 @@ def of_peaks(
             for one in several
             if one.excess > _MUCH_TOO_WIDE
         ]
-    return Described("peaks of histograms", tuple(parts), notes=tuple(said))
+    return Description("peaks of histograms", tuple(parts), notes=tuple(said))
 
 
 #: Standard errors by which parts may exceed the whole without a word.
@@ -249,7 +249,7 @@ def _widths(widths: Mapping[str, Sequence[WidthParts]]) -> tuple[Part, ...]:
     )
 
 
-def of_efficiency(found: DetectorEfficiency, notes: Sequence[str]) -> Described:
+def of_efficiency(found: DetectorEfficiency, notes: Sequence[str]) -> Description:
     """A detector's efficiency, and where its error comes from."""
     title = f"detector efficiency {pdg(found.value, found.sigma)}"
     columns = ("where the error comes from", "error", "relative")
@@ -261,12 +261,12 @@ def of_efficiency(found: DetectorEfficiency, notes: Sequence[str]) -> Described:
             "deviation): the mean is for this emission only"
         ),
     )
-    return Described("detector efficiency", parts, notes=tuple(notes))
+    return Description("detector efficiency", parts, notes=tuple(notes))
 
 
 def of_absorption(
     found: Absorption, given: Sequence[str], beside: str, notes: Sequence[str]
-) -> Described:
+) -> Description:
     """An absorption coefficient with its errors; `beside` is said of it, where there is a word."""
     internal = pdg(
         100 * found.internal_transmittance, 100 * found.internal_transmittance_sigma or None
@@ -298,10 +298,10 @@ def of_absorption(
                 "under [parameters.alpha_abs_per_cm]"
             )
         )
-    return Described("absorption of a sample", tuple(parts), notes=tuple(notes))
+    return Description("absorption of a sample", tuple(parts), notes=tuple(notes))
 
 
-def of_materials(indices: Mapping[Material, float | None], wavelength_nm: float) -> Described:
+def of_materials(indices: Mapping[Material, float | None], wavelength_nm: float) -> Description:
     """The catalogue; no number where a wavelength is outside a formula's range."""
     columns = (
         "material",
@@ -314,7 +314,7 @@ def of_materials(indices: Mapping[Material, float | None], wavelength_nm: float)
         (each.name, shown(n, ".5f"), _range_nm(each), each.what, each.source)
         for each, n in indices.items()
     )
-    return Described("materials", (table("", columns, rows),))
+    return Description("materials", (table("", columns, rows),))
 
 
 def of_index(
@@ -324,7 +324,7 @@ def of_index(
     difference: float,
     scene: str,
     notes: Sequence[str] = (),
-) -> Described:
+) -> Description:
     """An index: what is `said` of it first, its rays, what the material is, how a scene has it."""
     first, *more = said
     density = known.density_g_per_cm3
@@ -340,7 +340,7 @@ def of_index(
         scene,
     ]
     parts = (Sentence(first, strong=True), *map(Sentence, more))
-    return Described("refractive index", parts, notes=tuple(notes))
+    return Description("refractive index", parts, notes=tuple(notes))
 
 
 def _range_nm(known: Material) -> str:
@@ -350,7 +350,7 @@ def _range_nm(known: Material) -> str:
 
 def of_gammas(
     found: AttenuationLength, parts_per_cm: Mapping[str, float], stopped: Mapping[float, float]
-) -> Described:
+) -> Description:
     """How deep gammas get: the length, by processes, and what stops within some depths, mm."""
     from mcrim_mitsuba.optics.gammas import SOURCE
 
@@ -374,7 +374,7 @@ def of_gammas(
         ),
         Sentence(f"source: {SOURCE}"),
     )
-    return Described("where gammas stop", parts)
+    return Description("where gammas stop", parts)
 
 
 #: p-value below which couplings are said to disagree.
@@ -386,9 +386,9 @@ def of_yields(
     together: CommonValue,
     budgets: Mapping[str, ErrorBudget],
     notes: Sequence[str],
-) -> Described:
+) -> Description:
     """Light yields by Eq. 2 of couplings, by label: signal and eta with errors, and the yield."""
-    from mcrim_mitsuba.output.descriptions import contributions_table
+    from mcrim_mitsuba.output.describe_campaign import contributions_table
 
     columns = ("coupling", "signal", "eta", "weight", "Y", "statistical", "systematic", "total")
     rows = (
@@ -430,7 +430,7 @@ def of_yields(
             strong=True,
         )
     )
-    return Described("light yield", tuple(parts), notes=tuple(notes))
+    return Description("light yield", tuple(parts), notes=tuple(notes))
 
 
 def _yield_cells(known: Uncertain) -> tuple[Cell, ...]:
@@ -441,9 +441,9 @@ def _yield_cells(known: Uncertain) -> tuple[Cell, ...]:
 
 def of_relative(
     read: RelativeMeasurement, found: RelativeYield, budgets: Mapping[str, ErrorBudget]
-) -> Described:
+) -> Description:
     """A light yield by Eq. 7; budgets without what is shared, and with it, come in this order."""
-    from mcrim_mitsuba.output.descriptions import contributions_table
+    from mcrim_mitsuba.output.describe_campaign import contributions_table
 
     rows: list[tuple[str | Cell, ...]] = [
         (
@@ -474,4 +474,4 @@ def of_relative(
             f"{found.signals_alone:.3g} ph/keV."
         ),
     )
-    return Described("light yield beside a reference", parts)
+    return Description("light yield beside a reference", parts)

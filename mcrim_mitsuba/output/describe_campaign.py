@@ -1,4 +1,4 @@
-"""Every result described once: which tables and sentences it is shown by, see `described`."""
+"""Results on campaigns described: their tables and sentences; see `description`."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from mcrim_mitsuba.core.rounding import (
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.next_measurements import configuration_words
 from mcrim_mitsuba.inference.profiles import profiles_of
-from mcrim_mitsuba.output import findings
-from mcrim_mitsuba.output.described import (
+from mcrim_mitsuba.output import sentences
+from mcrim_mitsuba.output.description import (
     Cell,
     Column,
-    Described,
+    Description,
     Part,
     Sentence,
     Table,
@@ -65,18 +65,18 @@ _TYPED = Column("id", "id", left=True, small=True)
 _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 
 
-def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> Described:
+def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> Description:
     """Parameters, where their errors come from, readings beside the model, what it took."""
     fit, spent = result.calibration, result.provenance
     light = fit.parameters.get(LIGHT_YIELD)
     by_detector = (None if light is None else light.efficiency_contributions) or {}
     listing = ", ".join(f"{name} {part:.2g}" for name, part in by_detector.items())
-    of_detector = f"detector efficiency in {findings.title_of(LIGHT_YIELD)}: {listing}"
+    of_detector = f"detector efficiency in {sentences.title_of(LIGHT_YIELD)}: {listing}"
     values: list[Iterable[str | Cell]] = []
     errors: list[Iterable[str | Cell]] = []
     wider = {profile.name: profile.interval_95 for profile in result.profiles}
     for name, known in fit.parameters.items():
-        titled = Cell(findings.title_of(name), name)
+        titled = Cell(sentences.title_of(name), name)
         ends = (known.lower, known.upper, *wider.get(name, (None, None)))
         values.append((titled, _estimated(known), *(shown(end, ".4g") for end in ends), name))
         contributions = {} if known.at_bound else known.contributions
@@ -99,7 +99,7 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
         *_shapes(result.profiles),
         table("where the errors come from", origins, errors),
         *([Sentence(of_detector)] if by_detector else []),
-        *_strong(findings.next_for_fit(fit, result.model.campaign.priors)),
+        *_strong(sentences.next_for_fit(fit, result.model.campaign.priors)),
         table(
             "readings",
             ("reading", "measured", "model", "pull", Column("eta (simulation's error)", "eta")),
@@ -130,13 +130,13 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
             f"{len(fit.rows)} readings, seed {spent.seed}{time}"
         )
     )
-    return Described("fit of a campaign", tuple(parts), notes=(*fit.notes, *spent.notes))
+    return Description("fit of a campaign", tuple(parts), notes=(*fit.notes, *spent.notes))
 
 
 def _light_yield(fit: Calibration, light: ParameterEstimate) -> str:
     """The result, and whether to believe it."""
-    doubt = ", but the model does not describe the readings" if findings.fails(fit) else ""
-    return f"Light yield: {findings.estimate_text(light)} ph/keV{doubt}"
+    doubt = ", but the model does not describe the readings" if sentences.fails(fit) else ""
+    return f"Light yield: {sentences.estimate_text(light)} ph/keV{doubt}"
 
 
 def _strong(text: str) -> list[Sentence]:
@@ -145,12 +145,14 @@ def _strong(text: str) -> list[Sentence]:
 
 
 def _shapes(profiles: Iterable[Profile]) -> list[Sentence]:
-    return [Sentence(f"- {words}", strong=True) for words in findings.shapes(profiles)]
+    return [Sentence(f"- {words}", strong=True) for words in sentences.shapes(profiles)]
 
 
 def _estimated(known: ParameterEstimate) -> Cell:
     # at a bound sigma is no error: it knows nothing of the bound
-    return Cell(findings.estimate_text(known), known.value, None if known.at_bound else known.sigma)
+    return Cell(
+        sentences.estimate_text(known), known.value, None if known.at_bound else known.sigma
+    )
 
 
 def _reading(one: FittedRow) -> tuple[str | Cell, ...]:
@@ -158,7 +160,7 @@ def _reading(one: FittedRow) -> tuple[str | Cell, ...]:
     return (
         _name(one),
         *(
-            Cell(findings.signal_text(one.of_beam, value, sigma), value, sigma)
+            Cell(sentences.signal_text(one.of_beam, value, sigma), value, sigma)
             for value, sigma in ((one.measured, one.sigma), (one.model, one.model_sigma))
         ),
         shown(one.pull, "+.2f"),
@@ -172,7 +174,7 @@ def _name(one: FittedRow) -> str:
 def parameters_table(parameters: Mapping[str, ParameterEstimate]) -> Table:
     """Every fitted parameter with its error."""
     rows = (
-        (Cell(findings.title_of(name), name), _estimated(known), name)
+        (Cell(sentences.title_of(name), name), _estimated(known), name)
         for name, known in parameters.items()
     )
     return table("parameters", ("parameter", "value", _TYPED), rows)
@@ -185,10 +187,10 @@ def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[Table]:
 
 def _described(
     title: str, parts: Iterable[Part], fit: Calibration, provenance: Provenance
-) -> Described:
+) -> Description:
     """What a fit shows, what it rests on, and the notes of both."""
     notes = (*fit.notes, *provenance.notes)
-    return Described(title, tuple(parts), _spent(provenance), notes)
+    return Description(title, tuple(parts), _spent(provenance), notes)
 
 
 def _spent(provenance: Provenance) -> str:
@@ -199,10 +201,10 @@ def _spent(provenance: Provenance) -> str:
 # Where a model fails, and what explains it.
 
 
-def of_comparison(found: Compared) -> Described:
+def of_comparison(found: Compared) -> Description:
     """Readings beside predictions, what chi2 says, and where the misfit lies."""
     comparison = found.comparison
-    shares, left_out = findings.misfit_shares(comparison), comparison.left_out_pulls
+    shares, left_out = sentences.misfit_shares(comparison), comparison.left_out_pulls
     suspects = {label for one in comparison.suspects for label in one.labels}
     columns = (
         "reading",
@@ -223,11 +225,11 @@ def of_comparison(found: Compared) -> Described:
     )
     parts: list[Part] = [
         table("readings", columns, rows),
-        Sentence(findings.quality(comparison), strong=True),
-        *([Sentence(f"- {findings.carriers(comparison)}")] if findings.fails(comparison) else []),
-        *(Sentence(f"- {words}") for words in findings.apart(comparison)),
+        Sentence(sentences.quality(comparison), strong=True),
+        *([Sentence(f"- {sentences.carriers(comparison)}")] if sentences.fails(comparison) else []),
+        *(Sentence(f"- {words}") for words in sentences.beam_conflict(comparison)),
         *_suspects(comparison.suspects),
-        *(Sentence(f"- {findings.trend_text(trend)}") for trend in comparison.trends),
+        *(Sentence(f"- {sentences.trend_text(trend)}") for trend in comparison.trends),
         *listed(
             "Fitted parameters that may have taken up a misfit:",
             (one.words for one in comparison.absorbed),
@@ -245,7 +247,7 @@ _OF_HYPOTHESES = (
 )
 
 
-def of_hypotheses(found: HypothesesCompared) -> Described:
+def of_hypotheses(found: HypothesesCompared) -> Description:
     """The verdict, what the readings say of each hypothesis, sizes, pulls and predictions."""
     compared, spent = found.comparison, found.provenance
     hypotheses = compared.hypotheses
@@ -262,27 +264,29 @@ def of_hypotheses(found: HypothesesCompared) -> Described:
     sizes = {name: [one.parameters.get(name) for one in hypotheses] for name in fitted_names}
     if lights := sizes.pop(LIGHT_YIELD, None):
         figures["light yield"] = [
-            Cell(findings.value_with_errors(light), light.value, light.sigma) if light else Cell("")
+            Cell(sentences.value_with_errors(light), light.value, light.sigma)
+            if light
+            else Cell("")
             for light in lights
         ]
-    most, pulls, predictions = findings.most_apart(compared), [], []
+    most, pulls, predictions = sentences.most_apart(compared), [], []
     for of_all in zip(*(one.rows for one in hypotheses), strict=True):
         label, measured_cell, *_ = _reading(of_all[0])
         far, strong = compared.apart[of_all[0].label], of_all[0].label in most
         told = (shown(one.pull, "+.2f") for one in of_all)
         pulls.append(row(label, *told, shown(far, ".1f"), strong=strong))
-        told = (Cell(findings.prediction_text(x), x.model, x.model_sigma) for x in of_all)
+        told = (Cell(sentences.prediction_text(x), x.model, x.model_sigma) for x in of_all)
         predictions.append(row(label, measured_cell, *told, strong=strong))
     fitted = (
         (
-            Cell(findings.title_of(size), size),
+            Cell(sentences.title_of(size), size),
             *(_estimated(known) if known else "" for known in each),
         )
         for size, each in sizes.items()
     )
     parts: list[Part] = [
-        Sentence(f"{findings.verdict_words(compared.verdict)}: {compared.reason}", strong=True),
-        *(Sentence(f"{one.name}: {findings.hypothesis_text(one)}") for one in hypotheses),
+        Sentence(f"{sentences.verdict_words(compared.verdict)}: {compared.reason}", strong=True),
+        *(Sentence(f"{one.name}: {sentences.hypothesis_text(one)}") for one in hypotheses),
         table(
             "hypotheses",
             (Column("", "quantity"), *names),
@@ -290,12 +294,12 @@ def of_hypotheses(found: HypothesesCompared) -> Described:
         ),
         Sentence(_OF_HYPOTHESES),
         table("sizes", ("parameter", *names), fitted),
-        Sentence(findings.apart_text(compared), strong=True),
+        Sentence(sentences.apart_text(compared), strong=True),
         table("pulls", ("reading", *names, "apart"), pulls),
         Sentence("apart: largest difference of two predictions, in standard errors of the reading"),
         table("predictions", ("reading", "measured", *names), predictions),
     ]
-    return Described("hypotheses side by side", tuple(parts), _spent(spent), spent.notes)
+    return Description("hypotheses side by side", tuple(parts), _spent(spent), spent.notes)
 
 
 def _log_evidence(one: FittedHypothesis) -> Cell:
@@ -306,11 +310,11 @@ def _log_evidence(one: FittedHypothesis) -> Cell:
 
 def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
     return listed(
-        "Look at these readings before physics is blamed:", map(findings.suspicion, suspects)
+        "Look at these readings before physics is blamed:", map(sentences.suspicion, suspects)
     )
 
 
-def of_diagnosis(found: Diagnosed) -> Described:
+def of_diagnosis(found: Diagnosed) -> Description:
     """The averaged yield, the verdict, effects as explanations, limits, what to measure next."""
     diagnosis = found.diagnosis
     columns = (
@@ -324,23 +328,27 @@ def of_diagnosis(found: Diagnosed) -> Described:
     rows: Iterable[tuple[str | Cell, ...]] = (
         (
             one.words,
-            *map(Cell, findings.bought(one), (one.hours, one.light_yield_sigma, one.probability)),
+            *map(
+                Cell,
+                sentences.measurement_value(one),
+                (one.hours, one.light_yield_sigma, one.probability),
+            ),
             shown(one.expected_delta_chi2, number),
-            "; ".join(findings.told_apart(diagnosis, one)),
+            "; ".join(sentences.told_apart(diagnosis, one)),
         )
         for one in diagnosis.next_measurements
     )
     parts: list[Part] = [
-        *_strong(findings.averaged_yield(diagnosis)),
-        Sentence(findings.headline(diagnosis), strong=True),
-        Sentence(f"Without any effect {findings.quality(diagnosis.baseline)}."),
+        *_strong(sentences.averaged_yield(diagnosis)),
+        Sentence(sentences.headline(diagnosis), strong=True),
+        Sentence(f"Without any effect {sentences.quality(diagnosis.baseline)}."),
         *_suspects(diagnosis.suspect_readings),
         *_explanations(diagnosis),
-        *_strong(findings.set_aside_text(diagnosis)),
+        *_strong(sentences.set_aside_text(diagnosis)),
         *(_brief(limits_table(diagnosis), diagnosis) if diagnosis.upper_limits else ()),
-        *_strong(_beside_the_table(diagnosis, findings.next_for_average(diagnosis))),
+        *_strong(_beside_the_table(diagnosis, sentences.next_for_average(diagnosis))),
         *([table("what to measure next", columns, rows)] if diagnosis.next_measurements else []),
-        *(Sentence(f"not tried: {one}") for one in findings.not_tried(diagnosis)),
+        *(Sentence(f"not tried: {one}") for one in sentences.not_tried(diagnosis)),
     ]
     return _described("what explains a campaign's misfit", parts, found.baseline, found.provenance)
 
@@ -376,7 +384,7 @@ _EXPLANATION = (
 
 def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
     """Effects alone and in pairs, the best first."""
-    leading = findings.leading_candidates(diagnosis)
+    leading = sentences.leading_candidates(diagnosis)
     titles = (
         (diagnosis.candidates, "effects, each added alone"),
         (diagnosis.pairs, "the best pairs of effects"),
@@ -391,10 +399,10 @@ def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
     if diagnosis.candidates:
         yield Sentence(_EXPLANATION)
     if diagnosis.families:
-        yield Sentence(f"By family: {findings.family_probabilities(diagnosis)}")
-    if text := findings.mistakable(diagnosis):
+        yield Sentence(f"By family: {sentences.family_probabilities(diagnosis)}")
+    if text := sentences.mistakable(diagnosis):
         yield Sentence(text)
-    yield from listed("How to look for it, without a fit:", findings.looks(diagnosis))
+    yield from listed("How to look for it, without a fit:", sentences.how_to_look(diagnosis))
 
 
 def _brief(given: Table, diagnosis: Diagnosis) -> Iterator[Part]:
@@ -402,10 +410,10 @@ def _brief(given: Table, diagnosis: Diagnosis) -> Iterator[Part]:
     behind = {
         one.effect
         for one in (
-            *diagnosis.candidates[findings.MOST_EFFECTS :],
-            *diagnosis.pairs[findings.MOST_PAIRS :],
+            *diagnosis.candidates[sentences.MOST_EFFECTS :],
+            *diagnosis.pairs[sentences.MOST_PAIRS :],
         )
-    } - {one.effect for one in findings.leading_candidates(diagnosis)}
+    } - {one.effect for one in sentences.leading_candidates(diagnosis)}
     rows = [
         # a limit is named EFFECT or EFFECT.PARAMETER
         replace(one, hidden=str(one.cells[-1].value).partition(".")[0] in behind)
@@ -423,20 +431,20 @@ def _candidate(diagnosis: Diagnosis, one: Candidate) -> tuple[str | Cell, ...]:
     p = diagnosis.probabilities.get(one.effect)
     light = one.light_yield_ph_per_keV or {}
     change = light.get("change")
-    changed = "" if change is None else f" ({findings.change_text(change)})"
+    changed = "" if change is None else f" ({sentences.change_text(change)})"
     sizes = {n: _estimated(one.parameters[n]) for n in one.effect_parameters if n in one.parameters}
     return (
-        capital(" + ".join(findings.titles_of(diagnosis, one.effects))),
+        capital(" + ".join(sentences.titles_of(diagnosis, one.effects))),
         "" if p is None else Cell(probability(p), p),
         Cell("", tuple(sizes) or None),
         Cell(
-            findings.size_text(one, "\n"),
+            sentences.size_text(one, "\n"),
             tuple(cell.value for cell in sizes.values()) or None,
             tuple(c.sigma for c in sizes.values() if not isinstance(c.sigma, tuple)) or None,
         ),
-        findings.plausibility(one),
+        sentences.plausibility(one),
         Cell(number(light["value"]) + changed, light["value"], light.get("sigma")) if light else "",
-        Cell(findings.gain_text(one), one.delta_chi2, one.delta_chi2_sigma or None),
+        Cell(sentences.gain_text(one), one.delta_chi2, one.delta_chi2_sigma or None),
         shown(one.p_value, p_text),
         shown(one.left_out_error, number),
         one.effect,
@@ -447,9 +455,9 @@ def limits_table(diagnosis: Diagnosis) -> Table:
     """How large each effect may be, where the readings need none."""
     rows = (
         (
-            capital(findings.in_words(diagnosis, [name])),
+            capital(sentences.in_words(diagnosis, [name])),
             Cell("", limit.lower),
-            Cell(findings.limit_text(limit), limit.upper),
+            Cell(sentences.limit_text(limit), limit.upper),
             Cell("", limit.excluded),
             Cell(limit.parameter or "on or off", limit.parameter),
             name,
@@ -467,26 +475,26 @@ def limits_table(diagnosis: Diagnosis) -> Table:
     return table("what the readings allow, 95 % confidence", columns, rows)
 
 
-def of_repair(found: Repaired, *, with_steps: bool = True) -> Described:
+def of_repair(found: Repaired, *, with_steps: bool = True) -> Description:
     """The steps, the verdict, and the fit with all effects simulated together."""
     diagnosis, fit = found.diagnosed.diagnosis, found.calibration
     parts: list[Part] = [
-        *_strong(findings.averaged_yield(diagnosis)),
+        *_strong(sentences.averaged_yield(diagnosis)),
         *([steps_table(diagnosis.repair)] if with_steps else []),
-        Sentence(findings.headline(diagnosis), strong=True),
+        Sentence(sentences.headline(diagnosis), strong=True),
         *_suspects(diagnosis.suspect_readings),
-        *_strong(findings.set_aside_text(diagnosis)),
+        *_strong(sentences.set_aside_text(diagnosis)),
     ]
     if found.undetermined:
-        last = findings.in_words(diagnosis, diagnosis.repair[-1].effects)
+        last = sentences.in_words(diagnosis, diagnosis.repair[-1].effects)
         text = f"With {last}, {found.undetermined}: diagnose says what to measure next."
         parts.append(Sentence(text))
     if found.effects:
-        together = f"With {findings.in_words(diagnosis, found.effects)} simulated together: "
+        together = f"With {sentences.in_words(diagnosis, found.effects)} simulated together: "
         quality = f"chi2 = {number(fit.chi2)} (ndf {fit.ndf}, {p_equals(fit.p_value)})"
         parts += [Sentence(together + quality), *_parameters(fit.parameters)]
         parts += _shapes(profiles_of(found.model, fit))
-        if findings.fails(fit):
+        if sentences.fails(fit):
             parts += _strong("The mended campaign still does not describe its readings.")
     else:
         parts += _strong("Nothing was added, and no file written.")
@@ -505,7 +513,7 @@ def steps_table(steps: Iterable[RepairStep]) -> Table:
         Column("p", "p_value"),
         Column("rms pull", "rms_pull"),
         Column("left out", "left_out_error"),
-        *(Column(findings.title_of(name), name) for name in (light, ALPHA_SCAT)),
+        *(Column(sentences.title_of(name), name) for name in (light, ALPHA_SCAT)),
     )
     rows = (
         (
@@ -532,9 +540,9 @@ def _added(one: RepairStep) -> str:
 
 def step_text(one: RepairStep) -> str:
     """A step in one line."""
-    name, light = findings.light_yield_text(one.parameters)
+    name, light = sentences.light_yield_text(one.parameters)
     known = one.parameters.get(ALPHA_SCAT)
-    scattering = "fixed" if known is None else f"{findings.estimate_text(known)} /cm"
+    scattering = "fixed" if known is None else f"{sentences.estimate_text(known)} /cm"
     per_ndf = f" = {number(one.chi2 / one.ndf)}" if one.ndf > 0 else ""
     return (
         f"step {one.step}, {_added(one)}: chi2 / ndf {number(one.chi2)} / {one.ndf}{per_ndf}, "
@@ -543,7 +551,7 @@ def step_text(one: RepairStep) -> str:
     )
 
 
-def of_report(found: Reported) -> Described:
+def of_report(found: Reported) -> Description:
     """What a report says first; the page has the rest."""
     sections, fit = found.sections, found.sections.calibration
     parts: list[Part] = [Sentence(sections.headline, strong=True), *_parameters(fit.parameters)]
@@ -560,7 +568,7 @@ _LEAST_PERCENT = 0.001
 _NOTHING = 1e-9
 
 
-def of_budget(found: Budget) -> Described:
+def of_budget(found: Budget) -> Description:
     """Contributions, what the model leaves out, and values with all errors."""
     budgets = {name: found.contributions[name] for name in found.main if name in found.totals}
     title = "where the errors come from, in the model as it is"
@@ -570,7 +578,7 @@ def of_budget(found: Budget) -> Described:
         origins += _strong("A parameter ended at its bound: no budget.")
     main = next((name for name in (LIGHT_YIELD, SCALE) if name in budgets), None)
     if main is not None:
-        origins += _strong(findings.what_next(budgets[main], findings.called(main)))
+        origins += _strong(sentences.what_next(budgets[main], sentences.parameter_label(main)))
     columns = (Column(name, left=True) for name in ("cause", "what it does", "how much"))
     parts: list[Part] = [
         *origins,
@@ -614,7 +622,7 @@ def contributions_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table
         for name in ("statistical", "systematic", "total")
     )
     left = (Column(name, left=True) for name in ("kind", "reducible", "by"))
-    values = (Column(f"{findings.quantity(name)}, %", f"{name}, %") for name in budgets)
+    values = (Column(f"{sentences.quantity(name)}, %", f"{name}, %") for name in budgets)
     return table(title, ("contribution", *values, *left), rows, sums)
 
 
@@ -648,7 +656,7 @@ def _shifts(found: Budget) -> Iterator[Part]:
             for piece in found.pieces
         )
         title = f"what the model leaves out would move, %, {how}"
-        moves = (Column(findings.quantity(name), name) for name in names)
+        moves = (Column(sentences.quantity(name), name) for name in names)
         yield table(title, ("left out", *moves), rows)
     if found.pieces:
         yield Sentence(
@@ -692,7 +700,7 @@ def _totals(found: Budget) -> Iterator[Part]:
         ]
         if total.corrected is not None and total.corrected_sigma is not None:
             cells.append(_two_digits(total.corrected, total.corrected_sigma))
-        rows.append(row(Cell(findings.title_of(name), name), *cells))
+        rows.append(row(Cell(sentences.title_of(name), name), *cells))
     yield table("results, with all errors", columns, rows)
     if corrected:
         yield Sentence(
@@ -769,10 +777,10 @@ def _two_digits(value: float, sigma: float) -> Cell:
 _MOST_PLANS = 16
 
 
-def of_plan(found: Planning) -> Described:
+def of_plan(found: Planning) -> Description:
     """What would be measured, what errors plans would leave, and the cheapest plan."""
     at = ", ".join(
-        f"{findings.title_of(name)} {pdg(known.value, known.sigma)}"
+        f"{sentences.title_of(name)} {pdg(known.value, known.sigma)}"
         for name, known in found.solution.items()
     )
     rows: Iterable[Any] = (
@@ -815,8 +823,8 @@ def of_plan(found: Planning) -> Described:
     )
     plans = table("plans that no cheaper one beats (relative errors)", columns, rows)
     assumed, sets = found.conditions, "; ".join(map(found.name, found.undetermined))
-    sentences = [
-        *(Sentence(line, strong=True) for line in findings.verdict(found)),
+    below = [
+        *(Sentence(line, strong=True) for line in sentences.verdict(found)),
         Sentence(
             f"Assumed: {assumed.events_per_second:g} events per second in the band, "
             f"{assumed.minutes_per_mounting:g} minutes per mounting, a scatter of "
@@ -826,8 +834,8 @@ def of_plan(found: Planning) -> Described:
         *([Sentence(f"Not enough to determine the parameters: {sets}")] if sets else []),
     ]
     begin = Sentence(f"At the campaign's solution: {at}")
-    parts: tuple[Part, ...] = (begin, signals, floors, plans, *sentences)
-    return Described("plan of a measurement", parts, notes=found.notes)
+    parts: tuple[Part, ...] = (begin, signals, floors, plans, *below)
+    return Description("plan of a measurement", parts, notes=found.notes)
 
 
 def _relative(fraction: float) -> Cell:
