@@ -6,12 +6,12 @@
     fit = mcrim.calibrate("scenes/camoo4_campaign.toml")
 
 The public names are loaded when they are used; everything else lies in rooms, of which each
-imports only from those nearer the ground (docs/architecture.md). Where Mitsuba is used besides, its
-variants have the plugins of the scenes from then on (docs/mitsuba.md).
+imports only from those nearer the ground (docs/architecture.md). Importing changes nothing outside
+of this package; who uses Mitsuba's own functions with these scenes calls ``mcrim.use_variant()``
+first (docs/mitsuba.md).
 """
 
 import importlib
-import sys
 from typing import Any
 
 #: Where the public names are defined.
@@ -40,29 +40,10 @@ _HOMES = {
     "core.errors": ("InputError",),
     "core.run": ("Run",),
     "scene.scene_file": ("SceneFile", "read_scene"),
+    "transport.variants": ("use_variant",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)
-
-
-class _BesideMitsuba:
-    """Looks on what is imported: Dr.Jit, which opens an LLVM library at once, and variants."""
-
-    @staticmethod
-    def find_spec(name: str, path: Any = None, target: Any = None) -> None:
-        if name == "drjit":
-            from mcrim_mitsuba.transport.llvm import claim_llvm
-
-            claim_llvm()
-        elif name.startswith(("mitsuba.llvm_", "mitsuba.cuda_")):
-            _register()
-
-
-def _register() -> None:
-    """Have this package's plugins in every variant of Mitsuba, the active one included."""
-    from mcrim_mitsuba.transport.variants import join_mitsuba
-
-    join_mitsuba()
 
 
 def __getattr__(name: str) -> Any:
@@ -72,15 +53,10 @@ def __getattr__(name: str) -> Any:
         return version("mcrim-mitsuba")
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
-    globals()[name] = found
-    return found
+    value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__, "__version__"})
-
-
-sys.meta_path.insert(0, _BesideMitsuba)
-if "mitsuba" in sys.modules:
-    _register()

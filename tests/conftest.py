@@ -18,7 +18,11 @@ import pytest
 from browser import browser  # noqa: F401  (a fixture for all tests)
 from places import CAMPAIGN_FILES, SCENES
 
-from mcrim_mitsuba.cli.main import main  # comes before mitsuba
+from mcrim_mitsuba.cli.main import main
+from mcrim_mitsuba.transport.llvm import selected_llvm
+
+# Some tests import Dr.Jit themselves, which loads an LLVM then.
+selected_llvm()
 
 # Tests simulate what they test; those of the cache name a folder of their own.
 os.environ["MCRIM_CACHE"] = "off"

@@ -39,7 +39,7 @@ def bench_of(simulation: Simulation) -> Bench:
         If the scene has parameters that `Bench` does not know, or is another bench than they
         describe.
     """
-    from mcrim_mitsuba.transport.form import named_form
+    from mcrim_mitsuba.transport.solid_names import named_form
 
     with placed(path=simulation.file.path):
         form = named_form(simulation.model, simulation.crystal.volume)

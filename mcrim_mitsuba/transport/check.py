@@ -201,7 +201,7 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
 
     `transport` is the name of the path that `simulate` will take.
     """
-    from mcrim_mitsuba.transport.form import form_of
+    from mcrim_mitsuba.transport.solid_names import form_of
 
     model, crystal = simulation.model, simulation.crystal
     sentences = []

@@ -2,8 +2,8 @@
 
 Dr.Jit opens LLVM when it is imported. With a version that is too old the first kernel
 aborts the whole process (``Cannot select: fmaximum``; measured with LLVM 15 and
-16), which no ``except`` can catch. So the choice is made, and checked, here, when
-this package is imported.
+16), which no ``except`` can catch. So `variants.use_variant`, by which every
+simulation begins, has the choice made, and checked, here.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class LlvmLibrary:
     #: Major, minor, patch.
     version: tuple[int, int, int]
     #: Where it comes from: the user's ``environment``, the installed ``wheel``, the ``system``,
-    #: or ``already loaded`` when Dr.Jit was imported before this package.
+    #: or ``already loaded`` when Dr.Jit was imported before it was asked for.
     origin: str
 
 
@@ -69,22 +69,11 @@ def llvm_version(path: str | Path) -> tuple[int, int, int] | None:
 
 
 @functools.cache
-def claim_llvm() -> LlvmLibrary | InputError:
-    """Pick the library now, or find out why there is none.
-
-    Called when Dr.Jit is about to be imported: it loads a library at once.
-    """
-    try:
-        return _select()
-    except InputError as error:
-        return error
-
-
 def selected_llvm() -> LlvmLibrary:
-    """The library that Dr.Jit uses.
+    """The library that Dr.Jit uses, or will use when it is imported.
 
-    The user's ``DRJIT_LIBLLVM_PATH`` is respected; else the library of the
-    installed wheel is taken, else the newest one of the system.
+    The user's ``DRJIT_LIBLLVM_PATH`` is respected; else the library of the installed wheel is
+    taken, else the newest one of the system, and this variable names it from then on.
 
     Raises
     ------
@@ -92,13 +81,6 @@ def selected_llvm() -> LlvmLibrary:
         If the user's choice is missing, not a library or too old, if no usable library is
         found, or if Dr.Jit was imported first and has loaded one that is too old.
     """
-    found = claim_llvm()
-    if isinstance(found, InputError):
-        raise found
-    return found
-
-
-def _select() -> LlvmLibrary:
     if "drjit" in sys.modules:
         return _already_loaded()
     chosen = os.environ.get(ENVIRONMENT_VARIABLE)
@@ -106,16 +88,16 @@ def _select() -> LlvmLibrary:
         return _of_the_user(chosen)
     places = ("wheel", _in_wheels), ("system", _in_system)
     usable = (_usable(path, origin) for origin, paths in places for path in paths())
-    found = next(filter(None, usable), None)
-    if found is None:
+    library = next(filter(None, usable), None)
+    if library is None:
         raise InputError(
             f"no LLVM library of version {OLDEST_LLVM} or newer was found",
             f"run `pip install {WHEELS[0]}` (Linux on x86-64) or `pip install {WHEELS[1]}` "
             f"(other systems, Python 3.12 or newer), or let {ENVIRONMENT_VARIABLE} name your "
             "system's libLLVM",
         )
-    os.environ[ENVIRONMENT_VARIABLE] = found.path
-    return found
+    os.environ[ENVIRONMENT_VARIABLE] = library.path
+    return library
 
 
 def _already_loaded() -> LlvmLibrary:
@@ -127,9 +109,8 @@ def _already_loaded() -> LlvmLibrary:
     library = _usable(Path(path), "already loaded") if path else None
     if library is None:
         raise InputError(
-            f"Dr.Jit was imported before mcrim_mitsuba and uses {path or 'no LLVM'}, "
-            "which is too old",
-            "import mcrim_mitsuba before mitsuba and drjit",
+            f"Dr.Jit was imported first and uses {path or 'no LLVM'}, which is too old",
+            "call mcrim_mitsuba.use_variant() before mitsuba and drjit are imported",
         )
     return library
 
@@ -181,13 +162,13 @@ def _in_system() -> list[Path]:
         "/usr/local/lib/libLLVM*.so*",
         "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
     ]
-    found = {Path(name).resolve() for pattern in patterns for name in glob.glob(pattern)}
-    named = ctypes.util.find_library("LLVM")
-    if named and Path(named).is_file():
-        found.add(Path(named))
+    libraries = {Path(name).resolve() for pattern in patterns for name in glob.glob(pattern)}
+    linked = ctypes.util.find_library("LLVM")
+    if linked and Path(linked).is_file():
+        libraries.add(Path(linked))
 
     def newest_first(path: Path) -> int:
         number = re.search(r"\d+", path.name)
         return -int(number[0]) if number else 0
 
-    return sorted(found, key=newest_first)
+    return sorted(libraries, key=newest_first)

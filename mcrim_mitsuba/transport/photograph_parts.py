@@ -285,7 +285,7 @@ class PhotographedBench:
 
     def _volume(self, number: int) -> BenchPart:
         """A volume, enclosed by all faces that border it."""
-        from mcrim_mitsuba.transport.form import named_form
+        from mcrim_mitsuba.transport.solid_names import named_form
 
         volume = self._model.volumes[number]
         own = self._enclosing(number)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib
 import importlib.metadata
@@ -12,6 +13,7 @@ from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT, signals_wait
+from mcrim_mitsuba.transport import plugins
 from mcrim_mitsuba.transport.llvm import selected_llvm
 
 #: Oldest CUDA that Dr.Jit 1.5 takes; NVIDIA's drivers know it from version 535 on.
@@ -27,6 +29,8 @@ def cuda_versions() -> dict[str, str]:
     InputError
         If there is no NVIDIA GPU that Dr.Jit can use.
     """
+    with contextlib.suppress(InputError):
+        selected_llvm()  # Dr.Jit loads one when it is imported, for later variants too
     import drjit as dr
 
     version = dr.detail.cuda_version()
@@ -45,8 +49,8 @@ def cuda_versions() -> dict[str, str]:
 def _reason(complaint: str, version: tuple[int, int]) -> str:
     """Why there is no GPU, from Dr.Jit's complaint and the driver's CUDA, (0, 0) if unknown."""
     if (0, 0) < version < OLDEST_CUDA:
-        oldest, found = (".".join(map(str, each)) for each in (OLDEST_CUDA, version))
-        return f"the NVIDIA driver is too old (CUDA {found}; Dr.Jit needs {oldest}, driver 535)"
+        oldest, driver = (".".join(map(str, numbers)) for numbers in (OLDEST_CUDA, version))
+        return f"the NVIDIA driver is too old (CUDA {driver}; Dr.Jit needs {oldest}, driver 535)"
     if "cuInit() failed" in complaint:
         return f"no NVIDIA GPU can be used (the CUDA driver says {complaint.splitlines()[-1]})"
     if "hasn't been initialized" in complaint:
@@ -59,16 +63,24 @@ def _reason(complaint: str, version: tuple[int, int]) -> str:
 #: Variants whose transport is tested here; `cuda_ad_rgb` needs an NVIDIA GPU.
 SUPPORTED_VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_mono_polarized", "cuda_ad_rgb")
 
-#: So far: whether Mitsuba tells of switches, the threads, the variant that plugins belong to.
-_state: dict[str, Any] = {"callback": False, "threads": None, "plugins": None}
-
 
 @signals_wait()
-def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
-    """Activate a Mitsuba variant, with the package's plugins, and return ``mitsuba``.
+def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None) -> Any:
+    """Activate a variant of Mitsuba with the plugins of the scenes, and return ``mitsuba``.
 
-    `name` is one of `SUPPORTED_VARIANTS`; `threads` is the size of Dr.Jit's thread pool, all
-    processors when not given.
+    Every simulation comes by here, and who uses Mitsuba's own functions with these scenes calls it
+    once (docs/mitsuba.md). Nothing else changes what is outside of this package:
+
+    - where Dr.Jit is not imported yet, ``DRJIT_LIBLLVM_PATH`` names the LLVM that it is to load;
+    - the plugins are in this variant and in every other that Mitsuba switches to from then on;
+    - Dr.Jit's pool has so many threads.
+
+    Parameters
+    ----------
+    name : str
+        One of `SUPPORTED_VARIANTS`.
+    threads : int, optional
+        Processor threads; all processors when not given.
 
     Raises
     ------
@@ -85,7 +97,7 @@ def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
     if name not in mi.variants():
         mend = f"use one of {', '.join(v for v in SUPPORTED_VARIANTS if v in mi.variants())}"
         raise InputError(f"the installed Mitsuba {mi.__version__} has no variant {name!r}", mend)
-    join_mitsuba()
+    _follow_switches()
     if mi.variant() != name:
         try:
             mi.set_variant(name)
@@ -93,14 +105,37 @@ def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None):
             problem = f"the variant {name!r} cannot start here ({str(error).splitlines()[0]})"
             mend = f"use {DEFAULT_VARIANT}, which needs only the processor"
             raise InputError(problem, mend) from None
-    # The callback is not called for a variant that was already active.
-    if _state["plugins"] != name:
-        register_plugins(name)
     wanted = threads or os.cpu_count() or 1
-    if _state["threads"] != wanted:
+    if dr.thread_count() != wanted:
         dr.set_thread_count(wanted)
-        _state["threads"] = wanted
     return mi
+
+
+@functools.cache
+def _follow_switches() -> None:
+    """Have the plugins in the active variant, and from now on in every one Mitsuba switches to."""
+    import mitsuba as mi
+
+    _on_variant_change(None, mi.variant())
+    mi.detail.add_variant_callback(_on_variant_change)
+
+
+def _on_variant_change(_old: str | None, new: str | None) -> None:
+    """Refuse an LLVM that is too old, and define the plugins on the new variant's base classes.
+
+    Python classes belong to one variant: a class that was defined before a switch is of the wrong
+    type after it. So modules are executed anew, as Mitsuba does with its own integrators.
+    """
+    if new is None or new.startswith("scalar"):
+        return
+    if new.startswith("llvm"):
+        selected_llvm()
+    for name in ("shapes", "solids", "bsdfs", "light"):
+        module = f"{plugins.__name__}.{name}"
+        if module in sys.modules:
+            importlib.reload(sys.modules[module])
+        else:
+            importlib.import_module(module)
 
 
 def refuse_unusable(name: str) -> None:
@@ -130,10 +165,9 @@ def software_versions(variant: str) -> dict[str, str]:
     InputError
         If the variant needs LLVM or an NVIDIA GPU and there is none.
     """
-    found = _package_versions()
     if variant.startswith("llvm"):
-        return found | {"llvm": ".".join(map(str, selected_llvm().version))}
-    return found | cuda_versions()
+        return _package_versions() | {"llvm": ".".join(map(str, selected_llvm().version))}
+    return _package_versions() | cuda_versions()
 
 
 @functools.cache
@@ -143,55 +177,16 @@ def _package_versions() -> dict[str, str]:
     return {name: importlib.metadata.version(name) for name in names}
 
 
-def register_plugins(variant: str) -> None:
-    """(Re)define the plugin classes on the base classes of the active variant.
-
-    Mitsuba's Python base classes belong to one variant, so a class defined
-    before a switch is of the wrong type after it.
-    """
-    before = set(sys.modules)
-    from mcrim_mitsuba.transport.plugins import bsdfs, forms, light, shapes
-
-    for module in (shapes, forms, bsdfs, light):
-        if module.__name__ in before:
-            importlib.reload(module)
-    _state["plugins"] = variant
-
-
-def join_mitsuba() -> None:
-    """Have the plugins in the active variant of Mitsuba, and in every one it switches to.
-
-    Raises
-    ------
-    InputError
-        If the active variant computes with an LLVM that is too old.
-    """
-    import mitsuba as mi
-
-    if _state["callback"]:
-        return
-    mi.detail.add_variant_callback(_on_variant_change)
-    _state["callback"] = True
-    _on_variant_change(None, mi.variant())
-
-
-def _on_variant_change(_old: str | None, new: str | None) -> None:
-    if new is None or new.startswith("scalar"):
-        return
-    if new.startswith("llvm"):
-        selected_llvm()
-    register_plugins(new)
-
-
 def versions(variant: str, threads: int | None = None) -> dict[str, str]:
     """Versions of everything that a result depends on.
 
     `threads` are those that were asked for; those that Dr.Jit has when not given.
     """
+    drjit = sys.modules.get("drjit")
     return software_versions(variant) | {
         "python": platform.python_version(),
         "variant": variant,
-        "threads": str(threads or _state["threads"] or os.cpu_count() or 1),
+        "threads": str(threads or (drjit.thread_count() if drjit else os.cpu_count()) or 1),
         "platform": f"Python {platform.python_version()} on {platform.system()} "
         f"{platform.release()}, {platform.machine()}",
     }
@@ -212,9 +207,9 @@ def describe_installation(variant: str, threads: int | None = None) -> dict[str,
     if total != 624_500.0:
         problem = f"{variant} computes wrongly (a sum is {total}, not 624500)"
         raise InputError(problem, "reinstall Dr.Jit")
-    found = versions(variant)
+    installation = versions(variant)
     if variant.startswith("llvm"):
         llvm = selected_llvm()
-        found["llvm library"] = f"{llvm.path} (chosen by: {llvm.origin})"
-    found["variants"] = ", ".join(v for v in SUPPORTED_VARIANTS if v in mi.variants())
-    return found
+        installation["llvm library"] = f"{llvm.path} (chosen by: {llvm.origin})"
+    installation["variants"] = ", ".join(v for v in SUPPORTED_VARIANTS if v in mi.variants())
+    return installation

@@ -70,6 +70,30 @@ def test_importing_is_quick_and_loads_nothing():
     assert float(seconds) < 0.1 and loaded == []
 
 
+def test_importing_changes_nothing_outside():
+    code = (
+        "import os, sys; before = list(sys.meta_path), dict(os.environ), list(sys.path_hooks)\n"
+        "import mcrim_mitsuba; mcrim_mitsuba.Run, mcrim_mitsuba.use_variant\n"
+        "assert (list(sys.meta_path), dict(os.environ), list(sys.path_hooks)) == before\n"
+        "print(*{'mitsuba', 'drjit'} & {*sys.modules})"
+    )
+    assert python(code) == "\n"
+
+
+def test_one_function_brings_the_plugins_and_llvm():
+    """Into the variant that it is called for, and into those that Mitsuba switches to later."""
+    code = (
+        "import mcrim_mitsuba as mcrim, os; mi = mcrim.use_variant(threads=1)\n"
+        "assert mi.variant() == 'llvm_ad_rgb' and os.environ['DRJIT_LIBLLVM_PATH']\n"
+        "for variant in ('llvm_ad_mono', 'llvm_ad_rgb', 'scalar_rgb', 'llvm_ad_mono'):\n"
+        "    mi.set_variant(variant)\n"
+        "    if variant != 'scalar_rgb':\n"
+        "        assert 'LightMeter' in str(mi.load_dict({'type': 'light_meter'}))\n"
+        "import drjit; print(drjit.thread_count())"
+    )
+    assert python(code, DRJIT_LIBLLVM_PATH="") == "1\n"
+
+
 @pytest.mark.parametrize("first", ["mcrim_mitsuba", "mitsuba"])
 def test_mitsuba_may_be_imported_before_or_after(first):
     """Where the LLVM that Dr.Jit finds by itself is fit: here the variable names it."""

@@ -213,7 +213,8 @@ def test_the_package_may_come_after_mitsubas_variant():
     done = run(
         sys.executable,
         "-c",
-        "import mitsuba as mi; mi.set_variant('llvm_ad_mono'); import mcrim_mitsuba\n"
+        "import mitsuba as mi; mi.set_variant('llvm_ad_mono'); import mcrim_mitsuba as mcrim\n"
+        "assert mcrim.use_variant('llvm_ad_mono') is mi\n"
         "print(mi.render(mi.load_file('scenes/camoo4.xml'), spp=20_000).shape)",
     )
     assert done.stdout == "(1, 1, 1)\n", done.stderr

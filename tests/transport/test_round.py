@@ -20,8 +20,8 @@ from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.reference.crosscheck import crosscheck
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.convex import convex_solids
-from mcrim_mitsuba.transport.form import form_of
 from mcrim_mitsuba.transport.simulation import Simulation
+from mcrim_mitsuba.transport.solid_names import form_of
 
 Z = 3.5
 IN_REGISTERS = "fast path for flat and round faces"

@@ -26,8 +26,8 @@ def form_of(model: SceneModel, volume: int) -> str:
 
 
 def named_form(model: SceneModel, volume: int) -> str | None:
-    """The same of a cylinder, a prism or a pyramid; ``None`` of any other form."""
-    solid = next((one for one in convex_solids(model) if one.volume == volume), None)
+    """Form and size of a cylinder, a prism or a pyramid; ``None`` of any other volume."""
+    solid = next((solid for solid in convex_solids(model) if solid.volume == volume), None)
     if solid is None:
         return None
     if solid.circle is None:
@@ -94,8 +94,8 @@ def _across_flats(corners: np.ndarray, sides: int, size: float) -> float | None:
     points = corners[:, :2]
     if np.ptp(points, axis=0).max() <= _ALIKE * size:
         return 0.0
-    found = points[ConvexHull(points).vertices]
-    away = np.linalg.norm(found - (found.min(axis=0) + found.max(axis=0)) / 2, axis=1)
-    edges = np.linalg.norm(found - np.roll(found, 1, axis=0), axis=1)
-    regular = len(found) == sides and max(np.ptp(away), np.ptp(edges)) <= 10.0 * _ALIKE * size
+    around = points[ConvexHull(points).vertices]
+    away = np.linalg.norm(around - (around.min(axis=0) + around.max(axis=0)) / 2, axis=1)
+    edges = np.linalg.norm(around - np.roll(around, 1, axis=0), axis=1)
+    regular = len(around) == sides and max(np.ptp(away), np.ptp(edges)) <= 10.0 * _ALIKE * size
     return float(2.0 * away[0] * np.cos(np.pi / sides)) if regular else None
