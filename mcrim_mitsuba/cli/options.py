@@ -533,10 +533,11 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
 def _command() -> dict[str, Any]:
     """The command of this process without what differs from part to part."""
     from mcrim_mitsuba.effects.catalogue import BUILT_IN
+    from mcrim_mitsuba.effects.effect import modules_of
 
     context = click.get_current_context()
     variant = context.params.get("variant") or DEFAULT_VARIANT
-    effects = (f"mcrim_mitsuba.effects.{name}" for name in BUILT_IN)
+    effects = modules_of(BUILT_IN.values())
     given = list((context.find_root().obj or {}).get("arguments", ()))
     arguments, skip = [], False
     for word in given:

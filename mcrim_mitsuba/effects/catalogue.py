@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import ast
 import functools
-import importlib
-import itertools
 import sys
 import traceback
 import types
@@ -18,52 +16,63 @@ from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import read_text
 from mcrim_mitsuba.core.numbers import number_of, parse_number
 from mcrim_mitsuba.core.run import OWN_MODULES
+from mcrim_mitsuba.effects import (
+    crystal,
+    crystal_faces,
+    detector,
+    gap,
+    readings,
+    surroundings,
+)
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
-#: In the order of the catalogue; each is a module of this package.
-BUILT_IN = (
-    "polarization",
-    "anisotropic_scattering",
-    "rayleigh_scattering",
-    "scattering_gradient",
-    "spectral_scattering",
-    "source_depth",
-    "side_source",
-    "surface_roughness",
-    "surface_haze",
-    "top_roughness",
-    "side_roughness",
-    "bottom_roughness",
-    "ground",
-    "ground_top",
-    "ground_side",
-    "ground_bottom",
-    "surface_absorption",
-    "crystal_index",
-    "gap_index",
-    "gap_thickness",
-    "gap_absorption",
-    "gap_bubble",
-    "gap_bubble_round",
-    "gel_creep",
-    "top_reflector",
-    "photocathode_film",
-    "detector_reflection",
-    "detector_specular",
-    "detector_angle",
-    "detector_radius",
-    "aperture_at_detector",
-    "mask_offset",
-    "housing_reflection",
-    "edge_chamfer",
-    "forward_beam",
-    "background",
-    "saturation",
-    "gain_drift",
-    "sample_scale",
-)
+#: Effects of the package by name, in the order of the catalogue.
+BUILT_IN = {
+    effect.name: effect
+    for effect in (
+        crystal.POLARIZATION,
+        crystal.ANISOTROPIC_SCATTERING,
+        crystal.RAYLEIGH_SCATTERING,
+        crystal.SCATTERING_GRADIENT,
+        crystal.SPECTRAL_SCATTERING,
+        crystal.SOURCE_DEPTH,
+        crystal.SIDE_SOURCE,
+        crystal_faces.SURFACE_ROUGHNESS,
+        crystal_faces.SURFACE_HAZE,
+        crystal_faces.TOP_ROUGHNESS,
+        crystal_faces.SIDE_ROUGHNESS,
+        crystal_faces.BOTTOM_ROUGHNESS,
+        crystal_faces.GROUND,
+        crystal_faces.GROUND_TOP,
+        crystal_faces.GROUND_SIDE,
+        crystal_faces.GROUND_BOTTOM,
+        crystal_faces.SURFACE_ABSORPTION,
+        crystal.CRYSTAL_INDEX,
+        gap.GAP_INDEX,
+        gap.GAP_THICKNESS,
+        gap.GAP_ABSORPTION,
+        gap.GAP_BUBBLE,
+        gap.GAP_BUBBLE_ROUND,
+        gap.GEL_CREEP,
+        surroundings.TOP_REFLECTOR,
+        detector.PHOTOCATHODE_FILM,
+        detector.DETECTOR_REFLECTION,
+        detector.DETECTOR_SPECULAR,
+        detector.DETECTOR_ANGLE,
+        detector.DETECTOR_RADIUS,
+        surroundings.APERTURE_AT_DETECTOR,
+        surroundings.MASK_OFFSET,
+        surroundings.HOUSING_REFLECTION,
+        crystal_faces.EDGE_CHAMFER,
+        surroundings.FORWARD_BEAM,
+        readings.BACKGROUND,
+        readings.SATURATION,
+        readings.GAIN_DRIFT,
+        readings.SAMPLE_SCALE,
+    )
+}
 #: Entry points of installed distributions: an `Effect` each, or a module with `EFFECT`.
 ENTRY_POINTS = "mcrim_mitsuba.effects"
 _LIMIT_MB = 1
@@ -84,21 +93,17 @@ def catalogue(folder: str | Path | None = None) -> dict[str, Effect]:
         With file and line, or distribution, if what it holds is not an effect or takes a name
         that is taken.
     """
-    found = {
-        name: importlib.import_module(f"mcrim_mitsuba.effects.{name}").EFFECT for name in BUILT_IN
-    }
-    added = []
-    own = () if folder is None else _own(Path(folder))
-    for effect, place in itertools.chain(_installed(), own):
-        _refuse_taken_names(effect, found, place)
-        found[effect.name] = effect
-        added.append((effect, place))
+    effects = dict(BUILT_IN)
+    added = list(_installed()) if folder is None else [*_installed(), *_effects_of(Path(folder))]
+    for effect, place in added:
+        _refuse_taken_names(effect, effects, place)
+        effects[effect.name] = effect
     for effect, place in added:
         for other in effect.excludes:
-            if other not in found:
+            if other not in effects:
                 problem = f"{effect.name} excludes {other}, which is no effect"
-                raise InputError(problem, did_you_mean(other, found), **place)
-    return found
+                raise InputError(problem, did_you_mean(other, effects), **place)
+    return effects
 
 
 @functools.cache
@@ -123,15 +128,15 @@ def _installed() -> Iterator[tuple[Effect, _Place]]:
         yield effect, place
 
 
-def _own(folder: Path) -> Iterator[tuple[Effect, _Place]]:
+def _effects_of(folder: Path) -> Iterator[tuple[Effect, _Place]]:
     """Effects of the files in a folder."""
     if not folder.is_dir():
         raise InputError("not a folder of effects", "name a folder", path=folder)
-    own = [path for path in sorted(folder.glob("*.py")) if not path.name.startswith("_")]
-    if not own:
+    files = [path for path in sorted(folder.glob("*.py")) if not path.name.startswith("_")]
+    if not files:
         problem = "there is no effect in this folder"
         raise InputError(problem, "put *.py files with EFFECT there", path=folder)
-    for path in own:
+    for path in files:
         effect, line = _execute(path)
         yield effect, {"path": path, "line": line}
 
@@ -227,14 +232,14 @@ def add(
         a value is out of the catalogue's range, or if the scene is not such that the effect
         could be put into it.
     """
-    known = catalogue(folder) if isinstance(effect, str) or folder is not None else {}
-    chosen = effect_of(effect, known, scene.path) if isinstance(effect, str) else effect
+    effects = catalogue(folder) if isinstance(effect, str) or folder is not None else {}
+    chosen = effect_of(effect, effects, scene.path) if isinstance(effect, str) else effect
     if chosen.edit is None:
         where = "the readings" if chosen.reading is not None else "the photon records"
         problem = f"{chosen.name} belongs to {where}, not to the scene"
         mend = f'write effects = ["{chosen.name}"] in the campaign; `mcrim repair` does'
         raise InputError(problem, mend, path=scene.path)
-    _refuse_what_is_there(chosen, scene, known or catalogue())
+    _refuse_what_is_there(chosen, scene, effects or catalogue())
     given = _values(chosen, scene, values or {})
     editor = SceneEditor(scene, given)
     for parameter in chosen.parameters:
@@ -264,17 +269,17 @@ def _broken(effect: Effect, problem: str, error: Exception | None = None) -> Bro
     return BrokenEffectError(problem, "mend its edit function", path=file, line=line)
 
 
-def effect_of(name: str, known: Mapping[str, Effect], path: str | Path | None = None) -> Effect:
+def effect_of(name: str, effects: Mapping[str, Effect], path: str | Path | None = None) -> Effect:
     """The effect of a name, or an InputError that says which there are."""
-    if name not in known:
-        raise InputError(f"there is no effect {name}", did_you_mean(name, known), path=path)
-    return known[name]
+    if name not in effects:
+        raise InputError(f"there is no effect {name}", did_you_mean(name, effects), path=path)
+    return effects[name]
 
 
-def _refuse_what_is_there(effect: Effect, scene: SceneFile, known: Mapping[str, Effect]) -> None:
+def _refuse_what_is_there(effect: Effect, scene: SceneFile, effects: Mapping[str, Effect]) -> None:
     """Refuse an effect that the scene has already, or one that it excludes."""
     for name in (effect.name, *effect.excludes):
-        for parameter in known[name].parameters if name in known else effect.parameters:
+        for parameter in effects[name].parameters if name in effects else effect.parameters:
             if parameter.nominal is None and parameter.name in scene.defaults:
                 place = scene.defaults[parameter.name]
                 problem = f"the scene has the parameter {parameter.name} of {name} already"

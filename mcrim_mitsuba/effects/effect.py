@@ -7,7 +7,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
 
@@ -37,7 +37,9 @@ class Rows:
     other_sample: np.ndarray
 
 
-Reading = Callable[[np.ndarray, float, Rows], tuple[np.ndarray, np.ndarray, np.ndarray]]
+#: Readings, and their derivatives by signal and by the effect's value, all of the signals' shape.
+Predicted = tuple[np.ndarray, np.ndarray, np.ndarray]
+Reading = Callable[[np.ndarray, float, Rows], Predicted]
 
 
 def filled(parameters: Mapping[str, Value]) -> bool:
@@ -45,7 +47,7 @@ def filled(parameters: Mapping[str, Value]) -> bool:
     return is_filled(float(parameters["n_gap"]))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EffectParameter:
     """A number that says how large an effect is.
 
@@ -57,8 +59,6 @@ class EffectParameter:
 
     #: The scene's ``<default>`` (or, for readings, the campaign's parameter).
     name: str
-    #: "", "mm" or "1/cm".
-    unit: str
     #: In words, as the comment of the ``<default>`` has it; what is plausible, too.
     meaning: str
     #: The range in which the effect is defined and fitted.
@@ -66,8 +66,11 @@ class EffectParameter:
     maximum: float
     #: Where a fit begins, and what `add` writes unless told otherwise.
     start: float
-    #: The value at which the effect is not there; infinite where only 1/value reaches it.
-    absent: float | None
+    #: "mm" or "1/cm", such as its name ends in; empty: a pure number.
+    unit: str = ""
+    #: The value at which the effect is not there; infinite where only 1/value reaches it; None:
+    #: no value is like that.
+    absent: float | None = 0.0
     #: Lowest and highest value that a laboratory usually meets.
     plausible: tuple[float, float]
     #: Rising values at which responses are computed, `absent` left out.
@@ -199,6 +202,7 @@ class Effect:
     #: What happens, in a paragraph, and where to read about it.
     physics: str
     source: str
+    _: KW_ONLY
     #: None: the effect is there or not.
     parameters: tuple[EffectParameter, ...] = ()
     #: Effects that cannot be there at the same time.
@@ -251,14 +255,14 @@ class Effect:
         """Whether a scene has it already, at whatever size."""
         if self.there is not None:
             return self.there(scene)
-        own = [parameter.name for parameter in self.parameters if parameter.nominal is None]
-        return bool(own) and all(name in scene.parameters for name in own)
+        names = [parameter.name for parameter in self.parameters if parameter.nominal is None]
+        return bool(names) and all(name in scene.parameters for name in names)
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
             raise ValueError(f"the name {self.name!r} is not letters, digits and _")
         acts = (self.edit, self.weight, self.colours, self.reading)
-        if all(each is None for each in acts):
+        if all(act is None for act in acts):
             problem = "has none of edit, weight, colours and reading: it does nothing"
             raise ValueError(f"{self.name} {problem}")
         for parameter in self.parameters:
@@ -280,11 +284,8 @@ class Effect:
 
 
 def _of_signal_alone(
-    reading: Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]],
-    signals: np.ndarray,
-    value: float,
-    rows: Rows,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    reading: Callable[..., Predicted], signals: np.ndarray, value: float, rows: Rows
+) -> Predicted:
     """What an effect does that need not know when a row was read."""
     return reading(signals, value)
 

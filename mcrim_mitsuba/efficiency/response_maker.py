@@ -25,7 +25,7 @@ from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter, filled, modules_of
-from mcrim_mitsuba.effects.forward_beam import EFFECT as FORWARD_BEAM
+from mcrim_mitsuba.effects.surroundings import FORWARD_BEAM
 from mcrim_mitsuba.efficiency.eta_grid import (
     BATCHES,
     EtaGrid,

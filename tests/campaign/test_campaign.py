@@ -224,8 +224,10 @@ def test_effects_of_the_users_own(folder, monkeypatch):
     (folder / "mine").mkdir()
     (folder / "mine/drift.py").write_text(
         "from mcrim_mitsuba.effects import Effect, EffectParameter\n"
-        "EFFECT = Effect('drift', 'Drift', '...', '...', (EffectParameter('drift', '', 'Gain', "
-        "0.5, 2, 1.1, 1.0, (0.9, 1.1), ()),), reading=lambda s, g: (g * s, g + 0 * s, s))\n"
+        "size = EffectParameter(name='drift', meaning='Gain', minimum=0.5, maximum=2, start=1.1, "
+        "absent=1.0, plausible=(0.9, 1.1), nodes=())\n"
+        "EFFECT = Effect('drift', 'Drift', '...', '...', parameters=(size,), "
+        "reading=lambda s, g: (g * s, g + 0 * s, s))\n"
     )
     text = CAMPAIGN.replace("effects = []", 'effects = ["drift"]\neffects_folder = "mine"')
     text += "[parameters.scale]\nstart = 1\nfixed = true\n"

@@ -38,7 +38,7 @@ def test_effects_of_ones_own_are_executed_when_the_user_says_so(mcrim, here, sce
         "from mcrim_mitsuba.effects import Effect, EffectParameter\n"
         "from pathlib import Path\nPath('ran').touch()\n"
         "def edit(editor, values):\n    return None\n"
-        'EFFECT = Effect("mine", "M", "...", "...", (), edit=edit)\n'
+        'EFFECT = Effect("mine", "M", "...", "...", edit=edit)\n'
     )
     line = ["add", "mine", scenes / "camoo4.xml", "--effects-folder", "theirs", "-o", "-"]
     refused = mcrim.refused(*line)

@@ -370,8 +370,12 @@ def test_transmittances_are_shown_in_per_cent_and_on_a_scale_of_their_own():
 
 
 DRIFT = """from mcrim_mitsuba.effects import Effect, EffectParameter
-size = EffectParameter("drift", "", "Gain", 0.5, 2, 1.1, 1.0, (0.9, 1.1), ())
-EFFECT = Effect("drift", "D", "...", "...", (size,), reading=lambda s, g: (g * s, g + 0 * s, s))
+size = EffectParameter(
+    name="drift", meaning="Gain", minimum=0.5, maximum=2, start=1.1, absent=1.0,
+    plausible=(0.9, 1.1), nodes=(),
+)
+act = lambda s, g: (g * s, g + 0 * s, s)
+EFFECT = Effect("drift", "D", "...", "...", parameters=(size,), reading=act)
 """
 
 

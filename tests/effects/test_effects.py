@@ -132,7 +132,7 @@ def added(scene, *names):
 
 
 def test_every_effect_of_the_definitions_is_there():
-    assert list(KNOWN) == list(BUILT_IN)
+    assert KNOWN == BUILT_IN and list(KNOWN) == list(BUILT_IN)
     assert len(KNOWN) == 39
     for name, effect in KNOWN.items():
         assert effect.name == name
@@ -450,7 +450,10 @@ def edit(editor):
 EFFECT = Effect(
     name="spot", title="Black spot", physics="...", source="...",
     parameters=(
-        EffectParameter("spot_mm", "mm", "Radius of the spot", 0, 5, 1, 0.0, (0, 3), (1, 2, 4)),
+        EffectParameter(
+            name="spot_mm", unit="mm", meaning="Radius of the spot", minimum=0, maximum=5,
+            start=1, plausible=(0, 3), nodes=(1, 2, 4),
+        ),
     ),
     edit=edit,
 )
@@ -488,12 +491,13 @@ def test_nothing_to_load_is_said(tmp_path):
 
 
 def test_an_effect_that_contradicts_itself_is_refused():
-    number = EffectParameter("x_mm", "mm", "x", 0, 1, 0.5, 0.0, (0, 0.5), (0.5, 1))
+    numbers = {"minimum": 0, "maximum": 1, "start": 0.5, "plausible": (0, 0.5)}
+    number = EffectParameter(name="x_mm", unit="mm", meaning="x", nodes=(0.5, 1), **numbers)
     assert number.coordinate_of(0.5) == 0.5
     with pytest.raises(ValueError, match="ends an XML comment"):
-        EffectParameter("x", "", "a -- b", 0, 1, 0.5, 0.0, (0, 0.5), ())
+        EffectParameter(name="x", meaning="a -- b", nodes=(), **numbers)
     with pytest.raises(ValueError, match="proposal must give"):
-        Effect("x", "x", "x", "x", (number,), weight=len, proposal={"y": 1.0})
+        Effect("x", "x", "x", "x", parameters=(number,), weight=len, proposal={"y": 1.0})
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -12,11 +11,11 @@ from lxml import etree
 
 from mcrim_mitsuba.core.errors import said_by
 from mcrim_mitsuba.core.numbers import Value, parse_number
-from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.scene.editor import INDICES, Node, SceneEditor
 
 #: Of the light in vacuum.
 WAVELENGTH = "wavelength_nm"
+#: What an interface of the plugin ``polish`` may say besides its indices.
 _FURTHER = (
     "int_offset",
     "ext_offset",
@@ -26,11 +25,15 @@ _FURTHER = (
     "rms_roughness_nm",
     WAVELENGTH,
 )
-WIDTH, HEIGHT, GAP = "crystal_width_mm", "crystal_height_mm", "gap_mm"
+#: Scene parameters of the bench's sizes.
+WIDTH = "crystal_width_mm"
+HEIGHT = "crystal_height_mm"
+GAP = "gap_mm"
+#: Factors on them by which a face is seen to follow them.
 _STRETCH = {WIDTH: 1.1, HEIGHT: 1.3, GAP: 1.7}
 _TOLERANCE_MM = 1e-6
 #: Tells a part of the gap whether it is filled.
-GAP_INDEX = '<float name="index" value="$n_gap"/>'
+INDEX_OF_PART = '<float name="index" value="$n_gap"/>'
 _FLAT = ("rectangle", "panel")
 _AXES = {
     "right": (0, 1),
@@ -40,13 +43,6 @@ _AXES = {
     "top": (2, 1),
     "bottom": (2, -1),
 }
-#: Of rough faces.
-FACETS = (
-    "E. Heitz, J. Hanika, E. d'Eon and C. Dachsbacher, ACM Trans. Graph. 35 (2016) 58; B. Walter, "
-    "S. R. Marschner, H. Li and K. E. Torrance, Eurographics Symposium on Rendering 2007, 195"
-)
-#: Alpha up to which a face may still be called polished.
-POLISHED = 0.05
 _FORM = "this effect is written for benches in the form of scenes/camoo4.xml"
 
 
@@ -99,42 +95,6 @@ def masks_of(editor: SceneEditor) -> list[Node]:
     return editor.masks
 
 
-def sends_back(editor: SceneEditor) -> None:
-    """Let what the text calls a black detector be called so no longer."""
-    for shape in editor.shapes:
-        if any(part in editor.detectors for part in shape.walk()):
-            editor.reword(shape, "window, black", "window")
-
-
-def hits_weight(hits: np.ndarray, reflectance: float, simulated_at: float) -> np.ndarray:
-    """Weight of photons that a detector sent back so often, and then detected.
-
-    They were drawn with the reflectance `simulated_at`.
-    """
-    each = (reflectance / simulated_at) ** hits.astype(np.float64)
-    return (1.0 - reflectance) / (1.0 - simulated_at) * each
-
-
-def falloff(
-    name: str, meaning: str, least: float = 0.0, nodes: tuple[float, ...] = ()
-) -> EffectParameter:
-    """How far a detector's sensitivity falls: 1 - this times what `meaning` says.
-
-    From `least` on, where it rises, with `nodes` below 0.
-    """
-    return EffectParameter(
-        name=name,
-        unit="",
-        meaning=f"Detection falls as 1 - this {meaning}",
-        minimum=least,
-        maximum=1.0,
-        start=0.2,
-        absent=0.0,
-        plausible=(0.6 * least, 0.6),
-        nodes=(*nodes, 0.15, 0.3, 0.5, 0.75, 1.0),
-    )
-
-
 def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
     """Make a ``dielectric``, or a ``polish`` already, a ``polish`` with one more number.
 
@@ -161,14 +121,6 @@ def polish_crystal(editor: SceneEditor, name: str, value: str) -> None:
     """Give all faces of the crystal one more number, as of `polish`."""
     for bsdf in editor.crystal_polish:
         polish(editor, bsdf, name, value)
-
-
-def birth_weight(depths_mm: np.ndarray, length_mm: float, depth_mm: float) -> np.ndarray:
-    """Density of births at depths behind a face, exp(-t/depth) up to a length, over an even one."""
-    lengths = length_mm / depth_mm
-    if lengths < 1e-9:
-        return np.ones(len(depths_mm))
-    return lengths / -np.expm1(-lengths) * np.exp(-depths_mm.astype(np.float64) / depth_mm)
 
 
 def roughen(editor: SceneEditor, side: str, alpha: str) -> None:
@@ -223,55 +175,6 @@ def _faces_of_any_form(editor: SceneEditor, side: str) -> list[Node]:
         problem = f"the crystal has no {side} face of its own"
         raise editor.refusal(problem, "use surface_roughness or ground: they are of all faces")
     return found
-
-
-def facets_of(name: str, what: str, *, ground: bool) -> EffectParameter:
-    """Width of the facets of faces, called `what`: ground ones, or of a polish that may be poor."""
-    kind = "ground and not polished (GGX)," if ground else "(GGX),"
-    meaning = f"Roughness of the crystal's {what}, {kind} the tangent of a typical tilt"
-    if ground:
-        return EffectParameter(
-            name=name,
-            unit="",
-            meaning=meaning,
-            minimum=0.1,
-            maximum=0.6,
-            start=0.25,
-            # a face is ground or it is not
-            absent=None,
-            plausible=(0.1, 0.6),
-            nodes=(0.1, 0.16, 0.25, 0.4, 0.6),
-        )
-    return EffectParameter(
-        name=name,
-        unit="",
-        meaning=meaning,
-        minimum=0.0,
-        maximum=0.5,
-        start=0.1,
-        absent=0.0,
-        plausible=(0.0, POLISHED),
-        nodes=(0.012, 0.035, 0.08, 0.16, 0.3, 0.5),
-        coordinate="logarithmic",
-        scale=0.03,
-    )
-
-
-def one_side(side: str, what: str, *, ground: bool, look: str, physics: str) -> Effect:
-    """An effect: a side of the crystal (as of `roughen`), called `what`, is rough, or ground."""
-    rough, dull = f"{side}_roughness", f"ground_{side}"
-    name, other = (dull, rough) if ground else (rough, dull)
-    return Effect(
-        name=name,
-        title=f"ground {what}" if ground else f"roughness of the {what}",
-        family="surface",
-        look=look,
-        physics=physics,
-        source=FACETS,
-        parameters=(facets_of(f"{name}_alpha", what, ground=ground),),
-        excludes=("surface_roughness", "ground", other),
-        edit=functools.partial(roughen, side=side, alpha=f"{name}_alpha"),
-    )
 
 
 def rough_copy(editor: SceneEditor, bsdf: Node, side: str, alpha: str) -> str:
@@ -417,7 +320,7 @@ def part_gap(editor: SceneEditor, cut: str, liquid: str, air: str) -> None:
         (under, "window_under_bubble", window_to_air, editor.window),
     ):
         editor.refuse_id(name)
-        numbers = [cut, '<string name="keep" value="{}"/>', GAP_INDEX]
+        numbers = [cut, '<string name="keep" value="{}"/>', INDEX_OF_PART]
         make_panel(editor, face, "\n".join(numbers).format(liquid))
         trim, transform = face.named("trim"), face.named("to_world")
         assert transform is not None  # `crystal_box` and `window_under_gap` found its corners by it

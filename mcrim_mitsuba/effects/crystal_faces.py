@@ -1,0 +1,414 @@
+"""Effects of the crystal's faces and edges: rough, ground, hazy, absorbing, bevelled."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
+from mcrim_mitsuba.effects.scene_edits import (
+    WAVELENGTH,
+    crystal_box,
+    gap_sides,
+    make_panel,
+    polish_crystal,
+    roughen,
+    wavelength_of,
+    worn_towards_air,
+)
+from mcrim_mitsuba.scene.editor import SceneEditor
+
+#: Of rough faces.
+FACETS = (
+    "E. Heitz, J. Hanika, E. d'Eon and C. Dachsbacher, ACM Trans. Graph. 35 (2016) 58; B. Walter, "
+    "S. R. Marschner, H. Li and K. E. Torrance, Eurographics Symposium on Rendering 2007, 195"
+)
+
+#: Alpha up to which a face may still be called polished.
+POLISHED = 0.05
+
+
+def facets_of(name: str, what: str, *, ground: bool) -> EffectParameter:
+    """Width of the facets of faces, called `what`: ground ones, or of a polish that may be poor."""
+    kind = "ground and not polished (GGX)," if ground else "(GGX),"
+    meaning = f"Roughness of the crystal's {what}, {kind} the tangent of a typical tilt"
+    if ground:
+        return EffectParameter(
+            name=name,
+            meaning=meaning,
+            minimum=0.1,
+            maximum=0.6,
+            start=0.25,
+            # a face is ground or it is not
+            absent=None,
+            plausible=(0.1, 0.6),
+            nodes=(0.1, 0.16, 0.25, 0.4, 0.6),
+        )
+    return EffectParameter(
+        name=name,
+        meaning=meaning,
+        minimum=0.0,
+        maximum=0.5,
+        start=0.1,
+        plausible=(0.0, POLISHED),
+        nodes=(0.012, 0.035, 0.08, 0.16, 0.3, 0.5),
+        coordinate="logarithmic",
+        scale=0.03,
+    )
+
+
+def one_side(side: str, what: str, *, ground: bool, look: str, physics: str) -> Effect:
+    """An effect: a side of the crystal (as of `roughen`), called `what`, is rough, or ground."""
+    rough, dull = f"{side}_roughness", f"ground_{side}"
+    name, other = (dull, rough) if ground else (rough, dull)
+    return Effect(
+        name=name,
+        title=f"ground {what}" if ground else f"roughness of the {what}",
+        family="surface",
+        look=look,
+        physics=physics,
+        source=FACETS,
+        parameters=(facets_of(f"{name}_alpha", what, ground=ground),),
+        excludes=("surface_roughness", "ground", other),
+        edit=partial(roughen, side=side, alpha=f"{name}_alpha"),
+    )
+
+
+SURFACE_ROUGHNESS = Effect(
+    name="surface_roughness",
+    title="roughness of all crystal faces",
+    family="surface",
+    look=(
+        "Look at the reflection of a lamp in each face: it is blurred if the face is rough. "
+        "Measure the transmittance within 1 and within 30 degrees."
+    ),
+    physics=(
+        "A face that was ground but poorly polished is made of small facets with tilted normals; "
+        "light meets one of them and is reflected or refracted there by Fresnel's formulas. The "
+        "tilts (GGX distribution, width alpha, the tangent of a typical tilt) let trapped light "
+        "out after some reflections. It goes from facet to facet until it leaves the face, to the "
+        "front or to the back (Smith's field of heights): nothing is lost there. A polished face "
+        "has alpha of 0.05 at most: see ground."
+    ),
+    source=FACETS,
+    parameters=(
+        EffectParameter(
+            name="roughness_alpha",
+            meaning="Roughness of the crystal's faces (GGX), the tangent of a typical tilt",
+            minimum=0.0,
+            maximum=0.3,
+            start=0.05,
+            plausible=(0.0, POLISHED),
+            nodes=(0.012, 0.035, 0.08, 0.16, 0.3),
+            # trapped light meets many facets: it is freed by small slopes already
+            coordinate="logarithmic",
+            scale=0.03,
+        ),
+    ),
+    excludes=(
+        *("top_roughness", "side_roughness", "bottom_roughness"),
+        *("ground", "ground_top", "ground_side", "ground_bottom"),
+    ),
+    edit=partial(polish_crystal, name="roughness_alpha", value="$roughness_alpha"),
+)
+
+
+def edit_surface_haze(editor: SceneEditor) -> None:
+    """Give all faces of the crystal a fine roughness."""
+    wavelength = wavelength_of(editor)
+    polish_crystal(editor, "rms_roughness_nm", "$rms_roughness_nm")
+    for bsdf in editor.crystal_polish:
+        editor.insert_last(bsdf, f'<float name="{WAVELENGTH}" value="{wavelength}"/>')
+
+
+SURFACE_HAZE = Effect(
+    name="surface_haze",
+    title="haze of the crystal's faces",
+    family="surface",
+    look=(
+        "Shine a laser pointer at a face in the dark: on a hazy face the spot is seen from all "
+        "sides. Polish again and measure again."
+    ),
+    physics=(
+        "A polished face keeps heights of some nanometres. They are too fine for slopes to "
+        "matter, but shift the phase of the wave: the part S = 1 - exp(-q^2) of what Fresnel "
+        "reflects or refracts is scattered, with q = 4 pi s n cos(theta) / lambda in reflection "
+        "and 2 pi s |n cos(theta) - n' cos(theta')| / lambda in refraction. It goes to other "
+        "directions of the same side, in proportion to the cosine, to S and to what would be "
+        "reflected, or refracted, of light from there: each way is as likely as its reverse. So "
+        "scatter heights that have no memory beyond a wavelength. Longer ones scatter close to "
+        "the reflected ray, and free nothing; light scattered under total reflection may also "
+        "leave at once, which it does not here: the height that is fitted is one 'as if'. lambda "
+        "is the scene's wavelength_nm, 540 nm unless another is given."
+    ),
+    source="H. E. Bennett and J. O. Porteus, J. Opt. Soc. Am. 51 (1961) 123",
+    parameters=(
+        EffectParameter(
+            name="rms_roughness_nm",
+            unit="nm",
+            meaning="Rms height of the fine roughness of the crystal's faces",
+            minimum=0.0,
+            maximum=30.0,
+            start=5.0,
+            plausible=(0.0, 20.0),
+            nodes=(2.0, 5.0, 9.0, 15.0, 22.0, 30.0),
+            coordinate="logarithmic",
+            scale=5.0,
+        ),
+    ),
+    edit=edit_surface_haze,
+)
+
+
+TOP_ROUGHNESS = one_side(
+    "top",
+    "top face",
+    ground=False,
+    look=(
+        "Look at the reflection of a lamp in the top face. Put a drop of oil on it: the readings "
+        "change if it is rough."
+    ),
+    physics=(
+        "The face opposite the detector is often polished last and least, since nobody looks "
+        "through it. A polished face has alpha of 0.05 at most: see ground_top. It is one of "
+        "facets with tilted normals (GGX, width alpha), as in surface_roughness, and the other "
+        "faces are polished."
+    ),
+)
+
+
+SIDE_ROUGHNESS = one_side(
+    "side",
+    "side faces",
+    ground=False,
+    look=(
+        "Look at the reflection of a lamp in the sides, and measure the transmittance through "
+        "them: roughness costs the beam most."
+    ),
+    physics=(
+        "The four sides of a crystal are often polished less than the faces through which light "
+        "is meant to leave; beyond 0.05 they are ground: see ground_side. It is one of facets "
+        "with tilted normals (GGX, width alpha), as in surface_roughness, and the other faces are "
+        "polished."
+    ),
+)
+
+
+BOTTOM_ROUGHNESS = one_side(
+    "bottom",
+    "bottom face",
+    ground=False,
+    look=(
+        "Take the crystal off and look at the reflection of a lamp in its bottom face: "
+        "mounting scratches it. Turn the crystal over and measure again."
+    ),
+    physics=(
+        "The face before the detector is scratched when crystals are mounted, turned "
+        "and wiped; where a gel covers it, its roughness is nearly matched. It is one "
+        "of facets with tilted normals (GGX, width alpha), as in surface_roughness, and "
+        "the other faces are polished."
+    ),
+)
+
+
+GROUND = Effect(
+    name="ground",
+    title="ground faces",
+    family="surface",
+    look=(
+        "Look at the faces with a loupe: a ground face is dull, and shows no reflection of a "
+        "lamp. Ask the maker which faces were polished."
+    ),
+    physics=(
+        "A face that was cut or ground and never polished consists of facets that are tilted by "
+        "tens of degrees (GGX, width alpha); light goes from one to the other until it leaves, to "
+        "the front or to the back. Of trapped light such a face lets out a part each time. Facets "
+        "of alpha 0.1 to 0.6 are ground; less is a poor polish: see surface_roughness."
+    ),
+    source=FACETS,
+    parameters=(facets_of("ground_alpha", "faces", ground=True),),
+    excludes=(
+        *("surface_roughness", "top_roughness", "side_roughness", "bottom_roughness"),
+        *("ground_top", "ground_side", "ground_bottom"),
+    ),
+    edit=partial(polish_crystal, name="roughness_alpha", value="$ground_alpha"),
+)
+
+
+GROUND_TOP = one_side(
+    "top",
+    "top face",
+    ground=True,
+    look=(
+        "Look at the top face with a loupe: if it is ground it is dull. Put a drop of oil on it: "
+        "the readings change."
+    ),
+    physics=(
+        "The face opposite the detector is often left as it was cut, since nobody looks through "
+        "it: facets that are tilted by tens of degrees (GGX, width alpha), as in ground, on this "
+        "face alone."
+    ),
+)
+
+
+GROUND_SIDE = one_side(
+    "side",
+    "side faces",
+    ground=True,
+    look=(
+        "Look at the sides with a loupe: if they are ground they are dull, and nothing is seen "
+        "through them."
+    ),
+    physics=(
+        "The four sides are often ground, on purpose or to save work, while the faces at the ends "
+        "are polished: facets that are tilted by tens of degrees (GGX, width alpha), as in ground, "
+        "on the sides alone."
+    ),
+)
+
+
+GROUND_BOTTOM = one_side(
+    "bottom",
+    "bottom face",
+    ground=True,
+    look=(
+        "Take the crystal off and look at its bottom face with a loupe: a ground one is dull, "
+        "and clear only while a liquid covers it."
+    ),
+    physics=(
+        "The crystal may stand on a face that was cut and not polished: facets that are tilted by "
+        "tens of degrees (GGX, width alpha), as in ground, on this face alone. A liquid nearly "
+        "matches them, air does not: such a face changes the ratio of the readings most."
+    ),
+)
+
+
+def edit_surface_loss(editor: SceneEditor) -> None:
+    """Let all faces of the crystal lose light that they reflect inwards."""
+    for face in editor.crystal_faces:
+        if editor.medium(face, "interior") is not editor.crystal:
+            problem = f"the crystal is in front of {face.label}, not behind it"
+            mend = "turn the face around: the loss acts on light that comes from behind"
+            raise editor.refusal(problem, mend, face)
+    polish_crystal(editor, "surface_loss", "$surface_loss")
+
+
+def weight_surface_loss(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
+    """(1 - loss) to the power of the reflections back into the crystal."""
+    return (1.0 - values["surface_loss"]) ** columns["reflections"].astype(np.float64)
+
+
+SURFACE_ABSORPTION = Effect(
+    name="surface_absorption",
+    title="absorbing crystal surface",
+    family="surface",
+    look=(
+        "Clean and polish the crystal again and measure again; under a microscope a damaged "
+        "layer looks dull."
+    ),
+    physics=(
+        "Polishing leaves a damaged, contaminated layer that absorbs: light is lost each time a "
+        "face reflects it back into the crystal, partially or totally. Trapped light, which is "
+        "reflected tens of times, suffers most. Simulations of scintillation counters have long "
+        "described this by a reflection coefficient of the surface below 1."
+    ),
+    source=(
+        "A. Levin and C. Moisan, IEEE Nuclear Science Symposium Conference Record 1996, vol. 2, 702"
+    ),
+    parameters=(
+        EffectParameter(
+            name="surface_loss",
+            meaning="Fraction lost at every internal reflection at a face of the crystal",
+            minimum=0.0,
+            maximum=0.05,
+            start=0.005,
+            plausible=(0.0, 0.03),
+            nodes=(0.002, 0.005, 0.01, 0.02, 0.035, 0.05),
+        ),
+    ),
+    edit=edit_surface_loss,
+    columns=("reflections",),
+    weight=weight_surface_loss,
+)
+
+
+#: Largest leg, as a part of the shortest edge.
+_LARGEST_LEG = 0.48
+_TRIM_EDGES = '<float name="trim" value="$chamfer_mm"/>'
+
+
+def edit_edge_chamfer(editor: SceneEditor) -> None:
+    """Cut the twelve edges of the crystal, with faces of their own."""
+    for name in ("crystal_chamfers", "gap_top_rim"):
+        editor.refuse_id(name)
+    scene, leg_mm = editor.scene.parameters, editor.values["chamfer_mm"]
+    box = crystal_box(editor)
+    smallest_mm = min(float(scene["crystal_width_mm"]), float(scene["crystal_height_mm"]))
+    if not 2 * leg_mm < smallest_mm:
+        problem = f"a chamfer of {leg_mm:g} mm leaves nothing of a crystal of {smallest_mm:g} mm"
+        raise editor.refusal(problem, "twice the leg must stay below width and height")
+    faces = [face for faces in box.values() for face in faces]
+    outer = [face for name, faces in box.items() if name != "bottom" for face in faces]
+    crystal_to_air = worn_towards_air(editor, outer, "the crystal's other faces")
+    sides = gap_sides(editor)
+    gap_to_air = worn_towards_air(editor, sides, "the gap's sides")
+    for face in faces:
+        make_panel(editor, face, _TRIM_EDGES)
+    bubble = [part for name in ("cut", "index") if (part := sides[0].named(name)) is not None]
+    rim = "".join(f"\n  {editor.source(part)}" for part in bubble)
+    editor.insert_after(
+        max(faces, key=lambda face: face.start),
+        f"""<!-- The twelve bevelled edges -->
+<shape type="chamfers" id="crystal_chamfers">
+  <float name="width" value="$crystal_width_mm"/>
+  <float name="height" value="$crystal_height_mm"/>
+  <float name="leg" value="$chamfer_mm"/>
+  {crystal_to_air}
+  <ref name="interior" id="{editor.crystal.attributes["id"]}"/>
+</shape>
+
+<!-- The rim of the gap that the crystal no longer covers -->
+<shape type="frame" id="gap_top_rim">
+  <float name="outer_width" value="$crystal_width_mm"/>
+  <float name="rim" value="$chamfer_mm"/>{rim}
+  {gap_to_air}
+  <ref name="interior" id="{editor.gap.attributes["id"]}"/>
+</shape>""",
+    )
+
+
+def limits_edge_chamfer(parameters: Parameters) -> tuple[float, float]:
+    """Twice the leg stays below width and height, and something of the faces is left."""
+    sides = (float(parameters[f"crystal_{side}_mm"]) for side in ("width", "height"))
+    return 0.0, _LARGEST_LEG * min(sides)
+
+
+EDGE_CHAMFER = Effect(
+    name="edge_chamfer",
+    title="bevel of the edges",
+    family="surface",
+    look=("Look at the edges with a loupe, and measure the bevel on a photograph with a scale."),
+    physics=(
+        "In a perfect box light beyond the critical angle of all faces is trapped for ever. "
+        "Edges are bevelled against chipping: polished faces at 45 degrees turn such light into "
+        "directions that leave, at the edges. The gap keeps its footprint, and its rim that the "
+        "crystal no longer covers borders air."
+    ),
+    source="G. F. Knoll, Radiation Detection and Measurement, 4th ed., Wiley 2010, chapter 8",
+    parameters=(
+        EffectParameter(
+            name="chamfer_mm",
+            unit="mm",
+            meaning="Leg of the chamfers at the crystal's edges",
+            minimum=0.0,
+            maximum=1.0,
+            start=0.2,
+            plausible=(0.0, 0.5),
+            nodes=(0.12, 0.3, 0.6, 1.0),
+            limits=limits_edge_chamfer,
+        ),
+    ),
+    excludes=("gap_bubble_round",),
+    edit=edit_edge_chamfer,
+)

@@ -1,0 +1,166 @@
+"""Effects of the readout: they act on the readings, whatever the photons did."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter, Predicted, Rows
+
+
+def reading_background(signals: np.ndarray, value: float, rows: Rows) -> Predicted:
+    """reading = signal + background."""
+    ones = np.ones_like(signals)
+    return signals + value, ones, ones
+
+
+def plausible_beside_background(signals: np.ndarray) -> tuple[float, float]:
+    """A tenth of the weakest signal: more would have been seen with the crystal out."""
+    largest = 0.1 * float(signals.min())
+    return -largest, largest
+
+
+BACKGROUND = Effect(
+    name="background",
+    title="constant background",
+    family="readings",
+    look=("Take the crystal out, and then the source away: what is still read is background."),
+    physics=(
+        "A pedestal that was not quite subtracted, stray light, or light that is born in the "
+        "window adds the same to every reading. It weighs most on the weakest reading, which is "
+        "that of the air gap. It is added after saturation."
+    ),
+    source="E. H. Bellamy et al., Nucl. Instrum. Meth. A 339 (1994) 468",
+    parameters=(
+        EffectParameter(
+            name="background",
+            meaning="Added to every reading, in the unit of the readings",
+            minimum=-math.inf,
+            maximum=math.inf,
+            start=0.0,
+            plausible=(-math.inf, math.inf),
+            nodes=(),
+            plausible_beside=plausible_beside_background,
+        ),
+    ),
+    reading=reading_background,
+    order=1,
+)
+
+
+def reading_saturation(signals: np.ndarray, value: float, rows: Rows) -> Predicted:
+    """reading = signal / (1 + k signal)."""
+    damped = 1.0 + value * signals
+    return signals / damped, damped**-2.0, -((signals / damped) ** 2)
+
+
+def plausible_beside_saturation(signals: np.ndarray) -> tuple[float, float]:
+    """A tube that reads its strongest signal a tenth too low is not used."""
+    return 0.0, 0.1 / float(signals.max())
+
+
+SATURATION = Effect(
+    name="saturation",
+    title="saturation of the readout",
+    family="readings",
+    look=(
+        "Put a grey filter of known transmittance before the tube: the signal must fall by "
+        "just that part."
+    ),
+    physics=(
+        "Space charge in a photomultiplier, the finite number of a silicon detector's cells, an "
+        "amplifier near its limit or dead time read strong signals too low: reading = true / "
+        "(1 + k true), the form of a non-paralyzable dead time. It acts before a background is "
+        "added."
+    ),
+    source="G. F. Knoll, Radiation Detection and Measurement, 4th ed., Wiley 2010, chapter 4",
+    parameters=(
+        EffectParameter(
+            name="saturation",
+            meaning="k of reading = true / (1 + k true), per unit of the readings",
+            minimum=0.0,
+            maximum=0.05,
+            start=0.002,
+            plausible=(0.0, 0.01),
+            nodes=(),
+            plausible_beside=plausible_beside_saturation,
+        ),
+    ),
+    reading=reading_saturation,
+)
+
+
+def reading_gain_drift(signals: np.ndarray, value: float, rows: Rows) -> Predicted:
+    """reading = signal (1 + drift position)."""
+    gain = 1.0 + value * rows.position
+    return signals * gain, np.broadcast_to(gain, signals.shape), signals * rows.position
+
+
+GAIN_DRIFT = Effect(
+    name="gain_drift",
+    title="drift of the gain",
+    family="readings",
+    look=(
+        "Measure the first row again after the last one, or a light pulser between the rows; "
+        "measure the rows in another order."
+    ),
+    physics=(
+        "A photomultiplier's gain changes by per cents in hours, with temperature, high voltage "
+        "and its own current, and after it has seen daylight. Rows that were measured one after "
+        "the other are then read too high at one end and too low at the other: by this from first "
+        "to last row of the file, linearly, and not at all in the middle. It acts on what is read "
+        "in the end, a background included."
+    ),
+    source="G. F. Knoll, Radiation Detection and Measurement, 4th ed., Wiley 2010, chapter 9",
+    parameters=(
+        EffectParameter(
+            name="gain_drift",
+            meaning="Relative change of the readings from the first to the last row",
+            minimum=-0.1,
+            maximum=0.1,
+            start=0.02,
+            plausible=(-0.03, 0.03),
+            nodes=(-0.1, -0.04, 0.04, 0.1),
+        ),
+    ),
+    reading=reading_gain_drift,
+    order=2,
+)
+
+
+def reading_sample_scale(signals: np.ndarray, value: float, rows: Rows) -> Predicted:
+    """reading = signal (1 + this) where the crystal is another one."""
+    share = 1.0 + value * rows.other_sample
+    return signals * share, np.broadcast_to(share, signals.shape), signals * rows.other_sample
+
+
+SAMPLE_SCALE = Effect(
+    name="sample_scale",
+    title="yield difference between crystals",
+    family="readings",
+    look=(
+        "Measure all pieces wrapped in the same reflector, where the yield decides and size hardly "
+        "does; ask from which part of the boule each was cut."
+    ),
+    physics=(
+        "Crystals of other sizes are other pieces, and doping, stoichiometry and annealing change "
+        "along a boule: their light yield is not quite that of the crystal of the scene. Readings "
+        "of every crystal whose width or height differs from the scene's are multiplied by one "
+        "plus this, before the readout saturates. Transmittances know no light yield."
+    ),
+    source="V. Alenkov et al., JINST 8 (2013) P06002, section 1 (samples of other thickness)",
+    parameters=(
+        EffectParameter(
+            name="sample_scale",
+            meaning="Relative excess of the yield of crystals of other sizes than the scene's",
+            minimum=-0.2,
+            maximum=0.2,
+            start=0.05,
+            plausible=(-0.1, 0.1),
+            nodes=(-0.2, -0.08, 0.08, 0.2),
+        ),
+    ),
+    reading=reading_sample_scale,
+    order=-1,
+)

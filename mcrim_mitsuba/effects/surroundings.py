@@ -1,0 +1,306 @@
+"""Effects of what stands around crystal and detector: mask, housing, a spectrophotometer's beam."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
+from mcrim_mitsuba.effects.scene_edits import crystal_box, element, masks_of, set_part
+from mcrim_mitsuba.scene.editor import Node, SceneEditor
+from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE
+
+_REFLECTOR_SIMULATED_AT = 0.99
+
+
+def edit_top_reflector(editor: SceneEditor) -> None:
+    """Lay a white reflector on the top face, behind a film of air."""
+    for shape in editor.shapes:
+        if shape.type == "wrapping":
+            problem = f"{shape.label} covers the top already"
+            raise editor.refusal(problem, "change its reflectance instead", shape)
+    editor.refuse_id("top_reflector")
+    box = crystal_box(editor)
+    last = max((face for faces in box.values() for face in faces), key=lambda face: face.start)
+    editor.insert_shape(
+        """<!-- A white reflector exactly over the top face, behind 0.01 mm of air -->
+<shape type="rectangle" id="top_reflector">
+  <transform name="to_world">
+    <scale x="$crystal_width_mm" y="$crystal_width_mm"/>
+    <rotate x="1" angle="180"/>
+    <scale value="0.5"/>
+    <translate z="$crystal_height_mm"/>
+    <translate z="0.01"/>
+  </transform>
+  <bsdf type="diffuse">
+    <spectrum name="reflectance" value="$top_reflectance"/>
+  </bsdf>
+</shape>""",
+        after=last,
+    )
+
+
+def weight_top_reflector(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
+    """(rho / 0.99) to the power of the reflections off the reflector."""
+    hits = columns["reflector_hits"].astype(np.float64)
+    return (values["top_reflectance"] / _REFLECTOR_SIMULATED_AT) ** hits
+
+
+TOP_REFLECTOR = Effect(
+    name="top_reflector",
+    title="reflector on the top face",
+    family="housing",
+    look="Put black paper on the crystal: the readings fall if something sent light back.",
+    physics=(
+        "Source holders, tape, paper or a white table behind the top face send light that left "
+        "there back into the crystal, diffusely (Lambertian), through a thin film of air. Teflon "
+        "tape in several layers reflects up to 99 %, paper and aluminium less."
+    ),
+    source="M. Janecek and W. W. Moses, IEEE Transactions on Nuclear Science 55 (2008) 2432",
+    parameters=(
+        EffectParameter(
+            name="top_reflectance",
+            meaning="Fraction of the light that the reflector on the top reflects",
+            minimum=0.0,
+            maximum=0.99,
+            start=0.5,
+            plausible=(0.0, 0.98),
+            nodes=(0.2, 0.4, 0.6, 0.75, 0.9, 0.99),
+        ),
+    ),
+    edit=edit_top_reflector,
+    columns=("reflector_hits",),
+    weight=weight_top_reflector,
+    proposal={"top_reflectance": _REFLECTOR_SIMULATED_AT},
+)
+
+
+_BEHIND = "The entrance face of the window is polished glass: the mask lies on the detector"
+
+
+def edit_mask_on_detector(editor: SceneEditor) -> None:
+    """Take the mask off the window's entrance face and lay it on the detector."""
+    detectors, masks = editor.detectors, editor.masks
+    for detector in detectors:
+        if detector.parent in masks:
+            raise editor.refusal("the mask lies on the detector", "nothing to add", detector)
+    if not masks:
+        raise editor.refusal("the scene has no mask", "let the window wear an aperture")
+    # the properties of the hole; the interface in it is no property
+    holes = [[part for part in mask.elements if "name" in part.attributes] for mask in masks]
+    texts = [[editor.source(part) for part in hole] for hole in holes]
+    for mask, text in zip(masks, texts, strict=True):
+        if text != texts[0]:
+            problem = "the masks have different holes"
+            raise editor.refusal(problem, "only one hole can be moved", mask)
+        inner = mask.child("bsdf")
+        if inner is None or len(editor.targets(mask, "bsdf")) != 1:
+            problem = f"{mask.label} does not hold its interface"
+            raise editor.refusal(problem, "nest the <bsdf> in it", mask)
+        _take_off(editor, mask, inner)
+    for part in holes[0]:
+        for word in part.attributes.values():
+            if word.startswith("$"):
+                declared = editor.default(word[1:])
+                editor.reword(declared, "on the window's entrance face", "on the detector")
+    for detector in detectors:
+        _put_on(editor, detector, texts[0])
+
+
+def _take_off(editor: SceneEditor, mask: Node, inner: Node) -> None:
+    """Leave of an aperture the interface in its hole, under the aperture's id."""
+    parts = [editor.source(part) for part in inner.elements]
+    editor.replace(mask, element(f'bsdf type="{inner.type}"{_id_of(mask)}', parts))
+    editor.set_comment(mask, _BEHIND)
+
+
+def _put_on(editor: SceneEditor, detector: Node, hole: list[str]) -> None:
+    """Put an aperture around what a detector wears, under its id."""
+    name = _id_of(detector)
+    own = editor.source(detector).replace(name, "", 1)
+    mask = element(f'bsdf type="aperture"{name}', [*hole, own])
+    editor.replace(detector, f"<!-- the mask, with its round hole -->\n{mask}")
+
+
+def _id_of(node: Node) -> str:
+    return f' id="{node.attributes["id"]}"' if "id" in node.attributes else ""
+
+
+def weight_mask_on_detector(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
+    """Whether a photon met the detector inside the hole, of a run without any mask."""
+    radius_mm = float(parameters["aperture_radius_mm"])
+    return (columns["arrival_radius_mm"] <= radius_mm).astype(np.float64)
+
+
+def there_mask_on_detector(scene: SceneFile) -> bool:
+    """Whether a scene has it."""
+    return any(
+        bsdf.get("type") == "aperture" and bsdf.find("bsdf[@type='photodetector']") is not None
+        for bsdf in scene.root.iter("bsdf")
+    )
+
+
+APERTURE_AT_DETECTOR = Effect(
+    name="aperture_at_detector",
+    title="mask on the detector",
+    family="alignment",
+    look=(
+        "Look where the mask lies: on the face of the window under the crystal, or behind "
+        "the glass."
+    ),
+    physics=(
+        "A mask behind the window, or the edge of the photocathode itself, stops other light "
+        "than one on the entrance face: light spreads in the window before it meets the mask, "
+        "and no black surface touches the glass beside the crystal. Descriptions of benches "
+        "often leave open where the mask is."
+    ),
+    source="V. Alenkov et al., JINST 8 (2013) P06002, section 5 (the bench)",
+    there=there_mask_on_detector,
+    edit=edit_mask_on_detector,
+    columns=("arrival_radius_mm",),
+    weight=weight_mask_on_detector,
+    mask_column="arrival_radius_mm",
+)
+
+
+_CENTRE = '<point name="centre" x="$mask_offset_mm" y="0" z="0"/>'
+
+
+def edit_mask_offset(editor: SceneEditor) -> None:
+    """Shift the hole of the mask, and the axis of the detector's sensitivity, along x."""
+    set_part(editor, [*masks_of(editor), *editor.detectors], "centre", _CENTRE)
+
+
+MASK_OFFSET = Effect(
+    name="mask_offset",
+    title="mask off the crystal's axis",
+    family="alignment",
+    look=(
+        "Look down on the bench, or photograph it: is the ring of the mask around the crystal "
+        "equally wide on all sides? Shift the crystal by a millimetre and measure again."
+    ),
+    physics=(
+        "A crystal is set on the window by hand, and its middle may be some millimetres off the "
+        "middle of the mask's hole and of the tube. The mask then covers more of what leaves "
+        "the crystal on one side than it uncovers on the other, and a small hole may end under "
+        "the crystal. Mask and detector axis are shifted along x; crystal, gap and window stay."
+    ),
+    source="V. Alenkov et al., JINST 8 (2013) P06002, section 5 (the bench)",
+    parameters=(
+        EffectParameter(
+            name="mask_offset_mm",
+            unit="mm",
+            meaning="Shift of mask and detector axis along x against the crystal",
+            minimum=0.0,
+            maximum=6.0,
+            start=1.0,
+            plausible=(0.0, 3.0),
+            nodes=(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0),
+            # where the hole begins to cut the crystal's foot
+            kinked=True,
+        ),
+    ),
+    edit=edit_mask_offset,
+)
+
+
+_MASK_SIMULATED_AT = 0.2
+
+
+def edit_grey_mask(editor: SceneEditor) -> None:
+    """Let the masks send light back upwards."""
+    xml = '<float name="reflectance" value="$housing_reflectance"/>'
+    set_part(editor, masks_of(editor), "reflectance", xml)
+
+
+def weight_grey_mask(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
+    """(rho / 0.2)^m of m reflections off it."""
+    hits = columns["mask_hits"].astype(np.float64)
+    return (values["housing_reflectance"] / _MASK_SIMULATED_AT) ** hits
+
+
+HOUSING_REFLECTION = Effect(
+    name="housing_reflection",
+    title="mask that is not black",
+    family="housing",
+    look=(
+        "Lay black velvet, or black paper with a hole, over mask and holder around the crystal: "
+        "the readings fall if these reflected."
+    ),
+    physics=(
+        "Black paint, anodised aluminium and black tape reflect 2 to 10 % of the light, diffusely. "
+        "Light that misses the hole is so sent back up: out of the bench, or into the crystal "
+        "once more. Of the mask's upper side it is this part (Lambertian, depolarised), under the "
+        "crystal too where the hole is smaller than that; its lower side is black."
+    ),
+    source="J. L. Marshall et al., Proc. SPIE 9147 (2014) 91474F (reflectance of black materials)",
+    parameters=(
+        EffectParameter(
+            name="housing_reflectance",
+            meaning="Fraction of the light that the mask's upper side reflects diffusely",
+            minimum=0.0,
+            maximum=0.2,
+            start=0.05,
+            plausible=(0.0, 0.1),
+            nodes=(0.03, 0.07, 0.13, 0.2),
+        ),
+    ),
+    edit=edit_grey_mask,
+    columns=("mask_hits",),
+    weight=weight_grey_mask,
+    proposal={"housing_reflectance": _MASK_SIMULATED_AT},
+)
+
+
+#: Smallest and largest half angle that is looked at, degrees.
+_LEAST_DEG = 0.5
+_MOST_DEG = 89.0
+
+
+def limits_forward_beam(parameters: Parameters) -> tuple[float, float]:
+    """Offsets that leave an angle between nothing and a half space."""
+    nominal = float(parameters[ACCEPTANCE])
+    return min(_LEAST_DEG - nominal, -0.1 * nominal), max(_MOST_DEG - nominal, 0.1)
+
+
+def weight_forward_beam(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
+    """1 within the acceptance's half angle about the beam, 0 beyond."""
+    return (columns["arrival_angle_deg"] <= values[ACCEPTANCE]).astype(np.float64)
+
+
+FORWARD_BEAM = Effect(
+    name="forward_beam",
+    title="wrong spectrophotometer acceptance",
+    family="beam",
+    look=(
+        "Close an iris in front of the spectrophotometer's detector, or move the sample away from "
+        "it: what changes with the distance was scattered by a small angle."
+    ),
+    physics=(
+        "Light that leaves a crystal at a small angle to the beam, scattered forward or by the "
+        "faces, counts as transmitted where the detector still takes it. Most instruments take a "
+        "half angle of 1 to 7 degrees, one with an integrating sphere nearly 90, and few papers "
+        "say. It changes transmittances only, and none of a polished crystal that scatters "
+        "evenly."
+    ),
+    source="ASTM D1003: haze is what leaves at more than 2.5 degrees to the beam",
+    parameters=(
+        EffectParameter(
+            name=ACCEPTANCE,
+            unit="degrees",
+            meaning="Largest angle to the beam that the detector takes, as an offset from [beam]",
+            minimum=-89.0,
+            maximum=89.0,
+            start=1.0,
+            plausible=(-4.0, 10.0),
+            nodes=(-4.5, -3.5, -2.0, 3.0, 8.0, 15.0, 25.0),
+            nominal=ACCEPTANCE,
+            coordinate="logarithmic",
+            scale=6.0,
+            limits=limits_forward_beam,
+        ),
+    ),
+    columns=("arrival_angle_deg",),
+    weight=weight_forward_beam,
+    of_beam=True,
+)
