@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, SupportsFloat
+from typing import SupportsFloat
 
 from scipy.optimize import brentq
 
@@ -44,11 +44,25 @@ def derived(
     paper: Printed | None,
     formula: Callable[..., SupportsFloat],
     *inputs: Printed,
-    **known: Any,
+    inconsistent: bool = False,
+    remark: str = "",
 ) -> ArticleRow:
-    """What a formula makes of printed numbers, as a row; `known` as for `compare`."""
+    """What a formula makes of printed numbers, as a row; the last two as for `compare`."""
     value, moved = from_printed(formula, *inputs)
-    return compare(quantity, paper, value, rounding=moved, **known)
+    return compare(quantity, paper, value, rounding=moved, inconsistent=inconsistent, remark=remark)
+
+
+def _counted(signal: Printed, crystal: str) -> Uncertain:
+    """A signal with its printed error, independent of those of other couplings and crystals."""
+    return Uncertain(signal.value, statistical={f"counts, {crystal}": signal.stated_sigma})
+
+
+#: The two signals, of air and gel.
+SIGNALS = (_counted(p.SIGNAL_AIR, "air"), _counted(p.SIGNAL_GEL, "gel"))
+CAWO4_SIGNAL = _counted(p.CAWO4_SIGNAL, "CaWO4")
+CAWO4_YIELD = Uncertain(
+    p.CAWO4_YIELD.value, systematic={"reference light yield": p.CAWO4_YIELD.stated_sigma}
+)
 
 
 def escape_per_face(n: float) -> float:
@@ -73,10 +87,13 @@ def escape_per_face(n: float) -> float:
 
 def article_ratio() -> Uncertain:
     """R of Eq. 5 from the two signals, with the error of the signals."""
-    return quotient(
-        above=[("signal", counted(p.SIGNAL_AIR, "air"))],
-        below=[("signal", counted(p.SIGNAL_GEL, "gel"))],
-    )
+    air, gel = SIGNALS
+    return quotient(above=[("signal", air)], below=[("signal", gel)])
+
+
+def _corrected(percent: float, n: float) -> Array:
+    """A transmittance in % without the multiple reflections of the faces."""
+    return 100 * internal_transmittance(percent / 100, n)
 
 
 def transmittance_rows() -> list[ArticleRow]:
@@ -102,19 +119,15 @@ def transmittance_rows() -> list[ArticleRow]:
                 inconsistent=line == p.NOMINAL,
             ),
         ]
-
-    def corrected(percent: float, n: float) -> Array:
-        return 100 * internal_transmittance(percent / 100, n)
-
-    _, moved = from_printed(corrected, p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL)
+    measured = (p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL)
+    _, moved = from_printed(_corrected, *measured)
     return [
         *rows,
         derived(
             "T from the measured 76 %, Sec. 4",
             p.CORRECTED_TRANSMITTANCE,
-            corrected,
-            p.MEASURED_TRANSMITTANCE,
-            p.N_CRYSTAL,
+            _corrected,
+            *measured,
             inconsistent=True,
             remark="all orders of reflection, added without interference; the rounding of 76 % "
             f"and 2.01 is worth ±{moved:.1f} %",
@@ -122,9 +135,8 @@ def transmittance_rows() -> list[ArticleRow]:
         derived(
             "alpha_abs from the measured 76 %, Sec. 4",
             p.NOMINAL.alpha_abs_per_cm,
-            lambda t, n, d: absorption_coefficient(corrected(t, n) / 100, d),
-            p.MEASURED_TRANSMITTANCE,
-            p.N_CRYSTAL,
+            lambda t, n, d: absorption_coefficient(_corrected(t, n) / 100, d),
+            *measured,
             p.CRYSTAL_MM,
             inconsistent=True,
         ),
@@ -197,52 +209,30 @@ def ratio_rows() -> list[ArticleRow]:
     ]
 
 
-def yield_row(quantity: str, paper: Printed, found: Uncertain, **known: Any) -> ArticleRow:
-    """A light yield with its two kinds of errors; `known` as for `compare`."""
-    return compare(
-        quantity,
-        paper,
-        found.value,
-        sigma=found.statistical_sigma,
-        systematic=found.systematic_sigma,
-        **known,
-    )
-
-
 def light_yield_rows() -> list[ArticleRow]:
     """Eqs. 1 and 2 with the article's own efficiencies, and its error budget."""
+    air, gel = SIGNALS
     rows = []
-    for name, coupling, signal, eta, paper in (
-        ("Y1 (air)", "air", p.SIGNAL_AIR, p.NOMINAL.eta_air_percent, p.YIELD_AIR),
-        ("Y2 (gel)", "gel", p.SIGNAL_GEL, p.NOMINAL.eta_gel_percent, p.YIELD_GEL),
+    for name, signal, uncertain, eta, paper in (
+        ("Y1 (air)", p.SIGNAL_AIR, air, p.NOMINAL.eta_air_percent, p.YIELD_AIR),
+        ("Y2 (gel)", p.SIGNAL_GEL, gel, p.NOMINAL.eta_gel_percent, p.YIELD_GEL),
     ):
-        found = light_yield_ph_per_keV(
-            counted(signal, coupling),
-            with_eta_error(eta.value / 100),
-            efficiency(p.EFFICIENCY),
-            p.ENERGY_KEV.value,
-        )
+        ours = absolute_yield(uncertain, with_eta_error(eta.value / 100))
         _, moved = from_printed(
             lambda n, e, h, k: n / (e * h / 100 * k), signal, p.EFFICIENCY, eta, p.ENERGY_KEV
         )
+        covered = f"rounds to {ours.value:.1f}, which the rounding of {eta.text} % covers"
         rows.append(
-            yield_row(
+            compare(
                 f"{name}, the article's eta = {eta.text} %",
                 paper,
-                found,
+                ours,
                 difference_sigma=0.0,
                 rounding=moved,
-                remark=f"rounds to {found.value:.1f}, which the rounding of {eta.text} % covers"
-                if round(found.value, 1) != paper.value
-                else "",
+                remark="" if round(ours.value, 1) == paper.value else covered,
             )
         )
-    # the largest deviation from the middle line
-    eta_error, moved = max(
-        from_printed(lambda a, b: 100 * abs(a / b - 1), value, middle)
-        for low, middle, high in zip(*(line.etas_percent for line in p.TABLE_1), strict=True)
-        for value in (low, high)
-    )
+    eta_error, moved = _eta_spread()
     return [
         *rows,
         compare(
@@ -270,9 +260,14 @@ def light_yield_rows() -> list[ArticleRow]:
     ]
 
 
-def counted(signal: Printed, whose: str) -> Uncertain:
-    """A signal with its printed error, independent of those of other couplings and crystals."""
-    return Uncertain(signal.value, statistical={f"counts, {whose}": signal.stated_sigma})
+def _eta_spread() -> tuple[float, float]:
+    """Largest deviation of an eta of Table 1 from the middle line's, %, and what rounding adds."""
+    low, middle, high = p.TABLE_1
+    return max(
+        from_printed(lambda a, b: 100 * abs(a / b - 1), eta, nominal)
+        for line in (low, high)
+        for eta, nominal in zip(line.etas_percent, middle.etas_percent, strict=True)
+    )
 
 
 def with_eta_error(eta: float) -> Uncertain:
@@ -286,86 +281,78 @@ def efficiency(printed: Printed) -> Uncertain:
     return Uncertain(printed.value, systematic={"detector_efficiency": sigma})
 
 
-def reference_yield() -> Uncertain:
-    """The light yield of CaWO4 with its printed error."""
-    sigma = p.CAWO4_YIELD.stated_sigma
-    return Uncertain(p.CAWO4_YIELD.value, systematic={"reference light yield": sigma})
+def absolute_yield(signal: Uncertain, eta: Uncertain) -> Uncertain:
+    """The light yield of CaMoO4 by Eqs. 1 and 2, ph/keV, from a signal of 59.5 keV gammas."""
+    return light_yield_ph_per_keV(signal, eta, efficiency(p.EFFICIENCY), p.ENERGY_KEV.value)
 
 
 def relative_yield(eta: Uncertain, cawo4_eta: Uncertain) -> Uncertain:
-    """Eq. 7, ph/keV, with all errors as the article takes them: independent.
+    """The light yield of CaMoO4 by Eq. 7, ph/keV, with all errors as the article takes them.
 
-    From efficiencies of CaMoO4 and CaWO4 at the air gap, fractions.
+    They are independent. Arguments are the efficiencies of CaMoO4 and CaWO4 at the air gap.
     """
     return light_yield_by_reference(
-        counted(p.SIGNAL_AIR, "air"),
+        SIGNALS[0],
         eta.own("CaMoO4"),
         efficiency(p.EFFICIENCY).own("CaMoO4"),
-        counted(p.CAWO4_SIGNAL, "CaWO4"),
+        CAWO4_SIGNAL,
         cawo4_eta.own("CaWO4"),
         efficiency(p.CAWO4_EFFICIENCY).own("CaWO4"),
-        reference_yield(),
+        CAWO4_YIELD,
     )
 
 
 def relative_rows() -> list[ArticleRow]:
     """Eq. 7 with the article's own numbers, and the comparison that it warns of."""
-    rows, errors = [], []
-    for what, eta, value in (
-        ("stated eta = 0.23", p.RELATIVE_ETA, p.RELATIVE_ETA.value),
-        ("Table 1's 25 %", p.NOMINAL.eta_air_percent, p.NOMINAL.eta_air_percent.value / 100),
-    ):
-        found = relative_yield(with_eta_error(value), with_eta_error(p.CAWO4_ETA.value / 100))
-        # eq. 7 is a product of powers: the roundings' relative effects add
-        moved = found.value * sum(
-            number.rounding / number.value
-            for number in (
-                p.SIGNAL_AIR,
-                p.CAWO4_EFFICIENCY,
-                p.CAWO4_ETA,
-                p.CAWO4_SIGNAL,
-                p.EFFICIENCY,
-                eta,
-                p.CAWO4_YIELD,
-            )
-        )
-        rows.append(
-            yield_row(
-                f"Y, {what}, Eq. 7",
-                p.RELATIVE_YIELD,
-                found,
-                difference_sigma=0.0,
-                rounding=moved,
-                inconsistent=eta is not p.RELATIVE_ETA,
-            )
-        )
-        errors.append(found.sigma)
-    signals = (p.SIGNAL_AIR, p.CAWO4_SIGNAL, p.CAWO4_YIELD)
-    equal, moved = from_printed(lambda a, b, y: a / b * y, *signals)
+    cawo4_eta = with_eta_error(p.CAWO4_ETA.value / 100)
+    stated = relative_yield(with_eta_error(p.RELATIVE_ETA.value), cawo4_eta)
+    of_table_1 = relative_yield(with_eta_error(p.NOMINAL.eta_air_percent.value / 100), cawo4_eta)
+    _, moved = from_printed(
+        lambda n, eta, h, n_w, eta_w, h_w, y_w: n * h_w * eta_w / 100 / (n_w * h * eta) * y_w,
+        p.SIGNAL_AIR,
+        p.RELATIVE_ETA,
+        p.EFFICIENCY,
+        p.CAWO4_SIGNAL,
+        p.CAWO4_ETA,
+        p.CAWO4_EFFICIENCY,
+        p.CAWO4_YIELD,
+    )
+    signals_alone = _signals_alone()
     return [
-        *rows,
+        compare(
+            "Y, stated eta = 0.23, Eq. 7",
+            p.RELATIVE_YIELD,
+            stated,
+            difference_sigma=0.0,
+            rounding=moved,
+        ),
+        compare("Y, Table 1's 25 %, Eq. 7", p.RELATIVE_YIELD, of_table_1, inconsistent=True),
         compare(
             "error of Eq. 7",
             p.printed("1.7", "Eq. 7", "ph/keV"),
-            errors[0],
+            stated.sigma,
             remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, counts",
         ),
         compare(
             "equal collection: 14.3/40.1 x 16.2",
             p.SIMPLE_COMPARISON,
-            equal,
-            rounding=moved,
+            signals_alone,
             inconsistent=True,
         ),
         compare(
             "with the efficiencies",
             p.SIMPLE_COMPARISON,
-            equal * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value,
+            signals_alone * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value,
             inconsistent=True,
             remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies "
             "as well",
         ),
     ]
+
+
+def _signals_alone() -> float:
+    """Eq. 7 where light collection and detector efficiencies are the same, ph/keV."""
+    return p.SIGNAL_AIR.value / p.CAWO4_SIGNAL.value * p.CAWO4_YIELD.value
 
 
 def table_2_rows() -> list[ArticleRow]:
@@ -407,25 +394,24 @@ def mean_of_centroid(centroid: float) -> float:
     usual; spreads of 5 and 15 % move the mean by 0.9 %.
     """
 
-    def apart(mean: float) -> float:
+    def beyond_centroid(mean: float) -> float:
         spectrum = PhotonSpectrum(mean)
         photons = spectrum.photons()
         peak = fit_peak(photons, spectrum.expected(photons), shape=GAUSSIAN)
         assert peak is not None  # a clear one was drawn
         return peak.centroid - centroid
 
-    return brentq(apart, 0.97 * centroid, 1.15 * centroid, xtol=1e-4)
+    return brentq(beyond_centroid, 0.97 * centroid, 1.15 * centroid, xtol=1e-4)
 
 
 def inconsistencies() -> tuple[str, ...]:
     """One sentence for each contradiction within the article."""
     path = p.CRYSTAL_MM.value
-    measured = p.MEASURED_TRANSMITTANCE.value / 100
-    corrected = 100 * internal_transmittance(measured, p.N_CRYSTAL.value)
+    corrected = _corrected(p.MEASURED_TRANSMITTANCE.value, p.N_CRYSTAL.value)
     from_t = absorption_coefficient(p.NOMINAL.transmittance_percent.value / 100, path)
     from_alpha = 100 * transmittance(p.NOMINAL.alpha_abs_per_cm.value, path)
     gel_index = p.N_CRYSTAL.value / p.N_GEL.value
-    relative = p.SIGNAL_AIR.value / p.CAWO4_SIGNAL.value * p.CAWO4_YIELD.value
+    relative = _signals_alone()
     per_eta = relative * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value * p.CAWO4_ETA.value / 100
     ratio = article_ratio()
     return (

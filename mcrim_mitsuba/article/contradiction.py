@@ -9,6 +9,7 @@ is diagnosed, and the light yield is averaged over what the three numbers allow.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -48,8 +49,10 @@ PHOTONS = 32_768
 _SINGLE_PHOTONS = 262_144
 #: Explanations that are named.
 _NAMED = 4
-#: The forward scattering that comes nearest to all three numbers, and the half angle of a sphere.
-_FORWARD_G, _SPHERE_DEG = 0.9, 90.0
+#: The forward scattering that comes nearest to all three numbers.
+_FORWARD_G = 0.9
+#: The half angle of what a sphere takes, degrees.
+_SPHERE_DEG = 90.0
 
 
 @dataclass(frozen=True)
@@ -65,21 +68,20 @@ class Contradiction:
     @property
     def likeliest(self) -> Mapping[str, float]:
         """The likeliest explanations with their probabilities."""
-        known = [
-            item for item in self.diagnosis.probabilities.items() if item[0] != NOTHING_MISSING
-        ]
-        return dict(known[:_NAMED])
+        probabilities = dict(self.diagnosis.probabilities)
+        probabilities.pop(NOTHING_MISSING, None)
+        return dict(itertools.islice(probabilities.items(), _NAMED))
 
     @property
     def light_yields(self) -> dict[str, float]:
         """With each effect alone, ph/keV."""
-        found = {c.effect: c.light_yield_ph_per_keV for c in self.diagnosis.candidates}
-        return {name: of_light["value"] for name, of_light in found.items() if of_light}
+        yields = {c.effect: c.light_yield_ph_per_keV for c in self.diagnosis.candidates}
+        return {name: of_light["value"] for name, of_light in yields.items() if of_light}
 
     def title(self, explanation: str) -> str:
         """One of the `likeliest` in words."""
-        known = self.diagnosis.titles | {UNKNOWN: IN_NO_CATALOGUE}
-        return " with ".join(known.get(name, name) for name in explanation.split(" + "))
+        titles = self.diagnosis.titles | {UNKNOWN: IN_NO_CATALOGUE}
+        return " with ".join(titles.get(name, name) for name in explanation.split(" + "))
 
 
 def find_contradiction(run: Run) -> Contradiction:
@@ -125,15 +127,17 @@ def hazy_transmittance(rms_nm: float) -> float:
     return passed**2 / (1 - reflected**2)
 
 
-def rows(found: Contradiction) -> list[ArticleRow]:
+def rows(contradiction: Contradiction) -> list[ArticleRow]:
     """What one number says of the other, the misfit, and the light yield."""
-    n, length_mm = p.N_CRYSTAL.value, p.CRYSTAL_MM.value
+    return [*_transmittance_rows(contradiction.etas), *_fit_rows(contradiction)]
+
+
+def _transmittance_rows(etas: Mapping[str, float]) -> list[ArticleRow]:
+    """The transmittance that the article's coefficients predict, beside the measured one."""
     measured = p.MEASURED_TRANSMITTANCE.value / 100
-    allowed = float(absorption_coefficient(internal_transmittance(measured, n), length_mm))
     smooth = brentq(lambda rms: hazy_transmittance(rms) - measured, 0.0, p.ROUGHNESS_NM.value)
-    averaged, baseline = found.diagnosis.light_yield_averaged, found.diagnosis.baseline
-    ratio = found.etas["forward, air"] / found.etas["forward, gel"]
-    made = [
+    ratio = etas["forward, air"] / etas["forward, gel"]
+    return [
         compare(
             "transmittance with the fitted alpha_scat and alpha_abs, Eqs. 3-4",
             p.MEASURED_TRANSMITTANCE,
@@ -145,14 +149,14 @@ def rows(found: Contradiction) -> list[ArticleRow]:
         compare(
             "the same into a sphere",
             p.MEASURED_TRANSMITTANCE,
-            100 * found.etas["sphere"],
+            100 * etas["sphere"],
             inconsistent=True,
             remark="all that is scattered forward and leaves is taken",
         ),
         compare(
             f"the same into a sphere, scattering forward (g = {_FORWARD_G:g})",
             p.MEASURED_TRANSMITTANCE,
-            100 * found.etas["forward, sphere"],
+            100 * etas["forward, sphere"],
             judged=False,
             remark=f"the nearest single rescue, at a ratio of {ratio:.3f} where {p.RATIO.text} was "
             "measured: more scattering mends this and spoils the transmittance",
@@ -167,27 +171,37 @@ def rows(found: Contradiction) -> list[ArticleRow]:
         compare(
             "alpha_scat + alpha_abs that the transmittance allows",
             p.ALPHA_SCAT,
-            allowed,
+            absorption_coefficient(
+                internal_transmittance(measured, p.N_CRYSTAL.value), p.CRYSTAL_MM.value
+            ),
             inconsistent=True,
             remark="the article fits 0.54 /cm of scattering alone",
         ),
+    ]
+
+
+def _fit_rows(contradiction: Contradiction) -> list[ArticleRow]:
+    """The misfit of the three numbers, and the light yield that they allow."""
+    diagnosis, ignorant = contradiction.diagnosis, contradiction.ignorant
+    fit_rows = [
         compare(
             "chi2 of 14.3, 24.5 and 76 % in one fit, 1 degree of freedom",
             None,
-            baseline.chi2,
+            diagnosis.baseline.chi2,
             unit="",
-            remark=f"{_as_pull(baseline)}; errors as in {CAMPAIGN}",
+            remark=f"{_as_pull(diagnosis.baseline)}; errors as in {CAMPAIGN}",
         ),
         compare(
             "the same, light unpolarised and born everywhere",
             None,
-            found.ignorant.chi2,
+            ignorant.chi2,
             unit="",
-            remark=_as_pull(found.ignorant),
+            remark=_as_pull(ignorant),
         ),
     ]
+    averaged = diagnosis.light_yield_averaged
     if averaged is not None:
-        made.append(
+        fit_rows.append(
             compare(
                 "light yield, averaged over what the three numbers allow",
                 p.LIGHT_YIELD,
@@ -199,7 +213,7 @@ def rows(found: Contradiction) -> list[ArticleRow]:
                 "yields of the best four are in the sentences below",
             )
         )
-    return made
+    return fit_rows
 
 
 def _predicted() -> float:
@@ -214,25 +228,29 @@ def _as_pull(fit: Comparison | Calibration) -> str:
     return f"{math.sqrt(fit.chi2):.1f} standard errors, {p_equals(fit.p_value)}"
 
 
-def sentences(found: Contradiction) -> tuple[str, ...]:
+def sentences(contradiction: Contradiction) -> tuple[str, ...]:
     """The two claims, the ranking, and what one measurement would decide."""
-    diagnosis, baseline, said = found.diagnosis, found.diagnosis.baseline, []
-    for name, probability in found.likeliest.items():
-        of_light = found.light_yields.get(name)
+    diagnosis, baseline = contradiction.diagnosis, contradiction.diagnosis.baseline
+    ranking = []
+    for name, probability in contradiction.likeliest.items():
+        of_light = contradiction.light_yields.get(name)
         with_it = "" if of_light is None else f", {of_light:.1f} ph/keV with it"
-        said.append(f"{found.title(name)}: probability {100 * probability:.2g} %{with_it}")
+        title = contradiction.title(name)
+        ranking.append(f"{title}: probability {100 * probability:.2g} %{with_it}")
     nothing = 100 * diagnosis.probabilities.get(NOTHING_MISSING, 0.0)
     scat, absorption = (baseline.parameters[name].value for name in (ALPHA_SCAT, ALPHA_ABS))
     return (
         f"the fitted {p.ALPHA_SCAT.value:g} and {p.NOMINAL.alpha_abs_per_cm.text} /cm predict a "
-        f"transmittance of {100 * _predicted():.0f} %, or {100 * found.etas['sphere']:.0f} % into "
-        f"a sphere, where {p.MEASURED_TRANSMITTANCE.text} % was measured: that is decisive",
+        f"transmittance of {100 * _predicted():.0f} %, or "
+        f"{100 * contradiction.etas['sphere']:.0f} % into a sphere, where "
+        f"{p.MEASURED_TRANSMITTANCE.text} % was measured: that is decisive",
         f"what the transmittance allows, {scat:.2g} /cm of scattering and {absorption:.2g} /cm of "
-        f"absorption, misses the two signals by {_as_pull(baseline)} (by {_as_pull(found.ignorant)}"
-        ", were light unpolarised and born everywhere): that is none",
+        f"absorption, misses the two signals by {_as_pull(baseline)} (by "
+        f"{_as_pull(contradiction.ignorant)}, were light unpolarised and born everywhere): that "
+        "is none",
         "over this catalogue with these priors, without ground faces, for the article says that "
         f"all were polished: nothing missing, probability {nothing:.2g} %",
-        *said,
+        *ranking,
         *_next(diagnosis),
     )
 
@@ -242,5 +260,5 @@ def _next(diagnosis: Diagnosis) -> tuple[str, ...]:
         return ()
     best = diagnosis.next_measurements[0]
     pairs = "; ".join(told_apart(diagnosis, best)[:2])
-    told = f" ({pairs})" if pairs else ""
-    return (f"one more measurement would tell most at {best.words}{told}",)
+    separated = f" ({pairs})" if pairs else ""
+    return (f"one more measurement would tell most at {best.words}{separated}",)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,11 +34,11 @@ _PEAK_POINTS_PER_CM = (0.2, 0.253, 0.32, 0.405, 0.513, 0.65)
 _PEAK_DEGREE = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FittedLine:
     """A line of Table 1 as simulated here."""
 
-    #: Table1Line: The article's, whose T and alpha_abs are taken over.
+    #: The article's, whose T and alpha_abs are taken over.
     line: Table1Line
     polarised: bool
     #: alpha_scat where eta_air / eta_gel is the measured R.
@@ -80,11 +81,11 @@ class FittedLine:
 
 def article_monte_carlo_sigma(eta: float) -> float:
     """Binomial standard error of an efficiency from the article's 100,000 rays."""
-    return math.sqrt(eta * (1.0 - eta) / p.RAYS)
+    return math.sqrt(eta * (1.0 - eta) / p.RAYS.value)
 
 
 def _relative_sigma_of_ratio(*points: EtaPoint) -> float:
-    """The same of the ratio of two efficiencies, as a part of it."""
+    """Binomial standard error of the ratio of two efficiencies of the article, as a part of it."""
     return math.hypot(*(article_monte_carlo_sigma(point.eta) / point.eta for point in points))
 
 
@@ -96,7 +97,12 @@ def fit_line(curve: RatioCurve) -> FittedLine:
     )
     air, gel = (c.coupling.at(solution.value, alpha_abs) for c in (curve.air, curve.gel))
     return FittedLine(
-        curve.line, curve.polarised, solution, air, gel, _monte_carlo_of_sigma(curve, solution)
+        line=curve.line,
+        polarised=curve.polarised,
+        solution=solution,
+        air=air,
+        gel=gel,
+        monte_carlo_of_sigma=_monte_carlo_of_sigma(curve, solution),
     )
 
 
@@ -109,12 +115,12 @@ def _monte_carlo_of_sigma(curve: RatioCurve, solution: RatioSolution) -> float:
         solution.lower or solution.value - solution.statistical_sigma,
         solution.upper or solution.value + solution.statistical_sigma,
     )
-    difference = variance = 0.0
-    for sign, side in ((1.0, curve.air), (-1.0, curve.gel)):
-        ratio, of_side = _growth(side.coupling.surface, *ends, curve.line.alpha_abs_per_cm.value)
-        difference += sign * math.log(ratio)
-        variance += of_side
-    return solution.statistical_sigma * math.sqrt(max(variance, 0.0)) / abs(difference)
+    alpha_abs = curve.line.alpha_abs_per_cm.value
+    (air, air_variance), (gel, gel_variance) = (
+        _growth(side.coupling.surface, *ends, alpha_abs) for side in (curve.air, curve.gel)
+    )
+    spread = math.sqrt(max(air_variance + gel_variance, 0.0))
+    return solution.statistical_sigma * spread / abs(math.log(air / gel))
 
 
 def _growth(
@@ -136,13 +142,17 @@ def _growth(
     return last.eta / first.eta, variance
 
 
-def fit_table_1(curves: Iterable[RatioCurve]) -> dict[bool, tuple[FittedLine, ...]]:
+def fit_table_1(curves: Iterable[RatioCurve]) -> Fits:
     """All lines of Table 1, by whether polarisation was followed."""
-    found = [fit_line(curve) for curve in curves]
+    fits = [fit_line(curve) for curve in curves]
     return {
-        polarised: tuple(fit for fit in found if fit.polarised is polarised)
+        polarised: [fit for fit in fits if fit.polarised is polarised]
         for polarised in (True, False)
     }
+
+
+#: Lines of Table 1, by whether polarisation was followed.
+Fits = Mapping[bool, Sequence[FittedLine]]
 
 
 def nominal_of(lines: Sequence[FittedLine]) -> FittedLine:
@@ -157,8 +167,8 @@ def largest_eta_deviation(fitted: Sequence[FittedLine]) -> float:
     """
     nominal = nominal_of(fitted)
     return max(
-        max(abs(found.air.eta / nominal.air.eta - 1), abs(found.gel.eta / nominal.gel.eta - 1))
-        for found in fitted
+        max(abs(fit.air.eta / nominal.air.eta - 1), abs(fit.gel.eta / nominal.gel.eta - 1))
+        for fit in fitted
     )
 
 
@@ -206,9 +216,8 @@ def position_of_maximum(surface: EfficiencySurface, alpha_abs_per_cm: float) -> 
 
 # The article's simulated numbers beside ours.
 
-Fits = Mapping[bool, Sequence[FittedLine]]
-
 _WORD = {True: "polarised", False: "unpolarised"}
+_SHORT = {True: "pol.", False: "unpol."}
 _ETAS = ("eta_air", "eta_gel")
 
 
@@ -269,7 +278,6 @@ def bench_rows(simulated: Simulated, photons: int) -> list[ArticleRow]:
         ("alpha_abs of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_ABS, cawo4[ALPHA_ABS]),
         ("alpha_scat of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_SCAT, cawo4[ALPHA_SCAT]),
     )
-    rays = Printed(f"{p.RAYS:,}", p.RAYS, 0.5, None, "Sec. 5")
     return [
         *(compare(what, number, float(ours)) for what, number, ours in stated),
         compare(
@@ -281,7 +289,7 @@ def bench_rows(simulated: Simulated, photons: int) -> list[ArticleRow]:
         ),
         compare(
             "rays per point; ours: per curve",
-            rays,
+            p.RAYS,
             photons,
             judged=False,
             remark="100,000 rays alone leave an error of "
@@ -294,34 +302,31 @@ def bench_rows(simulated: Simulated, photons: int) -> list[ArticleRow]:
 def table_1_rows(fits: Fits) -> list[ArticleRow]:
     """alpha_scat where the simulated ratio is the measured one."""
     rows = []
-    for polarised, lines in fits.items():
-        for fit in lines:
-            found, article_sigma = fit.solution, fit.article_monte_carlo_sigma
-            rows.append(
-                compare(
-                    f"alpha_scat, T = {fit.line.transmittance_percent.text} %, {_WORD[polarised]}",
-                    p.ALPHA_SCAT if fit.line == p.NOMINAL else fit.line.alpha_scat_per_cm,
-                    found.value,
-                    sigma=math.hypot(found.statistical_sigma, found.monte_carlo_sigma),
-                    difference_sigma=math.hypot(found.monte_carlo_sigma, article_sigma),
-                    remark=f"{found.value:.3f} ± {found.statistical_sigma:.3f} (from R) ± "
-                    f"{found.monte_carlo_sigma:.3f} (Monte Carlo); the article's rays leave "
-                    f"±{article_sigma:.3f} on its own",
-                )
+    for fit in (fit for lines in fits.values() for fit in lines):
+        ours, article_sigma = fit.solution, fit.article_monte_carlo_sigma
+        rows.append(
+            compare(
+                f"alpha_scat, T = {fit.line.transmittance_percent.text} %, {_WORD[fit.polarised]}",
+                p.ALPHA_SCAT if fit.line == p.NOMINAL else fit.line.alpha_scat_per_cm,
+                ours.value,
+                sigma=math.hypot(ours.statistical_sigma, ours.monte_carlo_sigma),
+                difference_sigma=math.hypot(ours.monte_carlo_sigma, article_sigma),
+                remark=f"{ours.value:.3f} ± {ours.statistical_sigma:.3f} (from R) ± "
+                f"{ours.monte_carlo_sigma:.3f} (Monte Carlo); the article's rays leave "
+                f"±{article_sigma:.3f} on its own",
             )
-    nominal = nominal_of(fits[True])
-    found, interval = nominal.solution, ""
-    if found.lower is not None and found.upper is not None:
-        interval = (
-            f"R ± 0.012 gives {found.lower:.2f} to {found.upper:.2f} /cm: not quite symmetric"
         )
+    nominal = nominal_of(fits[True])
+    ours, interval = nominal.solution, ""
+    if ours.lower is not None and ours.upper is not None:
+        interval = f"R ± 0.012 gives {ours.lower:.2f} to {ours.upper:.2f} /cm: not quite symmetric"
     rows.append(
         compare(
             "error of alpha_scat from that of R, Sec. 6.2",
             p.printed("0.10", "Sec. 6.2", "1/cm"),
-            found.statistical_sigma,
+            ours.statistical_sigma,
             sigma=nominal.monte_carlo_of_sigma,
-            rounding=found.statistical_sigma * p.RATIO.rounding / p.RATIO.stated_sigma,
+            rounding=ours.statistical_sigma * p.RATIO.rounding / p.RATIO.stated_sigma,
             remark=interval,
         )
     )
@@ -331,45 +336,41 @@ def table_1_rows(fits: Fits) -> list[ArticleRow]:
 def efficiency_rows(simulated: Simulated, fits: Fits) -> list[ArticleRow]:
     """Efficiencies at our coefficients and at the article's, and the shape of the curves."""
     rows = []
-    for polarised, lines in fits.items():
-        for fit in lines:
-            for name, paper, point in zip(
-                _ETAS, fit.line.etas_percent, (fit.air, fit.gel), strict=True
-            ):
-                from_ratio, monte_carlo = fit.eta_sigma(point)
-                what = f"{name}, T = {fit.line.transmittance_percent.text} %, at our fit"
-                sigma = math.hypot(from_ratio, monte_carlo)
-                rows.append(_eta_row(what, polarised, paper, point, sigma, monte_carlo))
-    for polarised in (True, False):
-        for line in p.TABLE_1:
-            for name, paper, coupling in zip(
-                _ETAS, line.etas_percent, simulated.pair(polarised), strict=True
-            ):
-                point, moved = at_printed_point(coupling, line)
-                at = f"({line.alpha_abs_per_cm.text}, {line.alpha_scat_per_cm.text}) /cm"
-                what = f"{name} at {at}"
-                rows.append(_eta_row(what, polarised, paper, point, point.sigma, moved=moved))
+    for fit in (fit for lines in fits.values() for fit in lines):
+        what = f"T = {fit.line.transmittance_percent.text} %, at our fit, {_SHORT[fit.polarised]}"
+        for name, paper, point in zip(
+            _ETAS, fit.line.etas_percent, (fit.air, fit.gel), strict=True
+        ):
+            from_ratio, monte_carlo = fit.eta_sigma(point)
+            sigma = math.hypot(from_ratio, monte_carlo)
+            rows.append(_eta_row(f"{name}, {what}", paper, point, sigma, monte_carlo))
+    for polarised, line in itertools.product((True, False), p.TABLE_1):
+        at = f"({line.alpha_abs_per_cm.text}, {line.alpha_scat_per_cm.text}) /cm"
+        for name, paper, coupling in zip(
+            _ETAS, line.etas_percent, simulated.pair(polarised), strict=True
+        ):
+            point, moved = at_printed_point(coupling, line)
+            what = f"{name} at {at}, {_SHORT[polarised]}"
+            rows.append(_eta_row(what, paper, point, point.sigma, point.sigma, moved))
     return rows + _shape_rows(simulated)
 
 
 def _eta_row(
     what: str,
-    polarised: bool,
     paper: Printed,
     point: EtaPoint,
     sigma: float,
-    monte_carlo: float | None = None,
+    monte_carlo: float,
     moved: float = 0.0,
 ) -> ArticleRow:
-    """An efficiency in %; the difference has the Monte Carlo errors of both, `sigma` of ours."""
-    ours = sigma if monte_carlo is None else monte_carlo
+    """An efficiency in %; its whole error is `sigma`, of which `monte_carlo` is not shared."""
     return compare(
-        f"{what}, {'pol.' if polarised else 'unpol.'}",
+        what,
         paper,
         100 * point.eta,
         sigma=100 * sigma,
         rounding=100 * moved,
-        difference_sigma=100 * math.hypot(ours, article_monte_carlo_sigma(point.eta)),
+        difference_sigma=100 * math.hypot(monte_carlo, article_monte_carlo_sigma(point.eta)),
     )
 
 

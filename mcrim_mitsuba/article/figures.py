@@ -43,9 +43,12 @@ from mcrim_mitsuba.scene.shipped import scene_path
 _STYLE = {98.6: (WARM, "^"), 96.0: (DARK, "o"), 93.0: (LIGHT, "s")}
 _UNPOLARISED: dict[str, Any] = {"color": "black", "lw": 0.7, "ls": (0, (1, 2)), "zorder": 3}
 _OURS: dict[str, Any] = {"marker": "x", "color": "black", "ms": 7, "mew": 1.8, "zorder": 6}
-#: Of the rows of scattering coefficients at the foot of Fig. 4, in units of R; the lines beside
-#: the nominal one lie lower, clear of its error bar.
-_ARTICLE_HEIGHT, _OURS_HEIGHT, _LOWER = 0.381, 0.345, 0.014
+_PRINTED: dict[str, Any] = {"ms": 8, "mfc": "white", "mew": 1.8, "capsize": 3, "zorder": 5}
+#: Heights of the rows of scattering coefficients at the foot of Fig. 4, in units of R.
+_ARTICLE_HEIGHT = 0.381
+_OURS_HEIGHT = 0.345
+#: The lines beside the nominal one lie so much lower, clear of its error bar.
+_LOWER = 0.014
 _BAND: dict[str, Any] = {"color": GREY, "alpha": 0.3, "lw": 0}
 _TITLE = "Synthetic histograms, one mounting of each coupling (the article prints none)"
 _FINE = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, 400)
@@ -129,13 +132,9 @@ def _efficiency_figure(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine])
             printed.value,
             yerr=printed.rounding,
             fmt=marker,
-            ms=8,
-            mfc="white",
             mec=colour,
             ecolor=colour,
-            mew=1.8,
-            capsize=3,
-            zorder=5,
+            **_PRINTED,
         )
     for fit in fits:
         for point in (fit.air, fit.gel):
@@ -145,21 +144,12 @@ def _efficiency_figure(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine])
     axes.set_ylabel("light collection efficiency η (%)")
     for name, height in (("gel in the gap, n = 1.46", 51.5), ("air in the gap, n = 1.00", 8.5)):
         axes.text(0.0105, height, name, weight="bold", va="center")
+    table_1: dict[str, Any] = {"color": GREY, "marker": "o", "mfc": "white", "mew": 1.8, "ms": 8}
     _legend(
         axes,
         "lower right",
         "polarisation ignored",
-        Line2D(
-            [],
-            [],
-            color=GREY,
-            marker="o",
-            mfc="white",
-            mew=1.8,
-            ms=8,
-            ls="",
-            label="article, Table 1",
-        ),
+        Line2D([], [], ls="", label="article, Table 1", **table_1),
         Line2D([], [], ls="", label="Mitsuba, where R = 0.583", **_OURS),
     )
     return figure
@@ -219,32 +209,44 @@ def _ratio_figure(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) ->
     return figure
 
 
-def draw_contradiction(curves: tuple[RatioCurve, ...], found: Contradiction) -> Drawing:
+def draw_contradiction(curves: tuple[RatioCurve, ...], contradiction: Contradiction) -> Drawing:
     """The three numbers of one crystal beside the model, and what may be missing in it."""
     columns = ("explanation", "probability", "light_yield_ph_per_keV")
-    rows = [(name, p, found.light_yields.get(name)) for name, p in found.likeliest.items()]
-    return Drawing(_contradiction_figure(curves, found), columns, rows)
+    yields = contradiction.light_yields
+    rows = [(name, p, yields.get(name)) for name, p in contradiction.likeliest.items()]
+    return Drawing(_contradiction_figure(curves, contradiction), columns, rows)
 
 
 @styled
-def _contradiction_figure(curves: tuple[RatioCurve, ...], found: Contradiction) -> Figure:
+def _contradiction_figure(curves: tuple[RatioCurve, ...], contradiction: Contradiction) -> Figure:
     figure = canvas(11.0, 4.4)
     axes, bars = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-    n, length = p.N_CRYSTAL.value, p.CRYSTAL_MM.value
+    _draw_three_numbers(axes, curves, contradiction)
+    _draw_explanations(bars, contradiction)
+    return figure
+
+
+def _draw_three_numbers(
+    axes: Axes, curves: tuple[RatioCurve, ...], contradiction: Contradiction
+) -> None:
+    """The measured ratio and transmittance beside what the model allows."""
     for curve in curves:
         if curve.polarised:
             continue
         alpha = _FINE + curve.line.alpha_abs_per_cm.value
-        seen = 100 * measured_transmittance(transmittance(alpha, length), n)
+        internal = transmittance(alpha, p.CRYSTAL_MM.value)
         colour, _ = _STYLE[curve.line.transmittance_percent.value]
-        label = rf"$α_\mathrm{{abs}}$ = {curve.line.alpha_abs_per_cm.text} /cm"
-        axes.plot(seen, curve.smooth(_FINE), color=colour, lw=2.2, label=label)
-    three = found.diagnosis.baseline.rows
-    sigma = 100 * next(row.sigma for row in three if row.measured < 1.0)
+        axes.plot(
+            100 * measured_transmittance(internal, p.N_CRYSTAL.value),
+            curve.smooth(_FINE),
+            color=colour,
+            lw=2.2,
+            label=rf"$α_\mathrm{{abs}}$ = {curve.line.alpha_abs_per_cm.text} /cm",
+        )
+    measured = (p.MEASURED_TRANSMITTANCE.value, p.RATIO.value)
     axes.errorbar(
-        p.MEASURED_TRANSMITTANCE.value,
-        p.RATIO.value,
-        xerr=sigma,
+        *measured,
+        xerr=100 * next(r.sigma for r in contradiction.diagnosis.baseline.rows if r.measured < 1.0),
         yerr=p.RATIO.stated_sigma,
         fmt="o",
         ms=8,
@@ -254,7 +256,7 @@ def _contradiction_figure(curves: tuple[RatioCurve, ...], found: Contradiction) 
     )
     axes.annotate(
         "measured",
-        (p.MEASURED_TRANSMITTANCE.value, p.RATIO.value),
+        measured,
         xytext=(-10, 10),
         textcoords="offset points",
         weight="bold",
@@ -266,21 +268,25 @@ def _contradiction_figure(curves: tuple[RatioCurve, ...], found: Contradiction) 
     axes.set_title("the article's model, whatever it scatters", fontsize=11)
     axes.legend(loc="lower left", frameon=False, fontsize=10)
     open_axes(axes)
-    named = list(found.likeliest.items())[::-1]
-    bars.barh(range(len(named)), [100 * p for _, p in named], color=DARK, height=0.6)
-    for place, (name, probability) in enumerate(named):
-        of_light = found.light_yields.get(name)
+
+
+def _draw_explanations(axes: Axes, contradiction: Contradiction) -> None:
+    """The likeliest explanations, each with its light yield."""
+    explanations = list(contradiction.likeliest.items())[::-1]
+    axes.barh(range(len(explanations)), [100 * p for _, p in explanations], color=DARK, height=0.6)
+    for place, (name, probability) in enumerate(explanations):
+        of_light = contradiction.light_yields.get(name)
         text = "" if of_light is None else f"  {of_light:.1f} ph/keV"
-        bars.text(100 * probability, place, text, va="center", fontsize=10)
-    bars.set_yticks(range(len(named)), [capital(found.title(name)) for name, _ in named])
-    bars.set_xlim(0, 135 * max(p for _, p in named))
-    bars.set_xlabel("probability (%)")
-    averaged = found.diagnosis.light_yield_averaged
+        axes.text(100 * probability, place, text, va="center", fontsize=10)
+    titles = [capital(contradiction.title(name)) for name, _ in explanations]
+    axes.set_yticks(range(len(explanations)), titles)
+    axes.set_xlim(0, 135 * max(p for _, p in explanations))
+    axes.set_xlabel("probability (%)")
+    averaged = contradiction.diagnosis.light_yield_averaged
     if averaged is not None:
         title = f"light yield {pdg(averaged.value, averaged.sigma)} ph/keV on average"
-        bars.set_title(f"{title}\nthe article: {p.LIGHT_YIELD.text}", fontsize=11)
-    open_axes(bars)
-    return figure
+        axes.set_title(f"{title}\nthe article: {p.LIGHT_YIELD.text}", fontsize=11)
+    open_axes(axes)
 
 
 def _legend(axes: Axes, place: str, unpolarised: str, *further: Line2D) -> None:
@@ -296,47 +302,36 @@ def _legend(axes: Axes, place: str, unpolarised: str, *further: Line2D) -> None:
 def _mark_solution(axes: Axes, fit: FittedLine) -> None:
     """Where a curve meets the measured ratio, led down to the article's value and ours."""
     colour, marker = _STYLE[fit.line.transmittance_percent.value]
-    found, ratio = fit.solution, p.RATIO.value
+    solution, sigma = fit.solution, fit.solution.statistical_sigma
     nominal = fit.line == p.NOMINAL
     printed = p.ALPHA_SCAT if nominal else fit.line.alpha_scat_per_cm
     lower = 0.0 if nominal else _LOWER
-    axes.plot(found.value, ratio, **_OURS)
-    axes.plot(
-        [found.value, found.value], [ratio, _OURS_HEIGHT - lower], color=colour, lw=0.8, ls=":"
-    )
+    foot = _OURS_HEIGHT - lower
+    axes.plot(solution.value, p.RATIO.value, **_OURS)
+    axes.plot([solution.value] * 2, [p.RATIO.value, foot], color=colour, lw=0.8, ls=":")
     axes.errorbar(
         printed.value,
         _ARTICLE_HEIGHT - lower,
         xerr=printed.sigma,
         fmt=marker,
-        ms=8,
-        mfc="white",
         mec=colour,
         ecolor=colour,
-        mew=1.8,
-        capsize=3,
-        zorder=5,
+        **_PRINTED,
     )
-    low = found.statistical_sigma if found.lower is None else found.value - found.lower
-    high = found.statistical_sigma if found.upper is None else found.upper - found.value
+    axes.plot(solution.value, foot, **_OURS)
+    if not nominal:
+        return
+    low = sigma if solution.lower is None else solution.value - solution.lower
+    high = sigma if solution.upper is None else solution.upper - solution.value
     axes.errorbar(
-        found.value,
-        _OURS_HEIGHT - lower,
-        xerr=[[low], [high]] if nominal else None,
-        fmt="x",
-        ms=7,
-        mew=1.8,
-        color="black",
-        ecolor="black",
-        capsize=3,
-        zorder=6,
+        solution.value, foot, xerr=[[low], [high]], fmt="none", ecolor="black", capsize=3, zorder=6
     )
-    if nominal:
-        for height, text in (
-            (_ARTICLE_HEIGHT, f"{printed.value:.2f} ± {printed.sigma:.2f} /cm"),
-            (_OURS_HEIGHT, f"{found.value:.2f} ± {found.statistical_sigma:.2f} /cm"),
-        ):
-            axes.text(0.3, height, text, color=colour, va="center", ha="right", fontsize=10)
+    for height, value, error in (
+        (_ARTICLE_HEIGHT, printed.value, printed.sigma),
+        (_OURS_HEIGHT, solution.value, sigma),
+    ):
+        text = f"{value:.2f} ± {error:.2f} /cm"
+        axes.text(0.3, height, text, color=colour, va="center", ha="right", fontsize=10)
 
 
 def _band(axes: Axes, x: np.ndarray, y: np.ndarray, sigma: np.ndarray, colour: str) -> None:

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import SupportsFloat
+
+from mcrim_mitsuba.laboratory.error_budget import Uncertain
 
 _PRINTED = re.compile(r"(?P<value>\d+(\.\d+)?)(±(?P<sigma>\d+(\.\d+)?))?")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Printed:
     """A number as the article prints it."""
 
@@ -59,10 +61,11 @@ def printed(text: str, where: str, unit: str = "") -> Printed:
 def printed_range(low: str, high: str, where: str, unit: str = "") -> Printed:
     """A range, ``0.3-0.4``: anything within it agrees."""
     middle, half = (float(low) + float(high)) / 2, (float(high) - float(low)) / 2
-    return Printed(f"{low}-{high}", middle, half, None, where, unit)
+    text = f"{low}-{high}"
+    return Printed(text=text, value=middle, rounding=half, sigma=None, where=where, unit=unit)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Table1Line:
     """One line of Table 1: what a transmittance makes of the crystal and its efficiencies."""
 
@@ -78,9 +81,14 @@ class Table1Line:
         return self.eta_air_percent, self.eta_gel_percent
 
 
-def _table_1(*texts: str) -> Table1Line:
-    units = ("%", "1/cm", "1/cm", "%", "%")
-    return Table1Line(*(printed(t, "Table 1", u) for t, u in zip(texts, units, strict=True)))
+def _table_1(transmittance: str, alpha_abs: str, alpha_scat: str, air: str, gel: str) -> Table1Line:
+    return Table1Line(
+        transmittance_percent=printed(transmittance, "Table 1", "%"),
+        alpha_abs_per_cm=printed(alpha_abs, "Table 1", "1/cm"),
+        alpha_scat_per_cm=printed(alpha_scat, "Table 1", "1/cm"),
+        eta_air_percent=printed(air, "Table 1", "%"),
+        eta_gel_percent=printed(gel, "Table 1", "%"),
+    )
 
 
 TABLE_1 = (
@@ -107,7 +115,7 @@ APERTURE_DIAMETER_MM = printed("28", "Sec. 5", "mm")
 #: The source is that much smaller than the crystal.
 SOURCE_MARGIN_MM = printed("0.001", "Sec. 5", "mm")
 #: Rays of one simulated efficiency.
-RAYS = 100_000
+RAYS = replace(printed("100000", "Sec. 5"), text="100,000")
 RELATIVE_INDEX_GEL = printed("1.38", "Sec. 5")
 ETA_FACE_AIR = printed("6.6", "Eq. 6", "%")
 ETA_FACE_GEL = printed("15.6", "Eq. 6", "%")
@@ -214,7 +222,7 @@ RULE = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ArticleRow:
     """One number of the article and ours."""
 
@@ -245,7 +253,7 @@ class ArticleRow:
 def compare(
     quantity: str,
     paper: Printed | None,
-    ours: SupportsFloat | None,
+    ours: Uncertain | SupportsFloat | None,
     *,
     sigma: float | None = None,
     systematic: float | None = None,
@@ -260,8 +268,10 @@ def compare(
 
     Parameters
     ----------
+    ours : Uncertain or float, optional
+        With its statistical and systematic errors, or alone.
     sigma, systematic : float, optional
-        Errors of ours.
+        Errors of ours where it comes alone.
     difference_sigma : float, optional
         Standard error of the difference where it is not all three errors in quadrature,
         because the two numbers share some.
@@ -275,21 +285,21 @@ def compare(
     judged : bool
         False where the two numbers stand side by side and need not agree.
     """
+    if isinstance(ours, Uncertain):
+        sigma, systematic = ours.statistical_sigma, ours.systematic_sigma
+        ours = ours.value
     value, error, systematic = (
         None if number is None else float(number) for number in (ours, sigma, systematic)
     )
     if difference_sigma is None:
         parts = (paper.sigma if paper else None, error, systematic)
         difference_sigma = math.hypot(*(part or 0.0 for part in parts))
-    if paper is None or value is None or not judged:
-        verdict = REFERENCE
-    elif inconsistent:
-        verdict = INCONSISTENT
-    else:
+    verdict = REFERENCE
+    if paper is not None and value is not None and judged:
         limit = paper.rounding + rounding + AGREEMENT_SIGMAS * difference_sigma
         # a hair for numbers that lie exactly on the limit, such as 0.5 - 0.45 against 0.05
-        agree = abs(value - paper.value) <= limit * (1 + 1e-9)
-        verdict = AGREES if agree else DIFFERS
+        agrees = abs(value - paper.value) <= limit * (1 + 1e-9)
+        verdict = INCONSISTENT if inconsistent else AGREES if agrees else DIFFERS
     return ArticleRow(
         section="",
         quantity=quantity,

@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.arithmetic import (
-    counted,
+    CAWO4_SIGNAL,
+    CAWO4_YIELD,
+    SIGNALS,
+    absolute_yield,
     efficiency,
     from_printed,
-    reference_yield,
     relative_yield,
     with_eta_error,
-    yield_row,
 )
 from mcrim_mitsuba.article.efficiency_rows import (
     Fits,
@@ -34,7 +35,6 @@ from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.inference.neglected import Neglected, NeglectWork
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
-from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
 from mcrim_mitsuba.optics.fresnel import reflectance
 from mcrim_mitsuba.scene.shipped import scene_path
 
@@ -63,11 +63,11 @@ def light_yields(simulated: Simulated, fits: Fits) -> LightYields:
         _with_errors(coupling.at(alpha_scat, alpha_abs), eta_error)
         for coupling in simulated.pair(True)
     )
-    signal_air, signal_gel = _signals()
     cawo4 = simulated.cawo4
+    signal_air, signal_gel = SIGNALS
     return LightYields(
         fitted=_fitted_yield(nominal, eta_error),
-        at_article_point=(_yield(signal_air, air), _yield(signal_gel, gel)),
+        at_article_point=(absolute_yield(signal_air, air), absolute_yield(signal_gel, gel)),
         relative=relative_yield(
             air,
             # the article has no transmittances of CaWO4: its own ±12 % is kept
@@ -82,22 +82,14 @@ def _with_errors(point: EtaPoint, relative: float) -> Uncertain:
     return Uncertain(point.eta, {"monte_carlo": point.sigma}, {"eta": point.eta * relative})
 
 
-def _signals() -> tuple[Uncertain, Uncertain]:
-    return counted(p.SIGNAL_AIR, "air"), counted(p.SIGNAL_GEL, "gel")
-
-
-def _yield(signal: Uncertain, eta: Uncertain) -> Uncertain:
-    return light_yield_ph_per_keV(signal, eta, efficiency(p.EFFICIENCY), p.ENERGY_KEV.value)
-
-
 def _fitted_yield(fit: FittedLine, eta_error: float) -> Uncertain:
     """Y at our alpha_scat, which is itself found from the two signals.
 
     With s = d log(eta_air) / d log(R) at the solution, Y = N_air / (epsilon eta_air(R) E)
     gives d log(Y) = (1 - s) d log(N_air) + s d log(N_gel), from either coupling.
     """
-    air, gel = _signals()
-    found = _yield(air, _with_errors(fit.air, eta_error))
+    air, gel = SIGNALS
+    ours = absolute_yield(air, _with_errors(fit.air, eta_error))
     s = fit.air_per_ratio
     _, monte_carlo = fit.eta_sigma(fit.air)
     statistical = {
@@ -106,7 +98,7 @@ def _fitted_yield(fit: FittedLine, eta_error: float) -> Uncertain:
         "monte_carlo": monte_carlo / fit.air.eta,
     }
     return replace(
-        found, statistical={name: found.value * part for name, part in statistical.items()}
+        ours, statistical={name: ours.value * part for name, part in statistical.items()}
     )
 
 
@@ -125,22 +117,22 @@ def agreement(name: str, first: Uncertain, second: Uncertain, shared: str) -> st
 def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
     """Whether the two couplings and the two methods agree."""
     in_air, in_gel = (
-        _yield(signal, Uncertain(eta.value / 100))
-        for signal, eta in zip(_signals(), p.NOMINAL.etas_percent, strict=True)
+        absolute_yield(signal, Uncertain(eta.value / 100))
+        for signal, eta in zip(SIGNALS, p.NOMINAL.etas_percent, strict=True)
     )
     counts = "counting errors; those of eta and of the detector efficiency are shared"
     absolute, relative = yields.fitted, yields.relative
     distance = relative.value - absolute.value
     # shared by both methods: N_air, its detector efficiency and eta of CaMoO4
-    own = quotient(
+    of_cawo4 = quotient(
         above=[
             ("efficiency", efficiency(p.CAWO4_EFFICIENCY)),
             ("eta", with_eta_error(1.0)),
-            ("yield", reference_yield()),
+            ("yield", CAWO4_YIELD),
         ],
-        below=[("signal", counted(p.CAWO4_SIGNAL, "CaWO4"))],
+        below=[("signal", CAWO4_SIGNAL)],
     )
-    sigma = relative.value * own.sigma / own.value
+    sigma = relative.value * of_cawo4.sigma / of_cawo4.value
     return (
         agreement("Y1 (air) and Y2 (gel) with the article's eta", in_air, in_gel, counts),
         agreement(
@@ -164,15 +156,15 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
     budget = math.hypot(yields.eta_error, p.EFFICIENCY_ERROR.value / 100, counts)
     return [
         *(
-            yield_row(
+            compare(
                 f"{name}, our eta at (0.039, 0.54) /cm",
                 paper,
-                found,
+                ours,
                 # the article's Y has the rounding of its own eta
                 difference_sigma=0.0,
-                rounding=found.value * eta.rounding / eta.value,
+                rounding=ours.value * eta.rounding / eta.value,
             )
-            for name, found, paper, eta in zip(
+            for name, ours, paper, eta in zip(
                 ("Y1 (air)", "Y2 (gel)"),
                 yields.at_article_point,
                 (p.YIELD_AIR, p.YIELD_GEL),
@@ -180,7 +172,7 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
                 strict=True,
             )
         ),
-        yield_row(
+        compare(
             "Y, our eta at our alpha_scat",
             p.LIGHT_YIELD,
             fitted,
@@ -190,9 +182,7 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
         compare(
             "the same, detector efficiency measured in air",
             None,
-            fitted.value * (1.0 - reflected),
-            sigma=fitted.statistical_sigma,
-            systematic=fitted.systematic_sigma,
+            replace(fitted, value=fitted.value * (1.0 - reflected)),
             unit=p.LIGHT_YIELD.unit,
             remark=f"tubes are measured in air, head-on: {100 * reflected:.2f} % that the "
             "window reflects is in the efficiency, and in eta; no collection efficiency",
@@ -217,7 +207,7 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
 
 def relative_yield_row(yields: LightYields) -> ArticleRow:
     """Eq. 7 with our efficiencies."""
-    return yield_row(
+    return compare(
         "Y, our eta for both crystals",
         p.RELATIVE_YIELD,
         yields.relative,
@@ -250,14 +240,14 @@ def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
 def article_campaign(alpha_abs_per_cm: float, sigma_per_cm: float | None) -> Campaign:
     """The article's two readings, with a prior on the absorption; held where sigma is None."""
     campaign = read_campaign(scene_path("camoo4_campaign.toml"))
-    known = replace(
+    absorption = replace(
         campaign.parameters[ALPHA_ABS],
         start=alpha_abs_per_cm,
         prior=None if sigma_per_cm is None else alpha_abs_per_cm,
         prior_sigma=sigma_per_cm,
         fixed=sigma_per_cm is None,
     )
-    return replace(campaign, parameters={**campaign.parameters, ALPHA_ABS: known})
+    return replace(campaign, parameters={**campaign.parameters, ALPHA_ABS: absorption})
 
 
 def fit_article(
@@ -274,8 +264,8 @@ def budget_rows(simulated: Simulated) -> list[ArticleRow]:
     """What makes up the error of the light yield, if Table 1's transmittances are its range."""
     absorptions = [line.alpha_abs_per_cm.value for line in p.TABLE_1]
     sigma = (max(absorptions) - min(absorptions)) / 2
-    found = fit_article(simulated, p.NOMINAL.alpha_abs_per_cm.value, sigma)
-    light_yield = found.parameters[LIGHT_YIELD]
+    fit = fit_article(simulated, p.NOMINAL.alpha_abs_per_cm.value, sigma)
+    light_yield = fit.parameters[LIGHT_YIELD]
     percent = {
         name: 100 * part / light_yield.value for name, part in light_yield.contributions.items()
     }
