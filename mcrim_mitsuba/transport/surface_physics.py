@@ -81,36 +81,41 @@ class SurfaceTables:
             )
         )
 
-    def at(self, row, active) -> SurfaceRow:
+    def at(self, number, active) -> SurfaceRow:
         """Properties at the gathered rows."""
-        *normal, eta = dr.gather(mi.Vector4f, self._shape, row, active)
-        kind, interior, exterior, radius = dr.gather(mi.Vector4f, self._sides, row, active)
-        found = SurfaceRow(
-            mi.UInt32(kind), eta, mi.UInt32(interior), mi.UInt32(exterior), mi.Vector3f(*normal)
+        *normal, eta = dr.gather(mi.Vector4f, self._shape, number, active)
+        kind, interior, exterior, radius = dr.gather(mi.Vector4f, self._sides, number, active)
+        row = SurfaceRow(
+            kind=mi.UInt32(kind),
+            eta=eta,
+            interior=mi.UInt32(interior),
+            exterior=mi.UInt32(exterior),
+            normal=mi.Vector3f(*normal),
+            film=self._film,
+            beckmann=self._beckmann,
         )
         if self._has_masks:
-            found.radius = radius
+            row.radius = radius
         if self._diffuse or self._off_axis:
-            found.x, found.y, *returns = dr.gather(mi.Vector4f, self._special, row, active)
+            row.x, row.y, *returns = dr.gather(mi.Vector4f, self._special, number, active)
             if self._diffuse:
-                found.reflectance, found.two_sided = returns[0], returns[1] > 0.5
+                row.reflectance, row.two_sided = returns[0], returns[1] > 0.5
         if self._hazy or self._selective or self._mirrors or self._masks_reflect:
-            further = dr.gather(mi.Vector4f, self._further, row, active)
-            found.haze = further[0] if self._hazy else None
-            found.least_cosine = further[1] if self._selective else None
-            found.specular = further[2] if self._mirrors else None
-            found.mask_reflectance = further[3] if self._masks_reflect else None
-        found.film = self._film
+            further = dr.gather(mi.Vector4f, self._further, number, active)
+            row.haze = further[0] if self._hazy else None
+            row.least_cosine = further[1] if self._selective else None
+            row.specular = further[2] if self._mirrors else None
+            row.mask_reflectance = further[3] if self._masks_reflect else None
         if self._rough or self._lossy or self._choosy:
-            roughness, loss, *falloffs = dr.gather(mi.Vector4f, self._quality, row, active)
-            found.roughness, found.beckmann = roughness if self._rough else None, self._beckmann
-            found.surface_loss = loss if self._lossy else None
+            roughness, loss, *falloffs = dr.gather(mi.Vector4f, self._quality, number, active)
+            row.roughness = roughness if self._rough else None
+            row.surface_loss = loss if self._lossy else None
             if self._choosy:
-                found.angular_falloff, found.radial_falloff = falloffs
-        return found
+                row.angular_falloff, row.radial_falloff = falloffs
+        return row
 
 
-@dataclass
+@dataclass(kw_only=True)
 class SurfaceRow:
     """Gathered properties, Dr.Jit arrays; ``None`` where no surface of the scene has them."""
 
@@ -139,7 +144,7 @@ class SurfaceRow:
     film: Any = None
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Outcome:
     """What a photon does at a surface."""
 
@@ -149,33 +154,72 @@ class Outcome:
     field: Any
     #: UInt32: `ALIVE`, or why it ended.
     fate: Any
-    #: Factor on the weight, below 1 only at surfaces that lose energy. Of photons that end it is 1,
-    #: but for what a photocathode detects.
-    weight: Any
     #: Whether it went through the surface.
     crossed: Any
     #: Whether it met the interface of two dielectrics.
     polished: Any
     #: Of the angle of arrival to the normal.
     cosine: Any
-    #: UInt32: Volume it is in afterwards.
-    volume: Any
     #: Point3f: Where it goes on from, mm.
     position: Any
+    #: Square of the distance from the axis of a mask or a detector.
+    from_axis2_mm2: Any
+    #: Factor on the weight, below 1 only at surfaces that lose energy. Of photons that end it is 1,
+    #: but for what a photocathode detects.
+    weight: Any = 1.0
+    #: UInt32: Volume it is in afterwards.
+    volume: Any = None
     #: Whether a diffuse reflector or a detector sent it back; ``None`` where none ever does.
     from_reflector: Any = None
     from_detector: Any = None
     #: Whether the upper side of a mask did; ``None`` where none ever does.
     from_mask: Any = None
-    #: Square of the distance from the axis of the mask that the face wears; 0 if it wears none,
-    #: ``None`` if no face of the scene does.
+    #: ``from_axis2_mm2`` of the mask that the face wears; 0 if it wears none, ``None`` if no face
+    #: of the scene does.
     mask_radius2_mm2: Any = None
-    #: The same from the axis of a mask or a detector.
-    from_axis2_mm2: Any = None
+
+    def send(self, back, light: Encounter, direction, field) -> None:
+        """Give photons that are sent `back` (Mask) a new direction and field."""
+        self.direction = dr.select(back, direction, self.direction)
+        self.crossed &= ~back
+        if light.field is not None:
+            self.field = dr.select(back, field, self.field)
+
+
+@dataclass(kw_only=True)
+class Encounter:
+    """Photons that meet a surface."""
+
+    row: SurfaceRow
+    direction: Any
+    field: Any
+    #: A number that decides, two for a diffuse direction, one for its polarisation.
+    choice: Any
+    u: Any
+    v: Any
+    turn: Any
+    #: Whether they come from behind the face.
+    leaving: Any
+    #: Cosine of the angle of incidence, and the unit normal on their side of the face.
+    cosine: Any
+    facing: Any
+    #: Part of the choices that a detector has taken to send light back, and what it detects of
+    #: light that it has not; ``None`` for all.
+    returned_part: Any = None
+    detected_part: Any = None
+
+    def lambertian(self):
+        """A direction by Lambert's law, and unpolarised light along it."""
+        # a point of the unit sphere that touches the surface
+        sphere = mi.warp.square_to_uniform_sphere(mi.Point2f(self.u, self.v))
+        direction = dr.normalize(self.facing + sphere)
+        if self.field is None:
+            return direction, None
+        return direction, dielectric.unpolarised_field(direction, dr.two_pi * self.turn)
 
 
 def interact(row, position, direction, field, uniforms, rng=None, active=True) -> Outcome:
-    """Decide a photon's way at a surface.
+    """Decide a photon's way at a surface, stage by stage.
 
     Parameters
     ----------
@@ -194,24 +238,63 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
     active : Mask
         Photons that are at a surface at all.
     """
-    choice, u, v = uniforms[:3]
+    choice, u, v, *turn = uniforms
     cos_signed = dr.dot(direction, row.normal)
     leaving = cos_signed > 0
-    cos_i = dr.minimum(dr.abs(cos_signed), 1.0)
-    facing = dr.select(leaving, -row.normal, row.normal)
+    light = Encounter(
+        row=row,
+        direction=direction,
+        field=field,
+        choice=choice,
+        u=u,
+        v=v,
+        turn=turn[0] if turn else None,
+        leaving=leaving,
+        cosine=dr.minimum(dr.abs(cos_signed), 1.0),
+        facing=dr.select(leaving, -row.normal, row.normal),
+    )
+    new_direction, new_field, reflected = _at_interface(light, rng, active)
+    outcome = Outcome(
+        direction=new_direction,
+        field=new_field,
+        fate=dr.select(row.kind == DETECTOR, mi.UInt32(DETECTED), mi.UInt32(ALIVE)),
+        crossed=~reflected,
+        polished=row.kind == DIELECTRIC,
+        cosine=light.cosine,
+        position=position,
+        from_axis2_mm2=dr.square(position.x - row.x) + dr.square(position.y - row.y),
+    )
+    for stage in (
+        _reflect_diffusely,
+        _reflect_off_detector,
+        _refuse_by_angle_and_place,
+        _refuse_slanted,
+        _mask,
+        _lose_at_detector,
+    ):
+        stage(light, outcome)
+    if row.surface_loss is not None:
+        inwards = outcome.polished & reflected & leaving & (outcome.fate == ALIVE)
+        outcome.weight = dr.select(inwards, 1.0 - row.surface_loss, outcome.weight)
+    outcome.volume = volume_after(row, outcome.crossed, leaving)
+    return outcome
+
+
+def _at_interface(light: Encounter, rng, active):
+    """What two dielectrics do, smooth, rough or hazy, in the form of `dielectric.split`."""
+    row, facing, cosine = light.row, light.facing, light.cosine
     # n_i / n_t along the direction of travel
-    ratio = dr.select(leaving, row.eta, dr.rcp(row.eta))
-    polished = row.kind == DIELECTRIC
-    way = dielectric.split(direction, field, facing, ratio, cos_i, choice)
-    hazy = active & polished
-    haze = None if row.haze is None else row.haze * dr.select(leaving, 1.0, dr.rcp(row.eta))
+    ratio = dr.select(light.leaving, row.eta, dr.rcp(row.eta))
+    way = dielectric.split(light.direction, light.field, facing, ratio, cosine, light.choice)
+    hazy = active & (row.kind == DIELECTRIC)
+    haze = None if row.haze is None else row.haze * dr.select(light.leaving, 1.0, dr.rcp(row.eta))
     if row.roughness is not None:
         rough = hazy & (row.roughness != 0.0)
         way = dielectric.walk_facets(
             way,
             rough,
-            direction,
-            field,
+            light.direction,
+            light.field,
             facing,
             ratio,
             row.roughness,
@@ -221,102 +304,98 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
         )
         hazy &= ~rough
     if haze is not None:
-        way = dielectric.scatter_by_haze(way, haze, hazy, field, facing, ratio, cos_i, rng)
-    new_direction, new_field, reflected = way
-    crossed = ~reflected
+        way = dielectric.scatter_by_haze(way, haze, hazy, light.field, facing, ratio, cosine, rng)
+    return way
 
-    detector = row.kind == DETECTOR
-    fate = dr.select(detector, mi.UInt32(DETECTED), mi.UInt32(ALIVE))
-    from_reflector = from_detector = None
-    # part of the choices that a detector has taken to send light back
-    returned_part: Any = 0.0
-    if row.reflectance is not None:
-        diffuse = row.kind == DIFFUSE
-        kept = (choice < row.reflectance) & (row.two_sided | ~leaving)
-        from_reflector, from_detector = diffuse & kept, detector & kept
-        fate = dr.select(diffuse & ~kept, mi.UInt32(REFLECTOR), fate)
-        fate = dr.select(from_detector, mi.UInt32(ALIVE), fate)
-        # Lambert's law: a point of the unit sphere that touches the surface
-        scattered = dr.normalize(facing + mi.warp.square_to_uniform_sphere(mi.Point2f(u, v)))
-        returned = diffuse | from_detector
-        new_direction = dr.select(returned, scattered, new_direction)
-        crossed &= ~returned
-        if field is not None:
-            fresh = dielectric.unpolarised_field(scattered, dr.two_pi * uniforms[3])
-            new_field = dr.select(returned, fresh, new_field)
-        returned_part = row.reflectance
-    detected_part = None
-    if row.film is not None or row.specular is not None:
-        mirror = _mirror_of(row, direction, field, facing, cos_i)
-        mirrored_part = dr.lerp(returned_part, 1.0, mirror.reflectance)
-        mirrored = (fate == DETECTED) & (choice < mirrored_part)
-        fate = dr.select(mirrored, mi.UInt32(ALIVE), fate)
-        from_detector = mirrored if from_detector is None else from_detector | mirrored
-        from_reflector = mi.Mask(False) if from_reflector is None else from_reflector
-        reflection = dr.fma(facing, 2.0 * cos_i, direction)
-        new_direction = dr.select(mirrored, dr.normalize(reflection), new_direction)
-        crossed &= ~mirrored
-        if field is not None:
-            after = dielectric.field_of(mirror.waves, mirror.across, new_direction)
-            new_field = dr.select(mirrored, after, new_field)
-        returned_part, detected_part = mirrored_part, mirror.detected_part
-    from_axis = dr.square(position.x - row.x) + dr.square(position.y - row.y)
-    if row.angular_falloff is not None:
-        # negative: over the largest that it may be
-        accepted = dr.clip(dr.fma(-row.angular_falloff, 1.0 - cos_i, 1.0), 0.0, 2.0)
-        accepted /= 1.0 - dr.minimum(row.angular_falloff, 0.0)
-        accepted *= dr.clip(dr.fma(-row.radial_falloff, from_axis, 1.0), 0.0, 1.0)
-        if not isinstance(returned_part, float):
-            # of the choices that are left when some have sent light back
-            accepted = dr.lerp(returned_part, 1.0, accepted)
-        refused = (fate == DETECTED) & (choice >= accepted)
-        fate = dr.select(refused, mi.UInt32(SURFACE), fate)
-    if row.least_cosine is not None:
-        slanted = (fate == DETECTED) & (cos_i < row.least_cosine)
-        fate = dr.select(slanted, mi.UInt32(SURFACE), fate)
-    mask_radius2 = None
-    if row.radius is not None:
-        masked = from_axis > dr.square(row.radius)
-        fate = dr.select(masked, mi.UInt32(APERTURE), fate)
-        mask_radius2 = dr.select(row.radius < NO_MASK, from_axis, 0.0)
-    from_mask = None
-    if row.mask_reflectance is not None:
-        # of the side that light comes down to
-        from_mask = masked & (direction.z < 0.0) & (choice < row.mask_reflectance)
-        fate = dr.select(from_mask, mi.UInt32(ALIVE), fate)
-        upwards = dr.normalize(facing + mi.warp.square_to_uniform_sphere(mi.Point2f(u, v)))
-        new_direction = dr.select(from_mask, upwards, new_direction)
-        crossed &= ~from_mask
-        polished &= ~from_mask
-        if field is not None:
-            fresh = dielectric.unpolarised_field(upwards, dr.two_pi * uniforms[3])
-            new_field = dr.select(from_mask, fresh, new_field)
-        if from_reflector is not None:
-            from_reflector, from_detector = (
-                each & ~from_mask for each in (from_reflector, from_detector)
-            )
-    weight = mi.Float(1.0)
-    if detected_part is not None:
-        weight = dr.select(fate == DETECTED, detected_part, 1.0)
-    if row.surface_loss is not None:
-        inwards = polished & reflected & leaving & (fate == ALIVE)
-        weight = dr.select(inwards, 1.0 - row.surface_loss, weight)
-    return Outcome(
-        new_direction,
-        new_field,
-        fate,
-        weight,
-        crossed,
-        polished,
-        cos_i,
-        volume_after(row, crossed, leaving),
-        position,
-        from_reflector,
-        from_detector,
-        from_mask,
-        mask_radius2,
-        from_axis,
-    )
+
+# Stages: each does what one property of surfaces does, where any surface has it.
+
+
+def _reflect_diffusely(light: Encounter, outcome: Outcome) -> None:
+    """Send part of the light back by Lambert's law: a reflector, or a detector."""
+    row = light.row
+    if row.reflectance is None:
+        return
+    diffuse, detector = row.kind == DIFFUSE, row.kind == DETECTOR
+    kept = (light.choice < row.reflectance) & (row.two_sided | ~light.leaving)
+    outcome.from_reflector, outcome.from_detector = diffuse & kept, detector & kept
+    fate = dr.select(diffuse & ~kept, mi.UInt32(REFLECTOR), outcome.fate)
+    outcome.fate = dr.select(outcome.from_detector, mi.UInt32(ALIVE), fate)
+    outcome.send(diffuse | outcome.from_detector, light, *light.lambertian())
+    light.returned_part = row.reflectance
+
+
+def _reflect_off_detector(light: Encounter, outcome: Outcome) -> None:
+    """Reflect part of the light that a detector has not sent back as a mirror does."""
+    row = light.row
+    if row.film is None and row.specular is None:
+        return
+    mirror = _mirror_of(light)
+    returned = 0.0 if light.returned_part is None else light.returned_part
+    light.returned_part = dr.lerp(returned, 1.0, mirror.reflectance)
+    light.detected_part = mirror.detected_part
+    mirrored = (outcome.fate == DETECTED) & (light.choice < light.returned_part)
+    outcome.fate = dr.select(mirrored, mi.UInt32(ALIVE), outcome.fate)
+    if outcome.from_detector is None:
+        outcome.from_reflector, outcome.from_detector = mi.Mask(False), mirrored
+    else:
+        outcome.from_detector = outcome.from_detector | mirrored
+    direction = dr.normalize(dr.fma(light.facing, 2.0 * light.cosine, light.direction))
+    field = None
+    if light.field is not None:
+        field = dielectric.field_of(mirror.waves, mirror.across, direction)
+    outcome.send(mirrored, light, direction, field)
+
+
+def _refuse_by_angle_and_place(light: Encounter, outcome: Outcome) -> None:
+    """Let a detector take less of the light that is slanted, or far from its axis."""
+    row = light.row
+    if row.angular_falloff is None:
+        return
+    # negative: over the largest that it may be
+    accepted = dr.clip(dr.fma(-row.angular_falloff, 1.0 - light.cosine, 1.0), 0.0, 2.0)
+    accepted /= 1.0 - dr.minimum(row.angular_falloff, 0.0)
+    accepted *= dr.clip(dr.fma(-row.radial_falloff, outcome.from_axis2_mm2, 1.0), 0.0, 1.0)
+    if light.returned_part is not None:
+        # of the choices that are left when some have sent light back
+        accepted = dr.lerp(light.returned_part, 1.0, accepted)
+    refused = (outcome.fate == DETECTED) & (light.choice >= accepted)
+    outcome.fate = dr.select(refused, mi.UInt32(SURFACE), outcome.fate)
+
+
+def _refuse_slanted(light: Encounter, outcome: Outcome) -> None:
+    """Let a detector take no light beyond its angle of acceptance."""
+    if light.row.least_cosine is not None:
+        slanted = (outcome.fate == DETECTED) & (light.cosine < light.row.least_cosine)
+        outcome.fate = dr.select(slanted, mi.UInt32(SURFACE), outcome.fate)
+
+
+def _mask(light: Encounter, outcome: Outcome) -> None:
+    """Let the mask on a face take what is outside of its hole, and send part of it up again."""
+    radius, reflectance = light.row.radius, light.row.mask_reflectance
+    if radius is None:
+        return
+    masked = outcome.from_axis2_mm2 > dr.square(radius)
+    outcome.fate = dr.select(masked, mi.UInt32(APERTURE), outcome.fate)
+    outcome.mask_radius2_mm2 = dr.select(radius < NO_MASK, outcome.from_axis2_mm2, 0.0)
+    if reflectance is None:
+        return
+    # of the side that light comes down to
+    back = masked & (light.direction.z < 0.0) & (light.choice < reflectance)
+    outcome.from_mask = back
+    outcome.fate = dr.select(back, mi.UInt32(ALIVE), outcome.fate)
+    outcome.send(back, light, *light.lambertian())
+    outcome.polished &= ~back
+    if outcome.from_reflector is not None:
+        outcome.from_reflector = outcome.from_reflector & ~back
+        outcome.from_detector = outcome.from_detector & ~back
+
+
+def _lose_at_detector(light: Encounter, outcome: Outcome) -> None:
+    """Weigh detected light by what a photocathode absorbs of it."""
+    outcome.weight = mi.Float(1.0)
+    if light.detected_part is not None:
+        outcome.weight = dr.select(outcome.fate == DETECTED, light.detected_part, 1.0)
 
 
 def volume_after(row, crossed, leaving):
@@ -384,22 +463,23 @@ class Mirror:
     waves: Any = None
 
 
-def _mirror_of(row, direction, field, facing, cos_i) -> Mirror:
+def _mirror_of(light: Encounter) -> Mirror:
     """The photocathode, or the mirror that a detector is with some probability."""
+    row, field = light.row, light.field
     share = mi.Float(0.0) if row.specular is None else row.specular
     if row.film is None:
         if field is None:
             return Mirror(share)
         # of a perfect metal
-        s, e_s, e_p = dielectric.components(direction, field, facing)
-        return Mirror(share, None, s, (-e_s, e_p))
-    (r_s, r_p), (through_s, through_p) = row.film.amplitudes(cos_i)
+        s, e_s, e_p = dielectric.components(light.direction, field, light.facing)
+        return Mirror(share, across=s, waves=(-e_s, e_p))
+    (r_s, r_p), (through_s, through_p) = row.film.amplitudes(light.cosine)
     across = waves = None
     if field is None:
         reflected = 0.5 * (dr.squared_norm(r_s) + dr.squared_norm(r_p))
         through = 0.5 * (through_s + through_p)
     else:
-        across, e_s, e_p = dielectric.components(direction, field, facing)
+        across, e_s, e_p = dielectric.components(light.direction, field, light.facing)
         waves = r_s * e_s, r_p * e_p
         reflected = dr.squared_norm(waves[0]) + dr.squared_norm(waves[1])
         through = through_s * dr.squared_norm(e_s) + through_p * dr.squared_norm(e_p)
