@@ -22,8 +22,10 @@ import mitsuba as mi
 MOST_FACETS = 64
 #: Cosine to the normal of a photon that leaves a rough face; below it rounding might turn it back.
 _LEAVING = 1e-6
-#: Smith's Lambda, and over the facets' alpha the cotangent, of what goes straight up or down.
-_LEAST_SHADOW, _STEEPEST = 1e-12, 1e6
+#: Smith's Lambda of what goes straight up or down.
+_LEAST_SHADOW = 1e-12
+#: Cotangent of that, over the facets' alpha.
+_STEEPEST = 1e6
 #: Directions that a hazy face tries for what it scatters; if none is taken, it does not scatter.
 _MOST_DIRECTIONS = 1000
 #: Rounds of the cipher that gives hazy faces their random numbers.
@@ -143,61 +145,12 @@ def walk_facets(smooth, rough, direction, field, facing, ratio, alpha, haze, rng
         Whether the scene has facets of Beckmann's distribution at all.
     """
     frame = mi.Frame3f(facing)
-    steep = dr.abs(alpha)
-
-    def flown(height, towards, uniform):
-        """Height of the next facet in a direction; 1 or more where there is none."""
-        lowering = dr.sqrt(dr.lerp(dr.square(towards.z), 1.0, dr.square(steep)))
-        shadow = 0.5 * (lowering / towards.z - 1.0)
-        if beckmann:
-            cot = towards.z * dr.rsqrt(dr.fma(-towards.z, towards.z, 1.0)) / steep
-            cot = dr.clip(cot, -_STEEPEST, _STEEPEST)
-            tail = dr.exp(-dr.square(cot)) / (cot * (2.0 * dr.sqrt(dr.pi)))
-            shadow = dr.select(alpha > 0.0, shadow, dr.fma(0.5, dr.erf(cot) - 1.0, tail))
-        shadow = dr.select(towards.z > 0.0, dr.maximum(shadow, _LEAST_SHADOW), shadow)
-        return height * dr.exp(-dr.log(1.0 - uniform) / shadow)
-
-    def meet(walking, met, state, towards, turned, crossed, height):
-        numbers = _resumed(rng, state)
-        u, v, choice, uniform = (numbers.next_float32() for _ in range(4))
-        facet = _visible_of_ggx(-towards, steep, u, v)
-        taken = mi.Bool(True)
-        if beckmann:
-            further = [numbers.next_float32() for _ in range(3)]
-            other, taken = _visible_of_beckmann(-towards, steep, (u, v, *further))
-            facet, taken = dr.select(alpha > 0.0, facet, other), taken | (alpha > 0.0)
-        cosine = dr.clip(-dr.dot(towards, facet), 0.0, 1.0)
-        indices = dr.select(crossed, dr.rcp(ratio), ratio)
-        way = split(towards, turned, facet, indices, cosine, choice)
-        if haze is not None:
-            own = dr.select(crossed, haze / ratio, haze)
-            way = scatter_by_haze(way, own, haze > 0.0, turned, facet, indices, cosine, numbers)
-        new, new_field, reflected = way
-        through = mi.Vector3f(1.0, 1.0, dr.select(reflected, 1.0, -1.0))
-        new *= through
-        new_height = flown(dr.select(reflected, height, 1.0 - height), new, uniform)
-        towards, height = (
-            dr.select(taken, *pair) for pair in ((new, towards), (new_height, height))
-        )
-        crossed ^= taken & ~reflected
-        if turned is not None:
-            new_field = Field(new_field.re * through, new_field.im * through)
-            turned = dr.select(taken, new_field, turned)
-        met += 1
-        inside = (height < 1.0) | (towards.z < _LEAVING)
-        return (
-            walking & inside & (met < MOST_FACETS),
-            met,
-            numbers.state,
-            towards,
-            turned,
-            crossed,
-            height,
-        )
-
+    walk = _FacetWalk(
+        ratio=ratio, alpha=alpha, steep=dr.abs(alpha), haze=haze, rng=rng, beckmann=beckmann
+    )
     towards = frame.to_local(direction)
     turned = None if field is None else Field(frame.to_local(field.re), frame.to_local(field.im))
-    height = flown(mi.Float(1.0), towards, rng.next_float32(rough))
+    height = walk.flown(mi.Float(1.0), towards, rng.next_float32(rough))
     _, _, rng.state, towards, turned, crossed, height = dr.while_loop(
         state=(
             mi.Bool(rough),
@@ -209,7 +162,7 @@ def walk_facets(smooth, rough, direction, field, facing, ratio, alpha, haze, rng
             height,
         ),
         cond=lambda walking, *_: walking,
-        body=meet,
+        body=walk.meet,
         labels=("walking", "met", "state", "towards", "turned", "crossed", "height"),
         label="facets",
     )
@@ -218,6 +171,68 @@ def walk_facets(smooth, rough, direction, field, facing, ratio, alpha, haze, rng
     if field is not None:
         turned = Field(frame.to_world(turned.re * back), frame.to_world(turned.im * back))
     return dr.select(left, (frame.to_world(towards * back), turned, ~crossed), smooth)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _FacetWalk:
+    """Steps of `walk_facets`, in the face's frame; ``towards`` are directions of flight there."""
+
+    ratio: Any
+    alpha: Any
+    #: ``alpha`` without its sign; not in the loop, where it would be worked out at every facet.
+    steep: Any
+    haze: Any
+    rng: Any
+    beckmann: bool
+
+    def flown(self, height, towards, uniform):
+        """Height of the next facet in a direction; 1 or more where there is none."""
+        lowering = dr.sqrt(dr.lerp(dr.square(towards.z), 1.0, dr.square(self.steep)))
+        shadow = 0.5 * (lowering / towards.z - 1.0)
+        if self.beckmann:
+            cot = towards.z * dr.rsqrt(dr.fma(-towards.z, towards.z, 1.0)) / self.steep
+            cot = dr.clip(cot, -_STEEPEST, _STEEPEST)
+            tail = dr.exp(-dr.square(cot)) / (cot * (2.0 * dr.sqrt(dr.pi)))
+            shadow = dr.select(self.alpha > 0.0, shadow, dr.fma(0.5, dr.erf(cot) - 1.0, tail))
+        shadow = dr.select(towards.z > 0.0, dr.maximum(shadow, _LEAST_SHADOW), shadow)
+        return height * dr.exp(-dr.log(1.0 - uniform) / shadow)
+
+    def meet(self, walking, met, state, towards, turned, crossed, height):
+        """Meet one facet, and fly on: the body of the loop."""
+        numbers = _resumed(self.rng, state)
+        u, v, choice, uniform = (numbers.next_float32() for _ in range(4))
+        facet, taken = self._facet(-towards, u, v, numbers)
+        cosine = dr.clip(-dr.dot(towards, facet), 0.0, 1.0)
+        indices = dr.select(crossed, dr.rcp(self.ratio), self.ratio)
+        way = split(towards, turned, facet, indices, cosine, choice)
+        if self.haze is not None:
+            haze = dr.select(crossed, self.haze / self.ratio, self.haze)
+            hazy = self.haze > 0.0
+            way = scatter_by_haze(way, haze, hazy, turned, facet, indices, cosine, numbers)
+        new, new_field, reflected = way
+        through = mi.Vector3f(1.0, 1.0, dr.select(reflected, 1.0, -1.0))
+        new *= through
+        new_height = self.flown(dr.select(reflected, height, 1.0 - height), new, uniform)
+        towards, height = (
+            dr.select(taken, *pair) for pair in ((new, towards), (new_height, height))
+        )
+        crossed ^= taken & ~reflected
+        if turned is not None:
+            new_field = Field(new_field.re * through, new_field.im * through)
+            turned = dr.select(taken, new_field, turned)
+        met += 1
+        inside = (height < 1.0) | (towards.z < _LEAVING)
+        walking = walking & inside & (met < MOST_FACETS)
+        return walking, met, numbers.state, towards, turned, crossed, height
+
+    def _facet(self, view, u, v, numbers):
+        """Unit normal of a facet that is seen, and whether it is to be taken."""
+        facet, taken = _visible_of_ggx(view, self.steep, u, v), mi.Bool(True)
+        if self.beckmann:
+            further = [numbers.next_float32() for _ in range(3)]
+            other, taken = _visible_of_beckmann(view, self.steep, (u, v, *further))
+            facet, taken = dr.select(self.alpha > 0.0, facet, other), taken | (self.alpha > 0.0)
+        return facet, taken
 
 
 def _visible_of_ggx(view, alpha, u, v):
@@ -235,7 +250,7 @@ def _visible_of_ggx(view, alpha, u, v):
 
 
 def _visible_of_beckmann(view, alpha, uniforms):
-    """The same of Beckmann's facets, and whether they are to be taken: else draw again.
+    """Unit normal of one of Beckmann's facets, and whether it is to be taken: else draw again.
 
     Slopes s are Gaussian. Along the view, with t = sqrt(2) s / alpha and a = sqrt(2) cot / alpha of
     the view's angle, what is seen has the density (a - t) phi(t) below a. It is drawn as
@@ -255,7 +270,7 @@ def _visible_of_beckmann(view, alpha, uniforms):
         which < share, dr.select((which < 0.5 * share) & (a > 0.0), far, -far), length * gaussian
     )
     taken = accept * (dr.maximum(a, 0.0) + dr.abs(t)) < a - t
-    along, across = (alpha * dr.sqrt(0.5) * each for each in (t, length * side))
+    along, across = (alpha * dr.sqrt(0.5) * slope for slope in (t, length * side))
     # seen from right above, all directions along the face are alike
     x, y = dr.select(upright, 1.0, view.x / sine), dr.select(upright, 0.0, view.y / sine)
     return dr.normalize(mi.Vector3f(across * y - along * x, -along * y - across * x, 1.0)), taken
@@ -277,22 +292,17 @@ def scatter_by_haze(way, haze, hazy, field, facing, ratio, cos_i, rng):
         Where this happens at all.
     """
     direction, smooth_field, reflected = way
-
-    def scattered_part(haze, ratio, cosine, beyond):
-        phase = haze * dr.select(reflected, 2.0 * cosine, cosine - dr.abs(beyond) / ratio)
-        return phase, 1.0 - dr.exp(-dr.square(phase))
-
     # the numbers of a photon stay those that it would have at smooth faces
     low, high = mi.UInt32(rng.state), mi.UInt32(rng.state >> 32)
     first, second = mi.sample_tea_32(low, high, _HAZE_ROUNDS)
-    _, part = scattered_part(haze, ratio, cos_i, dr.dot(direction, facing))
+    _, part = _scattered_part(reflected, haze, ratio, cos_i, dr.dot(direction, facing))
     scatters = hazy & (mi.Float(first >> 8) * 2.0**-24 < part)
     frame = mi.Frame3f(dr.select(reflected, facing, -facing))
     back_ratio = dr.select(reflected, ratio, dr.rcp(ratio))
     back_haze = dr.select(reflected, haze, haze / ratio)
     # light at the critical angle is the most refracted of all that is scattered
     critical = dr.safe_sqrt(dr.maximum(1.0 - dr.rcp(dr.square(back_ratio)), dr.square(ratio) - 1.0))
-    _, most = scattered_part(back_haze, back_ratio, critical, 0.0)
+    _, most = _scattered_part(reflected, back_haze, back_ratio, critical, 0.0)
 
     def try_direction(searching, tries, state, scattered):
         numbers = _resumed(rng, state)
@@ -303,7 +313,7 @@ def scatter_by_haze(way, haze, hazy, field, facing, ratio, cos_i, rng):
         scattered = mi.Vector3f(sine * along, sine * up, cosine)
         normal = mi.Vector3f(0.0, 0.0, 1.0)
         beyond, _, returned = split(-scattered, None, normal, back_ratio, cosine, choice)
-        phase, part = scattered_part(back_haze, back_ratio, cosine, beyond.z)
+        phase, part = _scattered_part(reflected, back_haze, back_ratio, cosine, beyond.z)
         highest = dr.select(reflected, dr.square(phase), most)
         taken = (returned == reflected) & (again * highest < part)
         tries += 1
@@ -325,6 +335,12 @@ def scatter_by_haze(way, haze, hazy, field, facing, ratio, cos_i, rng):
         turn = dr.two_pi * _resumed(rng, state).next_float32()
         smooth_field = dr.select(scatters, unpolarised_field(scattered, turn), smooth_field)
     return dr.select(scatters, scattered, direction), smooth_field, reflected
+
+
+def _scattered_part(reflected, haze, ratio, cosine, beyond):
+    """Rms phase that fine roughness gives what is reflected, or else refracted; its S."""
+    phase = haze * dr.select(reflected, 2.0 * cosine, cosine - dr.abs(beyond) / ratio)
+    return phase, 1.0 - dr.exp(-dr.square(phase))
 
 
 def _resumed(rng, state):
