@@ -146,12 +146,12 @@ class Campaign:
     @property
     def light_yields(self) -> dict[str, tuple[str, LightYieldInput]]:
         """Scales that turn into light yields: these by name, and by what they do so."""
-        found = {} if self.light_yield is None else {SCALE: (KNOWN_YIELD, self.light_yield)}
+        yields = {} if self.light_yield is None else {SCALE: (KNOWN_YIELD, self.light_yield)}
         for sample in self.samples.values():
             if sample.light_yield is not None:
                 name = own_name(KNOWN_YIELD, sample.name)
-                found[sample.named(SCALE)] = name, sample.light_yield
-        return found
+                yields[sample.named(SCALE)] = name, sample.light_yield
+        return yields
 
     @property
     def varied(self) -> tuple[str, ...]:
@@ -168,7 +168,9 @@ class Campaign:
     def free(self) -> tuple[str, ...]:
         """Names that the fit varies, ``scale`` last."""
         named = {**self.parameters, SCALE: self.scale}
-        return tuple(name for name, known in named.items() if known is None or not known.fixed)
+        return tuple(
+            name for name, parameter in named.items() if parameter is None or not parameter.fixed
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -192,10 +194,10 @@ class Campaign:
     def with_starts(self, values: Mapping[str, float]) -> Campaign:
         """The campaign with other starts of its fit, drawn into the bounds; others stay."""
         parameters = dict(self.parameters)
-        for name, known in parameters.items():
-            if name in values and not known.fixed:
-                start = min(max(values[name], known.minimum), known.maximum)
-                parameters[name] = replace(known, start=start)
+        for name, parameter in parameters.items():
+            if name in values and not parameter.fixed:
+                start = min(max(values[name], parameter.minimum), parameter.maximum)
+                parameters[name] = replace(parameter, start=start)
         return replace(self, parameters=parameters)
 
     @property
@@ -203,9 +205,11 @@ class Campaign:
         """Gaussian knowledge of free parameters from elsewhere: value and standard error."""
         named = {**self.parameters, SCALE: self.scale}
         return {
-            name: (known.prior, known.prior_sigma)
-            for name, known in ((name, named[name]) for name in self.free)
-            if known is not None and known.prior is not None and known.prior_sigma is not None
+            name: (parameter.prior, parameter.prior_sigma)
+            for name, parameter in ((name, named[name]) for name in self.free)
+            if parameter is not None
+            and parameter.prior is not None
+            and parameter.prior_sigma is not None
         }
 
     def with_priors(self, priors: Mapping[str, tuple[float, float]]) -> Campaign:
@@ -225,7 +229,9 @@ class Campaign:
         left = tuple(name for name in self.effects if name in effects)
         kept = {p.name for name in left for p in self.catalogue[name].parameters}
         gone = {p.name for effect in self.switched_on for p in effect.parameters} - kept
-        parameters = {name: known for name, known in self.parameters.items() if name not in gone}
+        parameters = {
+            name: parameter for name, parameter in self.parameters.items() if name not in gone
+        }
         return replace(self, effects=left, parameters=parameters)
 
     def with_effects(self, names: Sequence[str]) -> Campaign:
@@ -245,9 +251,9 @@ class Campaign:
             if name in self.parameters or name in self.varied:
                 place = "the campaign" if name in self.parameters else "the measurements"
                 raise InputError(f"{name} is in {place} already", "remove it there", path=self.path)
-            known = ranges[name]
-            assert known.start is not None  # it was switched on just now
-            added[name] = CampaignParameter(name, known.start, known.minimum, known.maximum)
+            usual = ranges[name]
+            assert usual.start is not None  # it was switched on just now
+            added[name] = CampaignParameter(name, usual.start, usual.minimum, usual.maximum)
         return replace(self, effects=tuple(effects), parameters={**self.parameters, **added})
 
 
@@ -287,21 +293,21 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
 def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
     """The campaign of a document and of the user's own effects."""
     entries = document.table("", CAMPAIGN)
-    known = catalogue(folder)
+    effects_there_are = catalogue(folder)
     scene = read_scene(_sibling(entries, "scene"))
     table = read_table(_sibling(entries, "measurements"), scene.parameters)
     document, measurements, raw = reduce_raw_data(document, table, scene)
-    of_effects = {p.name for effect in known.values() for p in effect.parameters}
+    of_effects = {p.name for effect in effects_there_are.values() for p in effect.parameters}
     samples, measurements = read_samples(
         document, scene, measurements, of_effects | {*scene.parameters, EFFICIENCY_FACTOR}
     )
     _refuse_rows_the_scene_cannot_take(scene, measurements)
     beam = _read_beam(document, scene, measurements)
-    effects = _read_effects(entries, known, scene, measurements, beam)
+    effects = _read_effects(entries, effects_there_are, scene, measurements, beam)
     values = {**scene.parameters, **beam}
-    ranges = known_ranges(known, effects, values)
-    _refuse_parameters_of_other_effects(document, known, effects, values)
-    brought = [p.name for effect in effects for p in known[effect].parameters]
+    ranges = known_ranges(effects_there_are, effects, values)
+    _refuse_parameters_of_other_effects(document, effects_there_are, effects, values)
+    brought = [p.name for effect in effects for p in effects_there_are[effect].parameters]
     parameters = {
         name: read_parameter(document, name, scene, values, measurements, ranges)
         for name in dict.fromkeys([*document.table("parameters"), *brought])
@@ -339,7 +345,7 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         effects_folder=folder,
         light_yield=light_yield,
         next_measurements=_read_next(document.table(NEXT), scene, parameters),
-        catalogue=known,
+        catalogue=effects_there_are,
         raw=raw,
         beam=beam,
         spectrum=_read_spectrum(entries, scene, raw),
@@ -475,11 +481,11 @@ def _averaged(light: EmittedLight) -> str:
     """What is done with light over wavelengths."""
     named = [without_unit(name) for name in COEFFICIENTS if name in light.parameters]
     indices = [name for name in light.parameters if name not in COEFFICIENTS]
-    said = (
+    words = (
         f"eta is averaged over the light of {light.path.name}, by its {' and '.join(named)}: those "
         f"that are fitted are at {light.mean_nm:.0f} nm, the mean wavelength"
     )
-    return said + (f"; {', '.join(indices)} stay at the scene's value" if indices else "")
+    return words + (f"; {', '.join(indices)} stay at the scene's value" if indices else "")
 
 
 def _words(entries: TomlTable, name: str) -> str:
@@ -516,7 +522,7 @@ def _folder(entries: TomlTable, trusted: bool) -> Path | None:
 
 def _read_effects(
     entries: TomlTable,
-    known: dict[str, Effect],
+    there: dict[str, Effect],
     scene: SceneFile,
     measurements: Measurements,
     beam: Mapping[str, Value],
@@ -526,20 +532,20 @@ def _read_effects(
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise entries.refusal("effects", "effects is not a list of names", "write effects = []")
     with said_by(partial(entries.refusal, "effects")):
-        _refuse_effects(names, known, scene, measurements, beam)
+        _refuse_effects(names, there, scene, measurements, beam)
     return tuple(names)
 
 
 def _refuse_effects(
     names: Sequence[str],
-    known: dict[str, Effect],
+    there: dict[str, Effect],
     scene: SceneFile,
     measurements: Measurements,
     beam: Mapping[str, Value],
 ) -> None:
     """Refuse effects that cannot be switched on, or not together."""
     for position, name in enumerate(names):
-        effect = effect_of(name, known)
+        effect = effect_of(name, there)
         if name in names[:position]:
             raise InputError(f"{name} is named twice", "name it once")
         if name in measurements.columns:
@@ -551,18 +557,18 @@ def _refuse_effects(
         if missing := effect.missing({**scene.parameters, **beam}):
             problem = f"{name} needs {missing}, which is no parameter of {scene.path.name}"
             raise InputError(problem, f"declare it there, or do without {name}")
-    if pair := exclude_each_other([known[name] for name in names]):
+    if pair := exclude_each_other([there[name] for name in names]):
         raise InputError(f"{pair[0]} and {pair[1]} exclude each other", "remove one of the two")
 
 
 def _refuse_parameters_of_other_effects(
     document: TomlDocument,
-    known: dict[str, Effect],
+    there: dict[str, Effect],
     effects: Sequence[str],
     values: Mapping[str, Value],
 ) -> None:
     """Refuse a parameter whose effect is neither switched on nor in the scene, or the beam."""
-    owners = {p.name: effect.name for effect in known.values() for p in effect.parameters}
+    owners = {p.name: effect.name for effect in there.values() for p in effect.parameters}
     for name in document.table("parameters"):
         owner = owners.get(name)
         if owner is not None and owner not in effects and name not in values:
@@ -574,18 +580,18 @@ def _read_next(
     table: TomlTable, scene: SceneFile, parameters: dict[str, CampaignParameter]
 ) -> dict[str, Any]:
     """``[next_measurements]``: lists of values by scene parameter, their error, their minutes."""
-    found: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for name, values in table.items():
         if name == NEXT_SIGMA:
-            found[name] = number_within(table, name, NEXT_ENTRIES)
+            entries[name] = number_within(table, name, NEXT_ENTRIES)
             continue
         if name == NEXT_MINUTES:
-            found[name] = _read_minutes(table, values, scene)
+            entries[name] = _read_minutes(table, values, scene)
             continue
         if (wrong := _wrong_next(name, values, scene, parameters)) is not None:
             raise table.refusal(name, *wrong)
-        found[name] = list(dict.fromkeys(float(value) for value in values))
-    return found
+        entries[name] = list(dict.fromkeys(float(value) for value in values))
+    return entries
 
 
 def _read_minutes(table: TomlTable, minutes: Any, scene: SceneFile) -> dict[str, float]:
@@ -608,13 +614,13 @@ def _wrong_next(
     name: str, values: Any, scene: SceneFile, parameters: dict[str, CampaignParameter]
 ) -> tuple[str, str] | None:
     """What is wrong with the values of one scene parameter, and how to mend it."""
-    own = {**BEAM_PARAMETERS, **scene.parameters}
-    if name not in own:
+    present = {**BEAM_PARAMETERS, **scene.parameters}
+    if name not in present:
         return (
             f"{name} is not a parameter of {scene.path.name}",
             did_you_mean(name, [*scene.parameters, NEXT_SIGMA, NEXT_MINUTES]),
         )
-    if isinstance(own[name], (bool, str)):
+    if isinstance(present[name], (bool, str)):
         return f"{name} is not a number", f"remove {name}"
     if name in parameters and not parameters[name].fixed:
         return f"{name} is fitted: a measurement cannot set it", f"remove {name} here"
@@ -642,7 +648,7 @@ def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measureme
                 problem = f"{name} = {value:g}: {wrong[1]}"
                 raise measurements.refusal(reading, name, problem, wrong[2])
         of_bench = {n: v for n, v in reading.parameters.items() if n not in BEAM_PARAMETERS}
-        if (own := tuple(of_bench.items())) not in taken:
+        if (key := tuple(of_bench.items())) not in taken:
             with said_by(partial(measurements.refusal, reading, None)):
                 scene.with_overrides(of_bench)
-            taken.add(own)
+            taken.add(key)

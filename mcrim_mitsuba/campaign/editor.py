@@ -59,15 +59,15 @@ def campaign_with_effects(
     document["effects"] = list(campaign.effects)
     parameters = document.setdefault("parameters", tomlkit.table(is_super_table=True))
     # what samples have of their own stands in their tables, with what is known of it
-    own = {
+    keys = {
         known.name: f"samples.{sample.name}.parameters.{of}"
         for sample in campaign.samples.values()
         for of, known in sample.own.items()
     }
     for name, start in starts.items():
         value = float(f"{start:.6g}")
-        if name in own or name == EFFICIENCY_FACTOR:
-            if name in own and (given := _table(document, own[name])) is not None:
+        if name in keys or name == EFFICIENCY_FACTOR:
+            if name in keys and (given := _table(document, keys[name])) is not None:
                 given["start"] = value
             continue
         if name in parameters:
@@ -83,10 +83,10 @@ def campaign_with_effects(
         parameters[name] = table
     for parameter in known:
         within: Any = document
-        key = own.get(parameter.name, f"parameters.{parameter.name}")
+        key = keys.get(parameter.name, f"parameters.{parameter.name}")
         for part in key.split("."):
             within = within.setdefault(part, tomlkit.table())
-        if key in own.values() and key.endswith(f".{SCALE}"):
+        if key in keys.values() and key.endswith(f".{SCALE}"):
             # in place of a light yield that says the same of it
             given = _table(document, key.replace(f"parameters.{SCALE}", LIGHT_YIELD)) or {}
             for entry in (KNOWN_YIELD, KNOWN_YIELD_SIGMA):
@@ -154,8 +154,8 @@ def _document(
         if isinstance(given, str):
             table[name] = relative(beside(campaign.path, given))
         elif isinstance(given, list):
-            for place, one in enumerate(given):
-                given[place] = relative(beside(campaign.path, one))
+            for place, file in enumerate(given):
+                given[place] = relative(beside(campaign.path, file))
     return document
 
 
@@ -175,9 +175,9 @@ def beam_notes(raw: RawData, alpha_scat_per_cm: float) -> list[str]:
     """
     if raw.absorption is None:
         return []
-    found, path_mm = raw.absorption.found, raw.absorption.entry.thickness_mm
+    absorption, path_mm = raw.absorption.found, raw.absorption.entry.thickness_mm
     left = math.exp(-alpha_scat_per_cm * path_mm / MM_PER_CM)
-    through, sigma = found.internal_transmittance, found.internal_transmittance_sigma
+    through, sigma = absorption.internal_transmittance, absorption.internal_transmittance_sigma
     if through - left < _CLEARLY * sigma:
         return []
     return [
@@ -310,8 +310,8 @@ def measurement_cells(measurements: Measurements) -> dict[str, list[str]]:
         cells[SAMPLE] = [reading.sample for reading in readings]
     for name in measurements.columns:
         # beams leave cells of the bench empty, and light those of the beam
-        known = (reading.parameters.get(name) for reading in readings)
-        cells[name] = ["" if value is None else value_text(value) for value in known]
+        values = (reading.parameters.get(name) for reading in readings)
+        cells[name] = ["" if value is None else value_text(value) for value in values]
     if not all(reading.use for reading in readings):
         cells["use"] = [str(int(reading.use)) for reading in readings]
     if any(reading.group is not None for reading in readings):
@@ -417,15 +417,15 @@ def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
 
 
 def _absorption_json(absorption: ReducedAbsorption) -> dict[str, Any]:
-    entry, found = absorption.entry, absorption.found
+    entry, value = absorption.entry, absorption.found
     return {
-        **attributes(found, "alpha_abs_per_cm sigma contributions"),
+        **attributes(value, "alpha_abs_per_cm sigma contributions"),
         "orientations": [
             {"file": path, "alpha_abs_per_cm": alpha}
-            for path, alpha in zip(entry.files or (None,), found.each_per_cm, strict=True)
+            for path, alpha in zip(entry.files or (None,), value.each_per_cm, strict=True)
         ],
         **attributes(
-            found,
+            value,
             "spread_orientations_per_cm spread_band_per_cm internal_transmittance "
             "internal_transmittance_sigma n",
         ),

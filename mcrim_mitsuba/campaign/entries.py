@@ -59,7 +59,7 @@ def _file(meaning: str) -> dict[str, Any]:
 
 def _table(meaning: str, *entries: Entries) -> dict[str, Any]:
     """The schema of a table that holds nothing but these entries."""
-    properties = {name: entry for known in entries for name, entry in known.items()}
+    properties = {name: entry for part in entries for name, entry in part.items()}
     return {
         "type": "object",
         "description": meaning,
@@ -294,10 +294,10 @@ def json_schema() -> dict[str, Any]:
         SCALE: _table("Signal over eta, common to all readings", PARAMETER),
     }
     for effect in effects.values():
-        for known in effect.parameters:
-            meaning = f"{known.meaning}; parameter of {effect.name}"
-            raw = GAMMAS if known.name == SOURCE_DEPTH else {}
-            parameters[known.name] = _table(meaning, PARAMETER, raw)
+        for parameter in effect.parameters:
+            meaning = f"{parameter.meaning}; parameter of {effect.name}"
+            raw = GAMMAS if parameter.name == SOURCE_DEPTH else {}
+            parameters[parameter.name] = _table(meaning, PARAMETER, raw)
     names = {"anyOf": [{"enum": list(effects)}, {"type": "string"}]}
     completed = {
         "effects": {"items": names},

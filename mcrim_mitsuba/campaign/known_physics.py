@@ -83,14 +83,14 @@ class KnownCrystal:
         band = depth = None
         if assumed or spectrum is not None:
             band = indices_over_band(name, spectrum, efficiency, wavelength_nm)
-        known, refused = material(name), {}
-        if campaign.light_yield is None or known.formula is None:
-            lacking = "energy_keV in [light_yield]" if known.formula else "a formula"
+        crystal, refused = material(name), {}
+        if campaign.light_yield is None or crystal.formula is None:
+            lacking = "energy_keV in [light_yield]" if crystal.formula else "a formula"
             refused[SOURCE_DEPTH] = f"there is no {lacking}"
         else:
-            energy, density = campaign.light_yield.energy_keV, known.density_g_per_cm3
+            energy, density = campaign.light_yield.energy_keV, crystal.density_g_per_cm3
             try:
-                depth = attenuation_length_mm(known.formula, energy, density)
+                depth = attenuation_length_mm(crystal.formula, energy, density)
             except InputError as error:
                 refused[SOURCE_DEPTH] = error.problem
         return cls(band, depth, refused)
@@ -98,12 +98,12 @@ class KnownCrystal:
     @property
     def effects(self) -> dict[str, dict[str, float]]:
         """Effects whose size is known and that are not refused, with their parameters."""
-        found: dict[str, dict[str, float]] = {POLARIZATION: {}}
+        sizes_of: dict[str, dict[str, float]] = {POLARIZATION: {}}
         if self.depth is not None:
-            found[SOURCE_DEPTH] = {DEPTH_MM: round(self.depth.length_mm, 5)}
+            sizes_of[SOURCE_DEPTH] = {DEPTH_MM: round(self.depth.length_mm, 5)}
         if self.band is not None:
-            found[CRYSTAL_INDEX] = {INDEX: round(self.band.over.mean, 5)}
-        return {name: sizes for name, sizes in found.items() if name not in self.refused}
+            sizes_of[CRYSTAL_INDEX] = {INDEX: round(self.band.over.mean, 5)}
+        return {name: sizes for name, sizes in sizes_of.items() if name not in self.refused}
 
     def put_into(self, scene: SceneFile, *effects: str) -> SceneFile:
         """The scene with some of the `effects` in its text; errors as `add`."""
@@ -148,20 +148,22 @@ def with_known_physics(campaign: Campaign) -> Campaign:
     name = material_of(campaign)
     if name is None or campaign.light_yield is None or campaign.convention == ARTICLE:
         return campaign
-    known = KnownCrystal.of(campaign, name, assumed=False).left_out_of(campaign)
-    said = [
-        " ".join([campaign.catalogue[effect].title, *(f"({n} = {v:.4g})" for n, v in own.items())])
-        for effect, own in known.effects.items()
+    crystal = KnownCrystal.of(campaign, name, assumed=False).left_out_of(campaign)
+    words = [
+        " ".join(
+            [campaign.catalogue[effect].title, *(f"({n} = {v:.4g})" for n, v in sizes.items())]
+        )
+        for effect, sizes in crystal.effects.items()
     ]
-    said += [
+    words += [
         f"but not {campaign.catalogue[effect].title}: {reason}"
-        for effect, reason in known.refused.items()
+        for effect, reason in crystal.refused.items()
         if reason != _IN_THE_MODEL
     ]
     begin = f"in the model, as {name} and {campaign.light_yield.energy_keV:g} keV are named: "
     return replace(
         campaign,
-        scene=known.put_into(campaign.scene, *known.effects),
-        known_physics=tuple(known.effects),
-        physics_note=begin + "; ".join(said) if said else "",
+        scene=crystal.put_into(campaign.scene, *crystal.effects),
+        known_physics=tuple(crystal.effects),
+        physics_note=begin + "; ".join(words) if words else "",
     )

@@ -105,10 +105,10 @@ class Measurements:
     @property
     def by_label(self) -> dict[str, list[Reading]]:
         """Rows of every reading, in the file's order."""
-        found: dict[str, list[Reading]] = {}
+        rows: dict[str, list[Reading]] = {}
         for row in self.readings:
-            found.setdefault(row.label, []).append(row)
-        return found
+            rows.setdefault(row.label, []).append(row)
+        return rows
 
     def refusal(self, row: Reading, column: str | None, problem: str, mend: str) -> InputError:
         """The error to raise about a cell, or about a row."""
@@ -232,10 +232,10 @@ def _check_header(
             raise refusal("the column is there twice", "keep one", name)
         if scene_parameters is not None:
             of_beam = BEAM_PARAMETERS if KIND in columns else ()
-            known = [*_FORMAT, *scene_parameters, *of_beam]
-            if name not in known:
+            names = [*_FORMAT, *scene_parameters, *of_beam]
+            if name not in names:
                 problem = "neither a column of the format nor a parameter of the scene"
-                raise refusal(problem, did_you_mean(name, known), name)
+                raise refusal(problem, did_you_mean(name, names), name)
     for first, second in (("group", "group_sigma"), _WINDOW):
         if (first in columns) != (second in columns):
             raise refusal(f"of {first} and {second} only one is there", "give both columns or none")

@@ -83,15 +83,15 @@ def known_ranges(
     `values` are the scene's parameters, and the beam's.
     Raises KeyError if an effect that is switched on needs a parameter that the scene lacks.
     """
-    found = {}
+    ranges = {}
     for effect in catalogue.values():
         on = effect.name in switched_on
         for parameter in effect.parameters:
             # an index is offset from the scene's only where its effect is asked for
             if on or (parameter.nominal is None and parameter.name in values):
                 start, low, high = parameter.range_in(values)
-                found[parameter.name] = KnownRange(start if on else None, low, high)
-    return found
+                ranges[parameter.name] = KnownRange(start if on else None, low, high)
+    return ranges
 
 
 def read_parameter(
@@ -269,18 +269,21 @@ class DetectorTerms:
         """Relative standard error of the collection."""
         return self.collection_sigma / (self.collection or 1.0)
 
-    def applied(self, known: LightYieldInput, sigma: float) -> LightYieldInput:
+    def applied(self, light_yield: LightYieldInput, sigma: float) -> LightYieldInput:
         """With the efficiency inside the window after collection, with relative error `sigma`."""
         factor = (self.collection or 1.0) / (1.0 - self.window_reflectance * self.in_air)
-        efficiency = factor * known.detector_efficiency
-        own = factor * known.detector_efficiency_sigma
-        parts = {origin: factor * part for origin, part in known.efficiency_parts.items()}
+        efficiency = factor * light_yield.detector_efficiency
+        sigma_of_efficiency = factor * light_yield.detector_efficiency_sigma
+        parts = {origin: factor * part for origin, part in light_yield.efficiency_parts.items()}
         if sigma:
-            parts = {**(parts or {"detector_efficiency": own}), COLLECTION: sigma * efficiency}
+            parts = {
+                **(parts or {"detector_efficiency": sigma_of_efficiency}),
+                COLLECTION: sigma * efficiency,
+            }
         return replace(
-            known,
+            light_yield,
             detector_efficiency=efficiency,
-            detector_efficiency_sigma=math.hypot(own, sigma * efficiency),
+            detector_efficiency_sigma=math.hypot(sigma_of_efficiency, sigma * efficiency),
             efficiency_parts=parts,
             detector=self,
         )
@@ -330,7 +333,7 @@ def _window_index(document: TomlDocument, scene: SceneFile, measurements: Measur
     try:
         name, *others = {editor.index_before(detector) for detector in editor.detectors}
         name = name.removeprefix("$")
-        on_crystal = any(editor.crystal in editor.before(each) for each in editor.detectors)
+        on_crystal = any(editor.crystal in editor.before(detector) for detector in editor.detectors)
         if others or on_crystal or name in measurements.columns:
             return 1.0
         start = document.table(f"parameters.{name}").number("start")

@@ -175,7 +175,7 @@ def _measured(table: TomlTable) -> tuple[tuple[Path, ...], float | None, float]:
             mend = f'write {name} = ["along.csv", "across.csv"], or {name} = 0.76'
             raise table.refusal(name, f"{name} is neither a list of files nor a number", mend)
         sigma = number_within(table, sigma_name, TRANSMITTANCE) or 0.0
-        files = tuple(file_in(table, name, one) for one in names)
+        files = tuple(file_in(table, name, file) for file in names)
         for position, file in enumerate(files):
             if resolved(file) in map(resolved, files[:position]):
                 problem = f"{names[position]} is named twice"
@@ -214,10 +214,10 @@ def _read_gammas(table: TomlTable, light_yield: TomlTable) -> GammasEntry | None
     if energy is None:
         problem = f"{name} needs the energy of the gammas"
         raise table.refusal(name, problem, "add [light_yield] with energy_keV")
-    known = None
+    density_g_per_cm3 = None
     if density in table:
-        known = _above_zero(table, density, "the crystal's density in g/cm3")
-    return GammasEntry(formula, known, energy)
+        density_g_per_cm3 = _above_zero(table, density, "the crystal's density in g/cm3")
+    return GammasEntry(formula, density_g_per_cm3, energy)
 
 
 def _has(table: TomlTable, raw: str, belonging: Iterable[str], replaced: Iterable[str]) -> bool:
@@ -251,8 +251,8 @@ def _above_zero(table: TomlTable, name: str, what: str) -> float:
     value = table.number(name)
     if value is None:
         # thickness_cm for thickness_mm
-        stem, known = name.partition("_")[0], {**TRANSMITTANCE, **GAMMAS}
-        others = [other for other in table if other.startswith(stem) and other not in known]
+        stem, names = name.partition("_")[0], {**TRANSMITTANCE, **GAMMAS}
+        others = [other for other in table if other.startswith(stem) and other not in names]
         instead = f", {name} instead of {others[0]}" if others else ""
         raise table.refusal("", f"[{table.key}] has no {name}", f"give {what}{instead}")
     if value <= 0:

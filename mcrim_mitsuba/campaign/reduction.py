@@ -146,7 +146,7 @@ class RawData:
             "spectra": self.efficiency,
             "transmittance": absorption and absorption.spectra,
         }
-        return tuple(kind for kind, found in there.items() if found)
+        return tuple(kind for kind, data in there.items() if data)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -179,7 +179,7 @@ def _reduce_transmittance(
     n, n_sigma, notes = _index(document, entry, scene, light)
     numbers = () if entry.value is None else (entry.value,)
     try:
-        found = absorption_from_transmittance(
+        absorption = absorption_from_transmittance(
             spectra or numbers,
             n,
             entry.thickness_mm,
@@ -193,7 +193,7 @@ def _reduce_transmittance(
             raise
         raise document.refusal(f"{_KEY}.transmittance", error.problem, error.mend) from None
     # the emission only weights: its noise is no error of the readings
-    parts = [part for origin, part in found.contributions.items() if origin != EMISSION]
+    parts = [part for origin, part in absorption.contributions.items() if origin != EMISSION]
     sigma = math.hypot(*parts)
     if sigma * entry.thickness_mm / MM_PER_CM < _SMALLEST_SIGMA:
         raise document.refusal(
@@ -205,8 +205,8 @@ def _reduce_transmittance(
             "give transmittance_sigma, the error that all readings share, or errors as a column of "
             "the spectra",
         )
-    found = replace(found, notes=(*found.notes, *notes))
-    return ReducedAbsorption(entry, spectra, light, n, found)
+    absorption = replace(absorption, notes=(*absorption.notes, *notes))
+    return ReducedAbsorption(entry, spectra, light, n, absorption)
 
 
 def _index(
@@ -216,13 +216,13 @@ def _index(
     if isinstance(entry.n, float):
         return entry.n, entry.n_sigma, ()
     if entry.n is None:
-        known = scene.parameters.get(_CRYSTAL)
-        if not isinstance(known, float):
+        index = scene.parameters.get(_CRYSTAL)
+        if not isinstance(index, float):
             problem = f"{scene.path.name} has no {_CRYSTAL}"
             mend = 'give the crystal\'s index: n = 2.01, or a material such as n = "CaMoO4"'
             raise document.refusal(f"{_KEY}.transmittance", problem, mend)
         named = scene.materials.get(_CRYSTAL)
-        return known, 0.0 if named is None else named.material.sigma, ()
+        return index, 0.0 if named is None else named.material.sigma, ()
     try:
         if "@" in entry.n:
             named = read_index("n", entry.n, document.path.parent)
@@ -348,8 +348,8 @@ def reduce_raw_data(
     if (entry := entries.efficiency) is not None:
         emission = read_spectrum(entry.emission, "emission")
         curve = read_spectrum(entry.quantum_efficiency, "quantum_efficiency")
-        found = detector_efficiency(emission, curve, entry.scale_sigma)
-        efficiency = ReducedEfficiency(entry, emission, curve, found)
+        value = detector_efficiency(emission, curve, entry.scale_sigma)
+        efficiency = ReducedEfficiency(entry, emission, curve, value)
         light = detected_light(emission, curve)
     if entries.transmittance is not None:
         absorption = _reduce_transmittance(document, entries.transmittance, light, scene)
@@ -368,8 +368,8 @@ def _numbers(document: TomlDocument, raw: RawData) -> dict[str, float]:
     numbers: dict[str, float] = {}
     priors = []
     if raw.absorption is not None:
-        found = raw.absorption.found
-        priors.append((ABSORPTION, found.alpha_abs_per_cm, found.sigma))
+        absorption = raw.absorption.found
+        priors.append((ABSORPTION, absorption.alpha_abs_per_cm, absorption.sigma))
     if raw.source_depth is not None:
         depth = raw.source_depth
         priors.append((SOURCE_DEPTH, depth.length_mm, depth.sigma_mm))

@@ -128,11 +128,11 @@ def _completed(reading: Reading, samples: Mapping[str, Sample], scene: SceneFile
     """A reading with its sample's scene parameters, where its row has none of its own."""
     if not reading.sample:
         return reading
-    own = samples[reading.sample].scene
-    if own and reading.of_beam:  # only the crystal is in the beam
+    parameters = samples[reading.sample].scene
+    if parameters and reading.of_beam:  # only the crystal is in the beam
         seen = spectrophotometer_of(scene).parameters.keys() - {GAP_INDEX}
-        own = {name: value for name, value in own.items() if name in seen}
-    return replace(reading, parameters={**own, **reading.parameters})
+        parameters = {name: value for name, value in parameters.items() if name in seen}
+    return replace(reading, parameters={**parameters, **reading.parameters})
 
 
 def _read_sample(
@@ -178,11 +178,11 @@ def _read_own(
     """``[samples.NAME.parameters.X]``."""
     within = f"{SAMPLES}.{sample}.parameters"
     values = {**scene.parameters, SCALE: _scale(sample, measurements).start}
-    found = read_parameter(document, of, scene, values, measurements, {}, within=within)
-    return replace(found, name=own_name(of, sample))
+    parameter = read_parameter(document, of, scene, values, measurements, {}, within=within)
+    return replace(parameter, name=own_name(of, sample))
 
 
-def _known_scale(table: TomlTable, known: LightYieldInput) -> tuple[float, float] | None:
+def _known_scale(table: TomlTable, light_yield: LightYieldInput) -> tuple[float, float] | None:
     """The scale that a reference's light yield makes, and its standard error."""
     value, sigma = (number_within(table, name, KNOWN) for name in KNOWN)
     if value is None and sigma is None:
@@ -191,15 +191,15 @@ def _known_scale(table: TomlTable, known: LightYieldInput) -> tuple[float, float
         problem = f"only one of {KNOWN_YIELD} and {KNOWN_YIELD_SIGMA} is given"
         raise table.refusal("", problem, "give both or none")
     relative = math.hypot(
-        sigma / value, known.detector_efficiency_sigma / known.detector_efficiency
+        sigma / value, light_yield.detector_efficiency_sigma / light_yield.detector_efficiency
     )
-    return value / known.per_scale, relative * value / known.per_scale
+    return value / light_yield.per_scale, relative * value / light_yield.per_scale
 
 
 def _read_scene(document: TomlDocument, key: str, scene: SceneFile) -> dict[str, Value]:
     """``[samples.NAME.scene]``."""
     table = document.table(f"{key}.{SAMPLE_SCENE}")
-    found: dict[str, Value] = {}
+    values: dict[str, Value] = {}
     for name, given in table.items():
         if name in (ALPHA_SCAT, ALPHA_ABS):
             mend = f"write [{key}.parameters.{name}] with start = {given}, fixed = true"
@@ -211,10 +211,10 @@ def _read_scene(document: TomlDocument, key: str, scene: SceneFile) -> dict[str,
             raise table.refusal(name, f"{name} is not one value", f"write {name} = 1.5")
         with said_by(partial(table.refusal, name)):
             value = parse_like(name, value_text(given), scene.parameters[name])
-        found[name] = value
+        values[name] = value
         if not isinstance(value, (bool, str)) and (wrong := judge(name, value)) is not None:
             raise table.refusal(name, f"{name} = {value:g}: {wrong[1]}", wrong[2])
-    return found
+    return values
 
 
 def shared_efficiency(document: TomlDocument) -> float | None:
@@ -222,17 +222,19 @@ def shared_efficiency(document: TomlDocument) -> float | None:
     return number_within(document.table(LIGHT_YIELD), SHARED_SIGMA, SHARED)
 
 
-def without_shared(table: TomlTable, known: LightYieldInput, shared: float) -> LightYieldInput:
+def without_shared(
+    table: TomlTable, light_yield: LightYieldInput, shared: float
+) -> LightYieldInput:
     """What a table says of an efficiency, with that part of its error alone which is its own."""
-    common = shared * known.detector_efficiency
-    if common > known.detector_efficiency_sigma:
+    common = shared * light_yield.detector_efficiency
+    if common > light_yield.detector_efficiency_sigma:
         raise table.refusal(
             "detector_efficiency_sigma",
             f"detector_efficiency_sigma is less than the {100 * shared:g} % that samples share",
             f"it is the whole error: give more than {common:.2g}",
         )
-    own = math.sqrt(known.detector_efficiency_sigma**2 - common**2)
-    return replace(known, detector_efficiency_sigma=own, efficiency_parts={})
+    sigma = math.sqrt(light_yield.detector_efficiency_sigma**2 - common**2)
+    return replace(light_yield, detector_efficiency_sigma=sigma, efficiency_parts={})
 
 
 def efficiency_factor(shared: float) -> CampaignParameter:

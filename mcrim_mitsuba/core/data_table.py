@@ -160,7 +160,9 @@ def _names(
     )
     if of_units and len(rows) > 1 and rows[1] is not None:
         named = [name_and_unit(cell) for cell in rows[1]]
-        units = tuple(unit or own for unit, (_, own) in zip(alone, named, strict=True))
+        units = tuple(
+            unit or unit_of_name for unit, (_, unit_of_name) in zip(alone, named, strict=True)
+        )
         used = above
     else:
         named = [name_and_unit(cell) for cell in rows[0]]
@@ -227,8 +229,8 @@ def _is_comment(text: str) -> bool:
 
 def _bare(text: str) -> str:
     """A line without its comment sign."""
-    found = _COMMENT.match(text)
-    return (text[found.end() :].lstrip("#/!%") if found else text).strip()
+    sign = _COMMENT.match(text)
+    return (text[sign.end() :].lstrip("#/!%") if sign else text).strip()
 
 
 class _Line(NamedTuple):

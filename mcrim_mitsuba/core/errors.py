@@ -99,30 +99,30 @@ def said_by(refusal: Callable[[str, str], InputError]) -> Iterator[None]:
         raise refusal(error.problem, error.mend) from None
 
 
-def placed(said: str = "", **place: Any) -> contextlib.AbstractContextManager[None]:
-    """Refusals of what is done meanwhile are of this `place`, and begin with what is `said`."""
-    before = f"{said}: " if said else ""
+def placed(beginning: str = "", **place: Any) -> contextlib.AbstractContextManager[None]:
+    """Refusals of what is done meanwhile are of this `place`; their problems get a `beginning`."""
+    before = f"{beginning}: " if beginning else ""
     return said_by(lambda problem, mend: InputError(before + problem, mend, **place))
 
 
-def closest(name: str, known: Iterable[str]) -> str | None:
+def closest(name: str, names: Iterable[str]) -> str | None:
     """The known name most like `name`, or None if nothing comes close."""
     if len(name) > _LONGEST_NAME:
         return None
-    return next(iter(difflib.get_close_matches(name, list(known), n=1)), None)
+    return next(iter(difflib.get_close_matches(name, list(names), n=1)), None)
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
+def did_you_mean(name: str, names: Iterable[str]) -> str:
     """Phrase for the second half of an `InputError` about an unknown name, as typed.
 
     ``did you mean n_gap? Known are: gap_mm, n_gap``, in the order of `known`; without the guess if
     nothing comes close.
     """
-    known = list(known)
-    if not known:
+    names = list(names)
+    if not names:
         return "there are no names to choose from"
-    listing = f"nown are: {', '.join(known)}"
-    guess = closest(name, known)
+    listing = f"nown are: {', '.join(names)}"
+    guess = closest(name, names)
     return f"did you mean {guess}? K{listing}" if guess else f"k{listing}"
 
 

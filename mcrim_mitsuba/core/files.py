@@ -526,8 +526,8 @@ def _is_device(path: Path) -> bool:
 
 def attributes(result: object, names: str = "", **renamed: str) -> dict[str, Any]:
     """Attributes under their own names (``"value sigma"``), and under others: ``n="mean"``."""
-    found = {name: getattr(result, name) for name in names.split()}
-    return found | {name: getattr(result, own) for name, own in renamed.items()}
+    values = {name: getattr(result, name) for name in names.split()}
+    return values | {name: getattr(result, attribute) for name, attribute in renamed.items()}
 
 
 def plain(value: Any) -> Any:

@@ -140,9 +140,9 @@ def counted(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
-def unbroken(said: object) -> object:
+def unbroken(text: object) -> object:
     """A text whose numbers stay on one line with their errors; what is no text as it is."""
-    return said.replace(" ± ", "\xa0±\xa0") if isinstance(said, str) else said
+    return text.replace(" ± ", "\xa0±\xa0") if isinstance(text, str) else text
 
 
 def short_text(value: object) -> str:

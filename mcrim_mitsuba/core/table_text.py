@@ -105,11 +105,11 @@ def name_and_unit(cell: str) -> tuple[str, str | None]:
     if brackets and brackets[-1].end() == len(text) and brackets[-1].start() > 0:
         return _without(text, brackets[-1]), brackets[-1][1].strip() or None
     for form in (_AFTER_A_MARK, _AFTER_A_BLANK):
-        found = form.fullmatch(text)
-        if found and (unit := _known(found["unit"])) is not None:
-            return found["name"].strip(), unit
-    if found := _PERCENT.fullmatch(text):
-        return (found["after"] or found["before"]).strip(), "%"
+        match = form.fullmatch(text)
+        if match and (unit := _known(match["unit"])) is not None:
+            return match["name"].strip(), unit
+    if match := _PERCENT.fullmatch(text):
+        return (match["after"] or match["before"]).strip(), "%"
     return text, None
 
 
@@ -121,8 +121,8 @@ def _known(text: str) -> str | None:
     return _UNITS.get(_key(text))
 
 
-def _without(text: str, found: re.Match) -> str:
-    return " ".join((text[: found.start()] + " " + text[found.end() :]).split())
+def _without(text: str, match: re.Match) -> str:
+    return " ".join((text[: match.start()] + " " + text[match.end() :]).split())
 
 
 # Lines of a table: which separator, which decimal sign, which cells are numbers.
@@ -268,8 +268,8 @@ def has_decimal_commas(
 
 def given_separator(line: str) -> str | None:
     """The sign that Excel's first line ``sep=;`` gives; None where this is no such line."""
-    found = _SEP_LINE.fullmatch(line.strip())
-    return found[1] if found else None
+    match = _SEP_LINE.fullmatch(line.strip())
+    return match[1] if match else None
 
 
 def separator_of(lines: Sequence[str]) -> str:
@@ -362,8 +362,8 @@ def what_is_wrong(cell: str) -> tuple[str, str]:
             f"{shown(cell)} has thousands separators",
             "write numbers without them, such as 1234.5",
         )
-    if found := _OTHER_SEPARATOR.fullmatch(cell):
-        return f"columns are separated by '{found[1]}'", SEPARATE
+    if match := _OTHER_SEPARATOR.fullmatch(cell):
+        return f"columns are separated by '{match[1]}'", SEPARATE
     if cell.endswith("%") and is_number(cell[:-1].strip()):
         return f"{shown(cell)} ends in %", "write % in the column's name, and numbers below it"
     return (

@@ -55,7 +55,7 @@ class TomlDocument:
             name = name.rpartition(".")[0]
         return InputError(problem, mend, path=self.path, line=self.lines.get(name))
 
-    def table(self, key: str, known: Iterable[str] | None = None) -> TomlTable:
+    def table(self, key: str, entries: Iterable[str] | None = None) -> TomlTable:
         """The table of this dotted name (the whole file for ""), empty if it is not there.
 
         Raises
@@ -70,9 +70,11 @@ class TomlDocument:
                 raise self.refusal(key, f"{part} is not a table", f"write [{key}]")
         table = TomlTable(self, key, content)
         for name in content:
-            if known is not None and name not in known:
+            if entries is not None and name not in entries:
                 where = f"[{key}]" if key else self.kind
-                raise table.refusal(name, f"{where} has no entry {name}", did_you_mean(name, known))
+                raise table.refusal(
+                    name, f"{where} has no entry {name}", did_you_mean(name, entries)
+                )
         return table
 
 
@@ -165,8 +167,8 @@ def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:
     return document
 
 
-def _line_of(found: re.Match[str] | None, text: str) -> int | None:
-    return None if found is None else text.count("\n", 0, found.start()) + 1
+def _line_of(match: re.Match[str] | None, text: str) -> int | None:
+    return None if match is None else text.count("\n", 0, match.start()) + 1
 
 
 def _too_deep(path: Path, line: int | None) -> InputError:
@@ -186,9 +188,11 @@ def _refuse_monsters(document: TomlDocument) -> None:
         if depth > _DEEPEST:
             raise _too_deep(document.path, document.lines.get(name))
         if isinstance(value, dict):
-            values += [(f"{name}.{key}".lstrip("."), own, depth + 1) for key, own in value.items()]
+            values += [
+                (f"{name}.{key}".lstrip("."), inner, depth + 1) for key, inner in value.items()
+            ]
         elif isinstance(value, list):
-            values += [(name, own, depth + 1) for own in value]
+            values += [(name, inner, depth + 1) for inner in value]
         elif isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
             problem = f"{name.rpartition('.')[2]} is a whole number of more than 64 bits"
             raise document.refusal(name, problem, "correct it")

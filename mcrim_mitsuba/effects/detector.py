@@ -21,8 +21,8 @@ def hits_weight(hits: np.ndarray, reflectance: float, simulated_at: float) -> np
 
     They were drawn with the reflectance `simulated_at`.
     """
-    each = (reflectance / simulated_at) ** hits.astype(np.float64)
-    return (1.0 - reflectance) / (1.0 - simulated_at) * each
+    ratio = (reflectance / simulated_at) ** hits.astype(np.float64)
+    return (1.0 - reflectance) / (1.0 - simulated_at) * ratio
 
 
 def falloff(

@@ -141,9 +141,9 @@ GAP_THICKNESS = Effect(
 
 def edit_gap_absorption(editor: SceneEditor) -> None:
     """Give the gap's medium an absorption that air does not have."""
-    known = editor.gap.named("alpha_abs_per_cm")
-    if known is not None:
-        raise editor.refusal("the gap absorbs already", "change this number instead", known)
+    number = editor.gap.named("alpha_abs_per_cm")
+    if number is not None:
+        raise editor.refusal("the gap absorbs already", "change this number instead", number)
     if "n_gap" not in editor.scene.parameters:
         raise editor.refusal("the scene has no parameter n_gap", "write the gap's index as one")
     editor.insert_last(

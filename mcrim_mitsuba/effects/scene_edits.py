@@ -69,11 +69,11 @@ def set_detector(editor: SceneEditor, name: str, value: str) -> None:
 def set_part(editor: SceneEditor, bsdfs: Iterable[Node], name: str, xml: str) -> None:
     """Put a property of a name into detectors or masks, or refuse one that has it."""
     for bsdf in bsdfs:
-        known = bsdf.named(name)
-        if known is not None:
+        part = bsdf.named(name)
+        if part is not None:
             what = "detector" if bsdf in editor.detectors else "mask"
             problem = f"the {what} has its {name} already"
-            raise editor.refusal(problem, "change this number instead", known)
+            raise editor.refusal(problem, "change this number instead", part)
         numbers = [part for part in bsdf.elements if "name" in part.attributes]
         if numbers:
             editor.insert_after(numbers[-1], xml)
@@ -157,7 +157,7 @@ def roughen(editor: SceneEditor, side: str, alpha: str) -> None:
 
 def _faces_of_any_form(editor: SceneEditor, side: str) -> list[Node]:
     """Faces of a crystal that is no box: those at the gap, flat ones that look up, or the rest."""
-    found = []
+    faces = []
     resolved = editor.resolved()
     for face in editor.crystal_faces:
         if editor.gap in editor.media(face):
@@ -170,11 +170,11 @@ def _faces_of_any_form(editor: SceneEditor, side: str) -> list[Node]:
             looks_up = up is not None and up[2] > (1.0 - _TOLERANCE_MM) * np.linalg.norm(up)
             where = "top" if looks_up else "side"
         if where == side:
-            found.append(face)
-    if not found:
+            faces.append(face)
+    if not faces:
         problem = f"the crystal has no {side} face of its own"
         raise editor.refusal(problem, "use surface_roughness or ground: they are of all faces")
-    return found
+    return faces
 
 
 def rough_copy(editor: SceneEditor, bsdf: Node, side: str, alpha: str) -> str:
@@ -219,15 +219,15 @@ def crystal_box(editor: SceneEditor, sizes: Iterable[str] = _STRETCH) -> dict[st
 
 def gap_sides(editor: SceneEditor) -> list[Node]:
     """The four sides of the gap, which must be rectangles, or the one shape that is all four."""
-    found = [s for s in editor.shapes if editor.media(s) == (editor.gap, None)]
-    found = [shape for shape in found if shape.type != "round_wall"]
-    whole = [shape for shape in found if shape.type == "gap_sides"]
+    borders = [s for s in editor.shapes if editor.media(s) == (editor.gap, None)]
+    borders = [shape for shape in borders if shape.type != "round_wall"]
+    whole = [shape for shape in borders if shape.type == "gap_sides"]
     if whole:
         return whole
     refuse_without_box(editor)
     faces = _sides(
         editor,
-        [shape for shape in found if shape.type != "frame"],
+        [shape for shape in borders if shape.type != "frame"],
         "gap",
         lambda p: (-float(p[GAP]), 0.0),
         ("right", "left", "back", "front"),
@@ -237,21 +237,21 @@ def gap_sides(editor: SceneEditor) -> list[Node]:
 
 def window_under_gap(editor: SceneEditor) -> Node:
     """The part of the window's entrance face that the gap touches: a rectangle, or refused."""
-    found = [s for s in editor.shapes if editor.media(s) == (editor.window, editor.gap)]
-    if len(found) != 1 or found[0].type not in _FLAT:
-        problem = f"{len(found)} faces lie between window and gap"
+    borders = [s for s in editor.shapes if editor.media(s) == (editor.window, editor.gap)]
+    if len(borders) != 1 or borders[0].type not in _FLAT:
+        problem = f"{len(borders)} faces lie between window and gap"
         raise editor.refusal(problem, "write it as one rectangle", editor.gap)
     for parameters, resolved in _two_states(editor):
-        corners = _corners(resolved[found[0]])
+        corners = _corners(resolved[borders[0]])
         half = float(parameters[WIDTH]) / 2
         if corners is None or not (
             np.allclose(np.abs(corners[:, :2]), half, atol=_TOLERANCE_MM)
             and np.ptp(corners[:, 2]) < _TOLERANCE_MM
-            and _own_x_is_right(editor, found[0])
+            and _own_x_is_right(editor, borders[0])
         ):
-            problem = f"{found[0].label} does not lie under the whole crystal"
-            raise editor.refusal(problem, "write it as in scenes/camoo4.xml", found[0])
-    return found[0]
+            problem = f"{borders[0].label} does not lie under the whole crystal"
+            raise editor.refusal(problem, "write it as in scenes/camoo4.xml", borders[0])
+    return borders[0]
 
 
 def change_gap_sides(editor: SceneEditor, numbers: str) -> None:
@@ -279,9 +279,9 @@ def change_gap_sides(editor: SceneEditor, numbers: str) -> None:
 
 def add_numbers(editor: SceneEditor, shape: Node, numbers: str) -> None:
     """Give a shape further numbers, behind those that it has."""
-    known = [part for part in shape.elements if part.tag in ("float", "string")]
-    if known:
-        editor.insert_after(known[-1], numbers)
+    properties = [part for part in shape.elements if part.tag in ("float", "string")]
+    if properties:
+        editor.insert_after(properties[-1], numbers)
     else:
         editor.insert_first(shape, numbers)
 
@@ -305,11 +305,11 @@ def part_gap(editor: SceneEditor, cut: str, liquid: str, air: str) -> None:
     under = window_under_gap(editor)
     sides = [face for name, faces in box.items() if name != "bottom" for face in faces]
     to_air = worn_towards_air(editor, sides, "the crystal's other faces")
-    own = editor.bsdf(bottom)
-    if own is not None and own.attributes.get("id", "").endswith("_bottom"):
+    worn = editor.bsdf(bottom)
+    if worn is not None and worn.attributes.get("id", "").endswith("_bottom"):
         # what is rough under the liquid is rough under the bubble
         smooth = editor.by_id[to_air.split('"')[1]]
-        alpha = own.named("roughness_alpha")
+        alpha = worn.named("roughness_alpha")
         assert alpha is not None  # `rough_copy` made it
         copy = rough_copy(editor, smooth, "bottom", alpha.attributes["value"])
         to_air = f'<ref id="{copy}"/>'
@@ -356,7 +356,7 @@ def _sides(
 ) -> dict[str, list[Node]]:
     """Shapes by the side of a box that they cover."""
     states = [(z_range(parameters), parameters, at) for parameters, at in _two_states(editor)]
-    found: dict[str, list[Node]] = {name: [] for name in names}
+    sides: dict[str, list[Node]] = {name: [] for name in names}
     for shape in shapes:
         covered, stretched = (
             _covered(at[shape], names, float(parameters[WIDTH]) / 2, *z)
@@ -370,11 +370,11 @@ def _sides(
                 _FORM,
                 shape,
             )
-        found[side.pop()].append(shape)
-    for name, faces in found.items():
+        sides[side.pop()].append(shape)
+    for name, faces in sides.items():
         if not faces:
             raise editor.refusal(f"the {what} has no face on its {name}", _FORM)
-    return found
+    return sides
 
 
 def _covered(
@@ -384,7 +384,7 @@ def _covered(
     corners = _corners(shape)
     if corners is None:
         return set()
-    found = set()
+    covered = set()
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     for name in names:
         axis, sign = _AXES[name]
@@ -393,21 +393,23 @@ def _covered(
         wanted = np.array(list(itertools.product(*ranges)))
         nearest = np.abs(corners[:, None] - wanted[None]).max(axis=2).min(axis=0)
         if np.all(nearest < _TOLERANCE_MM) and normal[axis] * sign > 0:
-            found.add(name)
-    return found
+            covered.add(name)
+    return covered
 
 
 def _two_states(
     editor: SceneEditor,
 ) -> Iterator[tuple[dict[str, Value], dict[Node, etree._Element]]]:
     """Parameters and elements of the scene, and the same with everything stretched."""
-    own = editor.scene.parameters
+    as_written = editor.scene.parameters
     stretched: dict[str, Value] = {
-        name: float(own[name]) * factor for name, factor in _STRETCH.items() if name in own
+        name: float(as_written[name]) * factor
+        for name, factor in _STRETCH.items()
+        if name in as_written
     }
     with said_by(editor.refusal):
-        yield own, editor.resolved({})
-        yield {**own, **stretched}, editor.resolved(stretched)
+        yield as_written, editor.resolved({})
+        yield {**as_written, **stretched}, editor.resolved(stretched)
 
 
 def _own_x_is_right(editor: SceneEditor, node: Node) -> bool:

@@ -117,8 +117,8 @@ def _take_off(editor: SceneEditor, mask: Node, inner: Node) -> None:
 def _put_on(editor: SceneEditor, detector: Node, hole: list[str]) -> None:
     """Put an aperture around what a detector wears, under its id."""
     name = _id_of(detector)
-    own = editor.source(detector).replace(name, "", 1)
-    mask = element(f'bsdf type="aperture"{name}', [*hole, own])
+    bare = editor.source(detector).replace(name, "", 1)
+    mask = element(f'bsdf type="aperture"{name}', [*hole, bare])
     editor.replace(detector, f"<!-- the mask, with its round hole -->\n{mask}")
 
 

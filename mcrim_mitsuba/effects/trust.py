@@ -46,8 +46,8 @@ def refuse_untrusted(folder: Path, path: str | None = None, line: int | None = N
     UntrustedEffectsError
         With the `path` and the `line` that name it.
     """
-    known = fingerprint(folder)
-    if known in _said_now or known == _of_package() or known in _kept():
+    content = fingerprint(folder)
+    if content in _said_now or content == _of_package() or content in _kept():
         return
     names = ", ".join(sorted(file.name for file in folder.glob("*.py")))
     error = UntrustedEffectsError(
@@ -77,10 +77,10 @@ def trust(folder: Path, *, keep: bool = False) -> None:
 
     What cannot be kept, as in a home that is read-only, holds for this process.
     """
-    known = fingerprint(folder)
-    _said_now.add(known)
+    content = fingerprint(folder)
+    _said_now.add(content)
     if keep:
-        kept = "".join(f"{one}\n" for one in sorted({*_kept(), known}))
+        kept = "".join(f"{line}\n" for line in sorted({*_kept(), content}))
         with contextlib.suppress(InputError, OSError):
             _place().parent.mkdir(parents=True, exist_ok=True)
             write_text(_place(), kept)

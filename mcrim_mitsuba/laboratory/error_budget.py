@@ -126,14 +126,14 @@ def quotient(
     systematic: dict[str, float] = {}
     for factors, power in ((above, 1), (below, -1)):
         for name, factor in factors:
-            known = factor if isinstance(factor, Uncertain) else Uncertain(float(factor))
-            if not (known.value > 0 and math.isfinite(known.value)):
-                raise InputError(f"the {name} is {known.value:g}", "give a number above 0")
-            value = value * known.value if power > 0 else value / known.value
-            by_kind = (statistical, known.statistical), (systematic, known.systematic)
+            number = factor if isinstance(factor, Uncertain) else Uncertain(float(factor))
+            if not (number.value > 0 and math.isfinite(number.value)):
+                raise InputError(f"the {name} is {number.value:g}", "give a number above 0")
+            value = value * number.value if power > 0 else value / number.value
+            by_kind = (statistical, number.statistical), (systematic, number.systematic)
             for sums, errors in by_kind:
                 for origin, sigma in errors.items():
-                    sums[origin] = sums.get(origin, 0.0) + power * sigma / known.value
+                    sums[origin] = sums.get(origin, 0.0) + power * sigma / number.value
     if not 0 < value < math.inf:
         raise InputError(f"the result is {value:g}", "check the powers of ten of all factors")
     return Uncertain(
@@ -168,29 +168,31 @@ def common_value(values: Sequence[Uncertain]) -> CommonValue:
     """
     if not values:
         raise ValueError("no values")
-    for known in values:
-        if not (known.value > 0 and math.isfinite(known.value)):
-            raise InputError(f"one of the values is {known.value:g}", "give numbers above 0")
-    origins = list(dict.fromkeys(origin for known in values for origin in known.relative))
-    errors = np.array([[known.relative.get(origin, 0.0) for origin in origins] for known in values])
+    for number in values:
+        if not (number.value > 0 and math.isfinite(number.value)):
+            raise InputError(f"one of the values is {number.value:g}", "give numbers above 0")
+    origins = list(dict.fromkeys(origin for number in values for origin in number.relative))
+    errors = np.array(
+        [[number.relative.get(origin, 0.0) for origin in origins] for number in values]
+    )
     covariance = _for_weights(errors)
     largest = covariance.max() or 1.0
     root = np.linalg.cholesky(covariance + _RIDGE * largest * np.eye(len(values)))
     # minimises w C w for w >= 0 and sum 1: the multiplier of the sum is a common factor
     weights, _ = nnls(root.T, solve_triangular(root, np.ones(len(values)), lower=True))
     weights /= weights.sum()
-    mean = float(weights @ [known.value for known in values])
+    mean = float(weights @ [number.value for number in values])
     sigma = dict(zip(origins, (mean * weights @ errors).tolist(), strict=True))
     chi2, ndf = None, len(values) - 1
     differences = np.diff(np.diff(covariance, axis=0), axis=1)
     if ndf and np.linalg.eigvalsh(differences)[0] > _DISTINCT * largest:
-        pulls = solve_triangular(root, [known.value / mean - 1 for known in values], lower=True)
+        pulls = solve_triangular(root, [number.value / mean - 1 for number in values], lower=True)
         chi2 = float(pulls @ pulls)
     statistical, systematic = (
         {origin: part for origin, part in sigma.items() if origin in of_kind}
         for of_kind in (
-            {origin for known in values for origin in known.statistical},
-            {origin for known in values for origin in known.systematic},
+            {origin for number in values for origin in number.statistical},
+            {origin for number in values for origin in number.systematic},
         )
     )
     p_value = None if chi2 is None else float(chdtrc(ndf, chi2))
@@ -344,13 +346,13 @@ def contribution(origin: str, relative: float, kind: Kind | None = None) -> Cont
     ValueError
         If the origin is not in `ADVICE`.
     """
-    known = ADVICE.get(origin.partition(",")[0])
-    if known is None:
+    advice = ADVICE.get(origin.partition(",")[0])
+    if advice is None:
         raise ValueError(f"no advice for the error {origin!r}: known are {', '.join(ADVICE)}")
-    return Contribution(origin, relative, kind or known.kind, known.reducible, known.by)
+    return Contribution(origin, relative, kind or advice.kind, advice.reducible, advice.by)
 
 
-def budget_of(known: Uncertain) -> ErrorBudget:
+def budget_of(number: Uncertain) -> ErrorBudget:
     """The budget of a number, its kinds as the number has them.
 
     Raises
@@ -358,9 +360,9 @@ def budget_of(known: Uncertain) -> ErrorBudget:
     ValueError
         If an origin is not in `ADVICE`.
     """
-    kinds: dict[str, Kind] = dict.fromkeys(known.statistical, "statistical")
+    kinds: dict[str, Kind] = dict.fromkeys(number.statistical, "statistical")
     rows = (
         contribution(origin, relative, kinds.get(origin, "systematic"))
-        for origin, relative in known.relative.items()
+        for origin, relative in number.relative.items()
     )
     return ErrorBudget(tuple(rows))

@@ -57,24 +57,24 @@ def main_peak(values: Array, counts: Array) -> Found | None:
     # as smooth as needed for neighbours to agree within their errors
     for smoothing in _SMOOTHINGS:
         smooth = gaussian_filter1d(counts, smoothing, mode="nearest")
-        found, told = find_peaks(smooth, prominence=1e-9)
-        if not len(found):
+        tops, properties = find_peaks(smooth, prominence=1e-9)
+        if not len(tops):
             return None
-        widths, _, _, _ = peak_widths(smooth, found, 0.5)
+        widths, _, _, _ = peak_widths(smooth, tops, 0.5)
         if smoothing >= 0.15 * widths[np.argmax(widths)] or smoothing == _SMOOTHINGS[-1]:
             break
-    noise = np.sqrt(np.maximum(smooth[found], 1.0) / (2 * math.sqrt(math.pi) * smoothing))
-    clear = told["prominences"] > _STANDS_OUT * noise
+    noise = np.sqrt(np.maximum(smooth[tops], 1.0) / (2 * math.sqrt(math.pi) * smoothing))
+    clear = properties["prominences"] > _STANDS_OUT * noise
     if not clear.any():
         return None
-    found, areas = found[clear], (told["prominences"] * widths)[clear]
+    tops, areas = tops[clear], (properties["prominences"] * widths)[clear]
     main = np.flatnonzero(areas >= _LARGE * areas.max())[-1]
-    top, bin_width = found[main], values[1] - values[0]
+    top, bin_width = tops[main], values[1] - values[0]
     height, half_width = _half_width(smooth, top)
     width = max(2.0 * half_width / FWHM, 1.0) * bin_width
     below = np.arange(max(0, top - math.ceil(4 * width / bin_width)), top + 1)
     low = below[np.argmin(smooth[below])]
-    high = top + np.argmin(smooth[top : found[main + 1]]) if main + 1 < len(found) else top
+    high = top + np.argmin(smooth[top : tops[main + 1]]) if main + 1 < len(tops) else top
     base = smooth[top] - height
     return Found(
         height,
@@ -160,12 +160,12 @@ def _resolving(events: Array, width: float, step: float) -> float:
         centres, counts = _sorted_into_bins(events, fine)
         # a peak in the last bin has sides too
         centres = centres[0] + fine * np.arange(-_MARGIN, len(centres) + _MARGIN)
-        found = main_peak(centres, np.pad(counts, _MARGIN))
-        if found is None:
+        peak = main_peak(centres, np.pad(counts, _MARGIN))
+        if peak is None:
             return width
-        if finer <= _COARSE * found.width or fine == step:
+        if finer <= _COARSE * peak.width or fine == step:
             return finer
-        finer = _FINE * found.width
+        finer = _FINE * peak.width
     # a spike of equal numbers has no width
     return width
 

@@ -118,19 +118,20 @@ def detector_efficiency(
 
 
 def _note_on_points(
-    what: str, curve: Spectrum, own: float | None, derivatives: Array, value: float
+    what: str, curve: Spectrum, independent: float | None, derivatives: Array, value: float
 ) -> list[str]:
     """What is not counted where the errors of a curve's points are unknown, or not independent."""
     no_errors, if_not_independent = _ON_POINTS[what]
-    if curve.sigmas is None or own is None:
+    if curve.sigmas is None or independent is None:
         return [no_errors]
     # what all points of an emission share cancels: the worst there changes sign in the middle
     worst = float(np.abs(derivatives) @ curve.sigmas)
-    if worst - own <= _WORTH_SAYING * value:
+    if worst - independent <= _WORTH_SAYING * value:
         return []
+    together, shared = (f"{100 * sigma / value:.2g} %" for sigma in (independent, worst))
     return [
-        f"errors of the {what}'s points are taken as independent, {100 * own / value:.2g} % "
-        f"together; {if_not_independent.format(f'{100 * worst / value:.2g} %')}"
+        f"errors of the {what}'s points are taken as independent, {together} together; "
+        + if_not_independent.format(shared)
     ]
 
 
@@ -278,10 +279,10 @@ def _known(
 ) -> Uncertain:
     """A crystal's quantity with its own error and the one that the other crystal has too."""
     value, sigma = number
-    own = _own_part(value, sigma, shared)
-    if own is None:
+    alone = _own_part(value, sigma, shared)
+    if alone is None:
         raise ValueError(f"the shared error of {quantity} is larger than that of the {whose}")
-    errors = {f"{origin}, {whose}": own} if own else {}
+    errors = {f"{origin}, {whose}": alone} if alone else {}
     common = {f"{quantity}, shared": shared * value} if shared else {}
     if quantity == "signal":
         return Uncertain(value, errors, common)

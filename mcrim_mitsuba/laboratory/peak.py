@@ -72,20 +72,20 @@ def fit_peak(
     whole = numbers_per_bin(values) is not None
     _check(values, shape, window, whole)
     if window is None:
-        found = main_peak(values, counts)
+        place = main_peak(values, counts)
     else:
         inside = _inside(values, window)
-        found = peak_inside(values[inside], counts[inside])
-    if found is None:
+        place = peak_inside(values[inside], counts[inside])
+    if place is None:
         return None
     shapes = (COUNTING, GAUSSIAN) if whole else (GAUSSIAN,)
-    fits = {name: _fit_shape(values, counts, found, name, window) for name in shapes}
+    fits = {name: _fit_shape(values, counts, place, name, window) for name in shapes}
     chosen = shape if shape != AUTO else _likely(fits)
     peak = fits.pop(chosen)
     if peak is None:
         return None
     other = next(iter(fits.values()), None)
-    doubts = _doubts_of_fit(values, peak, found, window)
+    doubts = _doubts_of_fit(values, peak, place, window)
     if shape == AUTO and whole:
         doubts += _doubts_of_shape(peak, other)
     return replace(peak, other=other, warnings=tuple(doubts))
@@ -133,10 +133,10 @@ def _inside(values: Array, window: tuple[float, float]) -> NDArray[np.bool_]:
 
 
 def _fit_shape(
-    values: Array, counts: Array, found: Found, shape: str, given: tuple[float, float] | None
+    values: Array, counts: Array, place: Found, shape: str, given: tuple[float, float] | None
 ) -> Peak | None:
     """Fit one shape, again until its window stays the same."""
-    start = _start(shape, found, values)
+    start = _start(shape, place, values)
     if given is not None:
         inside = _inside(values, given)
         only, _, clear = fit_band(values[inside], counts[inside], shape, start)
@@ -144,22 +144,22 @@ def _fit_shape(
     peak: Peak | None = None
     window = np.zeros(len(values), bool)
     for _ in range(_MOST_FITS):
-        at, before = peak or found, window
+        at, before = peak or place, window
         width = at.width if shape == GAUSSIAN else max(at.width, math.sqrt(max(at.centroid, 0.0)))
         below, above = _WINDOW[shape]
         low, high = at.centroid - below * width, at.centroid + above * width
-        window = _inside(values, (max(low, found.low), min(high, found.high)))
+        window = _inside(values, (max(low, place.low), min(high, place.high)))
         if window.sum() < _FEWEST_BINS or np.array_equal(window, before):
             break
         peak, start, _ = fit_band(values[window], counts[window], shape, start)
     return peak
 
 
-def _start(shape: str, found: Found, values: Array) -> Array:
+def _start(shape: str, place: Found, values: Array) -> Array:
     """Events, centroid, spread and the background at both ends, as `fit_band` has them."""
-    events = found.height * found.width * math.sqrt(2 * math.pi) / (values[1] - values[0])
-    spread = found.width if shape == GAUSSIAN else found.width**2 - found.centroid
-    return np.array([events, found.centroid, spread, found.background, found.background])
+    events = place.height * place.width * math.sqrt(2 * math.pi) / (values[1] - values[0])
+    spread = place.width if shape == GAUSSIAN else place.width**2 - place.centroid
+    return np.array([events, place.centroid, spread, place.background, place.background])
 
 
 # Widths on each side of the centroid that a fit must see.
@@ -177,38 +177,38 @@ _POOR = 0.02
 
 
 def _doubts_of_fit(
-    values: Array, peak: Peak, found: Found, given: tuple[float, float] | None
+    values: Array, peak: Peak, place: Found, given: tuple[float, float] | None
 ) -> list[str]:
     """A sentence for each doubt about a peak that was searched where it was `found`."""
-    said = []
+    doubts = []
     half = 0.5 * peak.bin_width
     for seen, side, at_end, level in (
-        (peak.centroid - peak.low + half, "below", peak.low == values[0], found.low_level),
-        (peak.high - peak.centroid + half, "above", peak.high == values[-1], found.high_level),
+        (peak.centroid - peak.low + half, "below", peak.low == values[0], place.low_level),
+        (peak.high - peak.centroid + half, "above", peak.high == values[-1], place.high_level),
     ):
         how_far = f"{seen / peak.width:.2g} widths {side} its centroid"
         # no event has less than no photon
         cut = seen < _SEEN * peak.width and not (side == "below" and values[0] == 0 and at_end)
         if given is not None:
             if cut:
-                said.append(f"the peak is cut by the window, only {how_far}: choose a wider one")
+                doubts.append(f"the peak is cut by the window, only {how_far}: choose a wider one")
         elif cut and at_end:
-            said.append(f"the peak is cut by the end of the histogram, only {how_far}")
+            doubts.append(f"the peak is cut by the end of the histogram, only {how_far}")
         elif cut or level > SHALLOW:
-            said.append(
+            doubts.append(
                 f"the peak is merged with what lies {side} it: between them the counts fall to "
                 f"{100 * level:.0f} % of its height, and the fit ends {how_far}"
             )
     rise = peak.background_slope * (peak.high - peak.low)
     height = peak.counts_at(np.array(peak.centroid)) - peak.background
     if rise > _RISE * height > 0:
-        said.append(
+        doubts.append(
             "the peak is merged with what lies above it: the background rises by "
             f"{100 * rise / height:.0f} % of its height"
         )
     shift = -_SHIFT * rise / height * peak.width if height > 0 else 0.0
     if -rise > _FALL * height > 0 and shift > peak.centroid_sigma:
-        said.append(
+        doubts.append(
             f"the background falls by {-100 * rise / height:.0f} % of the peak's height, and may "
             f"be no line: the centroid may be off by some {shift:.2g} "
             f"({100 * shift / max(peak.centroid, 1e-9):.1g} %), too low if a continuum ends under "
@@ -216,12 +216,12 @@ def _doubts_of_fit(
         )
     relative = peak.centroid_sigma / max(abs(peak.centroid), 1e-9)
     if relative > _POOR:
-        said.append(
+        doubts.append(
             f"the peak is poor, some {peak.events:.0f} events: its centroid is known to "
             f"± {peak.centroid_sigma:.2g} only ({100 * relative:.1f} %)"
         )
     if peak.p_value < LEAST_P:
-        said.append(
+        doubts.append(
             f"the fit is bad (chi2 = {peak.chi2:.1f}, ndf = {peak.ndf}, {p_equals(peak.p_value)}): "
             f"its errors are {math.sqrt(peak.chi2 / peak.ndf):.2g} times those of the counts"
         )
@@ -234,18 +234,18 @@ def _doubts_of_fit(
         # k2 = m + v and k3 = m + 3 v: 0.63 of 14.94 with v = (10 %)^2, where this gives 0.60
         lean = peak.width**2 / (2 * peak.centroid)
         if lean > peak.centroid_sigma:
-            said.append(
+            doubts.append(
                 "the bins are no whole photon numbers, and a Gaussian was fitted: if they are "
                 "photons or photoelectrons that were counted, the band leans, the Gaussian finds "
                 f"its top, and the mean lies some {lean:.2g} ({100 * lean / peak.centroid:.1g} %) "
                 "higher, or more where the charge of a single one varies"
             )
     if abs(peak.bin_width - 1.0) < 0.01 and abs(values[0] % 1.0 - 0.5) < 0.01:
-        said.append(
+        doubts.append(
             "the bins are centred between whole numbers: if their lower edges are the numbers of "
             "photons, the centroid is 0.5 too high"
         )
-    return said
+    return doubts
 
 
 def _doubts_of_shape(peak: Peak, other: Peak | None) -> list[str]:
@@ -335,19 +335,19 @@ def combine(values: Sequence[float], sigmas: Sequence[float]) -> Repeated:
     chi2, ndf = float(np.sum(((x - weighted) / errors) ** 2)), len(x) - 1
     p_value = float(chdtrc(ndf, chi2))
     outliers = _outliers(x, errors)
-    said = [
+    warnings = [
         f"value {i + 1}, {x[i]:.4g}, is an outlier: the others have a mean of "
         f"{np.delete(x, i).mean():.4g} and scatter by {np.delete(x, i).std(ddof=1):.2g}"
         for i in outliers
     ]
     if spread > _MOST_SCATTER * abs(mean) and p_value < _LEAST_P:
-        said.append(
+        warnings.append(
             f"the values scatter by {spread:.2g}, more than {100 * _MOST_SCATTER:.0f} % of their "
             f"mean: are they all of one configuration?"
         )
-    consistent = not said
+    consistent = not warnings
     if len(x) <= _FEW:
-        said.append(
+        warnings.append(
             f"the scatter of only {len(x)} values is itself known to "
             f"{100 / math.sqrt(2 * ndf):.0f} %, and the error of their mean no better: measure more"
         )
@@ -361,7 +361,7 @@ def combine(values: Sequence[float], sigmas: Sequence[float]) -> Repeated:
         p_value,
         consistent,
         outliers,
-        tuple(said),
+        tuple(warnings),
     )
 
 
@@ -370,7 +370,7 @@ def _outliers(x: np.ndarray, errors: np.ndarray) -> tuple[int, ...]:
     count = len(x)
     if count < 3:
         return ()
-    found = []
+    outliers = []
     for i in range(count):
         others, their_errors = np.delete(x, i), np.delete(errors, i)
         expected = max(
@@ -379,5 +379,5 @@ def _outliers(x: np.ndarray, errors: np.ndarray) -> tuple[int, ...]:
         )
         t = abs(x[i] - others.mean()) / math.sqrt(expected)
         if 2 * stdtr(count - 2, -t) < _LEAST_P / count:
-            found.append(i)
-    return tuple(found)
+            outliers.append(i)
+    return tuple(outliers)

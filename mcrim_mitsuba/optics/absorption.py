@@ -74,12 +74,12 @@ def _slab_at(
     slab = _slab_of_number(measured, _index_of(n, None, wavelength_nm), thickness_mm)
     highest = f"at {wavelength_nm:g} nm, {slab.highest}"
     slab = replace(slab, highest=highest, name=transmittance.name, curve=curve)
-    own, sigmas = transmittance.sigma_at(wavelength_nm), transmittance.sigmas
-    if own is None or sigmas is None:
+    sigma, sigmas = transmittance.sigma_at(wavelength_nm), transmittance.sigmas
+    if sigma is None or sigmas is None:
         return slab
     change = abs(slab.by_transmittance)
     shared = change * float(np.interp(wavelength_nm, transmittance.wavelength_nm, sigmas))
-    return replace(slab, points_sigma_per_cm=change * own, points_shared_per_cm=shared)
+    return replace(slab, points_sigma_per_cm=change * sigma, points_shared_per_cm=shared)
 
 
 def _slab_over(

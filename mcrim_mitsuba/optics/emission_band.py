@@ -76,49 +76,49 @@ def index_over(name: str, emission: Spectrum) -> IndexOverBand:
         If the material is unknown, if more than `LARGEST_OUTSIDE` of the emission lies where its
         index is not, or if the emission has no area.
     """
-    known = material(name)
-    shortest, longest = known.range_nm
+    medium = material(name)
+    shortest, longest = medium.range_nm
     # a point at each end of the range: no stretch of the integral crosses it
-    ends = [end for end in known.range_nm if emission.first_nm < end < emission.last_nm]
+    ends = [end for end in medium.range_nm if emission.first_nm < end < emission.last_nm]
     grid = np.union1d(emission.wavelength_nm, ends)
     emission = replace(emission, wavelength_nm=grid, values=emission.at(grid), sigmas=None)
 
     def mean_of(ray: Dispersion) -> float:
         def held(wavelength_nm: Array) -> Array:
-            return ray.index(np.clip(wavelength_nm, shortest, longest), known.name)
+            return ray.index(np.clip(wavelength_nm, shortest, longest), medium.name)
 
         return average_over(emission, held)[0]
 
     outside, _ = average_over(
-        emission, lambda each: ((each < shortest) | (each > longest)).astype(float)
+        emission, lambda at_nm: ((at_nm < shortest) | (at_nm > longest)).astype(float)
     )
     if outside > LARGEST_OUTSIDE:
         raise emission.refusal(
             f"{100 * outside:.0f} % of the emission is outside {shortest:g} to {longest:g} nm, "
-            f"where the index of {known.name} is known",
+            f"where the index of {medium.name} is known",
             "give the index as a number, or of a material that is known over the whole band",
         )
-    mean, spread = average_over(emission, known.held_index)
+    mean, spread = average_over(emission, medium.held_index)
     missing = 0.0
     if outside > 0:
-        missing, _ = average_over(emission, lambda each: _beyond_the_end(known, each))
+        missing, _ = average_over(emission, lambda at_nm: _beyond_the_end(medium, at_nm))
     return IndexOverBand(
-        material=known,
+        material=medium,
         mean=mean,
         spread=spread,
-        ordinary_mean=mean_of(known.ordinary),
-        extraordinary_mean=None if known.extraordinary is None else mean_of(known.extraordinary),
-        mean_wavelength_nm=average_over(emission, lambda each: each)[0],
+        ordinary_mean=mean_of(medium.ordinary),
+        extraordinary_mean=None if medium.extraordinary is None else mean_of(medium.extraordinary),
+        mean_wavelength_nm=average_over(emission, lambda at_nm: at_nm)[0],
         outside=outside,
         outside_sigma=abs(missing),
     )
 
 
-def _beyond_the_end(known: Material, wavelength_nm: Array) -> Array:
+def _beyond_the_end(medium: Material, wavelength_nm: Array) -> Array:
     """What a straight line beyond the nearer end of the range adds to the index there."""
-    shortest, longest = known.range_nm
+    shortest, longest = medium.range_nm
     step_nm = 1.0
-    at_ends = known.index([shortest, shortest + step_nm, longest - step_nm, longest])
+    at_ends = medium.index([shortest, shortest + step_nm, longest - step_nm, longest])
     first, last = np.diff(at_ends)[[0, -1]] / step_nm
     beyond = wavelength_nm - np.clip(wavelength_nm, shortest, longest)
     return beyond * np.where(beyond < 0, first, last)
@@ -183,28 +183,28 @@ def indices_over_band(
         If the material is unknown, if nothing tells where its band is, or if its index is not
         known over too much of it.
     """
-    found = material(name)
+    medium = material(name)
     if emission is None:
-        emission, origin = _gaussian(found, wavelength_nm)
+        emission, origin = _gaussian(medium, wavelength_nm)
     else:
         origin = f"the emission of {emission.name}" if emission.name else "the emission"
         if quantum_efficiency is not None:
             emission = detected_light(emission, quantum_efficiency)
             origin += " as the tube sees it"
-    over = index_over(found.name, emission)
+    over = index_over(medium.name, emission)
     steps = math.ceil((emission.last_nm - emission.first_nm) / _STEP_NM)
     at = np.linspace(emission.first_nm, emission.last_nm, steps + 1)
     parts = np.clip(np.interp(at, emission.wavelength_nm, emission.values), 0.0, None)
-    return BandIndices(over, found.held_index(at), parts / parts.sum(), origin)
+    return BandIndices(over, medium.held_index(at), parts / parts.sum(), origin)
 
 
-def _gaussian(found: Material, wavelength_nm: float | None) -> tuple[Spectrum, str]:
+def _gaussian(medium: Material, wavelength_nm: float | None) -> tuple[Spectrum, str]:
     """A Gaussian band, and what it is in words."""
-    usual, width = USUAL_BANDS_NM.get(found.name, (None, _USUAL_WIDTH_NM))
+    usual, width = USUAL_BANDS_NM.get(medium.name, (None, _USUAL_WIDTH_NM))
     maximum = usual if wavelength_nm is None else wavelength_nm
     if maximum is None:
         mend = "give its emission (--emission) or the maximum of its band (--wavelength-nm)"
-        raise InputError(f"nothing tells where {found.name} emits", mend)
+        raise InputError(f"nothing tells where {medium.name} emits", mend)
     at = maximum + width * np.linspace(-WIDTHS, WIDTHS, round(2 * WIDTHS * width / _STEP_NM) + 1)
     values = np.exp(-4.0 * math.log(2.0) * ((at - maximum) / width) ** 2)
     words = f"an assumed Gaussian band about {maximum:g} nm, {width:g} nm wide"

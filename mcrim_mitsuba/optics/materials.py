@@ -43,7 +43,7 @@ class Material:
     def range_nm(self) -> tuple[float, float]:
         """Shortest and longest wavelength at which all of its indices are known."""
         both = [self.ordinary, self.extraordinary or self.ordinary]
-        return max(each.shortest_nm for each in both), min(each.longest_nm for each in both)
+        return max(ray.shortest_nm for ray in both), min(ray.longest_nm for ray in both)
 
     def index(self, wavelength_nm: ArrayLike) -> Array:
         """Index of refraction; of a birefringent crystal the mean (2 n_o + n_e) / 3.
@@ -94,13 +94,13 @@ class Material:
         return replace(self, name=name, what=what, ordinary=getattr(self, kind), extraordinary=None)
 
 
-def _formula(known: dict[str, Any]) -> Formula:
+def _formula(entries: dict[str, Any]) -> Formula:
     """The one that has these parameters."""
     given: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in known.items()
+        name: tuple(value) if isinstance(value, list) else value for name, value in entries.items()
     }
     if "wavelengths_um" in given:
-        given["squares_um2"] = tuple(each**2 for each in given.pop("wavelengths_um"))
+        given["squares_um2"] = tuple(length_um**2 for length_um in given.pop("wavelengths_um"))
     if "coefficients" in given:
         return Cauchy(**given)
     return Gas(**given) if "strengths_per_um2" in given else Sellmeier(**given)
@@ -108,11 +108,11 @@ def _formula(known: dict[str, Any]) -> Formula:
 
 def _read_materials() -> Iterator[Material]:
     text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
-    for name, known in tomllib.loads(text).items():
-        limits_nm = known.pop("range_nm")
-        for ray in {"ordinary", "extraordinary"} & known.keys():
-            known[ray] = Dispersion(_formula(known[ray]), *limits_nm)
-        yield Material(name, **known)
+    for name, entries in tomllib.loads(text).items():
+        limits_nm = entries.pop("range_nm")
+        for ray in {"ordinary", "extraordinary"} & entries.keys():
+            entries[ray] = Dispersion(_formula(entries[ray]), *limits_nm)
+        yield Material(name, **entries)
 
 
 MATERIALS = tuple(_read_materials())
@@ -154,14 +154,14 @@ def chemical_formula(name: str) -> str:
     """
     if not is_known(name):
         return name.strip()
-    known = material(name)
-    if known.formula is None:
-        problem = f"{known.name} has no chemical formula in the catalogue of materials"
+    medium = material(name)
+    if medium.formula is None:
+        problem = f"{medium.name} has no chemical formula in the catalogue of materials"
         raise InputError(problem, "write a chemical formula such as CaMoO4")
-    return known.formula
+    return medium.formula
 
 
 def density_of(formula: str) -> float | None:
     """Density in g/cm3 of the material of a chemical formula; None if there is none."""
-    by_formula = {known.formula: known.density_g_per_cm3 for known in MATERIALS[::-1]}
+    by_formula = {medium.formula: medium.density_g_per_cm3 for medium in MATERIALS[::-1]}
     return by_formula.get(formula.strip())

@@ -284,12 +284,12 @@ def _refuse_extrapolation(
             if part > _SMALLEST_OUTSIDE:
                 parts.append((part, f"{100 * part:.2g} % {where}"))
     outside = sum(part for part, _ in parts)
-    said = " and ".join(text for _, text in parts)
+    shares = " and ".join(text for _, text in parts)
     if outside > LARGEST_OUTSIDE:
-        problem = f"{what} ends where the crystal still emits: of the emission {said}"
+        problem = f"{what} ends where the crystal still emits: of the emission {shares}"
         mend = "extend the curve, or cut the emission there if it is no light of the crystal"
         raise quantity.refusal(problem, mend)
-    notes = (f"{said} of the emission lies outside {what} and is left out",) if parts else ()
+    notes = (f"{shares} of the emission lies outside {what} and is left out",) if parts else ()
     return outside, notes
 
 

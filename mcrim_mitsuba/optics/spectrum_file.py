@@ -316,15 +316,15 @@ def _columns(table: DataTable) -> tuple[int, int, int | None]:
 
 def _refuse_foreign(table: DataTable, value: int, kind: Kind) -> None:
     name = table.names[value] if table.names else ""
-    found = _FOREIGN[kind].search(name)
+    foreign = _FOREIGN[kind].search(name)
     wanted, mend = _WANTED[kind]
-    if found is not None:
+    if foreign is not None:
         problem = f"{wanted} is wanted, and '{name}' is something else"
         raise table.refusal(None, value, problem, f"name the right file, or give {mend}")
     if kind == "transmittance" and not _TRANSMITTANCE.search(name):
-        said = next(filter(None, map(_ABSORBANCE.search, table.comments)), None)
-        if said is not None:
-            problem = f"a comment says '{said[0]}', and a transmittance is wanted"
+        comment = next(filter(None, map(_ABSORBANCE.search, table.comments)), None)
+        if comment is not None:
+            problem = f"a comment says '{comment[0]}', and a transmittance is wanted"
             mend = f"name the column T if it is one, else give {mend}"
             raise table.refusal(None, value, problem, mend)
     unit = table.units[value]

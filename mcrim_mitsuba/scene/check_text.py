@@ -152,7 +152,7 @@ def indices_of(file: SceneFile, shape: etree._Element) -> tuple[float, float] | 
     if element is None:
         return None
     parts = {child.get("name"): child for child in element}
-    found = []
+    indices = []
     # Mitsuba's own defaults; `problems_of_text` tells the user to write them out.
     for side, default in (("int", "bk7"), ("ext", "air")):
         index, offset = parts.get(f"{side}_ior"), parts.get(f"{side}_offset")
@@ -164,8 +164,8 @@ def indices_of(file: SceneFile, shape: etree._Element) -> tuple[float, float] | 
             # only the bsdf `polish` has an offset
             if offset is not None and is_filled(value):
                 value += float(offset.get("value", ""))
-        found.append(value)
-    return found[0], found[1]
+        indices.append(value)
+    return indices[0], indices[1]
 
 
 # What is wrong with a scene, as far as its text tells.
@@ -189,10 +189,10 @@ def problems_of_text(file: SceneFile) -> list[SceneProblem]:
 
 def _problems_of_words(file: SceneFile) -> list[SceneProblem]:
     """Elements and attributes that Mitsuba does not know, and references to nothing."""
-    said = [(e, *slip) for e in file.root.iterdescendants() if (slip := misspelt(e)) is not None]
+    slips = [(e, *slip) for e in file.root.iterdescendants() if (slip := misspelt(e)) is not None]
     return [
         SceneProblem("file", text, mend, *file.place_of(element))
-        for element, text, mend in (*said, *misled(file.root))
+        for element, text, mend in (*slips, *misled(file.root))
     ]
 
 
@@ -200,14 +200,14 @@ def _problems_of_parameters(file: SceneFile) -> list[SceneProblem]:
     """Scene parameters that are negative, out of range or look like another unit."""
     problems = []
     for name, value in file.parameters.items():
-        known = isinstance(value, int | float) and not isinstance(value, bool)
-        if known and (found := judge(name, float(value))) is not None:
-            kind, text, mend = found
-            said, default = f"{name} = {value:g}", file.defaults[name]
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if is_number and (wrong := judge(name, float(value))) is not None:
+            kind, text, mend = wrong
+            what, default = f"{name} = {value:g}", file.defaults[name]
             place: tuple[Path, int | None] = default.path, default.line
             if name in file.overrides:
-                said, place = f"the value given for {name} is {value:g}", (file.path, None)
-            problems.append(SceneProblem(kind, f"{said}: {text}", mend, *place))
+                what, place = f"the value given for {name} is {value:g}", (file.path, None)
+            problems.append(SceneProblem(kind, f"{what}: {text}", mend, *place))
     if problems:
         return problems
     names = [f"{part}_width_mm" for part in ("crystal", "window")]
@@ -235,8 +235,8 @@ def _problems_of_rotations(file: SceneFile) -> list[SceneProblem]:
         if abs(length - 1.0) > 1e-4:
             unit = [value / length for value in axis] if length else [0.0, 0.0, 1.0]
             mended = " ".join(f'{n}="{v:.6g}"' for n, v in zip("xyz", unit, strict=False))
-            said = f"the axis of this <rotate> has the length {length:.4g}"
-            text = f"{said}: Mitsuba would distort the shape"
+            what = f"the axis of this <rotate> has the length {length:.4g}"
+            text = f"{what}: Mitsuba would distort the shape"
             mend = f"give it the length 1: {mended}"
             problems.append(SceneProblem("value", text, mend, path, line))
     return problems

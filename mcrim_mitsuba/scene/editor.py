@@ -82,14 +82,14 @@ class Node:
 
     def child(self, tag: str, **attributes: str) -> Node | None:
         """The first child element of this tag with these attributes."""
-        for each in self.elements:
-            if each.tag == tag and attributes.items() <= each.attributes.items():
-                return each
+        for node in self.elements:
+            if node.tag == tag and attributes.items() <= node.attributes.items():
+                return node
         return None
 
     def named(self, name: str) -> Node | None:
         """The property of this name, whatever its kind."""
-        return next((each for each in self.elements if each.attributes.get("name") == name), None)
+        return next((node for node in self.elements if node.attributes.get("name") == name), None)
 
 
 @dataclass(frozen=True)
@@ -147,14 +147,14 @@ class SceneEditor:
     @functools.cached_property
     def by_id(self) -> dict[str, Node]:
         """Elements by id, aliases included."""
-        found = {}
+        nodes = {}
         for node in self.root.walk():
             if "id" in node.attributes and node.tag not in ("ref", "alias"):
-                found[node.attributes["id"]] = node
+                nodes[node.attributes["id"]] = node
         for node in self.root.walk():
-            if node.tag == "alias" and node.attributes.get("id") in found:
-                found[node.attributes.get("as", "")] = found[node.attributes["id"]]
-        return found
+            if node.tag == "alias" and node.attributes.get("id") in nodes:
+                nodes[node.attributes.get("as", "")] = nodes[node.attributes["id"]]
+        return nodes
 
     @functools.cached_property
     def shapes(self) -> list[Node]:
@@ -163,11 +163,11 @@ class SceneEditor:
 
     def targets(self, node: Node, tag: str) -> list[Node]:
         """Elements of a tag that a node holds, or points at with ``<ref>``."""
-        own = (
-            self.by_id.get(each.attributes.get("id", "")) if each.tag == "ref" else each
-            for each in node.elements
+        nodes = (
+            self.by_id.get(inner.attributes.get("id", "")) if inner.tag == "ref" else inner
+            for inner in node.elements
         )
-        return [each for each in own if each is not None and each.tag == tag]
+        return [inner for inner in nodes if inner is not None and inner.tag == tag]
 
     def medium(self, shape: Node, side: str) -> Node | None:
         """The medium on the ``interior`` or ``exterior`` side of a shape; None for air."""
@@ -180,10 +180,10 @@ class SceneEditor:
         """Media behind and in front of a shape."""
         return self.medium(shape, "interior"), self.medium(shape, "exterior")
 
-    def _beside(self, shapes: list[Node], *known: Node) -> list[Node]:
+    def _beside(self, shapes: list[Node], *without: Node) -> list[Node]:
         """Media that shapes border, each once, those known already left out."""
         media = {medium for shape in shapes for medium in self.media(shape)}
-        return [medium for medium in media if medium is not None and medium not in known]
+        return [medium for medium in media if medium is not None and medium not in without]
 
     def bsdf(self, shape: Node) -> Node | None:
         """What a shape wears."""
@@ -200,50 +200,50 @@ class SceneEditor:
     @functools.cached_property
     def crystal(self) -> Node:
         """The medium that scintillates."""
-        found = self.targets(self.emitter, "medium")
-        if len(found) != 1 or found[0].type != "bulk":
+        media = self.targets(self.emitter, "medium")
+        if len(media) != 1 or media[0].type != "bulk":
             problem = "the scintillation names no medium of type bulk"
             raise self.refusal(problem, "name the crystal's medium", self.emitter)
-        return found[0]
+        return media[0]
 
     @functools.cached_property
     def crystal_faces(self) -> list[Node]:
         """Shapes with the crystal on one side."""
-        found = [shape for shape in self.shapes if self.crystal in self.media(shape)]
-        if not found:
+        faces = [shape for shape in self.shapes if self.crystal in self.media(shape)]
+        if not faces:
             raise self.refusal("no shape borders the crystal", "name it as interior", self.crystal)
-        return found
+        return faces
 
     @functools.cached_property
     def gap(self) -> Node:
         """The medium that touches the crystal."""
         # crept up beside the crystal, the gap's liquid is a medium of its own
         beside = self._beside(self.crystal_faces, self.crystal)
-        found = [medium for medium in beside if medium.named("endless") is None]
-        if len(found) != 1 or found[0].type != "bulk":
-            said = f"{len(found)} media of type bulk touch the crystal"
+        media = [medium for medium in beside if medium.named("endless") is None]
+        if len(media) != 1 or media[0].type != "bulk":
+            problem = f"{len(media)} media of type bulk touch the crystal"
             mend = "name the gap's medium as exterior of the crystal's bottom face"
-            raise self.refusal(f"{said}; the gap must be the only one", mend, self.crystal)
-        return found[0]
+            raise self.refusal(f"{problem}; the gap must be the only one", mend, self.crystal)
+        return media[0]
 
     @functools.cached_property
     def window(self) -> Node:
         """The medium on the other side of the gap."""
         faces = [shape for shape in self.shapes if self.gap in self.media(shape)]
-        found = self._beside(faces, self.gap, self.crystal)
-        if len(found) != 1:
-            said = f"{len(found)} media touch the gap beside the crystal"
+        media = self._beside(faces, self.gap, self.crystal)
+        if len(media) != 1:
+            problem = f"{len(media)} media touch the gap beside the crystal"
             mend = "name the window's medium as interior of its entrance face"
-            raise self.refusal(f"{said}; the window must be the only one", mend, self.gap)
-        return found[0]
+            raise self.refusal(f"{problem}; the window must be the only one", mend, self.gap)
+        return media[0]
 
     @functools.cached_property
     def detectors(self) -> list[Node]:
         """The ``photodetector`` bsdfs, one for each face or shared."""
-        found = self.all("bsdf", "photodetector")
-        if not found:
+        bsdfs = self.all("bsdf", "photodetector")
+        if not bsdfs:
             raise self.refusal("the scene has no photodetector", "let a shape wear one")
-        return found
+        return bsdfs
 
     def before(self, detector: Node) -> set[Node]:
         """The media before a detector; none where that is air."""
@@ -256,9 +256,9 @@ class SceneEditor:
         for shape in self.shapes:
             for index, medium in zip(INDICES, self.media(shape), strict=True):
                 for bsdf in self._worn_by(shape) if medium in media else ():
-                    known = bsdf.named(index) if bsdf.type in INTERFACES else None
-                    if known is not None:
-                        return known.attributes["value"]
+                    number = bsdf.named(index) if bsdf.type in INTERFACES else None
+                    if number is not None:
+                        return number.attributes["value"]
         problem = "no interface says the index of what is before the detector"
         raise self.refusal(problem, "name the window's medium on its faces", detector)
 
@@ -275,7 +275,7 @@ class SceneEditor:
     @functools.cached_property
     def crystal_polish(self) -> list[Node]:
         """The interfaces that the crystal's faces wear; no other face does."""
-        found: dict[Node, None] = {}
+        interfaces: dict[Node, None] = {}
         for face in self.crystal_faces:
             bsdf = self.bsdf(face)
             inner = bsdf
@@ -284,9 +284,9 @@ class SceneEditor:
             if inner is None or inner.type not in INTERFACES:
                 problem = f"{face.label} does not wear a dielectric"
                 raise self.refusal(problem, "only faces of plain polish can be changed", face)
-            found[inner] = None
+            interfaces[inner] = None
         for shape in self.shapes:
-            for bsdf in set(self._worn_by(shape)) & set(found):
+            for bsdf in set(self._worn_by(shape)) & set(interfaces):
                 if shape not in self.crystal_faces:
                     raise self.refusal(
                         f"{bsdf.label} is worn by {shape.label} too, which is no face of the "
@@ -294,7 +294,7 @@ class SceneEditor:
                         "give the crystal's faces a bsdf of their own",
                         bsdf,
                     )
-        return list(found)
+        return list(interfaces)
 
     def resolved(self, overrides: Mapping[str, Value] | None = None) -> dict[Node, etree._Element]:
         """Every element with ``$name`` put in, at other parameters perhaps."""
@@ -357,8 +357,8 @@ class SceneEditor:
 
     def insert_shape(self, xml: str, after: Node) -> None:
         """Put a shape after another one; at the scene's end if that one is included."""
-        own = self._in_scene_itself(after.start, after.end) is not None
-        self.insert_after(after if own else self.root.elements[-1], xml)
+        is_in_scene = self._in_scene_itself(after.start, after.end) is not None
+        self.insert_after(after if is_in_scene else self.root.elements[-1], xml)
 
     def replace(self, node: Node, xml: str) -> None:
         """Put XML in the place of an element (or of a comment)."""
@@ -537,9 +537,9 @@ class SceneEditor:
 
     def _filled(self, node: Node, xml: str) -> tuple[int, int, str]:
         """The splice that gives an element without elements a content."""
-        own = self._indentation(node)
-        block = xml if own is None else f"\n{self._block(xml, own + self._unit)}"
-        after = "" if own is None else f"\n{own}"
+        indentation = self._indentation(node)
+        block = xml if indentation is None else f"\n{self._block(xml, indentation + self._unit)}"
+        after = "" if indentation is None else f"\n{indentation}"
         if node.inside < node.end:
             # a comment may be in it, and blanks
             end = len(self._text[: node.close].rstrip())

@@ -69,8 +69,8 @@ class EmittedLight:
 
     def seen_by(self, efficiency: Spectrum) -> EmittedLight:
         """The same light before a detector of another efficiency, 0 beyond its points."""
-        at, known = self.wavelength_nm, efficiency
-        seen = np.interp(at, known.wavelength_nm, known.values, left=0.0, right=0.0)
+        at, curve = self.wavelength_nm, efficiency
+        seen = np.interp(at, curve.wavelength_nm, curve.values, left=0.0, right=0.0)
         return replace(self, efficiency=seen, detected=True)
 
     def colours(self, most: int) -> Colours:
@@ -84,13 +84,13 @@ class EmittedLight:
         middle = 0.5 * (upto[1:] + upto[:-1])
         piece = np.minimum((middle * pieces).astype(int), pieces - 1)
         parts = np.bincount(piece, seen, pieces)
-        own = self.at(self.mean_nm)
+        at_mean = self.at(self.mean_nm)
 
         def over_mean(name: str) -> Array:
             if name not in self.parameters:
                 return np.ones(np.count_nonzero(parts))
             means = np.bincount(piece, seen * self.parameters[name], pieces)
-            return np.asarray(means[parts > 0.0] / parts[parts > 0.0] / own[name], float)
+            return np.asarray(means[parts > 0.0] / parts[parts > 0.0] / at_mean[name], float)
 
         shares = parts[parts > 0.0] / parts.sum()
         return Colours(np.asarray(shares, float), *map(over_mean, COEFFICIENTS))
@@ -146,18 +146,18 @@ def read_light(
         mend = f"leave the column {EFFICIENCY} or the other file out"
         raise InputError(problem, mend, path=table.path)
     varying = {
-        name: known.material.held_index(grid)
-        for name, known in scene.materials.items()
+        name: index.material.held_index(grid)
+        for name, index in scene.materials.items()
         if name not in columns
     }
     varying |= {n: np.interp(grid, emission.wavelength_nm, v) for n, v in columns.items()}
     varying = {name: values for name, values in varying.items() if np.ptp(values) > 0.0}
-    found = EmittedLight(grid, light, np.ones_like(grid), varying, False, Path(path))
+    emitted = EmittedLight(grid, light, np.ones_like(grid), varying, False, Path(path))
     if seen is not None:
-        return found.seen_by(Spectrum(emission.wavelength_nm, seen))
+        return emitted.seen_by(Spectrum(emission.wavelength_nm, seen))
     if quantum_efficiency is not None:
-        return found.seen_by(read_spectrum(quantum_efficiency, "quantum_efficiency"))
-    return found
+        return emitted.seen_by(read_spectrum(quantum_efficiency, "quantum_efficiency"))
+    return emitted
 
 
 def _as_named(table: DataTable, column: int) -> str:
@@ -172,7 +172,7 @@ def _columns(
     table: DataTable, names: list[str], scene: SceneFile
 ) -> tuple[Array, dict[str, Array]]:
     """Wavelengths, rising, and the other columns by name."""
-    found: dict[str, Array] = {}
+    columns: dict[str, Array] = {}
     for column, name in enumerate(names):
         numbers = [n for n, value in scene.parameters.items() if isinstance(value, float)]
         if name not in (WAVELENGTH, EMISSION, EFFICIENCY, *numbers):
@@ -186,14 +186,14 @@ def _columns(
             row = int(wrong.argmax())
             problem = f"{name} = {values[row]:g} is out of range"
             raise table.refusal(row, column, problem, f"give {low:g} to {high:g}")
-        found[name] = values
-    order = np.argsort(found[WAVELENGTH], kind="stable")
-    same = np.diff(found[WAVELENGTH][order]) <= 0.0
+        columns[name] = values
+    order = np.argsort(columns[WAVELENGTH], kind="stable")
+    same = np.diff(columns[WAVELENGTH][order]) <= 0.0
     if same.any():
         row = int(order[int(same.argmax()) + 1])
-        problem = f"{found[WAVELENGTH][row]:g} nm stands there twice"
+        problem = f"{columns[WAVELENGTH][row]:g} nm stands there twice"
         raise table.refusal(row, names.index(WAVELENGTH), problem, "keep one of the rows")
-    columns = {name: values[order] for name, values in found.items()}
+    columns = {name: values[order] for name, values in columns.items()}
     return columns.pop(WAVELENGTH), columns
 
 

@@ -102,7 +102,7 @@ class SceneFile:
 
     def overrides_for_mitsuba(self) -> dict[str, str]:
         """Keyword arguments for ``mitsuba.load_file`` that give this same scene."""
-        named = {name: value_text(known.value) for name, known in self.materials.items()}
+        named = {name: value_text(index.value) for name, index in self.materials.items()}
         return {**self.overrides, **named}
 
     def with_overrides(self, overrides: Mapping[str, Value]) -> SceneFile:
@@ -128,10 +128,10 @@ class SceneFile:
 
     def is_unchanged(self) -> bool:
         """Whether it says what it said, as its files are now, blanks aside."""
-        own = None if self._unwritten is None else resolved(self.path)
-        if not any(self.naming()) and not any(known.emission for known in self.materials.values()):
+        itself = None if self._unwritten is None else resolved(self.path)
+        if not any(self.naming()) and not any(index.emission for index in self.materials.values()):
             # most scenes: nothing is put together again where no byte differs
-            read = {resolved(path) for path in set(self._files.values())} - {own}
+            read = {resolved(path) for path in set(self._files.values())} - {itself}
             with contextlib.suppress(InputError, KeyError):  # KeyError: a link leads elsewhere now
                 if all(read_bytes(path, _LIMIT_MB) == self._sources[path] for path in read):
                     return True
@@ -144,7 +144,7 @@ class SceneFile:
     @property
     def included(self) -> tuple[Path, ...]:
         """Files that it includes, and spectra that its indices are averaged over, each once."""
-        spectra = [known.emission for known in self.materials.values() if known.emission]
+        spectra = [index.emission for index in self.materials.values() if index.emission]
         files = [path for path in self._files.values() if path != self.path]
         return tuple(dict.fromkeys([*files, *spectra]))
 
@@ -168,9 +168,9 @@ class SceneFile:
     def notes(self) -> tuple[str, ...]:
         """What the reader must know of the scene before using numbers that rest on it."""
         return tuple(
-            f"{name} of {known.path.name}, line {known.line}, is declared but never used: changing "
-            "it would change nothing"
-            for name, known in self.defaults.items()
+            f"{name} of {default.path.name}, line {default.line}, is declared but never used: "
+            "changing it would change nothing"
+            for name, default in self.defaults.items()
             if name in self.unused
         )
 
@@ -181,8 +181,8 @@ class SceneFile:
 
     def __reduce__(self) -> tuple[Callable[..., SceneFile], tuple[Any, ...]]:
         # lxml's elements cannot be pickled: the copy is put together from the same bytes
-        known = (self.path, self.overrides, self._sources, self._indices, self._unwritten)
-        return _assemble, known
+        arguments = (self.path, self.overrides, self._sources, self._indices, self._unwritten)
+        return _assemble, arguments
 
     @functools.cached_property
     def content_hash(self) -> str:
@@ -193,8 +193,8 @@ class SceneFile:
         every folder in which Mitsuba may look for them.
         """
         text = etree.tostring(self.root, encoding="unicode")
-        said = etree.canonicalize(text, strip_text=True, exclude_tags=["sensor"])
-        digest = hashlib.sha256(said.encode())
+        canonical = etree.canonicalize(text, strip_text=True, exclude_tags=["sensor"])
+        digest = hashlib.sha256(canonical.encode())
         for element, files in self.naming():
             for named in files:
                 digest.update(self._digest_of(named, element))
@@ -245,8 +245,8 @@ class ScenePlan:
 
     def __reduce__(self) -> tuple[Callable[..., SceneFile], tuple[Any, ...]]:
         # whoever it is sent to needs the scene itself
-        make, (path, overrides, *known) = self.base.__reduce__()
-        return make, (path, {**overrides, **self.overrides}, *known)
+        make, (path, overrides, *others) = self.base.__reduce__()
+        return make, (path, {**overrides, **self.overrides}, *others)
 
 
 def read_scene(
@@ -467,7 +467,9 @@ class _Assembly:
         """The refusal of a ``$name`` that no default above it declares."""
         if not name:
             return InputError("a $ without a name", "write $name or remove it", **place)
-        start = max((known for known in self.texts if name.startswith(known)), key=len, default="")
+        start = max(
+            (declared for declared in self.texts if name.startswith(declared)), key=len, default=""
+        )
         if start:
             silently = self.texts[start] + name.removeprefix(start)
             problem = (

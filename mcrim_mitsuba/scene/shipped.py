@@ -43,8 +43,8 @@ def scene_files() -> tuple[Path, ...]:
     """All that ships: paths below `scenes_folder` (errors as there), subfolders' last."""
     folder = scenes_folder()
     there = (path for path in folder.rglob("*") if path.is_file())
-    found = (path.relative_to(folder) for path in there if "__pycache__" not in path.parts)
-    return tuple(sorted(found, key=lambda path: (len(path.parts), path.parts)))
+    names = (path.relative_to(folder) for path in there if "__pycache__" not in path.parts)
+    return tuple(sorted(names, key=lambda path: (len(path.parts), path.parts)))
 
 
 def copy_scenes(target: str | Path) -> tuple[Path, ...]:

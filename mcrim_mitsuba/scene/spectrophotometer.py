@@ -153,10 +153,10 @@ def _worn(editor: SceneEditor, faces: list[Node]) -> set[Node]:
 
 def _refuse_liquids(derived: SceneFile, editor: SceneEditor) -> None:
     for shape in shape_elements(derived):
-        found = indices_of(derived, shape)
-        if found is not None and is_filled(min(found)):
+        indices = indices_of(derived, shape)
+        if indices is not None and is_filled(min(indices)):
             raise editor.refusal(
-                f"{shape.get('id')} touches an index of {min(found):g} in the beam, too",
+                f"{shape.get('id')} touches an index of {min(indices):g} in the beam, too",
                 f"name the liquid's index as a parameter {GAP_INDEX}, which is that of air there",
             )
 
@@ -171,13 +171,13 @@ def scattered_share(scene: SceneFile, acceptance_deg: float) -> float | None:
     """
     faces = [shape for shape in shape_elements(scene) if shape.get("type") != "beam_detector"]
     worn = [bsdf_of(scene, face) for face in faces]
-    found = [indices_of(scene, face) for face in faces]
+    indices = [indices_of(scene, face) for face in faces]
     even = all(medium.find("phase") is None for medium in scene.root.iter("medium"))
     plain = all(bsdf is not None and bsdf.get("type") == "dielectric" for bsdf in worn)
     rectangles = all(face.get("type") == "rectangle" for face in faces)
     graded = any(e.get("name") == "scattering_gradient" for e in scene.root.iter("float"))
-    if not (even and plain and rectangles) or graded or None in found:
+    if not (even and plain and rectangles) or graded or None in indices:
         return None
-    n = max(max(pair) for pair in found if pair is not None)
+    n = max(max(pair) for pair in indices if pair is not None)
     sine = math.sin(math.radians(acceptance_deg)) / n
     return 0.5 * (1.0 - math.sqrt(1.0 - sine**2))

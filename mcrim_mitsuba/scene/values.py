@@ -70,18 +70,18 @@ class MaterialIndex:
     @property
     def words(self) -> str:
         """Material, wavelength, error and source."""
-        known = self.material
+        material = self.material
         at = (
             f"at {self.wavelength_nm:g} nm"
             if self.emission is None
             else f"over the emission of {self.emission.name}"
         )
-        if known.extraordinary:
+        if material.extraordinary:
             at += ", mean of all directions and polarisations (2 n_o + n_e) / 3"
         notes = "".join(f"; {note}" for note in self.notes)
         return (
-            f"{known.name} ({known.what}) {at}, known to {known.sigma:g}; source: {known.source}"
-            f"{notes}"
+            f"{material.name} ({material.what}) {at}, known to {material.sigma:g}; source: "
+            f"{material.source}{notes}"
         )
 
 
@@ -90,7 +90,7 @@ def names_material(name: str, text: str) -> bool:
     return name.startswith("n_") and (SEPARATOR in text or is_known(text))
 
 
-def read_index(said: str, text: str, folder: Path | None = None, **place: Any) -> MaterialIndex:
+def read_index(what: str, text: str, folder: Path | None = None, **place: Any) -> MaterialIndex:
     """Index of refraction that a text names.
 
     Parameters
@@ -111,51 +111,51 @@ def read_index(said: str, text: str, folder: Path | None = None, **place: Any) -
         If the material or the unit is unknown, the spectrum cannot be read, or the material's
         index is not known at the wavelength, or for too much of the emission.
     """
-    known, where = material_at(said, text, **place)
+    medium, where = material_at(what, text, **place)
     if isinstance(where, str):
         home = Path(place.get("path") or "").parent if folder is None else folder
-        return _over_emission(said, text, known, home / where, place)
-    with placed(said.rstrip(","), **place):
-        value = round(float(known.index(where)), _INDEX_DECIMALS)
-    return MaterialIndex(text.strip(), value, known, where, None)
+        return _over_emission(what, text, medium, home / where, place)
+    with placed(what.rstrip(","), **place):
+        value = round(float(medium.index(where)), _INDEX_DECIMALS)
+    return MaterialIndex(text.strip(), value, medium, where, None)
 
 
-def material_at(said: str, text: str, **place: Any) -> tuple[Material, float | str]:
+def material_at(what: str, text: str, **place: Any) -> tuple[Material, float | str]:
     """Material and wavelength in nm, or the name of an emission spectrum, of such a text.
 
     Parameters and errors as `read_index`, which also reads the spectrum.
     """
     name, _, where = (part.strip() for part in text.partition(SEPARATOR))
-    with placed(said.rstrip(","), **place):
-        known = material(name)
+    with placed(what.rstrip(","), **place):
+        medium = material(name)
     if not where:
-        mend = f"write {_EXAMPLE.format(known.name)}"
-        raise InputError(f"{said} names a material without a wavelength", mend, **place)
+        mend = f"write {_EXAMPLE.format(medium.name)}"
+        raise InputError(f"{what} names a material without a wavelength", mend, **place)
     wavelength = _WAVELENGTH.fullmatch(where)
     if wavelength is None:
-        return known, where
+        return medium, where
     number, unit = wavelength.groups()
     if unit != "nm":
         how = f"in '{unit}'" if unit else "without its unit"
-        mend = f"write it in nm: {_EXAMPLE.format(known.name)}"
-        raise InputError(f"{said} gives the wavelength {how}", mend, **place)
-    return known, float(number)
+        mend = f"write it in nm: {_EXAMPLE.format(medium.name)}"
+        raise InputError(f"{what} gives the wavelength {how}", mend, **place)
+    return medium, float(number)
 
 
 def _over_emission(
-    said: str, text: str, known: Material, path: Path, place: dict[str, Any]
+    what: str, text: str, medium: Material, path: Path, place: dict[str, Any]
 ) -> MaterialIndex:
     """Mean over the emission spectrum in a file."""
     if not is_there(path):
-        problem = f"{said} names neither a wavelength nor a file: {path} does not exist"
-        raise InputError(problem, f"write {_EXAMPLE.format(known.name)}", **place)
+        problem = f"{what} names neither a wavelength nor a file: {path} does not exist"
+        raise InputError(problem, f"write {_EXAMPLE.format(medium.name)}", **place)
     from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 
     emission = read_spectrum(path, "emission")
-    with placed(said.rstrip(","), **place):
-        band = index_over(known.name, emission)
+    with placed(what.rstrip(","), **place):
+        band = index_over(medium.name, emission)
     value = round(band.mean, _INDEX_DECIMALS)
-    return MaterialIndex(text.strip(), value, known, None, path, (*emission.notes, *band.notes))
+    return MaterialIndex(text.strip(), value, medium, None, path, (*emission.notes, *band.notes))
 
 
 def parse_material(
@@ -210,8 +210,8 @@ def parse_like(name: str, text: str, example: Value, *, given: bool = False, **p
         If the text is of another kind or blank.
     """
     if not text.strip():
-        said = f"the value given for {name} is blank" if given else f"{name} has no value"
-        raise InputError(said, "give one", **place)
+        problem = f"the value given for {name} is blank" if given else f"{name} has no value"
+        raise InputError(problem, "give one", **place)
     if isinstance(example, bool):
         if text.strip().lower() not in BOOLEANS:
             problem = f"{as_said(name, text.strip(), given)} is neither true nor false"
@@ -290,10 +290,10 @@ def told_of_comma(option: str, text: str | None) -> list[str]:
     InputError
         If it is surely a decimal comma, or as likely as not: lists go up.
     """
-    found = _TWO_OR_ONE.fullmatch((text or "").strip())
-    if found is None:
+    match = _TWO_OR_ONE.fullmatch((text or "").strip())
+    if match is None:
         return []
-    first, second = found.groups()
+    first, second = match.groups()
     if int(second) <= int(first):
         problem = f"{option} = '{text}' may be one number with a decimal comma, or two"
         mend = f"write {first}.{second} for one, {first};{second} for two"

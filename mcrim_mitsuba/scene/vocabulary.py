@@ -71,12 +71,12 @@ def misspelt(element: etree._Element) -> tuple[str, str] | None:
 def misled(root: etree._Element) -> Iterator[tuple[etree._Element, str, str]]:
     """Every ``<ref>`` to nothing, or to a volume on no side; what is wrong, how to mend it."""
     ids = {e.get("id"): str(e.tag) for e in root.iter() if e.tag not in ("ref", "alias")}
-    known = {*ids, *(e.get("as") for e in root.iter("alias"))}
+    names = {*ids, *(e.get("as") for e in root.iter("alias"))}
     of_shapes = set(root.iterfind("shape/ref"))
     for element in root.iter("ref"):
-        if (name := element.get("id", "")) not in known:
+        if (name := element.get("id", "")) not in names:
             # what carries light's surfaces and volumes, not the shapes that wear them
-            meant = [one for one, tag in ids.items() if one and tag != "shape"]
+            meant = [id_ for id_, tag in ids.items() if id_ and tag != "shape"]
             yield element, f"{name!r} is the id of nothing in this scene", did_you_mean(name, meant)
         elif ids.get(name) == "medium" and element in of_shapes:
             if (side := element.get("name", "")) not in SIDES:
