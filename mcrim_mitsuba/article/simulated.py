@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -19,7 +19,7 @@ from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.published import Table1Line
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
 from mcrim_mitsuba.efficiency.simulate import collect
@@ -28,8 +28,16 @@ from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.transport.simulation import SimulationResult
 
-AIR, GEL = "air", "gel"
+AIR = "air"
+GEL = "gel"
 COUPLINGS = {AIR: p.N_AIR.value, GEL: p.N_GEL.value}
+
+#: Scenes: the article's bench, and its relatives.
+BENCH = "camoo4.xml"
+_THIN = "camoo4_thin.xml"
+_CAWO4 = "cawo4.xml"
+_WRAPPED = "camoo4_wrapped.xml"
+_SCENES = (BENCH, _THIN, _CAWO4, _WRAPPED)
 
 #: Photons of each of the four surfaces. The Monte Carlo error of alpha_scat is then 0.005 /cm.
 DEFAULT_PHOTONS = 8_000_000
@@ -68,7 +76,7 @@ class Coupling:
         return self.surface.evaluate(alpha_scat_per_cm, alpha_abs_per_cm)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Simulated:
     """Everything that was simulated for the article."""
 
@@ -85,13 +93,20 @@ class Simulated:
     wrapped: dict[float, SimulationResult]
     #: Scene parameters of the article's bench.
     parameters: dict[str, Value]
-    #: SHA-256 of each scene that was used, at its defaults.
-    scene_hashes: dict[str, str]
-    versions: dict[str, str]
 
     def pair(self, polarised: bool) -> tuple[Coupling, Coupling]:
         """The two couplings, air first."""
         return self.couplings[AIR, polarised], self.couplings[GEL, polarised]
+
+    @property
+    def scene_hashes(self) -> dict[str, str]:
+        """SHA-256 of each scene that was used, at its defaults."""
+        return {name: read_scene(scene_path(name)).content_hash for name in _SCENES}
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """Of what simulated."""
+        return dict(self.thin.versions)
 
 
 def simulate_article(*, run: Run = Run()) -> Simulated:
@@ -113,87 +128,71 @@ def simulate_article(*, run: Run = Run()) -> Simulated:
     if photons < FEWEST_PHOTONS:
         problem = f"{photons:,} photons are too few for the article"
         raise InputError(problem, f"give {FEWEST_PHOTONS:,} or more")
-    runner = _Runner(replace(run, photons=photons, precision=None))
-    couplings = runner.couplings()
-    clear = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0, "n_gap": 1.0}
-    indices = (p.N_CRYSTAL.value, p.N_CRYSTAL.value / p.N_GEL.value)
+    couplings = _couplings(replace(run, photons=photons, precision=None))
+    run = replace(run, photons=round(_SINGLE_SHARE * photons), precision=None)
+    clear = {ALPHA_SCAT: 0.0, ALPHA_ABS: 0.0, "n_gap": 1.0}
     polarised = {"polarization": True}
     return Simulated(
         couplings=couplings,
         bare={
-            n: runner.single(
-                "camoo4.xml",
+            n: _single(
+                BENCH,
                 {**clear, "n_crystal": n},
                 f"bare crystal, n = {n:.4g}",
+                run,
                 max_depth=_BARE_MAX_DEPTH,
             )
-            for n in indices
+            for n in (p.N_CRYSTAL.value, p.N_CRYSTAL.value / p.N_GEL.value)
         },
-        thin=runner.single("camoo4_thin.xml", polarised, "thin sample"),
-        thin_clear=runner.single(
-            "camoo4_thin.xml", {**polarised, "alpha_abs_per_cm": 0.0}, "thin sample, clear"
-        ),
-        cawo4=runner.single("cawo4.xml", polarised, "CaWO4"),
+        thin=_single(_THIN, polarised, "thin sample", run),
+        thin_clear=_single(_THIN, {**polarised, ALPHA_ABS: 0.0}, "thin sample, clear", run),
+        cawo4=_single(_CAWO4, polarised, "CaWO4", run),
         wrapped={
-            reflectance: runner.single(
-                "camoo4_wrapped.xml",
+            reflectance: _single(
+                _WRAPPED,
                 {**polarised, "wrap_reflectance": reflectance},
                 f"wrapped cube, reflectance {reflectance:g}",
+                run,
             )
             for reflectance in WRAP_REFLECTANCES
         },
-        parameters=dict(read_scene(scene_path("camoo4.xml")).parameters),
-        scene_hashes=runner.scene_hashes,
-        versions=runner.versions,
+        parameters=dict(read_scene(scene_path(BENCH)).parameters),
     )
 
 
-@dataclass
-class _Runner:
-    """Runs simulations with common settings and keeps their provenance."""
+def _couplings(run: Run) -> dict[tuple[str, bool], Coupling]:
+    """All couplings, polarised and not."""
+    file = read_scene(scene_path(BENCH))
+    scanned = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, _SCANNED_POINTS)
+    absorptions = [line.alpha_abs_per_cm.value for line in p.TABLE_1]
+    points = [(scattering, absorption) for absorption in absorptions for scattering in scanned]
+    wishes = {
+        (name, polarised): SurfaceWish(
+            f"{name}, {'polarised' if polarised else 'unpolarised'}",
+            file.with_overrides({"n_gap": n_gap, "polarization": polarised}),
+            points,
+            replace(run, seed=run.seed + number),
+        )
+        for polarised in (True, False)
+        for number, (name, n_gap) in enumerate(COUPLINGS.items())
+    }
+    surfaces = record_surfaces(list(wishes.values()))
+    return {
+        key: Coupling(*key, surface) for key, (surface, _) in zip(wishes, surfaces, strict=True)
+    }
 
-    run: Run
-    scene_hashes: dict[str, str] = field(default_factory=dict)
-    versions: dict[str, str] = field(default_factory=dict)
 
-    def couplings(self) -> dict[tuple[str, bool], Coupling]:
-        """All couplings, polarised and not."""
-        file = read_scene(scene_path("camoo4.xml"))
-        self.scene_hashes["camoo4.xml"] = file.content_hash
-        scanned = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, _SCANNED_POINTS)
-        absorptions = [line.alpha_abs_per_cm.value for line in p.TABLE_1]
-        points = [(scattering, absorption) for absorption in absorptions for scattering in scanned]
-        wishes = {
-            (name, polarised): SurfaceWish(
-                f"{name}, {'polarised' if polarised else 'unpolarised'}",
-                file.with_overrides({"n_gap": COUPLINGS[name], "polarization": polarised}),
-                points,
-                replace(self.run, seed=self.run.seed + list(COUPLINGS).index(name)),
-            )
-            for polarised in (True, False)
-            for name in COUPLINGS
-        }
-        made = record_surfaces(list(wishes.values()))
-        return {
-            key: Coupling(*key, surface) for key, (surface, _) in zip(wishes, made, strict=True)
-        }
+def _single(
+    scene: str, overrides: Mapping[str, Value], what: str, run: Run, max_depth: int | None = None
+) -> SimulationResult:
+    """A bench of its own; KeyboardInterrupt if the user interrupts."""
+    from mcrim_mitsuba.transport.simulation import Simulation
 
-    def single(
-        self, scene: str, overrides: Mapping[str, Value], what: str, max_depth: int | None = None
-    ) -> SimulationResult:
-        from mcrim_mitsuba.transport.simulation import Simulation
-
-        file = read_scene(scene_path(scene))
-        self.scene_hashes[scene] = file.content_hash
-        simulation = Simulation(file, overrides, variant=self.run.variant, threads=self.run.threads)
-        if max_depth is not None:
-            simulation.integrator.max_depth = max_depth
-        photons = round(_SINGLE_SHARE * self.run.photons_or(DEFAULT_PHOTONS))
-        result = collect(simulation, run=replace(self.run, photons=photons), what=what)
-        if result.interrupted:
-            raise KeyboardInterrupt
-        self.versions = dict(result.versions)
-        return result
+    simulation = Simulation(scene_path(scene), overrides, variant=run.variant, threads=run.threads)
+    result = collect(simulation, run=run, what=what, max_depth=max_depth)
+    if result.interrupted:
+        raise KeyboardInterrupt
+    return result
 
 
 # The curves of Figs. 3 and 4.
@@ -236,12 +235,12 @@ class EtaCurve(EfficiencySurface):
         alpha_scat, alpha_abs = target
         if alpha_abs != self.line.alpha_abs_per_cm.value:
             raise ValueError(f"the curve is not that of alpha_abs = {alpha_abs:g} /cm")
-        x, known = math.log(alpha_scat), np.log(self.alpha_scat_per_cm)
+        x, grid = math.log(alpha_scat), np.log(self.alpha_scat_per_cm)
         return EtaPoint(
             eta=float(self._spline(x)),
-            sigma=float(np.interp(x, known, self.sigmas)),
+            sigma=float(np.interp(x, grid, self.sigmas)),
             gradient={ALPHA_SCAT: float(self._spline(x, 1)) / alpha_scat},
-            effective_sample_size=float(np.interp(x, known, self._samples)),
+            effective_sample_size=float(np.interp(x, grid, self._samples)),
         )
 
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
@@ -277,7 +276,7 @@ class RatioCurve:
     @property
     def sigma(self) -> Array:
         """Monte Carlo error; the errors of the two couplings are independent."""
-        of_air, of_gel = (each.sigmas / each.etas for each in (self.air, self.gel))
+        of_air, of_gel = (curve.sigmas / curve.etas for curve in (self.air, self.gel))
         return self.ratio * np.hypot(of_air, of_gel)
 
     def smooth(self, alpha_scat_per_cm: Array) -> Array:
@@ -294,9 +293,9 @@ def eta_curves(simulated: Simulated, threads: int | None = None) -> tuple[EtaCur
 
 def ratio_curves(curves: tuple[EtaCurve, ...]) -> tuple[RatioCurve, ...]:
     """Fig. 4 from the curves of Fig. 3, in their order."""
-    found = {(c.coupling.name, c.coupling.polarised, c.line): c for c in curves}
+    by_coupling = {(c.coupling.name, c.coupling.polarised, c.line): c for c in curves}
     return tuple(
-        RatioCurve(air, found[GEL, polarised, line])
-        for (name, polarised, line), air in found.items()
+        RatioCurve(air, by_coupling[GEL, polarised, line])
+        for (name, polarised, line), air in by_coupling.items()
         if name == AIR
     )

@@ -51,7 +51,11 @@ MOST_PHOTONS = 10**10
 
 
 def collect(
-    simulation: Simulation, *, run: Run = Run(), what: str = "simulating"
+    simulation: Simulation,
+    *,
+    run: Run = Run(),
+    what: str = "simulating",
+    max_depth: int | None = None,
 ) -> SimulationResult:
     """Light collection efficiency and the fates of all photons.
 
@@ -64,6 +68,8 @@ def collect(
         simulation's, its progress is told eta.
     what : str
         Its name in progress.
+    max_depth : int, optional
+        Free flights after which a photon is given up; the scene's when not given.
 
     Raises
     ------
@@ -71,7 +77,7 @@ def collect(
         As `Simulation.collect`.
     """
     photons = run.photons_or(MOST_PHOTONS if run.precision else DEFAULT_PHOTONS)
-    size = simulation.launcher().size
+    max_depth = max_depth or simulation.depth_limit
 
     def tell(done: int, total: int, eta: float, sigma: float) -> None:
         if run.precision is not None and sigma > 0 and eta > 0:
@@ -81,20 +87,24 @@ def collect(
 
     if (
         type(current_executor()) is Executor
-        and _lacking(simulation, photons, run) <= _AT_ONCE * size
+        and _lacking(simulation, photons, run, max_depth) <= _AT_ONCE * simulation.launcher().size
     ):
         return simulation.collect(
-            photons, precision=run.precision, seed=run.seed, progress=tell if run.progress else None
+            photons,
+            precision=run.precision,
+            seed=run.seed,
+            progress=tell if run.progress else None,
+            max_depth=max_depth,
         )
-    return _collect_in_units(simulation, photons, run, what, tell)
+    return _collect_in_units(simulation, photons, run, what, max_depth, tell)
 
 
-def _lacking(simulation: Simulation, photons: int, run: Run) -> int:
+def _lacking(simulation: Simulation, photons: int, run: Run, max_depth: int) -> int:
     """Photons that a run takes; with a precision, by a first launch."""
     if run.precision is None:
         return photons
     launcher, first = simulation.launcher(), min(photons, FIRST_LAUNCH)
-    launcher.launch(first, seed=run.seed, number=0, max_depth=simulation.depth_limit)
+    launcher.launch(first, seed=run.seed, number=0, max_depth=max_depth)
     return min(photons, launcher.tally.lacking(run.precision))
 
 
@@ -137,12 +147,12 @@ def _collect_in_units(
     photons: int,
     run: Run,
     what: str,
+    max_depth: int,
     tell: Callable[[int, int, float, float], None],
 ) -> SimulationResult:
     """As `Simulation.collect`, in units of launches that are kept."""
     remember(simulation)
-    max_depth, executor = simulation.depth_limit, current_executor()
-    size = simulation.launcher().size
+    executor, size = current_executor(), simulation.launcher().size
     cache = executor.cache(
         {
             "what": "tallies",
