@@ -32,6 +32,7 @@ from mcrim_mitsuba.campaign.measurements import Measurements, Reading, read_tabl
 from mcrim_mitsuba.campaign.parameter import (
     SCALE,
     CampaignParameter,
+    DetectorTerms,
     LightYieldInput,
     known_ranges,
     read_detector,
@@ -293,48 +294,35 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
 def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
     """The campaign of a document and of the user's own effects."""
     entries = document.table("", CAMPAIGN)
-    effects_there_are = catalogue(folder)
+    there = catalogue(folder)
     scene = read_scene(_sibling(entries, "scene"))
     table = read_table(_sibling(entries, "measurements"), scene.parameters)
     document, measurements, raw = reduce_raw_data(document, table, scene)
-    of_effects = {p.name for effect in effects_there_are.values() for p in effect.parameters}
+    of_effects = {p.name for effect in there.values() for p in effect.parameters}
     samples, measurements = read_samples(
         document, scene, measurements, of_effects | {*scene.parameters, EFFICIENCY_FACTOR}
     )
     _refuse_rows_the_scene_cannot_take(scene, measurements)
     beam = _read_beam(document, scene, measurements)
-    effects = _read_effects(entries, effects_there_are, scene, measurements, beam)
+    effects = _read_effects(entries, there, scene, measurements, beam)
     values = {**scene.parameters, **beam}
-    ranges = known_ranges(effects_there_are, effects, values)
-    _refuse_parameters_of_other_effects(document, effects_there_are, effects, values)
-    brought = [p.name for effect in effects for p in effects_there_are[effect].parameters]
+    _refuse_parameters_of_other_effects(document, there, effects, values)
+    ranges = known_ranges(there, effects, values)
+    brought = [p.name for effect in effects for p in there[effect].parameters]
     parameters = {
         name: read_parameter(document, name, scene, values, measurements, ranges)
         for name in dict.fromkeys([*document.table("parameters"), *brought])
     }
     _refuse_ranges_of_beam(document, parameters, values)
     scale = parameters.pop(SCALE, None)
-    light_yield = read_light_yield(document)
     for sample in samples.values():
-        parameters |= {own.name: own for own in sample.own.values()}
-    if light_yield is not None and raw is not None and raw.efficiency is not None:
-        parts = dict(raw.efficiency.found.contributions)
-        light_yield = replace(light_yield, efficiency_parts=parts)
+        parameters |= {parameter.name: parameter for parameter in sample.own.values()}
+    light_yield = read_light_yield(document)
     detector = read_detector(document, scene, measurements)
     own_scales = any(SCALE in sample.own for sample in samples.values())
-    common = detector.relative_sigma if own_scales else 0.0
-    if light_yield is not None and (shared := shared_efficiency(document)) is not None:
-        table_of_yield = document.table(LIGHT_YIELD)
-        if not own_scales:
-            problem = "no sample has a scale of its own, and shares the efficiency's error"
-            mend = "remove it: it is a part of detector_efficiency_sigma"
-            raise table_of_yield.refusal(SHARED_SIGMA, problem, mend)
-        light_yield = without_shared(table_of_yield, light_yield, shared)
-        common = math.hypot(common, shared)
-    if common:
-        parameters[EFFICIENCY_FACTOR] = efficiency_factor(common)
-    if light_yield is not None:
-        light_yield = detector.applied(light_yield, 0.0 if own_scales else detector.relative_sigma)
+    light_yield, common_sigma = _detected(document, light_yield, raw, detector, own_scales)
+    if common_sigma:
+        parameters[EFFICIENCY_FACTOR] = efficiency_factor(common_sigma)
     campaign = Campaign(
         path=document.path,
         scene=scene,
@@ -345,7 +333,7 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         effects_folder=folder,
         light_yield=light_yield,
         next_measurements=_read_next(document.table(NEXT), scene, parameters),
-        catalogue=effects_there_are,
+        catalogue=there,
         raw=raw,
         beam=beam,
         spectrum=_read_spectrum(entries, scene, raw),
@@ -355,11 +343,49 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         samples=samples,
         convention=choice(entries, CONVENTION, CAMPAIGN),
     )
+    _refuse_contradictions(document, campaign)
+    return with_known_physics(campaign)
+
+
+def _detected(
+    document: TomlDocument,
+    light_yield: LightYieldInput | None,
+    raw: RawData | None,
+    detector: DetectorTerms,
+    own_scales: bool,
+) -> tuple[LightYieldInput | None, float]:
+    """``[light_yield]`` as its detector sees it, and the relative error that samples share.
+
+    That is one of all efficiencies; 0 where no sample has a scale of its own (`own_scales`).
+    """
+    common = detector.relative_sigma if own_scales else 0.0
+    if light_yield is None:
+        return None, common
+    if raw is not None and raw.efficiency is not None:
+        parts = dict(raw.efficiency.found.contributions)
+        light_yield = replace(light_yield, efficiency_parts=parts)
+    if (shared := shared_efficiency(document)) is not None:
+        table = document.table(LIGHT_YIELD)
+        if not own_scales:
+            problem = "no sample has a scale of its own, and shares the efficiency's error"
+            mend = "remove it: it is a part of detector_efficiency_sigma"
+            raise table.refusal(SHARED_SIGMA, problem, mend)
+        light_yield = without_shared(table, light_yield, shared)
+        common = math.hypot(common, shared)
+    sigma = 0.0 if own_scales else detector.relative_sigma
+    return detector.applied(light_yield, sigma), common
+
+
+def _refuse_contradictions(document: TomlDocument, campaign: Campaign) -> None:
+    """Refuse what no fit could determine, and a spectrum of several crystals."""
     _refuse_scales_without_light(campaign)
     if campaign.spectrum is not None:
-        for sample in samples.values():
-            if own := sample.own.keys() & set(COEFFICIENTS):
-                problem = f"{SPECTRUM} is of one crystal, and {sample.name} has its own {min(own)}"
+        for sample in campaign.samples.values():
+            if coefficients := sample.own.keys() & set(COEFFICIENTS):
+                coefficient = min(coefficients)
+                problem = (
+                    f"{SPECTRUM} is of one crystal, and {sample.name} has its own {coefficient}"
+                )
                 raise document.refusal(f"{SAMPLES}.{sample.name}", problem, f"remove {SPECTRUM}")
     if campaign.ndf < 0:
         raise InputError(
@@ -369,7 +395,6 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
             "add readings or priors, or hold a parameter with fixed = true",
             path=campaign.path,
         )
-    return with_known_physics(campaign)
 
 
 def _refuse_scales_without_light(campaign: Campaign) -> None:

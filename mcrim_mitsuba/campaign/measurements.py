@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
 from mcrim_mitsuba.core.files import (
@@ -163,10 +163,53 @@ def read_table(
         With file, line and column, if anything cannot be used.
     """
     path = Path(path)
+    text = _text_of(path)
+    header_line, header = text.lines[0]
+    separator = text.separator or max(",;\t", key=header.count)
+    columns = without_empty_end(csv_cells(header, path, header_line, separator, skip_blanks=True))
+    _check_header(columns, scene_parameters, path, header_line)
+    if scene_parameters is not None and KIND in columns:
+        scene_parameters = {**BEAM_PARAMETERS, **scene_parameters}
+    rows = [_Cells(columns, row, separator, path, line) for line, row in text.lines[1:]]
+    numbers = [
+        (cells.line, name, cell)
+        for cells in rows
+        for name, cell in cells.items()
+        if name not in _TEXTS and is_number(cell)
+    ]
+
+    def refusal(problem: str, mend: str, line: int, column: str) -> InputError:
+        return InputError(problem, mend, path=path, line=line, column=column)
+
+    if has_decimal_commas(numbers, refusal):
+        for cells in rows:
+            cells.write_points()
+    table = Measurements(
+        path,
+        text.comments,
+        tuple(name for name in columns if name not in _FORMAT),
+        tuple(cells.row(scene_parameters) for cells in rows),
+    )
+    _check_labels(table)
+    _check_histograms(table)
+    return table
+
+
+class _Text(NamedTuple):
+    """A measurement file's text: its comments, and numbered lines, the header first."""
+
+    comments: tuple[str, ...]
+    lines: list[tuple[int, str]]
+    #: As the first line of Excel gives it; None where there is no such line.
+    separator: str | None
+
+
+def _text_of(path: Path) -> _Text:
+    """What is written in a measurement file; empty lines are left out."""
     comments: list[str] = []
     lines: list[tuple[int, str]] = []
     texts = read_table_text(path, _LIMIT_MB).split("\n")
-    if given := given_separator(texts[0]):
+    if separator := given_separator(texts[0]):
         texts[0] = ""
     for line, text in enumerate(texts, start=1):
         # spreadsheets write empty rows as ,,, fill rows with these, and put quotes around comments;
@@ -181,30 +224,7 @@ def read_table(
         problem = f"more than {_MOST_ROWS:,} readings"
         mend = "is this the file you meant?"
         raise InputError(problem, mend, path=path, line=lines[_MOST_ROWS + 1][0])
-    header_line, header = lines[0]
-    separator = given or max(",;\t", key=header.count)
-    columns = without_empty_end(csv_cells(header, path, header_line, separator, skip_blanks=True))
-    _check_header(columns, scene_parameters, path, header_line)
-    if scene_parameters is not None and KIND in columns:
-        scene_parameters = {**BEAM_PARAMETERS, **scene_parameters}
-    every = [_Cells(columns, text, separator, path, line) for line, text in lines[1:]]
-    numbers = [
-        (cells.line, name, cell)
-        for cells in every
-        for name, cell in cells.items()
-        if name not in _TEXTS and is_number(cell)
-    ]
-    if has_decimal_commas(
-        numbers, lambda *said: InputError(*said[:2], path=path, line=said[2], column=said[3])
-    ):
-        for cells in every:
-            cells.write_points()
-    rows = tuple(cells.row(scene_parameters) for cells in every)
-    parameters = tuple(name for name in columns if name not in _FORMAT)
-    table = Measurements(path, tuple(comments), parameters, rows)
-    _check_labels(table)
-    _check_histograms(table)
-    return table
+    return _Text(tuple(comments), lines, separator)
 
 
 def _check_header(

@@ -30,7 +30,7 @@ from mcrim_mitsuba.campaign.entries import (
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
 from mcrim_mitsuba.core.numbers import Value, parse_number, unit_of, value_text
-from mcrim_mitsuba.core.toml_document import TomlDocument
+from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.optics.fresnel import reflectance
 from mcrim_mitsuba.optics.materials import material
@@ -100,7 +100,7 @@ def read_parameter(
     scene: SceneFile,
     values: Mapping[str, Value],
     measurements: Measurements,
-    known: Mapping[str, KnownRange],
+    ranges: Mapping[str, KnownRange],
     within: str = "parameters",
 ) -> CampaignParameter:
     """Read ``[parameters.NAME]`` and check it by itself and against scene and columns.
@@ -108,16 +108,15 @@ def read_parameter(
     Or a table of that name within another one than ``[parameters]``.
 
     What the table leaves out, or all if there is none: start and bounds are the catalogue's for
-    parameters of effects (`known`); else the start is the scene's value, the bounds are the
+    parameters of effects (`ranges`); else the start is the scene's value, the bounds are the
     usual ones of such a quantity. `values` are the scene's parameters, and the beam's.
 
     Raises InputError with the line in the campaign file, if anything in it cannot be used.
     """
     key = f"{within}.{name}"
-    own = known.get(name)
-    if name != SCALE and name not in values and own is None:
+    if name != SCALE and name not in values and name not in ranges:
         problem = f"{name} is not a parameter of {scene.path.name}, nor of an effect in effects"
-        raise document.refusal(key, problem, did_you_mean(name, [*values, *known, SCALE]))
+        raise document.refusal(key, problem, did_you_mean(name, [*values, *ranges, SCALE]))
     if name in measurements.columns:
         named = name in document.table(within)
         problem = f"{name} is fitted here and a column of {measurements.path.name}"
@@ -129,8 +128,7 @@ def read_parameter(
     if not isinstance(fixed, bool):
         raise table.refusal("fixed", "fixed is not true or false", "write fixed = true")
     given = {entry: table.number(entry) for entry in PARAMETER if entry != "fixed"}
-    prior, prior_sigma = given["prior"], given["prior_sigma"]
-    if (prior is None) != (prior_sigma is None):
+    if (given["prior"] is None) != (given["prior_sigma"] is None):
         problem = f"{name} has only one of prior and prior_sigma"
         raise table.refusal("", problem, "give both or none")
     number_within(table, "prior_sigma", PARAMETER)
@@ -138,30 +136,65 @@ def read_parameter(
     if isinstance(in_scene, (bool, str)):
         problem = f"{name} is {value_text(in_scene)} in the scene, not a number"
         raise table.refusal("", problem, f"remove [{key}]")
-    # the campaign's start, else the catalogue's within its bounds, the scene's or the prior
-    start, low, high = given["start"], given["min"], given["max"]
-    if start is None and own is not None and own.start is not None:
-        start = own.start if high is None else min(own.start, high)
-        start = start if low is None else max(low, start)
-    if start is None:
-        start = in_scene if in_scene is not None else prior
+    start = _start(given, ranges.get(name), in_scene)
     if start is None:
         raise table.refusal("", f"{name} has no start value", "add start = ...")
-    usual = _usual_range(name, in_scene) if own is None else (own.minimum, own.maximum)
+    bounds = _bounds(given, name, ranges.get(name), in_scene, fixed)
+    if bounds is None:
+        problem = f"no range of {name} is known"
+        raise table.refusal("", problem, "give min and max, or fixed = true")
+    parameter = CampaignParameter(
+        name, float(start), *bounds, given["prior"], given["prior_sigma"], fixed
+    )
+    _refuse_what_lies_outside(table, parameter)
+    return parameter
+
+
+def _start(
+    given: Mapping[str, float | None], usual: KnownRange | None, in_scene: float | None
+) -> float | None:
+    """The campaign's start, else the catalogue's within its bounds, the scene's or the prior."""
+    if given["start"] is not None:
+        return given["start"]
+    if usual is not None and usual.start is not None:
+        low, high = given["min"], given["max"]
+        start = usual.start if high is None else min(usual.start, high)
+        return start if low is None else max(low, start)
+    return in_scene if in_scene is not None else given["prior"]
+
+
+def _bounds(
+    given: Mapping[str, float | None],
+    name: str,
+    usual: KnownRange | None,
+    in_scene: float | None,
+    fixed: bool,
+) -> tuple[float, float] | None:
+    """The campaign's bounds, each else the catalogue's or the usual one; None: one is not known."""
+    low, high = given["min"], given["max"]
+    if low is not None and high is not None:
+        return low, high
     if fixed:
-        usual = -math.inf, math.inf
-    if low is None or high is None:
-        if usual is None:
-            problem = f"no range of {name} is known"
-            raise table.refusal("", problem, "give min and max, or fixed = true")
-        low = usual[0] if low is None else low
-        high = usual[1] if high is None else high
+        others: tuple[float, float] | None = (-math.inf, math.inf)
+    elif usual is not None:
+        others = usual.minimum, usual.maximum
+    else:
+        others = _usual_range(name, in_scene)
+    if others is None:
+        return None
+    return others[0] if low is None else low, others[1] if high is None else high
+
+
+def _refuse_what_lies_outside(table: TomlTable, parameter: CampaignParameter) -> None:
+    """Refuse bounds in the wrong order, and a prior or a start outside of them."""
+    name, low, high = parameter.name, parameter.minimum, parameter.maximum
+    start, prior = parameter.start, parameter.prior
     if low >= high:
         raise table.refusal("min", f"min = {low:g} is not below max = {high:g}", "give min < max")
-    if prior is not None and prior_sigma is not None:
-        outside = max(low - prior, prior - high) / prior_sigma
+    if prior is not None and parameter.prior_sigma is not None:
+        outside = max(low - prior, prior - high) / parameter.prior_sigma
         if outside > _FARTHEST_PRIOR:
-            away = f"{prior:g} ± {prior_sigma:g}, is far outside {low:g}..{high:g}"
+            away = f"{prior:g} ± {parameter.prior_sigma:g}, is far outside {low:g}..{high:g}"
             problem = f"the prior of {name}, {away}"
             mend = "check its sign and unit, or give other min and max"
             raise table.refusal("prior", problem, mend)
@@ -174,10 +207,9 @@ def read_parameter(
         )
         problem = f"{what} outside {low:g}..{high:g}"
         raise table.refusal("start", problem, f"{mend} other min and max")
-    if name == SCALE and fixed and start <= 0:
+    if name == SCALE and parameter.fixed and start <= 0:
         problem = f"the scale is held at {start:g}: no signal would be above 0"
         raise table.refusal("start", problem, "give a number above 0, or fit it")
-    return CampaignParameter(name, float(start), low, high, prior, prior_sigma, fixed)
 
 
 def _usual_range(name: str, in_scene: float | None) -> tuple[float, float] | None:

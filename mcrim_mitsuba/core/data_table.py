@@ -310,10 +310,7 @@ def _longest_run(lines: Sequence[_Line], path: Path, roles: Sequence[str]) -> tu
 
     Of two runs as long, the one whose number of cells more rows of the file have.
 
-    Raises
-    ------
-    InputError
-        If no line is a row of numbers.
+    Raises InputError if no line is a row of numbers.
     """
     rows = Counter(len(line.cells) for line in lines if line.kind == ROW)
     best, start, end, columns, count = (0, 0, 0, 0), 0, 0, 0, 0
@@ -340,9 +337,7 @@ def _check_above(lines: Sequence[_Line], columns: _Columns) -> None:
 
     Single numbers are none above a line of text or a comment, as in headers of spectrometers.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     between = None
     for line in reversed(lines):

@@ -106,11 +106,8 @@ def beside(path: Path, name: str) -> Path:
 def read_bytes(path: Path, limit_mb: int) -> bytes:
     """Content of a file of at most `limit_mb` megabytes.
 
-    Raises
-    ------
-    InputError
-        If there is no such file, if it is a folder, empty, too large or unreadable, or if it is
-        a pipe that nobody writes into.
+    Raises InputError if there is no such file, if it is a folder, empty, too large or unreadable,
+    or if it is a pipe that nobody writes into.
     """
     try:
         # a pipe without a writer would else block here for ever
@@ -166,10 +163,8 @@ def sha256(data: bytes) -> str:
 def read_text(path: Path, limit_mb: int) -> str:
     """Content of a UTF-8 text file, a byte order mark removed, line ends as ``\\n``.
 
-    Raises
-    ------
-    InputError
-        As `read_bytes`; or if the file is not UTF-8 or holds zero bytes, with the first bad line.
+    Raises InputError as `read_bytes`; or if the file is not UTF-8 or holds zero bytes, with the
+    first bad line.
     """
     data = read_bytes(path, limit_mb)
     try:
@@ -188,10 +183,7 @@ def read_table_text(path: Path, limit_mb: int) -> str:
     page: digits and signs are the same bytes in all that is neither, so that numbers are certain,
     and µ, ° and Å of names are read.
 
-    Raises
-    ------
-    InputError
-        As `read_bytes`; or if this is no text.
+    Raises InputError as `read_bytes`; or if this is no text.
     """
     data = read_bytes(path, limit_mb)
     for beginning, what in _NO_TEXT:
@@ -258,10 +250,7 @@ def first_duplicates(paths: Sequence[Path]) -> tuple[int, int] | None:
 def write_text(path: str | Path, text: str) -> None:
     """Write a UTF-8 file so that nobody ever sees half of it; ``-`` is standard output.
 
-    Raises
-    ------
-    InputError
-        If the place cannot be written.
+    Raises InputError if the place cannot be written.
     """
     if str(path) in STDOUT:
         try:
@@ -276,10 +265,7 @@ def write_text(path: str | Path, text: str) -> None:
 def make_folder(folder: str | Path) -> Path:
     """A folder for results, made if it is not there.
 
-    Raises
-    ------
-    InputError
-        If that cannot be done.
+    Raises InputError if that cannot be done.
     """
     folder = Path(folder)
     try:
@@ -294,10 +280,7 @@ def make_folder(folder: str | Path) -> Path:
 def write_bytes(path: str | Path, content: bytes) -> None:
     """Write a file so that nobody ever sees half of it.
 
-    Raises
-    ------
-    InputError
-        If the place cannot be written.
+    Raises InputError if the place cannot be written.
     """
     path = Path(path)
     try:
@@ -405,10 +388,7 @@ def refuse_to_replace(texts: Mapping[Path, str]) -> None:
 
     The very same may be there: a line that was interrupted goes on.
 
-    Raises
-    ------
-    InputError
-        Without touching a file.
+    Raises InputError without touching a file.
     """
     for path, text in texts.items():
         if differs(path, text.encode()):
@@ -419,10 +399,7 @@ def refuse_to_replace(texts: Mapping[Path, str]) -> None:
 def refuse_suffix(path: str | Path, wanted: tuple[str, ...], cannot: str) -> None:
     """Refuse a file whose name ends in none of the suffixes; `cannot` says who will not write it.
 
-    Raises
-    ------
-    InputError
-        If it is another one.
+    Raises InputError if it is another one.
     """
     suffix = Path(path).suffix
     if suffix.lower() not in wanted:
@@ -535,10 +512,7 @@ def plain(value: Any) -> Any:
 
     Dataclasses and mappings become dicts, sequences and arrays lists, paths text.
 
-    Raises
-    ------
-    TypeError
-        If it holds something else.
+    Raises TypeError if it holds something else.
     """
     if value is None or isinstance(value, str):
         return value

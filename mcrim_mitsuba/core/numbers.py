@@ -124,10 +124,7 @@ def number_of(what: str, value: object, mend: str) -> float:
 
     `what` and `mend` are for the message, as ``the seed`` and ``give 0 or a positive integer``.
 
-    Raises
-    ------
-    InputError
-        If it is none: true and false, complex numbers and arrays of several are not.
+    Raises InputError if it is none: true and false, complex numbers and arrays of several are not.
     """
     if isinstance(value, str):
         value = int(value) if INTEGER.fullmatch(value) else parse_number(what, value)
@@ -151,9 +148,7 @@ def whole_of(what: str, value: object, mend: str, least: int, most: float = math
 def refuse_decimal_comma(what: str, text: str, *, given: bool = False, **place: Any) -> None:
     """Refuse ``12,5`` and ``12,5%``, with the hint to write a point. Parameters as `parse_number`.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     if DECIMAL_COMMA.fullmatch(text.removesuffix("%")):
         problem = f"{as_said(what, text, given)} has a decimal comma"
@@ -229,26 +224,8 @@ def judge(name: str, value: float) -> tuple[str, str, str] | None:
             f"give a number from {low:g} to {high:g}",
         )
     # offsets may be negative, and a source's depth may exceed the crystal
-    if name.endswith("_mm") and "offset" not in name:
-        thin = any(word in name for word in _THIN)
-        shortest = SHORTEST_GAP_MM if thin else SHORTEST_PART_MM
-        longest = LONGEST_GAP_MM if thin else LONGEST_PART_MM
-        if value == 0 and any(word in name for word in _MAY_BE_ZERO):
-            return None
-        if value <= 0:
-            return "value", "a length must be positive", "give it in mm"
-        if value < shortest:
-            return (
-                "unit",
-                f"{value:g} mm is hardly a bench; it looks like metres",
-                f"write it in mm: {value * 1000.0:g}",
-            )
-        if value > longest and "depth" not in name:
-            return (
-                "unit",
-                f"{value:g} mm is hardly a bench; it looks like micrometres",
-                f"write it in mm: {value / 1000.0:g}",
-            )
+    if name.endswith("_mm") and "offset" not in name and (wrong := _judge_length(name, value)):
+        return wrong
     if name.endswith("_per_cm"):
         if value < 0:
             return "coefficient", "a coefficient cannot be negative", "give 0 or more, in 1/cm"
@@ -267,3 +244,25 @@ def judge(name: str, value: float) -> tuple[str, str, str] | None:
     if name.endswith("reflectance") and not 0.0 <= value <= 1.0:
         return "value", "a reflectance lies between 0 and 1", "give a fraction, not percent"
     return None
+
+
+def _judge_length(name: str, value: float) -> tuple[str, str, str] | None:
+    """What is wrong with a length in mm, as `judge` says it."""
+    thin = any(word in name for word in _THIN)
+    shortest = SHORTEST_GAP_MM if thin else SHORTEST_PART_MM
+    longest = LONGEST_GAP_MM if thin else LONGEST_PART_MM
+    if value == 0 and any(word in name for word in _MAY_BE_ZERO):
+        return None
+    if value <= 0:
+        return "value", "a length must be positive", "give it in mm"
+    if value < shortest:
+        meant, factor = "metres", 1000.0
+    elif value > longest and "depth" not in name:
+        meant, factor = "micrometres", 1.0 / 1000.0
+    else:
+        return None
+    return (
+        "unit",
+        f"{value:g} mm is hardly a bench; it looks like {meant}",
+        f"write it in mm: {value * factor:g}",
+    )

@@ -46,10 +46,7 @@ def pdg_parts(value: float, *sigmas: float) -> str:
     All get the last place that `pdg` would give the errors in quadrature, and one more where an
     error would vanish; an error of 0 is written as ``0``.
 
-    Raises
-    ------
-    ValueError
-        If an error is negative or nothing is finite.
+    Raises ValueError if an error is negative or nothing is finite.
     """
     total = math.hypot(*sigmas)
     if not (math.isfinite(value) and math.isfinite(total)) or min(sigmas, default=0.0) < 0:

@@ -50,10 +50,7 @@ class Run:
 
     Who does them is said by `runs.executors`.
 
-    Raises
-    ------
-    InputError
-        If photons, precision or seed are what no run can have.
+    Raises InputError if photons, precision or seed are what no run can have.
     """
 
     #: To be followed; with `precision`, at most. None: as many as the job usually takes.

@@ -202,10 +202,7 @@ def csv_cells(
 
     Quotes may follow a separator and blanks where these are skipped.
 
-    Raises
-    ------
-    InputError
-        If quotes do not match.
+    Raises InputError if quotes do not match.
     """
     try:
         cells = next(

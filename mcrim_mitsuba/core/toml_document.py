@@ -58,10 +58,7 @@ class TomlDocument:
     def table(self, key: str, entries: Iterable[str] | None = None) -> TomlTable:
         """The table of this dotted name (the whole file for ""), empty if it is not there.
 
-        Raises
-        ------
-        InputError
-            If it is not a table or holds a key that is not in `known`.
+        Raises InputError if it is not a table or holds a key that is not in `known`.
         """
         content: Any = self.content
         for part in key.split(".") if key else []:
@@ -93,10 +90,7 @@ class TomlTable(dict[str, Any]):
     def path_of(self, name: str, given: object) -> Path:
         """What an entry gives as a path, relative to the file, which need not be there.
 
-        Raises
-        ------
-        InputError
-            If it is no text, or empty.
+        Raises InputError if it is no text, or empty.
         """
         if not isinstance(given, str) or not given:
             raise self.refusal(name, f"{name} is not a path", f'write {name} = "..."')
@@ -105,10 +99,7 @@ class TomlTable(dict[str, Any]):
     def number(self, name: str) -> float | None:
         """A finite number as float; None if it is not there.
 
-        Raises
-        ------
-        InputError
-            If it is something else.
+        Raises InputError if it is something else.
         """
         value = self.get(name)
         if value is None:
@@ -130,10 +121,7 @@ class TomlTable(dict[str, Any]):
 def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:
     """Read a TOML file; `kind` says what it is, for error messages.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read, or with line and column if it is not TOML.
+    Raises InputError if it cannot be read, or with line and column if it is not TOML.
     """
     text = read_text(path, _LIMIT_MB)
     if deep := _DEEP_NAME.search(text):

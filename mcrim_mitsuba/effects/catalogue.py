@@ -87,11 +87,8 @@ def catalogue(folder: str | Path | None = None) -> dict[str, Effect]:
     Every ``*.py`` in the user's own folder (``_*.py`` left out) is Python that ends in
     ``EFFECT = Effect(...)``. The files are executed: name only a folder that you trust.
 
-    Raises
-    ------
-    InputError
-        With file and line, or distribution, if what it holds is not an effect or takes a name
-        that is taken.
+    Raises InputError, with file and line, or distribution, if what it holds is not an effect or
+    takes a name that is taken.
     """
     effects = dict(BUILT_IN)
     added = list(_installed()) if folder is None else [*_installed(), *_effects_of(Path(folder))]

@@ -51,10 +51,7 @@ def filled(parameters: Mapping[str, Value]) -> bool:
 class EffectParameter:
     """A number that says how large an effect is.
 
-    Raises
-    ------
-    ValueError
-        If these contradict each other.
+    Raises ValueError if these contradict each other.
     """
 
     #: The scene's ``<default>`` (or, for readings, the campaign's parameter).
@@ -132,20 +129,14 @@ class EffectParameter:
     def origin(self, parameters: Mapping[str, Value]) -> float:
         """What the numbers here count from in a scene.
 
-        Raises
-        ------
-        KeyError
-            If the scene lacks the nominal parameter.
+        Raises KeyError if the scene lacks the nominal parameter.
         """
         return 0.0 if self.nominal is None else float(parameters[self.nominal])
 
     def range_in(self, parameters: Mapping[str, Value]) -> tuple[float, float, float]:
         """Start, minimum and maximum as the scene's parameter takes them, offsets added.
 
-        Raises
-        ------
-        KeyError
-            If the scene, which is without the effect, lacks the nominal parameter.
+        Raises KeyError if the scene, which is without the effect, lacks the nominal parameter.
         """
         zero = self.origin(parameters)
         # without the noise of binary sums: 2.01 + 0.03 is 2.04
@@ -189,10 +180,8 @@ class Effect:
     (it acts on signals, whatever the photons did). One with a `weight` usually has an `edit`
     too, for people who want to see it in a scene.
 
-    Raises
-    ------
-    ValueError
-        If it has none of `edit`, `weight`, `colours` and `reading`, or contradicts itself.
+    Raises ValueError if it has none of `edit`, `weight`, `colours` and `reading`, or contradicts
+    itself.
     """
 
     #: Its id.

@@ -41,10 +41,7 @@ def fingerprint(folder: Path) -> str:
 def refuse_untrusted(folder: Path, path: str | None = None, line: int | None = None) -> None:
     """Refuse to execute a folder of effects that the user has not allowed.
 
-    Raises
-    ------
-    UntrustedEffectsError
-        With the `path` and the `line` that name it.
+    Raises UntrustedEffectsError with the `path` and the `line` that name it.
     """
     content = fingerprint(folder)
     if content in _said_now or content == _of_package() or content in _kept():

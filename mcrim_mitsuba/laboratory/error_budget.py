@@ -35,10 +35,7 @@ class Uncertain:
     A negative error moves the value against others of the same origin. An origin may say whose
     it is after a comma: ``counts, air`` and ``counts, gel`` are two independent origins.
 
-    Raises
-    ------
-    ValueError
-        If an origin is of both kinds or an error is not finite.
+    Raises ValueError if an origin is of both kinds or an error is not finite.
     """
 
     #: The number.
@@ -114,12 +111,8 @@ def quotient(
     To first order: relative errors of one origin are added with their signs, so that what
     numerator and denominator share cancels. Factors come with their names, for messages.
 
-    Raises
-    ------
-    InputError
-        If a factor, or the result, is not above 0 or not finite.
-    ValueError
-        If an origin is statistical in one factor and systematic in another.
+    Raises InputError if a factor, or the result, is not above 0 or not finite; ValueError if an
+    origin is statistical in one factor and systematic in another.
     """
     value = 1.0
     statistical: dict[str, float] = {}
@@ -159,12 +152,8 @@ def common_value(values: Sequence[Uncertain]) -> CommonValue:
 
     The mean's errors are those of its origins, fully shared, with these weights.
 
-    Raises
-    ------
-    InputError
-        If a value is not above 0.
-    ValueError
-        If there are none, or an origin is of two kinds.
+    Raises InputError if a value is not above 0; ValueError if there are none, or an origin is of
+    two kinds.
     """
     if not values:
         raise ValueError("no values")
@@ -341,10 +330,7 @@ def contribution(origin: str, relative: float, kind: Kind | None = None) -> Cont
     The origin is one of `ADVICE`, perhaps with whose it is: ``counts, air``; the error is a
     fraction of the value, and its kind that of `ADVICE` unless the number itself says otherwise.
 
-    Raises
-    ------
-    ValueError
-        If the origin is not in `ADVICE`.
+    Raises ValueError if the origin is not in `ADVICE`.
     """
     advice = ADVICE.get(origin.partition(",")[0])
     if advice is None:
@@ -355,10 +341,7 @@ def contribution(origin: str, relative: float, kind: Kind | None = None) -> Cont
 def budget_of(number: Uncertain) -> ErrorBudget:
     """The budget of a number, its kinds as the number has them.
 
-    Raises
-    ------
-    ValueError
-        If an origin is not in `ADVICE`.
+    Raises ValueError if an origin is not in `ADVICE`.
     """
     kinds: dict[str, Kind] = dict.fromkeys(number.statistical, "statistical")
     rows = (

@@ -227,10 +227,7 @@ def read_histogram(path: str | Path) -> Histogram:
     bins after Freedman and Diaconis, or a fifth of the main peak's standard deviation where those
     are too wide for it, of a width that the steps of the numbers divide.
 
-    Raises
-    ------
-    InputError
-        With file and line, if anything cannot be used.
+    Raises InputError, with file and line, if anything cannot be used.
     """
     table = read_data_table(path, roles=_ROLES, limit_mb=_LIMIT_MB)
     columns = table.values.shape[1]

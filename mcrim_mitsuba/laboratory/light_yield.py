@@ -148,10 +148,7 @@ def light_yield_ph_per_keV(
 
     The signal N is in photoelectrons (counted photons) per event, efficiencies are fractions.
 
-    Raises
-    ------
-    InputError
-        If an argument is not above 0.
+    Raises InputError if an argument is not above 0.
     """
     return quotient(
         above=[("signal", signal)],
@@ -180,10 +177,7 @@ def light_yield_by_reference(
     `light_yield_ph_per_keV`, first of the sample and then of the reference; the yield has the
     unit of `reference_yield`.
 
-    Raises
-    ------
-    InputError
-        If an argument is not above 0.
+    Raises InputError if an argument is not above 0.
     """
     return quotient(
         above=[
@@ -236,12 +230,8 @@ def relative_yield(
     Sample and reference are values and standard errors of every one of `QUANTITIES`, the
     reference's yield is in photons per keV, shared errors are relative ones by quantity.
 
-    Raises
-    ------
-    InputError
-        If a value is not above 0.
-    ValueError
-        If a shared error is larger than that of a crystal.
+    Raises InputError if a value is not above 0; ValueError if a shared error is larger than that of
+    a crystal.
     """
 
     def eq_7(common: Mapping[str, float]) -> Uncertain:
@@ -319,10 +309,7 @@ def read_comparison(path: str | Path) -> RelativeMeasurement:
     ``detector_efficiency``, each with its ``_sigma``; the reference also
     ``light_yield_ph_per_keV``) and, if errors are shared, ``[shared]``.
 
-    Raises
-    ------
-    InputError
-        With file and line, if anything is missing, unknown or impossible.
+    Raises InputError, with file and line, if anything is missing, unknown or impossible.
     """
     document = read_toml(Path(path), "a relative measurement")
     document.table("", (SAMPLE, REFERENCE, SHARED))

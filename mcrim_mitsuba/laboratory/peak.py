@@ -19,7 +19,7 @@ a photon counter look like a Gaussian. Whole numbers are counted, unless they ca
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -179,41 +179,8 @@ _POOR = 0.02
 def _doubts_of_fit(
     values: Array, peak: Peak, place: Found, given: tuple[float, float] | None
 ) -> list[str]:
-    """A sentence for each doubt about a peak that was searched where it was `found`."""
-    doubts = []
-    half = 0.5 * peak.bin_width
-    for seen, side, at_end, level in (
-        (peak.centroid - peak.low + half, "below", peak.low == values[0], place.low_level),
-        (peak.high - peak.centroid + half, "above", peak.high == values[-1], place.high_level),
-    ):
-        how_far = f"{seen / peak.width:.2g} widths {side} its centroid"
-        # no event has less than no photon
-        cut = seen < _SEEN * peak.width and not (side == "below" and values[0] == 0 and at_end)
-        if given is not None:
-            if cut:
-                doubts.append(f"the peak is cut by the window, only {how_far}: choose a wider one")
-        elif cut and at_end:
-            doubts.append(f"the peak is cut by the end of the histogram, only {how_far}")
-        elif cut or level > SHALLOW:
-            doubts.append(
-                f"the peak is merged with what lies {side} it: between them the counts fall to "
-                f"{100 * level:.0f} % of its height, and the fit ends {how_far}"
-            )
-    rise = peak.background_slope * (peak.high - peak.low)
-    height = peak.counts_at(np.array(peak.centroid)) - peak.background
-    if rise > _RISE * height > 0:
-        doubts.append(
-            "the peak is merged with what lies above it: the background rises by "
-            f"{100 * rise / height:.0f} % of its height"
-        )
-    shift = -_SHIFT * rise / height * peak.width if height > 0 else 0.0
-    if -rise > _FALL * height > 0 and shift > peak.centroid_sigma:
-        doubts.append(
-            f"the background falls by {-100 * rise / height:.0f} % of the peak's height, and may "
-            f"be no line: the centroid may be off by some {shift:.2g} "
-            f"({100 * shift / max(peak.centroid, 1e-9):.1g} %), too low if a continuum ends under "
-            "the peak, too high if the tail of a pedestal reaches in"
-        )
+    """A sentence for each doubt about a peak that was searched at a `place`."""
+    doubts = [*_doubts_of_window(values, peak, place, given), *_doubts_of_background(peak)]
     relative = peak.centroid_sigma / max(abs(peak.centroid), 1e-9)
     if relative > _POOR:
         doubts.append(
@@ -225,6 +192,54 @@ def _doubts_of_fit(
             f"the fit is bad (chi2 = {peak.chi2:.1f}, ndf = {peak.ndf}, {p_equals(peak.p_value)}): "
             f"its errors are {math.sqrt(peak.chi2 / peak.ndf):.2g} times those of the counts"
         )
+    return [*doubts, *_doubts_of_bins(values, peak)]
+
+
+def _doubts_of_window(
+    values: Array, peak: Peak, place: Found, given: tuple[float, float] | None
+) -> Iterator[str]:
+    """Whether the peak is cut, or merged with another one."""
+    half = 0.5 * peak.bin_width
+    for seen, side, at_end, level in (
+        (peak.centroid - peak.low + half, "below", peak.low == values[0], place.low_level),
+        (peak.high - peak.centroid + half, "above", peak.high == values[-1], place.high_level),
+    ):
+        how_far = f"{seen / peak.width:.2g} widths {side} its centroid"
+        # no event has less than no photon
+        cut = seen < _SEEN * peak.width and not (side == "below" and values[0] == 0 and at_end)
+        if given is not None:
+            if cut:
+                yield f"the peak is cut by the window, only {how_far}: choose a wider one"
+        elif cut and at_end:
+            yield f"the peak is cut by the end of the histogram, only {how_far}"
+        elif cut or level > SHALLOW:
+            yield (
+                f"the peak is merged with what lies {side} it: between them the counts fall to "
+                f"{100 * level:.0f} % of its height, and the fit ends {how_far}"
+            )
+
+
+def _doubts_of_background(peak: Peak) -> Iterator[str]:
+    """Whether the background rises or falls by more than a line under a peak may."""
+    rise = peak.background_slope * (peak.high - peak.low)
+    height = peak.counts_at(np.array(peak.centroid)) - peak.background
+    if rise > _RISE * height > 0:
+        yield (
+            "the peak is merged with what lies above it: the background rises by "
+            f"{100 * rise / height:.0f} % of its height"
+        )
+    shift = -_SHIFT * rise / height * peak.width if height > 0 else 0.0
+    if -rise > _FALL * height > 0 and shift > peak.centroid_sigma:
+        yield (
+            f"the background falls by {-100 * rise / height:.0f} % of the peak's height, and may "
+            f"be no line: the centroid may be off by some {shift:.2g} "
+            f"({100 * shift / max(peak.centroid, 1e-9):.1g} %), too low if a continuum ends under "
+            "the peak, too high if the tail of a pedestal reaches in"
+        )
+
+
+def _doubts_of_bins(values: Array, peak: Peak) -> Iterator[str]:
+    """Whether the bins are what they seem: photons, or not, at their centres."""
     if (
         peak.shape == GAUSSIAN
         and peak.width**2 > _COUNTED * peak.centroid > 0
@@ -234,18 +249,17 @@ def _doubts_of_fit(
         # k2 = m + v and k3 = m + 3 v: 0.63 of 14.94 with v = (10 %)^2, where this gives 0.60
         lean = peak.width**2 / (2 * peak.centroid)
         if lean > peak.centroid_sigma:
-            doubts.append(
+            yield (
                 "the bins are no whole photon numbers, and a Gaussian was fitted: if they are "
                 "photons or photoelectrons that were counted, the band leans, the Gaussian finds "
                 f"its top, and the mean lies some {lean:.2g} ({100 * lean / peak.centroid:.1g} %) "
                 "higher, or more where the charge of a single one varies"
             )
     if abs(peak.bin_width - 1.0) < 0.01 and abs(values[0] % 1.0 - 0.5) < 0.01:
-        doubts.append(
+        yield (
             "the bins are centred between whole numbers: if their lower edges are the numbers of "
             "photons, the centroid is 0.5 too high"
         )
-    return doubts
 
 
 def _doubts_of_shape(peak: Peak, other: Peak | None) -> list[str]:
@@ -314,10 +328,7 @@ class Repeated:
 def combine(values: Sequence[float], sigmas: Sequence[float]) -> Repeated:
     """Mean of repeated measurements with both of its errors.
 
-    Raises
-    ------
-    InputError
-        If there is no value, or a number is not finite or an error not above 0.
+    Raises InputError if there is no value, or a number is not finite or an error not above 0.
     """
     x, errors = np.asarray(values, float), np.asarray(sigmas, float)
     if not len(x) or x.shape != errors.shape:

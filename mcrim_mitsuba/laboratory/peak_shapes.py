@@ -102,10 +102,7 @@ RANGES = {
 class PhotonSpectrum:
     """Photons per event of a crystal, and how many events of each kind there are.
 
-    Raises
-    ------
-    InputError
-        If a number is negative, not finite, or too large to mean something.
+    Raises InputError if a number is negative, not finite, or too large to mean something.
     """
 
     #: Mean number of photons that an event of the band brings, dark counts not among them.
@@ -175,10 +172,7 @@ def spectrum_of(
     Parameters are those of `PhotonSpectrum`. In a measuring time of some minutes at a rate per
     second, there are rate * 60 * minutes events.
 
-    Raises
-    ------
-    InputError
-        As `PhotonSpectrum`.
+    Raises InputError as `PhotonSpectrum`.
     """
     return PhotonSpectrum(
         mean_photons,

@@ -244,8 +244,8 @@ def absorption_from_transmittance(
     """
     if not len(transmittances):
         raise InputError("there is no transmittance", "give one at least")
-    spectra = [one for one in transmittances if isinstance(one, Spectrum)]
-    numbers = [float(one) for one in transmittances if not isinstance(one, Spectrum)]
+    spectra = [t for t in transmittances if isinstance(t, Spectrum)]
+    numbers = [float(t) for t in transmittances if not isinstance(t, Spectrum)]
     _refuse_numbers(numbers, thickness_mm, transmittance_sigma, n_sigma, thickness_sigma_mm)
     if emission is not None and wavelength_nm is not None:
         raise InputError("both an emission and a wavelength are given", "leave one of them out")
@@ -256,40 +256,65 @@ def absorption_from_transmittance(
             "give an emission spectrum, or a wavelength in nm",
         )
     index = _index_of(n, emission, wavelength_nm)
-    slabs = [_slab_of_number(one, index, thickness_mm) for one in numbers]
+    slabs = [_slab_of_number(number, index, thickness_mm) for number in numbers]
     if emission is not None:
-        slabs += [_slab_over(one, n, thickness_mm, emission) for one in spectra]
+        slabs += [_slab_over(spectrum, n, thickness_mm, emission) for spectrum in spectra]
     elif wavelength_nm is not None:
-        slabs += [_slab_at(one, n, thickness_mm, wavelength_nm) for one in spectra]
-    each = np.array([slab.alpha_per_cm for slab in slabs])
+        slabs += [_slab_at(spectrum, n, thickness_mm, wavelength_nm) for spectrum in spectra]
+    contributions = _contributions(
+        slabs, emission, transmittance_sigma, n_sigma, thickness_sigma_mm / thickness_mm
+    )
+    return _mean_of(slabs, contributions, thickness_mm, transmittance_sigma, index)
+
+
+def _contributions(
+    slabs: Sequence[_SlabReading],
+    emission: Spectrum | None,
+    transmittance_sigma: float,
+    n_sigma: float,
+    relative_thickness_sigma: float,
+) -> dict[str, float]:
+    """Standard errors of the mean coefficient by origin, 1/cm."""
+    alphas = np.array([slab.alpha_per_cm for slab in slabs])
     # what all readings share, and what every point has of its own
     shared = transmittance_sigma * float(np.mean([slab.by_transmittance for slab in slabs]))
-    own = math.hypot(*(slab.points_sigma_per_cm for slab in slabs)) / len(slabs)
+    of_points = math.hypot(*(slab.points_sigma_per_cm for slab in slabs)) / len(slabs)
     contributions = {
-        TRANSMITTANCE: math.hypot(shared, own),
+        TRANSMITTANCE: math.hypot(shared, of_points),
         INDEX: n_sigma * abs(float(np.mean([slab.by_n for slab in slabs]))),
-        THICKNESS: thickness_sigma_mm / thickness_mm * max(float(each.mean()), 0.0),
+        THICKNESS: relative_thickness_sigma * max(float(alphas.mean()), 0.0),
     }
-    spread = None
     if len(slabs) > 1:
-        contributions[ORIENTATIONS] = spread = float(each.std(ddof=1))
+        contributions[ORIENTATIONS] = float(alphas.std(ddof=1))
     means = [slab.mean for slab in slabs if slab.mean is not None]
     if means and emission is not None and emission.sigmas is not None:
         derivatives = np.mean([mean.emission_derivatives for mean in means], axis=0)
         contributions[EMISSION] = float(np.linalg.norm(derivatives * emission.sigmas))
+    return contributions
+
+
+def _mean_of(
+    slabs: Sequence[_SlabReading],
+    contributions: dict[str, float],
+    thickness_mm: float,
+    transmittance_sigma: float,
+    index: float,
+) -> Absorption:
+    """The mean over orientations, held at 0, with what must be known of it."""
     sigma = math.hypot(*contributions.values())
     alpha, notes = _held(slabs, sigma)
     internal = math.exp(-alpha * thickness_mm / MM_PER_CM)
-    of_path = [sigma for origin, sigma in contributions.items() if origin != THICKNESS]
+    of_path = [part for origin, part in contributions.items() if origin != THICKNESS]
+    means = [slab.mean for slab in slabs if slab.mean is not None]
     return Absorption(
         alpha_abs_per_cm=alpha,
         sigma=sigma,
         contributions=contributions,
-        apparent_per_cm=float(each.mean()),
+        apparent_per_cm=float(np.mean([slab.alpha_per_cm for slab in slabs])),
         internal_transmittance=internal,
         internal_transmittance_sigma=internal * thickness_mm / MM_PER_CM * math.hypot(*of_path),
-        each_per_cm=tuple(each.tolist()),
-        spread_orientations_per_cm=spread,
+        each_per_cm=tuple(slab.alpha_per_cm for slab in slabs),
+        spread_orientations_per_cm=contributions.get(ORIENTATIONS),
         spread_band_per_cm=(
             math.sqrt(float(np.mean([mean.spread**2 for mean in means]))) if means else None
         ),

@@ -18,10 +18,7 @@ _OUTSIDE = ("an internal transmittance is outside 0..1", "give a fraction: 0.96 
 def transmittance(alpha_per_cm: ArrayLike, path_mm: ArrayLike) -> Array:
     """Internal transmittance T = exp(-alpha d) of Beer's law (Eq. 4 of the article).
 
-    Raises
-    ------
-    InputError
-        If either is negative or not a number.
+    Raises InputError if either is negative or not a number.
     """
     alpha_per_cm, path_mm = np.asarray(alpha_per_cm, float), np.asarray(path_mm, float)
     if not (np.all(alpha_per_cm >= 0) and np.all(path_mm >= 0)):
@@ -32,10 +29,7 @@ def transmittance(alpha_per_cm: ArrayLike, path_mm: ArrayLike) -> Array:
 def absorption_coefficient(transmittance: ArrayLike, path_mm: ArrayLike) -> Array:
     """Coefficient in 1/cm that gives an internal transmittance over a path: -ln(T)/d.
 
-    Raises
-    ------
-    InputError
-        If a transmittance is not above 0 and at most 1, or a path not above 0.
+    Raises InputError if a transmittance is not above 0 and at most 1, or a path not above 0.
     """
     internal, path_mm = np.asarray(transmittance, float), np.asarray(path_mm, float)
     if not np.all((internal > 0) & (internal <= 1)):
@@ -61,10 +55,8 @@ def measured_transmittance(internal: ArrayLike, n: ArrayLike) -> Array:
     incidence (the correction of Kushnir et al., the article's reference 21):
     (1-R)^2 T / (1 - R^2 T^2) with R = ((n-1)/(n+1))^2.
 
-    Raises
-    ------
-    InputError
-        If an internal transmittance T is outside 0..1 or an index of the slab below 1.
+    Raises InputError if an internal transmittance T is outside 0..1 or an index of the slab below
+    1.
     """
     internal, face = np.asarray(internal, dtype=float), _face_reflectance(n)
     if not np.all((internal >= 0) & (internal <= 1)):
@@ -78,10 +70,8 @@ def internal_transmittance(measured: ArrayLike, n: ArrayLike) -> Array:
     The positive root of R^2 M T^2 + (1-R)^2 T - M = 0, written without the difference
     that loses digits at small R.
 
-    Raises
-    ------
-    InputError
-        If a reading M is not above 0 and at most that of a clear slab (`clear_limit`).
+    Raises InputError if a reading M is not above 0 and at most that of a clear slab
+    (`clear_limit`).
     """
     measured, limit = np.asarray(measured, dtype=float), clear_limit(n)
     # the tolerance lets a clear slab's own reading come back as T = 1
@@ -97,10 +87,7 @@ def internal_transmittance(measured: ArrayLike, n: ArrayLike) -> Array:
 def clear_limit(n: ArrayLike) -> Array:
     """Reading on a slab that absorbs nothing, (1-R)/(1+R): 0.798 for n = 2.01.
 
-    Raises
-    ------
-    InputError
-        If it is below 1.
+    Raises InputError if it is below 1.
     """
     face = _face_reflectance(n)
     return (1 - face) / (1 + face)
@@ -111,10 +98,7 @@ def apparent_absorption(measured: ArrayLike, n: ArrayLike, thickness_mm: float) 
 
     Readings are noisy: averages over many stay without bias only if none is clipped.
 
-    Raises
-    ------
-    InputError
-        If a reading or the thickness is not above 0, or an index below 1.
+    Raises InputError if a reading or the thickness is not above 0, or an index below 1.
     """
     measured = np.asarray(measured, dtype=float)
     if not np.all(measured > 0):

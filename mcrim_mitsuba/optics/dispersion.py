@@ -103,10 +103,7 @@ class Dispersion:
     def index(self, wavelength_nm: ArrayLike, material: str) -> Array:
         """Index of refraction, float64 of the wavelengths' shape; nothing is extrapolated.
 
-        Raises
-        ------
-        InputError
-            If a wavelength is outside the range; it names the `material`.
+        Raises InputError if a wavelength is outside the range; it names the `material`.
         """
         wavelength_nm = np.asarray(wavelength_nm, dtype=float)
         outside = wavelength_nm[~self.covers(wavelength_nm)]
@@ -137,10 +134,7 @@ _DIRECTIONS = 8
 def extraordinary_index(n_ordinary: float, n_extraordinary: float, cos_theta: ArrayLike) -> Array:
     """n(theta) of the extraordinary wave, theta between the wave's normal and the optic axis.
 
-    Raises
-    ------
-    InputError
-        If an index is below 1 or a cosine is outside -1..1.
+    Raises InputError if an index is below 1 or a cosine is outside -1..1.
     """
     _refuse_indices(n_ordinary, n_extraordinary)
     square = np.asarray(cos_theta, dtype=float) ** 2
@@ -154,10 +148,7 @@ def indices_of_light(n_ordinary: float, n_extraordinary: float) -> tuple[Array, 
 
     The parts sum to 1; the first index is the ordinary one, with one half.
 
-    Raises
-    ------
-    InputError
-        If an index is below 1.
+    Raises InputError if an index is below 1.
     """
     nodes, weights = np.polynomial.legendre.leggauss(_DIRECTIONS)
     extraordinary = extraordinary_index(n_ordinary, n_extraordinary, (1.0 + nodes) / 2)
@@ -167,10 +158,7 @@ def indices_of_light(n_ordinary: float, n_extraordinary: float) -> tuple[Array, 
 def orientation_sigma(n_ordinary: float, n_extraordinary: float) -> float:
     """Standard error of the index that matters, for an optic axis of unknown direction.
 
-    Raises
-    ------
-    InputError
-        If an index is below 1.
+    Raises InputError if an index is below 1.
     """
     _refuse_indices(n_ordinary, n_extraordinary)
     return abs(n_extraordinary - n_ordinary) / math.sqrt(45.0)

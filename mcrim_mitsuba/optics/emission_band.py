@@ -70,11 +70,8 @@ class IndexOverBand:
 def index_over(name: str, emission: Spectrum) -> IndexOverBand:
     """Index of a material over an emission, in any unit per nm; beyond its points it is 0.
 
-    Raises
-    ------
-    InputError
-        If the material is unknown, if more than `LARGEST_OUTSIDE` of the emission lies where its
-        index is not, or if the emission has no area.
+    Raises InputError if the material is unknown, if more than `LARGEST_OUTSIDE` of the emission
+    lies where its index is not, or if the emission has no area.
     """
     medium = material(name)
     shortest, longest = medium.range_nm

@@ -85,10 +85,7 @@ def escape_fraction(n: ArrayLike) -> Array:
     reflected inside the escape cone leaves by this face or the opposite one. All six faces
     together let six times this out only where `trapped_fraction` is valid.
 
-    Raises
-    ------
-    InputError
-        If n, relative to the surroundings, is below 1: there is no escape cone then.
+    Raises InputError if n, relative to the surroundings, is below 1: there is no escape cone then.
     """
     n = np.asarray(n, dtype=float)
     if not np.all(n >= 1):
@@ -105,10 +102,7 @@ def trapped_fraction(n: ArrayLike) -> Array:
     where the cones about the three axes do not overlap: critical angle at most 45
     degrees, n >= sqrt(2), relative to the one medium that surrounds all six faces.
 
-    Raises
-    ------
-    InputError
-        If n is below sqrt(2).
+    Raises InputError if n is below sqrt(2).
     """
     # a hair of tolerance: sqrt(2) itself is valid and is not exact in floating point
     if not np.all(np.asarray(n) >= np.sqrt(2) * (1 - 1e-12)):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -140,32 +140,45 @@ def attenuation_length_mm(
         raise InputError(f"no solid has a density of {density:g} g/cm3", mend)
     import xraydb
 
-    masses = {each: number * xraydb.atomic_mass(each) for each, number in amounts.items()}
+    masses = {name: count * xraydb.atomic_mass(name) for name, count in amounts.items()}
 
     def per_cm(
         kind: str, energy_eV: float = energy_keV * _EV_PER_KEV, elements: Iterable[str] = masses
     ) -> float:
         per_element = (
-            masses[each] * float(xraydb.mu_elam(each, energy_eV, kind=kind)) for each in elements
+            masses[name] * float(xraydb.mu_elam(name, energy_eV, kind=kind)) for name in elements
         )
         return density * sum(per_element) / sum(masses.values())
 
     parts = (per_cm(kind) for kind in ("photo", "incoh", "coh"))
-    found = AttenuationLength(formula, float(energy_keV), float(density), *parts)
+    length = AttenuationLength(formula, float(energy_keV), float(density), *parts)
+    escaping, lost = _escaping(length, masses, per_cm)
+    return replace(length, escaping=escaping, escaping_keV=lost / escaping if escaping else 0.0)
+
+
+def _escaping(
+    length: AttenuationLength, elements: Iterable[str], per_cm: Callable[..., float]
+) -> tuple[float, float]:
+    """Part of the gammas whose K X-ray escapes, and what they lose, keV per gamma.
+
+    `per_cm` gives coefficients by kind, energy in eV and elements.
+    """
+    import xraydb
+
     escaping = lost = 0.0
-    for each in masses:
-        edge = xraydb.xray_edge(each, "K")
-        if edge.energy >= energy_keV * _EV_PER_KEV:
+    for element in elements:
+        edge = xraydb.xray_edge(element, "K")
+        if edge.energy >= length.energy_keV * _EV_PER_KEV:
             continue
-        share = per_cm("photo", elements=(each,)) / found.per_cm
+        share = per_cm("photo", elements=(element,)) / length.per_cm
         share *= (1.0 - 1.0 / edge.jump_ratio) * edge.fyield
-        for line in xraydb.xray_lines(each, "K").values():
+        for line in xraydb.xray_lines(element, "K").values():
             # births exp(-t/d) below the face, half of the X-rays upwards, less what is absorbed on
             # the way: P. Axel, Rev. Sci. Instrum. 25 (1954) 391
-            absorbed = per_cm("total", line.energy) / found.per_cm
+            absorbed = per_cm("total", line.energy) / length.per_cm
             out = share * line.intensity * 0.5 * (1.0 - absorbed * math.log1p(1.0 / absorbed))
             escaping, lost = escaping + out, lost + out * line.energy / _EV_PER_KEV
-    return replace(found, escaping=escaping, escaping_keV=lost / escaping if escaping else 0.0)
+    return escaping, lost
 
 
 def _amounts(formula: str) -> dict[str, float]:

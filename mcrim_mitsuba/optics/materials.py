@@ -52,10 +52,7 @@ class Material:
         directions of the field and the extraordinary one in the third; a scene has one index
         per volume. Float64, of the wavelengths' shape.
 
-        Raises
-        ------
-        InputError
-            If a wavelength is outside the range of the formula.
+        Raises InputError if a wavelength is outside the range of the formula.
         """
         ordinary = self.ordinary.index(wavelength_nm, self.name)
         if self.extraordinary is None:
@@ -133,10 +130,7 @@ def is_known(name: str) -> bool:
 def material(name: str) -> Material:
     """A material of the catalogue, in capitals or not; ``CaMoO4_o`` and ``CaMoO4_e`` are two rays.
 
-    Raises
-    ------
-    InputError
-        If there is none of that name.
+    Raises InputError if there is none of that name.
     """
     try:
         return _BY_NAME[name.strip().lower()]
@@ -147,10 +141,8 @@ def material(name: str) -> Material:
 def chemical_formula(name: str) -> str:
     """Chemical formula of a material of the catalogue; any other text is taken for a formula.
 
-    Raises
-    ------
-    InputError
-        If the material is a mixture: its name may look like a formula (BK7 is no boron).
+    Raises InputError if the material is a mixture: its name may look like a formula (BK7 is no
+    boron).
     """
     if not is_known(name):
         return name.strip()

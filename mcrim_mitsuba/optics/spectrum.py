@@ -77,10 +77,8 @@ _CUT_OFF = 0.05
 class Spectrum:
     """A curve over wavelength.
 
-    Raises
-    ------
-    InputError
-        If the points are fewer than two, not ascending or not finite, or an error is negative.
+    Raises InputError if the points are fewer than two, not ascending or not finite, or an error is
+    negative.
     """
 
     #: (points,) float64: Ascending, two at least.
@@ -125,10 +123,7 @@ class Spectrum:
     def at(self, wavelength_nm: ArrayLike) -> Array:
         """Values between the points, by straight lines.
 
-        Raises
-        ------
-        InputError
-            If a wavelength is outside the curve.
+        Raises InputError if a wavelength is outside the curve.
         """
         wavelength_nm = np.asarray(wavelength_nm, dtype=np.float64)
         outside = (wavelength_nm < self.first_nm) | (wavelength_nm > self.last_nm)
@@ -195,11 +190,8 @@ def weighted_mean(emission: Spectrum, quantity: Spectrum, what: str = "the curve
     Errors are propagated linearly with the exact derivatives of the quotient. Beyond its points
     the emission, in any unit per nm, is 0. Messages call the quantity `what`.
 
-    Raises
-    ------
-    InputError
-        If more than `LARGEST_OUTSIDE` of the emission lies where the quantity has no points, or
-        the emission has no area.
+    Raises InputError if more than `LARGEST_OUTSIDE` of the emission lies where the quantity has no
+    points, or the emission has no area.
     """
     outside, notes = _refuse_extrapolation(emission, quantity, what)
     grid = common_grid(emission, quantity)
@@ -232,10 +224,7 @@ def average_over(emission: Spectrum, function: Callable[[Array], Array]) -> tupl
 
     The function takes wavelengths in nm, (n,) float64, to values of the same shape.
 
-    Raises
-    ------
-    InputError
-        If the emission has no area; and what the function raises.
+    Raises InputError if the emission has no area; and what the function raises.
     """
     _area(emission)
     left, step = emission.wavelength_nm[:-1, None], np.diff(emission.wavelength_nm)[:, None]

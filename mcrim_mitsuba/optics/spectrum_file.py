@@ -229,10 +229,7 @@ _WANTED = {
 def read_spectra(paths: Sequence[str | Path], kind: Kind) -> list[Spectrum]:
     """Read measurements of one kind, which are different ones; see `read_spectrum`.
 
-    Raises
-    ------
-    InputError
-        Also if two are one file, or alike byte for byte.
+    Raises InputError also if two are one file, or alike byte for byte.
     """
     spectra = [read_spectrum(path, kind) for path in paths]
     duplicates = first_duplicates([Path(path) for path in paths])

@@ -48,10 +48,7 @@ KCSSB = (
 def cathode_index(wavelength_nm: float) -> complex:
     """Index n + ik of `KCSSB`, by straight lines between the tabulated wavelengths.
 
-    Raises
-    ------
-    InputError
-        If the wavelength is outside the table.
+    Raises InputError if the wavelength is outside the table.
     """
     wavelengths, n, k = np.array(KCSSB).T
     if not wavelengths[0] <= wavelength_nm <= wavelengths[-1]:

@@ -174,10 +174,7 @@ def indices_of(file: SceneFile, shape: etree._Element) -> tuple[float, float] | 
 def problems_of_text(file: SceneFile) -> list[SceneProblem]:
     """Problems that can be seen without loading the scene.
 
-    Raises
-    ------
-    InputError
-        If an index or an axis is no number.
+    Raises InputError if an index or an axis is no number.
     """
     # what a misspelt word was to say would be found missing
     return _problems_of_words(file) or [

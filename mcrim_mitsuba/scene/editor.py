@@ -112,10 +112,7 @@ class SceneEditor:
 
     `values` are those of the effect's parameters, `root` is ``<scene>``.
 
-    Raises
-    ------
-    InputError
-        If a file of the scene is not UTF-8.
+    Raises InputError if a file of the scene is not UTF-8.
     """
 
     def __init__(self, scene: SceneFile, values: Mapping[str, float]) -> None:
@@ -419,10 +416,8 @@ class SceneEditor:
     def finished(self) -> str:
         """The new text.
 
-        Raises
-        ------
-        InputError
-            If what changes stands in an included file that cannot be put into the scene's own.
+        Raises InputError if what changes stands in an included file that cannot be put into the
+        scene's own.
         """
         splices = sorted([*self._splices, *self._insertions()], key=lambda splice: splice[:2])
         for (_, end, _), (start, _, _) in itertools.pairwise(splices):

@@ -257,11 +257,8 @@ def read_scene(
     Files that it includes must lie in the same folder or below it; a `SceneFile` is not read again.
     Overrides are values that win over the file's defaults.
 
-    Raises
-    ------
-    InputError
-        If a file cannot be read or is not a sound scene, if a ``$name`` is not declared
-        before it is used, or if an override does not fit or is of a default that is not used.
+    Raises InputError if a file cannot be read or is not a sound scene, if a ``$name`` is not
+    declared before it is used, or if an override does not fit or is of a default that is not used.
     """
     if isinstance(path, SceneFile):
         return path.with_overrides(overrides) if overrides else path
@@ -274,10 +271,7 @@ def read_scene(
 def parse_define(text: str, option: str = "-D", example: str = "n_gap=1.46") -> tuple[str, str]:
     """Split ``name=value``, what follows ``-D`` (or another `option`) on the command line.
 
-    Raises
-    ------
-    InputError
-        If there is no ``=``, no valid name before it or nothing after it.
+    Raises InputError if there is no ``=``, no valid name before it or nothing after it.
     """
     name, equals, value = (part.strip() for part in text.partition("="))
     if not equals or not _NAME.fullmatch(name) or not value:

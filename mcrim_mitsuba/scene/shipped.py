@@ -12,10 +12,7 @@ from mcrim_mitsuba.core.files import differs, make_folder, write_bytes
 def scenes_folder() -> Path:
     """Folder of what ships with the package: inside an installed wheel, next to it in a checkout.
 
-    Raises
-    ------
-    InputError
-        If neither place has it.
+    Raises InputError if neither place has it.
     """
     package = Path(str(files("mcrim_mitsuba")))
     for folder in (package / "scenes", package.parent / "scenes"):
@@ -27,10 +24,7 @@ def scenes_folder() -> Path:
 def scene_path(name: str) -> Path:
     """Path of a scene file that ships with the package, such as ``camoo4.xml``.
 
-    Raises
-    ------
-    InputError
-        If it is not there.
+    Raises InputError if it is not there.
     """
     path = scenes_folder() / name
     if not path.is_file():
@@ -50,11 +44,8 @@ def scene_files() -> tuple[Path, ...]:
 def copy_scenes(target: str | Path) -> tuple[Path, ...]:
     """Copy all that ships into a folder, made if need be, to be edited; where the copies lie.
 
-    Raises
-    ------
-    InputError
-        If something else is there under the name of one of the files, or if the folder cannot be
-        written; nothing is copied then, but where a disk fills up on the way.
+    Raises InputError if something else is there under the name of one of the files, or if the
+    folder cannot be written; nothing is copied then, but where a disk fills up on the way.
     """
     source, target = scenes_folder(), Path(target)
     contents = {target / name: (source / name).read_bytes() for name in scene_files()}

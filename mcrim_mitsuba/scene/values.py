@@ -176,11 +176,8 @@ def parse_value(name: str, text: str, **place: Any) -> Value:
 
     It is a float wherever the name carries a unit or starts with ``n_``.
 
-    Raises
-    ------
-    InputError
-        If a number is required and there is none, if a number is not finite or has a
-        decimal comma, or if there is no value at all.
+    Raises InputError if a number is required and there is none, if a number is not finite or has a
+    decimal comma, or if there is no value at all.
     """
     stripped = text.strip()
     if not stripped:
@@ -204,10 +201,7 @@ def parse_like(name: str, text: str, example: Value, *, given: bool = False, **p
     Where that is an integer, a whole number stays one (Mitsuba does not take 10.0 for an integer)
     and another number becomes a float. Other parameters as for `parse_number`.
 
-    Raises
-    ------
-    InputError
-        If the text is of another kind or blank.
+    Raises InputError if the text is of another kind or blank.
     """
     if not text.strip():
         problem = f"the value given for {name} is blank" if given else f"{name} has no value"
@@ -244,11 +238,8 @@ def parse_list(option: str, text: str, name: str = "", folder: Path | None = Non
     paths of spectra (``CaMoO4@emission.csv``) start from `folder`. Between semicolons numbers may
     have decimal commas: ``0,1;0,5``.
 
-    Raises
-    ------
-    InputError
-        If a number is not finite, a count is not a positive whole number, a logarithmic
-        range touches zero, the list is empty or very long, or a material cannot be used.
+    Raises InputError if a number is not finite, a count is not a positive whole number, a
+    logarithmic range touches zero, the list is empty or very long, or a material cannot be used.
     """
 
     def number(part: str) -> float:
@@ -285,10 +276,7 @@ def parse_list(option: str, text: str, name: str = "", folder: Path | None = Non
 def told_of_comma(option: str, text: str | None) -> list[str]:
     """What a comma was taken for in a list such as ``0,5``; nothing where there is no doubt.
 
-    Raises
-    ------
-    InputError
-        If it is surely a decimal comma, or as likely as not: lists go up.
+    Raises InputError if it is surely a decimal comma, or as likely as not: lists go up.
     """
     match = _TWO_OR_ONE.fullmatch((text or "").strip())
     if match is None:
@@ -307,10 +295,7 @@ def told_of_comma(option: str, text: str | None) -> list[str]:
 def refuse_many_points(points: int) -> None:
     """Refuse tables that would never be done.
 
-    Raises
-    ------
-    InputError
-        If there are more than `MOST_POINTS`.
+    Raises InputError if there are more than `MOST_POINTS`.
     """
     if points > MOST_POINTS:
         mend = "give shorter lists; eta is smooth, and values between can be interpolated"

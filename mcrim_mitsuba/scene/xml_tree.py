@@ -24,11 +24,8 @@ def parse_scene_xml(data: bytes, path: Path) -> etree._Element:
 
     ``sourceline`` of every element is the line of its opening ``<``.
 
-    Raises
-    ------
-    InputError
-        If the XML is malformed (with line and column), has a DTD or entities, is enormous, or
-        is not a ``<scene>`` with a version.
+    Raises InputError if the XML is malformed (with line and column), has a DTD or entities, is
+    enormous, or is not a ``<scene>`` with a version.
     """
     # whoever gets it changes it
     return copy.deepcopy(_parsed(data, path))
