@@ -79,7 +79,7 @@ from mcrim_mitsuba.scene.spectrophotometer import (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Campaign:
     """A campaign file with the files it names, all checked against each other."""
 
@@ -91,19 +91,19 @@ class Campaign:
     measurements: Measurements
     #: Scene parameters that the campaign names, and all of the effects that are switched on, and
     #: what samples have of their own; `scale` is not among them.
-    parameters: dict[str, CampaignParameter]
+    parameters: dict[str, CampaignParameter] = field(default_factory=dict)
     #: The common scale; None where the campaign says nothing: free, without a prior.
-    scale: CampaignParameter | None
+    scale: CampaignParameter | None = None
     #: Effects switched on, in the file's order.
-    effects: tuple[str, ...]
+    effects: tuple[str, ...] = ()
     #: Folder of the user's own effects.
-    effects_folder: Path | None
+    effects_folder: Path | None = None
     #: None: the scale is not turned into a light yield.
-    light_yield: LightYieldInput | None
+    light_yield: LightYieldInput | None = None
     #: Values of scene parameters (lists of float) among which further measurements may be
     #: chosen, and perhaps ``sigma_relative``, the relative error that they would have (float).
     #: Empty: no restriction.
-    next_measurements: dict[str, Any]
+    next_measurements: dict[str, Any] = field(default_factory=dict)
     #: All effects there are, the user's own included.
     catalogue: dict[str, Effect] = field(default_factory=catalogue)
     #: What readings, priors and efficiency were made of; None where the files give them as
@@ -245,7 +245,7 @@ class Campaign:
         the campaign, or a column, already.
         """
         effects = [*self.effects, *names]
-        _refuse_effects(effects, self.catalogue, self.scene, self.measurements, self.beam)
+        _refuse_effects(effects, self)
         ranges = known_ranges(self.catalogue, names, self.values)
         added = {}
         for name in (p.name for effect in names for p in self.catalogue[effect].parameters):
@@ -294,57 +294,61 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
 def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
     """The campaign of a document and of the user's own effects."""
     entries = document.table("", CAMPAIGN)
-    there = catalogue(folder)
+    effects = catalogue(folder)
     scene = read_scene(_sibling(entries, "scene"))
     table = read_table(_sibling(entries, "measurements"), scene.parameters)
     document, measurements, raw = reduce_raw_data(document, table, scene)
-    of_effects = {p.name for effect in there.values() for p in effect.parameters}
+    of_effects = {p.name for effect in effects.values() for p in effect.parameters}
     samples, measurements = read_samples(
         document, scene, measurements, of_effects | {*scene.parameters, EFFICIENCY_FACTOR}
     )
     _refuse_rows_the_scene_cannot_take(scene, measurements)
-    beam = _read_beam(document, scene, measurements)
-    effects = _read_effects(entries, there, scene, measurements, beam)
-    values = {**scene.parameters, **beam}
-    _refuse_parameters_of_other_effects(document, there, effects, values)
-    ranges = known_ranges(there, effects, values)
-    brought = [p.name for effect in effects for p in there[effect].parameters]
-    parameters = {
-        name: read_parameter(document, name, scene, values, measurements, ranges)
-        for name in dict.fromkeys([*document.table("parameters"), *brought])
-    }
-    _refuse_ranges_of_beam(document, parameters, values)
-    scale = parameters.pop(SCALE, None)
-    for sample in samples.values():
-        parameters |= {parameter.name: parameter for parameter in sample.own.values()}
-    light_yield = read_light_yield(document)
-    detector = read_detector(document, scene, measurements)
-    own_scales = any(SCALE in sample.own for sample in samples.values())
-    light_yield, common_sigma = _detected(document, light_yield, raw, detector, own_scales)
-    if common_sigma:
-        parameters[EFFICIENCY_FACTOR] = efficiency_factor(common_sigma)
     campaign = Campaign(
         path=document.path,
         scene=scene,
         measurements=measurements,
-        parameters=parameters,
-        scale=scale,
-        effects=effects,
         effects_folder=folder,
-        light_yield=light_yield,
-        next_measurements=_read_next(document.table(NEXT), scene, parameters),
-        catalogue=there,
+        catalogue=effects,
         raw=raw,
-        beam=beam,
-        spectrum=_read_spectrum(entries, scene, raw),
+        beam=_read_beam(document, scene, measurements),
         executed=() if folder is None else (whose(folder),),
+        samples=samples,
+    )
+    campaign = replace(campaign, effects=_read_effects(entries, campaign))
+    campaign = _with_parameters(campaign, document)
+    campaign = replace(
+        campaign,
+        next_measurements=_read_next(document.table(NEXT), campaign),
+        spectrum=_read_spectrum(entries, campaign),
         title=_words(entries, "title") or document.path.stem,
         unit=_words(entries, "unit"),
-        samples=samples,
         convention=choice(entries, CONVENTION, CAMPAIGN),
     )
     _refuse_contradictions(document, campaign)
     return with_known_physics(campaign)
+
+
+def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
+    """The campaign with all of its parameters, and what turns the scale into a light yield."""
+    values, measurements = campaign.values, campaign.measurements
+    _refuse_parameters_of_other_effects(document, campaign)
+    ranges = known_ranges(campaign.catalogue, campaign.effects, values)
+    brought = [p.name for effect in campaign.switched_on for p in effect.parameters]
+    parameters = {
+        name: read_parameter(document, name, campaign.scene, values, measurements, ranges)
+        for name in dict.fromkeys([*document.table("parameters"), *brought])
+    }
+    _refuse_ranges_of_beam(document, parameters, values)
+    scale = parameters.pop(SCALE, None)
+    for sample in campaign.samples.values():
+        parameters |= {parameter.name: parameter for parameter in sample.own.values()}
+    light_yield = read_light_yield(document)
+    detector = read_detector(document, campaign.scene, measurements)
+    own_scales = any(SCALE in sample.own for sample in campaign.samples.values())
+    light_yield, common_sigma = _detected(document, light_yield, campaign.raw, detector, own_scales)
+    if common_sigma:
+        parameters[EFFICIENCY_FACTOR] = efficiency_factor(common_sigma)
+    return replace(campaign, parameters=parameters, scale=scale, light_yield=light_yield)
 
 
 def _detected(
@@ -483,16 +487,15 @@ def _sibling(entries: TomlTable, name: str) -> Path:
     return file_in(entries, name, entries[name])
 
 
-def _read_spectrum(
-    entries: TomlTable, scene: SceneFile, raw: RawData | None
-) -> EmittedLight | None:
+def _read_spectrum(entries: TomlTable, campaign: Campaign) -> EmittedLight | None:
     """Light over wavelengths; None where the campaign names none.
 
     Where the table has no efficiency of the detector, that of ``[light_yield]`` stands in.
     """
     if SPECTRUM not in entries:
         return None
-    light = read_light(file_in(entries, SPECTRUM, entries[SPECTRUM]), scene)
+    light = read_light(file_in(entries, SPECTRUM, entries[SPECTRUM]), campaign.scene)
+    raw = campaign.raw
     if raw is not None and raw.efficiency is not None and not light.detected:
         light = light.seen_by(raw.efficiency.quantum_efficiency)
     if not light.parameters.keys() & set(COEFFICIENTS):
@@ -545,65 +548,47 @@ def _folder(entries: TomlTable, trusted: bool) -> Path | None:
     return path
 
 
-def _read_effects(
-    entries: TomlTable,
-    there: dict[str, Effect],
-    scene: SceneFile,
-    measurements: Measurements,
-    beam: Mapping[str, Value],
-) -> tuple[str, ...]:
+def _read_effects(entries: TomlTable, campaign: Campaign) -> tuple[str, ...]:
     """The effects that are switched on."""
     names = entries.get("effects", [])
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise entries.refusal("effects", "effects is not a list of names", "write effects = []")
     with said_by(partial(entries.refusal, "effects")):
-        _refuse_effects(names, there, scene, measurements, beam)
+        _refuse_effects(names, campaign)
     return tuple(names)
 
 
-def _refuse_effects(
-    names: Sequence[str],
-    there: dict[str, Effect],
-    scene: SceneFile,
-    measurements: Measurements,
-    beam: Mapping[str, Value],
-) -> None:
+def _refuse_effects(names: Sequence[str], campaign: Campaign) -> None:
     """Refuse effects that cannot be switched on, or not together."""
     for position, name in enumerate(names):
-        effect = effect_of(name, there)
+        effect = effect_of(name, campaign.catalogue)
         if name in names[:position]:
             raise InputError(f"{name} is named twice", "name it once")
-        if name in measurements.columns:
-            problem = f"{name} is switched on and a column of {measurements.path.name}"
+        if name in campaign.measurements.columns:
+            problem = f"{name} is switched on and a column of {campaign.measurements.path.name}"
             raise InputError(problem, "remove one of the two")
-        if effect.of_beam and not beam:
+        if effect.of_beam and not campaign.beam:
             problem = f"{name} acts on transmittances, and no reading is one"
             raise InputError(problem, f"do without {name}")
-        if missing := effect.missing({**scene.parameters, **beam}):
-            problem = f"{name} needs {missing}, which is no parameter of {scene.path.name}"
+        if missing := effect.missing(campaign.values):
+            problem = f"{name} needs {missing}, which is no parameter of {campaign.scene.path.name}"
             raise InputError(problem, f"declare it there, or do without {name}")
-    if pair := exclude_each_other([there[name] for name in names]):
+    if pair := exclude_each_other([campaign.catalogue[name] for name in names]):
         raise InputError(f"{pair[0]} and {pair[1]} exclude each other", "remove one of the two")
 
 
-def _refuse_parameters_of_other_effects(
-    document: TomlDocument,
-    there: dict[str, Effect],
-    effects: Sequence[str],
-    values: Mapping[str, Value],
-) -> None:
+def _refuse_parameters_of_other_effects(document: TomlDocument, campaign: Campaign) -> None:
     """Refuse a parameter whose effect is neither switched on nor in the scene, or the beam."""
-    owners = {p.name: effect.name for effect in there.values() for p in effect.parameters}
+    effects = campaign.catalogue.values()
+    owners = {p.name: effect.name for effect in effects for p in effect.parameters}
     for name in document.table("parameters"):
         owner = owners.get(name)
-        if owner is not None and owner not in effects and name not in values:
+        if owner and owner not in campaign.effects and name not in campaign.values:
             problem = f"{name} belongs to {owner}, which is neither switched on nor in the scene"
             raise document.refusal(f"parameters.{name}", problem, f'write "{owner}" into effects')
 
 
-def _read_next(
-    table: TomlTable, scene: SceneFile, parameters: dict[str, CampaignParameter]
-) -> dict[str, Any]:
+def _read_next(table: TomlTable, campaign: Campaign) -> dict[str, Any]:
     """``[next_measurements]``: lists of values by scene parameter, their error, their minutes."""
     entries: dict[str, Any] = {}
     for name, values in table.items():
@@ -611,9 +596,9 @@ def _read_next(
             entries[name] = number_within(table, name, NEXT_ENTRIES)
             continue
         if name == NEXT_MINUTES:
-            entries[name] = _read_minutes(table, values, scene)
+            entries[name] = _read_minutes(table, values, campaign.scene)
             continue
-        if (wrong := _wrong_next(name, values, scene, parameters)) is not None:
+        if (wrong := _wrong_next(name, values, campaign)) is not None:
             raise table.refusal(name, *wrong)
         entries[name] = list(dict.fromkeys(float(value) for value in values))
     return entries
@@ -635,10 +620,9 @@ def _read_minutes(table: TomlTable, minutes: Any, scene: SceneFile) -> dict[str,
     return {name: float(value) for name, value in minutes.items()}
 
 
-def _wrong_next(
-    name: str, values: Any, scene: SceneFile, parameters: dict[str, CampaignParameter]
-) -> tuple[str, str] | None:
+def _wrong_next(name: str, values: Any, campaign: Campaign) -> tuple[str, str] | None:
     """What is wrong with the values of one scene parameter, and how to mend it."""
+    scene, parameters = campaign.scene, campaign.parameters
     present = {**BEAM_PARAMETERS, **scene.parameters}
     if name not in present:
         return (
