@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
 from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
-from mcrim_mitsuba.effects.scene_edits import WAVELENGTH, set_phase, wavelength_of
+from mcrim_mitsuba.effects.scene_edits import WAVELENGTH, set_numbers, set_phase, wavelength_of
 from mcrim_mitsuba.optics.emission_band import USUAL_NM, USUAL_WIDTH_NM, scattering_of_colours
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -45,11 +46,6 @@ POLARIZATION = Effect(
 )
 
 
-def edit_anisotropy(editor: SceneEditor) -> None:
-    """Give the crystal's medium the phase function of Henyey and Greenstein."""
-    set_phase(editor, '<phase type="hg">\n  <float name="g" value="$scattering_g"/>\n</phase>')
-
-
 ANISOTROPIC_SCATTERING = Effect(
     name="anisotropic_scattering",
     title="anisotropic scattering",
@@ -80,17 +76,10 @@ ANISOTROPIC_SCATTERING = Effect(
         ),
     ),
     excludes=("rayleigh_scattering",),
-    edit=edit_anisotropy,
+    edit=partial(
+        set_phase, xml='<phase type="hg">\n  <float name="g" value="$scattering_g"/>\n</phase>'
+    ),
 )
-
-
-def edit_rayleigh(editor: SceneEditor) -> None:
-    """Give the crystal's medium Rayleigh's phase function."""
-    set_phase(
-        editor,
-        "<!-- Scatterers far smaller than the wavelength: 3/4 (1 + cos^2) -->\n"
-        '<phase type="rayleigh"/>',
-    )
 
 
 def weight_rayleigh(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
@@ -122,17 +111,19 @@ RAYLEIGH_SCATTERING = Effect(
     ),
     excludes=("anisotropic_scattering",),
     there=there_rayleigh,
-    edit=edit_rayleigh,
+    edit=partial(
+        set_phase,
+        xml="<!-- Scatterers far smaller than the wavelength: 3/4 (1 + cos^2) -->\n"
+        '<phase type="rayleigh"/>',
+    ),
     columns=("log_rayleigh",),
     weight=weight_rayleigh,
 )
 
 
-def edit_gradient(editor: SceneEditor) -> None:
+def edit_scattering_gradient(editor: SceneEditor) -> None:
     """Let the crystal's scattering change along its height."""
-    editor.insert_last(
-        editor.crystal, '<float name="scattering_gradient" value="$scattering_gradient"/>'
-    )
+    set_numbers(editor, editor.crystal, "scattering_gradient")
 
 
 SCATTERING_GRADIENT = Effect(
@@ -157,7 +148,7 @@ SCATTERING_GRADIENT = Effect(
             nodes=(-1.0, -0.5, 0.5, 1.0),
         ),
     ),
-    edit=edit_gradient,
+    edit=edit_scattering_gradient,
     # the path on which a photon can be scattered is not its length here
     columns=("scattering_path_cm",),
 )
@@ -169,13 +160,11 @@ _BANDWIDTH = "bandwidth_nm"
 
 def edit_spectral_scattering(editor: SceneEditor) -> None:
     """Let the crystal's scattering fall with the wavelength, and light have many of them."""
-    names = [_EXPONENT, WAVELENGTH, _BANDWIDTH]
     wavelength_of(editor)
     if _BANDWIDTH not in editor.scene.parameters:
         meaning = "Full width at half maximum of the light's band, as the detector sees it, nm"
         editor.declare(_BANDWIDTH, USUAL_WIDTH_NM, meaning)
-    for name in names:
-        editor.insert_last(editor.crystal, f'<float name="{name}" value="${name}"/>')
+    set_numbers(editor, editor.crystal, _EXPONENT, WAVELENGTH, _BANDWIDTH)
 
 
 def colours_in_band(values: Values, parameters: Parameters) -> tuple[np.ndarray, np.ndarray]:
@@ -291,7 +280,7 @@ def births_behind(name: str, what: str) -> EffectParameter:
 
 def edit_source_depth(editor: SceneEditor) -> None:
     """Let the births fall with the depth below the top."""
-    editor.insert_last(editor.emitter, '<float name="source_depth_mm" value="$source_depth_mm"/>')
+    set_numbers(editor, editor.emitter, "source_depth_mm")
     editor.reword(editor.emitter, "everywhere in the crystal", "near the top of the crystal")
 
 
@@ -327,7 +316,7 @@ SOURCE_DEPTH = Effect(
 
 def edit_side_source(editor: SceneEditor) -> None:
     """Let the births fall with the distance from the left side."""
-    editor.insert_last(editor.emitter, '<float name="side_depth_mm" value="$side_depth_mm"/>')
+    set_numbers(editor, editor.emitter, "side_depth_mm")
     editor.reword(editor.emitter, "everywhere in the crystal", "near the left side of the crystal")
 
 

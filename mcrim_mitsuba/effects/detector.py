@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
+from mcrim_mitsuba.effects.effect import (
+    Columns,
+    Effect,
+    EffectParameter,
+    Parameters,
+    Values,
+    weight_of_reflections,
+)
 from mcrim_mitsuba.effects.scene_edits import WAVELENGTH, set_detector, wavelength_of
 from mcrim_mitsuba.scene.editor import SceneEditor
-
-
-def sends_back(editor: SceneEditor) -> None:
-    """Let what the text calls a black detector be called so no longer."""
-    for shape in editor.shapes:
-        if any(part in editor.detectors for part in shape.walk()):
-            editor.reword(shape, "window, black", "window")
-
-
-def hits_weight(hits: np.ndarray, reflectance: float, simulated_at: float) -> np.ndarray:
-    """Weight of photons that a detector sent back so often, and then detected.
-
-    They were drawn with the reflectance `simulated_at`.
-    """
-    ratio = (reflectance / simulated_at) ** hits.astype(np.float64)
-    return (1.0 - reflectance) / (1.0 - simulated_at) * ratio
 
 
 def falloff(
@@ -45,13 +38,12 @@ def falloff(
 
 def edit_photocathode_film(editor: SceneEditor) -> None:
     """Let the detectors be films on the window."""
-    set_detector(editor, "cathode_nm", "$cathode_nm")
+    set_detector(editor, "cathode_nm", "$cathode_nm", sends_back=True)
     set_detector(editor, WAVELENGTH, wavelength_of(editor))
     for detector in editor.detectors:
         editor.insert_last(
             detector, f'<float name="window_index" value="{editor.index_before(detector)}"/>'
         )
-    sends_back(editor)
 
 
 PHOTOCATHODE_FILM = Effect(
@@ -96,17 +88,10 @@ PHOTOCATHODE_FILM = Effect(
 
 
 _SIMULATED_AT = 0.5
-
-
-def edit_diffuse_detector(editor: SceneEditor) -> None:
-    """Let the detector send light back into the window."""
-    set_detector(editor, "reflectance", "$detector_reflectance")
-    sends_back(editor)
-
-
-def weight_diffuse_detector(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
-    """(1 - rho) rho^m over the same at 0.5: m reflections off it, then detection."""
-    return hits_weight(columns["detector_hits"], values["detector_reflectance"], _SIMULATED_AT)
+#: Photons that the detector sends back some times and detects then.
+REFLECTED = partial(
+    weight_of_reflections, column="detector_hits", simulated_at=_SIMULATED_AT, then_absorbed=True
+)
 
 
 DETECTOR_REFLECTION = Effect(
@@ -136,22 +121,11 @@ DETECTOR_REFLECTION = Effect(
         ),
     ),
     excludes=("photocathode_film",),
-    edit=edit_diffuse_detector,
+    edit=partial(set_detector, name="reflectance", value="$detector_reflectance", sends_back=True),
     columns=("detector_hits",),
-    weight=weight_diffuse_detector,
+    weight=partial(REFLECTED, name="detector_reflectance"),
     proposal={"detector_reflectance": _SIMULATED_AT},
 )
-
-
-def edit_mirror_detector(editor: SceneEditor) -> None:
-    """Let the detector be a mirror for part of the light."""
-    set_detector(editor, "specular", "$detector_specular")
-    sends_back(editor)
-
-
-def weight_mirror_detector(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
-    """Of m reflections off it, and then detection."""
-    return hits_weight(columns["detector_hits"], values["detector_specular"], _SIMULATED_AT)
 
 
 DETECTOR_SPECULAR = Effect(
@@ -182,16 +156,11 @@ DETECTOR_SPECULAR = Effect(
         ),
     ),
     excludes=("photocathode_film",),
-    edit=edit_mirror_detector,
+    edit=partial(set_detector, name="specular", value="$detector_specular", sends_back=True),
     columns=("detector_hits",),
-    weight=weight_mirror_detector,
+    weight=partial(REFLECTED, name="detector_specular"),
     proposal={"detector_specular": _SIMULATED_AT},
 )
-
-
-def edit_angular_falloff(editor: SceneEditor) -> None:
-    """Let the detector refuse light by its angle."""
-    set_detector(editor, "angular_falloff", "$angular_falloff")
 
 
 def weight_angular_falloff(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
@@ -227,18 +196,13 @@ DETECTOR_ANGLE = Effect(
         ),
     ),
     excludes=("photocathode_film",),
-    edit=edit_angular_falloff,
+    edit=partial(set_detector, name="angular_falloff", value="$angular_falloff"),
     columns=("arrival_cosine",),
     weight=weight_angular_falloff,
 )
 
 
 _RADIUS_MM = 14.0
-
-
-def edit_radial_falloff(editor: SceneEditor) -> None:
-    """Let the detector refuse light by its distance from the axis."""
-    set_detector(editor, "radial_falloff", "$radial_falloff")
 
 
 def weight_radial_falloff(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
@@ -259,7 +223,7 @@ DETECTOR_RADIUS = Effect(
     ),
     source="Hamamatsu Photonics, Photomultiplier Tubes: Basics and Applications, chapter 4",
     parameters=(falloff("radial_falloff", "(r / 14 mm)^2 from the axis outwards"),),
-    edit=edit_radial_falloff,
+    edit=partial(set_detector, name="radial_falloff", value="$radial_falloff"),
     columns=("arrival_radius_mm",),
     weight=weight_radial_falloff,
 )

@@ -279,6 +279,26 @@ def _of_signal_alone(
     return reading(signals, value)
 
 
+def weight_of_reflections(
+    columns: Columns,
+    values: Values,
+    parameters: Parameters,
+    *,
+    column: str,
+    name: str,
+    simulated_at: float,
+    then_absorbed: bool = False,
+) -> np.ndarray:
+    """(rho / simulated rho)^m of m reflections off something, counted in a column of the records.
+
+    `name` is the parameter rho, or the like. Where photons end in what reflects (`then_absorbed`),
+    times (1 - rho) / (1 - simulated rho).
+    """
+    reflectance = values[name]
+    ratio = (reflectance / simulated_at) ** columns[column].astype(np.float64)
+    return (1.0 - reflectance) / (1.0 - simulated_at) * ratio if then_absorbed else ratio
+
+
 def modules_of(effects: Iterable[Effect]) -> set[str]:
     """Where effects are written: the modules of their functions, or a user's own files."""
     acts = [act for e in effects for act in (e.edit, e.weight, e.colours, e.reading) if act]

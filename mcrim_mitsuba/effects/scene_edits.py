@@ -52,6 +52,12 @@ def element(head: str, parts: Iterable[str]) -> str:
     return "\n  ".join([f"<{head}>", *lines]) + f"\n</{head.split()[0]}>"
 
 
+def set_numbers(editor: SceneEditor, part: Node, *names: str) -> None:
+    """Give a medium or an emitter the effect's parameters of these names."""
+    for name in names:
+        editor.insert_last(part, f'<float name="{name}" value="${name}"/>')
+
+
 def set_phase(editor: SceneEditor, xml: str) -> None:
     """Put ``<phase>`` into the crystal's medium, or refuse one that has its own."""
     for part in editor.crystal.elements:
@@ -61,9 +67,25 @@ def set_phase(editor: SceneEditor, xml: str) -> None:
     editor.insert_last(editor.crystal, xml)
 
 
-def set_detector(editor: SceneEditor, name: str, value: str) -> None:
-    """Put ``<float>`` into every ``photodetector``, or refuse one that has it."""
+def set_detector(editor: SceneEditor, name: str, value: str, *, sends_back: bool = False) -> None:
+    """Put ``<float>`` into every ``photodetector``, or refuse one that has it.
+
+    What the text calls a black detector is called so no longer where it `sends_back` light.
+    """
     set_part(editor, editor.detectors, name, f'<float name="{name}" value="{value}"/>')
+    for shape in editor.shapes if sends_back else ():
+        if any(part in editor.detectors for part in shape.walk()):
+            editor.reword(shape, "window, black", "window")
+
+
+def set_masks(editor: SceneEditor, name: str, xml: str, *, detectors: bool = False) -> None:
+    """Put a property of a name into every mask, of which there must be one, and perhaps detectors.
+
+    One that has it is refused.
+    """
+    if not editor.masks:
+        raise editor.refusal("the scene has no mask", "let the window wear an aperture")
+    set_part(editor, [*editor.masks, *(editor.detectors if detectors else ())], name, xml)
 
 
 def set_part(editor: SceneEditor, bsdfs: Iterable[Node], name: str, xml: str) -> None:
@@ -86,13 +108,6 @@ def wavelength_of(editor: SceneEditor) -> str:
     if WAVELENGTH not in editor.scene.parameters:
         editor.declare(WAVELENGTH, 540.0, "Wavelength of the light in vacuum, nm")
     return f"${WAVELENGTH}"
-
-
-def masks_of(editor: SceneEditor) -> list[Node]:
-    """The masks of a scene, which must have one."""
-    if not editor.masks:
-        raise editor.refusal("the scene has no mask", "let the window wear an aperture")
-    return editor.masks
 
 
 def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:

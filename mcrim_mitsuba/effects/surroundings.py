@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from mcrim_mitsuba.effects.effect import Columns, Effect, EffectParameter, Parameters, Values
-from mcrim_mitsuba.effects.scene_edits import crystal_box, element, masks_of, set_part
+from mcrim_mitsuba.effects.effect import (
+    Columns,
+    Effect,
+    EffectParameter,
+    Parameters,
+    Values,
+    weight_of_reflections,
+)
+from mcrim_mitsuba.effects.scene_edits import crystal_box, element, set_masks
 from mcrim_mitsuba.scene.editor import Node, SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE
@@ -40,12 +49,6 @@ def edit_top_reflector(editor: SceneEditor) -> None:
     )
 
 
-def weight_top_reflector(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
-    """(rho / 0.99) to the power of the reflections off the reflector."""
-    hits = columns["reflector_hits"].astype(np.float64)
-    return (values["top_reflectance"] / _REFLECTOR_SIMULATED_AT) ** hits
-
-
 TOP_REFLECTOR = Effect(
     name="top_reflector",
     title="reflector on the top face",
@@ -70,7 +73,12 @@ TOP_REFLECTOR = Effect(
     ),
     edit=edit_top_reflector,
     columns=("reflector_hits",),
-    weight=weight_top_reflector,
+    weight=partial(
+        weight_of_reflections,
+        column="reflector_hits",
+        name="top_reflectance",
+        simulated_at=_REFLECTOR_SIMULATED_AT,
+    ),
     proposal={"top_reflectance": _REFLECTOR_SIMULATED_AT},
 )
 
@@ -163,14 +171,6 @@ APERTURE_AT_DETECTOR = Effect(
 )
 
 
-_CENTRE = '<point name="centre" x="$mask_offset_mm" y="0" z="0"/>'
-
-
-def edit_mask_offset(editor: SceneEditor) -> None:
-    """Shift the hole of the mask, and the axis of the detector's sensitivity, along x."""
-    set_part(editor, [*masks_of(editor), *editor.detectors], "centre", _CENTRE)
-
-
 MASK_OFFSET = Effect(
     name="mask_offset",
     title="mask off the crystal's axis",
@@ -200,23 +200,17 @@ MASK_OFFSET = Effect(
             kinked=True,
         ),
     ),
-    edit=edit_mask_offset,
+    # the hole of the mask, and the axis of the detector's sensitivity
+    edit=partial(
+        set_masks,
+        name="centre",
+        xml='<point name="centre" x="$mask_offset_mm" y="0" z="0"/>',
+        detectors=True,
+    ),
 )
 
 
 _MASK_SIMULATED_AT = 0.2
-
-
-def edit_grey_mask(editor: SceneEditor) -> None:
-    """Let the masks send light back upwards."""
-    xml = '<float name="reflectance" value="$housing_reflectance"/>'
-    set_part(editor, masks_of(editor), "reflectance", xml)
-
-
-def weight_grey_mask(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
-    """(rho / 0.2)^m of m reflections off it."""
-    hits = columns["mask_hits"].astype(np.float64)
-    return (values["housing_reflectance"] / _MASK_SIMULATED_AT) ** hits
 
 
 HOUSING_REFLECTION = Effect(
@@ -245,9 +239,18 @@ HOUSING_REFLECTION = Effect(
             nodes=(0.03, 0.07, 0.13, 0.2),
         ),
     ),
-    edit=edit_grey_mask,
+    edit=partial(
+        set_masks,
+        name="reflectance",
+        xml='<float name="reflectance" value="$housing_reflectance"/>',
+    ),
     columns=("mask_hits",),
-    weight=weight_grey_mask,
+    weight=partial(
+        weight_of_reflections,
+        column="mask_hits",
+        name="housing_reflectance",
+        simulated_at=_MASK_SIMULATED_AT,
+    ),
     proposal={"housing_reflectance": _MASK_SIMULATED_AT},
 )
 
