@@ -22,7 +22,7 @@ from mcrim_mitsuba.article import published
 from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.files import write_bytes
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
-from mcrim_mitsuba.optics.attenuation import measured_transmittance
+from mcrim_mitsuba.optics.slab_transmittance import measured_transmittance
 from mcrim_mitsuba.optics.spectrum import Spectrum, weighted_mean
 
 FOLDER = Path(__file__).parents[1] / "scenes" / "camoo4_raw"

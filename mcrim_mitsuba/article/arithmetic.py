@@ -16,12 +16,12 @@ from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
 from mcrim_mitsuba.laboratory.light_yield import light_yield_by_reference, light_yield_ph_per_keV
 from mcrim_mitsuba.laboratory.peak import GAUSSIAN, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
-from mcrim_mitsuba.optics.attenuation import (
+from mcrim_mitsuba.optics.fresnel import escape_fraction, trapped_fraction
+from mcrim_mitsuba.optics.slab_transmittance import (
     absorption_coefficient,
     internal_transmittance,
     transmittance,
 )
-from mcrim_mitsuba.optics.fresnel import escape_fraction, trapped_fraction
 
 
 def from_printed(formula: Callable[..., SupportsFloat], *inputs: Printed) -> tuple[float, float]:

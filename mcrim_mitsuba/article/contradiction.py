@@ -30,7 +30,7 @@ from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.unexplained import UNKNOWN
 from mcrim_mitsuba.inference.workbench import Workbench
-from mcrim_mitsuba.optics.attenuation import (
+from mcrim_mitsuba.optics.slab_transmittance import (
     absorption_coefficient,
     internal_transmittance,
     measured_transmittance,

@@ -22,7 +22,7 @@ from mcrim_mitsuba.core.files import make_folder
 from mcrim_mitsuba.core.rounding import capital, pdg
 from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.peak import fit_peak
-from mcrim_mitsuba.optics.attenuation import measured_transmittance, transmittance
+from mcrim_mitsuba.optics.slab_transmittance import measured_transmittance, transmittance
 from mcrim_mitsuba.output.figure_style import (
     DARK,
     GREY,

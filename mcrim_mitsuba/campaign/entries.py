@@ -19,19 +19,26 @@ Entries = dict[str, dict[str, Any]]
 #: Signal of a reading / eta: light yield x energy x detector efficiency.
 SCALE = "scale"
 #: The parameter that a transmittance gives, and the one that the source's gammas give.
-ABSORPTION, SOURCE_DEPTH = "alpha_abs_per_cm", "source_depth_mm"
+ABSORPTION = "alpha_abs_per_cm"
+SOURCE_DEPTH = "source_depth_mm"
 SCATTERING = "alpha_scat_per_cm"
 #: Tables.
 #: Names the light over wavelengths.
 SPECTRUM = "spectrum"
 #: Whose conventions and physics are taken, and the only one besides those of this package: V.
 #: Alenkov et al., JINST 8 (2013) P06002.
-CONVENTION, ARTICLE = "convention", "article"
-LIGHT_YIELD, HISTOGRAMS, NEXT, BEAM_TABLE = "light_yield", "histograms", "next_measurements", "beam"
+CONVENTION = "convention"
+ARTICLE = "article"
+LIGHT_YIELD = "light_yield"
+HISTOGRAMS = "histograms"
+NEXT = "next_measurements"
+BEAM_TABLE = "beam"
 #: Crystals that are measured beside the campaign's own, and their scene parameters.
-SAMPLES, SAMPLE_SCENE = "samples", "scene"
+SAMPLES = "samples"
+SAMPLE_SCENE = "scene"
 #: Light yield of a sample that is known, its error; the efficiency's error that samples share.
-KNOWN_YIELD, KNOWN_YIELD_SIGMA = "light_yield_ph_per_keV", "light_yield_ph_per_keV_sigma"
+KNOWN_YIELD = "light_yield_ph_per_keV"
+KNOWN_YIELD_SIGMA = "light_yield_ph_per_keV_sigma"
 SHARED_SIGMA = "shared_efficiency_sigma"
 #: Relative error of a further measurement, beside the lists of values.
 NEXT_SIGMA = "sigma_relative"
@@ -116,8 +123,11 @@ CRYSTAL: Entries = {
     "material": {"type": "string", "description": "What the crystal is made of, such as CaMoO4"},
 }
 #: What a detector's efficiency is measured with.
-EFFICIENCY_OF, IN_AIR, IN_WINDOW = "efficiency_of", "in air", "inside the window"
-COLLECTION, COLLECTION_SIGMA = "collection_efficiency", "collection_efficiency_sigma"
+EFFICIENCY_OF = "efficiency_of"
+IN_AIR = "in air"
+IN_WINDOW = "inside the window"
+COLLECTION = "collection_efficiency"
+COLLECTION_SIGMA = "collection_efficiency_sigma"
 #: Of ``[light_yield]``, of the detector.
 DETECTOR: Entries = {
     EFFICIENCY_OF: {
@@ -230,7 +240,8 @@ _LIMITS = {
     "maximum": operator.le,
     "exclusiveMaximum": operator.lt,
 }
-_ERROR, _BETWEEN = "give a standard error", "is not between 0 and 1"
+_ERROR = "give a standard error"
+_BETWEEN = "is not between 0 and 1"
 #: What is wrong with a number beyond its limits, and how to mend it.
 _BEYOND = {
     "prior_sigma": (

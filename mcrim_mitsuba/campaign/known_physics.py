@@ -24,8 +24,11 @@ from mcrim_mitsuba.scene.scene_file import SceneFile
 if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.campaign import Campaign
 
-SOURCE_DEPTH, POLARIZATION, CRYSTAL_INDEX = "source_depth", "polarization", "crystal_index"
-DEPTH_MM, INDEX = "source_depth_mm", "n_crystal"
+SOURCE_DEPTH = "source_depth"
+POLARIZATION = "polarization"
+CRYSTAL_INDEX = "crystal_index"
+DEPTH_MM = "source_depth_mm"
+INDEX = "n_crystal"
 _IN_THE_MODEL = "it is in the model"
 
 

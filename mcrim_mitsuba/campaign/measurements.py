@@ -30,9 +30,12 @@ from mcrim_mitsuba.core.table_text import (
 from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, refused_of_beam
 from mcrim_mitsuba.scene.values import parse_like, parse_value
 
-_LIMIT_MB, _MOST_ROWS, _MOST_COLUMNS = 10, 10_000, 1000
+_LIMIT_MB = 10
+_MOST_ROWS = 10_000
+_MOST_COLUMNS = 1000
 _NUMBERS = ("signal", "sigma")
-_HISTOGRAM, _WINDOW = "histogram", ("window_low", "window_high")
+_HISTOGRAM = "histogram"
+_WINDOW = ("window_low", "window_high")
 #: Columns that hold no numbers.
 _TEXTS = ("label", "histogram", "group", "kind", "sample")
 #: An error in per cent.
@@ -40,7 +43,9 @@ _SHARE = re.compile(r"([0-9]+\.?[0-9]*) ?%")
 _OPTIONAL = ("use", "group", "group_sigma")
 #: Labels are written into CSV that people open in spreadsheets.
 _FORMULA = re.compile(r"[=@]|[+-][^(|]*[(|]")
-KIND, LIGHT, TRANSMITTANCE = "kind", "light", "transmittance"
+KIND = "kind"
+LIGHT = "light"
+TRANSMITTANCE = "transmittance"
 SAMPLE = "sample"
 _SIGNALS = {LIGHT: "light signal", TRANSMITTANCE: TRANSMITTANCE}
 _FORMAT = ("label", *_NUMBERS, _HISTOGRAM, *_WINDOW, *_OPTIONAL, KIND, SAMPLE)

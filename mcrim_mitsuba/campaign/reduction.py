@@ -41,7 +41,8 @@ from mcrim_mitsuba.scene.values import read_index
 LIMIT_MB = 50
 #: Of the light inside the sample: no spectrophotometer is as exact.
 _SMALLEST_SIGMA = 2e-4
-_KEY, _CRYSTAL = f"parameters.{ABSORPTION}", "n_crystal"
+_KEY = f"parameters.{ABSORPTION}"
+_CRYSTAL = "n_crystal"
 #: Digits of the numbers that stand in the place of raw entries: `mcrim reduce` writes them so.
 _DIGITS = 6
 

@@ -46,7 +46,8 @@ from mcrim_mitsuba.core.table_text import (
     without_empty_end,
 )
 
-_MOST_LINES, _LONGEST_LINE = 2_000_000, 100_000
+_MOST_LINES = 2_000_000
+_LONGEST_LINE = 100_000
 _LEADING_ZERO = re.compile(r"[+-]?0\d+", re.ASCII)
 _WHOLE = re.compile(r"[+-]?\d+([eE][+-]?\d+)?", re.ASCII)
 #: In a line of units, these are some too.

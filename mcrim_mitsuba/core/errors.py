@@ -9,8 +9,10 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-#: Characters: what was given may be a megabyte, and the line is for a person. Mends list names.
-_LONGEST, _LONGEST_MEND = 1200, 2000
+#: Characters of a problem: what was given may be a megabyte, and the line is for a person.
+_LONGEST = 1200
+#: Characters of a mend, which may list names.
+_LONGEST_MEND = 2000
 #: Longer names are no slips, and comparing them takes long.
 _LONGEST_NAME = 200
 

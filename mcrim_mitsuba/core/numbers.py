@@ -173,13 +173,16 @@ def value_text(value: object) -> str:
 # What a scene parameter's value can be, judged by its name and unit.
 
 #: Sizes of all numbers but 0: beyond them squares and products of a few would overflow.
-SMALLEST, LARGEST = 1e-60, 1e60
+SMALLEST = 1e-60
+LARGEST = 1e60
 #: Anything above is not the index of a transparent solid (diamond has 2.4, germanium 4.0).
 LARGEST_INDEX = 4.5
 #: Lengths of a bench outside this range (mm) are taken for another unit.
-SHORTEST_PART_MM, LONGEST_PART_MM = 0.1, 500.0
+SHORTEST_PART_MM = 0.1
+LONGEST_PART_MM = 500.0
 #: The same for what is thin by nature.
-SHORTEST_GAP_MM, LONGEST_GAP_MM = 1e-3, 10.0
+SHORTEST_GAP_MM = 1e-3
+LONGEST_GAP_MM = 10.0
 #: Coefficients above this (1/cm) would leave no light to measure; 1/m is the likely unit.
 LARGEST_PER_CM = 100.0
 _THIN = ("gap", "film", "chamfer", "depth")

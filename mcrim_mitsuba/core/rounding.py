@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from decimal import Decimal, localcontext
 
-# beyond these the digits are followed by a common power of ten
-_LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-4
+#: Beyond these the digits are followed by a common power of ten.
+_LARGEST_PLAIN = 1e6
+_SMALLEST_PLAIN = 1e-4
 
 
 def pdg(value: float, sigma: float | None) -> str:

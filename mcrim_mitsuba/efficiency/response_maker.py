@@ -38,7 +38,7 @@ from mcrim_mitsuba.efficiency.eta_grid import (
 )
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
 from mcrim_mitsuba.efficiency.surface import chebyshev_nodes
-from mcrim_mitsuba.optics.attenuation import measured_transmittance, transmittance
+from mcrim_mitsuba.optics.slab_transmittance import measured_transmittance, transmittance
 from mcrim_mitsuba.runs.cache import code_hash, record_versions
 from mcrim_mitsuba.runs.executors import Task, current_executor, number_of
 from mcrim_mitsuba.runs.processes import many_units_executor

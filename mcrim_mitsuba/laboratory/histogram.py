@@ -20,10 +20,11 @@ from mcrim_mitsuba.core.numbers import FWHM
 
 #: Part of its height to which the counts must fall beside a peak that is alone.
 SHALLOW = 0.5
-# Standard errors by which a peak must stand out of what surrounds it; part of the largest peak's
-# area that the main one must have.
-_STANDS_OUT, _LARGE = 5.0, 0.25
-# Of the counts, standard deviation in bins.
+#: Standard errors by which a peak must stand out of what surrounds it.
+_STANDS_OUT = 5.0
+#: Part of the largest peak's area that the main one must have.
+_LARGE = 0.25
+#: Smoothings of the counts that are tried: standard deviations in bins.
 _SMOOTHINGS = (1.0, 1.4, 2.0, 2.8, 4.0, 5.7, 8.0)
 
 
@@ -123,12 +124,24 @@ def peak_inside(values: Array, counts: Array) -> Found | None:
 # quartiles of all events: with a pedestal far from a narrow peak, they tell how far, not how
 # narrow.
 
-# Bins in standard deviations of the main peak: so narrow they must be, and are made; how much
-# narrower they may become, and how many there may be.
-_COARSE, _FINE, _NARROWER, _MOST_FINE = 0.5, 0.2, 200, 100_000
-# Empty bins beside the events, where a peak is searched.
-_MARGIN = 8
-# Of a step: how far numbers may be from whole steps.
+
+@dataclass(frozen=True)
+class _Binning:
+    """How a list of events is sorted into bins."""
+
+    #: Widest bins that show the main peak, in its standard deviations; and those that are made.
+    coarse: float = 0.5
+    fine: float = 0.2
+    #: How much narrower bins may become than the quartiles ask for.
+    narrower: int = 200
+    #: How many bins there may be.
+    most: int = 100_000
+    #: Empty bins beside the events, where a peak is searched.
+    margin: int = 8
+
+
+_BINNING = _Binning()
+#: Part of a step by which numbers may be away from whole steps.
 _UNEVEN = 0.01
 
 
@@ -152,20 +165,20 @@ def _bin_width(events: Array) -> float:
 
 def _resolving(events: Array, width: float, step: float) -> float:
     """A width that shows the main peak: the quartiles may lie in a pedestal far away from it."""
-    least = max(width / _NARROWER, float(np.ptp(events)) / _MOST_FINE)
+    least = max(width / _BINNING.narrower, float(np.ptp(events)) / _BINNING.most)
     finer = width
     while finer >= least:
         # `main_peak` smooths over up to eight bins
         fine = _whole_steps(finer / 8, step)
         centres, counts = _sorted_into_bins(events, fine)
         # a peak in the last bin has sides too
-        centres = centres[0] + fine * np.arange(-_MARGIN, len(centres) + _MARGIN)
-        peak = main_peak(centres, np.pad(counts, _MARGIN))
+        centres = centres[0] + fine * np.arange(-_BINNING.margin, len(centres) + _BINNING.margin)
+        peak = main_peak(centres, np.pad(counts, _BINNING.margin))
         if peak is None:
             return width
-        if finer <= _COARSE * peak.width or fine == step:
+        if finer <= _BINNING.coarse * peak.width or fine == step:
             return finer
-        finer = _FINE * peak.width
+        finer = _BINNING.fine * peak.width
     # a spike of equal numbers has no width
     return width
 
@@ -187,11 +200,15 @@ def _whole_steps(width: float, step: float) -> float:
 #: Lists of some million events.
 _LIMIT_MB = 50
 #: With fewer bins, or events in a list, no peak could be told from its background.
-_FEWEST_BINS, _FEWEST_EVENTS = 8, 300
+_FEWEST_BINS = 8
+_FEWEST_EVENTS = 300
 _MOST_BINS = 100_000
 _ROLES = ("bin centre", "counts")
-#: Numbers beyond these are slips; whole ones are exact below them. Bins may be coulombs.
-_LARGEST_CENTRE, _MOST_COUNTS, _NARROWEST = 1e12, 1e15, 1e-30
+#: Numbers beyond these are slips; whole ones are exact below them.
+_LARGEST_CENTRE = 1e12
+_MOST_COUNTS = 1e15
+#: Bins may be coulombs.
+_NARROWEST = 1e-30
 #: First columns of spectra and of traces, and second ones of what each event gave.
 _NO_BINS = re.compile(r"wave.?(length|number)|lambda|λ|wellenl|длина|time(?!.?over)|zeit|время")
 _NO_BIN_UNITS = ("nm", "µm", "Å", "eV", "1/cm", "s", "ms", "min", "h")
@@ -200,9 +217,11 @@ _PER_EVENT = re.compile(
 )
 _PER_EVENT_UNITS = ("pe", "p.e.", "phe", "v", "mv", "pc", "fc")
 _OF_BINS = re.compile(r"count|event|entr|hits|freq|anzahl|häufig")
-#: Numbered events: this part of neighbours differs by more than 3 standard errors, and all are in
-#: no order: the ratio of von Neumann (Ann. Math. Stat. 12 (1941) 367) of their ranks is 1.
-_JUMPS, _ORDERLESS = 0.05, (0.8, 1.2)
+#: Numbered events: more than this part of neighbours differs by more than 3 standard errors,
+_JUMPS = 0.05
+#: and all are in no order: the ratio of von Neumann (Ann. Math. Stat. 12 (1941) 367) of their ranks
+#: is 1.
+_ORDERLESS = (0.8, 1.2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,9 @@ from mcrim_mitsuba.optics.spectrum import Spectrum, WeightedMean, cut_off_note, 
 
 #: Relative error of a tube's quantum efficiency, common to all wavelengths (article, Sec. 4).
 TUBE_SCALE_SIGMA = 0.05
-SCALE, CURVE, EMISSION = "tube scale", "quantum efficiency curve", "emission spectrum"
+SCALE = "tube scale"
+CURVE = "quantum efficiency curve"
+EMISSION = "emission spectrum"
 #: Relative: what errors that the points share would have to add before it is said.
 _WORTH_SAYING = 0.01
 
@@ -279,7 +281,9 @@ def _known(
     return Uncertain(value, systematic=errors | common)
 
 
-SAMPLE, REFERENCE, SHARED = "sample", "reference", "shared"
+SAMPLE = "sample"
+REFERENCE = "reference"
+SHARED = "shared"
 _YIELD = "light_yield_ph_per_keV"
 _FRACTIONS = ("eta", "detector_efficiency")
 _EXAMPLE = {"signal": "14.3", "eta": "0.25", "detector_efficiency": "0.127", _YIELD: "16.2"}

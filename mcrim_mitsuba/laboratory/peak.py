@@ -166,10 +166,11 @@ def _start(shape: str, place: Found, values: Array) -> Array:
 _SEEN = 1.5
 # Part of the height by which a background must not rise: the usual one falls.
 _RISE = 0.25
-# The same for its fall; and what it does to the centroid, in widths, if the background is no line
-# but a flat continuum that ends at the centroid: 0.26 to 0.31 of the expected counts of 14.3 and
-# 24.5 photons.
-_FALL, _SHIFT = 0.10, 0.3
+# Part of the height by which it must not fall.
+_FALL = 0.10
+# What the fall does to the centroid, in widths, if the background is no line but a flat continuum
+# that ends at the centroid: 0.26 to 0.31 of the expected counts of 14.3 and 24.5 photons.
+_SHIFT = 0.3
 # Part of the centroid, in photons, above which the square of the width is that of counting.
 _COUNTED = 0.3
 # Relative error of the centroid above which there were too few events.
@@ -294,8 +295,10 @@ def _doubts_of_shape(peak: Peak, other: Peak | None) -> list[str]:
 # - a scatter above 10 % of the mean, three times the article's, which the errors do not explain (p
 #   < 1 %). For two values this is the only test.
 
-# Chance of an alarm where nothing is wrong; relative scatter that no mounting makes.
-_LEAST_P, _MOST_SCATTER = 0.01, 0.10
+# Chance of an alarm where nothing is wrong.
+_LEAST_P = 0.01
+# Relative scatter that no mounting makes.
+_MOST_SCATTER = 0.10
 # Values whose scatter is hardly known.
 _FEW = 3
 

@@ -19,11 +19,13 @@ from scipy.special import gammaln, xlogy
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 
-GAUSSIAN, COUNTING = "gaussian", "counting"
+GAUSSIAN = "gaussian"
+COUNTING = "counting"
 
-# Nodes of the sum over the mean number of photons: reach in standard deviations, and spacing in
-# widths of what is summed. The error of the rule is exp(-2 pi^2 / spacing^2), 1e-9.
-_REACH, _SPACING = 6.0, 1.0
+# Reach of the sum over the mean number of photons, in standard deviations.
+_REACH = 6.0
+# Spacing of its nodes in widths of what is summed: the error is exp(-2 pi^2 / spacing^2), 1e-9.
+_SPACING = 1.0
 
 
 def band(
@@ -81,10 +83,12 @@ def numbers_per_bin(values: Array) -> int | None:
 
 
 #: Events of the pedestal and of the continuum, per event of the band.
-PEDESTAL, CONTINUUM = 0.75, 0.15
+PEDESTAL = 0.75
+CONTINUUM = 0.15
 # Beyond the mean of the band, in its standard deviations: where a histogram may end.
 _LAST = 8.0
-_MOST_EVENTS, _MOST_PHOTONS = 1e12, 10_000.0
+_MOST_EVENTS = 1e12
+_MOST_PHOTONS = 10_000.0
 #: Of each number: whether it must be above 0, and its largest value.
 RANGES = {
     "mean_photons": (True, _MOST_PHOTONS),

@@ -15,7 +15,7 @@ import numpy as np
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
-from mcrim_mitsuba.optics.attenuation import (
+from mcrim_mitsuba.optics.slab_transmittance import (
     absorption_derivatives,
     apparent_absorption,
     clear_limit,
@@ -154,8 +154,11 @@ def _curve(
     return Spectrum(places, alpha, sigmas, transmittance.name), measured, indices
 
 
-TRANSMITTANCE, INDEX, THICKNESS = "transmittance", "index", "thickness"
-ORIENTATIONS, EMISSION = "orientations", "emission spectrum"
+TRANSMITTANCE = "transmittance"
+INDEX = "index"
+THICKNESS = "thickness"
+ORIENTATIONS = "orientations"
+EMISSION = "emission spectrum"
 #: In standard errors: readings further above the reading of a clear slab are refused.
 _CLEARLY_ABOVE = 3.0
 #: Of full transmission: no spectrophotometer is worse.

@@ -129,8 +129,10 @@ USUAL_BANDS_NM = {"CaMoO4": (540.0, 150.0)}
 _USUAL_WIDTH_NM = 150.0
 #: The maximum and the width of light of which nothing else is said.
 USUAL_NM, USUAL_WIDTH_NM = USUAL_BANDS_NM["CaMoO4"]
-#: How far a Gaussian band is followed, in widths, and the step of all integrals.
-WIDTHS, _STEP_NM = 1.5, 1.0
+#: How far a Gaussian band is followed, in widths.
+WIDTHS = 1.5
+#: Step of all integrals.
+_STEP_NM = 1.0
 #: Points of Gauss and Legendre over a band.
 _POINTS = 12
 

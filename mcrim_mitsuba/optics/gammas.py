@@ -23,7 +23,8 @@ SOURCE = (
     "error as in J. H. Hubbell and S. M. Seltzer, NISTIR 5632 (1995)"
 )
 #: Energies between which the tables are trustworthy.
-LOWEST_KEV, HIGHEST_KEV = 1.0, 800.0
+LOWEST_KEV = 1.0
+HIGHEST_KEV = 800.0
 #: Relative standard error of tabulated coefficients (Hubbell and Seltzer: 1 to 2 % for photon
 #: energies above 5 keV, more near edges).
 TABLES_SIGMA = 0.02

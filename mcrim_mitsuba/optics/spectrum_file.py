@@ -24,9 +24,12 @@ HC_EV_NM = 1239.841984
 NM_PER_CM = 1e7
 
 #: Scintillators emit, and detectors see, within these.
-SHORTEST_NM, LONGEST_NM = 100.0, 2500.0
-#: Times the usual step: a longer one is a gap. Longer than so many nm, it is refused.
-_GAP, LARGEST_STEP_NM = 5.0, 100.0
+SHORTEST_NM = 100.0
+LONGEST_NM = 2500.0
+#: Times the usual step: a longer one is a gap.
+_GAP = 5.0
+#: A longer step is refused.
+LARGEST_STEP_NM = 100.0
 _MOST_GAPS_NAMED = 3
 _FACTORS = {None: 1.0, "nm": 1.0, "µm": 1000.0, "Å": 0.1, "A": 0.1}
 _RECIPROCAL: dict[str | None, float] = {"eV": HC_EV_NM, "1/cm": NM_PER_CM}
@@ -161,11 +164,15 @@ def _notes_on_gaps(
 
 Kind = Literal["emission", "quantum_efficiency", "transmittance"]
 _FEWEST_POINTS = 3
-#: Noise about zero, of an emission's maximum and as a transmittance: what is further below is
-#: no noise, but a background that was subtracted twice.
-_NOISE_OF_EMISSION, _NOISE_OF_TRANSMITTANCE = 0.02, 0.01
-#: In standard errors of its own: noise too, up to this much of the maximum.
-_NOISE_SIGMAS, _MOST_NOISE = 3.0, 0.3
+#: Noise about zero, as a part of an emission's maximum: what is further below is no noise, but a
+#: background that was subtracted twice.
+_NOISE_OF_EMISSION = 0.02
+#: Noise about zero of a transmittance.
+_NOISE_OF_TRANSMITTANCE = 0.01
+#: In standard errors of its own: noise too,
+_NOISE_SIGMAS = 3.0
+#: up to this part of the maximum.
+_MOST_NOISE = 0.3
 #: Of the values: errors that are larger at most high points are no errors of these values.
 _LARGEST_ERROR = {"emission": 1.0, "quantum_efficiency": 0.5, "transmittance": 0.5}
 #: Of the maximum: points above it are high.

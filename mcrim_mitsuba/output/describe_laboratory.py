@@ -28,8 +28,7 @@ if TYPE_CHECKING:
         RelativeYield,
     )
     from mcrim_mitsuba.laboratory.peak import Repeated
-    from mcrim_mitsuba.laboratory.peak_band import Peak
-    from mcrim_mitsuba.laboratory.peak_width import WidthParts
+    from mcrim_mitsuba.laboratory.peak_band import Peak, WidthParts
     from mcrim_mitsuba.optics.absorption import Absorption
     from mcrim_mitsuba.optics.gammas import AttenuationLength
     from mcrim_mitsuba.optics.materials import Material

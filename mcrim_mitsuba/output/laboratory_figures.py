@@ -15,9 +15,9 @@ from mcrim_mitsuba.core.rounding import number, pdg
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.light_yield import SCALE, DetectorEfficiency
 from mcrim_mitsuba.laboratory.peak import Peak
-from mcrim_mitsuba.laboratory.peak_width import Width, WidthParts
+from mcrim_mitsuba.laboratory.peak_band import Width, WidthParts
 from mcrim_mitsuba.optics.absorption import Absorption, Index
-from mcrim_mitsuba.optics.attenuation import clear_limit
+from mcrim_mitsuba.optics.slab_transmittance import clear_limit
 from mcrim_mitsuba.optics.spectrum import Spectrum, common_grid
 from mcrim_mitsuba.output import figure_style as style
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import LARGEST_INDEX, judge, parse_number
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.scene.vocabulary import misled, misspelt
+from mcrim_mitsuba.scene.xml_tree import misled, misspelt
 
 if TYPE_CHECKING:
     from lxml import etree

@@ -18,9 +18,13 @@ from mcrim_mitsuba.optics.spectrum_file import photons_over_emission, read_spect
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
 #: Columns of a table that are no parameters of the scene.
-WAVELENGTH, EMISSION, EFFICIENCY = "wavelength_nm", "emission", "efficiency"
-#: Step of integrals, and light over its maximum below which a wavelength is left out.
-_STEP_NM, _FAINT = 5.0, 1e-3
+WAVELENGTH = "wavelength_nm"
+EMISSION = "emission"
+EFFICIENCY = "efficiency"
+#: Step of integrals.
+_STEP_NM = 5.0
+#: Light over its maximum below which a wavelength is left out.
+_FAINT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)

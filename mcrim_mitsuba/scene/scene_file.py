@@ -23,14 +23,18 @@ from mcrim_mitsuba.core.files import BYTES_PER_MB, is_there, look_around, read_b
 from mcrim_mitsuba.core.numbers import Value, unit_of, value_text
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.scene.values import MaterialIndex, parse_like, parse_material, parse_value
-from mcrim_mitsuba.scene.vocabulary import misspelt
-from mcrim_mitsuba.scene.xml_tree import comment_of, parse_scene_xml
+from mcrim_mitsuba.scene.xml_tree import comment_of, misspelt, parse_scene_xml
 
 _LIMIT_MB = 5
 #: What few lines may grow to by includes in includes and parameters in parameters: a bench has
 #: tens of files and hundreds of elements.
-_MOST_FILES, _MOST_NESTED, _MOST_ELEMENTS = 100, 8, 50_000
-_MOST_REFERENCES, _MOST_CHARACTERS = 50_000, 5_000_000
+_MOST_FILES = 100
+#: Files one in another.
+_MOST_NESTED = 8
+_MOST_ELEMENTS = 50_000
+#: Places of parameters, and the characters that they bring.
+_MOST_REFERENCES = 50_000
+_MOST_CHARACTERS = 5_000_000
 _LARGEST_NAMED_FILE_MB = 1000
 _MEANT = "is this the scene you meant?"
 #: What other files of this package are, by their endings.

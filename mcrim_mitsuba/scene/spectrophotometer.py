@@ -17,7 +17,9 @@ from mcrim_mitsuba.scene.check_text import bsdf_of, indices_of, is_filled, shape
 from mcrim_mitsuba.scene.editor import Node, SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
-BEAM_DIAMETER, BEAM_AXIS, ACCEPTANCE = "beam_diameter_mm", "beam_axis", "acceptance_deg"
+BEAM_DIAMETER = "beam_diameter_mm"
+BEAM_AXIS = "beam_axis"
+ACCEPTANCE = "acceptance_deg"
 #: Parameters of the scene that the bench does not have, with usual values.
 BEAM_PARAMETERS: dict[str, Value] = {BEAM_DIAMETER: 3.0, BEAM_AXIS: "x", ACCEPTANCE: 5.0}
 _MEANINGS = {
@@ -165,7 +167,7 @@ def scattered_share(scene: SceneFile, acceptance_deg: float) -> float | None:
     """Part of once scattered light that a detector behind a polished crystal takes.
 
     By it the closed form of the transmittance, in which all scattered light is lost (see
-    `optics.attenuation.measured_transmittance`), is too low, for each mean free path in the
+    `optics.slab_transmittance.measured_transmittance`), is too low, for each mean free path in the
     crystal. None where that form does not hold at all: faces that are not of plain polish, or a
     medium that scatters to some sides more than to others.
     """

@@ -14,7 +14,7 @@ from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Provenance, signals_wait
 from mcrim_mitsuba.scene.check_text import CheckReport, SceneProblem, problems_of_text
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
-from mcrim_mitsuba.scene.vocabulary import PLUGIN_TYPES
+from mcrim_mitsuba.scene.xml_tree import PLUGIN_TYPES
 from mcrim_mitsuba.transport.launch_plan import FateTally
 from mcrim_mitsuba.transport.variants import DEFAULT_VARIANT, use_variant, versions
 

@@ -38,7 +38,7 @@ from mcrim_mitsuba.efficiency.simulate import collect
 from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
 from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
 from mcrim_mitsuba.laboratory.error_budget import Uncertain
-from mcrim_mitsuba.optics.attenuation import clear_limit
+from mcrim_mitsuba.optics.slab_transmittance import clear_limit
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 
 from mcrim_mitsuba.core.numbers import FWHM
 from mcrim_mitsuba.laboratory.peak import fit_peak
+from mcrim_mitsuba.laboratory.peak_band import width_parts
 from mcrim_mitsuba.laboratory.peak_shapes import spectrum_of
-from mcrim_mitsuba.laboratory.peak_width import width_parts
 
 #: chi2 of ten below and above it in one run in 1,000 each.
 CHI2_OF_TEN = 1.48, 29.6

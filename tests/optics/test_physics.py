@@ -7,13 +7,13 @@ from refusals import refusal
 
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
-from mcrim_mitsuba.optics.attenuation import (
+from mcrim_mitsuba.optics.fresnel import amplitudes, escape_fraction, reflectance, trapped_fraction
+from mcrim_mitsuba.optics.slab_transmittance import (
     absorption_coefficient,
     internal_transmittance,
     measured_transmittance,
     transmittance,
 )
-from mcrim_mitsuba.optics.fresnel import amplitudes, escape_fraction, reflectance, trapped_fraction
 from mcrim_mitsuba.optics.thin_film import ThinFilm, cathode_index
 
 cases = cases_of(__file__)

@@ -15,13 +15,13 @@ from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import beam_notes
 from mcrim_mitsuba.laboratory.light_yield import detector_efficiency
 from mcrim_mitsuba.optics.absorption import absorption_from_transmittance as absorption
-from mcrim_mitsuba.optics.attenuation import (
+from mcrim_mitsuba.optics.emission_band import index_over
+from mcrim_mitsuba.optics.slab_transmittance import (
     absorption_derivatives,
     apparent_absorption,
     clear_limit,
     measured_transmittance,
 )
-from mcrim_mitsuba.optics.emission_band import index_over
 from mcrim_mitsuba.optics.spectrum import Spectrum, average_over, detected_light, weighted_mean
 from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 from mcrim_mitsuba.output import laboratory_figures as figures

@@ -17,12 +17,16 @@ PACKAGE = ROOT / "mcrim_mitsuba"
 
 #: Local names and parameters that say nothing of what a thing is.
 BANNED = {"found", "one", "each", "own", "made", "said", "known", "told"}
-MOST_BANNED = 1269
+MOST_BANNED = 926
 #: Lines that a function should have, and those that it must not exceed.
-LONG, TOO_LONG = 60, 80
-MOST_LONG, MOST_TOO_LONG = 54, 19
+LONG = 60
+TOO_LONG = 80
+MOST_LONG = 36
+MOST_TOO_LONG = 11
 #: The transport's step is one page in titled sections.
 MAY_BE_LONG = {"transport/loop.py:step"}
+#: Constants of modules that stand in one statement with others: ``A, B = 1, 2``.
+MOST_PACKED = 300
 #: Lines of the tests that the formatter leaves alone.
 MOST_SKIPPED_IN_TESTS = 10
 
@@ -58,6 +62,16 @@ def long_functions(lines: int) -> dict[str, int]:
     return {name: size for name, size in longest if size > lines and name not in MAY_BE_LONG}
 
 
+def packed_constants() -> collections.Counter[str]:
+    """How many constants stand in one statement with others, by module."""
+    count: collections.Counter[str] = collections.Counter()
+    for path, tree in modules():
+        for node in tree.body:
+            for target in node.targets if isinstance(node, ast.Assign) else ():
+                count[path] += len(target.elts) if isinstance(target, ast.Tuple) else 0
+    return count
+
+
 def skipped_lines(folder: Path) -> list[str]:
     """Places that ask the formatter to leave them alone."""
     mark = re.compile(r"#\s*fmt:\s*" + "(skip|off)")
@@ -80,6 +94,11 @@ def test_functions_are_short(lines, most):
     assert len(longer) <= most, longer
 
 
+def test_every_constant_has_a_line():
+    count = packed_constants()
+    assert count.total() <= MOST_PACKED, count.most_common()
+
+
 def test_the_formatter_lays_out_everything():
     assert skipped_lines(PACKAGE) == []
     assert len(skipped_lines(ROOT / "tests")) <= MOST_SKIPPED_IN_TESTS
@@ -90,5 +109,6 @@ if __name__ == "__main__":
     print(f"{names.total()} banned names:", dict(names.most_common()))
     for name, size in long_functions(LONG).items():
         print(f"{size:4d} {name}")
+    print("packed constants:", dict(packed_constants().most_common(20)))
     print(*skipped_lines(ROOT), sep="\n")
     sys.exit()

@@ -9,7 +9,7 @@ from refusals import refusal
 from scipy.special import ndtri
 
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.optics.attenuation import measured_transmittance, transmittance
+from mcrim_mitsuba.optics.slab_transmittance import measured_transmittance, transmittance
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.spectrophotometer import scattered_share, spectrophotometer_of
 from mcrim_mitsuba.transport.simulation import Simulation

@@ -11,7 +11,7 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.table import eta_table
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.scene.vocabulary import PLUGIN_TYPES
+from mcrim_mitsuba.scene.xml_tree import PLUGIN_TYPES
 from mcrim_mitsuba.transport.simulation import Simulation, check_scene
 from mcrim_mitsuba.transport.variants import use_variant
 

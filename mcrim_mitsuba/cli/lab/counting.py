@@ -77,7 +77,7 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
     """
     from mcrim_mitsuba.laboratory.histogram import read_histogram
     from mcrim_mitsuba.laboratory.peak import combine
-    from mcrim_mitsuba.laboratory.peak_width import width_parts
+    from mcrim_mitsuba.laboratory.peak_band import width_parts
     from mcrim_mitsuba.output.laboratory_figures import (
         FittedHistogram,
         draw_histograms,
