@@ -12,7 +12,7 @@ of the first at the cost of its nodes alone: nodes of both are in one array, the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -124,7 +124,7 @@ class Openings:
 
 
 @dataclass(frozen=True, eq=False)
-class EndCones(Openings):
+class EndFaceTransfer(Openings):
     """Directions in the escape cones of bottom and top.
 
     Those closer to x than to y; the others are their mirror images.
@@ -137,7 +137,7 @@ class EndCones(Openings):
     waves: Waves
     #: (waves, n) complex: what arrives at the bottom as exp(i kappa X) leaves it as this times the
     #: same, the gap's shuttles included.
-    own: _Array
+    unturned: _Array
     #: Those that the place at the bottom couples, m, and where they are among `waves`.
     coupled: Waves
     among_waves: Any
@@ -176,9 +176,8 @@ class FallingLight(SideCone):
     starts: tuple[Starts, Starts]
 
 
-def _by_rules(make: Callable[..., tuple[Floats, ...]], *rules: Any) -> tuple[int, list[Floats]]:
-    """Nodes of both rules, one after the other, and how many are the first's."""
-    first, second = (make(rule) for rule in rules)
+def _joined(first: tuple[Floats, ...], second: tuple[Floats, ...]) -> tuple[int, list[Floats]]:
+    """Nodes of two rules, one after the other, and how many are the first's."""
     return len(first[0]), [np.concatenate(pair) for pair in zip(first, second, strict=True)]
 
 
@@ -239,7 +238,7 @@ def side_cone(bench: Bench, rules: Rules) -> SideCone:
         weight = w_out[:, None] * w_azimuth
         return np.repeat(out, len(azimuth)), np.tile(azimuth, len(out)), weight.ravel()
 
-    first, (out, azimuth, weight) = _by_rules(nodes_of, *rules)
+    first, (out, azimuth, weight) = _joined(*map(nodes_of, rules))
     sine = np.sqrt(1.0 - out**2) / n
     cos = np.sqrt(1.0 - sine**2)
     weight = 2.0 / math.pi * weight * out / (n * n * cos)
@@ -255,49 +254,12 @@ def side_light(bench: Bench, rules: Rules) -> FallingLight | None:
     height and flat light only from low ones, and is integrated in panels; what becomes of the
     direction has none, so that few angles, and polynomials through them, are enough.
     """
-    half, radius = bench.crystal_width_mm / 2.0, bench.aperture_radius_mm
-    if radius <= half or bench.window_width_mm <= bench.crystal_width_mm:
+    half, n = bench.crystal_width_mm / 2.0, bench.n_crystal
+    if bench.aperture_radius_mm <= half or bench.window_width_mm <= bench.crystal_width_mm:
         return None
-    gap, height = bench.gap_thickness_mm, bench.crystal_height_mm
-    chord = math.sqrt(radius**2 - half**2)
-    starts_inside = chord >= half
-    cuts = [-half, half] if starts_inside else [-half, -chord, chord, half]
-    starts = []
-
-    def nodes_of(rule: Nodes) -> tuple[Floats, ...]:
-        foot, w_foot = gauss(rule.foot, np.array(cuts[:-1]), np.array(cuts[1:]))
-        turned, w_turned = gauss(rule.foot + 2, 0.0, math.pi / 2.0)
-        y, w_y = foot.ravel(), w_foot.ravel()[:, None, None]
-        near, far = landing(bench, y, np.cos(turned)[:, None], np.sin(turned)[:, None])
-        # angles at which the ends of the hole are just reached from the lowest and highest start
-        ends = (far,) if starts_inside else (far, near)
-        reached = np.arctan2(np.stack(ends, axis=-1)[..., None], [gap, gap + height])
-        reached = np.sort(reached.reshape(*far.shape, -1), axis=-1)
-        below = np.concatenate((np.zeros_like(far)[..., None], reached[..., :-1]), axis=-1)
-        angle, w_angle = gauss(rule.foot, below, reached)
-        slope = 1.0 / np.tan(np.maximum(angle, 1e-12))  # Gauss nodes may round to straight down
-        lowest, highest = (
-            np.clip(x[..., None, None] * slope - gap, 0.0, height) for x in (near, far)
-        )
-        largest = reached.max(axis=(1, 2), keepdims=True)[..., None]
-        angles = rule.foot + _ANGLES + rule.upwards // 4
-        polar = largest[:, 0, 0] * _chebyshev(angles)[0]
-        shares = _through_nodes(angles, angle / largest)
-        shares *= (w_angle * w_y)[..., None]
-        y = np.broadcast_to((y + half)[:, None, None], angle.shape)
-        rows = len(turned)
-        starts.append(
-            Starts(
-                y.reshape(rows, -1),
-                lowest.reshape(rows, -1),
-                highest.reshape(rows, -1),
-                shares.reshape(rows, -1, angles),
-            )
-        )
-        return np.repeat(turned, angles), np.repeat(w_turned, angles), polar.ravel()
-
-    first, (turned, weight, polar) = _by_rules(nodes_of, *rules)
-    n, cos_z, sine = bench.n_crystal, np.cos(polar), np.sin(polar)
+    (starts, fine), (coarser_starts, coarser) = (_falling(bench, rule) for rule in rules)
+    first, (turned, weight, polar) = _joined(fine, coarser)
+    cos_z, sine = np.cos(polar), np.sin(polar)
     out = sine * np.cos(turned)
     across_y, across_z = sine * np.sin(turned) / n, cos_z / n
     cos = np.sqrt(1.0 - across_y**2 - across_z**2)
@@ -306,32 +268,70 @@ def side_light(bench: Bench, rules: Rules) -> FallingLight | None:
     weight = weight * (out / (n * n * cos) * (1.0 - reflectance))
     weight *= 1.0 - fresnel(cos_z, 1.0, bench.n_window)
     weight *= _detected_below(bench, _cosine(sine, bench.n_window))
-    found = weight, cos, across_y, across_z, reflectance
-    return FallingLight(first, *found, (starts[0], starts[1]))
+    return FallingLight(
+        first=first,
+        weight=weight,
+        cos=cos,
+        across_y=across_y,
+        across_z=across_z,
+        reflectance=reflectance,
+        starts=(starts, coarser_starts),
+    )
+
+
+def _falling(bench: Bench, rule: Nodes) -> tuple[Starts, tuple[Floats, Floats, Floats]]:
+    """Where falling light starts; and azimuth, weight and angle of its directions, (n,) each."""
+    half, gap, height = bench.crystal_width_mm / 2, bench.gap_thickness_mm, bench.crystal_height_mm
+    chord = math.sqrt(bench.aperture_radius_mm**2 - half**2)
+    starts_inside = chord >= half
+    cuts = [-half, half] if starts_inside else [-half, -chord, chord, half]
+    foot, w_foot = gauss(rule.foot, np.array(cuts[:-1]), np.array(cuts[1:]))
+    turned, w_turned = gauss(rule.foot + 2, 0.0, math.pi / 2.0)
+    y, w_y = foot.ravel(), w_foot.ravel()[:, None, None]
+    near, far = landing(bench, y, np.cos(turned)[:, None], np.sin(turned)[:, None])
+    # angles at which the ends of the hole are just reached from the lowest and highest start
+    ends = (far,) if starts_inside else (far, near)
+    reached = np.arctan2(np.stack(ends, axis=-1)[..., None], [gap, gap + height])
+    reached = np.sort(reached.reshape(*far.shape, -1), axis=-1)
+    below = np.concatenate((np.zeros_like(far)[..., None], reached[..., :-1]), axis=-1)
+    angle, w_angle = gauss(rule.foot, below, reached)
+    slope = 1.0 / np.tan(np.maximum(angle, 1e-12))  # Gauss nodes may round to straight down
+    lowest, highest = (np.clip(x[..., None, None] * slope - gap, 0.0, height) for x in (near, far))
+    largest = reached.max(axis=(1, 2), keepdims=True)[..., None]
+    angles = rule.foot + _ANGLES + rule.upwards // 4
+    polar = largest[:, 0, 0] * (0.5 * (1.0 + chebyshev_nodes(angles)))
+    shares = through_chebyshev_nodes(angles, 2.0 * angle / largest - 1.0)
+    shares *= (w_angle * w_y)[..., None]
+    y = np.broadcast_to((y + half)[:, None, None], angle.shape)
+    rows = len(turned)
+    starts = Starts(
+        foot_mm=y.reshape(rows, -1),
+        lowest_mm=lowest.reshape(rows, -1),
+        highest_mm=highest.reshape(rows, -1),
+        share=shares.reshape(rows, -1, angles),
+    )
+    return starts, (np.repeat(turned, angles), np.repeat(w_turned, angles), polar.ravel())
 
 
 #: Angles of falling light, more than nodes of its foot's panels.
 _ANGLES = 5
 
 
-@lru_cache
-def _chebyshev(count: int) -> tuple[Floats, Floats]:
-    """Chebyshev's nodes from 0 to 1, and the cosines' shares in the polynomials through them."""
-    angles = math.pi * (np.arange(count) + 0.5) / count
-    order = np.arange(count)[:, None]
-    shares = np.cos(order * angles) * np.where(order > 0, 2.0, 1.0) / count
-    return 0.5 * (1.0 + np.cos(angles)), shares
+def chebyshev_nodes(count: int) -> Floats:
+    """Chebyshev's nodes, (count,), from near 1 down to near -1."""
+    return np.cos(math.pi * (np.arange(count) + 0.5) / count)
 
 
-def _through_nodes(count: int, x: Floats) -> Floats:
+def through_chebyshev_nodes(count: int, x: Floats) -> Floats:
     """Polynomials that are 1 at one of Chebyshev's nodes and 0 at the others: (..., count)."""
-    angles = np.arccos(np.clip(2.0 * x - 1.0, -1.0, 1.0))
-    return np.cos(angles[..., None] * np.arange(count)) @ _chebyshev(count)[1]
+    order, angles = np.arange(count)[:, None], math.pi * (np.arange(count) + 0.5) / count
+    shares = np.cos(order * angles) * np.where(order > 0, 2.0, 1.0) / count
+    return np.cos(np.arccos(np.clip(x, -1.0, 1.0))[..., None] * np.arange(count)) @ shares
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _GapLight:
-    """Light in the gap by the directions of `EndCones`: (n,) each, or (2, n) along x and y."""
+    """Light in the gap, by direction: (n,) each, or (2, n) along x and y."""
 
     #: How far one crossing goes.
     shift_mm: Floats
@@ -379,65 +379,91 @@ def _crossings(bench: Bench, order: int, light: _GapLight) -> tuple[_Array, _Arr
     a product of steps along x and along y, and a hole under the crystal is integrated chord by
     chord between all that has a kink.
     """
-    half, radius = bench.crystal_width_mm / 2.0, bench.aperture_radius_mm
+    half = bench.crystal_width_mm / 2.0
     walls = light.shift_mm // (2.0 * half)
     down = light.shift_mm - 2.0 * half * walls - half
     # what the way up loses is the mirror image of what the way down loses
     ends = ((half - light.to_edge_mm, light.edge_out), (-down, light.out))
-    order_of = np.arange(-order, order + 1)
-    k = math.pi / half * order_of
-    safe = np.where(k == 0.0, 1.0, -1j * k)
-
-    def between(low: Floats, high: Floats) -> _Array:
-        first, last = (_powers(np.exp(-1j * math.pi / half * x), order) for x in (low, high))
-        return np.where(k == 0.0, (high - low)[..., None], (last - first) / safe)
-
-    def kept(axis: int, chord: Floats) -> list[_Array]:
-        """Along a chord of the hole, (n, chords): components after one and after two crossings."""
-        start = np.clip(down[axis][:, None], -chord, chord)
-        out = light.out[axis][:, None, None]
-        entered = between(-chord, chord) - out * between(-chord, start)
-        components = []
-        for far, lost in ends:
-            end = np.clip(far[axis][:, None], -chord, chord)
-            both = out * between(np.minimum(end, start), start)
-            components.append(entered - lost[axis][:, None, None] * (between(end, chord) - both))
-        return components
-
+    along = _Chords(half, order, down, light.out, ends)
     if covers_corners(bench):
-        reach, full = min(radius, half), math.sqrt(max(radius**2 - half**2, 0.0))
-        steps = [down, *([ends[0][0]] if light.to_edge_mm.any() else [])]
-        kinks = [
-            *(np.stack((y, np.sqrt(np.maximum(radius**2 - x**2, 0.0)))) for x, y in steps),
-            np.broadcast_to([[full], [reach]], down.shape),
-        ]
-        cuts = np.concatenate([*kinks, *(-kink for kink in kinks)]).T
-        cuts = np.sort(np.arcsin(np.clip(cuts, -reach, reach) / radius), axis=1)
-        nodes = gauss(_ON_CHORDS + order, cuts[:, :-1], cuts[:, 1:])
-        angle, weight = (x.reshape(len(cuts), -1) for x in nodes)
-        y, chord = radius * np.sin(angle), np.minimum(radius * np.cos(angle), half)
-        along_x = kept(0, chord)
-        weight = weight * radius * np.cos(angle)
-        before = 1.0 - light.out[1][:, None] * (y < down[1][:, None])
-        along_y = [
-            weight * before * (1.0 - out[1][:, None] * (y > far[1][:, None])) for far, out in ends
-        ]
-        phase = _powers(np.exp(-1j * math.pi / half * y), order)
-        in_hole = [
-            x.swapaxes(1, 2) @ (y[..., None] * phase) for x, y in zip(along_x, along_y, strict=True)
-        ]
+        in_hole = _in_small_hole(bench, along, kinks_at_edge=bool(light.to_edge_mm.any()))
     else:
         everywhere = np.full((len(light.lands), 1), half)
-        along_x, along_y = (kept(axis, everywhere) for axis in (0, 1))
+        along_x, along_y = (along.kept(axis, everywhere) for axis in (0, 1))
         in_hole = [x.swapaxes(1, 2) * y for x, y in zip(along_x, along_y, strict=True)]
     # coordinates count from the wall, the hole is in the middle
-    sign = (-1.0) ** np.abs(order_of) / (2.0 * half)
+    sign = (-1.0) ** np.abs(np.arange(-order, order + 1)) / (2.0 * half)
     once, twice = (
         np.prod((1.0 - light.out) ** (number * walls), axis=0)[:, None, None]
         * (components * sign[:, None] * sign)
         for number, components in enumerate(in_hole, start=1)
     )
     return once, twice
+
+
+@dataclass(frozen=True, eq=False)
+class _Chords:
+    """Light that is kept along chords of the hole, which are symmetric about its middle."""
+
+    #: Half the crystal's width, and the highest order of the components.
+    half_mm: float
+    order: int
+    #: (2, n) along x and y: from where on light meets a wall on its way down, and the share of it
+    #: that gets out there.
+    down_mm: Floats
+    out: Floats
+    #: The same of the way on: through the plate to the detector, or up to the crystal again.
+    ends: tuple[tuple[Floats, Floats], ...]
+
+    def kept(self, axis: int, chord: Floats) -> list[_Array]:
+        """Components after one and after two crossings: (n, chords, 2 order + 1) each."""
+        between = self._between
+        start = np.clip(self.down_mm[axis][:, None], -chord, chord)
+        out = self.out[axis][:, None, None]
+        entered = between(-chord, chord) - out * between(-chord, start)
+        components = []
+        for far, lost in self.ends:
+            end = np.clip(far[axis][:, None], -chord, chord)
+            both = out * between(np.minimum(end, start), start)
+            components.append(entered - lost[axis][:, None, None] * (between(end, chord) - both))
+        return components
+
+    def _between(self, low: Floats, high: Floats) -> _Array:
+        """Components of what is 1 between two places, and 0 elsewhere."""
+        k = math.pi / self.half_mm * np.arange(-self.order, self.order + 1)
+        first, last = (self.waves(x) for x in (low, high))
+        safe = np.where(k == 0.0, 1.0, -1j * k)
+        return np.where(k == 0.0, (high - low)[..., None], (last - first) / safe)
+
+    def waves(self, x: Floats) -> _Array:
+        """Waves of all orders at places, along a new last axis."""
+        return _powers(np.exp(-1j * math.pi / self.half_mm * x), self.order)
+
+
+def _in_small_hole(bench: Bench, along: _Chords, *, kinks_at_edge: bool) -> list[_Array]:
+    """Components over a hole under the crystal, after one and after two crossings."""
+    half, radius, down = along.half_mm, bench.aperture_radius_mm, along.down_mm
+    reach, full = min(radius, half), math.sqrt(max(radius**2 - half**2, 0.0))
+    steps = [down, *([along.ends[0][0]] if kinks_at_edge else [])]
+    kinks = [
+        *(np.stack((y, np.sqrt(np.maximum(radius**2 - x**2, 0.0)))) for x, y in steps),
+        np.broadcast_to([[full], [reach]], down.shape),
+    ]
+    cuts = np.concatenate([*kinks, *(-kink for kink in kinks)]).T
+    cuts = np.sort(np.arcsin(np.clip(cuts, -reach, reach) / radius), axis=1)
+    nodes = gauss(_ON_CHORDS + along.order, cuts[:, :-1], cuts[:, 1:])
+    angle, weight = (x.reshape(len(cuts), -1) for x in nodes)
+    y, chord = radius * np.sin(angle), np.minimum(radius * np.cos(angle), half)
+    along_x = along.kept(0, chord)
+    weight = weight * radius * np.cos(angle)
+    before = 1.0 - along.out[1][:, None] * (y < down[1][:, None])
+    along_y = [
+        weight * before * (1.0 - out[1][:, None] * (y > far[1][:, None])) for far, out in along.ends
+    ]
+    phase = along.waves(y)
+    return [
+        x.swapaxes(1, 2) @ (y[..., None] * phase) for x, y in zip(along_x, along_y, strict=True)
+    ]
 
 
 #: Gauss nodes on each part of the hole, more than orders.
@@ -483,129 +509,195 @@ def _returns(bench: Bench, order: int, light: _GapLight) -> Iterator[tuple[_Arra
         yield those, components[0], components[1]
 
 
-#: Places of a Fibonacci lattice, and its step.
-_PLACES, _STEP = 377, 233
+#: Places of a Fibonacci lattice.
+_PLACES = 377
+#: Its step, a Fibonacci number too.
+_STEP = 233
 #: Of light in the gap, what part is followed until it is less.
 _LEAST_TURNS = 1e-6
 
 
-def end_cones(bench: Bench, rules: Rules) -> EndCones:
+def end_transfer(bench: Bench, rules: Rules) -> EndFaceTransfer:
     """Directions that leave through bottom or top; what the gap, the window and the mask do.
 
     What turns waves into others (light that leaves the gap at its sides, the mask's hole) is exact
     in first order.
     """
-    order = rules[0].coupled
-    n, n_gap, n_window = bench.n_crystal, bench.gap_index, bench.n_window
-    width, gap = bench.crystal_width_mm, bench.gap_thickness_mm
-    first, (sine, weight, azimuth) = _by_rules(
-        lambda rule: _towards_ends(n_gap, n_window, rule), *rules
+    n, width, order = bench.n_crystal, bench.crystal_width_mm, rules[0].coupled
+    first, (sine, weight, azimuth) = _joined(
+        *(_towards_ends(bench.gap_index, bench.n_window, rule) for rule in rules)
     )
     cos = np.sqrt(1.0 - (sine / n) ** 2)
-    weight = 2.0 / math.pi * weight / (n * n * cos)
-    over_x, over_y = np.cos(azimuth), np.sin(azimuth)
-    over = np.stack((over_x, over_y))
+    over = np.stack((np.cos(azimuth), np.sin(azimuth)))
+    light = _gap_light(bench, sine, cos, over)
+    enters = 1.0 - light.r_crystal
+    shuttle = _first_shuttle(bench, rules, first, sine, over, light)
+    through = _through_small_hole if covers_corners(bench) else _through_wide_hole
+    coupling, arrived, survive = through(bench, light, shuttle)
+    shuttle.clear_arrived(arrived)
+    coupling *= (enters**2)[:, None, None]
 
+    # the same for every wave, of which the gap shifts the phase
+    waves = Waves.up_to(rules[0].across - 1)
+    among = np.flatnonzero((np.abs(waves.signed) <= order).all(axis=1))
+    twofold = np.exp(2j * (2.0 * math.pi / width * waves.signed @ light.shift_mm))
+    later = _sum_of_shuttles(survive, light.turns * twofold)
+    unturned = light.r_crystal + light.r_window * enters**2 * twofold * later
+    if covers_corners(bench):
+        here = np.arange(len(among))
+        coupling[:, here, here] -= (unturned[among] - light.r_crystal).T
+        shuttle.clear_coupling(coupling)
+    return EndFaceTransfer(
+        first=first,
+        weight=2.0 / math.pi * weight / (n * n * cos),
+        cos=cos,
+        across_x=sine / n * over[0],
+        across_y=sine / n * over[1],
+        reflectance_top=fresnel(cos, n, 1.0),
+        waves=waves,
+        unturned=unturned,
+        coupled=Waves.up_to(order),
+        among_waves=slice(None) if len(among) == len(waves.signed) else among,
+        coupling=np.ascontiguousarray(coupling.transpose(1, 0, 2)),
+        detection=(enters[:, None] * arrived).T,
+    )
+
+
+def _gap_light(bench: Bench, sine: Floats, cos: Floats, over: Floats) -> _GapLight:
+    """Light in the gap, by n sin(theta), the cosine in the crystal and those of the azimuth."""
+    n_gap, n_window, width = bench.gap_index, bench.n_window, bench.crystal_width_mm
     cos_gap, cos_window = _cosine(sine, n_gap), _cosine(sine, n_window)
-    r_crystal, r_window = fresnel(cos, n, n_gap), fresnel(cos_gap, n_gap, n_window)
+    r_window = fresnel(cos_gap, n_gap, n_window)
     margin = (bench.window_width_mm - width) / 2.0
     in_plate = bench.window_thickness_mm * sine / n_window / np.maximum(cos_window, 1e-9)
-    light = _GapLight(
-        shift_mm=gap * sine / n_gap / cos_gap * over,
+    return _GapLight(
+        shift_mm=bench.gap_thickness_mm * sine / n_gap / cos_gap * over,
         out=1.0 - fresnel(sine / n_gap * over, n_gap, 1.0),
-        r_crystal=r_crystal,
+        r_crystal=fresnel(cos, bench.n_crystal, n_gap),
         r_window=r_window,
         lands=(1.0 - r_window) * _detected_below(bench, cos_window),
         to_edge_mm=np.clip(in_plate * over - margin, 0.0, width),
         edge_out=1.0 - fresnel(sine / n_window * over, n_window, 1.0),
     )
-    enters, turns = 1.0 - r_crystal, light.turns
-    waves, coupled = Waves.up_to(rules[0].across - 1), Waves.up_to(order)
-    among = np.flatnonzero((np.abs(waves.signed) <= order).all(axis=1))
-    signed = coupled.signed
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _FirstShuttle:
+    """What becomes of light in its first two crossings of the gap, between the coupled waves."""
+
+    #: Highest order of the coupled waves.
+    order: int
+    #: (n, m) complex: what lands on the detector, and what of it has left the gap at its sides.
+    landed: _Array
+    leaked: _Array
+    #: (n,): what of evenly spread light is in the hole after two crossings.
+    even: Floats
+    #: (n, m, 2 m - 1) complex: what has gone down, off the window and up again, from a wave to one.
+    returned: _Array
+    #: (n, 2 m - 1): by how much one crossing shifts the phase of every wave.
+    phase: Floats
+    #: Where components of a wave, and of the step between two waves, are among all of `_crossings`.
+    at_wave: tuple[NDArray[np.int64], ...]
+    at_step: tuple[NDArray[np.int64], ...]
+    #: Nodes of each rule, and the waves that it does not couple: the coarser may couple fewer.
+    beyond: tuple[tuple[slice, NDArray[np.bool_]], ...]
+
+    @property
+    def m(self) -> int:
+        """How many waves there are, one of each pair of opposite ones."""
+        return self.landed.shape[1]
+
+    def clear_coupling(self, coupling: _Array) -> None:
+        """Take away the couplings of waves that a rule does not couple."""
+        for rule, waves in self.beyond:
+            coupling[rule, :, waves] = 0.0
+            coupling[rule, waves[: self.m]] = 0.0
+
+    def clear_arrived(self, arrived: _Array) -> None:
+        """Take away what arrives of waves that a rule does not couple."""
+        for rule, waves in self.beyond:
+            arrived[rule, waves[: self.m]] = 0.0
+
+
+def _first_shuttle(
+    bench: Bench, rules: Rules, first: int, sine: Floats, over: Floats, light: _GapLight
+) -> _FirstShuttle:
+    order = rules[0].coupled
+    signed = Waves.up_to(order).signed
     every = np.concatenate((signed, -signed[1:]))
     step = signed[:, None, :] - every[None, :, :]  # kappa - kappa'
     at_step = step[..., 0] + 2 * order, step[..., 1] + 2 * order
     at_wave = signed[:, 0] + 2 * order, signed[:, 1] + 2 * order
-    # the coarser rule may couple fewer waves
-    beyond = [np.abs(every).max(axis=1) > rule.coupled for rule in rules]
-
-    phase = 2.0 * math.pi / width * (light.shift_mm.T @ every.T)
+    phase = 2.0 * math.pi / bench.crystal_width_mm * (light.shift_mm.T @ every.T)
     once, twice = _crossings(bench, 2 * order, light)
     landed = once[:, *at_wave] * np.exp(1j * phase[:, : len(signed)])
-    leaked = _leaked(bench, rules, first, sine, over_x, over_y, signed)
-    landed = light.lands[:, None] * landed + leaked
-    # down, off the window and up again: (n, m, 2 m - 1)
-    shuttle = twice[:, *at_step] * np.exp(1j * (phase[:, : len(signed), None] + phase[:, None]))
-    shuttle *= r_window[:, None, None]
-    here = np.arange(len(signed))
-
-    def without_beyond(coupling: _Array) -> _Array:
-        """Couplings without those of waves that a rule does not couple."""
-        for places, rule in zip(beyond, _slices(first), strict=True):
-            coupling[rule, :, places] = 0.0
-            coupling[rule, places[: len(signed)]] = 0.0
-        return coupling
-
-    if covers_corners(bench):
-        # the lattice knows how later shuttles compare with the first, which is known exactly
-        middle = 2 * order, 2 * order
-        survive = np.zeros((_SHUTTLES, len(sine)))
-        norm, arrived = twice[:, *middle].real, landed.copy()
-        for number, (those, landing, returned) in enumerate(_returns(bench, 2 * order, light)):
-            if number == 0:
-                norm /= np.maximum(returned[:, *middle].real, 1e-9)
-            survive[number, those] = norm[those] * returned[:, *middle].real
-            if number == 0:
-                continue
-            again = landing[:, *at_wave] * (light.lands * norm)[those, None]
-            again += leaked[those] * survive[number - 1, those, None]
-            arrived[those] += (turns[those] ** number)[:, None] * again
-            later = returned[:, *at_step] * np.exp(2j * (number + 1) * phase[those, None])
-            factor = norm * r_window * turns**number
-            shuttle[those] += factor[those, None, None] * later
-        coupling = shuttle
-    else:
-        series = 1.0 / (1.0 - r_crystal[:, None] * shuttle[:, here, here])
-        shuttle[:, here, here] = 0.0
-        shuttle = without_beyond(shuttle)
-        coupling = shuttle * series[:, :, None] * with_opposite(series)[:, None, :]
-        arrived = landed * series
-        more = (shuttle @ with_opposite(arrived)[:, :, None])[..., 0]
-        arrived += r_crystal[:, None] * series * more
-
-        # light that the place does not turn into other waves, through all its crossings
-        kept = light.kept(np.arange(2 * _SHUTTLES + 2), width)
-        within = light.kept(np.arange(1, 2 * _SHUTTLES + 2, 2), width, in_plate=True)
-        lost = 1.0 - kept[1]
-        lands_later = np.where(lost > 0.0, leaked[:, 0].real / np.where(lost > 0.0, lost, 1.0), 0.0)
-        terms = light.lands * within + lands_later * (kept[0::2] - kept[1::2])
-        arrived[:, 0] = _sum_of_shuttles(terms, turns)
-        survive = kept[2::2]
-    for places, rule in zip(beyond, _slices(first), strict=True):
-        arrived[rule, places[: len(signed)]] = 0.0
-    coupling *= (enters**2)[:, None, None]
-
-    # the same for every wave, of which the gap shifts the phase
-    twofold = np.exp(2j * (2.0 * math.pi / width * waves.signed @ light.shift_mm))
-    own = r_crystal + r_window * enters**2 * twofold * _sum_of_shuttles(survive, turns * twofold)
-    if covers_corners(bench):
-        coupling[:, here, here] -= (own[among] - r_crystal).T
-        coupling = without_beyond(coupling)
-    return EndCones(
-        first,
-        weight,
-        cos,
-        sine / n * over_x,
-        sine / n * over_y,
-        fresnel(cos, n, 1.0),
-        waves,
-        own,
-        coupled,
-        slice(None) if len(among) == len(waves.signed) else among,
-        np.ascontiguousarray(coupling.transpose(1, 0, 2)),
-        (enters[:, None] * arrived).T,
+    leaked = _leaked(bench, rules, first, sine, *over, signed)
+    both = phase[:, : len(signed), None] + phase[:, None]
+    returned = twice[:, *at_step] * np.exp(1j * both)
+    returned *= light.r_window[:, None, None]
+    waves = [np.abs(every).max(axis=1) > rule.coupled for rule in rules]
+    return _FirstShuttle(
+        order=order,
+        landed=light.lands[:, None] * landed + leaked,
+        leaked=leaked,
+        returned=returned,
+        phase=phase,
+        even=twice[:, 2 * order, 2 * order].real,
+        at_wave=at_wave,
+        at_step=at_step,
+        beyond=tuple(zip(_slices(first), waves, strict=True)),
     )
+
+
+#: (n, m, 2 m - 1) couplings of waves, (n, m) what arrives at the detector, and (shuttles, n) what
+#: is kept of each wave from shuttle to shuttle.
+_Through = tuple[_Array, _Array, Floats]
+
+
+def _through_small_hole(bench: Bench, light: _GapLight, shuttle: _FirstShuttle) -> _Through:
+    """All shuttles above a hole under the crystal.
+
+    A lattice of places knows how later shuttles compare with the first, which is known exactly.
+    """
+    order, turns = 2 * shuttle.order, light.turns
+    survive = np.zeros((_SHUTTLES, len(turns)))
+    norm, arrived, coupling = shuttle.even, shuttle.landed.copy(), shuttle.returned
+    phase = shuttle.phase
+    for number, (those, landing, returned) in enumerate(_returns(bench, order, light)):
+        even = returned[:, order, order].real
+        if number == 0:
+            norm = norm / np.maximum(even, 1e-9)
+        survive[number, those] = norm[those] * even
+        if number == 0:
+            continue
+        again = landing[:, *shuttle.at_wave] * (light.lands * norm)[those, None]
+        again += shuttle.leaked[those] * survive[number - 1, those, None]
+        arrived[those] += (turns[those] ** number)[:, None] * again
+        later = returned[:, *shuttle.at_step] * np.exp(2j * (number + 1) * phase[those, None])
+        factor = norm * light.r_window * turns**number
+        coupling[those] += factor[those, None, None] * later
+    return coupling, arrived, survive
+
+
+def _through_wide_hole(bench: Bench, light: _GapLight, shuttle: _FirstShuttle) -> _Through:
+    """All shuttles where the mask leaves the crystal free: a series that couples waves once."""
+    width, coupling, here = bench.crystal_width_mm, shuttle.returned, np.arange(shuttle.m)
+    series = 1.0 / (1.0 - light.r_crystal[:, None] * coupling[:, here, here])
+    coupling[:, here, here] = 0.0
+    shuttle.clear_coupling(coupling)
+    arrived = shuttle.landed * series
+    more = (coupling @ with_opposite(arrived)[:, :, None])[..., 0]
+    coupling = coupling * series[:, :, None] * with_opposite(series)[:, None, :]
+    arrived += light.r_crystal[:, None] * series * more
+
+    # light that the place does not turn into other waves, through all its crossings
+    kept = light.kept(np.arange(2 * _SHUTTLES + 2), width)
+    within = light.kept(np.arange(1, 2 * _SHUTTLES + 2, 2), width, in_plate=True)
+    lost, leaked = 1.0 - kept[1], shuttle.leaked[:, 0].real
+    lands_later = np.where(lost > 0.0, leaked / np.where(lost > 0.0, lost, 1.0), 0.0)
+    terms = light.lands * within + lands_later * (kept[0::2] - kept[1::2])
+    arrived[:, 0] = _sum_of_shuttles(terms, light.turns)
+    return coupling, arrived, kept[2::2]
 
 
 #: Crossings of the gap, there and back, that are counted one by one.
@@ -646,11 +738,10 @@ def _towards_ends(n_gap: float, n_window: float, rule: Nodes) -> tuple[Floats, F
         span = (end - begins)[those, None]
         nodes = sine[those, None], weight[those, None], begins[those, None] + span * t * t
         panels.append((nodes[0], nodes[1] * abs(span) * 2.0 * t * w_t, nodes[2]))
-    found = (
+    sine, weight, azimuth = (
         np.concatenate([np.broadcast_to(x, (len(x), len(t))).ravel() for x in part])
         for part in zip(*panels, strict=True)
     )
-    sine, weight, azimuth = found
     return sine, weight, azimuth
 
 
@@ -685,9 +776,9 @@ def _leaked(
     width, gap, n_gap = bench.crystal_width_mm, bench.gap_thickness_mm, bench.gap_index
     half = width / 2.0
     chord = math.sqrt(max(bench.aperture_radius_mm**2 - half**2, 0.0))
-    found = np.zeros((len(sine), len(signed)), dtype=complex)
+    leaked = np.zeros((len(sine), len(signed)), dtype=complex)
     if chord == 0.0 or bench.window_width_mm <= width:
-        return found
+        return leaked
     cuts = np.array([-half, half] if chord >= half else [-half, -chord, chord, half])
     # the coarser rule has fewer nodes: the others of its directions weigh nothing
     y, w_y = np.zeros((2, len(sine), rules[0].foot * (len(cuts) - 1)))
@@ -726,5 +817,5 @@ def _leaked(
         shares = shares + (1.0 - other)[:, None, None] * (up_to(lowest) - until_met)
         start = np.exp(-1j * (y + half)[..., None] * k_aside)
         shares = (shares * (start * w_y[..., None])).sum(axis=1)
-        found += (lands * out)[:, None] * ahead * shares / width**2
-    return found
+        leaked += (lands * out)[:, None] * ahead * shares / width**2
+    return leaked

@@ -8,7 +8,6 @@ from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
 
 from mcrim_mitsuba.core.errors import InputError
@@ -16,17 +15,19 @@ from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.core.run import one_thread
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.box_openings import (
-    EndCones,
+    EndFaceTransfer,
     FallingLight,
     Floats,
     Nodes,
     Rules,
     SideCone,
+    chebyshev_nodes,
     covers_corners,
     edges_in_reach,
-    end_cones,
+    end_transfer,
     side_cone,
     side_light,
+    through_chebyshev_nodes,
 )
 
 _Array = NDArray[Any]
@@ -49,7 +50,7 @@ class _Modes:
 
     bench: Bench
     rules: Rules
-    ends: EndCones
+    ends: EndFaceTransfer
     cone: SideCone
     falling: FallingLight | None
 
@@ -57,7 +58,7 @@ class _Modes:
     @lru_cache(maxsize=16)
     def of(cls, bench: Bench, rules: Rules) -> _Modes:
         """Those of a bench, whose coefficients do not matter: what is made is kept."""
-        ends, cone = end_cones(bench, rules), side_cone(bench, rules)
+        ends, cone = end_transfer(bench, rules), side_cone(bench, rules)
         return cls(bench, rules, ends, cone, side_light(bench, rules))
 
     @property
@@ -145,13 +146,13 @@ class _Modes:
         resonance, e = _resonance(gamma, kz), e[..., None]
         crossed = 1.0 - e * sign
         part = resonance * crossed[..., odd]
-        repeated = 1.0 / (1.0 - e * e * (top * ends.own[..., None]))
+        repeated = 1.0 / (1.0 - e * e * (top * ends.unturned[..., None]))
         start = (crossed + e * top * (sign - e)) * repeated
         weight = ends.weight / (2.0 * height)
         resonance *= alpha[:, None, None, None] * (weight / ends.cos)[:, None]
 
         # every wave by itself: what bottom and top send back, instead of all that arrives
-        bottom = ends.own[..., None] * start - 1.0
+        bottom = ends.unturned[..., None] * start - 1.0
         above = top * e * bottom - sign * (1.0 - top)
         back = np.stack((bottom[..., odd], above[..., odd]), axis=-2) * resonance[..., None, :]
         out = np.stack((part, part * parity), axis=-2)
@@ -169,7 +170,7 @@ class _Modes:
         turned = coupled.sums(turned, axis=3) / coupled.of_each_fold[:, None]
         e, again = e[..., 0], (e * e * top * repeated)[..., 0]
         straight, passed = (coupled.stands_for == 1.0)[:, None], 1.0 - ends.reflectance_top
-        through = ends.coupling[:, :, 0] + ends.own[here] * straight
+        through = ends.coupling[:, :, 0] + ends.unturned[here] * straight
         leaving = straight - through + e[:, :1] * (through * passed)
         flows = np.empty((*rises.shape[:3], 2), dtype=complex)
         for column, source in enumerate((ends.detection, leaving)):
@@ -216,9 +217,9 @@ class _Modes:
         flow *= gamma
         gamma *= gamma
         for p, k in enumerate(kx):
-            found = (flow / (gamma + k * k)).real
-            for rule, those in enumerate(falling.rules):
-                by_wave = self._by_signs(found[..., those].sum(axis=-1))
+            light = (flow / (gamma + k * k)).real
+            for rule, nodes in enumerate(falling.rules):
+                by_wave = self._by_signs(light[..., nodes].sum(axis=-1))
                 detected[rule][:, p] += by_wave * (many[p] * many[:, None] * many_z)
 
     # Waves (q, r) along a side, and those (q, -r) that are not their opposites.
@@ -268,7 +269,7 @@ class _Modes:
         assert falling is not None
         width, height = self.bench.crystal_width_mm, self.bench.crystal_height_mm
         kx, kz = self._across[0], self._upwards[0][1:, None]
-        found = []
+        components = []
         for starts in falling.starts:
             low, high = starts.lowest_mm[:, None], starts.highest_mm[:, None]
             waves = (np.exp(1j * kz * high) - np.exp(1j * kz * low)) / (1j * kz)
@@ -277,8 +278,8 @@ class _Modes:
             both = foot[:, :, None] * heights[:, None], foot[:, 1:, None] * waves.conj()[:, None]
             rows, _, columns = foot.shape
             light = np.concatenate([x.reshape(rows, -1, columns) for x in both], axis=1)
-            found.append(np.swapaxes(light @ starts.share, 0, 1).reshape(light.shape[1], -1))
-        return np.concatenate(found, axis=1) * (falling.weight / (2.0 * height * width))
+            components.append(np.swapaxes(light @ starts.share, 0, 1).reshape(light.shape[1], -1))
+        return np.concatenate(components, axis=1) * (falling.weight / (2.0 * height * width))
 
 
 _BOTH_SIGNS = np.array([1.0, -1.0])
@@ -312,13 +313,13 @@ def _resonance(gamma: _Array, k: _Array) -> _Array:
 
 def _over_nodes(left: _Array, right: _Array, rules: tuple[slice, slice]) -> list[Floats]:
     """Products of matrices, summed over each rule's nodes, which are the third axis."""
-    found = []
+    products = []
     for rule in rules:
         rows, columns = (
             x[:, :, rule].reshape(*x.shape[:2], -1, x.shape[-1]) for x in (left, right)
         )
-        found.append((rows.swapaxes(-1, -2) @ columns).real)
-    return found
+        products.append((rows.swapaxes(-1, -2) @ columns).real)
+    return products
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,8 +375,8 @@ def solve_box(
     shape = replace(bench, alpha_scat_per_cm=0.0, alpha_abs_per_cm=0.0)
     columns = np.empty((len(_COLUMNS), scat.size))
     wanting = np.arange(scat.size)
-    thick = bench.gap_thickness_mm > _THICK * bench.crystal_width_mm
-    few_first = precision is not None and precision >= _ROUGH and not thick
+    thick = bench.gap_thickness_mm > SETTINGS.thick_gap * bench.crystal_width_mm
+    few_first = precision is not None and precision >= SETTINGS.rough and not thick
     for rough in (True, False) if few_first else (False,):
         choices = [_nodes(bench, *pair, rough=rough) for pair in pairs[:, wanting].T]
         for rules in set(choices):
@@ -389,7 +390,7 @@ def solve_box(
             break
     eta, error, absorbed, trapped, left = columns.reshape(-1, *scat.shape)
     # eta is relative to light that arrives head-on, of which a falloff below 0 detects a part
-    detected = eta / max(1.0, 1.0 - bench.angular_falloff)
+    detected = eta * (1.0 / max(1.0, 1.0 - bench.angular_falloff))
     fates = {
         "detected": detected,
         "absorbed_crystal": absorbed,
@@ -400,25 +401,43 @@ def solve_box(
 
 
 _COLUMNS = ("eta", "error", "absorbed", "trapped", "left")
-#: What light that leaves a gap of a crystal's width at its sides, and what is worked out for it in
-#: first order only, changes of eta: from 100 million photons at gaps of 0.5 and 2 mm.
-_SECOND_ORDER = 0.01
-#: Relative; fewer nodes may agree by chance, as they did to this on some of 200 random benches.
-_LEAST_ERROR, _LEAST_ERROR_OF_CUT_HOLES = 4e-5, 2e-4
-#: Of holes under the crystal alone, whose edge couples more waves: seven benches with 100 million
-#: photons each differ by 1 to 7e-4, which is 0.1 to 2 standard errors.
-_LEAST_ERROR_OF_SMALL_HOLES = 5e-4
-#: Relative error from which on few nodes are tried, and how much larger their least error is.
-_ROUGH, _LEAST_ERROR_OF_FEW = 4e-4, 2e-4
-#: Thickness of a gap, in widths of the crystal, whose sides let out too much for few nodes.
-_THICK = 0.06
 #: Extinction, per mm, that stands for none: the first flights of trapped light end somewhere.
 _NO_EXTINCTION = 1e-9
-#: Thickness of a gap, in widths of the crystal, whose sides let out too little to couple waves,
-#: where there is no scattering that has many.
-_THIN = 0.02
-#: Radius of a mask, in widths of the crystal, that covers no more than the tips of its corners.
-_TIPS = 0.68
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverSettings:
+    """What is enough for the solver. Errors are relative, lengths in widths of the crystal."""
+
+    #: The least error that is told; fewer nodes may agree by chance, as they did to this on some of
+    #: 200 random benches.
+    least_error: float = 4e-5
+    #: The same where crystal or plate cut the mask's hole.
+    least_error_cut_hole: float = 2e-4
+    #: The same of holes under the crystal alone, whose edge couples more waves: seven benches with
+    #: 100 million photons each differ by 1 to 7e-4, which is 0.1 to 2 standard errors.
+    least_error_small_hole: float = 5e-4
+    #: What light that leaves a gap of a crystal's width at its sides, and what is worked out for it
+    #: in first order only, changes of eta: from 100 million photons at gaps of 0.5 and 2 mm.
+    second_order: float = 0.01
+    #: Error from which on few nodes are tried first, and how much larger their least error is.
+    rough: float = 4e-4
+    more_error_when_rough: float = 2e-4
+    #: Thickness of a gap whose sides let out too much for few nodes.
+    thick_gap: float = 0.06
+    #: Thickness of a gap whose sides let out too little to couple waves, where there is no
+    #: scattering that has many.
+    thin_gap: float = 0.02
+    #: Radius of a mask that covers no more than the tips of the crystal's corners.
+    tips: float = 0.68
+    #: Numbers of a matrix of all modes, times points, that are worked on at once.
+    at_once: int = 1_000_000
+    #: How well matrices are interpolated, and where few nodes are enough.
+    interpolated: float = 1e-7
+    interpolated_when_rough: float = 1e-5
+
+
+SETTINGS = SolverSettings()
 
 
 def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float, *, rough: bool = False) -> Rules:
@@ -435,9 +454,9 @@ def _nodes(bench: Bench, scat_per_cm: float, abs_per_cm: float, *, rough: bool =
     if covers_corners(bench):
         across = max(across, 3)
         # under the tips of the corners alone the mask couples no further waves
-        tips = bench.aperture_radius_mm >= _TIPS * bench.crystal_width_mm
+        tips = bench.aperture_radius_mm >= SETTINGS.tips * bench.crystal_width_mm
         foot, coupled = (10, 1) if tips else (foot, 2)
-    elif bench.gap_thickness_mm * (1.0 + wide) < _THIN * bench.crystal_width_mm:
+    elif bench.gap_thickness_mm * (1.0 + wide) < SETTINGS.thin_gap * bench.crystal_width_mm:
         coupled = 0
     if rough:
         if coupled == 0 and wide < 1.0:
@@ -454,12 +473,6 @@ def _is_cut(bench: Bench) -> bool:
     return covers_corners(bench) or bench.aperture_radius_mm > bench.window_width_mm / 2.0
 
 
-#: Numbers of a matrix of all modes, times points, that are worked on at once.
-_AT_ONCE = 1_000_000
-#: How well they are interpolated, and where few nodes are enough.
-_INTERPOLATED, _INTERPOLATED_ROUGHLY = 1e-7, 1e-5
-
-
 def _extinctions(alpha: Floats, within: float) -> list[tuple[_Array, Floats]]:
     """Where the equations are worked out: indices of some of the alphas, and log(alpha) of nodes.
 
@@ -474,33 +487,29 @@ def _extinctions(alpha: Floats, within: float) -> list[tuple[_Array, Floats]]:
             return np.array([low])
         width = 0.5 * math.pi / half
         count = max(math.ceil(-math.log(within) / math.asinh(width)), 2)
-        angles = math.pi * (np.arange(count) + 0.5) / count
-        return 0.5 * (low + high) + half * np.cos(angles)
+        return 0.5 * (low + high) + half * chebyshev_nodes(count)
 
-    found, clear = [], alpha <= _NO_EXTINCTION
-    for those in (np.flatnonzero(clear), np.flatnonzero(~clear)):
-        if not those.size:
+    groups, clear = [], alpha <= _NO_EXTINCTION
+    for some in (np.flatnonzero(clear), np.flatnonzero(~clear)):
+        if not some.size:
             continue
-        different = np.unique(log_alpha[those])
+        different = np.unique(log_alpha[some])
         nodes = nodes_over(different[0], different[-1])
         if len(nodes) <= len(different):
-            found.append((those, nodes))
+            groups.append((some, nodes))
         else:
-            alike = ((x, those[log_alpha[those] == x]) for x in different)
-            found += [(same, nodes_over(x, x)) for x, same in alike]
-    return found
+            alike = ((x, some[log_alpha[some] == x]) for x in different)
+            groups += [(same, nodes_over(x, x)) for x, same in alike]
+    return groups
 
 
 def _weights(nodes: Floats, at: Floats) -> Floats:
     """Of the values at Chebyshev's nodes in the polynomial through them."""
-    count = len(nodes)
-    if count == 1:
+    if len(nodes) == 1:
         return np.ones((len(at), 1))
-    angles = math.pi * (np.arange(count) + 0.5) / count
-    middle, half = 0.5 * (nodes[0] + nodes[-1]), 0.5 * (nodes[0] - nodes[-1]) / math.cos(angles[0])
-    order = np.arange(count)
-    coefficients = np.cos(order[:, None] * angles) * np.where(order > 0, 2.0, 1.0)[:, None] / count
-    return chebyshev.chebvander((at - middle) / half, count - 1) @ coefficients
+    middle, half = 0.5 * (nodes[0] + nodes[-1]), 0.5 * (nodes[0] - nodes[-1])
+    half /= chebyshev_nodes(len(nodes))[0]
+    return through_chebyshev_nodes(len(nodes), (at - middle) / half)
 
 
 def _points(modes: _Modes, scat_per_cm: Floats, abs_per_cm: Floats, rough: bool) -> Floats:
@@ -509,17 +518,17 @@ def _points(modes: _Modes, scat_per_cm: Floats, abs_per_cm: Floats, rough: bool)
     alpha = np.maximum((scat_per_cm + abs_per_cm) / MM_PER_CM, _NO_EXTINCTION)
     albedo = scat_per_cm / MM_PER_CM / alpha
     columns = np.empty((len(_COLUMNS), len(alpha)))
-    least = _LEAST_ERROR_OF_CUT_HOLES if _is_cut(bench) else _LEAST_ERROR
+    least = SETTINGS.least_error_cut_hole if _is_cut(bench) else SETTINGS.least_error
     if bench.aperture_radius_mm < 0.5 * bench.crystal_width_mm:
-        least = _LEAST_ERROR_OF_SMALL_HOLES
-    least += _LEAST_ERROR_OF_FEW if rough else 0.0
-    least += _SECOND_ORDER * (bench.gap_thickness_mm / bench.crystal_width_mm) ** 2
-    within = _INTERPOLATED_ROUGHLY if rough else _INTERPOLATED
+        least = SETTINGS.least_error_small_hole
+    least += SETTINGS.more_error_when_rough if rough else 0.0
+    least += SETTINGS.second_order * (bench.gap_thickness_mm / bench.crystal_width_mm) ** 2
+    within = SETTINGS.interpolated_when_rough if rough else SETTINGS.interpolated
     for those, nodes in _extinctions(alpha, within):
-        length = max(1, _AT_ONCE // (modes.size * len(modes.ends.cos)))
+        length = max(1, SETTINGS.at_once // (modes.size * len(modes.ends.cos)))
         parts = [modes.systems(np.exp(nodes[i : i + length])) for i in range(0, len(nodes), length)]
         systems = _Systems(*(np.concatenate(x, axis=1) for x in zip(*parts, strict=True)))
-        length = max(1, _AT_ONCE // modes.size**2)
+        length = max(1, SETTINGS.at_once // modes.size**2)
         for first in range(0, len(those), length):
             some = those[first : first + length]
             columns[:, some] = _solved(modes, systems, nodes, alpha[some], albedo[some])
