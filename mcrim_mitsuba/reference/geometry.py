@@ -479,68 +479,26 @@ class Layout:
     """The bench, or the crystal in a beam, as convex bodies with media and neighbours."""
 
     def __init__(self, bench: Bench) -> None:
+        self._bench = bench
         half, height = bench.crystal_width_mm / 2.0, bench.height_mm
-        entrance = -bench.gap_thickness_mm
-        chamfer, collar = bench.chamfer_mm, bench.narrow_collar_height_mm
-        crystal: HalfSpaceBody
-        crystal = chamfered_box(half, height, chamfer) if chamfer else box(half, 0.0, height)
-        gap: HalfSpaceBody = box(half + NARROW_COLLAR_WIDTH_MM, entrance, collar)
-        if not collar:
-            gap = Box((bench.gap_left_mm, -half, entrance), (half, half, 0.0))
-        #: Radius of the round foot of a cylinder that stands.
-        self._foot_mm: float | None = None
-        #: Half the length and half the width of the strip on which a cylinder that lies is wet, and
-        #: how high it reaches.
-        self._strip_mm: tuple[float, float, float] | None = None
-        if bench.crystal_diameter_mm is not None:
-            radius = bench.crystal_diameter_mm / 2.0
-            if bench.crystal_length_mm is None or bench.wetted_width_mm is None:
-                self._foot_mm = radius
-                crystal, gap = Cylinder(radius, 0.0, height), Cylinder(radius, entrance, 0.0)
-            else:
-                reach, wet = bench.crystal_length_mm / 2.0, bench.wetted_width_mm / 2.0
-                self._strip_mm = reach, wet, bench.wetted_height_mm
-                crystal = Cylinder(radius, -reach, reach, 0, (0.0, radius))
-                gap = BelowCylinder((-reach, -wet, entrance), self._strip_mm, crystal)
-        half_window, back = bench.window_width_mm / 2.0, entrance - bench.window_thickness_mm
-        window = box(half_window, back, entrance)
         in_beam = bench.beam_diameter_mm is not None
         #: Crystal, gap, window and, for a wrapped crystal, the film's box, which contains it. In a
         #: beam there is the crystal only.
-        self.bodies: dict[Place, HalfSpaceBody] = {Place.CRYSTAL: crystal}
-        if not in_beam:
-            self.bodies |= {Place.GAP: gap, Place.WINDOW: window}
-        wrapped = bench.wrap_reflectance is not None
-        around_crystal = Place.FILM if wrapped else Place.OUTSIDE
+        self.bodies = _bodies(bench)
         #: For the two regions of air, outside and film, and for a gap whose liquid stands around
         #: the crystal or a bubble: the bodies that light can meet there.
-        self.seen_from: dict[Place, tuple[Place, ...]] = {Place.OUTSIDE: tuple(self.bodies)}
-        if wrapped:
-            film = bench.film_mm
-            self.bodies[Place.FILM] = box(half + film, 0.0, height + film)
+        self.seen_from: dict[Place, tuple[Place, ...]] = {
+            Place.OUTSIDE: tuple(p for p in self.bodies if p not in (Place.FILM, Place.BUBBLE))
+        }
+        if Place.FILM in self.bodies:
             self.seen_from[Place.OUTSIDE] = (Place.FILM, Place.GAP, Place.WINDOW)
             self.seen_from[Place.FILM] = (Place.CRYSTAL,)
-        if collar or bench.lies:
+        if bench.narrow_collar_height_mm or bench.lies:
             self.seen_from[Place.GAP] = (Place.CRYSTAL,)
-        self._bubble_mm = bench.bubble_radius_mm
-        if self._bubble_mm:
-            self.bodies[Place.BUBBLE] = Cylinder(self._bubble_mm, entrance, 0.0)
+        if Place.BUBBLE in self.bodies:
             self.seen_from[Place.GAP] = (Place.BUBBLE,)
-
-        air = Medium(1.0)
-        gap_absorption = bench.gap_absorption_per_cm if bench.is_filled else 0.0
-        absorption = bench.alpha_abs_per_cm / MM_PER_CM
-        scattering = bench.alpha_scat_per_cm / MM_PER_CM
         #: By region, and so their indices, (7,) float64.
-        self.media = (
-            Medium(bench.n_crystal, absorption, scattering, bench.scattering_gradient, height),
-            Medium(bench.gap_index, gap_absorption / MM_PER_CM),
-            Medium(bench.n_window, bench.window_absorption_per_cm / MM_PER_CM),
-            air,
-            air,
-            Medium(bench.gap_index),
-            air,
-        )
+        self.media = _media(bench)
         self.index = np.array([medium.index for medium in self.media])
         low, high = np.array([[-half], [-half], [0.0]]), np.array([[half], [half], [height]])
         #: The axis that detectors are across.
@@ -552,76 +510,63 @@ class Layout:
         #: The reflecting sheet above the crystal, or the plate that detects a beam.
         self.sheet = _before(2, low, high, TOP_FILM_MM) if bench.top_reflectance else None
         self.plate = _before(self.detector_axis, low, high, PLATE_DISTANCE_MM) if in_beam else None
-
         self._face_roughness = np.array(bench.face_roughness)
         self.is_rough = bool(self._face_roughness.any())
-        self._half_footprint_mm = half
-        self._half_bottom = half - chamfer
-        self._entrance_mm, self._half_window = entrance, half_window
-        self._collar_mm, self._wet_mm = collar, bench.wet_height_mm
-        self._half_spot = bench.black_spot_mm / 2.0
-        self._half_gap = half + NARROW_COLLAR_WIDTH_MM if collar else half
-        self._gap_left = -self._half_gap if collar else bench.gap_left_mm
-        self._has_bubble = self._gap_left > -half
-        self._aperture_squared = bench.aperture_radius_mm**2
+        self._half_gap, self._gap_left = half, bench.gap_left_mm
+        if bench.narrow_collar_height_mm:
+            self._half_gap = half + NARROW_COLLAR_WIDTH_MM
+            self._gap_left = -self._half_gap
         self._masked_face = {}
         if bench.aperture_at_detector:
             self._masked_face = {Place.WINDOW: BOTTOM}
         elif not in_beam:
             self._masked_face = {Place.GAP: BOTTOM, Place.BUBBLE: BOTTOM, Place.WINDOW: TOP}
-        # the neighbour through each face, where one neighbour is all there is
-        faces = len(self.bodies[Place.CRYSTAL].offsets)
-        self._neighbour = np.full((len(REGIONS), faces), Place.OUTSIDE, dtype=np.int8)
-        self._neighbour[Place.CRYSTAL] = around_crystal
-        if not in_beam:
-            self._neighbour[Place.CRYSTAL, BOTTOM] = Place.GAP
-        # a collar's top is beside the crystal
-        self._neighbour[Place.GAP, TOP] = Place.OUTSIDE if collar else Place.CRYSTAL
-        self._neighbour[Place.GAP, BOTTOM] = Place.WINDOW
-        self._neighbour[Place.WINDOW, BOTTOM] = Place.DETECTED
-        for face, place in ((WALL, Place.GAP), (BOTTOM, Place.WINDOW), (TOP, Place.CRYSTAL)):
-            self._neighbour[Place.BUBBLE, face] = place
+        self._neighbour = _neighbours(bench, len(self.bodies[Place.CRYSTAL].offsets))
 
     def behind(self, body: Place, face: Indices, position: Floats) -> Codes:
         """What light from within crystal, gap, bubble or window finds behind a face, at a point.
 
         `Place` codes, (n,) int8: a region, or the fate of light that ends there.
         """
-        place = self._neighbour[body].take(face)
-        if self._bubble_mm and body in (Place.CRYSTAL, Place.WINDOW):
+        bench, place = self._bench, self._neighbour[body].take(face)
+        half = bench.crystal_width_mm / 2.0
+        if bench.bubble_radius_mm and body in (Place.CRYSTAL, Place.WINDOW):
             towards_gap = face == (BOTTOM if body == Place.CRYSTAL else TOP)
-            under_bubble = towards_gap & (np.hypot(position[0], position[1]) < self._bubble_mm)
+            at_bubble = np.hypot(position[0], position[1]) < bench.bubble_radius_mm
+            under_bubble = towards_gap & at_bubble
         if body == Place.CRYSTAL:
-            if self._has_bubble:
+            if self._gap_left > -half:
                 place[(face == BOTTOM) & (position[0] < self._gap_left)] = Place.OUTSIDE
-            if self._collar_mm:
-                place[(face != BOTTOM) & (position[2] < self._collar_mm)] = Place.GAP
-            if self._wet_mm:
-                place[(face < BOTTOM) & (position[2] < self._wet_mm)] = Place.LIQUID
-            if self._bubble_mm:
+            if bench.narrow_collar_height_mm:
+                wet = position[2] < bench.narrow_collar_height_mm
+                place[(face != BOTTOM) & wet] = Place.GAP
+            if bench.wet_height_mm:
+                place[(face < BOTTOM) & (position[2] < bench.wet_height_mm)] = Place.LIQUID
+            if bench.bubble_radius_mm:
                 place[under_bubble] = Place.BUBBLE
-            if self._strip_mm is not None:
-                place[(face >= 2) & (position[2] < self._strip_mm[2])] = Place.GAP
+            if bench.lies:
+                place[(face >= 2) & (position[2] < bench.wetted_height_mm)] = Place.GAP
             self._end_on_spot(place, face, position)
             return place
         if body == Place.WINDOW:
             under_gap = self._under_gap(position)
             place[(face == TOP) & under_gap] = Place.GAP
-            if self._bubble_mm:
+            if bench.bubble_radius_mm:
                 place[under_bubble] = Place.BUBBLE
-        elif self._half_bottom < self._half_footprint_mm:
-            on_rim = np.maximum(np.abs(position[0]), np.abs(position[1])) > self._half_bottom
-            place[(face == TOP) & on_rim] = Place.OUTSIDE
+        elif bench.chamfer_mm:
+            from_axis = np.maximum(np.abs(position[0]), np.abs(position[1]))
+            place[(face == TOP) & (from_axis > half - bench.chamfer_mm)] = Place.OUTSIDE
         self._end_on_mask(place, body, face, position)
         return place
 
     def _under_gap(self, position: Floats) -> Flags:
         """True where points of the window's entrance face border the gap: (n,) bool."""
-        if self._foot_mm is not None:
-            return np.hypot(position[0], position[1]) <= self._foot_mm
-        if self._strip_mm is not None:
-            along, across, _ = self._strip_mm
-            return (np.abs(position[0]) <= along) & (np.abs(position[1]) <= across)
+        bench = self._bench
+        if bench.crystal_length_mm is not None and bench.wetted_width_mm is not None:
+            along, across = np.abs(position[0]), np.abs(position[1])
+            return (along <= bench.crystal_length_mm / 2) & (across <= bench.wetted_width_mm / 2)
+        if bench.crystal_diameter_mm is not None:
+            return np.hypot(position[0], position[1]) <= bench.crystal_diameter_mm / 2.0
         under = np.maximum(position[0], np.abs(position[1])) <= self._half_gap
         return under & (position[0] >= self._gap_left)
 
@@ -646,10 +591,11 @@ class Layout:
 
         Their indices, and the places: (3, m), mm. All other light meets nothing.
         """
-        speed, way = -direction[2], position[2] - self._entrance_mm
+        speed, way = -direction[2], position[2] + self._bench.gap_thickness_mm
         falling = np.flatnonzero((speed > 0.0) & (way > 0.0))
         arrival = position[:, falling] + way[falling] / speed[falling] * direction[:, falling]
-        inside = np.maximum(np.abs(arrival[0]), np.abs(arrival[1])) <= self._half_window
+        from_axis = np.maximum(np.abs(arrival[0]), np.abs(arrival[1]))
+        inside = from_axis <= self._bench.window_width_mm / 2.0
         return falling[inside], arrival[:, inside]
 
     def of_crystal(self, body: Place, ahead: Codes) -> Flags:
@@ -661,8 +607,8 @@ class Layout:
     def roughness(self, body: Place, face: Indices, ahead: Codes) -> Floats:
         """GGX alpha of what light meets on a body's faces, with this ahead: (n,) float64."""
         # the crystal's face that other bodies know is its foot
-        own = face if body == Place.CRYSTAL else BOTTOM
-        return np.where(self.of_crystal(body, ahead), self._face_roughness[own], 0.0)
+        crystal_face = face if body == Place.CRYSTAL else BOTTOM
+        return np.where(self.of_crystal(body, ahead), self._face_roughness[crystal_face], 0.0)
 
     def on_mask_plane(self, body: Place, face: Indices) -> Flags:
         """True where a face lies in the mask's plane: (n,) bool."""
@@ -674,14 +620,84 @@ class Layout:
         """Let light end where a face carries the mask at this point."""
         if body in self._masked_face:
             radius_squared = (position[0] - self.detector_centre[0]) ** 2 + position[1] ** 2
-            masked = self.on_mask_plane(body, face) & (radius_squared > self._aperture_squared)
-            place[masked] = Place.ABSORBED_APERTURE
+            outside = radius_squared > self._bench.aperture_radius_mm**2
+            place[self.on_mask_plane(body, face) & outside] = Place.ABSORBED_APERTURE
 
     def _end_on_spot(self, place: Codes, face: Indices, position: Floats) -> None:
         """Let light end where the crystal's top face is painted black."""
-        if self._half_spot:
-            in_square = np.maximum(np.abs(position[0]), np.abs(position[1])) <= self._half_spot
+        half_mm = self._bench.black_spot_mm / 2.0
+        if half_mm:
+            in_square = np.maximum(np.abs(position[0]), np.abs(position[1])) <= half_mm
             place[(face == TOP) & in_square] = Place.ABSORBED_SURFACE
+
+
+def _bodies(bench: Bench) -> dict[Place, HalfSpaceBody]:
+    crystal, gap = _crystal_and_gap(bench)
+    if bench.beam_diameter_mm is not None:
+        return {Place.CRYSTAL: crystal}
+    half, height = bench.crystal_width_mm / 2.0, bench.height_mm
+    entrance = -bench.gap_thickness_mm
+    window = box(bench.window_width_mm / 2.0, entrance - bench.window_thickness_mm, entrance)
+    bodies = {Place.CRYSTAL: crystal, Place.GAP: gap, Place.WINDOW: window}
+    if bench.wrap_reflectance is not None:
+        bodies[Place.FILM] = box(half + bench.film_mm, 0.0, height + bench.film_mm)
+    if bench.bubble_radius_mm:
+        bodies[Place.BUBBLE] = Cylinder(bench.bubble_radius_mm, entrance, 0.0)
+    return bodies
+
+
+def _crystal_and_gap(bench: Bench) -> tuple[HalfSpaceBody, HalfSpaceBody]:
+    half, height = bench.crystal_width_mm / 2.0, bench.height_mm
+    entrance, collar = -bench.gap_thickness_mm, bench.narrow_collar_height_mm
+    if bench.crystal_diameter_mm is not None:
+        radius = bench.crystal_diameter_mm / 2.0
+        if bench.crystal_length_mm is None or bench.wetted_width_mm is None:
+            return Cylinder(radius, 0.0, height), Cylinder(radius, entrance, 0.0)
+        reach, wet = bench.crystal_length_mm / 2.0, bench.wetted_width_mm / 2.0
+        lying = Cylinder(radius, -reach, reach, 0, (0.0, radius))
+        strip = reach, wet, bench.wetted_height_mm
+        return lying, BelowCylinder((-reach, -wet, entrance), strip, lying)
+    crystal: HalfSpaceBody = box(half, 0.0, height)
+    if bench.chamfer_mm:
+        crystal = chamfered_box(half, height, bench.chamfer_mm)
+    if collar:
+        return crystal, box(half + NARROW_COLLAR_WIDTH_MM, entrance, collar)
+    return crystal, Box((bench.gap_left_mm, -half, entrance), (half, half, 0.0))
+
+
+def _media(bench: Bench) -> tuple[Medium, ...]:
+    """The media by region; a liquid absorbs, the air of an empty gap does not."""
+    air, gap_absorption = Medium(1.0), bench.gap_absorption_per_cm if bench.is_filled else 0.0
+    crystal = Medium(
+        bench.n_crystal,
+        bench.alpha_abs_per_cm / MM_PER_CM,
+        bench.alpha_scat_per_cm / MM_PER_CM,
+        bench.scattering_gradient,
+        bench.height_mm,
+    )
+    by_region = {
+        Place.CRYSTAL: crystal,
+        Place.GAP: Medium(bench.gap_index, gap_absorption / MM_PER_CM),
+        Place.WINDOW: Medium(bench.n_window, bench.window_absorption_per_cm / MM_PER_CM),
+        Place.LIQUID: Medium(bench.gap_index),
+    }
+    return tuple(by_region.get(region, air) for region in REGIONS)
+
+
+def _neighbours(bench: Bench, faces: int) -> Codes:
+    """The neighbour through each face of a region, where one is all there is: (regions, faces)."""
+    neighbour = np.full((len(REGIONS), faces), Place.OUTSIDE, dtype=np.int8)
+    if bench.wrap_reflectance is not None:
+        neighbour[Place.CRYSTAL] = Place.FILM
+    if bench.beam_diameter_mm is None:
+        neighbour[Place.CRYSTAL, BOTTOM] = Place.GAP
+    # a collar's top is beside the crystal
+    neighbour[Place.GAP, TOP] = Place.OUTSIDE if bench.narrow_collar_height_mm else Place.CRYSTAL
+    neighbour[Place.GAP, BOTTOM] = Place.WINDOW
+    neighbour[Place.WINDOW, BOTTOM] = Place.DETECTED
+    for face, place in ((WALL, Place.GAP), (BOTTOM, Place.WINDOW), (TOP, Place.CRYSTAL)):
+        neighbour[Place.BUBBLE, face] = place
+    return neighbour
 
 
 def _before(axis: int, low: Floats, high: Floats, distance_mm: float) -> Plate:
