@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import cmath
+from dataclasses import fields, is_dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +17,6 @@ from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, spectrophotom
 from mcrim_mitsuba.transport.scene_model import DETECTOR, SceneModel
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.optics.thin_film import ThinFilm
     from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Effects without a parameter, which the tracer switches on by name.
@@ -68,15 +69,15 @@ def _refuse_other_benches(simulation: Simulation, effects: list[str]) -> None:
     from mcrim_mitsuba.transport.simulation import Simulation
 
     parameters = simulation.file.parameters
-    name = next((one for known, one in _BY_PARAMETER.items() if known in parameters), "camoo4.xml")
-    known = read_scene(scene_path(name))
+    name = next((file for key, file in _BY_PARAMETER.items() if key in parameters), "camoo4.xml")
+    scene = read_scene(scene_path(name))
     for effect in effects:
-        known = known.edited(add(effect, known))
+        scene = scene.edited(add(effect, scene))
     if _beam_axis(simulation) is not None:
         # an effect on the crystal acts on both
-        name, known = "spectrophotometer.xml", spectrophotometer_of(known)
-    own = {key: value for key, value in parameters.items() if key in known.parameters}
-    meant = Simulation(known, own, variant=simulation.variant, check=False)
+        name, scene = "spectrophotometer.xml", spectrophotometer_of(scene)
+    overrides = {key: value for key, value in parameters.items() if key in scene.parameters}
+    meant = Simulation(scene, overrides, variant=simulation.variant, check=False)
     file, path, line = simulation.file, simulation.file.path, None
     where = _first_difference(simulation.model, meant.model)
     if where in [surface.name for surface in simulation.model.surfaces]:
@@ -112,77 +113,36 @@ def _first_difference(model: SceneModel, meant: SceneModel) -> str | None:
     """Name of a surface in which two scenes differ; ``None`` where they are alike."""
     if model.faces is None:
         return model.surfaces[model.curved[0]].name
-    own, expected = _described(model), _described(meant)
-    for name in {**expected, **own}:
-        ours, meant_to_be = own.get(name, []), expected.get(name, [])
-        if len(ours) != len(meant_to_be) or any(
-            a[0] != b[0] or not np.allclose(a[1], b[1], atol=1e-4)
-            for a, b in zip(ours, meant_to_be, strict=True)
-        ):
+    parts, meant_parts = _parts(model), _parts(meant)
+    for name in {**meant_parts, **parts}:
+        if not _alike(parts.get(name, []), meant_parts.get(name, [])):
             return name
     return None
 
 
-def _film_numbers(film: ThinFilm | None) -> tuple[float, ...]:
-    if film is None:
-        return (0.0,) * 4
-    return film.index.real, film.index.imag, film.wavelengths, film.window_index
-
-
-def _described(model: SceneModel) -> dict[str, list[tuple]]:
-    """Faces of every surface: what they are, and their numbers."""
-    found: dict[str, list[tuple]] = {}
-    faces = [
-        (
-            face.surface,
-            [
-                *face.corner,
-                *face.edge_u,
-                *face.edge_v,
-                0.0 if face.circle is None else face.circle.radius_mm,
-            ],
-        )
-        for face in model.flat_faces
-    ]
-    faces += [
-        (
-            wall.surface,
-            [
-                *np.concatenate(wall.bounds()),
-                wall.circle.radius_mm,
-                wall.circle.axis,
-                wall.outwards,
-            ],
-        )
-        for wall in model.walls
-    ]
-    for number, place in faces:
-        surface = model.surfaces[number]
-        sides = [model.volumes[i] for i in (surface.interior, surface.exterior)]
-        words = (surface.kind, surface.two_sided, *(v.phase for v in sides))
-        numbers = [
-            *place,
-            surface.eta,
-            surface.reflectance,
-            min(surface.aperture_radius_mm, 1e6),
-            *surface.axis_mm,
-            surface.roughness,
-            surface.surface_loss,
-            surface.haze,
-            surface.acceptance_deg,
-            surface.specular,
-            surface.angular_falloff,
-            surface.radial_falloff_per_mm2,
-            surface.mask_reflectance,
-            *_film_numbers(surface.film),
-            *(v.alpha_scat_per_mm for v in sides),
-            *(v.alpha_abs_per_mm for v in sides),
-            *(v.scattering_g for v in sides),
-            *(v.scattering_gradient for v in sides),
-            *(v.scattering_exponent for v in sides),
-            *(v.relative_bandwidth for v in sides),
-        ]
+def _parts(model: SceneModel) -> dict[str, list[tuple]]:
+    """Faces and walls of every surface, with it and the volumes on its sides."""
+    parts: dict[str, list[tuple]] = {}
+    for part in (*model.flat_faces, *model.walls):
+        surface = model.surfaces[part.surface]
         # there is one, whatever it is called
         name = "detector" if surface.kind == DETECTOR else surface.name
-        found.setdefault(name, []).append((words, numbers))
-    return found
+        volumes = [model.volumes[side] for side in surface.sides]
+        parts.setdefault(name, []).append((part, surface, surface.acceptance_deg, *volumes))
+    return parts
+
+
+#: Numbers and names that are a scene's own; `Bench.beckmann` is read from the scene itself.
+_NOT_COMPARED = ("name", "surface", "interior", "exterior", "beckmann")
+
+
+def _alike(one: Any, other: Any) -> bool:
+    """Whether two parts of scenes are the same, but for rounding."""
+    if is_dataclass(one) and type(one) is type(other):
+        names = [field.name for field in fields(one) if field.name not in _NOT_COMPARED]
+        return all(_alike(getattr(one, name), getattr(other, name)) for name in names)
+    if isinstance(one, (list, tuple, np.ndarray)):
+        return len(one) == len(other) and all(map(_alike, one, other))
+    if one is None or other is None or isinstance(one, str):
+        return one == other
+    return cmath.isclose(one, other, rel_tol=1e-5, abs_tol=1e-4)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +29,7 @@ FEWEST_COUNTS = 25
 FAMILY_LEVEL = 0.01
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CrosscheckRow:
     """One quantity from the programs."""
 
@@ -117,13 +117,15 @@ def crosscheck(
         progress=lambda done: run.tell("NumPy", done, photons),
     )
     solved = _solved(bench)
-    rows = [_row("eta", "detected", ours, reference, solved)]
-    for name in {**ours.budget, **reference.budget}:
-        if name != "detected" and (ours.budget.get(name, 0.0) or reference.counts.get(name, 0)):
-            rows.append(_row(name, name, ours, reference, solved))
+    fates = [
+        name
+        for name in {**ours.budget, **reference.budget}
+        if name != "detected" and (ours.budget.get(name, 0.0) or reference.counts.get(name, 0))
+    ]
+    rows = tuple(_row(quantity, ours, reference, solved) for quantity in ("eta", *fates))
     scores = [abs(z) for row in rows for z in (row.z, row.modes_z) if z is not None]
     return Crosscheck(
-        rows=tuple(rows),
+        rows=rows,
         family_p_value=min(1.0, len(scores) * 2.0 * float(ndtr(-max(scores)))),
         mitsuba_photons=ours.photons,
         numpy_photons=reference.photons,
@@ -139,28 +141,31 @@ def _solved(bench: Bench) -> BoxEfficiency | None:
     return None if solved.fates["trapped"] else solved
 
 
-#: What all programs call the same.
-_SOLVED = ("eta", "absorbed_crystal")
-
-
 def _row(
-    quantity: str,
-    fate: str,
-    ours: SimulationResult,
-    reference: TracerResult,
-    solved: BoxEfficiency | None,
+    quantity: str, ours: SimulationResult, reference: TracerResult, solved: BoxEfficiency | None
 ) -> CrosscheckRow:
     if quantity == "eta":
         a, sigma_a = ours.eta, ours.eta_sigma
         b, sigma_b = reference.eta, reference.eta_sigma
     else:
-        a, sigma_a = ours.budget.get(fate, 0.0), ours.budget_sigma.get(fate, 1.0 / ours.photons)
-        b, sigma_b = reference.budget.get(fate, 0.0), reference.budget_sigma.get(fate, 0.0)
-    few = max(a * reference.photons, reference.counts.get(fate, 0)) < FEWEST_COUNTS
-    z = None if few else (a - b) / math.hypot(sigma_a, sigma_b)
-    if solved is None or quantity not in _SOLVED:
-        return CrosscheckRow(quantity, a, sigma_a, b, sigma_b, z)
-    c = float(solved.eta if quantity == "eta" else solved.fates[fate])
+        a = ours.budget.get(quantity, 0.0)
+        sigma_a = ours.budget_sigma.get(quantity, 1.0 / ours.photons)
+        b = reference.budget.get(quantity, 0.0)
+        sigma_b = reference.budget_sigma.get(quantity, 0.0)
+    counted = reference.counts.get("detected" if quantity == "eta" else quantity, 0)
+    few = max(a * reference.photons, counted) < FEWEST_COUNTS
+    row = CrosscheckRow(
+        quantity=quantity,
+        mitsuba=a,
+        mitsuba_sigma=sigma_a,
+        numpy=b,
+        numpy_sigma=sigma_b,
+        z=None if few else (a - b) / math.hypot(sigma_a, sigma_b),
+    )
+    # what all programs call the same
+    if solved is None or quantity not in ("eta", "absorbed_crystal"):
+        return row
+    c = float(solved.eta if quantity == "eta" else solved.fates[quantity])
     sigma_c = float(solved.error)
     modes_z = None if few else (a - c) / math.hypot(sigma_a, sigma_c)
-    return CrosscheckRow(quantity, a, sigma_a, b, sigma_b, z, c, sigma_c, modes_z)
+    return replace(row, modes=c, modes_sigma=sigma_c, modes_z=modes_z)

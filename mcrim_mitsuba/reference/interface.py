@@ -174,10 +174,9 @@ def cross(
     outgoing = direction - (2.0 * cos_in) * normal
     through = np.flatnonzero(transmitted)
     if through.size:
-        ahead = normal[:, through]
-        tangential = direction[:, through] - cos_in[through] * ahead
-        refracted = (n_in / n_out)[through] * tangential + cos_out[through] * ahead
-        outgoing[:, through] = refracted / np.sqrt(dot(refracted, refracted))
+        incoming, ahead = direction[:, through], normal[:, through]
+        cosines, ratio = (cos_in[through], cos_out[through]), (n_in / n_out)[through]
+        outgoing[:, through] = _refracted(incoming, ahead, *cosines, ratio)
     if field is not None:
         out_s = np.where(transmitted, coefficients.transmitted_s * field_s, reflected_s)
         out_p = np.where(transmitted, coefficients.transmitted_p * field_p, reflected_p)
@@ -191,6 +190,14 @@ def cross(
         if field is not None:
             field[:, who] = random_polarisation(rng, scattered)
     return outgoing, transmitted, field
+
+
+def _refracted(
+    direction: Floats, normal: Floats, cos_in: Floats, cos_out: Floats, ratio: Floats
+) -> Floats:
+    """Unit vectors behind an interface, of a `ratio` of the index before it to that behind it."""
+    refracted = ratio * (direction - cos_in * normal) + cos_out * normal
+    return refracted / np.sqrt(dot(refracted, refracted))
 
 
 def random_polarisation(rng: np.random.Generator, direction: Floats) -> Complexes:
@@ -350,8 +357,9 @@ def _ggx_facets(
 def _beckmann_facets(
     rng: np.random.Generator, sine: Floats, cosine: Floats, roughness: _Number
 ) -> tuple[Floats, Floats, Floats]:
-    """The same of Gaussian slopes: those along the view, t sigma, by (a - t)_+ exp(-t^2 / 2).
+    """Vectors along facets' normals of Gaussian slopes, in the frame of the plane of incidence.
 
+    Slopes along the view, t sigma, are drawn by (a - t)_+ exp(-t^2 / 2).
     With a = cosine / (sigma sine), by rejection: from above from Gaussian and Rayleigh numbers, the
     parts of (a + (-t)_+) exp(-t^2 / 2), from below from Rayleigh numbers a - t.
     """

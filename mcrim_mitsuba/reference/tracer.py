@@ -155,42 +155,59 @@ def trace(
     counts = np.zeros(len(Place), dtype=np.int64)
     # six rows: `PhotonArrays.record`, cosine and radius of arrival
     detected: list[Floats] = [np.zeros((len(Record) + 2, 0))]
-    waiting: dict[Place, list[PhotonArrays]] = {region: [] for region in REGIONS}
-    crowd = dict.fromkeys(REGIONS, 0)
+    waiting = _Waiting()
     emitted = 0
-    while emitted < photons or any(crowd.values()):
-        under_way = sum(crowd.values())
+    while emitted < photons or waiting.count:
         # newborn photons keep the arrays long: short ones cost NumPy as much
-        if emitted < photons and under_way <= batch // 2:
-            if progress is not None and emitted > under_way:
-                progress(emitted - under_way)
-            newborn = min(batch - under_way, photons - emitted)
-            waiting[flights.birthplace].append(flights.births(newborn))
-            crowd[flights.birthplace] += newborn
+        if emitted < photons and waiting.count <= batch // 2:
+            if progress is not None and emitted > waiting.count:
+                progress(emitted - waiting.count)
+            newborn = min(batch - waiting.count, photons - emitted)
+            waiting.add(flights.birthplace, flights.births(newborn))
             emitted += newborn
-        # photons are independent of each other, so the largest crowd may go first
-        region = max(REGIONS, key=crowd.__getitem__)
-        flock = PhotonArrays.join(waiting[region])
-        waiting[region], crowd[region] = [], 0
+        region, flock = waiting.next()
         place = flights.fly(region, flock)
         place[(place < FIRST_FATE) & (flock.flights >= max_depth)] = Place.TRUNCATED
         here = np.bincount(place, minlength=len(Place))
         counts += here
-        for next_region in REGIONS:
-            if here[next_region]:
-                group = flock.take(np.flatnonzero(place == next_region))
-                waiting[next_region].append(group)
-                crowd[next_region] += len(group)
+        for region in REGIONS:
+            if here[region]:
+                waiting.add(region, flock.take(np.flatnonzero(place == region)))
         if histories and here[Place.DETECTED]:
-            found = flock.take(np.flatnonzero(place == Place.DETECTED))
-            assert found.record is not None  # asked for
-            detected.append(np.vstack((found.record, flights.arrivals(found))))
+            arrived = flock.take(np.flatnonzero(place == Place.DETECTED))
+            assert arrived.record is not None  # asked for
+            detected.append(np.vstack((arrived.record, flights.arrivals(arrived))))
     if progress is not None:
         progress(photons)
     fates = {name: int(counts[place]) for place, name in FATES.items()}
     return TracerResult(
         photons, seed, fates, _histories(detected) if histories else None, head_on=head_on(bench)
     )
+
+
+class _Waiting:
+    """Photons under way, by the region that they are to fly in."""
+
+    def __init__(self) -> None:
+        self._groups: dict[Place, list[PhotonArrays]] = {region: [] for region in REGIONS}
+        self._counts = dict.fromkeys(REGIONS, 0)
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return sum(self._counts.values())
+
+    def add(self, region: Place, photons: PhotonArrays) -> None:
+        """Let photons wait."""
+        self._groups[region].append(photons)
+        self._counts[region] += len(photons)
+
+    def next(self) -> tuple[Place, PhotonArrays]:
+        """Those of the largest crowd: photons are independent of each other."""
+        region = max(REGIONS, key=self._counts.__getitem__)
+        photons = PhotonArrays.join(self._groups[region])
+        self._groups[region], self._counts[region] = [], 0
+        return region, photons
 
 
 def _histories(detected: list[Floats]) -> DetectedHistories:
