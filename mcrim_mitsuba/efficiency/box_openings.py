@@ -597,8 +597,8 @@ class _FirstShuttle:
     #: (n, 2 m - 1): by how much one crossing shifts the phase of every wave.
     phase: Floats
     #: Where components of a wave, and of the step between two waves, are among all of `_crossings`.
-    at_wave: tuple[NDArray[np.int64], ...]
-    at_step: tuple[NDArray[np.int64], ...]
+    at_wave: tuple[Any, Any]
+    at_step: tuple[Any, Any]
     #: Nodes of each rule, and the waves that it does not couple: the coarser may couple fewer.
     beyond: tuple[tuple[slice, NDArray[np.bool_]], ...]
 
@@ -631,7 +631,7 @@ def _first_shuttle(
     phase = 2.0 * math.pi / bench.crystal_width_mm * (light.shift_mm.T @ every.T)
     once, twice = _crossings(bench, 2 * order, light)
     landed = once[:, *at_wave] * np.exp(1j * phase[:, : len(signed)])
-    leaked = _leaked(bench, rules, first, sine, *over, signed)
+    leaked = _leaked(bench, rules, first, sine, over[0], over[1], signed)
     both = phase[:, : len(signed), None] + phase[:, None]
     returned = twice[:, *at_step] * np.exp(1j * both)
     returned *= light.r_window[:, None, None]

@@ -14,7 +14,7 @@ from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, spectrophotometer_of
-from mcrim_mitsuba.transport.scene_model import DETECTOR, SceneModel
+from mcrim_mitsuba.transport.scene_model import DETECTOR, FlatFace, RoundWall, SceneModel
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.simulation import Simulation
@@ -123,7 +123,8 @@ def _first_difference(model: SceneModel, meant: SceneModel) -> str | None:
 def _parts(model: SceneModel) -> dict[str, list[tuple]]:
     """Faces and walls of every surface, with it and the volumes on its sides."""
     parts: dict[str, list[tuple]] = {}
-    for part in (*model.flat_faces, *model.walls):
+    flat_and_round: list[FlatFace | RoundWall] = [*model.flat_faces, *model.walls]
+    for part in flat_and_round:
         surface = model.surfaces[part.surface]
         # there is one, whatever it is called
         name = "detector" if surface.kind == DETECTOR else surface.name
