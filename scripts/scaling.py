@@ -32,7 +32,7 @@ from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Run
 from mcrim_mitsuba.efficiency.table import EtaTable, eta_table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE, RecordCache
 from mcrim_mitsuba.runs.cluster import ClusterExecutor, connect
-from mcrim_mitsuba.runs.executors import Content, Task, use_executor
+from mcrim_mitsuba.runs.executors import Content, Job, use_executor
 
 WORKERS = (1, 2, 4)
 #: Per coupling: a first look and a second stage, which knows better.
@@ -117,23 +117,21 @@ def timed_table(workers: int, couplings: int) -> Timed:
         ALPHA_SCAT: [0.2, 0.5, 1.0],
     }
     with empty_cache(), contextlib.ExitStack() as around:
-        tasks: list[dict] = []
+        jobs: list[dict] = []
         if workers:
             executor, address = around.enter_context(cluster_of(workers))
             watcher = around.enter_context(connect(address))
-            tasks = around.enter_context(get_task_stream(watcher)).data
+            jobs = around.enter_context(get_task_stream(watcher)).data
             around.enter_context(use_executor(executor))
         start = time.perf_counter()
         table = eta_table(SCENE, axes, run=Run(PHOTONS, threads=1))
         made = Timed(workers, time.perf_counter() - start, table)
     known = set()
-    for task in sorted(tasks, key=lambda task: task["startstops"][-1]["stop"]):
-        (seconds,) = (
-            s["stop"] - s["start"] for s in task["startstops"] if s["action"] == "compute"
-        )
-        made.sizes.append(task["nbytes"])
-        (made.units if task["worker"] in known else made.firsts).append(seconds)
-        known.add(task["worker"])
+    for job in sorted(jobs, key=lambda job: job["startstops"][-1]["stop"]):
+        (seconds,) = (s["stop"] - s["start"] for s in job["startstops"] if s["action"] == "compute")
+        made.sizes.append(job["nbytes"])
+        (made.units if job["worker"] in known else made.firsts).append(seconds)
+        known.add(job["worker"])
     return made
 
 
@@ -144,7 +142,7 @@ def overhead(size: int) -> tuple[float, float]:
         def seconds(first: int, count: int) -> float:
             cache = RecordCache({"scaling": first})
             start = time.perf_counter()
-            for _ in executor.do([Task(NoWork(first + n, size), cache) for n in range(count)]):
+            for _ in executor.do([Job(NoWork(first + n, size), cache) for n in range(count)]):
                 pass
             return time.perf_counter() - start
 

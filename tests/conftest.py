@@ -19,7 +19,7 @@ from browser import browser  # noqa: F401  (a fixture for all tests)
 from places import CAMPAIGN_FILES, SCENES
 
 from mcrim_mitsuba.cli.main import main
-from mcrim_mitsuba.transport.llvm import selected_llvm
+from mcrim_mitsuba.transport.variants import selected_llvm
 
 # Some tests import Dr.Jit themselves, which loads an LLVM then.
 selected_llvm()

@@ -10,6 +10,6 @@ reading and value of an effect (`response_maker`, `eta_grid`, `responses`). Othe
 - `recording` (`record_surface`, `record_surfaces`, `SurfaceWish`), `reweighting` (`EtaSurface`),
   `surface` (what all surfaces can be asked; `InterpolatedSurface`);
 - `response_maker` (`ResponseMaker`), `responses` (`Responses`, `Anchor`);
-- `noise_free` (the method ``modes``: scenes solved without photons, by `polished_box.solve_box`),
-  `bench` (`Bench`: a bench told by its parameters), `scene_bench` (`bench_of` a loaded scene).
+- `noise_free` (the method ``modes``: scenes solved without photons, by `polished_box.solve_box`;
+  `bench_of`: the bench that a loaded scene is), `bench` (`Bench`: a bench told by its parameters).
 """

@@ -17,7 +17,7 @@ from mcrim_mitsuba.efficiency.cells import CellSums
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface, choose_proposals, improve_shares
 from mcrim_mitsuba.efficiency.surface import Coefficients
 from mcrim_mitsuba.runs.cache import RecordCache, record_versions
-from mcrim_mitsuba.runs.executors import Content, Done, Task, current_executor
+from mcrim_mitsuba.runs.executors import Content, Finished, Job, current_executor
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import LANES, PhotonRecords, ScatteringProposals
@@ -76,7 +76,7 @@ class RecordRun:
     """Photon records of one configuration, extended until they answer well enough.
 
     The scene's own coefficients do not matter, nor do the photons and the precision of `run`.
-    Proposals have shares in units of 1 / `launch_plan.UNITS`; `what` is its name in progress.
+    Proposals have shares in units of 1 / `launch_plan.SHARE_STEPS`; `what` is its name in progress.
     """
 
     def __init__(
@@ -125,14 +125,14 @@ class RecordRun:
         miss.
         """
         for done in current_executor().do(
-            self.tasks(photons), threads=self._run.threads, progress=self._run.progress
+            self.jobs(photons), threads=self._run.threads, progress=self._run.progress
         ):
             self.take(done)
 
-    def tasks(self, photons: int) -> list[Task]:
+    def jobs(self, photons: int) -> list[Job]:
         """Units that are missing to have so many photons at least, to be taken in this order."""
         lacking = -(-photons // LANES) * LANES - self.photons
-        tasks = []
+        jobs = []
         for number, block in planned(lacking, self._launches, LARGEST_LAUNCH):
             unit = RecordBlock(
                 self.what,
@@ -144,12 +144,12 @@ class RecordRun:
                 block,
                 self._proposals,
             )
-            tasks.append(Task(unit, self._cache))
-        return tasks
+            jobs.append(Job(unit, self._cache))
+        return jobs
 
-    def take(self, done: Done) -> None:
+    def take(self, done: Finished) -> None:
         """Gather what a unit found."""
-        unit = done.task.unit
+        unit = done.job.unit
         assert isinstance(unit, RecordBlock)
         (chunk,) = done.chunks.values()
         found = CellSums.from_arrays(chunk.arrays, chunk.metadata)
@@ -286,7 +286,7 @@ def _extend(goals: Sequence[tuple[_Look, int]], *, by_all: bool = False) -> None
     if not goals:
         return
     run = goals[0][0].wish.run
-    pairs = [(look, task) for look, photons in goals for task in look.tasks(photons)]
+    pairs = [(look, job) for look, photons in goals for job in look.jobs(photons)]
     before = {look.what: (look, look.photons) for look, _ in goals}
 
     def report(what: str, done: int, total: int, note: str = "") -> None:
@@ -295,8 +295,8 @@ def _extend(goals: Sequence[tuple[_Look, int]], *, by_all: bool = False) -> None
             note += f", errors up to {100 * look.noise / math.sqrt(had + done):.2g} %"
         run.tell(what, had + done, had + total, note)
 
-    tasks = [task for _, task in pairs]
-    for done in current_executor().do(tasks, threads=run.threads, by_all=by_all, progress=report):
+    jobs = [job for _, job in pairs]
+    for done in current_executor().do(jobs, threads=run.threads, by_all=by_all, progress=report):
         pairs[done.index][0].take(done)
     for look, _ in goals:
         look.look()

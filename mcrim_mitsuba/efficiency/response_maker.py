@@ -40,8 +40,7 @@ from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Poi
 from mcrim_mitsuba.efficiency.surface import chebyshev_nodes
 from mcrim_mitsuba.optics.slab_transmittance import measured_transmittance, transmittance
 from mcrim_mitsuba.runs.cache import code_hash, record_versions
-from mcrim_mitsuba.runs.executors import Task, current_executor, number_of
-from mcrim_mitsuba.runs.processes import many_units_executor
+from mcrim_mitsuba.runs.executors import Job, current_executor, many_units_executor, number_of
 from mcrim_mitsuba.scene.scene_file import SceneFile, ScenePlan
 from mcrim_mitsuba.scene.spectrophotometer import (
     ACCEPTANCE,
@@ -557,7 +556,7 @@ class ResponseMaker:
         first = {of[0]: of for of in reversed(missing)}.values()
         ordered = sorted(missing, key=lambda of: of not in first)
         groups = [list(missing[of].values()) for of in ordered]
-        tasks = []
+        jobs = []
         for members in groups:
             of = members[0].simulation
             unit = TableUnit(
@@ -571,7 +570,7 @@ class ResponseMaker:
                 (self.grid, self.coarse),
                 tuple(each.request for each in members),
             )
-            tasks.append(Task(unit, self._cache))
+            jobs.append(Job(unit, self._cache))
         errors: list[float] = []
 
         def report(what: str, done: int, total: int, note: str = "") -> None:
@@ -579,7 +578,7 @@ class ResponseMaker:
             self._run.tell(what, done, total, f"{note}{worst}")
 
         executor = many_units_executor(self._run.threads)
-        for done in executor.do(tasks, threads=self._run.threads, progress=report):
+        for done in executor.do(jobs, threads=self._run.threads, progress=report):
             self._seen.setdefault(groups[done.index][0].simulation.identity, done.cached)
             for each in groups[done.index]:
                 grid = self.coarse if each.request.coarse else self.grid

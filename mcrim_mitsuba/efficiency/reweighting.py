@@ -28,7 +28,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.efficiency.cells import FACTOR_ABOVE, CellSums
 from mcrim_mitsuba.efficiency.surface import Coefficients, EfficiencySurface, EtaPoint
-from mcrim_mitsuba.transport.launch_plan import UNITS, PhotonRecords, ScatteringProposals
+from mcrim_mitsuba.transport.launch_plan import SHARE_STEPS, PhotonRecords, ScatteringProposals
 
 # Where fewer photons than these carry eta, or carry its error (the same measure of the
 # squares), neither can be trusted. The second is the one that shows missing photons: eta was
@@ -402,7 +402,7 @@ def improve_shares(surface: EtaSurface, points: Sequence[Coefficients]) -> Scatt
     )
     shares = np.exp(found.x - logsumexp(found.x))
     # less than half a unit is not worth a lane; the lowest says how far down weights may reach
-    shares[1:][shares[1:] * UNITS < 0.5] = 0.0
+    shares[1:][shares[1:] * SHARE_STEPS < 0.5] = 0.0
     return ScatteringProposals(
         tuple(surface.alpha_scat_proposals_per_cm.tolist()),
         _in_units(shares / shares.sum()),
@@ -411,12 +411,12 @@ def improve_shares(surface: EtaSurface, points: Sequence[Coefficients]) -> Scatt
 
 
 def _in_units(shares: NDArray[np.float64]) -> tuple[int, ...]:
-    """Whole numbers in these proportions with a sum of `UNITS`; only a share of 0 gets 0."""
+    """Whole numbers in these proportions with a sum of `SHARE_STEPS`; only a share of 0 gets 0."""
     least = (shares > 0).astype(int)
-    whole = np.maximum(np.floor(shares * UNITS).astype(int), least)
-    while whole.sum() != UNITS:
-        lacking = shares * UNITS - whole
-        if whole.sum() < UNITS:
+    whole = np.maximum(np.floor(shares * SHARE_STEPS).astype(int), least)
+    while whole.sum() != SHARE_STEPS:
+        lacking = shares * SHARE_STEPS - whole
+        if whole.sum() < SHARE_STEPS:
             whole[np.argmax(lacking)] += 1
         else:
             whole[np.argmin(np.where(whole > least, lacking, np.inf))] -= 1

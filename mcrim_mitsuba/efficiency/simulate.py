@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.runs.array_job import PartExecutor
 from mcrim_mitsuba.runs.cache import record_versions
-from mcrim_mitsuba.runs.executors import Content, Done, Executor, Task, current_executor
+from mcrim_mitsuba.runs.executors import Content, Executor, Finished, Job, current_executor
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned, remember
 from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, FateTally
 from mcrim_mitsuba.transport.simulation import DEFAULT_PHOTONS, SimulationResult
@@ -116,10 +116,10 @@ class _UnitTally:
         self.launches = self.cached_photons = 0
         self.seconds, self.path = 0.0, ""
 
-    def add(self, done: Done) -> None:
+    def add(self, done: Finished) -> None:
         """Take in a unit."""
         (chunk,) = done.chunks.values()
-        unit = done.task.unit
+        unit = done.job.unit
         assert isinstance(unit, TallyBlock)
         self.tally.merge(FateTally(*(chunk.metadata[name] for name in _TALLY)))
         self.launches += len(unit.launches)
@@ -171,9 +171,9 @@ def _collect_in_units(
     try:
         while wanted := so_far.lacking(photons, run.precision, size):
             launches = planned(wanted, so_far.launches, size)
-            tasks = [Task(block(first=n, launches=of_unit), cache) for n, of_unit in launches]
-            by_all = tally.photons == 0 and len(tasks) == 1
-            for done in executor.do(tasks, threads=run.threads, by_all=by_all):
+            jobs = [Job(block(first=n, launches=of_unit), cache) for n, of_unit in launches]
+            by_all = tally.photons == 0 and len(jobs) == 1
+            for done in executor.do(jobs, threads=run.threads, by_all=by_all):
                 so_far.add(done)
                 tell(tally.photons, photons, tally.eta, tally.eta_sigma)
     except KeyboardInterrupt:

@@ -32,8 +32,8 @@ from mcrim_mitsuba.transport.scene_model import SceneModel
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.scene.check_text import Interface
+    from mcrim_mitsuba.transport.collection import Trail
     from mcrim_mitsuba.transport.simulation import Simulation
-    from mcrim_mitsuba.transport.trails import Trail
 
 
 # Calm, and of different lightness, so that a grey print still tells neighbours apart.
@@ -252,7 +252,7 @@ def chosen_paths(
     One path goes through `view`, lowest and highest x and z (mm) of what is enlarged, shape (2, 2),
     if it can.
     """
-    from mcrim_mitsuba.transport.trails import follow_trails
+    from mcrim_mitsuba.transport.collection import follow_trails
 
     trails, size = follow_trails(simulation), simulation.model.size_mm
     middle = (simulation.crystal.lower[1] + simulation.crystal.upper[1]) / 2

@@ -14,8 +14,8 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.bench import Bench
+from mcrim_mitsuba.efficiency.noise_free import bench_of
 from mcrim_mitsuba.efficiency.polished_box import BoxEfficiency, solve_box
-from mcrim_mitsuba.efficiency.scene_bench import bench_of
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import SceneFile
 

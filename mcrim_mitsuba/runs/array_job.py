@@ -20,7 +20,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there, read_text, write_text
 from mcrim_mitsuba.runs.cache import RecordCache
 from mcrim_mitsuba.runs.cache_files import Chunk
-from mcrim_mitsuba.runs.executors import Done, Executor, Task, kept
+from mcrim_mitsuba.runs.executors import Executor, Finished, Job, kept
 
 #: Where the units of an array job lie, if not told otherwise.
 DEFAULT_FOLDER = "mcrim_units"
@@ -168,23 +168,23 @@ class PartExecutor(MergingExecutor):
         #: Made so far.
         self.units = self.photons = 0
 
-    def do(self, tasks: Sequence[Task], *, by_all: bool = False, **how: Any) -> Iterator[Done]:
+    def do(self, jobs: Sequence[Job], *, by_all: bool = False, **how: Any) -> Iterator[Finished]:
         """See `Executor.do`; raises PartDoneError where other parts' units are missing."""
-        own = tasks if by_all else tasks[self._part.number - 1 :: self._part.count]
+        own = jobs if by_all else jobs[self._part.number - 1 :: self._part.count]
         for _ in super().do(own, **how):
             pass
-        for index, task in enumerate(tasks):
-            chunks = kept(task)
+        for index, job in enumerate(jobs):
+            chunks = kept(job)
             if chunks is None:
                 raise self.done
-            yield Done(index, task, chunks, cached=True)
+            yield Finished(index, job, chunks, cached=True)
 
-    def make(self, task: Task, threads: int | None) -> dict[int, Chunk]:
-        chunks = super().make(task, threads)
-        if task.cache.trouble is not None:
+    def make(self, job: Job, threads: int | None) -> dict[int, Chunk]:
+        chunks = super().make(job, threads)
+        if job.cache.trouble is not None:
             mend = "free or unlock this place, and run this part again"
-            raise InputError("a unit would be lost", mend, path=task.cache.trouble)
-        self.units, self.photons = self.units + 1, self.photons + task.unit.photons
+            raise InputError("a unit would be lost", mend, path=job.cache.trouble)
+        self.units, self.photons = self.units + 1, self.photons + job.unit.photons
         return chunks
 
     @property

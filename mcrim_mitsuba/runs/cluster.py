@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_text
 from mcrim_mitsuba.runs.cache import other_version, record_versions
-from mcrim_mitsuba.runs.executors import Content, HandingExecutor, Task, Track, Unit, pickled
+from mcrim_mitsuba.runs.executors import Content, HandingExecutor, Job, Track, WorkItem, pickled
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -122,7 +122,7 @@ class ClusterExecutor(HandingExecutor):
         workers = _workers(self._client, self._address).values()
         return max(LEAST_AHEAD, AHEAD * sum(each["nthreads"] for each in workers))
 
-    def submit(self, unit: Unit) -> Future:
+    def submit(self, unit: WorkItem) -> Future:
         import distributed
 
         sent = pickled(unit.portable())
@@ -134,7 +134,7 @@ class ClusterExecutor(HandingExecutor):
             raise _lost(self._address) from None
 
     def finished(
-        self, out: Mapping[Future, int], tasks: Sequence[Task], track: Track
+        self, out: Mapping[Future, int], jobs: Sequence[Job], track: Track
     ) -> Iterable[Future]:
         import distributed
 
@@ -147,7 +147,7 @@ class ClusterExecutor(HandingExecutor):
             if self._client.status != "running":
                 raise _lost(self._address) from None
             if not _workers(self._client, self._address):
-                what = tasks[min(out.values())].unit.what
+                what = jobs[min(out.values())].unit.what
                 track.tell(what, f"no workers at {self._address} yet")
             return ()
         except (OSError, distributed.client.FuturesCancelledError):
@@ -157,7 +157,7 @@ class ClusterExecutor(HandingExecutor):
         if futures and self._client.status == "running":
             self._client.cancel(futures, force=True)
 
-    def result(self, future: Future, task: Task) -> dict[int, Content]:
+    def result(self, future: Future, job: Job) -> dict[int, Content]:
         import dask
         import distributed
 
@@ -165,7 +165,7 @@ class ClusterExecutor(HandingExecutor):
             return future.result()
         except InputError:
             # a scene that is refused there is refused here too, with the lines of its own file
-            task.unit.check(None)
+            job.unit.check(None)
             raise
         except distributed.scheduler.KilledWorker as error:
             deaths = int(dask.config.get("distributed.scheduler.allowed-failures", 3)) + 1
@@ -225,6 +225,6 @@ def make_on_worker(pickled: bytes, versions: dict[str, str]) -> dict[int, Conten
         raise InputError(problem, "install the same versions for all workers and for the command")
     # Dr.Jit's threads are the process's: units of one worker go one after the other
     with _one_at_a_time:
-        unit: Unit = pickle.loads(pickled)
+        unit: WorkItem = pickle.loads(pickled)
         unit.check(worker.state.nthreads)
         return unit.make(worker.state.nthreads)

@@ -1,4 +1,4 @@
-"""Who does the units of a job: this process, unless `use_executor` names another executor."""
+"""Who does units of work: this process, or processes, unless `use_executor` names another."""
 
 from __future__ import annotations
 
@@ -6,16 +6,22 @@ import contextlib
 import contextvars
 import json
 import logging
+import multiprocessing
+import os
 import pickle
+import signal
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import cloudpickle
 from numpy.typing import NDArray
 
+from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import sha256
 from mcrim_mitsuba.core.run import OWN_MODULES, Progress
 from mcrim_mitsuba.runs.cache import RecordCache
@@ -23,7 +29,7 @@ from mcrim_mitsuba.runs.cache_files import Chunk
 
 
 def number_of(*identity: object) -> int:
-    """A chunk's number, made of what JSON can hold and what tells it from others of its job."""
+    """A chunk's number, made of what JSON can hold and what tells it from others of its key."""
     text = json.dumps(identity, sort_keys=True, default=str)
     return int(sha256(text.encode())[:15], 16)
 
@@ -32,7 +38,7 @@ def number_of(*identity: object) -> int:
 Content = tuple[Mapping[str, NDArray[Any]], Mapping[str, object]]
 
 
-class Unit(Protocol):
+class WorkItem(Protocol):
     """A piece of work whose result depends on what it says itself, and on nothing else."""
 
     @property
@@ -57,7 +63,7 @@ class Unit(Protocol):
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Of the chunks that it makes, in the cache of its job."""
+        """Of the chunks that it makes, in the cache of its key."""
 
     def make(self, threads: int | None) -> dict[int, Content]:
         """The chunks by number; `threads` (all when None) do not change them."""
@@ -65,20 +71,20 @@ class Unit(Protocol):
     def check(self, threads: int | None) -> None:
         """Refuse, by an InputError, what no unit should be made of; before it is made."""
 
-    def portable(self) -> Unit:
+    def portable(self) -> WorkItem:
         """The same unit as it is sent to another machine: without a need of files here."""
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class Job:
     """A unit and where it is kept."""
 
-    unit: Unit
-    #: Of its job: the key says what all units of it have in common.
+    unit: WorkItem
+    #: Its key says what all units of one work have in common.
     cache: RecordCache
 
 
-# How far a job is: for whoever asked for it, and for the log.
+# How far the work is: for whoever asked for it, and for the log.
 
 #: One line per unit that is begun, made or kept; silent unless somebody listens.
 log = logging.getLogger("mcrim_mitsuba.runs")
@@ -90,12 +96,12 @@ log.propagate = False
 class Track:
     """Counts units and their photons, and says so."""
 
-    def __init__(self, tasks: Sequence[Task], progress: Progress | None) -> None:
-        self._tasks, self._progress = tasks, progress
+    def __init__(self, jobs: Sequence[Job], progress: Progress | None) -> None:
+        self._tasks, self._progress = jobs, progress
         # by part: units, and photons
-        self._count = Counter(task.unit.what for task in tasks)
+        self._count = Counter(job.unit.what for job in jobs)
         self._total, self._done, self._photons = Counter[str](), Counter[str](), Counter[str]()
-        for unit in (task.unit for task in tasks):
+        for unit in (job.unit for job in jobs):
             self._total[unit.what] += unit.photons
 
     def begun(self, index: int) -> None:
@@ -121,17 +127,17 @@ class Track:
         self._progress(what, self._photons[what], self._total[what], note)
 
     def _id(self, index: int) -> str:
-        task = self._tasks[index]
-        return f"{task.cache.name}-{task.unit.numbers[0]}"
+        job = self._tasks[index]
+        return f"{job.cache.name}-{job.unit.numbers[0]}"
 
 
 @dataclass(frozen=True, eq=False)
-class Done:
+class Finished:
     """A unit with its result."""
 
-    #: Place among the tasks that were asked for.
+    #: Its place among the jobs that were asked for.
     index: int
-    task: Task
+    job: Job
     #: By number.
     chunks: dict[int, Chunk]
     #: Whether the cache had it.
@@ -142,22 +148,22 @@ class Executor:
     """Does units in this process, one after the other."""
 
     def cache(self, key: Mapping[str, object]) -> RecordCache:
-        """Where the units of a job are kept, by what they have in common."""
+        """Where units are kept, by what they have in common."""
         return RecordCache(key)
 
     def do(
         self,
-        tasks: Sequence[Task],
+        jobs: Sequence[Job],
         *,
         threads: int | None = None,
         by_all: bool = False,
         progress: Progress | None = None,
-    ) -> Iterator[Done]:
-        """Results in the order of the tasks, whoever does them and whenever they come.
+    ) -> Iterator[Finished]:
+        """Results in the order of the jobs, whoever does them and whenever they come.
 
         Parameters
         ----------
-        tasks : sequence of Task
+        jobs : sequence of Job
             What their cache has is not made again; what is made goes there at once.
         threads : int, optional
             Processor threads of a unit; all when not given.
@@ -172,52 +178,52 @@ class Executor:
         InputError
             If a unit refuses what it is made of.
         """
-        track = Track(tasks, progress)
-        for index, task in enumerate(tasks):
-            chunks = kept(task)
+        track = Track(jobs, progress)
+        for index, job in enumerate(jobs):
+            chunks = kept(job)
             cached = chunks is not None
             if chunks is None:
                 track.begun(index)
-                chunks = self.make(task, threads)
+                chunks = self.make(job, threads)
             track.done(index, cached=cached)
-            yield Done(index, task, chunks, cached)
+            yield Finished(index, job, chunks, cached)
 
-    def make(self, task: Task, threads: int | None) -> dict[int, Chunk]:
+    def make(self, job: Job, threads: int | None) -> dict[int, Chunk]:
         """Make a unit here and now, and keep it."""
-        task.unit.check(threads)
-        return keep(task, task.unit.make(threads))
+        job.unit.check(threads)
+        return keep(job, job.unit.make(threads))
 
 
 class HandingExecutor(Executor):
     """Hands units to others, some ahead of their turn, and keeps what comes back."""
 
     def do(
-        self, tasks: Sequence[Task], *, progress: Progress | None = None, **_how: Any
-    ) -> Iterator[Done]:
+        self, jobs: Sequence[Job], *, progress: Progress | None = None, **_how: Any
+    ) -> Iterator[Finished]:
         """See `Executor.do`; threads are those of whoever does the units."""
-        track = Track(tasks, progress)
+        track = Track(jobs, progress)
         # what is handed out, what is there ahead of its turn, and how many were begun
         out: dict[Any, int] = {}
-        there: dict[int, Done] = {}
+        there: dict[int, Finished] = {}
         begun = 0
         try:
-            for wanted in range(len(tasks)):
+            for wanted in range(len(jobs)):
                 while wanted not in there:
                     # what is there ahead of its turn takes memory too
-                    for index in range(begun, min(len(tasks), wanted + self.ahead())):
-                        begun, task = index + 1, tasks[index]
-                        chunks = kept(task)
+                    for index in range(begun, min(len(jobs), wanted + self.ahead())):
+                        begun, job = index + 1, jobs[index]
+                        chunks = kept(job)
                         if chunks is not None:
                             track.done(index, cached=True)
-                            there[index] = Done(index, task, chunks, cached=True)
+                            there[index] = Finished(index, job, chunks, cached=True)
                             continue
                         track.begun(index)
-                        out[self.submit(task.unit)] = index
-                    for future in [] if wanted in there else self.finished(out, tasks, track):
+                        out[self.submit(job.unit)] = index
+                    for future in [] if wanted in there else self.finished(out, jobs, track):
                         index = out.pop(future)
-                        chunks = keep(tasks[index], self.result(future, tasks[index]))
+                        chunks = keep(jobs[index], self.result(future, jobs[index]))
                         track.done(index, cached=False)
-                        there[index] = Done(index, tasks[index], chunks, cached=False)
+                        there[index] = Finished(index, jobs[index], chunks, cached=False)
                 yield there.pop(wanted)
         finally:
             self.give_up(list(out))
@@ -226,17 +232,15 @@ class HandingExecutor(Executor):
         """How many units may be under way, or wait for their turn."""
         raise NotImplementedError
 
-    def submit(self, unit: Unit) -> Any:
+    def submit(self, unit: WorkItem) -> Any:
         """Hand a unit out; gives what stands for its result, hashable."""
         raise NotImplementedError
 
-    def finished(
-        self, out: Mapping[Any, int], tasks: Sequence[Task], track: Track
-    ) -> Iterable[Any]:
+    def finished(self, out: Mapping[Any, int], jobs: Sequence[Job], track: Track) -> Iterable[Any]:
         """Wait for results; none where there is none for a while."""
         raise NotImplementedError
 
-    def result(self, future: Any, task: Task) -> dict[int, Content]:
+    def result(self, future: Any, job: Job) -> dict[int, Content]:
         """What came back."""
         raise NotImplementedError
 
@@ -245,7 +249,7 @@ class HandingExecutor(Executor):
         raise NotImplementedError
 
 
-def pickled(unit: Unit) -> bytes:
+def pickled(unit: WorkItem) -> bytes:
     """A unit as bytes, with the user's own effects by value: others do not have their modules."""
     own = [module for name, module in sys.modules.items() if name.startswith(OWN_MODULES)]
     for module in own:
@@ -257,21 +261,21 @@ def pickled(unit: Unit) -> bytes:
             cloudpickle.unregister_pickle_by_value(module)
 
 
-def kept(task: Task) -> dict[int, Chunk] | None:
+def kept(job: Job) -> dict[int, Chunk] | None:
     """A unit's chunks from the cache; None unless all of them are there."""
     found = {}
-    for number in task.unit.numbers:
-        chunk = task.cache.read(number)
+    for number in job.unit.numbers:
+        chunk = job.cache.read(number)
         if chunk is None:
             return None
         found[number] = chunk
     return found
 
 
-def keep(task: Task, contents: Mapping[int, Content]) -> dict[int, Chunk]:
+def keep(job: Job, contents: Mapping[int, Content]) -> dict[int, Chunk]:
     """Put what a unit made into the cache."""
     for number, content in contents.items():
-        task.cache.write(number, *content)
+        job.cache.write(number, *content)
     return {n: Chunk(n, dict(arrays), dict(data)) for n, (arrays, data) in contents.items()}
 
 
@@ -298,3 +302,91 @@ def use_executor(executor: Executor) -> Iterator[Executor]:
         yield executor
     finally:
         _current.reset(token)
+
+
+# Many small units by processes of this machine, one for each thread that may be used. A small unit
+# spends as much time in Python, where threads wait for each other, as in its kernel; so processes
+# with one thread each use all processors, where one process would not. They are started when they
+# are first needed, wait a while for more, and end with this one.
+
+#: Units that are handed out ahead, per process.
+AHEAD = 4
+#: From how much processor time on, in several units, it is worth while to start processes.
+LEAST_S, FEWEST_UNITS = 5.0, 8
+#: Seconds that processes wait for more units, and after which one is looked after.
+IDLE_S, LOOK_S = 60.0, 1.0
+
+
+def many_units_executor(threads: int | None) -> Executor:
+    """Who does many small units: processes of this machine, unless somebody else was named.
+
+    `threads` are as many as may be used, all processors when None.
+    """
+    chosen, processes = current_executor(), threads or os.cpu_count() or 1
+    # a process of a pool of others may not have any of its own
+    if type(chosen) is Executor and processes > 1 and not multiprocessing.current_process().daemon:
+        return ProcessExecutor(processes)
+    return chosen
+
+
+class ProcessExecutor(HandingExecutor):
+    """Hands units to processes of this machine."""
+
+    def __init__(self, processes: int) -> None:
+        self._processes = processes
+        self._pool: Any = None
+
+    def do(
+        self,
+        jobs: Sequence[Job],
+        *,
+        threads: int | None = None,
+        progress: Progress | None = None,
+        **how: Any,
+    ) -> Iterator[Finished]:
+        """See `Executor.do`; a little work is done here."""
+        if len(jobs) < FEWEST_UNITS or sum(job.unit.expected_s for job in jobs) < LEAST_S:
+            return Executor.do(self, jobs, threads=threads, progress=progress, **how)
+        return super().do(jobs, progress=progress)
+
+    def ahead(self) -> int:
+        return AHEAD * self._processes
+
+    def submit(self, unit: WorkItem) -> Future[dict[int, Content]]:
+        import loky  # slow, and of no use where nothing is missing
+
+        self._pool = loky.get_reusable_executor(self._processes, timeout=IDLE_S, initializer=_begin)
+        return self._pool.submit(_make, pickled(unit))
+
+    def finished(
+        self, out: Mapping[Future, int], jobs: Sequence[Job], track: Track
+    ) -> Iterable[Future]:
+        return wait(out, timeout=LOOK_S, return_when=FIRST_COMPLETED).done
+
+    def result(self, future: Future, job: Job) -> dict[int, Content]:
+        try:
+            return future.result()
+        except BrokenProcessPool:
+            problem = "a process that simulated was ended from outside"
+            mend = "often there is too little memory: give --threads 1, or fewer photons"
+            raise InputError(problem, mend) from None
+
+    def give_up(self, futures: Sequence[Future]) -> None:
+        if futures:
+            self._pool.shutdown(wait=False, kill_workers=True)
+
+
+def _begin() -> None:
+    """An interrupt is the parent's to answer; the records of a large unit are no leak of memory."""
+    import loky
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # else loky starts a process anew when one has grown
+    loky.process_executor._USE_PSUTIL = False
+
+
+def _make(sent: bytes) -> dict[int, Content]:
+    """Make a unit that `pickled` gave."""
+    unit: WorkItem = pickle.loads(sent)
+    unit.check(1)
+    return unit.make(1)

@@ -107,7 +107,7 @@ def _keep(key: tuple[str, bytes | str, str], simulation: Simulation) -> Simulati
 
 @dataclass(frozen=True)
 class SceneUnit:
-    """What all units have in common that simulate a scene; see `runs.executors.Unit`."""
+    """What all units have in common that simulate a scene; see `runs.executors.WorkItem`."""
 
     what: str
     scene: SceneFile | ScenePlan | PortableScene
@@ -118,7 +118,7 @@ class SceneUnit:
 
     @property
     def modules(self) -> set[str]:
-        """See `runs.executors.Unit`."""
+        """See `runs.executors.WorkItem`."""
         return {type(self).__module__}
 
     def loaded(self, threads: int | None, *, check: bool = False) -> Simulation:
@@ -171,7 +171,7 @@ class LaunchBlock(SceneUnit):
 
     @property
     def expected_s(self) -> float:
-        """See `runs.executors.Unit`."""
+        """See `runs.executors.WorkItem`."""
         return self.photons / PHOTONS_PER_S
 
     @property

@@ -4,13 +4,13 @@ A scene file becomes a `Simulation`, whose `Launcher` sends photons through it, 
 the processor's vector registers; what becomes of them is tallied, recorded or drawn. Other rooms
 may take
 
-- at any time: `simulation` (`Simulation`, the front door), `launch_plan` (`LANES`, `UNITS`,
+- at any time: `simulation` (`Simulation`, the front door), `launch_plan` (`LANES`, `SHARE_STEPS`,
   `BATCHES`, `FateTally`, `PhotonRecords`: what a fit gets, and asks for), `check` (is a scene
   sound, and what does it mean), `scene_model` (a scene in numbers), `cut`, `photograph_parts`
-  (a bench drawn), `variants` and `llvm` (which Mitsuba, LLVM or GPU, and their versions);
+  (a bench drawn), `variants` (which Mitsuba, LLVM or GPU, and their versions);
 - inside functions, after `variants.use_variant`, because they import Mitsuba: `collection`
-  (`Launcher`, `Recorder`, `collect`), `arrivals` and `trails` (where light arrives,
-  and on which ways), `photograph`.
+  (`Launcher`, `Recorder`, `collect`, `follow_trails`), `arrivals` (where light arrives),
+  `photograph`.
 
 The rest is private: `loop` (a step in photons' lives), two paths through a scene (`flat_path` with
 `convex`, and `general_path`), `surface_physics`, `bulk` (births and scattering), `record_store`,

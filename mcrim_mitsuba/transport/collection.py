@@ -7,6 +7,7 @@ Every run is a row of launches (`Launcher`). `collect` counts fates until enough
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import arguments_of, signals_wait
 from mcrim_mitsuba.transport import loop
+from mcrim_mitsuba.transport import surface_physics as physics
 from mcrim_mitsuba.transport.bulk import CrystalVolume
 from mcrim_mitsuba.transport.flat_path import FlatPath, suits
 from mcrim_mitsuba.transport.general_path import GeneralPath
@@ -21,12 +23,13 @@ from mcrim_mitsuba.transport.launch_plan import (
     BATCHES,
     FIRST_LAUNCH,
     LANES,
-    UNITS,
+    SHARE_STEPS,
     FateTally,
     PhotonRecords,
     ScatteringProposals,
     plan_lanes,
 )
+from mcrim_mitsuba.transport.record_store import TrailStore
 from mcrim_mitsuba.transport.scene_model import SceneModel
 
 if TYPE_CHECKING:
@@ -102,7 +105,7 @@ class Launcher:
         InputError
             If the scene leaks, or does not have a record column.
         """
-        units = (UNITS,) if proposals is None else proposals.units
+        units = (SHARE_STEPS,) if proposals is None else proposals.units
         found = loop.launch(
             self.path, self._crystal, plan_lanes(photons, units), proposals=proposals, **options
         )
@@ -244,3 +247,80 @@ class Recorder:
             alpha_abs_proposal_per_cm=proposals.alpha_abs_per_cm,
             further=further,
         )
+
+
+# Trails of photons: all of their straight flights, from birth to their fate.
+
+#: Flights of which trails keep the starts: more than a picture could show.
+FLIGHTS_KEPT = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Trail:
+    """A photon's way."""
+
+    #: As in `results.SimulationResult.budget`.
+    fate: str
+    #: ndarray of float64, shape (n + 1, 3): Where its flights begin, and where the last one ends,
+    #: mm; without that end where it made more flights than are kept.
+    points: np.ndarray
+    #: ndarray of int, shape (n,) or (n + 1,): The volume, among ``model.volumes``, that each flight
+    #: goes through.
+    volumes: np.ndarray
+    #: All of them, also those that are not kept.
+    flights: int
+    #: ndarray of float64, shape (3,): Of the last flight.
+    direction: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Trails:
+    """Trails of independent photons, each with one fate."""
+
+    #: ndarray of str, shape (photons,)
+    fates: np.ndarray
+    #: ndarray of int, shape (photons,)
+    flights: np.ndarray
+    _starts: np.ndarray
+    _ends: np.ndarray
+    _directions: np.ndarray
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Fraction of the photons that met each fate, of those that occurred."""
+        names, counts = np.unique(self.fates, return_counts=True)
+        parts = (counts / len(self.fates)).tolist()
+        return dict(zip(names.tolist(), parts, strict=True))
+
+    def trail(self, number: int) -> Trail:
+        """That of one photon."""
+        starts, flights = self._starts[number], int(self.flights[number])
+        starts = starts[:flights]
+        points = starts[:, :3]
+        if len(starts) == flights:
+            points = np.vstack([points, self._ends[number]])
+        volumes, direction = starts[:, 3].astype(int), self._directions[number]
+        return Trail(str(self.fates[number]), points, volumes, flights, direction)
+
+
+def follow_trails(simulation: Simulation, photons: int = LANES, *, seed: int = 0) -> Trails:
+    """Follow photons by the transport that simulates, and write down where they fly.
+
+    Absorption takes photons whole here, where simulations lower their weights: shares of fates are
+    the same but for their larger errors. A photon takes 1 kB.
+    """
+    store = TrailStore(photons, FLIGHTS_KEPT)
+    simulation.launcher().launch(
+        photons, seed=seed, number=0, max_depth=simulation.depth_limit, may_leak=True, trails=store
+    )
+    starts, ends, last = (
+        np.array(table, dtype=np.float64).reshape(-1, 4) for table in store.tables
+    )
+    volume, code = np.divmod(ends[:, 3].astype(int), TrailStore.CODES)
+    volumes = simulation.model.volume_names
+    fates = [
+        f"absorbed_{volumes[v]}" if c == physics.VOLUME else loop.SURFACE_FATES[c]
+        for v, c in zip(volume, code, strict=True)
+    ]
+    flights, by_photon = last[:, 3].astype(int), starts.reshape(photons, FLIGHTS_KEPT, 4)
+    return Trails(np.array(fates), flights, by_photon, ends[:, :3], last[:, :3])

@@ -23,7 +23,7 @@ BATCHES = 256
 #: Photons of a run's first launch, which compiles the kernel and shows that all is well.
 FIRST_LAUNCH = 4 * LANES
 #: Lanes that one batch has in a full launch, and so the finest share of a proposal.
-UNITS = LANES // BATCHES
+SHARE_STEPS = LANES // BATCHES
 #: More photons than a precision lacks by the present error, which has an error itself.
 MARGIN = 1.06
 
@@ -62,11 +62,11 @@ class LanePlan:
         return np.asarray(np.bincount(self.batch, values), float)
 
 
-def plan_lanes(photons: int, units: Sequence[int] = (UNITS,)) -> LanePlan:
+def plan_lanes(photons: int, units: Sequence[int] = (SHARE_STEPS,)) -> LanePlan:
     """Share photons out among lanes, batches and proposals.
 
-    `units` are the proposals' shares, 0 or more, in units of 1 / their sum. This is `UNITS`, or a
-    part of it for few photons: there are then as many times fewer lanes. With more than one
+    `units` are the proposals' shares, 0 or more, in units of 1 / their sum. This is `SHARE_STEPS`,
+    or a part of it for few photons: there are then as many times fewer lanes. With more than one
     proposal the photons are a multiple of the lanes, so that all follow as many.
 
     Raises
@@ -75,8 +75,8 @@ def plan_lanes(photons: int, units: Sequence[int] = (UNITS,)) -> LanePlan:
         If the shares do not sum to the whole or a part, or if the photons cannot be shared out so.
     """
     whole = sum(units)
-    if min(units) < 0 or whole <= 0 or UNITS % whole:
-        problem = f"do not sum to {UNITS} or a part of it, or one is negative"
+    if min(units) < 0 or whole <= 0 or SHARE_STEPS % whole:
+        problem = f"do not sum to {SHARE_STEPS} or a part of it, or one is negative"
         raise ValueError(f"shares {tuple(units)} {problem}")
     lanes = BATCHES * whole
     if len(units) > 1 and photons % lanes:

@@ -34,7 +34,7 @@ from mcrim_mitsuba.transport.record_store import RecordStore
 from mcrim_mitsuba.transport.scene_model import DIFFUSE, OUTSIDE
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.transport.trails import TrailStore
+    from mcrim_mitsuba.transport.record_store import TrailStore
 
 #: Weight down to which losses lower a photon's weight. Below it the photon lives or
 #: dies whole, so that faint photons end and every photon's fates still sum to one.

@@ -1,4 +1,4 @@
-"""Photon records while a kernel runs: what is written down of every detected photon."""
+"""What a kernel writes down while it runs: records of detected photons, and trails of all."""
 
 from __future__ import annotations
 
@@ -248,3 +248,40 @@ class RecordStore:
             found["w"] /= self._head_on
         dr.eval(found)
         return {name: np.asarray(column).astype(kinds[name]) for name, column in found.items()}
+
+
+class TrailStore:
+    """Tables of all photons' trails, with so many flights of each; ends are kept in any case.
+
+    Attributes
+    ----------
+    tables : list of Float
+        Starts of flights (x, y, z in mm, volume), ends (x, y, z in mm, fate and volume as
+        ``fate + CODES * volume``) and the last flights (direction, number of flights); four
+        numbers each, because they are written at once.
+    """
+
+    #: More than there are fates.
+    CODES = 16
+
+    def __init__(self, photons: int, flights: int) -> None:
+        self._flights = flights
+        self.tables = [
+            dr.zeros(mi.Float, 4 * rows) for rows in (photons * flights, photons, photons)
+        ]
+
+    def put(self, slot, active, step: Step) -> None:
+        """Write a free flight of the photons number `slot`, where the lane is `active`."""
+        starts, ends, last = self.tables
+        p, o, d = step.p, step.p.o, step.p.d
+        kept = active & (p.steps < self._flights)
+        row = mi.Vector4f(o.x, o.y, o.z, mi.Float(p.volume))
+        dr.scatter(starts, row, slot * self._flights + p.steps, kept)
+        # `survive` is the part that a flight up to here leaves of the light
+        taken_at = dr.minimum(-dr.log(step.survive) / step.a_a, step.distance)
+        end = dr.select(step.dies, dr.fma(d, taken_at, o), step.position)
+        over = active & step.ended
+        code = mi.Float(step.fate + self.CODES * p.volume)
+        dr.scatter(ends, mi.Vector4f(end.x, end.y, end.z, code), slot, over)
+        # a count of flights is exact in single precision up to 2^24
+        dr.scatter(last, mi.Vector4f(d.x, d.y, d.z, mi.Float(p.steps + 1)), slot, over)

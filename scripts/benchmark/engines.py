@@ -25,7 +25,7 @@ from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.reference.tracer import TracerResult, trace
 from mcrim_mitsuba.transport.collection import Recorder
-from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals
+from mcrim_mitsuba.transport.launch_plan import LANES, SHARE_STEPS, ScatteringProposals
 from mcrim_mitsuba.transport.simulation import Simulation
 
 COUPLINGS = {"air": 1.0, "gel": 1.46}
@@ -186,7 +186,9 @@ def _ours_recording(coupling: str) -> Sampler:
     """As in a plain run, with what reweighting needs kept of each photon."""
     simulation = Simulation(SCENE, {"n_gap": COUPLINGS[coupling]})
     own = simulation.file.parameters
-    drawn = ScatteringProposals((own["alpha_scat_per_cm"],), (UNITS,), own["alpha_abs_per_cm"])
+    drawn = ScatteringProposals(
+        (own["alpha_scat_per_cm"],), (SHARE_STEPS,), own["alpha_abs_per_cm"]
+    )
     recorder = Recorder(simulation)
 
     def run(photons: int, seed: int) -> Sample:

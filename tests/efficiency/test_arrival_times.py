@@ -14,7 +14,7 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.efficiency import time_distribution as distribution
 from mcrim_mitsuba.efficiency.arrival_times import MM_PER_PS
-from mcrim_mitsuba.efficiency.scene_bench import bench_of
+from mcrim_mitsuba.efficiency.noise_free import bench_of
 from mcrim_mitsuba.optics.materials import material
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.simulation import Simulation

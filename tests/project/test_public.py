@@ -18,7 +18,7 @@ from places import SCENES
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.output.photographer import Photograph
-from mcrim_mitsuba.transport.llvm import ENVIRONMENT_VARIABLE, selected_llvm
+from mcrim_mitsuba.transport.variants import ENVIRONMENT_VARIABLE, selected_llvm
 
 BENCH = SCENES / "camoo4.xml"
 VERBS = {

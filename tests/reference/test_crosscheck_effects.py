@@ -16,7 +16,7 @@ from validate import benches
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add, catalogue
 from mcrim_mitsuba.efficiency.bench import Bench
-from mcrim_mitsuba.efficiency.scene_bench import bench_of
+from mcrim_mitsuba.efficiency.noise_free import bench_of
 from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL, crosscheck
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import read_scene

@@ -29,16 +29,22 @@ from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.efficiency import simulate as simulating
 from mcrim_mitsuba.efficiency.cells import CellSums
 from mcrim_mitsuba.efficiency.recording import RecordBlock, RecordRun
-from mcrim_mitsuba.runs import array_job, processes
+from mcrim_mitsuba.runs import array_job, executors
 from mcrim_mitsuba.runs import cluster as on_cluster
 from mcrim_mitsuba.runs import scene_units as cut
 from mcrim_mitsuba.runs.array_job import ArrayPart, PartExecutor, UnitFolder
 from mcrim_mitsuba.runs.cache import RecordCache, record_versions
-from mcrim_mitsuba.runs.executors import Executor, Task, pickled, use_executor
-from mcrim_mitsuba.runs.processes import ProcessExecutor, many_units_executor
+from mcrim_mitsuba.runs.executors import (
+    Executor,
+    Job,
+    ProcessExecutor,
+    many_units_executor,
+    pickled,
+    use_executor,
+)
 from mcrim_mitsuba.runs.scene_units import PortableScene
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals
+from mcrim_mitsuba.transport.launch_plan import LANES, SHARE_STEPS, ScatteringProposals
 from mcrim_mitsuba.transport.simulation import Simulation
 
 cases = cases_of(__file__)
@@ -344,11 +350,11 @@ def test_a_cluster_whose_worker_dies_gives_the_same_digits(
     killed = []
 
     class Killing(on_cluster.ClusterExecutor):
-        def do(self, tasks, **options):
+        def do(self, jobs, **options):
             # whoever asks Dask for its usual scheduler, as xarray does, is not sent to ours
             assert dask.config.get("scheduler", None) is None
-            for number, done in enumerate(super().do(tasks, **options)):
-                if number == 1 and len(tasks) > 4 and not killed:
+            for number, done in enumerate(super().do(jobs, **options)):
+                if number == 1 and len(jobs) > 4 and not killed:
                     os.kill(first, signal.SIGKILL)
                     killed.append(first)
                 yield done
@@ -401,7 +407,7 @@ def test_a_scheduler_that_is_gone_is_said_in_one_line():
 def test_who_waits_for_workers_is_told(scenes, tmp_path, monkeypatch, capsys):
     """In a pipe too, where no bar is shown."""
 
-    def do(executor, tasks, **options):
+    def do(executor, jobs, **options):
         raise InputError("nobody works here", "this test ends")
 
     monkeypatch.setattr(on_cluster.ClusterExecutor, "do", do)
@@ -434,7 +440,7 @@ def block(scene, **changes) -> RecordBlock:
     given = {
         "what": "x",
         "scene": scene,
-        "proposals": ScatteringProposals((0.3,), (UNITS,), 0.039),
+        "proposals": ScatteringProposals((0.3,), (SHARE_STEPS,), 0.039),
         "seed": 1,
         "variant": "llvm_ad_rgb",
         "first": 0,
@@ -482,12 +488,12 @@ def test_an_own_effect_travels_with_the_unit(scenes, tmp_path):
 
 
 def test_processes_of_this_machine_give_the_same_digits(scenes, tmp_path, monkeypatch):
-    """Units in the order of the tasks; a process that is killed ends in one line."""
-    monkeypatch.setattr(processes, "LEAST_S", 0.0)
+    """Units in the order of the jobs; a process that is killed ends in one line."""
+    monkeypatch.setattr(executors, "LEAST_S", 0.0)
     scene = read_scene(scenes / "camoo4.xml")
-    units = [block(scene, first=n) for n in range(processes.FEWEST_UNITS)]
+    units = [block(scene, first=n) for n in range(executors.FEWEST_UNITS)]
     here, there = (
-        [done.chunks for done in who.do([Task(unit, cache) for unit in units])]
+        [done.chunks for done in who.do([Job(unit, cache) for unit in units])]
         for who, cache in (
             (Executor(), RecordCache({"x": 1}, tmp_path / "here")),
             (ProcessExecutor(2), RecordCache({"x": 1}, tmp_path / "there")),
@@ -498,8 +504,8 @@ def test_processes_of_this_machine_give_the_same_digits(scenes, tmp_path, monkey
         for number, chunk in ours.items():
             for name, array in chunk.arrays.items():
                 assert np.array_equal(array, theirs[number].arrays[name])
-    tasks = [Task(unit, RecordCache({"x": 2}, tmp_path / "killed")) for unit in units]
-    waiting = ProcessExecutor(2).do(tasks)
+    jobs = [Job(unit, RecordCache({"x": 2}, tmp_path / "killed")) for unit in units]
+    waiting = ProcessExecutor(2).do(jobs)
     next(waiting)
     for process in psutil.Process().children(recursive=True):
         if "loky" in " ".join(process.cmdline()) and "tracker" not in " ".join(process.cmdline()):
@@ -507,7 +513,7 @@ def test_processes_of_this_machine_give_the_same_digits(scenes, tmp_path, monkey
     with pytest.raises(InputError, match="ended from outside"):
         list(waiting)
     # what was finished is kept, and new processes go on
-    assert len(list(ProcessExecutor(2).do(tasks))) == len(units)
+    assert len(list(ProcessExecutor(2).do(jobs))) == len(units)
 
 
 def test_who_was_named_does_many_small_units_too(tmp_path):
@@ -534,8 +540,8 @@ def test_cells_come_back_to_the_last_digit(scenes, tmp_path):
     scene = read_scene(scenes / "camoo4.xml")
     cache = RecordCache({"x": 1}, tmp_path)
     units = [block(scene, first=n) for n in (0, 1)]
-    done = list(Executor().do([Task(unit, cache) for unit in units]))
-    again = list(Executor().do([Task(unit, cache) for unit in units]))
+    done = list(Executor().do([Job(unit, cache) for unit in units]))
+    again = list(Executor().do([Job(unit, cache) for unit in units]))
     assert [each.cached for each in (*done, *again)] == [False, False, True, True]
     sums = []
     for found in (done, again):
@@ -600,8 +606,8 @@ def test_an_interrupted_long_simulation_tells_what_it_has(scenes, tmp_path, monk
     class Alone(PartExecutor):
         """A part that has all units, so that there is something to interrupt."""
 
-        def do(self, tasks, **options):
-            return super().do(tasks, **{**options, "by_all": True})
+        def do(self, jobs, **options):
+            return super().do(jobs, **{**options, "by_all": True})
 
     # a part of an array job is not done then
     executor = Alone(UnitFolder(tmp_path), ArrayPart(1, 2))
@@ -648,13 +654,13 @@ def test_the_executor_is_named_for_a_block_only(scenes):
     class Counting(Executor):
         asked = 0
 
-        def do(self, tasks, **options):
-            self.asked += len(tasks)
-            return super().do(tasks, **options)
+        def do(self, jobs, **options):
+            self.asked += len(jobs)
+            return super().do(jobs, **options)
 
     executor = Counting()
     with use_executor(executor):
-        proposals = ScatteringProposals((0.3,), (UNITS,), 0.039)
+        proposals = ScatteringProposals((0.3,), (SHARE_STEPS,), 0.039)
         run = RecordRun(read_scene(scenes / "camoo4.xml"), proposals, Run())
         run.extend(4 * LANES)
     run.extend(8 * LANES)

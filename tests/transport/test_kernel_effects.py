@@ -25,10 +25,9 @@ from mcrim_mitsuba.transport import loop as transport
 from mcrim_mitsuba.transport.bulk import henyey_greenstein_cosine, lane_generators, rayleigh_cosine
 from mcrim_mitsuba.transport.collection import Recorder
 from mcrim_mitsuba.transport.conversion import opaque
-from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals, plan_lanes
-from mcrim_mitsuba.transport.record_store import COLUMNS
+from mcrim_mitsuba.transport.launch_plan import LANES, SHARE_STEPS, ScatteringProposals, plan_lanes
+from mcrim_mitsuba.transport.record_store import COLUMNS, TrailStore
 from mcrim_mitsuba.transport.simulation import Simulation
-from mcrim_mitsuba.transport.trails import TrailStore
 from mcrim_mitsuba.transport.variants import use_variant
 
 Z = 4.0
@@ -80,7 +79,7 @@ def boxed(tmp_path, phase="", **overrides) -> Simulation:
 
 def record(simulation, columns=(), *, seed, launches=64, alpha_scat=0.54, alpha_abs=0.039):
     return Recorder(simulation).record(
-        ScatteringProposals((alpha_scat,), (UNITS,), alpha_abs),
+        ScatteringProposals((alpha_scat,), (SHARE_STEPS,), alpha_abs),
         launches * LANES,
         seed=seed,
         number=0,

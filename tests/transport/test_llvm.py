@@ -11,7 +11,7 @@ from packaging.requirements import Requirement
 from places import ROOT
 from refusals import refusal
 
-from mcrim_mitsuba.transport import llvm
+from mcrim_mitsuba.transport import variants as llvm
 
 LIBRARY = "the library"
 KARELLEN, NANOBIND = "karellen_llvm_core-23.1.4", "llvm_nanobind-21.1.6.3"

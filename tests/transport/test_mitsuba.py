@@ -21,9 +21,8 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import record_surface
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.bulk import lane_generators
-from mcrim_mitsuba.transport.llvm import ENVIRONMENT_VARIABLE, selected_llvm
 from mcrim_mitsuba.transport.simulation import Simulation
-from mcrim_mitsuba.transport.variants import use_variant
+from mcrim_mitsuba.transport.variants import ENVIRONMENT_VARIABLE, selected_llvm, use_variant
 
 SCAT, ABS = "crystal.alpha_scat_per_cm", "crystal.alpha_abs_per_cm"
 PAGE = (ROOT / "docs" / "mitsuba.md").read_text()

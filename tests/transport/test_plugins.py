@@ -11,11 +11,10 @@ from scipy.stats import chisquare, kstest
 from mcrim_mitsuba.output.photograph import render
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.bulk import PhotonSeeds, lane_generators
-from mcrim_mitsuba.transport.collection import Recorder
+from mcrim_mitsuba.transport.collection import Recorder, follow_trails
 from mcrim_mitsuba.transport.conversion import read_scene_model
-from mcrim_mitsuba.transport.launch_plan import LANES, UNITS, ScatteringProposals
+from mcrim_mitsuba.transport.launch_plan import LANES, SHARE_STEPS, ScatteringProposals
 from mcrim_mitsuba.transport.simulation import Simulation, load_scene
-from mcrim_mitsuba.transport.trails import follow_trails
 from mcrim_mitsuba.transport.variants import use_variant
 
 
@@ -82,7 +81,7 @@ def _use(mi, path, use) -> None:
         simulation.collect(1000, general=use == "general")
     elif use == "record":
         Recorder(simulation).record(
-            ScatteringProposals((0.54,), (UNITS,), 0.039), LANES, seed=1, number=0
+            ScatteringProposals((0.54,), (SHARE_STEPS,), 0.039), LANES, seed=1, number=0
         )
     elif use == "emit":
         middle = mi.Point2f(0.5)

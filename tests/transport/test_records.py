@@ -31,7 +31,7 @@ from mcrim_mitsuba.transport.collection import Recorder
 from mcrim_mitsuba.transport.launch_plan import (
     BATCHES,
     LANES,
-    UNITS,
+    SHARE_STEPS,
     ScatteringProposals,
     plan_lanes,
 )
@@ -121,7 +121,11 @@ COLUMNS = (*record_store.COLUMNS, "path_gap_cm", "path_window_cm")
 def record(bench, overrides, photons=4 * LANES, seed=1, columns=()):
     simulation = Simulation(bench, overrides, check=False)
     return Recorder(simulation).record(
-        ScatteringProposals((0.54,), (UNITS,), 0.039), photons, seed=seed, number=0, columns=columns
+        ScatteringProposals((0.54,), (SHARE_STEPS,), 0.039),
+        photons,
+        seed=seed,
+        number=0,
+        columns=columns,
     )
 
 
@@ -213,7 +217,7 @@ def test_births_are_uniform_and_even(bench):
 
 @pytest.mark.parametrize("shares", [(5, 0, 40, 19), (1, 0, 10, 5)])
 def test_plan_gives_every_batch_the_same_photons_of_every_proposal(shares):
-    plan, times = plan_lanes(4 * LANES, shares), 4 * UNITS // sum(shares)
+    plan, times = plan_lanes(4 * LANES, shares), 4 * SHARE_STEPS // sum(shares)
     assert plan.lanes == BATCHES * sum(shares) and (plan.photons == times).all()
     table = np.zeros((BATCHES, 4))
     np.add.at(table, (plan.batch, plan.proposal), plan.photons)
@@ -248,8 +252,8 @@ def test_shares_follow_what_is_asked(bench):
     little = improve_shares(run.surface, [(0.02, 0.039), (0.03, 0.039)])
     much = improve_shares(run.surface, [(1.8, 0.039), (2.0, 0.039)])
     for proposals in (little, much):
-        assert sum(proposals.units) == UNITS and proposals.units[0] >= 1
-    centre = [np.dot(p.units, p.alpha_scat_per_cm) / UNITS for p in (little, much)]
+        assert sum(proposals.units) == SHARE_STEPS and proposals.units[0] >= 1
+    centre = [np.dot(p.units, p.alpha_scat_per_cm) / SHARE_STEPS for p in (little, much)]
     assert centre[0] < 0.1 and centre[1] > 1.0
     # and they pay: the worst error falls at the same number of photons
     points = [(a_s, 0.039) for a_s in np.geomspace(0.02, 2.0, 8)]
@@ -395,7 +399,7 @@ def test_a_scene_edited_meanwhile_leaves_no_trace_in_the_cache(bench, tmp_path, 
     path = tmp_path / "edited.xml"
     text = bench.path.read_text()
     path.write_text(text)
-    proposals = ScatteringProposals((0.5,), (UNITS,), 0.039)
+    proposals = ScatteringProposals((0.5,), (SHARE_STEPS,), 0.039)
     run = RecordRun(read_scene(path), proposals, Run(check=False))
     path.write_text(
         text.replace('name="crystal_height_mm" value="10"', 'name="crystal_height_mm" value="20"')

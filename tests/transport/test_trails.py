@@ -10,10 +10,10 @@ import pytest
 
 from mcrim_mitsuba.output.cross_section import LEAST_SHARE, MOST_FLIGHTS, chosen_paths
 from mcrim_mitsuba.transport import loop as transport
-from mcrim_mitsuba.transport.collection import choose_path
+from mcrim_mitsuba.transport.collection import FLIGHTS_KEPT, choose_path, follow_trails
 from mcrim_mitsuba.transport.launch_plan import plan_lanes
+from mcrim_mitsuba.transport.record_store import TrailStore
 from mcrim_mitsuba.transport.simulation import Simulation
-from mcrim_mitsuba.transport.trails import FLIGHTS_KEPT, TrailStore, follow_trails
 
 PHOTONS = 8192
 #: scene, what differs from it
