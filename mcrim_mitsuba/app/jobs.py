@@ -18,7 +18,7 @@ class CancelledError(Exception):
 
 
 @dataclass(frozen=True)
-class Job:
+class PageJob:
     """Something that takes longer."""
 
     #: What asked for it: a button, or an effect's switch.
@@ -37,14 +37,14 @@ class Status:
     """What the job thread is doing."""
 
     #: The job that runs, None when idle; its work is not looked at.
-    job: Job | None = None
+    job: PageJob | None = None
     #: What the job is at.
     stage: str = ""
     #: Of the stage.
     done: int = 0
     total: int = 0
     #: Those behind it.
-    waiting: tuple[Job, ...] = ()
+    waiting: tuple[PageJob, ...] = ()
     #: Why jobs came to nothing since the user last began one.
     said: tuple[str, ...] = ()
     #: The one that was stopped, as the user wished.
@@ -69,7 +69,7 @@ class Jobs:
 
     def __init__(self, changed: Callable[[], None]) -> None:
         self._changed = changed
-        self._waiting: deque[Job] = deque()
+        self._waiting: deque[PageJob] = deque()
         self._there_is_work = threading.Condition()
         self._closed = self._cancelled = False
         self._status = Status()
@@ -83,7 +83,7 @@ class Jobs:
         with self._there_is_work:
             return replace(self._status, waiting=tuple(self._waiting))
 
-    def start(self, job: Job) -> None:
+    def start(self, job: PageJob) -> None:
         """Begin a job when all before it are done; one that is under way is not begun again."""
         with self._there_is_work:
             self._status = replace(self._status, said=(), stopped="")
@@ -96,7 +96,7 @@ class Jobs:
 
     def stop(self, key: str | None = None) -> None:
         """Let the job of a button end at its next report, or not begin; None: the running one."""
-        dropped: list[Job] = []
+        dropped: list[PageJob] = []
         with self._there_is_work:
             running = self._status.job
             if running is not None and key in (None, running.key):
@@ -155,7 +155,7 @@ class Jobs:
             self._changed()
 
     @staticmethod
-    def _run(job: Job) -> tuple[str, str]:
+    def _run(job: PageJob) -> tuple[str, str]:
         """Why it came to nothing, by a fault and by the user's wish; empty where it did not."""
         try:
             job.work()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.app import exchange
-from mcrim_mitsuba.app.jobs import Job, Jobs
+from mcrim_mitsuba.app.jobs import Jobs, PageJob
 from mcrim_mitsuba.app.simulated_bench import SimulatedBench
 from mcrim_mitsuba.app.state import (
     FREE,
@@ -157,7 +157,7 @@ class Session:
     def _start(
         self, key: str, words: str, work: Callable[[], None], undo: Callable[[], None] | None = None
     ) -> None:
-        self.jobs.start(Job(key, words, work, undo or (lambda: None)))
+        self.jobs.start(PageJob(key, words, work, undo or (lambda: None)))
 
     def _make_ready(self, effects: Sequence[str] = ()) -> None:
         """Simulate what is not simulated yet: the readings' bench as it is, and effects.
@@ -419,7 +419,7 @@ class Session:
 
         if not self._is_simulated:
             words = "simulating the changed readings"
-            self.jobs.start(Job("readings", words, self._make_ready, undo, again=True))
+            self.jobs.start(PageJob("readings", words, self._make_ready, undo, again=True))
 
     # ---- files -------------------------------------------------------------------------------
 

@@ -97,7 +97,7 @@ class Track:
     """Counts units and their photons, and says so."""
 
     def __init__(self, jobs: Sequence[Job], progress: Progress | None) -> None:
-        self._tasks, self._progress = jobs, progress
+        self._jobs, self._progress = jobs, progress
         # by part: units, and photons
         self._count = Counter(job.unit.what for job in jobs)
         self._total, self._done, self._photons = Counter[str](), Counter[str](), Counter[str]()
@@ -106,14 +106,14 @@ class Track:
 
     def begun(self, index: int) -> None:
         """A unit is about to be made."""
-        log.info("unit %d of %d begun, %s", index + 1, len(self._tasks), self._id(index))
-        self.tell(self._tasks[index].unit.what)
+        log.info("unit %d of %d begun, %s", index + 1, len(self._jobs), self._id(index))
+        self.tell(self._jobs[index].unit.what)
 
     def done(self, index: int, *, cached: bool) -> None:
         """A unit is there."""
-        unit = self._tasks[index].unit
+        unit = self._jobs[index].unit
         how = "kept" if cached else f"made, {unit.photons} photons"
-        log.info("unit %d of %d %s, %s", index + 1, len(self._tasks), how, self._id(index))
+        log.info("unit %d of %d %s, %s", index + 1, len(self._jobs), how, self._id(index))
         self._photons[unit.what] += unit.photons
         self._done[unit.what] += 1
         self.tell(unit.what)
@@ -127,7 +127,7 @@ class Track:
         self._progress(what, self._photons[what], self._total[what], note)
 
     def _id(self, index: int) -> str:
-        job = self._tasks[index]
+        job = self._jobs[index]
         return f"{job.cache.name}-{job.unit.numbers[0]}"
 
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 import pytest
 
 from mcrim_mitsuba.app import access, layout
-from mcrim_mitsuba.app.jobs import Job, Jobs
+from mcrim_mitsuba.app.jobs import Jobs, PageJob
 from mcrim_mitsuba.app.page import make_page
 from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.app.state import HELD, PRIOR, Known
@@ -85,7 +85,7 @@ def test_jobs_come_one_after_the_other_and_are_taken_back():
             time.sleep(0.001)
 
     for name in ("slow", "other", "last", "last"):  # one that waits is not asked for twice
-        jobs.start(Job(name, name, lambda n=name: work(n), lambda n=name: undone.append(n)))
+        jobs.start(PageJob(name, name, lambda n=name: work(n), lambda n=name: undone.append(n)))
     while "halfway" not in jobs.status.stage:
         time.sleep(0.001)
     assert [job.key for job in jobs.status.waiting] == ["other", "last"]
@@ -98,7 +98,7 @@ def test_jobs_come_one_after_the_other_and_are_taken_back():
     # said until the user begins something else
     assert jobs.status.stopped == "slow: stopped; what was simulated is kept"
     assert jobs.status.said == ()  # it is no error
-    jobs.start(Job("last", "last", lambda: None))
+    jobs.start(PageJob("last", "last", lambda: None))
     assert jobs.status.stopped == "" and len(changed) >= 6
     jobs.close(5)
 
@@ -267,7 +267,7 @@ def test_other_configurations_are_simulated(files):
 
         # what is not to be simulated is not in the table
         going_on = threading.Event()
-        session.jobs.start(Job("other", "other", going_on.wait))
+        session.jobs.start(PageJob("other", "other", going_on.wait))
         session.edit_reading(0, "gap_mm", "0.0731")  # of water now
         assert session.state.campaign.measurements.readings[0].parameters["gap_mm"] == 0.0731
         session.jobs.stop("readings")
