@@ -12,12 +12,11 @@ first (docs/mitsuba.md).
 """
 
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 #: Where the public names are defined.
 _HOMES = {
     "output.public": (
-        "Answer",
         "add",
         "arrival_times",
         "budget",
@@ -39,23 +38,38 @@ _HOMES = {
     "campaign.campaign": ("Campaign", "read_campaign"),
     "core.errors": ("InputError",),
     "core.run": ("Run",),
+    "output.registry": ("Result",),
     "scene.scene_file": ("SceneFile", "read_scene"),
     "transport.variants": ("use_variant",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)
 
+if TYPE_CHECKING:  # the same for type checkers and editors
+    from mcrim_mitsuba.campaign.campaign import Campaign as Campaign
+    from mcrim_mitsuba.campaign.campaign import read_campaign as read_campaign
+    from mcrim_mitsuba.core.errors import InputError as InputError
+    from mcrim_mitsuba.core.run import Run as Run
+    from mcrim_mitsuba.output.public import *  # noqa: F403
+    from mcrim_mitsuba.output.registry import Result as Result
+    from mcrim_mitsuba.scene.scene_file import SceneFile as SceneFile
+    from mcrim_mitsuba.scene.scene_file import read_scene as read_scene
+    from mcrim_mitsuba.transport.variants import use_variant as use_variant
 
-def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        from importlib.metadata import version
+    __version__: str
 
-        return version("mcrim-mitsuba")
-    if name not in _HOME_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
-    globals()[name] = value
-    return value
+else:
+
+    def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            from importlib.metadata import version
+
+            return version("mcrim-mitsuba")
+        if name not in _HOME_OF:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

@@ -69,7 +69,7 @@ def main(scenes, variations, folder, run, log, **lists) -> int:
             "status": status_of(made),
             "result": (
                 f"{len(made.rows)} points, {made.photons:,} photons "
-                f"({made.cached_photons:,} of the cache), {made.document['seconds']:.1f} s"
+                f"({made.cached_photons:,} of the cache), {made.seconds:.1f} s"
             ),
         }
 
@@ -106,7 +106,7 @@ def _values(scene: mcrim.SceneFile, name: str, text: str) -> list:
     return list(dict.fromkeys(part.strip() for part in text.split(",")))
 
 
-def _comments(scene: mcrim.SceneFile, made: mcrim.Answer, run: mcrim.Run) -> list[str]:
+def _comments(scene: mcrim.SceneFile, made: mcrim.Result, run: mcrim.Run) -> list[str]:
     """What the numbers are and how they came about."""
     from mcrim_mitsuba.transport.variants import versions
 

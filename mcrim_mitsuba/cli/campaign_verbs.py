@@ -239,8 +239,8 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
 
     with work.begin(growing if live else None) as run:
         found = mcrim.repair(read, path, effect=effect, on_step=show, run=run)
-    found.described = describe_campaign.of_repair(found.found, with_steps=live)
-    showing.answer(found, json_file, figure)
+    description = describe_campaign.of_repair(found, with_steps=live)
+    showing.answer(found, json_file, figure, description)
     next_step = f"Next: {showing.command('diagnose', campaign)} says more"
     if found.campaign_path is not None:
         next_step = (

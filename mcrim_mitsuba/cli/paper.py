@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import click
 
-from mcrim_mitsuba.cli import options, showing, terminal
+from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.core.files import make_folder
+from mcrim_mitsuba.output.registry import VerbResult
 
 
 @click.command(short_help="Reproduce the article: its numbers beside ours.")
@@ -39,5 +40,6 @@ def paper(folder, json_file, work) -> None:
     showing.refuse_places(json_file, [])
     with work.begin() as run:
         result = reproduce_article(run=run)
-    terminal.write_json(json_file, document_of(result, result.draw(folder)))
-    showing.show(terminal.console(json_file), described(result, folder))
+    document = document_of(result, result.draw(folder))
+    shown = described(result, folder)
+    showing.answer(VerbResult(kind="article", shown=shown, numbers=document), json_file)

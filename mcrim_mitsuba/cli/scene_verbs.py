@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -18,7 +19,8 @@ from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import READS, STDOUT, collected, write_bytes, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.output import describe_scene, documents
+from mcrim_mitsuba.output import describe_scene
+from mcrim_mitsuba.output.registry import VerbResult
 from mcrim_mitsuba.transport.launch_plan import LANES
 
 
@@ -76,8 +78,9 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
 
         showing.refuse_places(json_file, [])
         parts = describe_installation(variant, threads)
-        terminal.write_json(json_file, documents.of_installation(parts))
-        terminal.console(json_file).show(*describe_scene.of_installation(parts).parts)
+        document = {"ok": True, "problems": [], "installation": parts}
+        shown = describe_scene.of_installation(parts)
+        showing.answer(VerbResult(kind="installation", shown=shown, numbers=document), json_file)
         return
     inputs: list = [scene]
     with contextlib.suppress(InputError):  # what is wrong is among the result's problems
@@ -91,7 +94,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
 
         write_cross_section(found.plot(), picture)
     screen = terminal.console(json_file)
-    showing.show(screen, describe_scene.of_check(found.found, first=False))
+    showing.show(screen, describe_scene.of_check(found, first=False))
     if not found.ok:
         raise found.problems[0].error()
     if picture:
@@ -211,40 +214,41 @@ def simulate(
             refuse_curved(loaded)
         if times_file:
             group_indices(loaded, of_times.get("group_index", {}))
-    further = {}
+    further: dict[str, mcrim.Result] = {}
     with work.begin() as run:
-        found = mcrim.simulate(file, run=run, method=method)
-        own = replace(run, precision=None)
-        if map_file and not found.interrupted:
-            further["map"] = mcrim.eta_map(file, depth_mm=depth_mm, deposits=deposits, run=own)
-        if spectrum and not found.interrupted:
-            light = {"quantum_efficiency": quantum_efficiency, "method": method}
-            further["spectrum"] = mcrim.eta_spectrum(file, spectrum, run=run, **light)
-        if times_file and not found.interrupted:
-            own = replace(own, photons=found.photons)
-            further["times"] = mcrim.arrival_times(file, run=own, **of_times)
-    document = found.document | {name: one.document for name, one in further.items()}
+        light = mcrim.simulate(file, run=run, method=method)
+        whole = replace(run, precision=None)
+        if map_file and not light.interrupted:
+            further["map"] = mcrim.eta_map(file, depth_mm=depth_mm, deposits=deposits, run=whole)
+        if spectrum and not light.interrupted:
+            further["spectrum"] = mcrim.eta_spectrum(
+                file, spectrum, quantum_efficiency=quantum_efficiency, method=method, run=run
+            )
+        if times_file and not light.interrupted:
+            whole = replace(whole, photons=light.photons)
+            times = mcrim.arrival_times(file, run=whole, **of_times)
+            further["times"] = times
+    document = light.document | {name: result.document for name, result in further.items()}
     screen = terminal.console(json_file)
-    if found.interrupted:
-        showing.show(screen, found.described)
+    if light.interrupted:
+        showing.show(screen, light.description)
         how = "no file was written, and the same line goes on from what the cache has"
         raise KeyboardInterrupt(f"interrupted: {how}")
     terminal.write_json(json_file, document)
-    if "spectrum" in further:
+    if spectrum:
         screen.line("at the scene's own values, of one wavelength:", style="bold")
-    showing.show(screen, found.described, found.draw(figure) if figure else ())
-    for name, one in further.items():
+    showing.show(screen, light.description, light.draw(figure) if figure else ())
+    for name, result in further.items():
+        from mcrim_mitsuba.output.codec import csv_lines, netcdf_bytes
+
         if name == "map":
-            from mcrim_mitsuba.output.codec import netcdf_bytes
-
-            write_bytes(map_file, netcdf_bytes(one.to_xarray()))
+            write_bytes(map_file, netcdf_bytes(result.to_xarray()))
         elif name == "times":
-            from mcrim_mitsuba.output.codec import csv_lines
-
-            write_text(times_file, csv_lines(("time_ps", "part", "part_sigma"), one.rows))
+            lines = csv_lines(("time_ps", "part", "part_sigma"), times.rows)
+            write_text(times_file, lines)
         files = [Path(wanted[name][0])] if name in wanted else []
-        drawn = one.draw(showing.further_picture(figure, name)) if figure else ()
-        showing.show(screen, one.described, [*files, *drawn])
+        drawn = result.draw(showing.further_picture(figure, name)) if figure else ()
+        showing.show(screen, result.description, [*files, *drawn])
 
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"
@@ -276,7 +280,7 @@ def read_axes(
     given: Mapping[str, str | None],
     more: Mapping[str, str] | None = None,
     folder: Path | None = None,
-) -> tuple[dict[str, list[float]], list[str]]:
+) -> tuple[dict[str, Any], list[str]]:
     """Values by parameter, and notes on how they were understood.
 
     Parameters
@@ -364,11 +368,10 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **own) 
     elif path:
         made.write(path)
     terminal.write_json(json_file, made.document)
-    seconds = made.document["seconds"]
-    described = describe_scene.of_table(made.found, seconds=seconds, written=path)
+    description = describe_scene.of_table(made, written=path)
     if path in STDOUT:
-        screen.say(described.spent)  # unlike the JSON, the CSV has no place for it
-    showing.show(screen, described, made.draw(figure) if figure else ())
+        screen.say(description.spent)  # unlike the JSON, the CSV has no place for it
+    showing.show(screen, description, made.draw(figure) if figure else ())
 
 
 def _abbreviated(values: list[float]) -> str:
@@ -422,6 +425,6 @@ def render(scene, picture, overrides, samples, run, json_file) -> None:
         made = mcrim.render(file, samples=samples, run=run)
     made.save(picture)
     seconds = time.monotonic() - start
-    terminal.write_json(json_file, documents.of_rendering(made, picture, seconds=seconds))
+    terminal.write_json(json_file, made.document(picture, seconds))
     screen = terminal.console(json_file)
     screen.line(f"picture of {', '.join(made.parts)} written to {picture} ({seconds:.0f} s)")

@@ -14,6 +14,7 @@ import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.cli.terminal import Screen
 from mcrim_mitsuba.output.description import Description
+from mcrim_mitsuba.output.registry import Result
 from mcrim_mitsuba.runs.array_job import MergingExecutor, UnitFolder
 from mcrim_mitsuba.runs.executors import current_executor
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -130,24 +131,32 @@ def refuse_places(
     refuse_outputs(places, files, suffixes=suffixes)
 
 
-def show(screen: Screen, described: Description, drawn: Iterable[Path] = ()) -> None:
+def show(screen: Screen, description: Description, drawn: Iterable[Path] = ()) -> None:
     """A result, which figures were drawn of it, and what the reader must know before using it."""
-    screen.show(*described.parts)
+    screen.show(*description.parts)
     if names := [str(path) for path in drawn]:
         from mcrim_mitsuba.output.sentences import together
 
         screen.line(f"drawn to {together(names)}")
-    if described.spent:
-        screen.line(described.spent)
-    screen.say_notes(described.notes)
+    if description.spent:
+        screen.line(description.spent)
+    screen.say_notes(description.notes)
 
 
-def answer(found: mcrim.Answer, json_file: str | None, figure: str | None = None) -> Screen:
-    """Write an answer where ``--json`` and ``--figure`` ask for it, and show it."""
-    terminal.write_json(json_file, found.document)
-    drawn = found.draw(figure) if figure else ()
+def answer(
+    result: Result,
+    json_file: str | None,
+    figure: str | None = None,
+    description: Description | None = None,
+) -> Screen:
+    """Write a result where ``--json`` and ``--figure`` ask for it, and show it.
+
+    It is shown by its own `description` unless another is given.
+    """
+    terminal.write_json(json_file, result.document)
+    drawn = result.draw(figure) if figure else ()
     screen = terminal.console(json_file)
-    show(screen, found.described, drawn)
+    show(screen, description or result.description, drawn)
     return screen
 
 

@@ -193,10 +193,10 @@ class Budget:
             return self.neglected
         return (*self.neglected, self.together)
 
-    def to_json(self) -> dict[str, Any]:
+    def numbers(self) -> dict[str, Any]:
         """Plain numbers, strings, lists and dicts; `provenance` apart."""
         return {
-            "calibration": self.calibration.to_json(),
+            "calibration": self.calibration.numbers(),
             "contributions": {
                 name: {"total": each.total, "contributions": list(map(vars, each.contributions))}
                 for name, each in self.contributions.items()

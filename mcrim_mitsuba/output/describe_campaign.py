@@ -41,21 +41,27 @@ from mcrim_mitsuba.output.description import (
 )
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.core.run import Provenance
     from mcrim_mitsuba.inference.budget import Budget
-    from mcrim_mitsuba.inference.calibrate import CampaignResult
     from mcrim_mitsuba.inference.candidates import Candidate
-    from mcrim_mitsuba.inference.compare import Compared, Suspect
-    from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis, RepairStep
+    from mcrim_mitsuba.inference.compare import Suspect
+    from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
     from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
     from mcrim_mitsuba.inference.fit import Calibration
-    from mcrim_mitsuba.inference.hypotheses import FittedHypothesis, HypothesesCompared
+    from mcrim_mitsuba.inference.hypotheses import FittedHypothesis
     from mcrim_mitsuba.inference.neglected import Shift
     from mcrim_mitsuba.inference.plan import Planning
     from mcrim_mitsuba.inference.profiles import Profile
-    from mcrim_mitsuba.inference.repair import Repaired
     from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget
-    from mcrim_mitsuba.output.report import Reported
+    from mcrim_mitsuba.output.campaign_results import (
+        BudgetResult,
+        CampaignShown,
+        ComparisonResult,
+        DiagnosisResult,
+        FitResult,
+        HypothesesResult,
+        RepairResult,
+        ReportResult,
+    )
 
 
 # Fits.
@@ -65,16 +71,15 @@ _TYPED = Column("id", "id", left=True, small=True)
 _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 
 
-def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> Description:
+def of_fit(fit: FitResult) -> Description:
     """Parameters, where their errors come from, readings beside the model, what it took."""
-    fit, spent = result.calibration, result.provenance
     light = fit.parameters.get(LIGHT_YIELD)
     by_detector = (None if light is None else light.efficiency_contributions) or {}
     listing = ", ".join(f"{name} {part:.2g}" for name, part in by_detector.items())
     of_detector = f"detector efficiency in {sentences.title_of(LIGHT_YIELD)}: {listing}"
     values: list[Iterable[str | Cell]] = []
     errors: list[Iterable[str | Cell]] = []
-    wider = {profile.name: profile.interval_95 for profile in result.profiles}
+    wider = {profile.name: profile.interval_95 for profile in fit.profiles}
     for name, known in fit.parameters.items():
         titled = Cell(sentences.title_of(name), name)
         ends = (known.lower, known.upper, *wider.get(name, (None, None)))
@@ -96,18 +101,18 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
             ),
             values,
         ),
-        *_shapes(result.profiles),
+        *_shapes(fit.profiles),
         table("where the errors come from", origins, errors),
         *([Sentence(of_detector)] if by_detector else []),
-        *_strong(sentences.next_for_fit(fit, result.model.campaign.priors)),
+        *_strong(sentences.next_for_fit(fit, fit.model.campaign.priors)),
         table(
             "readings",
             ("reading", "measured", "model", "pull", Column("eta (simulation's error)", "eta")),
             ((*_reading(one), measured(one.eta, one.eta_sigma or None)) for one in fit.rows),
         ),
     ]
-    if result.spent:
-        declared = result.model.campaign.scene.defaults.items()
+    if fit.spent:
+        declared = fit.model.campaign.scene.defaults.items()
         said = {name: default.comment or "" for name, default in declared}
         rows = (
             (
@@ -116,21 +121,20 @@ def of_calibration(result: CampaignResult, *, seconds: float | None = None) -> D
                 shown(each.cached_photons, ","),
                 Cell(f"{100 * each.eta_relative_sigma:.2g} %", each.eta_relative_sigma),
             )
-            for each in result.spent
+            for each in fit.spent
         )
         columns = ("configuration", "photons", "of the cache", "eta to")
         parts.append(table("photons spent", columns, rows))
     chance = (
         "no p-value without degrees of freedom" if fit.p_value is None else p_equals(fit.p_value)
     )
-    time = "" if seconds is None else f", {seconds:.1f} s"
     parts.append(
         Sentence(
-            f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {spent.photons:,} photons in "
-            f"{len(fit.rows)} readings, seed {spent.seed}{time}"
+            f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {fit.photons:,} photons in "
+            f"{len(fit.rows)} readings, seed {fit.seed}, {fit.seconds:.1f} s"
         )
     )
-    return Description("fit of a campaign", tuple(parts), notes=(*fit.notes, *spent.notes))
+    return Description("fit of a campaign", tuple(parts), notes=fit.notes)
 
 
 def _light_yield(fit: Calibration, light: ParameterEstimate) -> str:
@@ -185,25 +189,20 @@ def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[Table]:
     return [parameters_table(parameters)] if parameters else []
 
 
-def _described(
-    title: str, parts: Iterable[Part], fit: Calibration, provenance: Provenance
-) -> Description:
-    """What a fit shows, what it rests on, and the notes of both."""
-    notes = (*fit.notes, *provenance.notes)
-    return Description(title, tuple(parts), _spent(provenance), notes)
-
-
-def _spent(provenance: Provenance) -> str:
-    spent = f"{provenance.photons:,} photons ({provenance.cached_photons:,} of the cache)"
-    return f"{spent}, seed {provenance.seed}, {provenance.seconds:.1f} s"
+def _described(title: str, parts: Iterable[Part], result: CampaignShown) -> Description:
+    """What a result shows, what it rests on, and what the reader must know."""
+    spent = (
+        f"{result.photons:,} photons ({result.cached_photons:,} of the cache), seed "
+        f"{result.seed}, {result.provenance.seconds:.1f} s"
+    )
+    return Description(title, tuple(parts), spent, result.notes)
 
 
 # Where a model fails, and what explains it.
 
 
-def of_comparison(found: Compared) -> Description:
+def of_comparison(comparison: ComparisonResult) -> Description:
     """Readings beside predictions, what chi2 says, and where the misfit lies."""
-    comparison = found.comparison
     shares, left_out = sentences.misfit_shares(comparison), comparison.left_out_pulls
     suspects = {label for one in comparison.suspects for label in one.labels}
     columns = (
@@ -234,9 +233,9 @@ def of_comparison(found: Compared) -> Description:
             "Fitted parameters that may have taken up a misfit:",
             (one.words for one in comparison.absorbed),
         ),
-        *_parameters(found.calibration.parameters),
+        *_parameters(comparison.parameters),
     ]
-    return _described("a campaign beside its model", parts, found.calibration, found.provenance)
+    return _described("a campaign beside its model", parts, comparison)
 
 
 _OF_HYPOTHESES = (
@@ -247,9 +246,8 @@ _OF_HYPOTHESES = (
 )
 
 
-def of_hypotheses(found: HypothesesCompared) -> Description:
+def of_hypotheses(compared: HypothesesResult) -> Description:
     """The verdict, what the readings say of each hypothesis, sizes, pulls and predictions."""
-    compared, spent = found.comparison, found.provenance
     hypotheses = compared.hypotheses
     names = [one.name for one in hypotheses]
     figures = {
@@ -299,7 +297,7 @@ def of_hypotheses(found: HypothesesCompared) -> Description:
         Sentence("apart: largest difference of two predictions, in standard errors of the reading"),
         table("predictions", ("reading", "measured", *names), predictions),
     ]
-    return Description("hypotheses side by side", tuple(parts), _spent(spent), spent.notes)
+    return _described("hypotheses side by side", parts, compared)
 
 
 def _log_evidence(one: FittedHypothesis) -> Cell:
@@ -314,9 +312,8 @@ def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
     )
 
 
-def of_diagnosis(found: Diagnosed) -> Description:
+def of_diagnosis(diagnosis: DiagnosisResult) -> Description:
     """The averaged yield, the verdict, effects as explanations, limits, what to measure next."""
-    diagnosis = found.diagnosis
     columns = (
         "configuration",
         Column("time", "hours"),
@@ -350,7 +347,7 @@ def of_diagnosis(found: Diagnosed) -> Description:
         *([table("what to measure next", columns, rows)] if diagnosis.next_measurements else []),
         *(Sentence(f"not tried: {one}") for one in sentences.not_tried(diagnosis)),
     ]
-    return _described("what explains a campaign's misfit", parts, found.baseline, found.provenance)
+    return _described("what explains a campaign's misfit", parts, diagnosis)
 
 
 def _beside_the_table(diagnosis: Diagnosis, what: str) -> str:
@@ -475,9 +472,9 @@ def limits_table(diagnosis: Diagnosis) -> Table:
     return table("what the readings allow, 95 % confidence", columns, rows)
 
 
-def of_repair(found: Repaired, *, with_steps: bool = True) -> Description:
+def of_repair(diagnosis: RepairResult, *, with_steps: bool = True) -> Description:
     """The steps, the verdict, and the fit with all effects simulated together."""
-    diagnosis, fit = found.diagnosed.diagnosis, found.calibration
+    fit = diagnosis.calibration
     parts: list[Part] = [
         *_strong(sentences.averaged_yield(diagnosis)),
         *([steps_table(diagnosis.repair)] if with_steps else []),
@@ -485,20 +482,20 @@ def of_repair(found: Repaired, *, with_steps: bool = True) -> Description:
         *_suspects(diagnosis.suspect_readings),
         *_strong(sentences.set_aside_text(diagnosis)),
     ]
-    if found.undetermined:
+    if diagnosis.undetermined:
         last = sentences.in_words(diagnosis, diagnosis.repair[-1].effects)
-        text = f"With {last}, {found.undetermined}: diagnose says what to measure next."
+        text = f"With {last}, {diagnosis.undetermined}: diagnose says what to measure next."
         parts.append(Sentence(text))
-    if found.effects:
-        together = f"With {sentences.in_words(diagnosis, found.effects)} simulated together: "
+    if diagnosis.effects:
+        together = f"With {diagnosis.added} simulated together: "
         quality = f"chi2 = {number(fit.chi2)} (ndf {fit.ndf}, {p_equals(fit.p_value)})"
         parts += [Sentence(together + quality), *_parameters(fit.parameters)]
-        parts += _shapes(profiles_of(found.model, fit))
+        parts += _shapes(profiles_of(diagnosis.model, fit))
         if sentences.fails(fit):
             parts += _strong("The mended campaign still does not describe its readings.")
     else:
         parts += _strong("Nothing was added, and no file written.")
-    return _described("a campaign, mended", parts, fit, found.provenance)
+    return _described("a campaign, mended", parts, diagnosis)
 
 
 def steps_table(steps: Iterable[RepairStep]) -> Table:
@@ -551,13 +548,14 @@ def step_text(one: RepairStep) -> str:
     )
 
 
-def of_report(found: Reported) -> Description:
+def of_report(report: ReportResult) -> Description:
     """What a report says first; the page has the rest."""
-    sections, fit = found.sections, found.sections.calibration
-    parts: list[Part] = [Sentence(sections.headline, strong=True), *_parameters(fit.parameters)]
-    parts += _shapes(sections.profiles)
-    made = _described("report of a campaign", parts, fit, found.provenance)
-    return replace(made, notes=tuple(dict.fromkeys(made.notes)))
+    parts: list[Part] = [
+        Sentence(report.sections.headline, strong=True),
+        *_parameters(report.parameters),
+        *_shapes(report.sections.profiles),
+    ]
+    return _described("report of a campaign", parts, report)
 
 
 # Where errors come from.
@@ -568,7 +566,7 @@ _LEAST_PERCENT = 0.001
 _NOTHING = 1e-9
 
 
-def of_budget(found: Budget) -> Description:
+def of_budget(found: BudgetResult) -> Description:
     """Contributions, what the model leaves out, and values with all errors."""
     budgets = {name: found.contributions[name] for name in found.main if name in found.totals}
     title = "where the errors come from, in the model as it is"
@@ -588,7 +586,7 @@ def of_budget(found: Budget) -> Description:
         *_places(found),
         table("neither modelled nor in any error", columns, not_modelled()),
     ]
-    return _described("error budget of a campaign", parts, found.calibration, found.provenance)
+    return _described("error budget of a campaign", parts, found)
 
 
 def contributions_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table:

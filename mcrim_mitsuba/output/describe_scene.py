@@ -5,7 +5,7 @@ They stand apart from those on campaigns, whose sentences take half a second to 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,13 +26,15 @@ from mcrim_mitsuba.output.description import (
 )
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.efficiency.arrival_times import ArrivalTimes
-    from mcrim_mitsuba.efficiency.eta_spectrum import EtaSpectrum
-    from mcrim_mitsuba.efficiency.lighting import EtaMap, Spread
-    from mcrim_mitsuba.efficiency.table import EtaTable
-    from mcrim_mitsuba.reference.crosscheck import Crosscheck
-    from mcrim_mitsuba.scene.check_text import CheckReport
-    from mcrim_mitsuba.transport.simulation import SimulationResult
+    from mcrim_mitsuba.output.scene_results import (
+        CheckResult,
+        CrosscheckResult,
+        LightResult,
+        MapResult,
+        SpectrumResult,
+        TableResult,
+        TimesResult,
+    )
 
 
 #: Of a spectrum, that a table shows.
@@ -58,7 +60,7 @@ def fate_words(fate: str) -> str:
     return f"absorbed in {the}{medium}" if fate != medium else fate
 
 
-def of_simulation(result: SimulationResult) -> Description:
+def of_simulation(result: LightResult) -> Description:
     """Efficiency, and what becomes of the light."""
     rows = (
         (Cell(fate_words(fate), fate), shown(part, ".6f"), shown(result.budget_sigma[fate], ".6f"))
@@ -77,7 +79,7 @@ def of_simulation(result: SimulationResult) -> Description:
     return Description("light collection efficiency", (Sentence(found), fates), notes=result.notes)
 
 
-def of_map(mapped: EtaMap, spreads: Sequence[Spread]) -> Description:
+def of_map(mapped: MapResult) -> Description:
     """What the efficiency varies by over the crystal, and what that does to a peak."""
     rows = (
         (
@@ -90,7 +92,7 @@ def of_map(mapped: EtaMap, spreads: Sequence[Spread]) -> Description:
             ),
             shown(100.0 * one.fwhm, ".2g"),
         )
-        for one in spreads
+        for one in mapped.gamma_spreads
     )
     percent = Column("rms (%)", "rms_percent"), Column("FWHM (%)", "fwhm_percent")
     columns = (Column("gammas stop", "source"), "eta", *percent)
@@ -106,7 +108,7 @@ def of_map(mapped: EtaMap, spreads: Sequence[Spread]) -> Description:
     )
 
 
-def of_spectrum(found: EtaSpectrum) -> Description:
+def of_spectrum(found: SpectrumResult) -> Description:
     """Means over the light, what one wavelength is off by, and some wavelengths."""
     light, off = found.light, (found.one_wavelength_off, found.one_wavelength_off_sigma)
     eta = pdg(found.eta_detected, found.eta_detected_sigma)
@@ -161,7 +163,7 @@ def _percent(value: float, sigma: float) -> tuple[float, float]:
     return 100.0 * value, 100.0 * sigma
 
 
-def of_times(found: ArrivalTimes) -> Description:
+def of_times(found: TimesResult) -> Description:
     """When detected light arrives, in which parts it was, and when the first photons do."""
     numbers = (
         ("mean", measured(found.mean_ps, found.mean_ps_sigma)),
@@ -222,9 +224,7 @@ def of_times(found: ArrivalTimes) -> Description:
     )
 
 
-def of_table(
-    made: EtaTable, *, seconds: float | None = None, written: str | None = None
-) -> Description:
+def of_table(made: TableResult, *, written: str | None = None) -> Description:
     """Points of a table; of one that was written to a file what it took alone."""
     parts: tuple[Table, ...] = ()
     if not written:
@@ -243,17 +243,13 @@ def of_table(
             if made.photons
             else "no photons, "
         )
-        + f"{seconds_text(seconds)}errors up to "
+        + f"{made.seconds:.1f} s, errors up to "
         f"{100 * made.largest_relative_sigma:.2g} %"
     )
     return Description("table of the light collection efficiency", parts, spent, made.notes)
 
 
-def seconds_text(seconds: float | None) -> str:
-    return "" if seconds is None else f"{seconds:.1f} s, "
-
-
-def of_check(report: CheckReport, *, first: bool = True) -> Description:
+def of_check(report: CheckResult, *, first: bool = True) -> Description:
     """What a scene means, its faces, and what is wrong with it.
 
     The command raises the first problem, and shows the others.
@@ -296,7 +292,7 @@ def of_installation(found: Mapping[str, object]) -> Description:
     return Description("the installation", (table("", ("part", "found"), rows), said))
 
 
-def of_crosscheck(found: Crosscheck) -> Description:
+def of_crosscheck(found: CrosscheckResult) -> Description:
     """Every fate from the programs, and whether they agree."""
     from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL
 

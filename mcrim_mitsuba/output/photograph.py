@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
 from mcrim_mitsuba.core.errors import InputError, placed
-from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
+from mcrim_mitsuba.core.files import attributes, refuse_suffix, write_bytes
 from mcrim_mitsuba.core.numbers import Value, said
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output.figure_style import shortened
@@ -328,6 +328,16 @@ class Rendering:
     #: SHA-256 of the scene after substitution.
     scene_hash: str
     versions: dict[str, str]
+
+    def document(self, picture: str, seconds: float) -> dict[str, Any]:
+        """As ``mcrim render --json`` writes it, of a `picture` that was saved after `seconds`."""
+        high, wide = self.pixels.shape[:2]
+        return (
+            {"kind": "rendering", "version": 1, "picture": picture, "width": wide, "height": high}
+            | attributes(self, "parts samples seed")
+            | {"seconds": seconds}
+            | attributes(self, "parameters versions scene_hash")
+        )
 
     def png(self) -> bytes:
         """The picture as a PNG file."""

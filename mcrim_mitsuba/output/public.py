@@ -2,235 +2,125 @@
 
     import mcrim_mitsuba as mcrim
 
-Every function takes a `Run` (``run=``) or fields of one (``photons=2_000_000, seed=1``), and gives
-an `Answer`: what was found, and every way to show it. Errors are `InputError`: one line that says
-what is wrong, where, and how to mend it.
+Every function takes a `Run` (``run=``) or fields that differ from it (``photons=2_000_000,
+seed=1``; left out or None, they do not), and gives a typed `registry.Result`: numbers as fields,
+and every way to show them. Errors are `InputError`: one line that says what is wrong, where, and
+how to mend it.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import importlib
+import functools
+import inspect
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property, partial
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, overload
 
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.files import json_text, plain, write_text
-from mcrim_mitsuba.core.numbers import number_of, said, unit_of, whole_of
-from mcrim_mitsuba.core.run import MOST_PHOTONS, Run
-from mcrim_mitsuba.output import describe_scene, description, documents
-from mcrim_mitsuba.output.description import Description
+from mcrim_mitsuba.core.files import write_text
+from mcrim_mitsuba.core.numbers import number_of, whole_of
+from mcrim_mitsuba.core.run import MOST_PHOTONS, Progress, Run
+from mcrim_mitsuba.output.registry import fields_of
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 
 if TYPE_CHECKING:
-    import pandas
-    import xarray
-    from matplotlib.figure import Figure
-
     from mcrim_mitsuba.campaign.campaign import Campaign
-    from mcrim_mitsuba.inference.estimates import ParameterEstimate
-    from mcrim_mitsuba.output.figure_style import Drawing
-    from mcrim_mitsuba.transport.simulation import Simulation, SimulationResult
-
-Scene = str | Path | SceneFile
-_OF_RUN = frozenset(field.name for field in dataclasses.fields(Run))
-#: Parts of what was found whose fields an answer has too.
-_INNER = ("comparison", "diagnosis", "calibration", "diagnosed", "sections", "repaired")
-
-
-class Answer:
-    """What a function found, and every way to show it.
-
-    Fields of what was found are the answer's own: ``light.eta``, ``fit.chi2``,
-    ``found.verdict``; so are fitted parameters, with their errors: ``fit.alpha_scat_per_cm.sigma``.
-    ``print(answer)`` shows what the command shows, a notebook the same as tables.
-    """
-
-    #: What was found.
-    found: Any
-    #: How it is shown.
-    described: Description
-    #: As ``--json`` writes it.
-    document: Mapping[str, Any]
-
-    def __init__(
-        self,
-        found: Any,
-        described: Description,
-        document: Mapping[str, Any],
-        pictures: Mapping[str, Callable[[], Drawing | Figure]] | None = None,
-    ) -> None:
-        self.found, self.described, self.document = found, described, document
-        self._pictures = dict(pictures or {})
-
-    def __getattr__(self, name: str) -> Any:
-        if not name.startswith("_") and "found" in self.__dict__:  # not while it is copied
-            for part in _parts(self.found):
-                parameters = getattr(part, "parameters", None)
-                if isinstance(parameters, Mapping) and name in parameters:
-                    known = parameters[name]
-                    return Fitted(name, known) if hasattr(known, "at_bound") else known
-                if hasattr(part, name):
-                    return getattr(part, name)
-        raise AttributeError(f"{type(self.__dict__.get('found')).__name__} has no {name}")
-
-    def __dir__(self) -> list[str]:
-        names = {name for part in _parts(self.found) for name in dir(part) if name[0] != "_"}
-        fitted = (getattr(part, "parameters", None) for part in _parts(self.found))
-        names |= {name for each in fitted if isinstance(each, Mapping) for name in each}
-        return sorted({*super().__dir__(), *names})
-
-    def __str__(self) -> str:
-        return description.text(self.described)
-
-    def __repr__(self) -> str:
-        return f"<Answer: {self.described.title}; print it to read it>"
-
-    def _repr_html_(self) -> str:
-        return str(description.html(self.described))
-
-    def to_json(self, path: str | Path | None = None) -> str:
-        """The document of ``--json`` as text; written to a file too, if one is named."""
-        text = json_text(self.document, indent=2)
-        if path is not None:
-            write_text(path, text + "\n")
-        return text
-
-    def to_dataframe(self, title: str | None = None) -> pandas.DataFrame:
-        """A table of what is shown, with errors in columns of their own (``NAME_sigma``).
-
-        Parameters
-        ----------
-        title : str, optional
-            Of the table; the first one by default.
-
-        Raises
-        ------
-        InputError
-            If there is no such table.
-        """
-        shown = _chosen(self.described.tables, title, "table", "nothing of this is a table", repr)
-        return shown.frame()
-
-    def to_xarray(self) -> xarray.Dataset:
-        """As a dataset with units; its attributes say what makes it reproducible.
-
-        Tables of eta lie over their axes, simulations, fits and diagnoses as converted files do; of
-        other results it is `to_dataframe`.
-        """
-        from mcrim_mitsuba.output.codec import dataset, is_convertible, table_of_document
-
-        if hasattr(self.found, "to_xarray"):
-            return self.found.to_xarray()
-        document = plain(self.document)
-        if not is_convertible(document):
-            import xarray
-
-            return xarray.Dataset.from_dataframe(self.to_dataframe())
-        return dataset(table_of_document(document, self.described.title))
-
-    def plot(self, picture: str | None = None) -> Figure:
-        """A figure of it, by matplotlib.
-
-        Parameters
-        ----------
-        picture : str, optional
-            Which one, where there are several; the first by default.
-
-        Raises
-        ------
-        InputError
-            If there is none of this name, or none at all.
-        """
-        return _chosen(self._pictures, picture, "picture", "there is no picture")().figure
-
-    def draw(self, path: str | Path) -> tuple[Path, ...]:
-        """Write all pictures (PNG or PDF) with their numbers (CSV): NAME, NAME_profiles, ...
-
-        Raises
-        ------
-        InputError
-            If a file cannot be written.
-        """
-        from mcrim_mitsuba.output.figure_style import Drawing, save
-
-        path = Path(path)
-        written: list[Path] = []
-        for place, (name, make) in enumerate(self._pictures.items()):
-            ending = f"_{name}" if place else ""
-            to, drawing = path.with_name(f"{path.stem}{ending}{path.suffix}"), make()
-            written += drawing.save(to) if isinstance(drawing, Drawing) else [save(drawing, to)]
-        return tuple(written)
-
-
-def _chosen(
-    known: Mapping[str, Any],
-    name: str | None,
-    what: str,
-    nothing: str,
-    quoted: Callable[[str], str] = str,
-) -> Any:
-    """The one of this name, or the first; refuses what is not there."""
-    if not known:
-        raise InputError(nothing, "print it")
-    name = next(iter(known)) if name is None else name
-    if name not in known:
-        mend = f"ask for one of {', '.join(map(quoted, known))}"
-        raise InputError(f"there is no {what} {name!r}", mend)
-    return known[name]
-
-
-class Fitted:
-    """A fitted parameter with its errors, which says its unit: ``7.5 ± 0.8 ph/keV``.
-
-    It has the fields of `inference.estimates.ParameterEstimate`.
-    """
-
-    def __init__(self, name: str, known: ParameterEstimate) -> None:
-        self._name, self._known = name, known
-
-    def __getattr__(self, field: str) -> Any:
-        if field.startswith("_"):
-            raise AttributeError(field)
-        return getattr(self._known, field)
-
-    def __str__(self) -> str:
-        from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
-        from mcrim_mitsuba.output.sentences import estimate_text
-
-        unit = "ph/keV" if self._name == LIGHT_YIELD else unit_of(self._name)
-        return " ".join(filter(None, (estimate_text(self._known), unit)))
-
-    def __repr__(self) -> str:
-        return f"<{self._name} = {self}>"
-
-
-def _parts(found: Any) -> Iterator[Any]:
-    """What was found, and what it holds that has fields of its own."""
-    yield found
-    for name in _INNER:
-        inner = getattr(found, name, None)
-        if inner is not None:
-            yield from _parts(inner)
-
-
-def _answer(
-    result: str, found: Any, pictures: Mapping[str, Callable[[], Any]] | None = None, **told: Any
-) -> Answer:
-    """Of a result; the sentences on campaigns are imported when they are needed."""
-    words: ModuleType = describe_scene
-    if not hasattr(words, f"of_{result}"):
-        words = importlib.import_module("mcrim_mitsuba.output.describe_campaign")
-    described, document = (
-        getattr(module, f"of_{result}")(found, **told) for module in (words, documents)
+    from mcrim_mitsuba.inference.diagnose import RepairStep
+    from mcrim_mitsuba.inference.plan import Conditions
+    from mcrim_mitsuba.output.campaign_results import (
+        BudgetResult,
+        ComparisonResult,
+        DiagnosisResult,
+        FitResult,
+        HypothesesResult,
+        PlanResult,
+        ReductionResult,
+        RepairResult,
+        ReportResult,
     )
-    return Answer(found, described, document, pictures)
+    from mcrim_mitsuba.output.photograph import Rendering
+    from mcrim_mitsuba.output.scene_results import (
+        CheckResult,
+        CrosscheckResult,
+        LightResult,
+        MapResult,
+        SpectrumResult,
+        TableResult,
+        TimesResult,
+    )
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+__all__ = [
+    "add",
+    "arrival_times",
+    "budget",
+    "calibrate",
+    "check",
+    "compare",
+    "crosscheck",
+    "diagnose",
+    "eta_map",
+    "eta_spectrum",
+    "plan",
+    "reduce",
+    "render",
+    "repair",
+    "report",
+    "simulate",
+    "table",
+]
+Scene = str | Path | SceneFile
+#: A number of any kind, NumPy's too, or its text.
+Number = float | str | np.number[Any]
+_Parameters = ParamSpec("_Parameters")
+_Result = TypeVar("_Result")
+_FIELDS_OF_RUN = tuple(field.name for field in dataclasses.fields(Run))
+#: Depths (mm) and times (ns) above this are none.
+_LONGEST = 1e9
+
+
+def _run_of(run: Run | None, *fields: Any) -> Run:
+    """A run with the fields that were given, in the order of the functions' signatures."""
+    names = ("photons", "precision", "seed", "threads", "variant", "progress", "check")
+    given = {n: value for n, value in zip(names, fields, strict=True) if value is not None}
+    return dataclasses.replace(run or Run(), **given)
+
+
+def _explained(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
+    """The function, which refuses a misspelt keyword as any other wrong input."""
+    names = inspect.signature(function).parameters
+
+    @functools.wraps(function)
+    def refusing(*args: _Parameters.args, **given: _Parameters.kwargs) -> _Result:
+        for name in given:
+            if name not in names:
+                mend = did_you_mean(name, sorted({*_FIELDS_OF_RUN, *names}))
+                raise InputError(f"{name} is no field of a run", mend)
+        return function(*args, **given)
+
+    return refusing
+
+
+def _with_parameters(scene: Scene, parameters: Mapping[str, Any]) -> SceneFile:
+    """A scene with parameters changed; one that it has not may be a misspelt field of a run."""
+    file = read_scene(scene)
+    for name in parameters:
+        meant = None if name in file.defaults else closest(name, [*file.defaults, *_FIELDS_OF_RUN])
+        if meant in _FIELDS_OF_RUN:
+            problem = f"{name} is neither a parameter of this scene nor a field of a run"
+            raise InputError(problem, f"did you mean {meant}?", path=file.path)
+    return read_scene(file, parameters)
+
+
+def _loaded(file: SceneFile, run: Run) -> Simulation:
+    """A scene, loaded into Mitsuba."""
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    return Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
 
 
 def _read(campaign: str | Path | Campaign) -> Campaign:
@@ -238,55 +128,6 @@ def _read(campaign: str | Path | Campaign) -> Campaign:
     from mcrim_mitsuba.campaign.campaign import as_campaign
 
     return as_campaign(campaign)
-
-
-def _drawn(place: str, *found: Any, **options: Any) -> Any:
-    """What a function draws; its module takes a while, and is imported when it is needed."""
-    module, _, name = place.partition(".")
-    draw = getattr(importlib.import_module(f"mcrim_mitsuba.output.{module}"), name)
-    return draw(*found, **options)
-
-
-def _of_campaign(
-    campaign: Campaign, pictures: Mapping[str, Callable[[], Drawing]]
-) -> dict[str, Callable[[], Drawing]]:
-    """Pictures that carry the campaign's title."""
-    return {n: partial(_entitled, campaign.title, p) for n, p in pictures.items()}
-
-
-def _entitled(title: str, picture: Callable[[], Drawing]) -> Drawing:
-    return picture().entitled(title)
-
-
-def _split(run: Run | None, given: Mapping[str, Any]) -> tuple[Run, dict[str, Any]]:
-    """A run with the fields that were given, and what was given besides: scene parameters."""
-    others = dict(given)
-    own = {name: others.pop(name) for name in given if name in _OF_RUN}
-    return dataclasses.replace(run or Run(), **own), others
-
-
-def _with_parameters(scene: Scene, parameters: Mapping[str, Any]) -> SceneFile:
-    """A scene with parameters changed; one that it has not may be a misspelt field of a run."""
-    file = read_scene(scene)
-    for name in parameters:
-        meant = None if name in file.defaults else closest(name, [*file.defaults, *_OF_RUN])
-        if meant in _OF_RUN:
-            problem = f"{name} is neither a parameter of this scene nor a field of a run"
-            raise InputError(problem, f"did you mean {meant}?", path=file.path)
-    return read_scene(file, parameters)
-
-
-def _run(run: Run | None, given: Mapping[str, Any]) -> Run:
-    """A run with the fields that were given, where nothing else may be."""
-    made, others = _split(run, given)
-    if others:
-        problem = f"{next(iter(others))} is no field of a run"
-        raise InputError(problem, did_you_mean(next(iter(others)), sorted(_OF_RUN)))
-    return made
-
-
-#: Depths (mm) and times (ns) above this are none.
-_LONGEST = 1e9
 
 
 def _above_0(name: str, value: object, kind: str) -> float:
@@ -306,26 +147,36 @@ def _names(given: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def simulate(
-    scene: Scene, *, run: Run | None = None, method: str = "photons", **given: Any
-) -> Answer:
+    scene: Scene,
+    *,
+    method: str = "photons",
+    run: Run | None = None,
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+    **parameters: Any,
+) -> LightResult:
     """Light collection efficiency of one configuration, with every photon's fate.
 
     Parameters
     ----------
-    run : Run, optional
-        2 million photons, with a precision as many as it takes.
     method : str
         ``modes`` follows no photons: a polished box is solved for, without statistical noise, as
         well as it can be or, sooner, to the run's precision.
-    **given
-        Scene parameters that differ from the file's (``n_gap=1.46``), and fields of the run.
+    run, photons, precision, seed, threads, variant, progress, check
+        How it is simulated, see `Run`: 2 million photons, with a precision as many as it takes.
+    **parameters
+        Scene parameters that differ from the file's (``n_gap=1.46``).
 
     Returns
     -------
-    Answer
-        With the fields of `transport.simulation.SimulationResult`; pictures ``arrival`` and
-        ``fates``, which follow its photons again, the first 4 million of more (none of the method
-        ``modes``).
+    LightResult
+        Pictures ``arrival`` and ``fates`` follow its photons again, the first 4 million of more
+        (none of the method ``modes``).
 
     Raises
     ------
@@ -334,69 +185,34 @@ def simulate(
     """
     from mcrim_mitsuba.efficiency.noise_free import refuse_method, solve_simulation
     from mcrim_mitsuba.efficiency.simulate import collect
-    from mcrim_mitsuba.transport.simulation import Simulation
+    from mcrim_mitsuba.output.scene_results import LightResult
 
-    run, parameters = _split(run, given)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     refuse_method(method, run)
     file = _with_parameters(scene, parameters)
-    simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
-    if method == "modes":
-        return _answer("simulation", _noted(solve_simulation(simulation, run), file))
-    found = _noted(collect(simulation, run=run), file)
-    light = _Followed(simulation, found, run)
-    pictures = {
-        name: partial(light.draw, f"light_figures.draw_{name}") for name in ("arrival", "fates")
-    }
-    return _answer("simulation", found, pictures)
-
-
-class _Followed:
-    """Figures of a simulation, for which its photons are followed again."""
-
-    def __init__(self, simulation: Simulation, found: SimulationResult, run: Run) -> None:
-        self._simulation: Simulation | None = simulation
-        self._file, self._found, self._run = simulation.file, found, run
-
-    def __getstate__(self) -> dict[str, Any]:
-        # Mitsuba's scene stays in its process
-        return {**self.__dict__, "_simulation": None}
-
-    @cached_property
-    def _light(self) -> list[tuple[str, Any]]:
-        from mcrim_mitsuba.efficiency.lighting import follow_light
-        from mcrim_mitsuba.transport.simulation import Simulation
-
-        file, found, run = self._file, self._found, self._run
-        simulation = self._simulation or Simulation(
-            file, variant=run.variant, threads=run.threads, check=False
-        )
-        photons = min(found.photons, MOST_FOR_FIGURES)
-        light = follow_light(simulation, run=dataclasses.replace(run, photons=photons))
-        # the run's own numbers, also where it has more photons than are followed again
-        names = ("eta", "eta_sigma", "budget", "budget_sigma", "photons")
-        light = dataclasses.replace(light, **{name: getattr(found, name) for name in names})
-        changed = [said(name, file.parameters[name]) for name in file.overrides]
-        return [(", ".join([file.path.name, *changed]), light)]
-
-    def draw(self, place: str) -> Any:
-        """One of them."""
-        return _drawn(place, self._light)
-
-
-def _noted(found: Any, file: SceneFile) -> Any:
-    """A result on a scene, with what the reader must know of the scene."""
-    return dataclasses.replace(found, notes=(*file.notes, *found.notes)) if file.notes else found
+    simulation = _loaded(file, run)
+    modes = method == "modes"
+    light = solve_simulation(simulation, run) if modes else collect(simulation, run=run)
+    fields = fields_of(light) | {"notes": (*file.notes, *light.notes)}
+    return LightResult(**fields, scene=file, run=run, simulation=simulation)
 
 
 def eta_map(
     scene: Scene,
     *,
     cells: Sequence[int] | None = None,
-    depth_mm: float = 1.0,
+    depth_mm: Number = 1.0,
     deposits: str | Path | None = None,
     run: Run | None = None,
-    **given: Any,
-) -> Answer:
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+    **parameters: Any,
+) -> MapResult:
     """Light collection efficiency by where light is born, and what its spread adds to a peak.
 
     Parameters
@@ -407,15 +223,15 @@ def eta_map(
         1/e depth of gammas that stop near a face.
     deposits : str or Path, optional
         Table of x_mm, y_mm, z_mm and energy_keV, a deposit a row, to spread light as they do.
-    run : Run, optional
-        100,000 photons per cell.
-    **given
-        Scene parameters that differ from the file's (``n_gap=1.46``), and fields of the run.
+    run, photons, precision, seed, threads, variant, progress, check
+        How it is simulated, see `Run`: 100,000 photons per cell.
+    **parameters
+        Scene parameters that differ from the file's (``n_gap=1.46``).
 
     Returns
     -------
-    Answer
-        With the fields of `efficiency.lighting.EtaMap`; picture ``map``; `to_xarray` gives the map.
+    MapResult
+        Picture ``map``; `to_xarray` gives the map.
 
     Raises
     ------
@@ -424,16 +240,13 @@ def eta_map(
         outside the crystal.
     """
     from mcrim_mitsuba.efficiency.lighting import CELLS, all_spreads, map_eta
-    from mcrim_mitsuba.transport.simulation import Simulation
+    from mcrim_mitsuba.output.scene_results import MapResult
 
-    run, parameters = _split(run, given)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     depth_mm = _above_0("depth_mm", depth_mm, "depth")
-    file = _with_parameters(scene, parameters)
-    simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
-    found = map_eta(simulation, CELLS if cells is None else cells, run=run)
-    spreads = all_spreads(found, depth_mm, deposits)
-    pictures = {"map": partial(_drawn, "light_figures.draw_map", found, spreads)}
-    return _answer("map", found, pictures, spreads=spreads)
+    simulation = _loaded(_with_parameters(scene, parameters), run)
+    mapped = map_eta(simulation, CELLS if cells is None else cells, run=run)
+    return MapResult(**fields_of(mapped), gamma_spreads=all_spreads(mapped, depth_mm, deposits))
 
 
 def eta_spectrum(
@@ -443,8 +256,15 @@ def eta_spectrum(
     quantum_efficiency: str | Path | None = None,
     method: str = "photons",
     run: Run | None = None,
-    **given: Any,
-) -> Answer:
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+    **parameters: Any,
+) -> SpectrumResult:
     """Light collection efficiency over the emission's wavelengths, and its means over the light.
 
     Parameters
@@ -457,15 +277,16 @@ def eta_spectrum(
         Spectrum of the detector's efficiency, where the table has none.
     method : str
         As of `simulate`.
-    run : Run, optional
-        2 million photons of each simulation: one, or four where an index varies.
-    **given
-        Scene parameters that differ from the file's (``n_gap=1.46``), and fields of the run.
+    run, photons, precision, seed, threads, variant, progress, check
+        How it is simulated, see `Run`: 2 million photons of each simulation, of which there is
+        one, or four where an index varies.
+    **parameters
+        Scene parameters that differ from the file's (``n_gap=1.46``).
 
     Returns
     -------
-    Answer
-        With the fields of `efficiency.eta_spectrum.EtaSpectrum`; picture ``spectrum``; `to_xarray`.
+    SpectrumResult
+        Picture ``spectrum``; `to_xarray`.
 
     Raises
     ------
@@ -475,27 +296,33 @@ def eta_spectrum(
     """
     from mcrim_mitsuba.efficiency.eta_spectrum import eta_over
     from mcrim_mitsuba.efficiency.noise_free import refuse_method, solve_benches
+    from mcrim_mitsuba.output.scene_results import SpectrumResult
     from mcrim_mitsuba.scene.emitted_light import read_light
 
-    run, parameters = _split(run, given)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     refuse_method(method, run)
     file = _with_parameters(scene, parameters)
     light = read_light(spectrum, file, quantum_efficiency)
     solver = solve_benches if method == "modes" else None
-    found = eta_over(file, light, solver=solver, run=run)
-    pictures = {"spectrum": partial(_drawn, "light_figures.draw_spectrum", found)}
-    return _answer("spectrum", found, pictures)
+    return SpectrumResult(**fields_of(eta_over(file, light, solver=solver, run=run)))
 
 
 def arrival_times(
     scene: Scene,
     *,
     group_index: Mapping[str, float | str] | None = None,
-    decay_ns: float | None = None,
-    detected: int = 1000,
+    decay_ns: Number | None = None,
+    detected: Number = 1000,
     run: Run | None = None,
-    **given: Any,
-) -> Answer:
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+    **parameters: Any,
+) -> TimesResult:
     """When detected photons arrive: by their paths and the group index of every part.
 
     Parameters
@@ -508,16 +335,15 @@ def arrival_times(
         Decay time of the scintillation, folded in; all light is emitted at once without it.
     detected : int
         Detected photons of an event: when the first ten of them arrive is computed.
-    run : Run, optional
-        2 million photons, 40 million at most.
-    **given
-        Scene parameters that differ from the file's (``n_gap=1.46``), and fields of the run.
+    run, photons, precision, seed, threads, variant, progress, check
+        How it is simulated, see `Run`: 2 million photons, 40 million at most.
+    **parameters
+        Scene parameters that differ from the file's (``n_gap=1.46``).
 
     Returns
     -------
-    Answer
-        With the fields of `efficiency.arrival_times.ArrivalTimes`; picture ``times``; `to_xarray`
-        gives the histogram.
+    TimesResult
+        Picture ``times``; `to_xarray` gives the histogram.
 
     Raises
     ------
@@ -526,25 +352,33 @@ def arrival_times(
         not known.
     """
     from mcrim_mitsuba.efficiency.arrival_times import follow_times
-    from mcrim_mitsuba.transport.simulation import Simulation
+    from mcrim_mitsuba.output.scene_results import TimesResult
 
-    run, parameters = _split(run, given)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     if decay_ns is not None:
         decay_ns = _above_0("decay_ns", decay_ns, "decay time")
     detected = whole_of("detected", detected, "give a whole number from 1", 1, MOST_PHOTONS)
-    file = _with_parameters(scene, parameters)
-    simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
-    found = follow_times(
+    simulation = _loaded(_with_parameters(scene, parameters), run)
+    times = follow_times(
         simulation, group_index=group_index, decay_ns=decay_ns, detected=detected, run=run
     )
-    return _answer("times", found, {"times": partial(_drawn, "light_figures.draw_times", found)})
+    return TimesResult(**fields_of(times))
 
 
-#: Photons of figures, at most: more would not be seen.
-MOST_FOR_FIGURES = 4_000_000
-
-
-def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **given: Any) -> Answer:
+def table(
+    scene: Scene,
+    *,
+    method: str = "photons",
+    run: Run | None = None,
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+    **parameters: Any,
+) -> TableResult:
     """Light collection efficiency over any parameters of a scene.
 
     Values of ``alpha_scat_per_cm`` and ``alpha_abs_per_cm`` are answered by one simulation of each
@@ -552,19 +386,19 @@ def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **gi
 
     Parameters
     ----------
-    run : Run, optional
-        2 million photons of each configuration, with a precision as many as it takes.
     method : str
         ``modes`` follows no photons: polished boxes are solved for, without statistical noise, as
         well as they can be or, sooner, to the run's precision.
-    **given
-        Axes (``gap_mm=[0.02, 0.05]``), single values of parameters (``n_gap=1.46``), and fields
-        of the run.
+    run, photons, precision, seed, threads, variant, progress, check
+        How it is simulated, see `Run`: 2 million photons of each configuration, with a precision
+        as many as it takes.
+    **parameters
+        Axes (``gap_mm=[0.02, 0.05]``), and single values of parameters (``n_gap=1.46``).
 
     Returns
     -------
-    Answer
-        With the fields of `efficiency.table.EtaTable`; picture ``eta``.
+    TableResult
+        Picture ``eta``; `to_xarray` gives eta over the axes.
 
     Raises
     ------
@@ -574,8 +408,9 @@ def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **gi
     """
     from mcrim_mitsuba.efficiency.noise_free import noise_free_table, refuse_method
     from mcrim_mitsuba.efficiency.table import eta_table
+    from mcrim_mitsuba.output.scene_results import TableResult
 
-    run, parameters = _split(run, given)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     refuse_method(method, run)
     axes = {
         name: list(values)
@@ -584,83 +419,102 @@ def table(scene: Scene, *, run: Run | None = None, method: str = "photons", **gi
     }
     file = _with_parameters(scene, {n: v for n, v in parameters.items() if n not in axes})
     start = time.perf_counter()
-    tabulated = noise_free_table if method == "modes" else eta_table
-    made = _noted(tabulated(file, axes, run=run), file)
-    seconds = time.perf_counter() - start
-    pictures = {"eta": partial(_drawn, "light_figures.draw_table", made)}
-    return _answer("table", made, pictures, seconds=seconds)
+    tabulated = (noise_free_table if method == "modes" else eta_table)(file, axes, run=run)
+    fields = fields_of(tabulated) | {"notes": (*file.notes, *tabulated.notes)}
+    return TableResult(**fields, seconds=time.perf_counter() - start)
 
 
-def check(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
+def check(
+    scene: Scene,
+    *,
+    run: Run | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    **parameters: Any,
+) -> CheckResult:
     """Whether a scene is sound, and what it means in words.
 
     Parameters
     ----------
-    run : Run, optional
-        Its variant and threads count.
-    **given
-        Scene parameters that differ from the file's, and fields of the run.
+    run, threads, variant
+        Of a `Run` only these two count.
+    **parameters
+        Scene parameters that differ from the file's.
 
     Returns
     -------
-    Answer
-        With the fields of `scene.check_text.CheckReport`: ``ok``, ``problems``, ...; a file that
-        cannot be read is a problem too. Picture ``cross_section``, of a sound scene.
+    CheckResult
+        With ``ok``, ``problems``, ...; a file that cannot be read is a problem too. Picture
+        ``cross_section``, of a sound scene.
     """
+    from mcrim_mitsuba.output.scene_results import CheckResult
     from mcrim_mitsuba.transport.simulation import check_scene
 
-    run, parameters = _split(run, given)
-    found = check_scene(scene, parameters, variant=run.variant, threads=run.threads)
-    section = partial(_cross_section, scene, parameters, run, found.interfaces)
-    return _answer("check", found, {"cross_section": section} if found.ok else {})
+    run = _run_of(run, None, None, None, threads, variant, None, None)
+    report = check_scene(scene, parameters, variant=run.variant, threads=run.threads)
+    return CheckResult(**fields_of(report), scene=scene, overrides=parameters, run=run)
 
 
-def _cross_section(
-    scene: Scene, parameters: Mapping[str, Any], run: Run, interfaces: Any
-) -> Figure:
-    from mcrim_mitsuba.transport.simulation import Simulation
-
-    loaded = Simulation(scene, parameters, variant=run.variant, threads=run.threads, check=False)
-    return _drawn("cross_section.cross_section_figure", loaded, interfaces)
-
-
-def crosscheck(scene: Scene, *, run: Run | None = None, **given: Any) -> Answer:
+def crosscheck(
+    scene: Scene,
+    *,
+    run: Run | None = None,
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+    **parameters: Any,
+) -> CrosscheckResult:
     """Mitsuba against the independent NumPy tracer, fate by fate.
 
     Parameters
     ----------
-    run : Run, optional
-        1 million photons in the tracer, four times as many in Mitsuba.
-    **given
-        Scene parameters that differ from the file's, and fields of the run.
-
-    Returns
-    -------
-    Answer
-        With the fields of `reference.crosscheck.Crosscheck`: ``rows``, ``agrees``, ...
+    run, photons, precision, seed, threads, variant, progress, check
+        How it is simulated, see `Run`: 1 million photons in the tracer, four times as many in
+        Mitsuba.
+    **parameters
+        Scene parameters that differ from the file's.
 
     Raises
     ------
     InputError
         If the scene is not sound, or of a form that the tracer does not know.
     """
-    from mcrim_mitsuba.reference.crosscheck import crosscheck as compared
+    from mcrim_mitsuba.output.scene_results import CrosscheckResult
+    from mcrim_mitsuba.reference.crosscheck import crosscheck as compare_programs
 
-    run, parameters = _split(run, given)
-    found = compared(scene, parameters, run=run)
-    return Answer(
-        found, describe_scene.of_crosscheck(found), documents.of_crosscheck(found, run.seed)
-    )
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    compared = compare_programs(scene, parameters, run=run)
+    return CrosscheckResult(**fields_of(compared), seed=run.seed)
 
 
-def render(scene: Scene, *, run: Run | None = None, **given: Any) -> Any:
+def render(
+    scene: Scene,
+    *,
+    samples: Number | None = None,
+    run: Run | None = None,
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+    **parameters: Any,
+) -> Rendering:
     """A photograph of the bench: as it stands, taken apart, its lower edge enlarged.
 
     Parameters
     ----------
-    **given
-        Scene parameters that differ from the file's, fields of the run, and ``samples``: light
-        paths per pixel.
+    samples : int, optional
+        Light paths per pixel.
+    run, photons, precision, seed, threads, variant, progress, check
+        See `Run`; a picture follows no photons.
+    **parameters
+        Scene parameters that differ from the file's.
 
     Returns
     -------
@@ -672,13 +526,12 @@ def render(scene: Scene, *, run: Run | None = None, **given: Any) -> Any:
     InputError
         If the scene is not sound.
     """
-    from mcrim_mitsuba.output.photograph import render as photographed
+    from mcrim_mitsuba.output.photograph import render as photograph
 
-    samples = given.pop("samples", None)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     if samples is not None:
         samples = whole_of("samples", samples, "give a whole number from 1", 1, MOST_PHOTONS)
-    run, parameters = _split(run, given)
-    return photographed(scene, parameters, samples=samples, run=run)
+    return photograph(scene, parameters, samples=samples, run=run)
 
 
 def add(
@@ -713,12 +566,12 @@ def add(
         If the effect is not known, is one of the readings, or cannot be put into this scene; if
         nobody has allowed the folder's Python to be executed.
     """
-    from mcrim_mitsuba.effects.catalogue import add as added
+    from mcrim_mitsuba.effects.catalogue import add as text_with_effect
     from mcrim_mitsuba.effects.trust import execute_allowed
 
     file = read_scene(scene)
     execute_allowed(effects_folder, trusted=trust_effects)
-    text = added(effect, file, values, effects_folder)
+    text = text_with_effect(effect, file, values, effects_folder)
     if output is None:
         return file.edited(text)
     write_text(output, text)
@@ -728,7 +581,8 @@ def add(
 # ---------------------------------------------------------------- of a campaign
 
 
-def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) -> Answer:
+@_explained
+def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) -> ReductionResult:
     """Reduce a campaign's raw data, every step with its errors.
 
     Parameters
@@ -739,141 +593,204 @@ def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) ->
 
     Returns
     -------
-    Answer
-        With the fields of `campaign.reduction.RawData`: ``readings``, ``efficiency``, ...;
-        pictures are its ``kinds``: ``histograms``, ``spectra``, ``transmittance``.
+    ReductionResult
+        With ``readings``, ``efficiency``, ...; pictures are its ``kinds``: ``histograms``,
+        ``spectra``, ``transmittance``.
 
     Raises
     ------
     InputError
         If a file cannot be used or written, or if the campaign has no raw data.
     """
-    from mcrim_mitsuba.campaign import editor
-    from mcrim_mitsuba.output.describe_laboratory import of_reduction
+    from mcrim_mitsuba.campaign.editor import reduce as reduce_campaign
+    from mcrim_mitsuba.output.campaign_results import ReductionResult
 
-    campaign = editor.reduce(campaign, output)
-    raw = campaign.raw
-    assert raw is not None  # refused otherwise
-    draw = partial(_drawn, "laboratory_figures.draw_raw_data", raw)
-    pictures = {kind: partial(draw, kind) for kind in raw.kinds}
-    document = {"campaign": campaign.path, **editor.to_json(raw), "plain_campaign": output}
-    return Answer(raw, of_reduction(raw), document, _of_campaign(campaign, pictures))
+    campaign = reduce_campaign(campaign, output)
+    assert campaign.raw is not None  # refused otherwise
+    return ReductionResult(
+        **fields_of(campaign.raw),
+        title=campaign.title,
+        campaign_path=campaign.path,
+        plain_path=output,
+    )
 
 
-def calibrate(campaign: str | Path | Campaign, *, run: Run | None = None, **given: Any) -> Answer:
+@_explained
+def calibrate(
+    campaign: str | Path | Campaign,
+    *,
+    run: Run | None = None,
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+) -> FitResult:
     """Fit a campaign: scattering coefficient and light yield, with all their errors.
 
     Parameters
     ----------
-    run : Run, optional
-        27 million photons for all configurations together; with a precision, at most.
+    run, photons, precision, seed, threads, variant, progress, check
+        How it is simulated, see `Run`: 27 million photons for all configurations together; with
+        a precision, at most.
 
     Returns
     -------
-    Answer
-        With the fields of `inference.fit.Calibration`, and the fitted parameters:
-        ``fit.light_yield_ph_per_keV``. Pictures ``readings``, ``profiles`` and ``budget``.
+    FitResult
+        Fitted parameters are fields, ``fit.light_yield_ph_per_keV``, and stand in
+        ``fit.parameters``. Pictures ``readings``, ``profiles`` and ``budget``.
 
     Raises
     ------
     InputError
         If a file is wrong, a scene is not sound, or the readings do not determine the parameters.
     """
-    from mcrim_mitsuba.inference.calibrate import calibrate as fitted
+    from mcrim_mitsuba.inference.calibrate import calibrate as fit_campaign
+    from mcrim_mitsuba.output.campaign_results import FitResult
 
     start = time.perf_counter()
     campaign = _read(campaign)
-    found = fitted(campaign, run=_run(run, given))
-    seconds = time.perf_counter() - start
-    fit, unit = found.calibration, campaign.unit
-    pictures: dict[str, Callable[[], Any]] = {
-        "readings": partial(_drawn, "fit_figures.draw_comparison", fit, unit=unit),
-        "profiles": partial(_drawn, "fit_figures.draw_profiles", found.profiles),
-        "budget": partial(_drawn, "budget_figures.draw_budget", fit),
-    }
-    pictures = _of_campaign(campaign, pictures)
-    return _answer("calibration", found, pictures, seconds=seconds)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    fitted = fit_campaign(campaign, run=run)
+    return FitResult.of(fitted, campaign, time.perf_counter() - start)
 
 
+@overload
+def compare(
+    campaign: str | Path | Campaign,
+    /,
+    *,
+    run: Run | None = None,
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+) -> ComparisonResult: ...
+
+
+@overload
+def compare(
+    campaign: str | Path | Campaign,
+    other: str | Path | Campaign,
+    /,
+    *others: str | Path | Campaign,
+    run: Run | None = None,
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+) -> HypothesesResult: ...
+
+
+@_explained
 def compare(
     campaign: str | Path | Campaign,
     *others: str | Path | Campaign,
     run: Run | None = None,
-    **given: Any,
-) -> Answer:
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+) -> ComparisonResult | HypothesesResult:
     """A campaign beside its model, or hypotheses on the same readings side by side.
 
-    Parameters and errors as for `calibrate`.
+    Errors as for `calibrate`.
 
     Parameters
     ----------
     *others : str, Path or Campaign
         One or two more campaigns of the same readings.
+    run, photons, precision, seed, threads, variant, progress, check
+        How it is simulated, see `Run`.
 
     Returns
     -------
-    Answer
-        Of one campaign where its model fails: the fields of `calibrate` and of
-        `inference.compare.Comparison`; picture ``readings``. Of several which the readings prefer:
-        those of `inference.hypotheses.SideBySide`: ``verdict``, ``leading``, ``hypotheses``, ...;
-        picture ``pulls``.
+    ComparisonResult or HypothesesResult
+        Of one campaign where its model fails, with the fields of `calibrate`; picture
+        ``readings``. Of several which the readings prefer: ``verdict``, ``leading``,
+        ``hypotheses``, ...; picture ``pulls``.
     """
+    from mcrim_mitsuba.output.campaign_results import ComparisonResult, HypothesesResult
+
     campaign = _read(campaign)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     if others:
         from mcrim_mitsuba.inference.hypotheses import compare_hypotheses
 
-        several = compare_hypotheses((campaign, *others), run=_run(run, given))
-        pulls = {"pulls": partial(_drawn, "fit_figures.draw_hypotheses", several.comparison)}
-        return _answer("hypotheses", several, _of_campaign(campaign, pulls))
-    from mcrim_mitsuba.inference.compare import compare as compared
+        return HypothesesResult.of(compare_hypotheses((campaign, *others), run=run), campaign)
+    from mcrim_mitsuba.inference.compare import compare as compare_campaign
 
-    found, unit = compared(campaign, run=_run(run, given)), campaign.unit
-    drawn = "fit_figures.draw_comparison", found.comparison
-    pictures = {"readings": partial(_drawn, *drawn, unit=unit)}
-    return _answer("comparison", found, _of_campaign(campaign, pictures))
+    return ComparisonResult.of(compare_campaign(campaign, run=run), campaign)
 
 
+@_explained
 def diagnose(
     campaign: str | Path | Campaign,
     *,
     without: str | Sequence[str] = (),
     only: str | Sequence[str] = (),
     run: Run | None = None,
-    **given: Any,
-) -> Answer:
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+) -> DiagnosisResult:
     """Which effects of the catalogue explain a campaign's misfit.
 
-    Other parameters and errors as for `calibrate`; the photons (260,000) are those of every
-    simulation with an effect, configurations as they are get four times as many.
+    Errors as for `calibrate`.
 
     Parameters
     ----------
     without, only : str or sequence of str
         Effects that are left out, and those that alone are tried: ``"background,saturation"``.
+    run, photons, precision, seed, threads, variant, progress, check
+        How it is simulated, see `Run`: 260,000 photons of every simulation with an effect;
+        configurations as they are get four times as many.
 
     Returns
     -------
-    Answer
-        With the fields of `inference.diagnose.Diagnosis`: ``verdict``, ``candidates``,
-        ``leading``, ...; picture ``ranking``.
+    DiagnosisResult
+        With ``verdict``, ``candidates``, ``leading``, ...; picture ``ranking``.
     """
-    from mcrim_mitsuba.inference.diagnose import diagnose as diagnosed
+    from mcrim_mitsuba.inference.diagnose import diagnose as diagnose_campaign
+    from mcrim_mitsuba.output.campaign_results import DiagnosisResult
 
     campaign = _read(campaign)
-    found = diagnosed(campaign, without=_names(without), only=_names(only), run=_run(run, given))
-    pictures = {"ranking": partial(_drawn, "diagnosis_figures.draw_ranking", found.diagnosis)}
-    return _answer("diagnosis", found, _of_campaign(campaign, pictures))
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    found = diagnose_campaign(campaign, without=_names(without), only=_names(only), run=run)
+    return DiagnosisResult.of(found, campaign)
 
 
+@_explained
 def repair(
     campaign: str | Path | Campaign,
     output: str | Path | None = None,
     *,
     effect: str | Sequence[str] = (),
+    on_step: Callable[[RepairStep], None] | None = None,
     run: Run | None = None,
-    on_step: Callable[[Any], None] | None = None,
-    **given: Any,
-) -> Answer:
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+) -> RepairResult:
     """Add effects to a campaign one by one while the data justify it.
 
     Parameters
@@ -883,14 +800,14 @@ def repair(
     effect : str or sequence of str
         What is added, whatever the verdict; by default what it names, where its size is one that
         a laboratory meets.
-    run : Run, optional
-        As for `diagnose`.
     on_step : callable, optional
         Called with every `inference.diagnose.RepairStep` as soon as it is known.
+    run, photons, precision, seed, threads, variant, progress, check
+        As for `diagnose`.
 
     Returns
     -------
-    Answer
+    RepairResult
         With ``effects`` (what was added), ``campaign_path``, ``scene_path``, the fitted
         parameters, and all of `diagnose`; pictures ``staircase`` and ``readings``.
 
@@ -899,35 +816,34 @@ def repair(
     InputError
         As for `diagnose`, or if the files cannot be written.
     """
-    from mcrim_mitsuba.inference.repair import repair as repaired
-    from mcrim_mitsuba.output.sentences import in_words
+    from mcrim_mitsuba.inference.repair import repair as repair_campaign
+    from mcrim_mitsuba.output.campaign_results import RepairResult
 
     campaign = _read(campaign)
-    found = repaired(campaign, output, effect=_names(effect), run=_run(run, given), on_step=on_step)
-    diagnosis = found.diagnosed.diagnosis
-    after = found.calibration if found.effects else None
-    added = in_words(diagnosis, found.effects) if found.effects else ""
-    unit = campaign.unit
-    compared = "fit_figures.draw_comparison", diagnosis.baseline, after
-    pictures = {
-        "staircase": partial(_drawn, "diagnosis_figures.draw_staircase", diagnosis.repair, after),
-        "readings": partial(_drawn, *compared, added=added, unit=unit),
-    }
-    return _answer("repair", found, _of_campaign(campaign, pictures))
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    repaired = repair_campaign(campaign, output, effect=_names(effect), run=run, on_step=on_step)
+    return RepairResult.of(repaired, campaign)
 
 
+@_explained
 def budget(
     campaign: str | Path | Campaign,
     *,
     material: str | None = None,
     emission: str | Path | None = None,
-    wavelength_nm: float | None = None,
+    wavelength_nm: Number | None = None,
     eta_map: str | Path | None = None,
-    depth_mm: float | None = None,
+    depth_mm: Number | None = None,
     deposits: str | Path | None = None,
     run: Run | None = None,
-    **given: Any,
-) -> Answer:
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+) -> BudgetResult:
     """Where all errors of a campaign come from, and what its model leaves out.
 
     Parameters
@@ -945,27 +861,29 @@ def budget(
         1/e depth of gammas that stop near a face; by default the material's, or 1 mm.
     deposits : str or Path, optional
         Table of where gammas stop, as for `eta_map`.
-    run : Run, optional
+    run, photons, precision, seed, threads, variant, progress, check
         As for `diagnose`.
 
     Returns
     -------
-    Answer
-        With the fields of `inference.budget.Budget`; picture ``neglected``.
+    BudgetResult
+        With ``contributions``, ``neglected``, ``totals``, ...; picture ``neglected``.
 
     Raises
     ------
     InputError
         As for `calibrate`, or if a material or a spectrum is wrong.
     """
-    from mcrim_mitsuba.inference.budget import budget as budgeted
+    from mcrim_mitsuba.inference.budget import budget as budget_of
+    from mcrim_mitsuba.output.campaign_results import BudgetResult
 
     campaign = _read(campaign)
     if wavelength_nm is not None:
         wavelength_nm = _above_0("wavelength_nm", wavelength_nm, "wavelength")
     if depth_mm is not None:
         depth_mm = _above_0("depth_mm", depth_mm, "depth")
-    found = budgeted(
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    errors = budget_of(
         campaign,
         material=material,
         emission=emission,
@@ -973,23 +891,29 @@ def budget(
         eta_map=eta_map,
         depth_mm=depth_mm,
         deposits=deposits,
-        run=_run(run, given),
+        run=run,
     )
-    pictures = {"neglected": partial(_drawn, "budget_figures.draw_neglected", found)}
-    return _answer("budget", found, _of_campaign(campaign, pictures))
+    return BudgetResult.of(errors, campaign)
 
 
-#: Choices of a plan, each one of several numbers.
-_OF_PLAN: dict[str, Callable[[str, Any], float]] = {
-    "n_gap": partial(number_of, mend="give a list of indices"),
-    "mountings": partial(whole_of, mend="give whole numbers from 1", least=1),
-    "events": partial(_above_0, kind="number of events"),
-}
-
-
+@_explained
 def plan(
-    campaign: str | Path | Campaign, wanted: float, *, run: Run | None = None, **given: Any
-) -> Answer:
+    campaign: str | Path | Campaign,
+    wanted: Number,
+    *,
+    n_gap: Any = None,
+    mountings: Any = None,
+    events: Any = None,
+    conditions: Conditions | None = None,
+    run: Run | None = None,
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+) -> PlanResult:
     """How to measure for a wanted error of the light yield: couplings, mountings, events.
 
     Parameters
@@ -998,46 +922,61 @@ def plan(
         Its readings, photons per event, tell where it stands.
     wanted : float
         Relative error of the light yield.
-    **given
-        ``n_gap``, ``mountings``, ``events`` and ``conditions`` of `inference.plan.plan`, and
-        fields of the run.
+    n_gap, mountings, events : number or sequence of numbers, optional
+        Couplings that can be measured, mountings of each, and events of each mounting.
+    conditions : inference.plan.Conditions, optional
+        Rates and scatter of the laboratory; by default those of the campaign's histograms.
+    run, photons, precision, seed, threads, variant, progress, check
+        As for `calibrate`.
 
     Returns
     -------
-    Answer
-        With the fields of `inference.plan.Planning`; picture ``plan``.
+    PlanResult
+        With ``cheapest``, ``plans``, ...; picture ``plan``.
 
     Raises
     ------
     InputError
         As for `calibrate`.
     """
-    from mcrim_mitsuba.inference.plan import plan as planned
-    from mcrim_mitsuba.output import describe_campaign
+    from mcrim_mitsuba.inference.plan import plan as plan_measurement
+    from mcrim_mitsuba.output.campaign_results import PlanResult
 
     campaign = _read(campaign)
-    choices = {name: given.pop(name) for name in ("conditions", *_OF_PLAN) if name in given}
-    for name in _OF_PLAN.keys() & choices.keys():
-        several = choices[name] if np.ndim(choices[name]) else [choices[name]]
-        choices[name] = [_OF_PLAN[name](name, value) for value in several]
-    run, wanted = _run(run, given), _above_0("wanted", wanted, "relative error")
-    found = planned(campaign, wanted, run=run, **choices)
-    return Answer(
-        found,
-        describe_campaign.of_plan(found),
-        documents.of_planning(found, run.seed),
-        _of_campaign(campaign, {"plan": partial(_drawn, "budget_figures.draw_plan", found)}),
-    )
+    choices: dict[str, Any] = {
+        name: [read(name, value) for value in (values if np.ndim(values) else [values])]
+        for name, values, read in (
+            ("n_gap", n_gap, functools.partial(number_of, mend="give a list of indices")),
+            (
+                "mountings",
+                mountings,
+                functools.partial(whole_of, mend="give whole numbers from 1", least=1),
+            ),
+            ("events", events, functools.partial(_above_0, kind="number of events")),
+        )
+        if values is not None
+    }
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    wanted = _above_0("wanted", wanted, "relative error")
+    planning = plan_measurement(campaign, wanted, conditions=conditions, run=run, **choices)
+    return PlanResult(**fields_of(planning), title=campaign.title, seed=run.seed)
 
 
+@_explained
 def report(
     campaign: str | Path | Campaign,
     output: str | Path,
     *,
     effects: Sequence[str] | None = None,
     run: Run | None = None,
-    **given: Any,
-) -> Answer:
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
+) -> ReportResult:
     """Diagnose and mend a campaign, and write all that was found as one HTML file.
 
     Parameters
@@ -1046,12 +985,12 @@ def report(
         Ends in ``.html``; replaces only another HTML file.
     effects : sequence of str, optional
         What the campaign is mended with; by default what `repair` adds.
-    run : Run, optional
+    run, photons, precision, seed, threads, variant, progress, check
         As for `diagnose`.
 
     Returns
     -------
-    Answer
+    ReportResult
         With ``path``, and what `repair` gives.
 
     Raises
@@ -1059,7 +998,8 @@ def report(
     InputError
         As for `diagnose`, or if the file cannot be written.
     """
-    from mcrim_mitsuba.output.report import report as reported
+    from mcrim_mitsuba.output.campaign_results import ReportResult
+    from mcrim_mitsuba.output.report import report as write_report
 
-    found = reported(campaign, output, effects=effects, run=_run(run, given))
-    return _answer("report", found)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    return ReportResult.of_report(write_report(campaign, output, effects=effects, run=run))

@@ -113,7 +113,7 @@ class Sections:
             "result": result,
             "efficiencies": self.efficiencies,
             "effects": list(self.effects),
-            "calibration": self.calibration.to_json(),
+            "calibration": self.calibration.numbers(),
             "files": {str(source.path): source.sha256 for source in self.sources},
             "command": self.command,
             "made": self.made.isoformat(timespec="seconds"),
@@ -168,7 +168,7 @@ def _behind_pictures(
     told = {
         # how long it took is in no picture
         "diagnosis": asdict(replace(repaired.diagnosed.diagnosis, seconds=0.0)),
-        "calibration": repaired.calibration.to_json(),
+        "calibration": repaired.calibration.numbers(),
     }
     return {
         "what": "pictures of a report",

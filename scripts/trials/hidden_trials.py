@@ -754,9 +754,8 @@ def diagnose_and_repair(
         rest = {name: effect for name, effect in known.catalogue.items() if name not in without}
         known = replace(known, catalogue=rest)
     found = mcrim.repair(known, photons=photons, threads=threads)
-    seconds = found.diagnosed.provenance.seconds
-    diagnosis = found.diagnosed.diagnosis
-    if (set_aside := diagnosis.set_aside) and diagnosis.verdict != UNEXPLAINED:
+    seconds = found.seconds
+    if (set_aside := found.set_aside) and found.verdict != UNEXPLAINED:
         # larger than usual, as much of what is hidden: somebody looked for it, and it is there
         found = mcrim.repair(known, effect=set_aside, photons=photons, threads=threads)
     return plain(found.document) | {"diagnosis_seconds": seconds}

@@ -6,6 +6,7 @@ import math
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import click
 import findings_by_hand as by
@@ -32,6 +33,8 @@ from mcrim_mitsuba.inference.next_measurements import configuration_words
 from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.repair import Repaired
 from mcrim_mitsuba.output import describe_campaign, description, sentences
+from mcrim_mitsuba.output.campaign_results import DiagnosisResult, HypothesesResult
+from mcrim_mitsuba.output.description import Description
 from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
 from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_hypotheses
 from mcrim_mitsuba.scene.scene_file import read_scene
@@ -81,6 +84,15 @@ def found(monkeypatch):
     # findings made by hand have no model
     monkeypatch.setattr(describe_campaign, "profiles_of", lambda *_: ())
     return results
+
+
+#: Nothing is shown of the campaign itself.
+NO_CAMPAIGN = SimpleNamespace(title="", unit="")
+
+
+def shown_of(diagnosis) -> Description:
+    found = Diagnosed(by.calibration(), diagnosis, by.PROVENANCE)
+    return DiagnosisResult.of(found, NO_CAMPAIGN).description
 
 
 def row_of(out: str, first: str) -> list[str]:
@@ -546,8 +558,7 @@ def test_titles_are_whole_and_within_their_figure(brief):
 
 def test_frames_hold_numbers():
     """Texts are for people: a data frame has values, errors and names with units."""
-    found = Diagnosed(by.calibration(), by.diagnosis("adequate", pairs=(by.PAIR,)), by.PROVENANCE)
-    tables = describe_campaign.of_diagnosis(found).tables
+    tables = shown_of(by.diagnosis("adequate", pairs=(by.PAIR,))).tables
     numbers = [
         "probability",
         "size",
@@ -578,8 +589,8 @@ def test_frames_hold_numbers():
     limits = tables["what the readings allow, 95 % confidence"].frame().set_index("effect")
     assert limits.loc["gap_index", ["lower", "upper"]].tolist() == [-0.02, 0.031]
     assert bool(limits.loc[by.OFF, "excluded"])
-    further = Diagnosed(by.calibration(), by.diagnosis("ambiguous"), by.PROVENANCE)
-    following = describe_campaign.of_diagnosis(further).tables["what to measure next"].frame()
+    further = shown_of(by.diagnosis("ambiguous"))
+    following = further.tables["what to measure next"].frame()
     assert following.loc[0, ["hours", "light_yield_sigma", "probability"]].tolist() == [
         1.0,
         0.083,
@@ -612,7 +623,7 @@ def test_what_matters_is_shown_and_the_rest_is_counted():
     )
     limits = dict.fromkeys((*effects, by.FIRST), by.diagnosis("adequate").upper_limits[by.OFF])
     of_all = by.diagnosis("missing_effect", candidates=many, upper_limits=limits)
-    shown = describe_campaign.of_diagnosis(Diagnosed(by.calibration(), of_all, by.PROVENANCE))
+    shown = shown_of(of_all)
     text = description.text(shown, 100)
     (more,) = {line for line in text.split("\n") if line.startswith("and ")}
     assert more.startswith("and 18 more, less likely than these: the file of --json has all 31")
@@ -674,7 +685,7 @@ def side_by_side() -> HypothesesCompared:
 
 @pytest.mark.parametrize("width", [80, 100, 140])
 def test_hypotheses_fit_a_terminal_and_their_figure(width):
-    shown = describe_campaign.of_hypotheses(side_by_side())
+    shown = HypothesesResult.of(side_by_side(), NO_CAMPAIGN).description
     lines = description.text(shown, width).splitlines()
     tables = [line for line in lines if line[:1] in "┏┃┡│└"]
     assert max(map(len, tables)) <= width

@@ -213,13 +213,13 @@ def test_a_campaign_averages_over_its_light(tenfold, here):
     own, fit = light.at(light.mean_nm), fits["with"]
     # each within 3.5 errors: a right program fails in one run in 700
     for name in ("alpha_scat_per_cm", "alpha_abs_per_cm"):
-        known = fit.found.calibration.parameters[name]
+        known = fit.parameters[name]
         assert abs(known.value - own[name]) < 3.5 * known.sigma, (name, known, own)
-    scale = fit.found.calibration.parameters["scale"]
+    scale = fit.parameters["scale"]
     assert abs(scale.value - 100.0) < 3.5 * scale.sigma
-    assert any("averaged over the light of light.csv" in note for note in fit.described.notes)
+    assert any("averaged over the light of light.csv" in note for note in fit.description.notes)
     # one wavelength fits as well, with another absorption
-    absorption = [fits[n].found.calibration.parameters["alpha_abs_per_cm"] for n in fits]
+    absorption = [fits[n].parameters["alpha_abs_per_cm"] for n in fits]
     assert absorption[1].value > absorption[0].value + absorption[0].sigma
     (here / "flat.csv").write_text("wavelength_nm,emission (photons/nm)\n400,0.1\n500,1\n600,0.1\n")
     text = CAMPAIGN.format(scene=BENCH.as_posix(), spectrum='spectrum = "flat.csv"')

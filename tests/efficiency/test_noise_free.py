@@ -28,7 +28,7 @@ def test_a_table_lies_over_its_axes():
         gap_mm=[0.02, 0.05],
         alpha_scat_per_cm=[0.1, 0.5, 1.0],
         alpha_abs_per_cm=[0.01, 0.1],
-    ).found
+    )
     assert made.eta.shape == (2, 2, 3)
     assert list(made.axes) == ["gap_mm", "alpha_abs_per_cm", "alpha_scat_per_cm"]
     own = solve_box(Bench(gap_mm=0.02), 0.5, 0.1)
@@ -47,7 +47,7 @@ def test_progress_is_told_bench_by_bench():
 
 
 def test_one_point_is_a_table_too():
-    made = mcrim.table(SCENE, method="modes", n_gap=[1.0]).found
+    made = mcrim.table(SCENE, method="modes", n_gap=[1.0])
     assert made.eta.shape == (1,)
     assert made.eta[0] == pytest.approx(float(solve_box(Bench()).eta), rel=1e-12)
 
@@ -59,9 +59,7 @@ def test_a_precision_is_enough_or_is_said_to_be_too_much():
     assert abs(found.eta - exact.eta) < found.eta_sigma
     assert "comes to" not in str(found)
     # a bench that few nodes do not do: it gets all
-    made = mcrim.table(
-        SCENE, method="modes", n_gap=[1.0, 1.74], n_crystal=2.2, precision=5e-4
-    ).found
+    made = mcrim.table(SCENE, method="modes", n_gap=[1.0, 1.74], n_crystal=2.2, precision=5e-4)
     assert (made.eta_sigma < 5e-4 * made.eta).all()
     too_much = mcrim.simulate(SCENE, method="modes", precision=1e-6)
     assert "the precision asked for is 0.0001 %; this method comes to 0.00" in str(too_much)

@@ -436,7 +436,7 @@ def test_the_article_s_campaign(campaign):
 
 def test_json_has_the_names_that_scripts_rely_on(campaign):
     result = fit_campaign(campaign(ALPHA + PRIOR + YIELD), couplings(0.002))
-    content = json.loads(json.dumps(result.to_json(), allow_nan=False))
+    content = json.loads(json.dumps(result.numbers(), allow_nan=False))
     assert {"parameters", "chi2", "ndf", "p_value", "rows"} <= set(content)
     for estimate in content["parameters"].values():
         assert {"value", "sigma", "lower", "upper", "contributions"} <= set(estimate)

@@ -144,7 +144,7 @@ def test_any_parameter_is_an_axis():
     labels = [line.get_label() for line in table.plot().axes[0].containers]
     assert labels[0] == "gap 0.02 mm, gap index 1"
     # the error beside its value, rounded by it; numbers keep columns of their own
-    (shown,) = table.described.tables.values()
+    (shown,) = table.description.tables.values()
     assert [column.title for column in shown.columns] == [*axes, "eta"]
     first = table.rows[0]
     assert shown.rows[0].cells[-1].text == pdg(first["eta"], first["eta_sigma"])

@@ -146,7 +146,7 @@ def test_a_default_that_nothing_uses_is_a_warning(tmp_path):
     path.write_text(BENCH.replace("<default", '<default name="spare" value="3"/>\n  <default', 1))
     said = f"spare of scene.xml, line {BENCH[: BENCH.index('<default')].count(chr(10)) + 1}, is"
     report = mcrim.check(path)
-    assert report.ok and [note.startswith(said) for note in report.described.notes] == [True]
+    assert report.ok and [note.startswith(said) for note in report.description.notes] == [True]
     found = mcrim.simulate(path, photons=1)
     assert sum(note.startswith(said) for note in found.document["notes"]) == 1
     # what would change nothing is still refused

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import click
 
-import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
 from mcrim_mitsuba.core.errors import InputError, closest, placed
 from mcrim_mitsuba.core.files import (
@@ -20,6 +19,7 @@ from mcrim_mitsuba.core.files import (
 )
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.output.describe_laboratory import of_peaks
+from mcrim_mitsuba.output.registry import VerbResult
 
 _SHAPES = ("auto", "counting", "gaussian")
 
@@ -139,9 +139,13 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
         document["widths"] = [
             {"histogram": name, **asdict(one)} for name, parts in widths.items() for one in parts
         ]
-    described = of_peaks(fitted, combined, notes, widths)
-    answer = mcrim.Answer(fitted, described, document, pictures)
-    showing.answer(answer, json_file, figure)
+    result = VerbResult(
+        kind="peaks",
+        shown=of_peaks(fitted, combined, notes, widths),
+        numbers=document,
+        drawings=pictures,
+    )
+    showing.answer(result, json_file, figure)
     if without:
         raise InputError(
             "no peak stands out",
@@ -334,6 +338,8 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
     terminal.write_json(
         json_file,
         {
+            "kind": "histogram",
+            "version": 1,
             **attributes(
                 made,
                 "mean_photons peak_events intrinsic_spread dark_photons pedestal_events "

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import click
 
-import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.cli.options import NumberWithError, WithError
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes
+from mcrim_mitsuba.laboratory.error_budget import ErrorBudget
 from mcrim_mitsuba.output import describe_laboratory
-from mcrim_mitsuba.output.documents import of_contributions
+from mcrim_mitsuba.output.registry import VerbResult
 
 
 @click.command("yield", short_help="Light yield by Eq. 2, with its error budget.")
@@ -108,19 +108,19 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
                 "eta_sigma": eta[1],
                 "weight": weight,
                 **_yield_json(found),
-                "budget": of_contributions(budgets[label]),
+                "budget": _budget_json(budgets[label]),
             }
             for (label, (signal, eta, found)), weight in zip(
                 couplings.items(), together.weights, strict=True
             )
         ],
         **_yield_json(together.mean),
-        "budget": of_contributions(list(budgets.values())[-1]),
+        "budget": _budget_json(list(budgets.values())[-1]),
         **attributes(together, "chi2 ndf p_value"),
         "notes": notes,
     }
-    described = describe_laboratory.of_yields(couplings, together, budgets, notes)
-    showing.answer(mcrim.Answer(together, described, document), json_file)
+    shown = describe_laboratory.of_yields(couplings, together, budgets, notes)
+    showing.answer(VerbResult(kind="light_yield", shown=shown, numbers=document), json_file)
 
 
 def _labels(signals, etas, labels: tuple[str, ...]) -> tuple[str, ...]:
@@ -137,6 +137,15 @@ def _labels(signals, etas, labels: tuple[str, ...]) -> tuple[str, ...]:
     if twice is not None:
         raise InputError(f"--label {twice} is given twice", "give every coupling its own")
     return labels
+
+
+def _budget_json(budget: ErrorBudget) -> dict:
+    """A budget of one value, relative errors without their signs."""
+    parts = [
+        vars(part) | {"relative": abs(part.relative), "share_of_variance": budget.share(part)}
+        for part in budget.contributions
+    ]
+    return {"contributions": parts, **attributes(budget, "statistical systematic total")}
 
 
 def _yield_json(known) -> dict:
@@ -174,10 +183,11 @@ def relative(file, json_file) -> None:
         **_yield_json(found.light_yield),
         "sigma_ignoring_shared": found.uncorrelated.sigma,
         "shared": read.shared,
-        "budget": of_contributions(budgets["Y"]),
-        "budget_ignoring_shared": of_contributions(budgets["nothing shared"]),
+        "budget": _budget_json(budgets["Y"]),
+        "budget_ignoring_shared": _budget_json(budgets["nothing shared"]),
         "equal_collection_ph_per_keV": found.equal_collection,
         "signals_alone_ph_per_keV": found.signals_alone,
     }
-    described = describe_laboratory.of_relative(read, found, budgets)
-    showing.answer(mcrim.Answer(found, described, document), json_file)
+    shown = describe_laboratory.of_relative(read, found, budgets)
+    result = VerbResult(kind="relative_yield", shown=shown, numbers=document)
+    showing.answer(result, json_file)

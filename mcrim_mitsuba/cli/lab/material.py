@@ -7,7 +7,6 @@ from pathlib import Path
 
 import click
 
-import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing
 from mcrim_mitsuba.cli.options import Share, parse_share
 from mcrim_mitsuba.core.errors import InputError
@@ -15,6 +14,7 @@ from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.output import describe_laboratory
+from mcrim_mitsuba.output.registry import VerbResult
 from mcrim_mitsuba.scene.values import SEPARATOR, material_at
 
 
@@ -63,9 +63,13 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
 
         return draw_efficiency(light, curve, found)
 
-    described = describe_laboratory.of_efficiency(found, notes)
-    answer = mcrim.Answer(found, described, document, {"efficiency": drawn})
-    showing.answer(answer, json_file, figure)
+    result = VerbResult(
+        kind="detector_efficiency",
+        shown=describe_laboratory.of_efficiency(found, notes),
+        numbers=document,
+        drawings={"efficiency": drawn},
+    )
+    showing.answer(result, json_file, figure)
 
 
 _NUMBER_LIKE = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)?\s*%?", re.IGNORECASE)
@@ -217,9 +221,13 @@ def absorption(
             f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
         )
     )
-    described = describe_laboratory.of_absorption(found, transmittance, beside, notes)
-    answer = mcrim.Answer(found, described, document, {"absorption": drawn})
-    showing.answer(answer, json_file, figure)
+    result = VerbResult(
+        kind="absorption",
+        shown=describe_laboratory.of_absorption(found, transmittance, beside, notes),
+        numbers=document,
+        drawings={"absorption": drawn},
+    )
+    showing.answer(result, json_file, figure)
 
 
 def _index(text: str, light, wavelength_nm: float | None):
@@ -305,7 +313,7 @@ def _as_in_scenes(
     return (known.name, None, where) if isinstance(where, str) else (known.name, where, None)
 
 
-def _catalogue(wavelength_nm: float) -> mcrim.Answer:
+def _catalogue(wavelength_nm: float) -> VerbResult:
     from mcrim_mitsuba.optics.materials import MATERIALS
 
     indices = {
@@ -316,11 +324,11 @@ def _catalogue(wavelength_nm: float) -> mcrim.Answer:
         "wavelength_nm": wavelength_nm,
         "materials": [{**_json(each), "n": n} for each, n in indices.items()],
     }
-    described = describe_laboratory.of_materials(indices, wavelength_nm)
-    return mcrim.Answer(indices, described, document)
+    shown = describe_laboratory.of_materials(indices, wavelength_nm)
+    return VerbResult(kind="materials", shown=shown, numbers=document)
 
 
-def _at(name: str, wavelength_nm: float) -> mcrim.Answer:
+def _at(name: str, wavelength_nm: float) -> VerbResult:
     """The index at one wavelength."""
     from mcrim_mitsuba.optics.materials import material
 
@@ -338,11 +346,11 @@ def _at(name: str, wavelength_nm: float) -> mcrim.Answer:
     }
     said = [f"n = {n:.5f} ± {known.sigma:g} at {wavelength_nm:g} nm"]
     scene = f'in a scene: value="{known.name}@{wavelength_nm:g}nm"'
-    described = describe_laboratory.of_index(known, said, ordinary, difference, scene)
-    return mcrim.Answer(n, described, document)
+    shown = describe_laboratory.of_index(known, said, ordinary, difference, scene)
+    return VerbResult(kind="index", shown=shown, numbers=document)
 
 
-def _over(name: str, emission: str) -> mcrim.Answer:
+def _over(name: str, emission: str) -> VerbResult:
     """The index over an emission spectrum."""
     from mcrim_mitsuba.optics.emission_band import index_over
     from mcrim_mitsuba.optics.spectrum_file import read_spectrum
@@ -370,10 +378,10 @@ def _over(name: str, emission: str) -> mcrim.Answer:
         f"{band.mean_wavelength_nm:.1f} nm",
     ]
     scene = f'in a scene in its folder: value="{known.name}@{Path(emission).name}"'
-    described = describe_laboratory.of_index(
+    shown = describe_laboratory.of_index(
         known, said, band.ordinary_mean, band.birefringence, scene, notes
     )
-    return mcrim.Answer(band, described, document)
+    return VerbResult(kind="index", shown=shown, numbers=document)
 
 
 def _json(known) -> dict:
@@ -434,5 +442,5 @@ def gammas(formula, energy_keV, density, json_file) -> None:
         "stopped": [{"depth_mm": depth, "share": share} for depth, share in stopped.items()],
         "source": SOURCE,
     }
-    described = describe_laboratory.of_gammas(found, parts, stopped)
-    showing.answer(mcrim.Answer(found, described, document), json_file)
+    shown = describe_laboratory.of_gammas(found, parts, stopped)
+    showing.answer(VerbResult(kind="gammas", shown=shown, numbers=document), json_file)

@@ -1,0 +1,444 @@
+"""What the public functions on campaigns give: typed results, see `registry.Result`.
+
+Each is what a function of `inference` found, with what is needed to show it; `of` makes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.editor import to_json
+from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.campaign.reduction import RawData
+from mcrim_mitsuba.core.files import attributes
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, unit_of
+from mcrim_mitsuba.core.run import Provenance
+from mcrim_mitsuba.inference.budget import Budget
+from mcrim_mitsuba.inference.calibrate import CampaignResult, Spent
+from mcrim_mitsuba.inference.compare import Compared, Comparison
+from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.hypotheses import HypothesesCompared, SideBySide
+from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel
+from mcrim_mitsuba.inference.plan import ExpectedError, Plan, Planning
+from mcrim_mitsuba.inference.profiles import Profile, profiles_of
+from mcrim_mitsuba.inference.repair import Repaired
+from mcrim_mitsuba.output import sentences
+from mcrim_mitsuba.output.registry import Document, Result, fields_of
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.inference.estimates import FittedRow
+    from mcrim_mitsuba.output.report import Reported
+    from mcrim_mitsuba.output.report_sections import Sections
+
+
+@dataclass(frozen=True, repr=False)
+class FittedParameter(ParameterEstimate):
+    """A fitted parameter with its errors, which says its unit: ``7.5 ± 0.8 ph/keV``."""
+
+    name: str = field(kw_only=True)
+
+    def __float__(self) -> float:
+        return self.value
+
+    def __str__(self) -> str:
+        unit = "ph/keV" if self.name == LIGHT_YIELD else unit_of(self.name)
+        return " ".join(filter(None, (sentences.estimate_text(self), unit)))
+
+    def __repr__(self) -> str:
+        return f"<{self.name} = {self}>"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class CampaignShown(Result):
+    """What all results on campaigns have."""
+
+    #: Of the campaign, for figures; and the unit of its signals, empty where it is not known.
+    title: str
+    unit: str
+    #: Of all simulations.
+    provenance: Provenance
+    #: What the reader must know before using the numbers.
+    notes: tuple[str, ...]
+
+    @property
+    def heading(self) -> str:
+        """Of its figures."""
+        return self.title
+
+    @property
+    def photons(self) -> int:
+        """That the result rests on."""
+        return self.provenance.photons
+
+    @property
+    def cached_photons(self) -> int:
+        """Those of them that the cache had."""
+        return self.provenance.cached_photons
+
+    @property
+    def seed(self) -> int:
+        """Of the random numbers."""
+        return self.provenance.seed
+
+    @property
+    def scene_hash(self) -> str:
+        """SHA-256 of the scene after substitution."""
+        return self.provenance.scene_hash
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """Of all software that the result depends on, by name."""
+        return self.provenance.versions
+
+
+_PARAMETERS = (LIGHT_YIELD, ALPHA_SCAT, ALPHA_ABS, SCALE)
+
+
+class FittedResult(CampaignShown):
+    """A result with fitted parameters, each of which is an attribute too.
+
+    Where a campaign does not fit one of them, asking for it is an AttributeError.
+    """
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> FittedParameter:
+            return self._fitted(name)
+
+    def __dir__(self) -> list[str]:
+        absent = set(_PARAMETERS) - set(self.__dict__.get("parameters", {}))
+        return sorted(set(super().__dir__()) - absent)
+
+    def _fitted(self, name: str) -> FittedParameter:
+        # not while it is copied or unpickled
+        parameters = self.__dict__.get("parameters", {})
+        if name in parameters:
+            return FittedParameter(**fields_of(parameters[name]), name=name)
+        hint = f"; it has fitted {', '.join(parameters)}" if name in _PARAMETERS else ""
+        raise AttributeError(f"{type(self).__name__} has no {name}{hint}")
+
+    @property
+    def light_yield_ph_per_keV(self) -> FittedParameter:
+        """Absolute light yield, photons per keV, where the campaign says how to get it."""
+        return self._fitted(LIGHT_YIELD)
+
+    @property
+    def alpha_scat_per_cm(self) -> FittedParameter:
+        """Scattering coefficient of the crystal, 1/cm."""
+        return self._fitted(ALPHA_SCAT)
+
+    @property
+    def alpha_abs_per_cm(self) -> FittedParameter:
+        """Absorption coefficient of the crystal, 1/cm."""
+        return self._fitted(ALPHA_ABS)
+
+    @property
+    def scale(self) -> FittedParameter:
+        """Signal per light collection efficiency."""
+        return self._fitted(SCALE)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class FitResult(FittedResult, Calibration):
+    """A fitted campaign: parameters with all their errors, readings beside predictions."""
+
+    #: The one that was fitted.
+    model: CampaignModel | ResponseModel
+    #: Per configuration, the first look left out; none of a campaign with effects.
+    spent: tuple[Spent, ...]
+    #: Wall time.
+    seconds: float
+
+    @classmethod
+    def of(cls, found: CampaignResult, campaign: Campaign, seconds: float) -> Self:
+        """The result of a calibration."""
+        fit, provenance = fields_of(found.calibration), found.provenance
+        return cls(
+            **fit | {"notes": (*fit["notes"], *provenance.notes)},
+            title=campaign.title,
+            unit=campaign.unit,
+            provenance=provenance,
+            model=found.model,
+            spent=found.spent,
+            seconds=seconds,
+        )
+
+    @cached_property
+    def profiles(self) -> tuple[Profile, ...]:
+        """How chi2 rises along every free parameter and the light yield."""
+        return profiles_of(self.model, self)
+
+    def numbers(self) -> dict[str, Any]:
+        """As `Calibration.numbers`, with the ends of the 95 % intervals."""
+        document = super().numbers()
+        for profile in self.profiles:
+            ends = zip(("lower_95", "upper_95"), profile.interval_95, strict=True)
+            document["parameters"][profile.name] |= dict(ends)
+        return document
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CheckedFit(Comparison, Calibration):
+    """A fitted campaign, and where its model fails."""
+
+    @classmethod
+    def joined(cls, comparison: Comparison, fit: Calibration, **further: Any) -> Self:
+        """Both in one; `further` are fields of a subclass, and such as differ."""
+        # parameters of the fit have intervals
+        both = fields_of(fit) | fields_of(comparison) | {"parameters": fit.parameters}
+        return cls(**both | further)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ComparisonResult(FittedResult, CheckedFit):
+    """A campaign beside its model: pulls, suspect readings, trends."""
+
+    @classmethod
+    def of(cls, found: Compared, campaign: Campaign) -> Self:
+        """The result of a comparison."""
+        provenance = found.provenance
+        return cls.joined(
+            found.comparison,
+            found.calibration,
+            notes=(*found.calibration.notes, *provenance.notes),
+            title=campaign.title,
+            unit=campaign.unit,
+            provenance=provenance,
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class HypothesesResult(CampaignShown, SideBySide):
+    """Hypotheses on the same readings side by side."""
+
+    #: Hashes of the scenes by hypothesis.
+    scenes: dict[str, str]
+
+    @classmethod
+    def of(cls, found: HypothesesCompared, campaign: Campaign) -> Self:
+        """The result of a comparison of several campaigns, the first of which gives the title."""
+        return cls(
+            **fields_of(found.comparison),
+            title=campaign.title,
+            unit=campaign.unit,
+            provenance=found.provenance,
+            scenes=found.scenes,
+            notes=found.provenance.notes,
+        )
+
+    @property
+    def hypotheses_with_scenes(self) -> list[dict[str, Any]]:
+        """Fields of the hypotheses, and the hashes of their scenes."""
+        return [
+            {**fields_of(hypothesis), "scene_hash": self.scenes[hypothesis.name]}
+            for hypothesis in self.hypotheses
+        ]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class DiagnosisResult(CampaignShown, Diagnosis):
+    """Which effects of the catalogue explain a campaign's misfit."""
+
+    #: The campaign as it is.
+    baseline: CheckedFit
+
+    @classmethod
+    def of(cls, found: Diagnosed, campaign: Campaign) -> Self:
+        """The result of a diagnosis."""
+        return cls(
+            **_diagnosis_fields(found),
+            title=campaign.title,
+            unit=campaign.unit,
+            provenance=found.provenance,
+            notes=(*found.baseline.notes, *found.provenance.notes),
+        )
+
+
+def _diagnosis_fields(found: Diagnosed) -> dict[str, Any]:
+    diagnosis = found.diagnosis
+    baseline = CheckedFit.joined(diagnosis.baseline, found.baseline)
+    return fields_of(diagnosis) | {"baseline": baseline}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class RepairResult(FittedResult, Diagnosis):
+    """A mended campaign: what was added, its fit, and the diagnosis before."""
+
+    #: The campaign as it came.
+    baseline: CheckedFit
+    #: Effects that were added; none where the campaign was adequate or nothing explains it.
+    effects: tuple[str, ...]
+    #: Of the mended campaign, its effects simulated together where the fit ends.
+    calibration: Calibration
+    #: Those of `calibration`.
+    parameters: Mapping[str, ParameterEstimate]
+    #: The one that `calibration` is the fit of.
+    model: ResponseModel
+    #: What was written; None where nothing was added.
+    campaign_path: Path | None
+    scene_path: Path | None
+    #: Why nothing was added although the verdict names an effect: what is not determined with it.
+    undetermined: str
+
+    @classmethod
+    def of(cls, found: Repaired, campaign: Campaign, **further: Any) -> Self:
+        """The result of a repair; `further` are fields of a subclass, and such as differ."""
+        fit = found.calibration
+        own = "effects calibration model campaign_path scene_path undetermined provenance"
+        return cls(
+            **_diagnosis_fields(found.diagnosed)
+            | attributes(found, own)
+            | {
+                "parameters": fit.parameters,
+                "title": campaign.title,
+                "unit": campaign.unit,
+                "notes": (*fit.notes, *found.provenance.notes),
+            }
+            | further
+        )
+
+    @property
+    def mended_fit(self) -> Calibration | None:
+        """The fit with the effects that were added; None where none was."""
+        return self.calibration if self.effects else None
+
+    @property
+    def added(self) -> str:
+        """The effects that were added, in words."""
+        return sentences.in_words(self, self.effects) if self.effects else ""
+
+    @property
+    def chi2(self) -> float:
+        """Of the fit of the mended campaign."""
+        return self.calibration.chi2
+
+    @property
+    def ndf(self) -> int:
+        """Of the fit of the mended campaign."""
+        return self.calibration.ndf
+
+    @property
+    def p_value(self) -> float | None:
+        """Of the fit of the mended campaign."""
+        return self.calibration.p_value
+
+    @property
+    def rows(self) -> tuple[FittedRow, ...]:
+        """Readings beside the predictions of the mended campaign."""
+        return self.calibration.rows
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ReportResult(RepairResult):
+    """A report that was written, and the repair that it tells."""
+
+    path: Path
+    #: What it tells.
+    sections: Sections
+
+    @classmethod
+    def of_report(cls, found: Reported) -> Self:
+        """The result of a report."""
+        repaired = found.sections.repaired
+        notes = (*repaired.calibration.notes, *found.provenance.notes)
+        return cls.of(
+            repaired,
+            found.sections.campaign,
+            path=found.path,
+            sections=found.sections,
+            provenance=found.provenance,
+            notes=tuple(dict.fromkeys(notes)),
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class BudgetResult(CampaignShown, Budget):
+    """Where all errors of a campaign come from, and what its model leaves out."""
+
+    @classmethod
+    def of(cls, found: Budget, campaign: Campaign) -> Self:
+        """The result of a budget."""
+        return cls(
+            **fields_of(found),
+            title=campaign.title,
+            unit=campaign.unit,
+            notes=(*found.calibration.notes, *found.provenance.notes),
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ReductionResult(Result, RawData):
+    """A campaign's raw data, reduced."""
+
+    title: str
+    campaign_path: Path
+    #: Where the campaign was written in plain numbers; None where it was not.
+    plain_path: str | Path | None
+
+    @property
+    def heading(self) -> str:
+        """Of its figures."""
+        return self.title
+
+    @property
+    def pictures(self) -> tuple[str, ...]:
+        """Names of its figures: its `kinds`."""
+        return self.kinds
+
+    @property
+    def steps(self) -> dict[str, Any]:
+        """Every step from raw data to numbers."""
+        return to_json(self)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class PlanResult(Result, Planning):
+    """How to measure for a wanted error of the light yield."""
+
+    title: str
+    seed: int
+
+    @property
+    def heading(self) -> str:
+        """Of its figures."""
+        return self.title
+
+    def numbers(self) -> Document:
+        """Plans with the parameters of their configurations, and what they rest on."""
+        return {
+            "wanted": self.wanted,
+            "reached": self.cheapest is not None,
+            "cheapest": self._plan(self.cheapest),
+            "cheapest_statistical": self._plan(self.cheapest_statistical),
+            "verdict": sentences.verdict(self),
+            **attributes(self, "conditions candidates"),
+            "floors": [
+                {"configurations": chosen, **_expected(error)}
+                for chosen, error in self.floors.items()
+            ],
+            "undetermined": self.undetermined,
+            "plans": list(map(self._plan, self.plans)),
+            **attributes(self, "solution seed notes"),
+        }
+
+    def _plan(self, plan: Plan | None) -> Document | None:
+        if plan is None:
+            return None
+        return {
+            "configurations": [self.candidates[i].parameters for i in plan.configurations],
+            **attributes(plan, "mountings events hours"),
+            "light_yield": _expected(plan.light_yield),
+            "alpha_scat": None if plan.alpha_scat is None else _expected(plan.alpha_scat),
+        }
+
+
+def _expected(error: ExpectedError) -> Document:
+    """Relative errors."""
+    return attributes(error, "statistical systematic total parts")

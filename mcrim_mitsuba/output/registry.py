@@ -1,0 +1,437 @@
+"""One registry of results: how each type is described, drawn and written; and the ways to show it.
+
+`Result` is what every public function returns a subclass of (`scene_results`,
+`campaign_results`); `PRESENTERS` says of each subclass its ``kind``, the names that ``--json``
+writes, and which functions of this room describe and draw it. These functions are imported when
+they are used: what draws takes a quarter of a second, sentences on campaigns half of one.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from operator import attrgetter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import json_text, plain, write_text
+from mcrim_mitsuba.output import description as showing
+from mcrim_mitsuba.output.description import Description
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
+
+    from mcrim_mitsuba.output.figure_style import Drawing
+
+Document = dict[str, Any]
+
+_PROVENANCE = "seed photons cached_photons scene_hash versions"
+_DIAGNOSIS = (
+    "verdict reason baseline candidates pairs leading leading_sets upper_limits suspect_readings "
+    "repair next_measurements not_tried probabilities light_yield_averaged "
+    "seconds=provenance.seconds families "
+    "set_aside titles unsettled"
+)
+_CHECKED = (
+    "parameters chi2 ndf p_value expected_chi2 rms_pull left_out_error rows left_out_pulls "
+    "suspects trends absorbed **numbers"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Presenter:
+    """How results of one type are described, drawn and written; functions take the result."""
+
+    #: What a document of it says that it is, and the version of its names.
+    kind: str
+    version: int = 1
+    #: Names that ``--json`` writes, in this order: an attribute of the result, ``NAME=ATTRIBUTE``
+    #: under another name, or ``**NAME``, a mapping or a method that gives one, whose items are
+    #: written one by one. A name that is there already keeps its place.
+    names: str
+    #: Makes its `description.Description`.
+    describe: Callable[[Any], Description]
+    #: What draws it, by the name of the picture.
+    figures: Mapping[str, Callable[[Any], Drawing | Figure]] = field(default_factory=dict)
+
+
+class _Later:
+    """A module of this room, imported when a function of it is asked for."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, function: str) -> Any:
+        return getattr(importlib.import_module(f"mcrim_mitsuba.output.{self._name}"), function)
+
+
+budget_figures = _Later("budget_figures")
+cross_section = _Later("cross_section")
+describe_campaign = _Later("describe_campaign")
+describe_laboratory = _Later("describe_laboratory")
+describe_scene = _Later("describe_scene")
+diagnosis_figures = _Later("diagnosis_figures")
+fit_figures = _Later("fit_figures")
+laboratory_figures = _Later("laboratory_figures")
+light_figures = _Later("light_figures")
+
+
+PRESENTERS = {
+    "LightResult": Presenter(
+        kind="simulation",
+        describe=lambda light: describe_scene.of_simulation(light),
+        figures={
+            "arrival": lambda light: light_figures.draw_arrival(light.lights),
+            "fates": lambda light: light_figures.draw_fates(light.lights),
+        },
+        names="eta eta_sigma photons cached_photons seed seconds photons_per_second budget "
+        "budget_sigma parameters versions scene_hash polarization transport "
+        "photons_requested=requested interrupted notes",
+    ),
+    "MapResult": Presenter(
+        kind="map",
+        describe=lambda eta_map: describe_scene.of_map(eta_map),
+        figures={"map": lambda eta_map: light_figures.draw_map(eta_map, eta_map.gamma_spreads)},
+        names="spreads=gamma_spreads cells=eta.shape photons seed parameters scene_hash",
+    ),
+    "SpectrumResult": Presenter(
+        kind="spectrum",
+        describe=lambda spectrum: describe_scene.of_spectrum(spectrum),
+        figures={"spectrum": lambda spectrum: light_figures.draw_spectrum(spectrum)},
+        names="eta_emitted eta_emitted_sigma eta_detected eta_detected_sigma efficiency_emitted "
+        "efficiency_arriving efficiency_arriving_sigma eta_at_mean eta_at_mean_sigma "
+        "one_wavelength_off one_wavelength_off_sigma interpolation_error nodes_nm photons "
+        "cached_photons seed parameters scene_hash mean_wavelength_nm=light.mean_nm wavelengths",
+    ),
+    "TimesResult": Presenter(
+        kind="times",
+        describe=lambda times: describe_scene.of_times(times),
+        figures={"times": lambda times: light_figures.draw_times(times)},
+        names="mean_ps mean_ps_sigma rms_ps rms_ps_sigma begin_ps begin_ps_sigma rise_ps "
+        "rise_ps_sigma decay_ns detected first parts photons seed parameters scene_hash notes",
+    ),
+    "TableResult": Presenter(
+        kind="table",
+        describe=lambda table: describe_scene.of_table(table),
+        figures={"eta": lambda table: light_figures.draw_table(table)},
+        names="rows photons cached_photons seed seconds parameters scene_hash notes",
+    ),
+    "CheckResult": Presenter(
+        kind="check",
+        describe=lambda check: describe_scene.of_check(check),
+        figures={
+            "cross_section": lambda check: cross_section.cross_section_figure(
+                check.simulation, check.interfaces
+            )
+        },
+        names="ok problems parameters interfaces words notes",
+    ),
+    "CrosscheckResult": Presenter(
+        kind="crosscheck",
+        describe=lambda crosscheck: describe_scene.of_crosscheck(crosscheck),
+        names="rows family_p_value agrees photons seed",
+    ),
+    "ReductionResult": Presenter(
+        kind="reduction",
+        describe=lambda raw: describe_laboratory.of_reduction(raw),
+        figures={
+            "histograms": lambda raw: laboratory_figures.draw_raw_data(raw, "histograms"),
+            "spectra": lambda raw: laboratory_figures.draw_raw_data(raw, "spectra"),
+            "transmittance": lambda raw: laboratory_figures.draw_raw_data(raw, "transmittance"),
+        },
+        names="campaign=campaign_path **steps plain_campaign=plain_path",
+    ),
+    "FitResult": Presenter(
+        kind="fit",
+        describe=lambda fit: describe_campaign.of_fit(fit),
+        figures={
+            "readings": lambda fit: fit_figures.draw_comparison(fit, unit=fit.unit),
+            "profiles": lambda fit: fit_figures.draw_profiles(fit.profiles),
+            "budget": lambda fit: budget_figures.draw_budget(fit),
+        },
+        names="**numbers seconds photons spent seed scene_hash versions",
+    ),
+    "ComparisonResult": Presenter(
+        kind="comparison",
+        describe=lambda comparison: describe_campaign.of_comparison(comparison),
+        figures={
+            "readings": lambda comparison: fit_figures.draw_comparison(
+                comparison, unit=comparison.unit
+            )
+        },
+        names=f"{_CHECKED} {_PROVENANCE} seconds=provenance.seconds",
+    ),
+    "HypothesesResult": Presenter(
+        kind="hypotheses",
+        describe=lambda hypotheses: describe_campaign.of_hypotheses(hypotheses),
+        figures={"pulls": lambda hypotheses: fit_figures.draw_hypotheses(hypotheses)},
+        names="verdict reason leading hypotheses=hypotheses_with_scenes apart seed photons "
+        "cached_photons scene_hash=scenes versions seconds=provenance.seconds notes",
+    ),
+    "DiagnosisResult": Presenter(
+        kind="diagnosis",
+        describe=lambda diagnosis: describe_campaign.of_diagnosis(diagnosis),
+        figures={"ranking": lambda diagnosis: diagnosis_figures.draw_ranking(diagnosis)},
+        names=f"{_DIAGNOSIS} {_PROVENANCE} notes",
+    ),
+    "RepairResult": Presenter(
+        kind="repair",
+        describe=lambda repair: describe_campaign.of_repair(repair),
+        figures={
+            "staircase": lambda repair: diagnosis_figures.draw_staircase(
+                repair.repair, repair.mended_fit
+            ),
+            "readings": lambda repair: fit_figures.draw_comparison(
+                repair.baseline, repair.mended_fit, added=repair.added, unit=repair.unit
+            ),
+        },
+        names=f"{_DIAGNOSIS} effects calibration undetermined campaign=campaign_path "
+        f"scene=scene_path {_PROVENANCE} notes",
+    ),
+    "ReportResult": Presenter(
+        kind="report",
+        describe=lambda report: describe_campaign.of_report(report),
+        names=f"{_DIAGNOSIS} **sections.numbers report=path {_PROVENANCE} notes",
+    ),
+    "BudgetResult": Presenter(
+        kind="budget",
+        describe=lambda budget: describe_campaign.of_budget(budget),
+        figures={"neglected": lambda budget: budget_figures.draw_neglected(budget)},
+        names=f"**numbers {_PROVENANCE} seconds=provenance.seconds notes",
+    ),
+    "PlanResult": Presenter(
+        kind="plan",
+        describe=lambda plan: describe_campaign.of_plan(plan),
+        figures={"plan": lambda plan: budget_figures.draw_plan(plan)},
+        names="**numbers",
+    ),
+}
+
+#: What is written of what results hold, by type; of others all fields are.
+_PARTS = {
+    "Calibration": "**numbers",
+    "CheckedFit": _CHECKED,
+    "Spread": "source eta eta_sigma relative_rms relative_rms_sigma fwhm",
+    "SceneProblem": "kind text mend file=path line column",
+    "Interface": "surface kind interior exterior n_interior n_exterior file=path line",
+}
+
+
+def encoded(value: object) -> Any:
+    """What ``--json`` writes of a value: results and what they hold by their `names`.
+
+    Other dataclasses are written with all fields, everything else as `core.files.plain` does.
+    """
+    if isinstance(value, Mapping):
+        return {name: encoded(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [encoded(item) for item in value]
+    name = type(value).__name__
+    names = PRESENTERS[name].names if name in PRESENTERS else _PARTS.get(name)
+    if names is None:
+        parts = getattr(value, "__dataclass_fields__", {})
+        return {part: encoded(getattr(value, part)) for part in parts} if parts else value
+    document: Document = {}
+    for entry in names.split():
+        key, _, attribute = entry.partition("=")
+        item = attrgetter((attribute or key).removeprefix("**"))(value)
+        item = encoded(item() if callable(item) else item)
+        document |= item if key.startswith("**") else {key: item}
+    return document
+
+
+def fields_of(value: Any) -> dict[str, Any]:
+    """The fields of a dataclass by name, to make one of a type that has these and more."""
+    return {part.name: getattr(value, part.name) for part in fields(value) if part.init}
+
+
+class Result:
+    """What a public function gives: numbers as fields, and every way to show them.
+
+    ``print(result)`` shows what the command shows, a notebook the same as tables.
+    """
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """A parameter of the scene, or a fitted one, by its name."""
+            # not while it is copied or unpickled
+            parameters = self.__dict__.get("parameters", {}) if name[0] != "_" else {}
+            if name in parameters:
+                return parameters[name]
+            raise AttributeError(f"{type(self).__name__} has no {name}")
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *self.__dict__.get("parameters", {})})
+
+    def __str__(self) -> str:
+        return showing.text(self.description)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.description.title}; print it to read it>"
+
+    def _repr_html_(self) -> str:
+        return str(showing.html(self.description))
+
+    @property
+    def description(self) -> Description:
+        """How it is shown: tables, sentences, notes."""
+        return self._presenter.describe(self)
+
+    @property
+    def document(self) -> Document:
+        """As ``--json`` writes it."""
+        presenter = self._presenter
+        return {"kind": presenter.kind, "version": presenter.version, **encoded(self)}
+
+    @property
+    def pictures(self) -> tuple[str, ...]:
+        """Names of its figures, the first of which `plot` draws."""
+        return tuple(self._presenter.figures)
+
+    @property
+    def _presenter(self) -> Presenter:
+        return PRESENTERS[type(self).__name__]
+
+    @property
+    def heading(self) -> str:
+        """Title of its figures; empty where they have none."""
+        return ""
+
+    def _drawing(self, picture: str) -> Drawing | Figure:
+        from mcrim_mitsuba.output.figure_style import Drawing
+
+        drawing = self._presenter.figures[picture](self)
+        if self.heading and isinstance(drawing, Drawing):  # a cross-section has no numbers
+            return drawing.entitled(self.heading)
+        return drawing
+
+    def to_json(self, path: str | Path | None = None) -> str:
+        """The document of ``--json`` as text; written to a file too, if one is named."""
+        text = json_text(self.document, indent=2)
+        if path is not None:
+            write_text(path, text + "\n")
+        return text
+
+    def to_dataframe(self, title: str | None = None) -> pandas.DataFrame:
+        """A table of what is shown, with errors in columns of their own (``NAME_sigma``).
+
+        Parameters
+        ----------
+        title : str, optional
+            Of the table; the first one by default.
+
+        Raises
+        ------
+        InputError
+            If there is no such table.
+        """
+        tables = self.description.tables
+        if not tables:
+            raise InputError("nothing of this is a table", "print it")
+        return tables[_chosen("table", title, tables, repr)].frame()
+
+    def to_xarray(self) -> xarray.Dataset:
+        """As a dataset with units; its attributes say what makes it reproducible.
+
+        Tables, maps, spectra and times lie over their axes, simulations, fits and diagnoses as
+        converted files do; of other results it is `to_dataframe`.
+        """
+        from mcrim_mitsuba.output.codec import dataset, is_convertible, table_of_document
+
+        over_axes = getattr(super(), "to_xarray", None)
+        if over_axes is not None:
+            data: xarray.Dataset = over_axes()
+            return data
+        document = plain(self.document)
+        if not is_convertible(document):
+            import xarray
+
+            return xarray.Dataset.from_dataframe(self.to_dataframe())
+        return dataset(table_of_document(document, self.description.title))
+
+    def plot(self, picture: str | None = None) -> Figure:
+        """A figure of it, by matplotlib.
+
+        Parameters
+        ----------
+        picture : str, optional
+            Which one, where there are several; the first by default.
+
+        Raises
+        ------
+        InputError
+            If there is none of this name, or none at all.
+        """
+        if not self.pictures:
+            raise InputError("there is no picture", "print it")
+        from matplotlib.figure import Figure
+
+        drawing = self._drawing(_chosen("picture", picture, self.pictures))
+        return drawing if isinstance(drawing, Figure) else drawing.figure
+
+    def draw(self, path: str | Path) -> tuple[Path, ...]:
+        """Write all pictures (PNG or PDF) with their numbers (CSV): NAME, NAME_profiles, ...
+
+        Raises
+        ------
+        InputError
+            If a file cannot be written.
+        """
+        from mcrim_mitsuba.output.figure_style import Drawing, save
+
+        path = Path(path)
+        written: list[Path] = []
+        for place, name in enumerate(self.pictures):
+            ending = f"_{name}" if place else ""
+            target, drawing = (
+                path.with_name(f"{path.stem}{ending}{path.suffix}"),
+                self._drawing(name),
+            )
+            written += (
+                drawing.save(target) if isinstance(drawing, Drawing) else [save(drawing, target)]
+            )
+        return tuple(written)
+
+
+def _chosen(
+    what: str, name: str | None, names: Iterable[str], quoted: Callable[[str], str] = str
+) -> str:
+    """The name that was asked for, or the first; refuses what is not there."""
+    names = list(names)
+    if name is not None and name not in names:
+        mend = f"ask for one of {', '.join(map(quoted, names))}"
+        raise InputError(f"there is no {what} {name!r}", mend)
+    return names[0] if name is None else name
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class VerbResult(Result):
+    """What a verb without a public function computed: it brings its description and document."""
+
+    kind: str
+    shown: Description
+    numbers: Document
+    drawings: Mapping[str, Callable[[], Drawing]] = field(default_factory=dict)
+
+    @property
+    def description(self) -> Description:
+        """How it is shown: tables, sentences, notes."""
+        return self.shown
+
+    @property
+    def document(self) -> Document:
+        """As ``--json`` writes it."""
+        return {"kind": self.kind, "version": 1, **self.numbers}
+
+    @property
+    def pictures(self) -> tuple[str, ...]:
+        """Names of its figures, the first of which `plot` draws."""
+        return tuple(self.drawings)
+
+    def _drawing(self, picture: str) -> Drawing | Figure:
+        return self.drawings[picture]()
