@@ -40,8 +40,11 @@ if TYPE_CHECKING:
 LARGEST_BODY = 12_000_000
 """Bytes that a request may carry; an uploaded file grows by a third on its way."""
 
-_SWALLOWED_S, _SILENCE_S = 30.0, 2.0
-"""How long a refused client may go on sending, and say nothing meanwhile."""
+_SWALLOWED_S = 30.0
+"""How long a refused client may go on sending."""
+
+_SILENCE_S = 2.0
+"""How long it may say nothing meanwhile."""
 
 _ASSETS = "assets/"
 _LENGTH = re.compile(r"[0-9]{1,12}")

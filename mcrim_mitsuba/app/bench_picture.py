@@ -14,13 +14,16 @@ from mcrim_mitsuba.core.numbers import Value, unit_of, without_unit
 from mcrim_mitsuba.scene.check_text import is_filled
 
 #: Pixels of the picture, and of its rim.
-_WIDTH, _HEIGHT, _RIM = 240.0, 170.0, 10.0
-#: A gap is drawn at least so thick, and so much of a mask: both are thinner than a line.
-_GAP, _MASK = 5.0, 3.0
+_WIDTH = 240.0
+_HEIGHT = 170.0
+_RIM = 10.0
+#: Pixels that a gap is thick at least, and a mask: both are thinner than a line.
+_GAP = 5.0
+_MASK = 3.0
 _CRYSTAL = ("crystal_width_mm", "crystal_height_mm")
 _BENCH = (*_CRYSTAL, "gap_mm", "n_gap", "window_width_mm", "window_thickness_mm")
 #: What is told of a bench, whether readings differ in it or not.
-_TOLD = ("n_gap", "gap_mm", "aperture_radius_mm", "crystal_height_mm")
+_ALWAYS = ("n_gap", "gap_mm", "aperture_radius_mm", "crystal_height_mm")
 
 
 def bench_picture(reading: Reading, values: Mapping[str, Value]) -> dict[str, Any] | None:
@@ -81,11 +84,11 @@ def bench_words(
     reading: Reading, values: Mapping[str, Value], columns: Sequence[str]
 ) -> list[tuple[str, str]]:
     """Name and value of what a reading's bench has, what readings differ in first."""
-    told = [n for n in columns if n in reading.parameters]
+    names = [n for n in columns if n in reading.parameters]
     if not reading.of_beam:
-        told += [n for n in _TOLD if n in values and n not in told]
+        names += [n for n in _ALWAYS if n in values and n not in names]
     return [("sample", reading.sample)] * bool(reading.sample) + [
-        (without_unit(n), _text(n, reading.parameters.get(n, values.get(n)), values)) for n in told
+        (without_unit(n), _text(n, reading.parameters.get(n, values.get(n)), values)) for n in names
     ]
 
 

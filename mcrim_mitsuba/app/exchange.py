@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import itertools
 import json
 import os
 import re
 import shutil
 import tempfile
-import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -202,12 +200,12 @@ def campaign_archive(
     effects: Sequence[str],
     values: Mapping[str, float],
     priors: Mapping[str, tuple[float, float]] | None = None,
-    known: Iterable[CampaignParameter] = (),
+    chosen: Iterable[CampaignParameter] = (),
 ) -> tuple[str, bytes]:
     """Name and content of a ZIP file with the mended campaign and all that it needs.
 
     Raw data stay where they are: the campaign has the numbers that they gave. Priors are what a fit
-    with these effects knew of their sizes, `known` what the user chose to hold or to know.
+    with these effects knew of their sizes, `chosen` what the user chose to hold or to know.
     """
     stem = f"{safe_name(campaign.path.stem, '')}_mended"
     values = rounded(values)
@@ -217,48 +215,46 @@ def campaign_archive(
             plain = Path(name) / safe_name(campaign.path.name, ".toml")
             write_plain(campaign, plain)
             campaign = read_campaign(plain)
-        theirs, own = campaign.effects_folder, None
         folder = Path(name) / stem
         folder.mkdir()
-        readings = folder / safe_name(campaign.measurements.path.name, ".csv")
-        shutil.copyfile(campaign.measurements.path, readings)
-        if theirs is not None:
-            own = folder / theirs.name
-            own.mkdir()
-            for file in theirs.glob("*.py"):
-                shutil.copyfile(file, own / file.name)
-        light = campaign.spectrum
-        if light is not None:
-            copied = folder / safe_name(light.path.name, ".csv")
-            shutil.copyfile(light.path, copied)
-            light = replace(light, path=copied)
-        for included in scene.included:
-            beside = Path(included).resolve()
-            root = scene.path.parent.resolve()
-            if beside.is_relative_to(root):
-                copy = folder / beside.relative_to(root)
-                copy.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(beside, copy)
+        sizes = {n: v for n, v in values.items() if n in campaign.parameters}
+        sizes |= {p.name: values[p.name] for e in effects for p in campaign.catalogue[e].parameters}
+        mended = _copied(campaign, folder).with_effects(effects).with_priors(priors or {})
         target, scene_path = folder / f"{stem}.toml", folder / f"{stem}.xml"
-        moved = replace(
-            campaign,
-            effects_folder=own,
-            spectrum=light,
-            measurements=replace(campaign.measurements, path=readings),
-        )
-        fitted = {n: v for n, v in values.items() if n in campaign.parameters}
-        added = [p.name for e in effects for p in campaign.catalogue[e].parameters]
-        sizes = fitted | {name: values[name] for name in added}
-        mended = moved.with_effects(effects).with_priors(priors or {})
-        text = campaign_with_effects(mended, target, scene_path, sizes, known)
-        scene_path.write_text(scene_text(scene), encoding="utf-8", newline="")
-        target.write_text(text, encoding="utf-8", newline="")
-        archive = io.BytesIO()
-        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
-            for file in sorted(folder.rglob("*")):
-                if file.is_file():
-                    packed.write(file, file.relative_to(folder.parent))
-    return f"{stem}.zip", archive.getvalue()
+        text = campaign_with_effects(mended, target, scene_path, sizes, chosen)
+        for path, content in ((scene_path, scene_text(scene)), (target, text)):
+            path.write_text(content, encoding="utf-8", newline="")
+        _copy_included(scene, folder)
+        return f"{stem}.zip", Path(shutil.make_archive(str(folder), "zip", name, stem)).read_bytes()
+
+
+def _copied(campaign: Campaign, folder: Path) -> Campaign:
+    """A campaign whose files were copied to a folder."""
+    readings = folder / safe_name(campaign.measurements.path.name, ".csv")
+    shutil.copyfile(campaign.measurements.path, readings)
+    moved = replace(campaign, measurements=replace(campaign.measurements, path=readings))
+    if campaign.effects_folder is not None:
+        effects_folder = folder / campaign.effects_folder.name
+        effects_folder.mkdir()
+        for file in campaign.effects_folder.glob("*.py"):
+            shutil.copyfile(file, effects_folder / file.name)
+        moved = replace(moved, effects_folder=effects_folder)
+    if campaign.spectrum is not None:
+        spectrum = folder / safe_name(campaign.spectrum.path.name, ".csv")
+        shutil.copyfile(campaign.spectrum.path, spectrum)
+        moved = replace(moved, spectrum=replace(campaign.spectrum, path=spectrum))
+    return moved
+
+
+def _copy_included(scene: SceneFile, folder: Path) -> None:
+    """Copy what a scene includes from below its own folder."""
+    root = scene.path.parent.resolve()
+    for included in scene.included:
+        source = Path(included).resolve()
+        if source.is_relative_to(root):
+            copy = folder / source.relative_to(root)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, copy)
 
 
 def report_file(

@@ -46,7 +46,7 @@ class Status:
     #: Those behind it.
     waiting: tuple[PageJob, ...] = ()
     #: Why jobs came to nothing since the user last began one.
-    said: tuple[str, ...] = ()
+    failures: tuple[str, ...] = ()
     #: The one that was stopped, as the user wished.
     stopped: str = ""
 
@@ -86,7 +86,7 @@ class Jobs:
     def start(self, job: PageJob) -> None:
         """Begin a job when all before it are done; one that is under way is not begun again."""
         with self._there_is_work:
-            self._status = replace(self._status, said=(), stopped="")
+            self._status = replace(self._status, failures=(), stopped="")
             ends = self._status.job is None or self._cancelled or job.again
             running = () if ends else (self._status.job,)
             if all(job.key != other.key for other in (*running, *self._waiting)):
@@ -150,8 +150,8 @@ class Jobs:
                     job.undo()
             with self._there_is_work:
                 before = self._status
-                said = (*before.said, error) if error else before.said
-                self._status = Status(said=said, stopped=stopped or before.stopped)
+                failures = (*before.failures, error) if error else before.failures
+                self._status = Status(failures=failures, stopped=stopped or before.stopped)
             self._changed()
 
     @staticmethod

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -32,6 +33,7 @@ from mcrim_mitsuba.efficiency.response_maker import configurations
 from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow, ParameterEstimate
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.output import sentences
 from mcrim_mitsuba.output.describe_campaign import limits_table
 from mcrim_mitsuba.output.description import Table
@@ -107,43 +109,43 @@ def range_text(control: Control) -> str:
 def _light_title(session: Session) -> str:
     """What is proportional to the light: the light yield, or else the scale."""
     campaign = session.state.campaign
-    known = campaign.light_yield is not None and SCALE in campaign.free
-    return "light yield (ph/keV)" if known else SCALE
+    has_yield = campaign.light_yield is not None and SCALE in campaign.free
+    return "light yield (ph/keV)" if has_yield else SCALE
 
 
 # How the session is.
 
 
-def state(session: Session, known: int) -> dict[str, Any]:
+def state(session: Session, shown_number: int) -> dict[str, Any]:
     """What the browser asks again and again.
 
     Parameters
     ----------
     session : Session
-    known : int
-        `session.number` of what the browser shows: if it is another one, all is told.
+    shown_number : int
+        Number of the state that the browser shows: if it is another one, all is answered.
     """
-    status, now = session.jobs.status, session.state
-    told: dict[str, Any] = {
-        "number": session.number,
-        "settings_number": session.settings_number,
-        "file_number": session.file_number,
-        "bench_number": session.bench_number,
+    status, now, history = session.jobs.status, session.state, session.history
+    document: dict[str, Any] = {
+        "number": history.number,
+        "settings_number": history.settings_number,
+        "file_number": history.file_number,
+        "bench_number": history.bench_number,
         "job": {
             "key": status.job and status.job.key,
             "words": status.words,
             "done": status.done,
             "total": status.total,
-            "said": status.said,
+            "said": status.failures,
             "stopped": status.stopped,
             "waiting": [{"key": job.key, "words": job.words} for job in status.waiting],
         },
     }
-    if session.number == known:
-        return told
+    if history.number == shown_number:
+        return document
     settings = now.settings
-    told |= {
-        "settings": {**settings.to_json(), "known": session.bench.known(settings)},
+    document |= {
+        "settings": {**settings.to_json(), "known": session.model.bench.known(settings)},
         "readings": [
             {
                 "label": r.label,
@@ -157,13 +159,13 @@ def state(session: Session, known: int) -> dict[str, Any]:
             for r in now.campaign.measurements.readings
         ],
         "steps": [_falling(step) for step in now.steps],
-        "can_undo": session.can_undo,
+        "can_undo": history.can_undo,
         "parts": {
             "diagnosis": _diagnosis_panel(now.diagnosed),
             "fitted": _fits_panel(session),
         },
     }
-    return plain(told)
+    return plain(document)
 
 
 def _falling(step: FitStep) -> dict[str, Any]:
@@ -190,18 +192,21 @@ def predictions(session: Session, settings: Settings) -> dict[str, Any]:
     """What the browser writes and draws at some settings."""
     readings = session.state.campaign.measurements.readings
     try:
-        shown = session.show(settings)
+        shown = session.model.show(settings)
     except ValueError as error:  # effects that exclude each other
-        return {"settings_number": session.settings_number, "texts": {"pending": str(error)}}
-    beside = session.shown_beside()
+        return {
+            "settings_number": session.history.settings_number,
+            "texts": {"pending": str(error)},
+        }
+    beside = session.model.shown_beside()
     pending = ""
     if shown and shown.pending:
-        titles = [session.bench.effects[name][0].title for name in shown.pending]
+        titles = [session.model.bench.effects[name][0].title for name in shown.pending]
         pending = f"These numbers are without {sentences.together(titles)}: not simulated yet."
     texts = {**_merit_texts(shown, session), "pending": pending}
     return plain(
         {
-            "settings_number": session.settings_number,
+            "settings_number": session.history.settings_number,
             "texts": texts,
             "cells": _readings_cells(readings, shown),
             "scale": shown and shown.scale,
@@ -234,9 +239,9 @@ def _merit_texts(shown: Shown | None, session: Session) -> dict[str, str]:
         parts = [part for part in (statistical, systematic) if part]
         texts["light-yield"] = pdg_parts(value, *parts) if parts else number(value, 4)
         words = ["readings, all else held" if statistical else "", "detector" if systematic else ""]
-        texts["light-yield-words"] = " ".join(f"± {one}" for one in words if one)
-    found = session.state.diagnosed
-    averaged = found and found.diagnosis.light_yield_averaged
+        texts["light-yield-words"] = " ".join(f"± {origin}" for origin in words if origin)
+    diagnosed = session.state.diagnosed
+    averaged = diagnosed and diagnosed.diagnosis.light_yield_averaged
     if averaged:
         texts["averaged"] = pdg(averaged.value, averaged.sigma)
         texts["averaged-words"] = "ph/keV ± whole error, by Diagnose"
@@ -292,41 +297,39 @@ def _chart(
 def reading(session: Session, place: int) -> str:
     """A reading with its bench; what the model says of it, the browser writes there."""
     measurements = session.state.campaign.measurements
-    one = measurements.readings[place]
+    reading = measurements.readings[place]
     values = configurations(session.state.campaign)[place]
     return _TEMPLATES.get_template("reading.html").render(
-        reading=one,
-        picture=bench_picture(one, values),
-        words=bench_words(one, values, measurements.columns),
-        measured=sentences.signal_text(one.of_beam, one.signal, one.sigma),
+        reading=reading,
+        picture=bench_picture(reading, values),
+        words=bench_words(reading, values, measurements.columns),
+        measured=sentences.signal_text(reading.of_beam, reading.signal, reading.sigma),
     )
 
 
 # Panels.
 
 
-def _diagnosis_panel(found: Diagnosed | None) -> str:
+def _diagnosis_panel(diagnosed: Diagnosed | None) -> str:
     """The verdict and the candidates, each with a button that adds it."""
-    context: dict[str, Any] = {"found": None}
-    if found is not None:
-        diagnosis = found.diagnosis
-        leading = sentences.leading_candidates(diagnosis)
-        context = {
-            "found": diagnosis,
-            "averaged": sentences.averaged_yield(diagnosis),
-            "headline": sentences.headline(diagnosis),
-            "leading": bool(leading),
-            "suspicions": [sentences.suspicion(one) for one in diagnosis.suspect_readings],
-            "titles": ("probability", "size", "plausible?", "fall of χ²", "p of the fit"),
-            "candidates": _ranked(diagnosis, leading) if diagnosis.candidates else (),
-            "set_aside": sentences.set_aside_text(diagnosis),
-            "looks": sentences.how_to_look(diagnosis),
-            "limits": _cells(limits_table(diagnosis).seen) if diagnosis.upper_limits else None,
-            "next": [
-                (m.words, *sentences.measurement_value(m)) for m in diagnosis.next_measurements
-            ],
-        }
-    return _TEMPLATES.get_template("diagnosis.html").render(context)
+    template = _TEMPLATES.get_template("diagnosis.html")
+    if diagnosed is None:
+        return template.render(diagnosis=None)
+    diagnosis = diagnosed.diagnosis
+    leading = sentences.leading_candidates(diagnosis)
+    return template.render(
+        diagnosis=diagnosis,
+        averaged=sentences.averaged_yield(diagnosis),
+        headline=sentences.headline(diagnosis),
+        leading=bool(leading),
+        suspicions=[sentences.suspicion(reading) for reading in diagnosis.suspect_readings],
+        titles=("probability", "size", "plausible?", "fall of χ²", "p of the fit"),
+        candidates=_ranked(diagnosis, leading) if diagnosis.candidates else (),
+        set_aside=sentences.set_aside_text(diagnosis),
+        looks=sentences.how_to_look(diagnosis),
+        limits=_cells(limits_table(diagnosis).seen) if diagnosis.upper_limits else None,
+        next=[(m.words, *sentences.measurement_value(m)) for m in diagnosis.next_measurements],
+    )
 
 
 def _ranked(diagnosis: Diagnosis, leading: Sequence[Candidate]) -> list[dict[str, Any]]:
@@ -334,22 +337,24 @@ def _ranked(diagnosis: Diagnosis, leading: Sequence[Candidate]) -> list[dict[str
     ranked = {id(c): c for c in (*leading, *diagnosis.candidates[:_MOST_CANDIDATES])}
     rows: list[dict[str, Any]] = [
         {
-            "effects": one.effects,
-            "effect": one.effect,
-            "title": sentences.in_words(diagnosis, one.effects),
-            "first": bool(leading) and number == 0,
+            "effects": candidate.effects,
+            "effect": candidate.effect,
+            "title": sentences.in_words(diagnosis, candidate.effects),
+            "first": bool(leading) and candidate is leading[0],
             "cells": (
-                sentences.size_text(one, ", "),
-                sentences.plausibility(one),
-                sentences.gain_text(one),
-                p_text(one.p_value),
+                sentences.size_text(candidate, ", "),
+                sentences.plausibility(candidate),
+                sentences.gain_text(candidate),
+                p_text(candidate.p_value),
             ),
         }
-        for number, one in enumerate(ranked.values())
+        for candidate in ranked.values()
     ]
-    for name, words in sentences.NO_EFFECTS.items():
-        if name in diagnosis.probabilities:
-            rows.append({"effects": (), "effect": name, "title": words, "cells": ("",) * 4})
+    rows += [
+        {"effects": (), "effect": name, "title": words, "cells": ("",) * 4}
+        for name, words in sentences.NO_EFFECTS.items()
+        if name in diagnosis.probabilities
+    ]
     for row in rows:
         row["p"] = diagnosis.probabilities.get(row["effect"])
         row["probability"] = "" if row["p"] is None else probability(row["p"])
@@ -404,29 +409,35 @@ def _titled(name: str) -> str:
 
 def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[tuple[str, ...]]:
     """What it is, value with the whole error, what repeating lowers of it, and the rest."""
-    found = []
-    for name, known in parameters.items():
-        apart: tuple[str, ...] = ("", "")
-        if known.at_bound is None and known.contributions:
-            apart = tuple(number(part, 2) for part in sentences.errors_apart(known))
-        found.append((_titled(name), sentences.estimate_text(known), *apart))
-    return found
+    rows = []
+    for name, estimate in parameters.items():
+        errors: tuple[str, ...] = ("", "")
+        if estimate.at_bound is None and estimate.contributions:
+            errors = tuple(number(part, 2) for part in sentences.errors_apart(estimate))
+        rows.append((_titled(name), sentences.estimate_text(estimate), *errors))
+    return rows
 
 
 def _side_by_side(session: Session, first: FitStep, second: FitStep) -> dict[str, Any]:
     """Two fits, row by row."""
-    both = (first.calibration, second.calibration)
+    fits = (first.calibration, second.calibration)
     listed = [_listed(session, step) for step in (first, second)]
     merits = {"χ²": "chi2", "degrees of freedom": "ndf", "p": "p"}
-    rows = [(title, *(one[merit] for one in listed)) for title, merit in merits.items()]
-    for name in dict.fromkeys(n for fit in both for n in (*fit.parameters, *fit.fixed)):
-        cells = []
-        for fit in both:
-            known = fit.parameters.get(name)
-            held = f"{fit.fixed[name]:.4g}, {HELD}" if name in fit.fixed else "-"
-            cells.append(held if known is None else sentences.estimate_text(known))
-        rows.append((_titled(name), *cells))
-    by_label = [{row.label: f"{row.pull:+.2f}" for row in fit.rows} for fit in both]
-    labels = dict.fromkeys(label for each in by_label for label in each)
-    pulls = [(label, *(each.get(label, "-") for each in by_label)) for label in labels]
-    return {"names": [one["name"] for one in listed], "rows": rows, "pulls": pulls}
+    rows = [(title, *(fit[merit] for fit in listed)) for title, merit in merits.items()]
+
+    def cell(fit: Calibration, name: str) -> str:
+        if name in fit.parameters:
+            return sentences.estimate_text(fit.parameters[name])
+        return f"{fit.fixed[name]:.4g}, {HELD}" if name in fit.fixed else "-"
+
+    for name in dict.fromkeys(n for fit in fits for n in (*fit.parameters, *fit.fixed)):
+        rows.append((_titled(name), *(cell(fit, name) for fit in fits)))
+    pulls = [{row.label: f"{row.pull:+.2f}" for row in fit.rows} for fit in fits]
+    return {
+        "names": [fit["name"] for fit in listed],
+        "rows": rows,
+        "pulls": [
+            (label, *(of_fit.get(label, "-") for of_fit in pulls))
+            for label in dict.fromkeys(itertools.chain(*pulls))
+        ],
+    }

@@ -22,7 +22,7 @@ from typing import Any
 
 import flask
 
-from mcrim_mitsuba.app import layout
+from mcrim_mitsuba.app import exchange, layout
 from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.app.state import MALFORMED, Settings, settings_of
 from mcrim_mitsuba.core.errors import InputError
@@ -45,24 +45,24 @@ def make_page(session: Session, prefix: str) -> flask.Flask:
 
     @application.get(prefix)
     def whole() -> str:
-        with session.lock:
+        with session.history.lock:
             return layout.page(session)
 
     @application.get(f"{prefix}state")
     def state() -> dict[str, Any]:
-        with session.lock:
+        with session.history.lock:
             return layout.state(session, flask.request.args.get("known", -1, type=int))
 
     @application.post(f"{prefix}predictions")
     def predictions() -> dict[str, Any]:
-        with session.lock:
+        with session.history.lock:
             _, settings = _read(session)
             return layout.predictions(session, settings)
 
     @application.post(f"{prefix}do")
     def act() -> dict[str, Any]:
         slip = ""
-        with session.lock:
+        with session.history.lock:
             asked, settings = _read(session)
             try:
                 actions.get(asked["what"], lambda *_: flask.abort(400))(asked, settings)
@@ -72,7 +72,7 @@ def make_page(session: Session, prefix: str) -> flask.Flask:
 
     @application.get(f"{prefix}reading/<int:place>")
     def reading(place: int) -> dict[str, str]:
-        with session.lock:
+        with session.history.lock:
             if place >= len(session.state.campaign.measurements.readings):
                 flask.abort(404)
             return {"html": layout.reading(session, place)}
@@ -90,7 +90,7 @@ def make_page(session: Session, prefix: str) -> flask.Flask:
 
 def _read(session: Session) -> tuple[_Asked, Settings]:
     """What a page asks for, and the settings that hold; what no page sends is answered by 400."""
-    effects = session.bench.effects
+    effects = session.model.bench.effects
     try:
         asked = _LEFT_OUT | flask.request.get_json()
         is_ours = all(type(asked[name]) is type(usual) for name, usual in _LEFT_OUT.items())
@@ -105,7 +105,7 @@ def _read(session: Session) -> tuple[_Asked, Settings]:
         is_ours = False
     if not is_ours:
         flask.abort(400)
-    return asked, session.remember(settings, number)
+    return asked, session.history.remember(settings, number)
 
 
 def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
@@ -129,12 +129,13 @@ def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
             session.switch_off(name)
 
     def edit(asked: _Asked, _: Settings) -> None:
-        session.edit_reading(asked["name"], asked["column"], str(asked.get("value", "")))
+        text = str(asked.get("value", ""))
+        session.edit(exchange.with_cell, asked["name"], asked["column"], text)
 
     return {
         "edit": edit,
-        "copy": lambda asked, _: session.copy_reading(asked["name"]),
-        "drop": lambda asked, _: session.drop_reading(asked["name"]),
+        "copy": lambda asked, _: session.edit(exchange.with_copy, asked["name"]),
+        "drop": lambda asked, _: session.edit(exchange.without_row, asked["name"]),
         "fit": lambda _, settings: session.fit(settings),
         "diagnose": lambda _, settings: session.diagnose(settings),
         "add": lambda asked, settings: session.add(asked["name"].split(), settings),

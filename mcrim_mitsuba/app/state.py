@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.campaign.samples import of_sample
+from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, said, unit_of, without_unit
 from mcrim_mitsuba.effects.effect import EffectParameter
@@ -21,10 +23,13 @@ from mcrim_mitsuba.output.sentences import quantity
 
 #: Smallest value of a slider that runs along a logarithm, as part of the largest.
 _LEAST_PART = 1e-3
-
+#: Changes that can be undone.
+_MOST_UNDONE = 50
 
 #: What a fit does with a parameter: varies it, holds it, or varies it with a prior.
-FREE, HELD, PRIOR = "free", "held", "prior"
+FREE = "free"
+HELD = "held"
+PRIOR = "prior"
 
 
 @dataclass(frozen=True)
@@ -203,14 +208,14 @@ def settings_of(
         return isinstance(value, (int, float)) and abs(value) <= sys.float_info.max
 
     moved = {n: float(v) for n, v in asked["values"].items() if n in values and is_number(v)}
-    known = {}
-    for name, each in asked["known"].items():
-        pair = (each["prior"], each["prior_sigma"])
-        if name in values and each["how"] in (FREE, HELD, PRIOR):
+    knowledge = {}
+    for name, parts in asked["known"].items():
+        pair = (parts["prior"], parts["prior_sigma"])
+        if name in values and parts["how"] in (FREE, HELD, PRIOR):
             is_whole = all(map(is_number, pair)) and pair[1] > 0
-            known[name] = Known(each["how"], *(pair if is_whole else (None, None)))
+            knowledge[name] = Known(parts["how"], *(pair if is_whole else (None, None)))
     effects = tuple(name for name in asked["effects"] if name in possible)
-    return Settings(effects, {**values, **moved}, bool(asked["fit_scale"]), known)
+    return Settings(effects, {**values, **moved}, bool(asked["fit_scale"]), knowledge)
 
 
 @dataclass(frozen=True)
@@ -269,47 +274,139 @@ class State:
         """The fit beside which the model is shown; there must be one."""
         return next((step for step in self.steps if step.number == self.compared), self.steps[0])
 
+    def step(self, number: int) -> FitStep:
+        """The fit of a number; InputError if it was taken off the list."""
+        for step in self.steps:
+            if step.number == number:
+                return step
+        raise InputError("this fit is not there any more", "choose another")
+
+
+class History:
+    """The state of a session: it changes as a whole, and can be brought back.
+
+    Any thread may ask for it, or change it. Changes have numbers, by which pages see that they show
+    an older state.
+    """
+
+    def __init__(self, state: State) -> None:
+        #: How things are now.
+        self.state = state
+        #: Held by whoever asks for more than one thing that belongs together.
+        self.lock = threading.RLock()
+        #: Rises with every change.
+        self.number = 0
+        #: Rises with every change of the controls that pages take over.
+        self.settings_number = 0
+        #: Rises with every file to be downloaded.
+        self.file_number = 0
+        #: Rises with everything for which pages are loaded anew.
+        self.bench_number = 0
+        self._kept: list[State] = []
+
+    def begin(self, state: State) -> None:
+        """Go on with another campaign: nothing of the former one is brought back."""
+        with self.lock:
+            self.state = state
+            self.bench_number += 1
+            self.forget()
+            self.set_controls(state.settings)
+
+    def change(self, **changes: Any) -> None:
+        """Replace fields of the state."""
+        with self.lock:
+            self.state = replace(self.state, **changes)
+            self.number += 1
+
+    def set_controls(self, settings: Settings, **changes: Any) -> None:
+        """Let the pages take over other settings."""
+        with self.lock:
+            self.settings_number += 1
+            self.change(settings=settings, **changes)
+
+    def remember(self, settings: Settings, number: int) -> Settings:
+        """Keep what a page's controls say, for the next page that opens; returns what holds.
+
+        `number` is the `settings_number` that the page knows: if it is an older one, what it says
+        is out of date.
+        """
+        with self.lock:
+            if number == self.settings_number:
+                self.state = replace(self.state, settings=settings)
+            return self.state.settings
+
+    def keep(self) -> None:
+        """Remember how it is, for `bring_back`."""
+        with self.lock:
+            self._kept = [*self._kept[1 - _MOST_UNDONE :], self.state]
+
+    def forget(self) -> None:
+        """Nothing can be brought back any more."""
+        self._kept = []
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether something was kept."""
+        return bool(self._kept)
+
+    def bring_back(self) -> None:
+        """As it was when it was kept last, but for the file to be downloaded."""
+        *self._kept, before = self._kept
+        self.set_controls(
+            before.settings,
+            campaign=before.campaign,
+            # the campaign's own fit stays, once it is there
+            steps=before.steps or self.state.steps[:1],
+            compared=before.compared,
+            diagnosed=before.diagnosed,
+        )
+
 
 def difference(
     first: Campaign,
     campaign: Campaign,
     settings: Settings,
-    known: Mapping[str, Known],
+    knowledge: Mapping[str, Known],
     controls: Iterable[Control],
 ) -> str:
     """What was changed besides effects, in words: ``without air, scattering held at 0.5``.
 
     Of a campaign since it was the `first`, and of what its `controls` said of parameters.
     """
-    told = []
+    changes = _changed_readings(first, campaign)
+    for control in controls:
+        now = knowledge[control.name]
+        if now != control.known:
+            how = {
+                HELD: f"held at {settings.values[control.name]:.4g}",
+                PRIOR: f"known to be {now.prior} ± {now.prior_sigma}",
+            }.get(now.how, "free")
+            changes.append(f"{control.title} {how}")
+    return ", ".join(changes)
+
+
+def _changed_readings(first: Campaign, campaign: Campaign) -> list[str]:
+    """Readings that are used or not, or are others, since the campaign was the first, in words."""
+    changes = []
     before, after = (
-        {one.label: one for one in each.measurements.readings} for each in (first, campaign)
+        {r.label: r for r in state.measurements.readings} for state in (first, campaign)
     )
     for label in dict.fromkeys((*before, *after)):
         old, new = before.get(label), after.get(label)
         if new is None or not new.use:
-            told += [f"without {label}"] if old is not None and old.use else []
+            changes += [f"without {label}"] if old is not None and old.use else []
             continue
         if old is None or not old.use:
-            told.append(f"with {label}")
+            changes.append(f"with {label}")
         if old is None:
             continue
         if old.kind != new.kind:
-            told.append(f"{label} as {new.kind}")
+            changes.append(f"{label} as {new.kind}")
         if (old.signal, old.sigma) != (new.signal, new.sigma):
-            told.append(f"{label} {new.signal:g} ± {new.sigma:g}")
-        told += [
+            changes.append(f"{label} {new.signal:g} ± {new.sigma:g}")
+        changes += [
             f"{label} at {said(name, new.parameters[name])}"
             for name in new.parameters.keys() & old.parameters.keys()
             if new.parameters[name] != old.parameters[name]
         ]
-    for control in controls:
-        now = known[control.name]
-        if now == control.known:
-            continue
-        how = {
-            HELD: f"held at {settings.values[control.name]:.4g}",
-            PRIOR: f"known to be {now.prior} ± {now.prior_sigma}",
-        }.get(now.how, "free")
-        told.append(f"{control.title} {how}")
-    return ", ".join(told)
+    return changes

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import pytest
 
-from mcrim_mitsuba.app import access, layout
+from mcrim_mitsuba.app import access, exchange, layout
 from mcrim_mitsuba.app.jobs import Jobs, PageJob
 from mcrim_mitsuba.app.page import make_page
 from mcrim_mitsuba.app.session import Session
@@ -40,9 +40,9 @@ def wait(session):
     end = time.monotonic() + LONGEST_S
     while session.jobs.status.job or session.jobs.status.waiting or not session.state.steps:
         assert time.monotonic() < end
-        assert not session.jobs.status.said, session.jobs.status.said
+        assert not session.jobs.status.failures, session.jobs.status.failures
         time.sleep(0.01)
-    assert not session.jobs.status.said, session.jobs.status.said
+    assert not session.jobs.status.failures, session.jobs.status.failures
 
 
 def downloaded(session, folder):
@@ -58,7 +58,7 @@ def downloaded(session, folder):
 def fitted(session, **changes):
     """The calibration of a fit at changed settings."""
     settings = replace(session.state.settings, **changes)
-    session.fit(session.remember(settings, session.settings_number))
+    session.fit(session.history.remember(settings, session.history.settings_number))
     wait(session)
     return session.state.steps[-1].calibration
 
@@ -97,7 +97,7 @@ def test_jobs_come_one_after_the_other_and_are_taken_back():
     assert (begun, undone) == (["slow", "last"], ["other", "slow"])
     # said until the user begins something else
     assert jobs.status.stopped == "slow: stopped; what was simulated is kept"
-    assert jobs.status.said == ()  # it is no error
+    assert jobs.status.failures == ()  # it is no error
     jobs.start(PageJob("last", "last", lambda: None))
     assert jobs.status.stopped == "" and len(changed) >= 6
     jobs.close(5)
@@ -112,7 +112,7 @@ def test_what_a_fit_takes_as_known_of_a_size_counts_in_what_is_shown(scenes, tmp
     with opened(folder / "open.toml", tmp_path) as session:
         found = fitted(session, effects=("source_depth",))
         assert any("the readings leave sizes open" in note for note in found.notes)
-        shown = session.show(session.state.settings)
+        shown = session.model.show(session.state.settings)
         assert shown.chi2 == pytest.approx(found.chi2, rel=1e-4) and shown.ndf == found.ndf
 
 
@@ -120,10 +120,10 @@ def test_readings_are_edited_in_the_table(files):
     folder, text = files
     with opened(folder / "bench.toml", folder) as session:
         place = 15  # gel hole 4, which the bench explains worst
-        before = session.bench
-        session.edit_reading(place, "use", "0")
-        session.edit_reading(0, "signal", "13.5")
-        assert session.jobs.status.job is None and session.bench is before
+        before = session.model.bench
+        session.edit(exchange.with_cell, place, "use", "0")
+        session.edit(exchange.with_cell, 0, "signal", "13.5")
+        assert session.jobs.status.job is None and session.model.bench is before
         found = fitted(session)
         assert session.state.steps[-1].words == "air 13.5 ± 0.0924, without gel hole 4"
         for column, cell, said in (
@@ -134,8 +134,8 @@ def test_readings_are_edited_in_the_table(files):
             ("label", "water", "^the label water is on line .* already"),
         ):
             with pytest.raises(InputError, match=said):
-                session.edit_reading(0, column, cell)
-        shown = session.show(session.state.settings)
+                session.edit(exchange.with_cell, 0, column, cell)
+        shown = session.model.show(session.state.settings)
         assert shown.chi2 == pytest.approx(found.chi2, rel=1e-5)
     # the same file, written by hand, says the same
     rows = (folder / "camoo4_misfit.csv").read_text().replace("air,12.963", "air,13.5")
@@ -170,14 +170,14 @@ def test_the_kind_of_a_reading_is_chosen_in_the_table(files, scenes):
             ("dark", "^kind = 'dark' is neither light nor transmittance; write one"),
         ):
             with pytest.raises(InputError, match=said):
-                session.edit_reading(0, "kind", kind)
-        with session.lock:
-            session.edit_reading(2, "kind", "light")
+                session.edit(exchange.with_cell, 0, "kind", kind)
+        with session.history.lock:
+            session.edit(exchange.with_cell, 2, "kind", "light")
             assert cells(2) == ["light", 1.0, ""]
             assert '<select data-column="kind"' in layout.page(session)  # the way back
-            session.edit_reading(2, "kind", "transmittance")
+            session.edit(exchange.with_cell, 2, "kind", "transmittance")
             assert cells(2) == ["transmittance", "", "x"]
-            session.edit_reading(2, "kind", "light")
+            session.edit(exchange.with_cell, 2, "kind", "light")
         wait(session)
         found = fitted(session)
         assert session.state.steps[-1].words == "transmittance as light"
@@ -188,7 +188,7 @@ def test_samples_are_fitted_and_shown_side_by_side(files, scenes):
     folder, _ = files
     with opened(scenes / "camoo4_cawo4.toml", folder) as session:
         asked, found = session.state.settings, session.state.steps[0].calibration
-        titles = [control.title for control in session.bench.controls]
+        titles = [control.title for control in session.model.bench.controls]
         assert titles == [
             "scattering",
             "absorption",
@@ -197,8 +197,8 @@ def test_samples_are_fitted_and_shown_side_by_side(files, scenes):
             "scale of cawo4",
             "scale",
         ]
-        assert asked.known == {} and session.bench.controls[2].known.how == HELD
-        shown = session.show(asked)
+        assert asked.known == {} and session.model.bench.controls[2].known.how == HELD
+        shown = session.model.show(asked)
         assert (shown.chi2, shown.ndf) == (pytest.approx(found.chi2, rel=1e-4), found.ndf)
         light = found.parameters["light_yield_ph_per_keV"]
         assert shown.light_yield[0] == pytest.approx(light.value, rel=1e-4)
@@ -206,11 +206,12 @@ def test_samples_are_fitted_and_shown_side_by_side(files, scenes):
         assert shown.light_yield[2] == pytest.approx(0.1 * light.value, rel=1e-3)
         # the scale that follows is that of the campaign's own readings
         moved = replace(asked, values={**asked.values, "alpha_scat_per_cm": 0.3})
-        best = session.show(moved)
+        best = session.model.show(moved)
         assert best.rows[2] == shown.rows[2] and best.rows[0].model != shown.rows[0].model
         for part in (0.999, 1.001):
             values = {**moved.values, "scale": part * best.scale}
-            assert session.show(replace(moved, values=values, fit_scale=False)).chi2 > best.chi2
+            shown = session.model.show(replace(moved, values=values, fit_scale=False))
+            assert shown.chi2 > best.chi2
         assert layout.state(session, -1)["readings"][2]["sample"] == "cawo4"
         assert "<dt>sample</dt><dd>cawo4</dd>" in layout.reading(session, 2)
         assert '<select data-column="sample"' in layout.page(session)
@@ -236,17 +237,18 @@ def test_other_configurations_are_simulated(files):
     (folder / "four.csv").write_text("\n".join(rows) + "\n")
     (folder / "bench.toml").write_text(text.replace("camoo4_misfit.csv", "four.csv"))
     with opened(folder / "bench.toml", folder) as session:
-        asked, first = session.state.settings, session.bench
-        with session.lock:  # nothing is shown of readings that are not simulated yet
-            session.edit_reading(3, "aperture_radius_mm", "3")
-            assert session.show(asked) is None
-            session.edit_reading(3, "aperture_radius_mm", "5.5")  # nor is the former waited for
+        asked, first = session.state.settings, session.model.bench
+        with session.history.lock:  # nothing is shown of readings that are not simulated yet
+            session.edit(exchange.with_cell, 3, "aperture_radius_mm", "3")
+            assert session.model.show(asked) is None
+            # nor is the former waited for
+            session.edit(exchange.with_cell, 3, "aperture_radius_mm", "5.5")
         wait(session)
-        assert session.bench is not first and session.bench_number == 1
-        eta = session.show(asked).rows[3].eta
-        session.copy_reading(3)
+        assert session.model.bench is not first and session.history.bench_number == 1
+        eta = session.model.show(asked).rows[3].eta
+        session.edit(exchange.with_copy, 3)
         wait(session)
-        shown = session.show(asked)
+        shown = session.model.show(asked)
         assert [row.label for row in shown.rows[2:]] == [
             "air hole 4",
             "gel hole 4",
@@ -254,7 +256,7 @@ def test_other_configurations_are_simulated(files):
         ]
         assert [one.eta for one in shown.rows[3:5]] == pytest.approx([eta] * 2, rel=1e-12)
         assert not shown.rows[4].use
-        session.drop_reading(0)
+        session.edit(exchange.without_row, 0)
         wait(session)
         found = fitted(session)
         assert session.state.steps[-1].words == "without air, gel hole 4 at mask radius 5.5 mm"
@@ -268,7 +270,7 @@ def test_other_configurations_are_simulated(files):
         # what is not to be simulated is not in the table
         going_on = threading.Event()
         session.jobs.start(PageJob("other", "other", going_on.wait))
-        session.edit_reading(0, "gap_mm", "0.0731")  # of water now
+        session.edit(exchange.with_cell, 0, "gap_mm", "0.0731")  # of water now
         assert session.state.campaign.measurements.readings[0].parameters["gap_mm"] == 0.0731
         session.jobs.stop("readings")
         assert session.state.campaign.measurements.readings[0].parameters["gap_mm"] == 0.05
@@ -276,16 +278,16 @@ def test_other_configurations_are_simulated(files):
         for _ in range(5):  # fitted, removed, added, edited twice
             session.undo()
         wait(session)
-        assert not session.can_undo and len(session.show(asked).rows) == 4
+        assert not session.history.can_undo and len(session.model.show(asked).rows) == 4
         with pytest.raises(InputError, match="not there any more"):
-            session.drop_reading(4)
+            session.edit(exchange.without_row, 4)
 
         session.take_session(*file)
         wait(session)
         again = session.state.steps[-1]
         assert again.words == "without air, gel hole 4 at mask radius 5.5 mm"
         assert again.calibration.chi2 == pytest.approx(found.chi2, rel=1e-4)
-        assert len(session.show(session.state.settings).rows) == 4
+        assert len(session.model.show(session.state.settings).rows) == 4
 
 
 def test_parameters_are_held_or_known(files):
@@ -295,7 +297,7 @@ def test_parameters_are_held_or_known(files):
         known = {"alpha_abs_per_cm": Known(HELD), "alpha_scat_per_cm": Known(PRIOR, 0.4, 0.01)}
         found = fitted(session, values=values, known=known)
         assert found.fixed == {"alpha_abs_per_cm": 0.05}
-        shown = session.show(session.state.settings)
+        shown = session.model.show(session.state.settings)
         assert (shown.chi2, shown.ndf) == (pytest.approx(found.chi2, rel=1e-5), found.ndf)
         assert session.state.steps[-1].words == (
             "scattering known to be 0.4 ± 0.01, absorption held at 0.05"
@@ -321,13 +323,13 @@ def test_a_size_that_is_held_is_simulated_where_it_is_held(files):
             known={"bubble_fraction": Known(HELD)},
         )
         assert found.fixed == {"bubble_fraction": 0.4} and "surface_loss" in found.names
-        [anchor] = session.bench._anchors.values()
+        [anchor] = session.model.bench._anchors.values()
         assert anchor.values["bubble_fraction"] == 0.4
         settings = session.state.settings
-        shown = session.show(settings)
+        shown = session.model.show(settings)
         assert (shown.chi2, shown.ndf) == (pytest.approx(found.chi2, rel=1e-5), found.ndf)
         moved = replace(settings, values={**settings.values, "bubble_fraction": 0.2})
-        assert abs(session.show(moved).chi2 - shown.chi2) > 1  # it can be moved still
+        assert abs(session.model.show(moved).chi2 - shown.chi2) > 1  # it can be moved still
 
 
 def test_fits_are_kept_compared_removed_and_undone(files):
@@ -335,13 +337,13 @@ def test_fits_are_kept_compared_removed_and_undone(files):
     with opened(folder / "bench.toml", folder) as session:
         first = session.state
         fitted(session, effects=("gap_bubble",))
-        session.edit_reading(15, "use", "0")
+        session.edit(exchange.with_cell, 15, "use", "0")
         fitted(session, effects=())
         names = [layout.step_name(step) for step in session.state.steps]
         assert names == ["as it came", "with air bubble in the gap", "without gel hole 4"]
         one, two, three = (step.number for step in session.state.steps)
         session.compare_with(two)
-        step, shown = session.shown_beside()
+        step, shown = session.model.shown_beside()
         assert step.number == two and not shown.rows[15].use  # beside the readings as they are now
         panel = layout.state(session, -1)["parts"]["fitted"]
         assert "Two hypotheses side by side" in panel and " ± " not in panel  # on one line
@@ -362,7 +364,7 @@ def test_fits_are_kept_compared_removed_and_undone(files):
         for steps in (3, 3, 2, 2, 1):  # undone: removed, shown, fitted, edited, fitted
             session.undo()
             assert len(session.state.steps) == steps
-        assert not session.can_undo and session.state.campaign is first.campaign
+        assert not session.history.can_undo and session.state.campaign is first.campaign
         assert session.state.settings.effects == ("gap_bubble",)  # it was switched on before
 
 
@@ -370,7 +372,7 @@ def test_a_session_is_kept_in_a_file(files, scenes):
     folder, _ = files
     with opened(folder / "bench.toml", folder) as session:
         fitted(session, effects=("gap_bubble",))
-        session.edit_reading(15, "use", "0")
+        session.edit(exchange.with_cell, 15, "use", "0")
         fitted(session, known={"alpha_abs_per_cm": Known(HELD)})
         session.compare_with(session.state.steps[1].number)
         session.offer("session", session.state.settings)
@@ -379,10 +381,10 @@ def test_a_session_is_kept_in_a_file(files, scenes):
         before = session.state
     assert name == "bench_session.json"
     with opened(folder / "bench.toml", folder) as other:
-        number = other.bench_number
+        number = other.history.bench_number
         other.take_session(name, content)
         wait(other)
-        assert other.bench_number == number + 1
+        assert other.history.bench_number == number + 1
         again = other.state
         for old, new in zip(before.steps, again.steps, strict=True):
             assert layout.step_name(old) == layout.step_name(new)
