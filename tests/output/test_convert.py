@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 import xarray
-from places import cases_of
+from places import SCENES, cases_of
 from refusals import refusal
 
+import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.output.codec import dataset, escaped, latex_text, read_results, write_table
 
 cases = cases_of(__file__)
@@ -323,3 +324,23 @@ def test_files_of_one_name_are_told_apart(write, tmp_path):
         write(f"{folder}/campaign.json", calibration())
     table = read_results([tmp_path / f / "campaign.json" for f in ("a", "b")])
     assert list(table.provenance) == ["a/campaign.json", "b/campaign.json"]
+
+
+def test_what_a_document_is_is_its_kind(write):
+    said = {"kind": "fit", "version": 1}
+    table = read_results(
+        [write("new.json", said | calibration()), write("old.json", calibration())]
+    )
+    assert table.kind == "calibration" and len(table.rows) == 2
+    # whatever keys it has
+    for kind in ("plan", "check", "of the future"):
+        refused = refusal(read_results, [write("x.json", calibration(kind=kind))])
+        assert "no result of mcrim that can be converted" in refused
+
+
+def test_a_result_is_read_again(tmp_path):
+    light = mcrim.simulate(SCENES / "camoo4.xml", photons=20_000, seed=1)
+    light.to_json(tmp_path / "light.json")
+    assert {"kind": "simulation", "version": 1}.items() <= light.document.items()
+    (row,) = read_results([tmp_path / "light.json"]).rows
+    assert (row["eta"], row["photons"]) == (light.eta, light.photons)

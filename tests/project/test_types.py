@@ -1,0 +1,95 @@
+"""Results as a type checker and an editor see them: every field of every result is known."""
+
+import dataclasses
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import jedi
+import pytest
+
+import mcrim_mitsuba as mcrim
+from mcrim_mitsuba.output import campaign_results, registry, scene_results
+
+SCRIPT = Path(__file__).with_name("every_function.py")
+#: What each function gives.
+RESULTS = {
+    "simulate": scene_results.LightResult,
+    "table": scene_results.TableResult,
+    "eta_map": scene_results.MapResult,
+    "eta_spectrum": scene_results.SpectrumResult,
+    "arrival_times": scene_results.TimesResult,
+    "check": scene_results.CheckResult,
+    "crosscheck": scene_results.CrosscheckResult,
+    "reduce": campaign_results.ReductionResult,
+    "calibrate": campaign_results.FitResult,
+    "compare": campaign_results.ComparisonResult,
+    "diagnose": campaign_results.DiagnosisResult,
+    "repair": campaign_results.RepairResult,
+    "budget": campaign_results.BudgetResult,
+    "plan": campaign_results.PlanResult,
+    "report": campaign_results.ReportResult,
+}
+RUN = ("run", "photons", "precision", "seed", "threads", "variant")
+
+
+def mypy(script: Path, folder: Path) -> str:
+    """What mypy says of a user's script: the package's own types count, not its own strictness."""
+    options = ["--strict", "--config-file=", "--follow-imports=silent", "--no-pretty"]
+    command = [sys.executable, "-m", "mypy", *options, "--cache-dir", folder / "cache", script]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    return done.stdout + done.stderr
+
+
+def test_a_script_of_every_function_is_typed(tmp_path):
+    assert mypy(SCRIPT, tmp_path).startswith("Success"), mypy(SCRIPT, tmp_path)
+    used = SCRIPT.read_text()
+    functions = set(mcrim.__all__) - {
+        "Campaign",
+        "InputError",
+        "Result",
+        "SceneFile",
+        "use_variant",
+    }
+    assert [name for name in functions if f"mcrim.{name}(" not in used] == []
+    # nothing passes because it may be anything
+    slips = ("light.etta", "fit.light_yield", "mcrim.simulat", "fit.rows[0].pul", "table.axis")
+    wrong = tmp_path / "wrong.py"
+    wrong.write_text(used + "".join(f"\nprint({slip})" for slip in slips))
+    said = mypy(wrong, tmp_path)
+    assert said.count("[attr-defined]") == len(slips), said
+
+
+@pytest.mark.parametrize("function", RESULTS)
+def test_an_editor_completes_every_field(function):
+    result = RESULTS[function]
+    script = jedi.Script(f"import mcrim_mitsuba as mcrim\nmcrim.{function}('x').")
+    completed = {completion.name for completion in script.complete(2)}
+    names = {field.name for field in dataclasses.fields(result)}
+    names |= {name for name, _ in inspect.getmembers(result, lambda x: isinstance(x, property))}
+    shown = {"plot", "draw", "to_json", "to_dataframe", "to_xarray", "document", "description"}
+    assert {name for name in names if name[0] != "_"} | shown <= completed
+
+
+def test_signatures_name_the_fields_of_a_run():
+    for name in set(RESULTS) - {"reduce", "check"}:
+        parameters = inspect.signature(getattr(mcrim, name)).parameters
+        assert set(RUN) <= set(parameters), name
+    assert set(registry.PRESENTERS) == {
+        "HypothesesResult",
+        *(result.__name__ for result in RESULTS.values()),
+    }
+
+
+def test_dir_shows_what_there_is():
+    light = mcrim.simulate(SCRIPT.parents[2] / "scenes/camoo4.xml", photons=20_000, seed=1)
+    assert {"eta", "budget", "gap_mm", "plot"} <= set(dir(light)) and light.gap_mm == 0.05
+    fit = mcrim.calibrate(SCRIPT.parents[2] / "scenes/camoo4_spot.toml", photons=1e5)
+    assert set(fit.parameters) <= set(dir(fit))
+    assert float(fit.alpha_scat_per_cm) == fit.parameters["alpha_scat_per_cm"].value
+    # those that are shown
+    assert all(f"note: {note}" in str(fit) for note in fit.notes)
+    with pytest.raises(AttributeError, match="has no light_yield_ph_per_keV; it has fitted"):
+        _ = dataclasses.replace(fit, parameters={}).light_yield_ph_per_keV
+    assert not hasattr(fit, "n_crystal_of_nothing")
