@@ -102,10 +102,7 @@ def with_readings(campaign: Campaign, name: str, content: bytes, folder: Path) -
 def with_table(campaign: Campaign, table: str, folder: Path) -> Campaign:
     """The campaign with the text of another table, or itself where that says the same.
 
-    Raises
-    ------
-    InputError
-        If it cannot be used.
+    Raises InputError if it cannot be used.
     """
     if table == measurements_text(campaign.measurements):
         return campaign
@@ -160,10 +157,7 @@ def with_copy(campaign: Campaign, folder: Path, place: int) -> Campaign:
 def without_row(campaign: Campaign, folder: Path, place: int) -> Campaign:
     """The campaign without a reading.
 
-    Raises
-    ------
-    InputError
-        If the others are too few.
+    Raises InputError if the others are too few.
     """
     cells = _cells(campaign)
     for of_column in cells.values():
@@ -303,10 +297,7 @@ def session_file(state: State) -> tuple[str, bytes]:
 def read_session(name: str, content: bytes, scene: SceneFile) -> dict[str, Any]:
     """The document that `session_file` wrote, of the same scene.
 
-    Raises
-    ------
-    InputError
-        If it is none, or of another scene.
+    Raises InputError if it is none, or of another scene.
     """
     try:
         document = json.loads(content)

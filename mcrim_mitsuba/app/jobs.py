@@ -117,10 +117,7 @@ class Jobs:
     def report(self, stage: str, done: int, total: int, _note: str = "") -> None:
         """Told by the job how far it is.
 
-        Raises
-        ------
-        CancelledError
-            If the job is to end.
+        Raises CancelledError if the job is to end.
         """
         with self._there_is_work:
             if self._cancelled:

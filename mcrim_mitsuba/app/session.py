@@ -343,10 +343,7 @@ class Session:
         It is what ``exchange.with_cell`` (with column and text of a cell, ``use`` being 1 or 0),
         ``with_copy`` or ``without_row`` makes of the reading at a place.
 
-        Raises
-        ------
-        InputError
-            If it cannot be used, or the reading is not there any more.
+        Raises InputError if it cannot be used, or the reading is not there any more.
         """
         campaign = self.state.campaign
         if not 0 <= place < len(campaign.measurements.readings):
@@ -378,10 +375,7 @@ class Session:
     def take_readings(self, name: str, content: bytes) -> None:
         """Go on with other readings of the same bench.
 
-        Raises
-        ------
-        InputError
-            If the file cannot be used.
+        Raises InputError if the file cannot be used.
         """
         campaign = exchange.with_readings(self._first, name, content, self._folder)
         self.jobs.stop_all()
@@ -392,10 +386,7 @@ class Session:
     def take_session(self, name: str, content: bytes) -> None:
         """Go on with a session that was kept in a file: its fits are made again.
 
-        Raises
-        ------
-        InputError
-            If the file cannot be used.
+        Raises InputError if the file cannot be used.
         """
         kept = exchange.read_session(name, content, self._first.scene)
         table = kept["table"].encode()

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import SupportsFloat
 
 from scipy.optimize import brentq
 
 from mcrim_mitsuba.article import published as p
-from mcrim_mitsuba.article.published import ArticleRow, Printed, compare
+from mcrim_mitsuba.article.published import ArticleRow, Derived, Printed, compare, from_printed
 from mcrim_mitsuba.article.simulated import DEFAULT_WRAP_REFLECTANCE, Simulated
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
@@ -22,34 +20,6 @@ from mcrim_mitsuba.optics.slab_transmittance import (
     internal_transmittance,
     transmittance,
 )
-
-
-def from_printed(formula: Callable[..., SupportsFloat], *inputs: Printed) -> tuple[float, float]:
-    """A formula's value at printed numbers, and what their rounding may move it by.
-
-    The second is the sum over the inputs of the change when each is moved by its rounding.
-    """
-    values = [number.value for number in inputs]
-    value = float(formula(*values))
-    moved = 0.0
-    for place, number in enumerate(inputs):
-        shifted = values.copy()
-        shifted[place] += number.rounding
-        moved += abs(float(formula(*shifted)) - value)
-    return value, moved
-
-
-def derived(
-    quantity: str,
-    paper: Printed | None,
-    formula: Callable[..., SupportsFloat],
-    *inputs: Printed,
-    inconsistent: bool = False,
-    remark: str = "",
-) -> ArticleRow:
-    """What a formula makes of printed numbers, as a row; the last two as for `compare`."""
-    value, moved = from_printed(formula, *inputs)
-    return compare(quantity, paper, value, rounding=moved, inconsistent=inconsistent, remark=remark)
 
 
 def _counted(signal: Printed, crystal: str) -> Uncertain:
@@ -102,42 +72,41 @@ def transmittance_rows() -> list[ArticleRow]:
     for line in p.TABLE_1:
         percent, alpha = line.transmittance_percent, line.alpha_abs_per_cm
         rows += [
-            derived(
+            compare(
                 f"alpha_abs from T = {percent.text} %, Eq. 4",
                 alpha,
-                lambda t, d: absorption_coefficient(t / 100, d),
-                percent,
-                p.CRYSTAL_MM,
+                from_printed(
+                    lambda t, d: absorption_coefficient(t / 100, d), percent, p.CRYSTAL_MM
+                ),
                 inconsistent=line == p.NOMINAL,
             ),
-            derived(
+            compare(
                 f"T from alpha_abs = {alpha.text} /cm, Eq. 4",
                 percent,
-                lambda a, d: 100 * transmittance(a, d),
-                alpha,
-                p.CRYSTAL_MM,
+                from_printed(lambda a, d: 100 * transmittance(a, d), alpha, p.CRYSTAL_MM),
                 inconsistent=line == p.NOMINAL,
             ),
         ]
     measured = (p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL)
-    _, moved = from_printed(_corrected, *measured)
+    corrected = from_printed(_corrected, *measured)
     return [
         *rows,
-        derived(
+        compare(
             "T from the measured 76 %, Sec. 4",
             p.CORRECTED_TRANSMITTANCE,
-            _corrected,
-            *measured,
+            corrected,
             inconsistent=True,
             remark="all orders of reflection, added without interference; the rounding of 76 % "
-            f"and 2.01 is worth ±{moved:.1f} %",
+            f"and 2.01 is worth ±{corrected.rounding:.1f} %",
         ),
-        derived(
+        compare(
             "alpha_abs from the measured 76 %, Sec. 4",
             p.NOMINAL.alpha_abs_per_cm,
-            lambda t, n, d: absorption_coefficient(_corrected(t, n) / 100, d),
-            *measured,
-            p.CRYSTAL_MM,
+            from_printed(
+                lambda t, n, d: absorption_coefficient(_corrected(t, n) / 100, d),
+                *measured,
+                p.CRYSTAL_MM,
+            ),
             inconsistent=True,
         ),
     ]
@@ -146,25 +115,20 @@ def transmittance_rows() -> list[ArticleRow]:
 def bare_crystal_rows() -> list[ArticleRow]:
     """Eq. 6 as a closed form."""
     return [
-        derived(
+        compare(
             "one face, n = 2.01, Eq. 6",
             p.ETA_FACE_AIR,
-            lambda n: 100 * escape_fraction(n),
-            p.N_CRYSTAL,
+            from_printed(lambda n: 100 * escape_fraction(n), p.N_CRYSTAL),
         ),
-        derived(
+        compare(
             "relative index to gel, 2.01/1.46",
             p.RELATIVE_INDEX_GEL,
-            lambda n, m: n / m,
-            p.N_CRYSTAL,
-            p.N_GEL,
+            from_printed(lambda n, m: n / m, p.N_CRYSTAL, p.N_GEL),
         ),
-        derived(
+        compare(
             "one face, n = 2.01/1.46, Eq. 6",
             p.ETA_FACE_GEL,
-            lambda n, m: 100 * escape_fraction(n / m),
-            p.N_CRYSTAL,
-            p.N_GEL,
+            from_printed(lambda n, m: 100 * escape_fraction(n / m), p.N_CRYSTAL, p.N_GEL),
         ),
         compare(
             "one face, the stated n = 1.38, Eq. 6",
@@ -185,7 +149,6 @@ def bare_crystal_rows() -> list[ArticleRow]:
 def ratio_rows() -> list[ArticleRow]:
     """Eq. 5 from the two signals."""
     ratio = article_ratio()
-    _, moved = from_printed(lambda a, g: a / g, p.SIGNAL_AIR, p.SIGNAL_GEL)
     of_gel, of_air = (100 * n.stated_sigma / n.value for n in (p.SIGNAL_GEL, p.SIGNAL_AIR))
     return [
         compare(
@@ -194,7 +157,7 @@ def ratio_rows() -> list[ArticleRow]:
             ratio.value,
             sigma=ratio.sigma,
             difference_sigma=0.0,
-            rounding=moved,
+            rounding=from_printed(lambda a, g: a / g, p.SIGNAL_AIR, p.SIGNAL_GEL).rounding,
             remark=f"{ratio.value:.4f} ± {ratio.sigma:.4f}: the article cuts digits off "
             "where rounding gives 0.584 ± 0.013",
         ),
@@ -218,7 +181,7 @@ def light_yield_rows() -> list[ArticleRow]:
         ("Y2 (gel)", p.SIGNAL_GEL, gel, p.NOMINAL.eta_gel_percent, p.YIELD_GEL),
     ):
         ours = absolute_yield(uncertain, with_eta_error(eta.value / 100))
-        _, moved = from_printed(
+        printed = from_printed(
             lambda n, e, h, k: n / (e * h / 100 * k), signal, p.EFFICIENCY, eta, p.ENERGY_KEV
         )
         covered = f"rounds to {ours.value:.1f}, which the rounding of {eta.text} % covers"
@@ -228,40 +191,33 @@ def light_yield_rows() -> list[ArticleRow]:
                 paper,
                 ours,
                 difference_sigma=0.0,
-                rounding=moved,
+                rounding=printed.rounding,
                 remark="" if round(ours.value, 1) == paper.value else covered,
             )
         )
-    eta_error, moved = _eta_spread()
     return [
         *rows,
         compare(
             "error of eta: spread of Table 1",
             p.ETA_ERROR,
-            eta_error,
-            rounding=moved,
+            _eta_spread(),
             remark="largest deviation from the middle line: 28/25 and 48/43",
         ),
-        derived(
+        compare(
             "total error: 12, 10, 1.6 % in quadrature",
             p.TOTAL_ERROR,
-            math.hypot,
-            p.ETA_ERROR,
-            p.EFFICIENCY_ERROR,
-            p.SIGNAL_ERROR,
+            from_printed(math.hypot, p.ETA_ERROR, p.EFFICIENCY_ERROR, p.SIGNAL_ERROR),
         ),
-        derived(
+        compare(
             "total error: 16 % of 7.5",
             p.printed(str(p.LIGHT_YIELD.sigma), "Sec. 6.3", "ph/keV"),
-            lambda y, e: y * e / 100,
-            p.LIGHT_YIELD,
-            p.TOTAL_ERROR,
+            from_printed(lambda y, e: y * e / 100, p.LIGHT_YIELD, p.TOTAL_ERROR),
         ),
     ]
 
 
-def _eta_spread() -> tuple[float, float]:
-    """Largest deviation of an eta of Table 1 from the middle line's, %, and what rounding adds."""
+def _eta_spread() -> Derived:
+    """Largest deviation of an eta of Table 1 from the middle line's, %."""
     low, middle, high = p.TABLE_1
     return max(
         from_printed(lambda a, b: 100 * abs(a / b - 1), eta, nominal)
@@ -307,7 +263,7 @@ def relative_rows() -> list[ArticleRow]:
     cawo4_eta = with_eta_error(p.CAWO4_ETA.value / 100)
     stated = relative_yield(with_eta_error(p.RELATIVE_ETA.value), cawo4_eta)
     of_table_1 = relative_yield(with_eta_error(p.NOMINAL.eta_air_percent.value / 100), cawo4_eta)
-    _, moved = from_printed(
+    printed = from_printed(
         lambda n, eta, h, n_w, eta_w, h_w, y_w: n * h_w * eta_w / 100 / (n_w * h * eta) * y_w,
         p.SIGNAL_AIR,
         p.RELATIVE_ETA,
@@ -324,7 +280,7 @@ def relative_rows() -> list[ArticleRow]:
             p.RELATIVE_YIELD,
             stated,
             difference_sigma=0.0,
-            rounding=moved,
+            rounding=printed.rounding,
         ),
         compare("Y, Table 1's 25 %, Eq. 7", p.RELATIVE_YIELD, of_table_1, inconsistent=True),
         compare(
@@ -360,13 +316,12 @@ def table_2_rows() -> list[ArticleRow]:
     return [
         *(compare(what, number, None) for number, what in p.TABLE_2),
         *(
-            derived(
+            compare(
                 quantity,
                 paper,
-                lambda y, h, e: y / (h * e / 1e4),
-                p.KIM_MEASURED,
-                eta,
-                p.KIM_EFFICIENCY,
+                from_printed(
+                    lambda y, h, e: y / (h * e / 1e4), p.KIM_MEASURED, eta, p.KIM_EFFICIENCY
+                ),
             )
             for quantity, paper, eta in (
                 ("[13]: 3.5/(0.90 x 0.80)", p.KIM_YIELD, p.KIM_ASSUMED_ETA),

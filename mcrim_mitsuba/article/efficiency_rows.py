@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mcrim_mitsuba.article import published as p
-from mcrim_mitsuba.article.arithmetic import escape_per_face, from_printed
-from mcrim_mitsuba.article.published import ArticleRow, Printed, Table1Line, compare
+from mcrim_mitsuba.article.arithmetic import escape_per_face
+from mcrim_mitsuba.article.published import ArticleRow, Printed, Table1Line, compare, from_printed
 from mcrim_mitsuba.article.simulated import (
     DEFAULT_WRAP_REFLECTANCE,
     GEL,
@@ -416,7 +416,7 @@ def _shape_rows(simulated: Simulated) -> list[ArticleRow]:
 
 def other_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
     """The thin sample, CaWO4 and the wrapped cube."""
-    quoted, moved = from_printed(
+    quoted = from_printed(
         lambda s, q: 100 * s / q, p.CAWO4_QUOTED_SIGNAL, p.CAWO4_QUOTED_QUANTUM_EFFICIENCY
     )
     wrapped = simulated.wrapped[DEFAULT_WRAP_REFLECTANCE]
@@ -434,7 +434,7 @@ def other_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
             "with 0.54 and 0.039 /cm, for the article states no others; without absorption "
             f"{100 * simulated.thin_clear.eta:.1f} %",
         ),
-        compare("CaWO4 of [20]: 3.8/0.25, Sec. 6.2", p.CAWO4_QUOTED_ETA, quoted, rounding=moved),
+        compare("CaWO4 of [20]: 3.8/0.25, Sec. 6.2", p.CAWO4_QUOTED_ETA, quoted),
         _crystal(
             "CaWO4, air, Sec. 6.4",
             p.CAWO4_ETA,

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import SupportsFloat
+from typing import NamedTuple, SupportsFloat
 
 from mcrim_mitsuba.laboratory.error_budget import Uncertain
 
@@ -56,6 +57,28 @@ def printed(text: str, where: str, unit: str = "") -> Printed:
         where=where,
         unit=unit,
     )
+
+
+class Derived(NamedTuple):
+    """A value that follows from printed numbers, and what their rounding may move it by."""
+
+    value: float
+    rounding: float
+
+
+def from_printed(formula: Callable[..., SupportsFloat], *inputs: Printed) -> Derived:
+    """A formula's value at printed numbers.
+
+    Its rounding is the sum over the inputs of the change when each is moved by its own.
+    """
+    values = [number.value for number in inputs]
+    value = float(formula(*values))
+    rounding = 0.0
+    for place, number in enumerate(inputs):
+        shifted = values.copy()
+        shifted[place] += number.rounding
+        rounding += abs(float(formula(*shifted)) - value)
+    return Derived(value, rounding)
 
 
 def printed_range(low: str, high: str, where: str, unit: str = "") -> Printed:
@@ -253,7 +276,7 @@ class ArticleRow:
 def compare(
     quantity: str,
     paper: Printed | None,
-    ours: Uncertain | SupportsFloat | None,
+    ours: Derived | Uncertain | SupportsFloat | None,
     *,
     sigma: float | None = None,
     systematic: float | None = None,
@@ -268,15 +291,16 @@ def compare(
 
     Parameters
     ----------
-    ours : Uncertain or float, optional
-        With its statistical and systematic errors, or alone.
+    ours : Derived, Uncertain or float, optional
+        With its rounding, with its statistical and systematic errors, or alone.
     sigma, systematic : float, optional
         Errors of ours where it comes alone.
     difference_sigma : float, optional
         Standard error of the difference where it is not all three errors in quadrature,
         because the two numbers share some.
     rounding : float
-        What the rounding of printed numbers that ours is computed from may move it by.
+        What the rounding of printed numbers that ours is computed from may move it by; that of a
+        `Derived` when not given.
     unit : str, optional
         The printed number's when not given.
     inconsistent : bool
@@ -285,7 +309,10 @@ def compare(
     judged : bool
         False where the two numbers stand side by side and need not agree.
     """
-    if isinstance(ours, Uncertain):
+    if isinstance(ours, Derived):
+        rounding = rounding or ours.rounding
+        ours = ours.value
+    elif isinstance(ours, Uncertain):
         sigma, systematic = ours.statistical_sigma, ours.systematic_sigma
         ours = ours.value
     value, error, systematic = (

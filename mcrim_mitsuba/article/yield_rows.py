@@ -12,7 +12,6 @@ from mcrim_mitsuba.article.arithmetic import (
     SIGNALS,
     absolute_yield,
     efficiency,
-    from_printed,
     relative_yield,
     with_eta_error,
 )
@@ -23,7 +22,7 @@ from mcrim_mitsuba.article.efficiency_rows import (
     nominal_of,
     wrapped_spread,
 )
-from mcrim_mitsuba.article.published import AGREEMENT_SIGMAS, ArticleRow, compare
+from mcrim_mitsuba.article.published import AGREEMENT_SIGMAS, ArticleRow, compare, from_printed
 from mcrim_mitsuba.article.simulated import DEFAULT_PHOTONS, DEFAULT_WRAP_REFLECTANCE, Simulated
 from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.campaign.known_physics import KnownCrystal
@@ -218,18 +217,15 @@ def relative_yield_row(yields: LightYields) -> ArticleRow:
 def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
     """Reference [13] corrected with our efficiency of the wrapped cube."""
     wrapped = simulated.wrapped[DEFAULT_WRAP_REFLECTANCE]
-    value, moved = from_printed(
-        lambda y, e: y / (wrapped.eta * e / 100), p.KIM_MEASURED, p.KIM_EFFICIENCY
-    )
-    spread = value * (wrapped_spread(simulated) / wrapped.eta)
+    ours = from_printed(lambda y, e: y / (wrapped.eta * e / 100), p.KIM_MEASURED, p.KIM_EFFICIENCY)
+    spread = ours.value * (wrapped_spread(simulated) / wrapped.eta)
     return compare(
         "[13] with our wrapped eta",
         p.KIM_CORRECTED,
-        value,
-        sigma=value * wrapped.eta_sigma / wrapped.eta,
+        ours,
+        sigma=ours.value * wrapped.eta_sigma / wrapped.eta,
         systematic=spread,
         difference_sigma=spread,
-        rounding=moved,
         remark=f"3.5/({wrapped.eta:.3f} x 0.80); the second error is the wrapping's reflectance",
     )
 

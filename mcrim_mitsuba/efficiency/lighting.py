@@ -256,10 +256,7 @@ class EtaMap:
     def spread(self, source: str, light: Array) -> Spread:
         """Of gammas that leave so much light (any unit) in the cells, (x, y, z).
 
-        Raises
-        ------
-        ValueError
-            If there is light where there is no crystal, or none at all.
+        Raises ValueError if there is light where there is no crystal, or none at all.
         """
         inside = self.volume > 0.0
         if not light.sum() > 0.0 or light[~inside].any():
@@ -305,10 +302,8 @@ class EtaMap:
     def of_deposits(self, path: str | Path) -> Spread:
         """Of a file of deposits: columns x_mm, y_mm, z_mm and energy_keV, a row each.
 
-        Raises
-        ------
-        InputError
-            If the file cannot be read, or a deposit is outside the crystal, with its line.
+        Raises InputError if the file cannot be read, or a deposit is outside the crystal, with its
+        line.
         """
         table = read_data_table(path, roles=_DEPOSITS)
         if len(table.values.T) != len(_DEPOSITS):
@@ -420,10 +415,7 @@ def _grid(simulation: Simulation, cells: Sequence[int]) -> tuple[Array, Array, A
 def read_map(path: str | Path) -> EtaMap:
     """A map as `EtaMap.to_xarray` gives it, from the NetCDF file that ``simulate --map`` writes.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or is something else.
+    Raises InputError if the file cannot be read, or is something else.
     """
     import xarray
 
@@ -465,10 +457,7 @@ def all_spreads(
 ) -> tuple[Spread, ...]:
     """Of gammas that stop everywhere, near a face, and as a file says, where one is named.
 
-    Raises
-    ------
-    InputError
-        If the depth is not above 0, and as `EtaMap.of_deposits`.
+    Raises InputError if the depth is not above 0, and as `EtaMap.of_deposits`.
     """
     if not depth_mm > 0.0:
         raise InputError(f"depth_mm = {depth_mm:g} is no depth", "give one above 0")

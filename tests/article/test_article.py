@@ -133,7 +133,7 @@ def test_numbers_that_follow_from_the_article_alone():
 
 
 def test_rounding_of_inputs_is_the_change_it_makes():
-    value, moved = arithmetic.from_printed(lambda a, b: a / b, printed("10", ""), printed("4", ""))
+    value, moved = p.from_printed(lambda a, b: a / b, printed("10", ""), printed("4", ""))
     assert value == 2.5
     assert moved == pytest.approx(0.5 / 4 + (10 / 4 - 10 / 4.5))
 
