@@ -108,7 +108,7 @@ def placed(beginning: str = "", **place: Any) -> contextlib.AbstractContextManag
 
 
 def closest(name: str, names: Iterable[str]) -> str | None:
-    """The known name most like `name`, or None if nothing comes close."""
+    """The one of some names that is most like `name`; None if nothing comes close."""
     if len(name) > _LONGEST_NAME:
         return None
     return next(iter(difflib.get_close_matches(name, list(names), n=1)), None)
@@ -117,7 +117,7 @@ def closest(name: str, names: Iterable[str]) -> str | None:
 def did_you_mean(name: str, names: Iterable[str]) -> str:
     """Phrase for the second half of an `InputError` about an unknown name, as typed.
 
-    ``did you mean n_gap? Known are: gap_mm, n_gap``, in the order of `known`; without the guess if
+    ``did you mean n_gap? Known are: gap_mm, n_gap``, in the order of `names`; without the guess if
     nothing comes close.
     """
     names = list(names)

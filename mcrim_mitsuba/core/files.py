@@ -27,7 +27,7 @@ BYTES_PER_MB = 1_000_000
 #: Where the operating system knows it.
 NONBLOCK = getattr(os, "O_NONBLOCK", 0)
 #: How long a pipe or a device may say nothing, in seconds.
-_PATIENCE_S = 10.0
+PATIENCE_S = 10.0
 #: Names of a folder that are compared with one that is not there.
 _MOST_COMPARED = 2000
 _EMPTY = ("the file is empty", "name another file or fill this one")
@@ -142,8 +142,8 @@ def _up_to(size: int, descriptor: int) -> bytes:
         try:
             part = os.read(descriptor, min(size, BYTES_PER_MB))
         except BlockingIOError:
-            if not select.select([descriptor], [], [], _PATIENCE_S)[0]:
-                problem = f"nothing came through it for {_PATIENCE_S:g} s"
+            if not select.select([descriptor], [], [], PATIENCE_S)[0]:
+                problem = f"nothing came through it for {PATIENCE_S:g} s"
                 raise TimeoutError(errno.ETIMEDOUT, problem) from None
             continue
         if not part:

@@ -58,7 +58,7 @@ class TomlDocument:
     def table(self, key: str, entries: Iterable[str] | None = None) -> TomlTable:
         """The table of this dotted name (the whole file for ""), empty if it is not there.
 
-        Raises InputError if it is not a table or holds a key that is not in `known`.
+        Raises InputError if it is not a table or holds a key that is not in `entries`.
         """
         content: Any = self.content
         for part in key.split(".") if key else []:

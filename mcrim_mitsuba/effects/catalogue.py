@@ -104,14 +104,14 @@ def catalogue(folder: str | Path | None = None) -> dict[str, Effect]:
 
 
 @functools.cache
-def _entry_points() -> tuple[EntryPoint, ...]:
-    """Those of all distributions; looking for them takes tens of milliseconds."""
+def entry_points_there_are() -> tuple[EntryPoint, ...]:
+    """Entry points of all distributions; looking for them takes tens of milliseconds."""
     return tuple(sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name))
 
 
 def _installed() -> Iterator[tuple[Effect, _Place]]:
     """Effects that other distributions bring."""
-    for point in _entry_points():
+    for point in entry_points_there_are():
         place: _Place = {"path": f"distribution {point.dist.name}" if point.dist else point.value}
         mend = f"mend the entry point {point.name} of {ENTRY_POINTS}, or uninstall it"
         try:

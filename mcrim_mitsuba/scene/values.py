@@ -95,7 +95,7 @@ def read_index(what: str, text: str, folder: Path | None = None, **place: Any) -
 
     Parameters
     ----------
-    said : str
+    what : str
         The beginning of a refusal: the parameter and its text.
     text : str
         ``MATERIAL@540nm``, or ``MATERIAL@FILE`` for the mean over the emission spectrum in a

@@ -309,14 +309,14 @@ def faults_of(trial: Trial, whole: Whole) -> list[str]:
         at_s, most_s = trial.moment * whole.seconds, _PATIENCE * whole.seconds + 60.0
         stopped = run(trial.job, folder, at_s=at_s, fault=fault, most_s=most_s)
         (folder / "cache.filling").unlink(missing_ok=True)
-        wrong = list(_wrong(stopped, whole, contents(folder), old, trial.fault))
+        wrong = list(wrong_results(stopped, whole, contents(folder), old, trial.fault))
         again = run(trial.job, folder, most_s=most_s)
         if again.status:
             wrong.append(f"the same line ended with {again.status}: {again.complaints[-200:]}")
         return wrong + [f"again: {what}" for what in _missing(whole, contents(folder))]
 
 
-def _wrong(
+def wrong_results(
     ended: Ended, whole: Whole, found: dict[str, bytes], old: set[str], fault: str
 ) -> Iterator[str]:
     """What is wrong after the run that was stopped."""

@@ -60,7 +60,7 @@ READING_SIGMA = 0.007
 #: The same of a transmittance, within this half angle of a beam so wide.
 TRANSMITTANCE_SIGMA, ACCEPTANCE_DEG, BEAM_DIAMETER_MM = 0.01, 5.0, 3.0
 #: Photons of the tracer's beam: a quarter of that error at 0.3 of the beam transmitted.
-_BEAM_PHOTONS = 40_000
+BEAM_PHOTONS = 40_000
 #: What turns the scale into a light yield; without an error, which would blur the pulls.
 ENERGY_KEV, DETECTOR_EFFICIENCY = 59.5, 0.127
 #: Sizes of the readings' effects are relative: a background to the smallest reading, a saturation
@@ -106,7 +106,7 @@ _MOST_TRUTHS = 60
 _USUAL = dict(zip(COLUMNS, (1.0, 14.0, 10.0, 0.05), strict=True))
 #: Photons of a reading that is measured on advice: as good as it is promised, the tracer's error
 #: being a fifth of `READING_SIGMA` behind the narrowest mask.
-_FURTHER_PHOTONS = 6_000_000
+FURTHER_PHOTONS = 6_000_000
 
 
 class HiddenEffect(NamedTuple):
@@ -230,7 +230,7 @@ def with_transmittance(readings: Readings, hidden: Hidden, truth: Truth, seed: i
         acceptance_deg=ACCEPTANCE_DEG,
         **seen,
     )
-    found = trace(beam, _BEAM_PHOTONS, seed)
+    found = trace(beam, BEAM_PHOTONS, seed)
     sigma = math.hypot(TRANSMITTANCE_SIGMA * found.eta, found.eta_sigma)
     return replace(
         readings,
@@ -718,7 +718,7 @@ def measured(trial: Trial, proposed: Sequence[Mapping]) -> tuple[Design, Array, 
         filled = values["n_gap"] > FILLED_ABOVE
         here = {n: v for n, v in changes.items() if filled or n not in FILLED_ONLY}
         bench = Bench(**values, **coefficients, **here)
-        found = trace(bench, _FURTHER_PHOTONS, int(rng.integers(2**31)))
+        found = trace(bench, FURTHER_PHOTONS, int(rng.integers(2**31)))
         position = 0.5 + (len(design) + 1 - len(trial.design)) / (len(trial.design) - 1)
         row, light = tuple(values.values()), np.array([trial.truth.scale * found.eta])
         read, slope = distort(own, light, (row,), np.array([position]))

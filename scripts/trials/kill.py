@@ -185,7 +185,7 @@ def files(cache: Path) -> dict[Path, tuple[int, int]]:
     return {file: (status.st_ino, status.st_mtime_ns) for file, status in statuses}
 
 
-def _row(
+def row_of(
     trial: int, moment: float, killed: Ran, before: dict, again: Ran, after: dict, whole: Ran
 ) -> Row:
     """What a kill did: `before` and `after` are the files before and after the next run."""
@@ -259,7 +259,7 @@ def main(words, kills, how, processes, seed, json_file) -> int:
             cache = job.cache(f"cache-{trial}")
             killed = job.run(cache, moment)
             before = files(cache)
-            row = _row(trial, moment, killed, before, job.run(cache), files(cache), whole)
+            row = row_of(trial, moment, killed, before, job.run(cache), files(cache), whole)
             shutil.rmtree(cache)
             rows.append(row)
             screen.line(

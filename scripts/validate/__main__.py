@@ -196,7 +196,7 @@ class Comparison:
     def rows(self) -> list[Row]:
         """All comparisons; everything must be done."""
         found = [self._closed_row(case) for case in self._closed]
-        found += [row for case in self._benches for row in self._solved_row(case)]
+        found += [row for case in self._benches for row in self.solved_row(case)]
         return found + [row for pair in self._pairs() for row in self._rows_of(*pair)]
 
     def _pairs(self) -> list[tuple[str, Case]]:
@@ -268,7 +268,7 @@ class Comparison:
             True,
         )
 
-    def _solved_row(self, case: Case) -> list[Row]:
+    def solved_row(self, case: Case) -> list[Row]:
         """Of a plain bench that can be solved without photons: its eta."""
         if case.group != "plain":
             return []

@@ -220,7 +220,7 @@ def test_title_and_unit_are_kept_where_a_campaign_goes_on(folder):
 
 
 def test_effects_of_the_users_own(folder, monkeypatch):
-    monkeypatch.setattr("mcrim_mitsuba.effects.trust._place", lambda: folder / "trusted")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(folder / "settings"))
     (folder / "mine").mkdir()
     (folder / "mine/drift.py").write_text(
         "from mcrim_mitsuba.effects import Effect, EffectParameter\n"
@@ -238,7 +238,10 @@ def test_effects_of_the_users_own(folder, monkeypatch):
         campaign(folder, text)
     (folder / "mine/drift.py").write_text(drift)
     trust(folder / "mine", keep=True)
-    assert fingerprint(folder / "mine") in (folder / "trusted").read_text()
+    assert (
+        fingerprint(folder / "mine")
+        in (folder / "settings/mcrim_mitsuba/trusted_effects.txt").read_text()
+    )
     read = campaign(folder, text)
     assert read.parameters["drift"].start == 1.1
     assert read.effects_folder == folder / "mine"

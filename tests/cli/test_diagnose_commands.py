@@ -40,6 +40,12 @@ from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_hypotheses
 from mcrim_mitsuba.scene.scene_file import read_scene
 
 
+def title_of(figure):
+    """The figure's title, as an artist."""
+    [title] = [text for text in figure.texts if text.get_text() == figure.get_suptitle()]
+    return title
+
+
 def overlap(artists, figure) -> list[str]:
     """Texts whose boxes on the page overlap."""
     figure.draw_without_rendering()
@@ -394,7 +400,7 @@ EFFECT = Effect("drift", "D", "...", "...", parameters=(size,), reading=act)
 def test_python_of_a_campaign_is_executed_when_its_user_says_so(
     mcrim, campaign, found, monkeypatch
 ):
-    monkeypatch.setattr("mcrim_mitsuba.effects.trust._place", lambda: Path("trusted").absolute())
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(Path("settings").absolute()))
     Path("theirs").mkdir()
     Path("theirs/drift.py").write_text(DRIFT)
     path = Path(campaign)
@@ -415,7 +421,7 @@ def test_python_of_a_campaign_is_executed_when_its_user_says_so(
     mcrim.shown("compare", campaign)
     mcrim.shown("compare", campaign)
     # asked once, and kept
-    assert len(asked) == 2 and Path("trusted").is_file()
+    assert len(asked) == 2 and Path("settings/mcrim_mitsuba/trusted_effects.txt").is_file()
 
 
 def test_a_profile_that_is_no_parabola_is_said():
@@ -516,7 +522,7 @@ def test_labels_of_figures_do_not_overlap():
     pair = by.diagnosis("missing_effect", pairs=(by.PAIR,), leading_sets=((by.FIRST, by.SECOND),))
     figure = draw_ranking(pair, brief=True).entitled("A title that is far too long. " * 9).figure
     figure.draw_without_rendering()
-    assert figure.bbox.width > figure._suptitle.get_window_extent().x1
+    assert figure.bbox.width > title_of(figure).get_window_extent().x1
     steps = [replace(by.STEPS[1], step=i, added="anisotropic_scattering") for i in range(1, 5)]
     figure = draw_staircase([by.STEPS[0], *steps], by.calibration(by.MENDED, 0.3)).figure
     for axes in figure.axes[-2:]:
@@ -552,7 +558,7 @@ def test_titles_are_whole_and_within_their_figure(brief):
     title = "WEIGHT " * 30 + "END"
     figure = draw_ranking(by.diagnosis("missing_effect"), brief=brief).entitled(title).figure
     figure.draw_without_rendering()
-    assert figure.bbox.width > figure._suptitle.get_window_extent().x1
+    assert figure.bbox.width > title_of(figure).get_window_extent().x1
     assert figure.get_suptitle().replace("\n", " ").startswith(f"{title} Absorbing crystal")
 
 

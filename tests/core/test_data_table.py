@@ -5,7 +5,7 @@ import pytest
 from places import cases_of
 from refusals import refusal
 
-from mcrim_mitsuba.core.data_table import read_data_table
+from mcrim_mitsuba.core.data_table import DataTable, read_data_table
 from mcrim_mitsuba.core.table_text import name_and_unit
 
 cases = cases_of(__file__)
@@ -13,7 +13,7 @@ cases = cases_of(__file__)
 ROLES = ("wavelength", "value")
 
 
-def read(tmp_path, content):
+def read(tmp_path, content) -> DataTable:
     path = tmp_path / "table.csv"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     return read_data_table(path, roles=ROLES)

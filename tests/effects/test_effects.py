@@ -13,7 +13,7 @@ from places import SCENES, cases_of, tables_of
 from refusals import refusal
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.effects.catalogue import BUILT_IN, _entry_points, add, catalogue
+from mcrim_mitsuba.effects.catalogue import BUILT_IN, add, catalogue, entry_points_there_are
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter, Rows
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.simulation import Simulation
@@ -535,10 +535,10 @@ def distribution(tmp_path, monkeypatch):
         (info / "entry_points.txt").write_text(f"[mcrim_mitsuba.effects]\nspot = {point}\n")
         monkeypatch.syspath_prepend(tmp_path)
         monkeypatch.delitem(sys.modules, "spots", raising=False)
-        _entry_points.cache_clear()
+        entry_points_there_are.cache_clear()
 
     yield install
-    _entry_points.cache_clear()
+    entry_points_there_are.cache_clear()
 
 
 @pytest.mark.parametrize("point", ["spots", "spots:EFFECT"])

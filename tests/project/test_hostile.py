@@ -93,7 +93,7 @@ def parameters_in_parameters():
     ],
 )
 def test_scenes_that_would_grow_wander_off_or_hang(tmp_path, monkeypatch, text, said):
-    monkeypatch.setattr(reading, "_PATIENCE_S", 0.05)
+    monkeypatch.setattr(reading, "PATIENCE_S", 0.05)
     (tmp_path / "away.xml").symlink_to("/etc/passwd")
     (tmp_path / "circle.xml").symlink_to("circle.xml")
     os.mkfifo(tmp_path / "pipe")
@@ -120,7 +120,7 @@ def test_scenes_that_would_grow_wander_off_or_hang(tmp_path, monkeypatch, text, 
     ],
 )
 def test_what_is_no_file_hangs_nobody(tmp_path, monkeypatch, reader, name):
-    monkeypatch.setattr(reading, "_PATIENCE_S", 0.05)
+    monkeypatch.setattr(reading, "PATIENCE_S", 0.05)
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "circle").symlink_to("circle")
     (tmp_path / "folder").mkdir()
@@ -141,7 +141,7 @@ def test_a_pipe_with_a_writer_is_read(tmp_path):
 
 
 def test_a_pipe_whose_writer_says_nothing_is_given_up(tmp_path, monkeypatch):
-    monkeypatch.setattr(reading, "_PATIENCE_S", 0.05)
+    monkeypatch.setattr(reading, "PATIENCE_S", 0.05)
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     ends = [os.open(pipe, os.O_RDONLY | os.O_NONBLOCK), os.open(pipe, os.O_WRONLY)]

@@ -12,6 +12,7 @@ import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import dask
 import distributed
@@ -382,10 +383,19 @@ def test_a_worker_of_other_versions_refuses(two_workers, scenes):
             future.result()
 
 
-def test_a_worker_without_this_package_says_so(tmp_path):
+def test_a_worker_without_this_package_says_so(tmp_path, monkeypatch):
     """It can load what it is sent: else it would go away, and be waited for."""
     file = tmp_path / "function.pickle"
-    file.write_bytes(distributed.protocol.pickle.dumps(on_cluster._make_by_value))
+    sent = []
+
+    class Listening:
+        def submit(self, function, *arguments, **options):
+            sent.append(function)
+
+    monkeypatch.setattr(on_cluster, "connect", lambda address: Listening())
+    unit = SimpleNamespace(portable=lambda: 1, variant="llvm_ad_rgb", modules=())
+    on_cluster.ClusterExecutor("tcp://host:1").submit(unit)
+    file.write_bytes(distributed.protocol.pickle.dumps(sent[0]))
     code = (
         "import pickle, sys; sys.modules['mcrim_mitsuba'] = None\n"
         f"function = pickle.load(open({str(file)!r}, 'rb'))\n"
@@ -395,13 +405,14 @@ def test_a_worker_without_this_package_says_so(tmp_path):
     assert done.stdout.startswith(b"mcrim_mitsuba"), done.stderr.decode()
 
 
-def test_a_scheduler_that_is_gone_is_said_in_one_line():
+def test_a_scheduler_that_is_gone_is_said_in_one_line(monkeypatch):
     class Gone:
         def scheduler_info(self, **options):
             return {}
 
+    monkeypatch.setattr(on_cluster, "connect", lambda address: Gone())
     with pytest.raises(InputError, match="the connection to the scheduler was lost"):
-        on_cluster._workers(Gone(), "tcp://host:1")
+        _ = on_cluster.ClusterExecutor("tcp://host:1").workers
 
 
 def test_who_waits_for_workers_is_told(scenes, tmp_path, monkeypatch, capsys):

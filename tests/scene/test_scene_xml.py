@@ -9,7 +9,12 @@ from refusals import refusal
 
 from mcrim_mitsuba.efficiency.recording import surfaces_answer
 from mcrim_mitsuba.runs.scene_units import PortableScene
-from mcrim_mitsuba.scene.scene_file import parse_define, read_scene
+from mcrim_mitsuba.scene.scene_file import (
+    DefaultParameter,
+    SceneFile,
+    parse_define,
+    read_scene,
+)
 
 cases = cases_of(__file__)
 
@@ -25,6 +30,7 @@ def write(tmp_path, text, name="bench.xml"):
 def test_parameters_keep_their_comment_unit_and_line(tmp_path):
     scene = read_scene(write(tmp_path, SCENE))
     known = scene.defaults
+    assert isinstance(known["n_gap"], DefaultParameter) and isinstance(scene, SceneFile)
     assert list(known) == ["n_crystal", "n_gap", "gap_mm", "polarization", "max_depth", "below_mm"]
     assert known["n_crystal"].comment.startswith("Refractive index of the crystal at the")
     assert known["n_gap"].comment == "index of the gap"

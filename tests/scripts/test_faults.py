@@ -39,7 +39,7 @@ FILES = WHOLE.inputs | WHOLE.results
 def test_what_is_lost_is_noticed(status, changed, said):
     found = {name: content for name, content in (FILES | changed).items() if content is not None}
     ended = Ended(status, 1.0, "")
-    wrong = list(faults._wrong(ended, WHOLE, found, set(WHOLE.results), "KILL"))
+    wrong = list(faults.wrong_results(ended, WHOLE, found, set(WHOLE.results), "KILL"))
     assert [said in line for line in wrong] == [True] if said else wrong == []
 
 

@@ -159,7 +159,7 @@ def test_what_is_left_out_of_the_catalogue_is_allowed_for(run):
 
 def test_what_is_measured_on_advice_is_the_same_bench(monkeypatch):
     """A reading of the campaign's own configuration again, with all effects of the readings."""
-    monkeypatch.setattr(trials, "_FURTHER_PHOTONS", 300_000)
+    monkeypatch.setattr(trials, "FURTHER_PHOTONS", 300_000)
     sizes = {"sample_scale": 0.06, "gain_drift": 0.05, "saturation": 0.01, "background": 0.3}
     truth = trials.Truth(0.4, 0.039, 40.0, 0.04)
     design = ((1.0, 14.0, 10.0, 0.05), (1.46, 14.0, 5.0, 0.05), (1.0, 7.0, 10.0, 0.05))
@@ -203,8 +203,8 @@ def test_whatever_may_be_proposed_can_be_measured(monkeypatch):
     """Every usual liquid has a name; a beam sees no more of a hidden detector than there is."""
     truth = trials.Truth(0.4, 0.039, 40.0, 0.04)
     design, signal = histories.STANDARD[:2], np.array([10.0, 20.0])
-    monkeypatch.setattr(trials, "_FURTHER_PHOTONS", 2_000)
-    monkeypatch.setattr(trials, "_BEAM_PHOTONS", 4_000)
+    monkeypatch.setattr(trials, "FURTHER_PHOTONS", 2_000)
+    monkeypatch.setattr(trials, "BEAM_PHOTONS", 4_000)
     for effect, size in (("detector_specular", 0.3), ("top_reflector", 0.5)):
         trial = trials.Trial(
             "advice", 0, 1, ((effect, size),), (), "", truth, 50.0, design, signal, 0.007 * signal

@@ -35,15 +35,15 @@ def test_a_table_that_is_killed_goes_on(scenes, tmp_path):
     before = kill.files(cache)
     assert killed.status == -signal.SIGKILL and len(killed.log.made) < 7 and len(before) < 7
     again = job.run(cache)
-    row = kill._row(1, moment, killed, before, again, kill.files(cache), whole)
+    row = kill.row_of(1, moment, killed, before, again, kill.files(cache), whole)
     assert row.as_wanted(processes=1)
     assert set(again.log.kept) >= set(killed.log.made)
     assert set(again.log.made) | set(again.log.kept) == set(whole.log.made)
     # what the trial would say of a job that forgets what it has done, or gives another result
-    forgot = kill._row(1, moment, whole, before, whole, {}, whole)
+    forgot = kill.row_of(1, moment, whole, before, whole, {}, whole)
     assert forgot.remade == 7 and not forgot.as_wanted(processes=1)
     changed = replace(again, said=again.said.replace('"eta": 0.', '"eta": 0.0', 1))
-    row = kill._row(1, moment, killed, before, changed, kill.files(cache), whole)
+    row = kill.row_of(1, moment, killed, before, changed, kill.files(cache), whole)
     assert row.same is False and not row.as_wanted(processes=1)
 
 

@@ -220,7 +220,7 @@ def test_plain_benches_are_compared_with_the_solver():
             }
 
     compared = command.Comparison(0.01, 0, [plain, chamfered], [], Ours())
-    (row,) = (row for case in (plain, chamfered) for row in compared._solved_row(case))
+    (row,) = (row for case in (plain, chamfered) for row in compared.solved_row(case))
     assert row.program == SOLVER and row.z == pytest.approx(2.0, abs=0.15)
     ((bench, why),) = ((b, why) for program, b, why in compared.refused if program == SOLVER)
     assert bench == chamfered.name and "chamfer" in why

@@ -1,0 +1,75 @@
+"""How simulations are done, and what a result says of it."""
+
+import os
+import pickle
+import signal
+
+import numpy as np
+import pytest
+from refusals import refusal
+from threadpoolctl import threadpool_info
+
+from mcrim_mitsuba.core.run import Provenance, Run, arguments_of, one_thread, signals_wait
+
+
+def test_a_run_takes_numbers_of_any_kind():
+    run = Run(photons="1e6", seed=np.int64(3), threads=2.0, precision="0.01")
+    assert (run.photons, run.seed, run.threads, run.precision) == (1_000_000, 3, 2, 0.01)
+    assert run.photons_or(5) == 1_000_000 and Run().photons_or(5) == 5
+    assert arguments_of(10.0, "0") == (10, 0)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"photons": 0}, "the number of photons is 0; give a whole number, 1 to 1e13"),
+        ({"photons": 2e13}, "give a whole number, 1 to 1e13"),
+        ({"photons": 1.5}, "the number of photons is 1.5"),
+        ({"seed": -1}, "the seed is -1; give 0 or a positive integer"),
+        ({"threads": 0}, "give a whole number, 1 to 1024"),
+        ({"precision": 0.0}, "the precision is 0.0; give a relative error above 0"),
+        ({"precision": True}, "the precision is True"),
+        ({"variant": 3}, "the variant is 3; give a name: llvm_ad_rgb"),
+    ],
+)
+def test_what_no_run_can_have_is_refused(given, says):
+    assert says in refusal(Run, **given)
+
+
+def test_progress_is_told_here_and_sent_nowhere():
+    told = []
+    run = Run(progress=lambda *words: told.append(words))
+    run.tell("eta", 1, 2, "half")
+    assert told == [("eta", 1, 2, "half")]
+    sent = pickle.loads(pickle.dumps(run))
+    assert sent.progress is None and sent == Run()
+    Run().tell("eta", 1, 2)
+
+
+def test_linear_algebra_has_one_thread_meanwhile():
+    np.eye(2) @ np.eye(2)
+
+    @one_thread()
+    def threads() -> set[int]:
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    assert threads() == {1}
+
+
+def test_a_signal_waits_for_the_end():
+    """Where Mitsuba is at work: `project/test_signals.py`."""
+    done = []
+
+    @signals_wait()
+    def work() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        done.append("the work")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert done == ["the work"]
+
+
+def test_a_result_says_how_it_was_done():
+    done = Provenance(1, 10, 5, "hash", {"numpy": "2"}, 0.5, ())
+    assert done.photons - done.cached_photons == 5

@@ -1,0 +1,160 @@
+"""What can be checked by reading a scene: words, values, indices and surfaces; its XML."""
+
+from pathlib import Path
+
+import pytest
+from lxml import etree
+from places import SCENES
+from refusals import refusal
+
+from mcrim_mitsuba.scene import check_text, xml_tree
+from mcrim_mitsuba.scene.check_text import CheckReport, Interface, SceneProblem, problems_of_text
+from mcrim_mitsuba.scene.scene_file import read_scene
+
+BENCH = SCENES / "camoo4.xml"
+TEXT = BENCH.read_text()
+
+
+def problems(folder: Path, *changes: tuple[str, str]) -> list[str]:
+    text = TEXT
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    (folder / "bench.xml").write_text(text)
+    return [str(problem) for problem in problems_of_text(read_scene(folder / "bench.xml"))]
+
+
+def test_a_sound_bench_has_no_problem(tmp_path):
+    assert problems(tmp_path) == []
+
+
+AIR = '<float name="ext_ior" value="1.0"/>'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('"gap_mm" value="0.05"', '"gap_mm" value="50"', "looks like micrometres; write it in mm"),
+        ('"n_gap" value="1.00"', '"n_gap" value="0.5"', "this is no refractive index"),
+        (AIR, '<float name="ext_ior" value="6"/>', "which is no refractive index"),
+        ("<emitter ", "<emiter ", "<emiter> is no element of a scene; did you mean emitter?"),
+        ('<ref id="crystal"/>', '<ref id="krystal"/>', "'krystal' is the id of nothing"),
+        ('"crystal_width_mm" value="10"', '"crystal_width_mm" value="40"', "is not smaller than"),
+    ],
+)
+def test_problems_are_told_with_line_and_mend(tmp_path, old, new, says):
+    changed = [(old, new), ("</emitter>", "</emiter>")] if "emiter" in new else [(old, new)]
+    told = problems(tmp_path, *changed)
+    text = (tmp_path / "bench.xml").read_text()
+    place = f"{tmp_path / 'bench.xml'}, line {text[: text.index(new)].count(chr(10)) + 1}: "
+    assert any(line.startswith(place) and says in line for line in told), told
+
+
+def test_an_index_that_is_not_written_is_told(tmp_path):
+    [told] = problems(tmp_path, (AIR, ""))
+    assert "bsdf 'crystal_to_air' does not say its ext_ior: Mitsuba would take 1.000277" in told
+
+
+def test_a_value_that_was_given_is_not_blamed_on_the_file():
+    [problem] = problems_of_text(read_scene(BENCH, {"gap_mm": 50.0}))
+    assert str(problem).startswith(f"{BENCH}: the value given for gap_mm is 50: ")
+    assert problem.kind == "unit" and problem.error().mend == "write it in mm: 0.05"
+
+
+def test_a_rotation_that_would_shear_is_told(tmp_path):
+    [told] = problems(tmp_path, ('<rotate x="1"', '<rotate x="1" y="1"'))
+    assert "has the length 1.414: Mitsuba would distort the shape" in told
+    assert told.endswith('give it the length 1: x="0.707107" y="0.707107" z="0"')
+
+
+def test_shapes_without_id_or_surface_are_told(tmp_path):
+    shapes = '<shape type="disk"/><shape type="disk" id="d"/></scene>'
+    told = problems(tmp_path, ("</scene>", shapes))
+    assert [line.split(": ", 1)[1] for line in told] == [
+        'this shape has no id; give it one: <shape id="...">',
+        "d has no bsdf: Mitsuba would make it a grey diffuse reflector; say what light meets "
+        "there, for example with a <ref/> to a dielectric",
+    ]
+
+
+def test_surfaces_and_indices_of_faces():
+    scene = read_scene(BENCH, {"n_gap": 1.46})
+    shapes = {shape.get("id"): shape for shape in check_text.shape_elements(scene)}
+    bottom = shapes["crystal_bottom"]
+    assert check_text.bsdf_of(scene, bottom).get("id") == "crystal_to_gap"
+    assert check_text.indices_of(scene, bottom) == (2.01, 1.46)
+    assert check_text.indices_of(scene, shapes["crystal_top"]) == (2.01, 1.0)
+    assert None in [check_text.indices_of(scene, shape) for shape in shapes.values()]
+    assert check_text.is_filled(1.46) and not check_text.is_filled(1.0003)
+
+
+def test_a_report_is_in_order_without_problems():
+    problem = SceneProblem("value", "it is wrong", "mend it", BENCH, 3)
+    assert str(problem) == f"{BENCH}, line 3: it is wrong; mend it"
+    face = Interface("top", "dielectric", "crystal", "outside", 2.01, 1.0, BENCH, 3)
+    assert CheckReport((), {}, (face,)).ok and not CheckReport((problem,), {}).ok
+
+
+HEAD = '<scene version="3.0.0">'
+
+
+def test_xml_keeps_the_line_where_an_element_starts():
+    root = xml_tree.parse_scene_xml(f"{HEAD}\n<shape\n  type='disk'\n/></scene>".encode(), BENCH)
+    assert [(e.tag, e.sourceline) for e in root.iter()] == [("scene", 1), ("shape", 2)]
+    # whoever gets it may change it
+    root.clear()
+    again = xml_tree.parse_scene_xml(f"{HEAD}\n<shape\n  type='disk'\n/></scene>".encode(), BENCH)
+    assert len(again) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (f"{HEAD}<shape></scene>", "malformed XML: Opening and ending tag mismatch"),
+        ("<bench/>", "the outermost element is <bench>, not <scene>"),
+        ("<scene/>", 'line 1: <scene> has no version; write <scene version="3.0.0">'),
+        ('<!DOCTYPE scene [<!ENTITY a "b">]>' + HEAD + "&a;</scene>", "are not accepted"),
+        (HEAD + "<a>" * 60 + "</a>" * 60 + "</scene>", "nested more than 50 deep"),
+        (HEAD + "<a " + " ".join(f'b{i}=""' for i in range(101)) + "/></scene>", "100 attributes"),
+        (HEAD + "<a/>" * 200_000 + "</scene>", "more than 200,000 tags"),
+    ],
+)
+def test_xml_that_is_no_scene_is_refused(text, says):
+    assert says in refusal(xml_tree.parse_scene_xml, text.encode(), Path("a.xml"))
+
+
+def test_a_comment_explains_the_element_beside_or_below_it():
+    root = etree.fromstring(
+        "<a>\n<!-- above\n b --><b/>\n<c/> <!-- beside c -->\n<d/>\n<!-- far -->\n\n<e/></a>"
+    )
+    assert [xml_tree.comment_of(e) for e in root.iter("b", "c", "d", "e")] == [
+        "above b",
+        "beside c",
+        "",
+        "",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('<flat name="x" value="1"/>', ("<flat> is no element of a scene", "did you mean float?")),
+        ('<float name="x" vale="1"/>', ("<float> has no attribute vale", "did you mean value?")),
+        ('<float name="x"/>', ("this <float> has no value", 'write <float value="...">')),
+        ('<float name="x" value="1"/>', None),
+    ],
+)
+def test_words_that_mitsuba_does_not_know(text, says):
+    wrong = xml_tree.misspelt(etree.fromstring(text))
+    assert wrong is says or (wrong[0], wrong[1].split(" Known")[0]) == says
+
+
+def test_references_to_nothing_or_on_no_side():
+    root = etree.fromstring(
+        '<scene><medium type="bulk" id="m"/><alias id="m" as="n"/><shape type="disk" id="s">'
+        '<ref id="q"/><ref id="m"/><ref name="interior" id="n"/></shape></scene>'
+    )
+    assert [(e.get("id"), problem) for e, problem, _ in xml_tree.misled(root)] == [
+        ("q", "'q' is the id of nothing in this scene"),
+        ("m", "the volume 'm' is on no side of this shape: name=''"),
+    ]

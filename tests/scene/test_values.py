@@ -1,0 +1,142 @@
+"""Values of scene parameters from texts: one, a list, or a material's index."""
+
+import pytest
+from refusals import refusal
+
+from mcrim_mitsuba.scene import values
+from mcrim_mitsuba.scene.values import (
+    MaterialIndex,
+    parse_like,
+    parse_list,
+    parse_value,
+    read_index,
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "value"),
+    [
+        ("gap_mm", "1", 1.0),
+        ("n_gap", "1", 1.0),
+        ("max_depth", "100", 100),
+        ("polarization", "True", True),
+        ("axis", "x", "x"),
+        ("size", "1e3", 1000.0),
+        ("n_crystal", "CaMoO4@540nm", 2.00562),
+    ],
+)
+def test_a_value_is_of_the_kind_that_its_text_shows(name, text, value):
+    parsed = parse_value(name, text)
+    assert parsed == value and type(parsed) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "example", "value"),
+    [
+        ("max_depth", "10.0", 100, 10),
+        ("max_depth", "10.5", 100, 10.5),
+        ("size", "10", 1.5, 10.0),
+        ("polarization", "FALSE", True, False),
+        ("axis", "1", "x", "1"),
+        ("n_gap", "BK7@540nm", 1.0, 1.51904),
+    ],
+)
+def test_another_value_is_of_the_scene_s_kind(name, text, example, value):
+    parsed = parse_like(name, text, example)
+    assert parsed == pytest.approx(value, abs=1e-4) and type(parsed) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("reader", "arguments", "says"),
+    [
+        (parse_value, ("gap_mm", " "), "gap_mm has no value"),
+        (parse_value, ("size", "0,5"), "has a decimal comma"),
+        (parse_value, ("size", "nan"), "is not a finite number"),
+        (parse_like, ("polarization", "yes", True), "is neither true nor false"),
+        (parse_like, ("gap_mm", "", 1.0), "gap_mm has no value"),
+        (parse_like, ("gap_mm", "wide", 1.0), "is not a finite number"),
+    ],
+)
+def test_what_is_of_no_kind_is_refused(reader, arguments, says):
+    refused = refusal(reader, *arguments, path="bench.xml", line=3)
+    assert refused.startswith("bench.xml, line 3: ") and says in refused
+
+
+def test_an_index_comes_from_a_material_and_says_so():
+    index = read_index("n_gap = 'BK7@540nm'", "BK7@540nm")
+    assert isinstance(index, MaterialIndex)
+    assert (index.material.name, index.wavelength_nm, index.emission) == ("BK7", 540.0, None)
+    assert "at 540 nm, known to" in index.words and "SCHOTT" in index.words
+    assert index.group_index > index.value
+    assert values.names_material("n_gap", "BK7@540nm") and values.names_material("n_gap", "bk7")
+    assert not values.names_material("gap_mm", "BK7@540nm")
+    assert values.parse_material("n_gap", "1.5") is None
+    assert values.material_at("n_gap", "BK7@540 nm")[1] == 540.0
+
+
+def test_an_index_over_an_emission(scenes):
+    emission = scenes / "camoo4_raw" / "emission.csv"
+    index = read_index("n", f"CaMoO4@{emission.name}", emission.parent)
+    at = read_index("n", "CaMoO4@540nm")
+    assert index.emission == emission and index.value == pytest.approx(at.value, abs=0.02)
+    assert f"over the emission of {emission.name}, mean of all directions" in index.words
+    assert index.group_index == pytest.approx(at.group_index, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("Glas@540nm", "no material is called 'Glas'; known are: CaMoO4"),
+        ("BK7", "names a material without a wavelength; write BK7@540nm"),
+        ("BK7@540", "gives the wavelength without its unit; write it in nm: BK7@540nm"),
+        ("BK7@0.54um", "gives the wavelength in 'um'"),
+        ("BK7@no.csv", "names neither a wavelength nor a file"),
+        ("BK7@9999nm", "the index of BK7 is known from"),
+    ],
+)
+def test_a_material_that_says_no_index_is_refused(text, says):
+    refused = refusal(read_index, f"n_gap = '{text}'", text, path="bench.xml", line=3)
+    assert refused.startswith("bench.xml, line 3: ") and says in refused
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        ("0.1, 0.5", [0.1, 0.5]),
+        ("1:2:3", [1.0, 1.5, 2.0]),
+        ("log:0.01:1:3", [0.01, 0.1, 1.0]),
+        ("0,1;0,5", [0.1, 0.5]),
+        ("1.0,BK7@540nm", [1.0, 1.51904]),
+    ],
+)
+def test_lists(text, numbers):
+    assert parse_list("--n-gap", text, "n_gap") == pytest.approx(numbers, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "--x is empty; give 0.1,0.5 or start:stop:count"),
+        ("1:2", "is not a range"),
+        ("1:2:0", "the count '0' is not a whole number above 0"),
+        ("log:0:1:3", "a logarithmic range cannot touch 0"),
+        ("0,039", "'039' begins with 0, as after a decimal comma; write 0.039"),
+        ("1,BK7@540nm", "is not a finite number"),
+    ],
+)
+def test_lists_that_are_none(text, says):
+    assert says in refusal(parse_list, "--x", text, "gap_mm")
+
+
+def test_what_a_comma_was_taken_for_is_told():
+    assert values.told_of_comma("--x", "1,5") == [
+        "--x = 1,5 is two values, 1 and 5; for one write 1.5"
+    ]
+    assert values.told_of_comma("--x", "0.1,0.5") == values.told_of_comma("--x", None) == []
+    assert "write 5.1 for one, 5;1 for two" in refusal(values.told_of_comma, "--x", "5,1")
+
+
+def test_a_table_that_would_never_be_done_is_refused():
+    values.refuse_many_points(values.MOST_POINTS)
+    refused = refusal(values.refuse_many_points, values.MOST_POINTS + 1)
+    assert refused.startswith("1,000,001 points are asked for, 1,000,000 are the most")
