@@ -299,8 +299,7 @@ def compare(
         Standard error of the difference where it is not all three errors in quadrature,
         because the two numbers share some.
     rounding : float
-        What the rounding of printed numbers that ours is computed from may move it by; that of a
-        `Derived` when not given.
+        What the rounding of printed numbers may move ours by; that of a `Derived` by default.
     unit : str, optional
         The printed number's when not given.
     inconsistent : bool
@@ -309,20 +308,14 @@ def compare(
     judged : bool
         False where the two numbers stand side by side and need not agree.
     """
-    if isinstance(ours, Derived):
-        rounding = rounding or ours.rounding
-        ours = ours.value
-    elif isinstance(ours, Uncertain):
-        sigma, systematic = ours.statistical_sigma, ours.systematic_sigma
-        ours = ours.value
-    value, error, systematic = (
-        None if number is None else float(number) for number in (ours, sigma, systematic)
-    )
+    value, errors = _with_errors(ours, sigma, systematic)
     if difference_sigma is None:
-        parts = (paper.sigma if paper else None, error, systematic)
+        parts = (paper.sigma if paper else None, *errors)
         difference_sigma = math.hypot(*(part or 0.0 for part in parts))
     verdict = REFERENCE
     if paper is not None and value is not None and judged:
+        if isinstance(ours, Derived):
+            rounding = rounding or ours.rounding
         limit = paper.rounding + rounding + AGREEMENT_SIGMAS * difference_sigma
         # a hair for numbers that lie exactly on the limit, such as 0.5 - 0.45 against 0.05
         agrees = abs(value - paper.value) <= limit * (1 + 1e-9)
@@ -335,8 +328,21 @@ def compare(
         paper_sigma=paper.sigma if paper else None,
         paper_text=paper.text if paper else "",
         ours=value,
-        sigma=error,
-        systematic=systematic,
+        sigma=errors[0],
+        systematic=errors[1],
         verdict=verdict,
         remark=remark,
     )
+
+
+def _with_errors(
+    ours: Derived | Uncertain | SupportsFloat | None, sigma: float | None, systematic: float | None
+) -> tuple[float | None, tuple[float | None, float | None]]:
+    """A value, and its statistical and systematic errors: its own where it has some."""
+    if isinstance(ours, Uncertain):
+        return ours.value, (ours.statistical_sigma, ours.systematic_sigma)
+    value = ours.value if isinstance(ours, Derived) else ours
+    number, error, other = (
+        None if part is None else float(part) for part in (value, sigma, systematic)
+    )
+    return number, (error, other)
