@@ -166,7 +166,7 @@ def without_row(campaign: Campaign, folder: Path, place: int) -> Campaign:
 
 
 def _cells(campaign: Campaign) -> dict[str, list[str]]:
-    """Of its table, by column; whether readings are used, and their kind, are among them."""
+    """Cells of its table by column; whether readings are used, and their kind, are among them."""
     measurements = campaign.measurements
     usual = {"use": "1", KIND: LIGHT}
     every = {name: [cell] * len(measurements.readings) for name, cell in usual.items()}
@@ -174,7 +174,7 @@ def _cells(campaign: Campaign) -> dict[str, list[str]]:
 
 
 def _with_cells(campaign: Campaign, cells: Mapping[str, list[str]], folder: Path) -> Campaign:
-    """See `with_cell`; on the page the refusal stands beside the cell, and tells no line."""
+    """The campaign with other cells; the refusal stands beside the cell, and tells no line."""
     try:
         return with_table(campaign, table_text(campaign.measurements.comments, cells), folder)
     except InputError as error:

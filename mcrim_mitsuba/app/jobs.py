@@ -8,7 +8,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 from mcrim_mitsuba.core.errors import InputError
 
@@ -26,13 +26,14 @@ class PageJob:
     #: What it does.
     words: str
     work: Callable[[], None]
+    _: KW_ONLY
     #: Called where it came to nothing, the waiting one that is stopped included.
     undo: Callable[[], None] = lambda: None
     #: Whether it is begun once more when it is asked for while it runs.
     again: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Status:
     """What the job thread is doing."""
 
@@ -115,7 +116,7 @@ class Jobs:
         self.stop()
 
     def report(self, stage: str, done: int, total: int, _note: str = "") -> None:
-        """Told by the job how far it is.
+        """Take over how far the running job is.
 
         Raises CancelledError if the job is to end.
         """

@@ -50,7 +50,7 @@ _SLIDER_STEPS = 1000
 
 
 def _compound_id(kind: str, name: str) -> str:
-    """Of a parameter's `slider`, `number` and `known`; of an `effect`'s switch."""
+    """The id of a parameter's `slider`, `number` and `known`, or of an `effect`'s switch."""
     return json.dumps({"kind": kind, "name": name}, sort_keys=True, separators=(",", ":"))
 
 

@@ -63,7 +63,7 @@ class ReadingsModel:
 
     @property
     def starts(self) -> dict[str, float]:
-        """Where the controls begin."""
+        """Values at which the controls begin."""
         return {control.name: control.start for control in self.bench.all_controls}
 
     @property
@@ -218,7 +218,7 @@ class Session:
         if not self.model.is_ready([effect]):
             words = f"simulating {self.model.bench.effects[effect][0].title}"
             work = functools.partial(self._make_ready, [effect])
-            self.jobs.start(PageJob(f"effect {effect}", words, work, undo))
+            self.jobs.start(PageJob(f"effect {effect}", words, work, undo=undo))
 
     def switch_off(self, effect: str) -> None:
         """Do not simulate an effect any more."""
@@ -305,7 +305,7 @@ class Session:
             self.show_step(self.state.steps[0].number)
 
     def undo(self) -> None:
-        """As it was before the last fit, diagnosis, change of readings or step that was removed."""
+        """Take back the last fit, diagnosis, change of readings or removed step."""
         with self.history.lock:
             if self.history.can_undo:
                 self.history.bring_back()
@@ -368,7 +368,7 @@ class Session:
 
         if not self.model.is_simulated:
             words = "simulating the changed readings"
-            self.jobs.start(PageJob("readings", words, self._make_ready, undo, again=True))
+            self.jobs.start(PageJob("readings", words, self._make_ready, undo=undo, again=True))
 
     # ---- files -------------------------------------------------------------------------------
 

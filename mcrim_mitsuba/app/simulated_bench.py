@@ -105,12 +105,12 @@ class SimulatedBench:
         meaning, _ = parameter_words(campaign, SCALE)
         own.append(
             Control(
-                SCALE,
-                "scale",
-                "signal at η = 1",
-                0.0,
-                3.0 * max(usual, start),
-                start,
+                name=SCALE,
+                title="scale",
+                unit="signal at η = 1",
+                minimum=0.0,
+                maximum=3.0 * max(usual, start),
+                start=start,
                 meaning=meaning,
                 known=known_of(campaign.scale),
             )

@@ -6,7 +6,7 @@ import math
 import sys
 import threading
 from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 from mcrim_mitsuba.campaign.campaign import Campaign
@@ -64,7 +64,7 @@ def known_of(parameter: CampaignParameter | None) -> Known:
     return Known(how, parameter.prior, parameter.prior_sigma)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Control:
     """A number with a slider."""
 
@@ -88,7 +88,7 @@ class Control:
 def parameter_control(
     parameter: CampaignParameter, meaning: str, covered: tuple[float, float] | None = None
 ) -> Control:
-    """Of a parameter that the campaign names.
+    """The control of a parameter that the campaign names.
 
     Parameters
     ----------
@@ -110,16 +110,16 @@ def parameter_control(
         # log(1 + value / scale) is as good as log(value) where the scale is small
         coordinate, scale = "logarithmic", max(low, _LEAST_PART * high)
     return Control(
-        name,
-        quantity(name),
-        unit_of(name) or "",
-        low,
-        high,
-        start,
-        coordinate,
-        scale,
-        meaning,
-        known_of(parameter),
+        name=name,
+        title=quantity(name),
+        unit=unit_of(name) or "",
+        minimum=low,
+        maximum=high,
+        start=start,
+        coordinate=coordinate,
+        scale=scale,
+        meaning=meaning,
+        known=known_of(parameter),
     )
 
 
@@ -129,7 +129,7 @@ def effect_control(
     configurations: Sequence[Mapping[str, Value]],
     largest_signal: float,
 ) -> Control:
-    """Of an effect's parameter.
+    """The control of an effect's parameter.
 
     Parameters
     ----------
@@ -152,15 +152,15 @@ def effect_control(
     if coordinate == "logarithmic" and scale < 0:
         coordinate = "linear"
     return Control(
-        parameter.name,
-        without_unit(parameter.name),
-        parameter.unit,
-        low,
-        high,
-        min(max(start, low), high),
-        coordinate,
-        scale,
-        parameter.meaning,
+        name=parameter.name,
+        title=without_unit(parameter.name),
+        unit=parameter.unit,
+        minimum=low,
+        maximum=high,
+        start=min(max(start, low), high),
+        coordinate=coordinate,
+        scale=scale,
+        meaning=parameter.meaning,
     )
 
 
@@ -218,7 +218,7 @@ def settings_of(
     return Settings(effects, {**values, **moved}, bool(asked["fit_scale"]), knowledge)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Shown:
     """What the page shows of the model at some settings."""
 
@@ -236,7 +236,7 @@ class Shown:
     pending: tuple[str, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FitStep:
     """A fit that was made on the page."""
 
@@ -260,6 +260,7 @@ class State:
 
     #: With the readings as they are in the table.
     campaign: Campaign
+    _: KW_ONLY
     steps: tuple[FitStep, ...] = ()
     #: Number of the step beside which the model is shown.
     compared: int = 0
@@ -341,7 +342,7 @@ class History:
             self._kept = [*self._kept[1 - _MOST_UNDONE :], self.state]
 
     def forget(self) -> None:
-        """Nothing can be brought back any more."""
+        """Let nothing be brought back any more."""
         self._kept = []
 
     @property
@@ -350,7 +351,7 @@ class History:
         return bool(self._kept)
 
     def bring_back(self) -> None:
-        """As it was when it was kept last, but for the file to be downloaded."""
+        """Go back to what was kept last, but for the file to be downloaded."""
         *self._kept, before = self._kept
         self.set_controls(
             before.settings,

@@ -74,7 +74,7 @@ class Contradiction:
 
     @property
     def light_yields(self) -> dict[str, float]:
-        """With each effect alone, ph/keV."""
+        """Light yields with each effect alone, ph/keV."""
         yields = {c.effect: c.light_yield_ph_per_keV for c in self.diagnosis.candidates}
         return {name: of_light["value"] for name, of_light in yields.items() if of_light}
 

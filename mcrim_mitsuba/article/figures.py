@@ -300,7 +300,7 @@ def _legend(axes: Axes, place: str, unpolarised: str, *further: Line2D) -> None:
 
 
 def _mark_solution(axes: Axes, fit: FittedLine) -> None:
-    """Where a curve meets the measured ratio, led down to the article's value and ours."""
+    """Draw where a curve meets the measured ratio, led down to the article's value and ours."""
     colour, marker = _STYLE[fit.line.transmittance_percent.value]
     solution, sigma = fit.solution, fit.solution.statistical_sigma
     nominal = fit.line == p.NOMINAL

@@ -100,7 +100,7 @@ class Table1Line:
 
     @property
     def etas_percent(self) -> tuple[Printed, Printed]:
-        """Of air and gel."""
+        """Efficiencies of air and gel."""
         return self.eta_air_percent, self.eta_gel_percent
 
 

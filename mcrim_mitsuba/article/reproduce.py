@@ -37,7 +37,7 @@ MONTE_CARLO = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ArticleResult:
     """Every number of the article beside ours."""
 

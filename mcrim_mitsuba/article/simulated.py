@@ -105,7 +105,7 @@ class Simulated:
 
     @property
     def versions(self) -> dict[str, str]:
-        """Of what simulated."""
+        """Versions of what simulated."""
         return dict(self.thin.versions)
 
 
@@ -231,7 +231,7 @@ class EtaCurve(EfficiencySurface):
     def _point(  # type: ignore[override]
         self, target: Coefficients, check: bool, errors: bool
     ) -> EtaPoint:
-        """On the curve; ValueError at another absorption than the curve's."""
+        """A point of the curve; ValueError at another absorption than the curve's."""
         alpha_scat, alpha_abs = target
         if alpha_abs != self.line.alpha_abs_per_cm.value:
             raise ValueError(f"the curve is not that of alpha_abs = {alpha_abs:g} /cm")

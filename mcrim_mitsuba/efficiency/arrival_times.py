@@ -125,7 +125,7 @@ class ArrivalTimes:
 
     @property
     def rows(self) -> list[tuple[float, float, float]]:
-        """Of the histogram: time_ps, part, part_sigma."""
+        """Rows of the histogram: time_ps, part, part_sigma."""
         return list(
             zip(*(x.tolist() for x in (self.time_ps, self.part, self.part_sigma)), strict=True)
         )

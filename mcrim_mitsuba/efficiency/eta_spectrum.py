@@ -83,7 +83,7 @@ class EtaSpectrum:
         return np.asarray(seen / area, float)
 
     def to_xarray(self) -> xarray.Dataset:
-        """Over wavelength_nm; attributes make it reproducible."""
+        """A dataset over wavelength_nm, with attributes that make it reproducible."""
         import xarray
 
         light, names = self.light, ("eta", "eta_sigma", "detected_part")

@@ -94,7 +94,7 @@ class Bins:
         self._squares += (np.square(sums) / photons_per_batch[:, None]).sum(axis=0)
 
     def binned(self, size: Array, photons: int, batches: int) -> Binned:
-        """Of all launches; `size` gives the shape."""
+        """Light of all launches in the bins; `size` gives their shape."""
         spread = np.maximum(self._squares - np.square(self._sums) / photons, 0.0)
         sigma = np.sqrt(spread / max(batches - 1, 1) / photons)
         sigma = np.where((self._sums == 0.0) | (batches < 2), 1.0 / photons, sigma)
@@ -254,7 +254,7 @@ class EtaMap:
         return x, y, z
 
     def spread(self, source: str, light: Array) -> Spread:
-        """Of gammas that leave so much light (any unit) in the cells, (x, y, z).
+        """The spread of gammas that leave so much light (any unit) in the cells, (x, y, z).
 
         Raises ValueError if there is light where there is no crystal, or none at all.
         """
@@ -284,9 +284,9 @@ class EtaMap:
         )
 
     def spreads(self, depth_mm: float) -> tuple[Spread, ...]:
-        """Of gammas that stop everywhere, or near a face, at depths that fall as exp(-t/depth_mm).
+        """Spreads of gammas that stop everywhere, or at depths that fall as exp(-t/depth_mm).
 
-        The faces are the top and the side of the lowest x.
+        Depths count from the top, and from the side of the lowest x.
         """
         x, _, z = self.edges_mm
         downwards = _falling(z[-1] - z[::-1], depth_mm)[::-1]
@@ -300,7 +300,7 @@ class EtaMap:
         )
 
     def of_deposits(self, path: str | Path) -> Spread:
-        """Of a file of deposits: columns x_mm, y_mm, z_mm and energy_keV, a row each.
+        """The spread of a file of deposits: columns x_mm, y_mm, z_mm and energy_keV, a row each.
 
         Raises InputError if the file cannot be read, or a deposit is outside the crystal, with its
         line.
@@ -455,7 +455,7 @@ def read_map(path: str | Path) -> EtaMap:
 def all_spreads(
     mapped: EtaMap, depth_mm: float, deposits: str | Path | None = None
 ) -> tuple[Spread, ...]:
-    """Of gammas that stop everywhere, near a face, and as a file says, where one is named.
+    """Spreads of gammas that stop everywhere, near a face, and as a file says, if it is named.
 
     Raises InputError if the depth is not above 0, and as `EtaMap.of_deposits`.
     """

@@ -150,7 +150,7 @@ def _collect_in_units(
     max_depth: int,
     tell: Callable[[int, int, float, float], None],
 ) -> SimulationResult:
-    """As `Simulation.collect`, in units of launches that are kept."""
+    """Collect light in units of launches that are kept; see `Simulation.collect`."""
     remember(simulation)
     executor, size = current_executor(), simulation.launcher().size
     cache = executor.cache(

@@ -67,7 +67,7 @@ class EtaTable:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Of the rows: the axes, ``eta`` and ``eta_sigma``."""
+        """Columns of the rows: the axes, ``eta`` and ``eta_sigma``."""
         return (*self.axes, "eta", "eta_sigma")
 
     @property

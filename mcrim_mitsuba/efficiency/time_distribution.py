@@ -93,7 +93,7 @@ class TimeCells:
 
     @property
     def width_ps(self) -> float:
-        """Of the fine cells."""
+        """Width of the fine cells."""
         return float(self.edges_ps[2] - self.edges_ps[1])
 
     @property

@@ -8,6 +8,7 @@ import time
 import zipfile
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -85,7 +86,8 @@ def test_jobs_come_one_after_the_other_and_are_taken_back():
             time.sleep(0.001)
 
     for name in ("slow", "other", "last", "last"):  # one that waits is not asked for twice
-        jobs.start(PageJob(name, name, lambda n=name: work(n), lambda n=name: undone.append(n)))
+        undo = partial(undone.append, name)
+        jobs.start(PageJob(name, name, partial(work, name), undo=undo))
     while "halfway" not in jobs.status.stage:
         time.sleep(0.001)
     assert [job.key for job in jobs.status.waiting] == ["other", "last"]
