@@ -27,10 +27,10 @@ def _range(parameter) -> str:
 
 def _listing() -> str:
     """The catalogue, one line each."""
-    known = effects.catalogue().values()
-    wide = max(len(effect.name) for effect in known)
+    catalogue = effects.catalogue().values()
+    wide = max(len(effect.name) for effect in catalogue)
     lines = []
-    for effect in known:
+    for effect in catalogue:
         values = "; ".join(map(_range, effect.parameters))
         where = "for campaigns only" if effect.edit is None else values or "on or off"
         lines.append(f"  {effect.name:{wide}}  {capital(effect.title)} ({where})")
@@ -96,7 +96,7 @@ def _refuse_place(scene: SceneFile, path: Path) -> None:
     if path.resolve().parent == scene.path.resolve().parent:
         return
     named = [str(e.get("filename") or e.get("value")) for e, _ in scene.naming()]
-    named += [each.name for each in scene.included]
+    named += [file.name for file in scene.included]
     for name in named:
         if not Path(name).is_absolute():
             problem = f"the scene names {name}, which is not found from another folder"

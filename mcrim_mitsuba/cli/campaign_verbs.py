@@ -69,9 +69,9 @@ def calibrate(campaign, figure, json_file, work) -> None:
     """
     read = showing.read_campaign(campaign, json_file, figure, "profiles", "budget")
     with work.begin() as run:
-        found = mcrim.calibrate(read, run=run)
-    screen = showing.answer(found, json_file, figure)
-    screen.line(f"Next: {_after_calibration(campaign, found)}", style="bold")
+        fit = mcrim.calibrate(read, run=run)
+    screen = showing.answer(fit, json_file, figure)
+    screen.line(f"Next: {_after_calibration(campaign, fit)}", style="bold")
 
 
 def _after_calibration(campaign: str, fit) -> str:
@@ -100,14 +100,14 @@ def compare(campaigns, figure, json_file, work) -> None:
     prefer, side by side, and at which readings they differ most. Scenes, effects and priors may
     differ.
     """
-    read = [showing.read_campaign(one, json_file, figure) for one in campaigns]
+    read = [showing.read_campaign(path, json_file, figure) for path in campaigns]
     with work.begin() as run:
-        found = mcrim.compare(*read, run=run)
-    screen = showing.answer(found, json_file, figure)
+        compared = mcrim.compare(*read, run=run)
+    screen = showing.answer(compared, json_file, figure)
     next_step = (
-        _after_hypotheses(found)
+        _after_hypotheses(compared)
         if len(read) > 1
-        else _after_comparison(campaigns[0], read[0].measurements.path, found)
+        else _after_comparison(campaigns[0], read[0].measurements.path, compared)
     )
     screen.line(f"Next: {next_step}", style="bold")
 
@@ -129,7 +129,7 @@ def _after_comparison(campaign: str, measurements: Path, comparison) -> str:
     from mcrim_mitsuba.output.sentences import fails, together
 
     diagnose = showing.command("diagnose", campaign)
-    explained = [one for one in comparison.suspects if one.explains]
+    explained = [suspect for suspect in comparison.suspects if suspect.explains]
     if explained:
         mend = (
             "swap them back"
@@ -162,9 +162,9 @@ def diagnose(campaign, figure, json_file, work, without, only) -> None:
     """
     read = showing.read_campaign(campaign, json_file, figure)
     with work.begin() as run:
-        found = mcrim.diagnose(read, without=without, only=only, run=run)
-    screen = showing.answer(found, json_file, figure)
-    screen.line(f"Next: {_after_diagnosis(campaign, found)}", style="bold")
+        diagnosis = mcrim.diagnose(read, without=without, only=only, run=run)
+    screen = showing.answer(diagnosis, json_file, figure)
+    screen.line(f"Next: {_after_diagnosis(campaign, diagnosis)}", style="bold")
 
 
 def _after_diagnosis(campaign: str, diagnosis) -> str:
@@ -179,7 +179,7 @@ def _after_diagnosis(campaign: str, diagnosis) -> str:
     if diagnosis.verdict == ADEQUATE:
         return showing.command("calibrate", campaign)
     if diagnosis.verdict == AMBIGUOUS and diagnosis.next_measurements:
-        if not any(each.separates for each in diagnosis.next_measurements):
+        if not any(proposal.separates for proposal in diagnosis.next_measurements):
             return (
                 "nothing that was looked at tells the leading effects apart: look at "
                 f"the bench itself, or allow others in [next_measurements]; or {repair}"
@@ -238,14 +238,14 @@ def repair(campaign, path, figure, json_file, work, effect) -> None:
             screen.line(describe_campaign.step_text(step))
 
     with work.begin(growing if live else None) as run:
-        found = mcrim.repair(read, path, effect=effect, on_step=show, run=run)
-    description = describe_campaign.of_repair(found, with_steps=live)
-    showing.answer(found, json_file, figure, description)
+        repaired = mcrim.repair(read, path, effect=effect, on_step=show, run=run)
+    description = describe_campaign.of_repair(repaired, with_steps=live)
+    showing.answer(repaired, json_file, figure, description)
     next_step = f"Next: {showing.command('diagnose', campaign)} says more"
-    if found.campaign_path is not None:
+    if repaired.campaign_path is not None:
         next_step = (
-            f"{found.campaign_path} and {found.scene_path} were written. "
-            f"Next: {showing.command('calibrate', found.campaign_path)}"
+            f"{repaired.campaign_path} and {repaired.scene_path} were written. "
+            f"Next: {showing.command('calibrate', repaired.campaign_path)}"
         )
     screen.line(next_step, style="bold")
 
@@ -265,9 +265,9 @@ def report(campaign, path, json_file, work) -> None:
     read = showing.read_campaign(campaign, json_file, written={"--output": (path, SUFFIXES)})
     refuse_output(path, read.files)
     with work.begin() as run:
-        found = mcrim.report(read, path, run=run)
-    screen = showing.answer(found, json_file)
-    screen.line(f"{found.path} was written: open it in a browser", style="bold")
+        page = mcrim.report(read, path, run=run)
+    screen = showing.answer(page, json_file)
+    screen.line(f"{page.path} was written: open it in a browser", style="bold")
 
 
 @click.command(short_help="Show where a campaign's errors come from.")
@@ -314,5 +314,5 @@ def budget(campaign, figure, json_file, work, map_file, **crystal) -> None:
         problem = "--depth and --deposits say where gammas stop on a map"
         raise InputError(problem, "give --map FILE.nc too")
     with work.begin() as run:
-        found = mcrim.budget(read, run=run, eta_map=map_file, **crystal)
-    showing.answer(found, json_file, figure)
+        errors = mcrim.budget(read, run=run, eta_map=map_file, **crystal)
+    showing.answer(errors, json_file, figure)

@@ -71,8 +71,8 @@ def _refuse_missing(units: UnitFolder, command: dict) -> None:
 
 
 def _refuse_other_versions(units: UnitFolder, command: dict) -> None:
-    made = command["versions"]
-    wrong = other_version(made)
+    versions = command["versions"]
+    wrong = other_version(versions)
     if wrong is not None:
         problem = f"the parts were made with {wrong[0]} {wrong[1]}, here is {wrong[2]}"
         mend = "merge with the same versions, or run the parts again"

@@ -202,13 +202,13 @@ def _sigma(what: str, text: str, number: float) -> float:
 
 def read_defines(ctx, param, values, example: str = "n_gap=1.46") -> dict[str, str]:
     """The dictionary of all ``-D``, ``--axis`` and others, as a callback of click."""
-    found: dict[str, str] = {}
+    defined: dict[str, str] = {}
     for text in values:
         name, value = parse_define(text, param.opts[0], example)
-        if name in found:
+        if name in defined:
             raise InputError(f"{param.opts[0]} {name} is given twice", "give it once")
-        found[name] = value
-    return found
+        defined[name] = value
+    return defined
 
 
 defines = click.option(
@@ -400,8 +400,8 @@ def run(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def with_run(**given: Any) -> Any:
-        own = {name: given.pop(name) for name in _OF_RUN if name in given}
-        return function(run=Run(**own), **given)
+        fields = {name: given.pop(name) for name in _OF_RUN if name in given}
+        return function(run=Run(**fields), **given)
 
     return seed(machine(with_run))
 
@@ -502,7 +502,7 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
             raise InputError(problem, "give --photons")
         return function(work=Work(cluster, part, units, log, run), **given)
 
-    made: Callable[..., Any] = with_work
+    command: Callable[..., Any] = with_work
     for decorate in (
         json_output,
         file("--log", "Append the progress, unit by unit, to this file."),
@@ -526,8 +526,8 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
         ),
         run,
     ):
-        made = decorate(made)
-    return made
+        command = decorate(command)
+    return command
 
 
 def _command() -> dict[str, Any]:

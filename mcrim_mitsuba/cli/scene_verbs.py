@@ -87,16 +87,16 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
         inputs += [mcrim.read_scene(scene, overrides)]
     written = {"--output": (picture, (".png", ".svg", ".pdf"))} if picture else {}
     showing.refuse_places(json_file, inputs, written=written)
-    found = mcrim.check(scene, run=mcrim.Run(variant=variant, threads=threads), **overrides)
-    terminal.write_json(json_file, found.document)
-    if picture and found.ok:
+    checked = mcrim.check(scene, run=mcrim.Run(variant=variant, threads=threads), **overrides)
+    terminal.write_json(json_file, checked.document)
+    if picture and checked.ok:
         from mcrim_mitsuba.output.cross_section import write_cross_section
 
-        write_cross_section(found.plot(), picture)
+        write_cross_section(checked.plot(), picture)
     screen = terminal.console(json_file)
-    showing.show(screen, describe_scene.of_check(found, first=False))
-    if not found.ok:
-        raise found.problems[0].error()
+    showing.show(screen, describe_scene.of_check(checked, first=False))
+    if not checked.ok:
+        raise checked.problems[0].error()
     if picture:
         screen.line(f"cross-section drawn to {picture}")
     screen.line("the scene is sound")
@@ -191,7 +191,7 @@ def simulate(
         option = f"--{next(iter(of_times)).replace('_', '-')}"
         raise InputError(f"{option} is for arrival times", "give --times FILE.csv too")
     wanted = {"map": (map_file, (".nc",)), "times": (times_file, (".csv",))}
-    written = {f"--{name}": one for name, one in wanted.items() if one[0]}
+    written = {f"--{name}": place for name, place in wanted.items() if place[0]}
     file = mcrim.read_scene(scene, overrides)
     inputs = [file, *filter(None, [deposits, spectrum, quantum_efficiency])]
     named = (text.partition("@")[2] for text in of_times.get("group_index", {}).values())
@@ -327,7 +327,7 @@ def read_axes(
 @options.method
 @options.figure("the efficiency over the longest list, a line for each combination of the others")
 @options.work
-def table(scene, axes, path, overrides, method, figure, json_file, work, **own) -> None:
+def table(scene, axes, path, overrides, method, figure, json_file, work, **lists_typed) -> None:
     """Table of the light collection efficiency of SCENE, one simulation per coupling.
 
     Parameters that no list is given for keep the scene's values.
@@ -338,7 +338,7 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **own) 
         if name in axes:
             raise InputError(f"--axis {name} has an option of its own", f"give {option} only")
     with collected(READS) as spectra:
-        lists, notes = read_axes(own, axes, Path(scene).parent)
+        lists, notes = read_axes(lists_typed, axes, Path(scene).parent)
     refuse_many_points(math.prod(map(len, lists.values())))
     # a name without an ending tells of no other format
     endings = _TABLES if path and Path(path).suffix else ()
@@ -352,26 +352,28 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **own) 
     screen = terminal.console(json_file, path)
     screen.say_notes(notes)
     coefficients = {"alpha_scat": ALPHA_SCAT, "alpha_abs": ALPHA_ABS}
-    said = [
+    axes_in_words = [
         f"{word} {_abbreviated(lists[name])} /cm"
         for word, name in coefficients.items()
         if name in lists
     ]
-    said += [f"{n} {_abbreviated(v)}" for n, v in lists.items() if n not in coefficients.values()]
-    screen.line("; ".join(said))
+    axes_in_words += [
+        f"{n} {_abbreviated(v)}" for n, v in lists.items() if n not in coefficients.values()
+    ]
+    screen.line("; ".join(axes_in_words))
     with work.begin() as run:
-        made = mcrim.table(file, run=run, method=method, **lists)
+        tabulated = mcrim.table(file, run=run, method=method, **lists)
     if path and path.lower().endswith(".nc"):
         from mcrim_mitsuba.output.codec import netcdf_bytes
 
-        write_bytes(path, netcdf_bytes(made.to_xarray()))
+        write_bytes(path, netcdf_bytes(tabulated.to_xarray()))
     elif path:
-        made.write(path)
-    terminal.write_json(json_file, made.document)
-    description = describe_scene.of_table(made, written=path)
+        tabulated.write(path)
+    terminal.write_json(json_file, tabulated.document)
+    description = describe_scene.of_table(tabulated, written=path)
     if path in STDOUT:
         screen.say(description.spent)  # unlike the JSON, the CSV has no place for it
-    showing.show(screen, description, made.draw(figure) if figure else ())
+    showing.show(screen, description, tabulated.draw(figure) if figure else ())
 
 
 def _abbreviated(values: list[float]) -> str:
@@ -393,9 +395,9 @@ def crosscheck(scene, overrides, run, json_file) -> int:
     file = mcrim.read_scene(scene, overrides)
     showing.refuse_places(json_file, [file])
     with terminal.photon_progress() as report:
-        found = mcrim.crosscheck(file, run=replace(run, progress=report))
-    showing.answer(found, json_file)
-    return 0 if found.agrees else 1
+        compared = mcrim.crosscheck(file, run=replace(run, progress=report))
+    showing.answer(compared, json_file)
+    return 0 if compared.agrees else 1
 
 
 @click.command(short_help="Photograph a scene, whole and taken apart.")
@@ -422,9 +424,9 @@ def render(scene, picture, overrides, samples, run, json_file) -> None:
     start = time.monotonic()
     with terminal.photon_progress() as report:
         run = replace(run, progress=report)
-        made = mcrim.render(file, samples=samples, run=run)
-    made.save(picture)
+        rendering = mcrim.render(file, samples=samples, run=run)
+    rendering.save(picture)
     seconds = time.monotonic() - start
-    terminal.write_json(json_file, made.document(picture, seconds))
+    terminal.write_json(json_file, rendering.document(picture, seconds))
     screen = terminal.console(json_file)
-    screen.line(f"picture of {', '.join(made.parts)} written to {picture} ({seconds:.0f} s)")
+    screen.line(f"picture of {', '.join(rendering.parts)} written to {picture} ({seconds:.0f} s)")

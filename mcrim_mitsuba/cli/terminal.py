@@ -75,8 +75,8 @@ def progress_log(path: str) -> Iterator[Report]:
 
     def report(what: str, done: int, total: int, note: str = "") -> None:
         now = time.monotonic()
-        begun, told = parts.get(what, (now, -_EVERY_S))
-        if now - told >= _EVERY_S or done >= total:
+        begun, reported = parts.get(what, (now, -_EVERY_S))
+        if now - reported >= _EVERY_S or done >= total:
             parts[what] = begun, now
             log.info("%s", _line(what, done, total, note, now - begun))
 
@@ -196,8 +196,8 @@ _WIDTH = re.compile(r"[1-9][0-9]{1,3}")
 
 def _piped_width() -> int:
     """Characters of a line in a pipe or a file: as many as wanted, but for what COLUMNS says."""
-    said = os.environ.get("COLUMNS", "")
-    return min(int(said), UNLIMITED) if _WIDTH.fullmatch(said) else UNLIMITED
+    columns = os.environ.get("COLUMNS", "")
+    return min(int(columns), UNLIMITED) if _WIDTH.fullmatch(columns) else UNLIMITED
 
 
 class _Words(TextColumn):
@@ -298,8 +298,8 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         sys.stdout.flush()
         return status if isinstance(status, int) else DONE
     except PartDoneError as part:
-        made = f"{part.units} units, {part.photons:,} photons"
-        print(f"{name}: this part is done ({made}); mcrim merge puts all parts together")
+        work_done = f"{part.units} units, {part.photons:,} photons"
+        print(f"{name}: this part is done ({work_done}); mcrim merge puts all parts together")
         return DONE
     except interrupts as error:
         _ignore_signals()

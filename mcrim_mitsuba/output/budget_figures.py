@@ -57,10 +57,15 @@ def draw_budget(calibration: Calibration) -> style.Drawing:
     # the light yield first: it is what all is done for
     fitted = sorted(calibration.parameters.items(), key=lambda item: item[0] != LIGHT_YIELD)
     rows = [
-        (name, known.value, *part, 100 * part[-1] / abs(known.value) if known.value else None)
-        for name, known in fitted
-        if known.at_bound is None
-        for part in contributions(known)
+        (
+            name,
+            estimate.value,
+            *part,
+            100 * part[-1] / abs(estimate.value) if estimate.value else None,
+        )
+        for name, estimate in fitted
+        if estimate.at_bound is None
+        for part in contributions(estimate)
     ]
     columns = ("parameter", "value", "origin", "kind", "sigma", "percent_of_value")
     if not fitted:
@@ -68,8 +73,8 @@ def draw_budget(calibration: Calibration) -> style.Drawing:
         return style.Drawing(nothing, columns, rows)
     down, across = style.panels_of(len(fitted))
     figure = style.canvas(max(_BUDGET_WIDE * across + 1.3, 7.2), _HIGH * down + 0.9)
-    for axes, (name, known) in zip(style.panels(figure, len(fitted)), fitted, strict=True):
-        _draw_contributions(axes, name, known)
+    for axes, (name, estimate) in zip(style.panels(figure, len(fitted)), fitted, strict=True):
+        _draw_contributions(axes, name, estimate)
     light = calibration.parameters.get(LIGHT_YIELD)
     if light is not None and light.at_bound is None:
         letters = round(_LETTERS_PER_INCH * figure.get_figwidth())
@@ -81,38 +86,38 @@ def draw_budget(calibration: Calibration) -> style.Drawing:
     return style.Drawing(figure, columns, rows)
 
 
-def contributions(known: ParameterEstimate) -> list[tuple[str, str, float]]:
+def contributions(estimate: ParameterEstimate) -> list[tuple[str, str, float]]:
     """(origin, kind, sigma) of every contribution that a parameter has, sums last.
 
     ``systematic, together`` is there where more than one is; ``total`` always. Contributions
     add up in quadrature.
     """
-    found = [
-        (name, kind, known.contributions[origin])
+    parts = [
+        (name, kind, estimate.contributions[origin])
         for origin, (name, kind) in _ORIGINS.items()
-        if known.contributions.get(origin)
+        if estimate.contributions.get(origin)
     ]
-    systematic = [sigma for _, kind, sigma in found if kind == SYSTEMATIC]
+    systematic = [sigma for _, kind, sigma in parts if kind == SYSTEMATIC]
     if len(systematic) > 1:
-        found.append(("systematic, together", SYSTEMATIC, math.hypot(*systematic)))
-    return [*found, ("total", TOTAL, known.sigma)]
+        parts.append(("systematic, together", SYSTEMATIC, math.hypot(*systematic)))
+    return [*parts, ("total", TOTAL, estimate.sigma)]
 
 
-def _draw_contributions(axes: Axes, name: str, known: ParameterEstimate) -> None:
+def _draw_contributions(axes: Axes, name: str, estimate: ParameterEstimate) -> None:
     axes.set_title(style.parameter_title(name), loc="left", fontsize=11)
-    if known.at_bound is not None:
-        axes.text(0.02, 0.5, estimate_text(known), transform=axes.transAxes, color=style.GREY)
+    if estimate.at_bound is not None:
+        axes.text(0.02, 0.5, estimate_text(estimate), transform=axes.transAxes, color=style.GREY)
         axes.set_axis_off()
         return
-    in_percent = abs(known.value) > known.sigma
-    parts = contributions(known)
-    sizes = [100 * sigma / abs(known.value) if in_percent else sigma for _, _, sigma in parts]
+    in_percent = abs(estimate.value) > estimate.sigma
+    parts = contributions(estimate)
+    sizes = [100 * sigma / abs(estimate.value) if in_percent else sigma for _, _, sigma in parts]
     for place, ((_, kind, _), size) in enumerate(zip(parts, sizes, strict=True)):
         _bar(axes, place, kind, size, f"{number(size)} %" if in_percent else number(size))
     axes.set_yticks(range(len(parts)), [origin for origin, _, _ in parts], fontsize=10)
     axes.set(ylim=(max(len(parts), _FEWEST_ROWS) - 0.5, -0.5), xlim=(0, 1.28 * max(sizes)))
     axes.set_xlabel(
-        f"{'% of' if in_percent else 'own unit;'} {estimate_text(known)}",
+        f"{'% of' if in_percent else 'own unit;'} {estimate_text(estimate)}",
         fontsize=10,
         parse_math=False,
     )
@@ -161,7 +166,7 @@ def _neglected_numbers(budget: Budget) -> style.Numbers:
             ("total", TOTAL, percent * total.sigma, ""),
             ("total, with what is left out", TOTAL, percent * total.sigma_with_neglected, ""),
         ]
-        rows += [(name, total.value, *known, None, None, None, by) for *known, by in errors]
+        rows += [(name, total.value, *cells, None, None, None, by) for *cells, by in errors]
         for piece in budget.pieces:
             moved = piece.refitted[name]
             rows.append(
@@ -240,9 +245,9 @@ def _rows(budget: Budget, names: list[str]) -> list[tuple[str, str, dict[str, tu
         for row in budget.contributions[name].contributions:
             size = 100 * abs(row.relative)
             rows.setdefault(row.name, (row.kind, {}))[1][name] = size, f"{number(size, 2)} %"
-    found = [(name.replace("_", " "), kind, sizes) for name, (kind, sizes) in rows.items()]
+    bars = [(name.replace("_", " "), kind, sizes) for name, (kind, sizes) in rows.items()]
     totals = {n: 100 * t.sigma / abs(t.value) for n, t in budget.totals.items()}
-    found.append(("total", TOTAL, {n: (size, f"{number(size)} %") for n, size in totals.items()}))
+    bars.append(("total", TOTAL, {n: (size, f"{number(size)} %") for n, size in totals.items()}))
     # corrections last; what makes all of them together is one
     for piece in (
         *(p for p in budget.neglected if not p.correction),
@@ -256,8 +261,8 @@ def _rows(budget: Budget, names: list[str]) -> list[tuple[str, str, dict[str, tu
                 size = 100 * moved.as_error / abs(moved.before)
                 sizes[name] = size, f"{number(size, 2)} %" if size > _LEAST_PERCENT else "0"
         title = piece.title if piece.correction else f"{piece.title} (left out)"
-        found.append((title, _kind(piece), sizes))
-    return found
+        bars.append((title, _kind(piece), sizes))
+    return bars
 
 
 # The light yield's error over events, by couplings.
@@ -272,7 +277,7 @@ _ON_EACH_OTHER = 0.06
 
 
 @style.styled
-def draw_plan(found: Planning) -> style.Drawing:
+def draw_plan(planning: Planning) -> style.Drawing:
     """The light yield's error over events, by couplings; the numbers of all plans.
 
     Drawn are the statistical part and the whole, for the number of mountings that the verdict
@@ -280,9 +285,9 @@ def draw_plan(found: Planning) -> style.Drawing:
     """
     figure = style.canvas(10.4, 4.6)
     statistical, total = figure.subplots(1, 2)
-    mountings = (found.cheapest or found.cheapest_statistical or found.plans[-1]).mountings
+    mountings = (planning.cheapest or planning.cheapest_statistical or planning.plans[-1]).mountings
     plans: dict[tuple[int, ...], list[Plan]] = {}
-    for plan in sorted(found.plans, key=lambda p: p.events):
+    for plan in sorted(planning.plans, key=lambda p: p.events):
         if plan.mountings == mountings:
             plans.setdefault(plan.configurations, []).append(plan)
     best = sorted(plans, key=lambda chosen: plans[chosen][-1].light_yield.of_plan)
@@ -294,22 +299,26 @@ def draw_plan(found: Planning) -> style.Drawing:
     }
 
     def covers(drawn: tuple[int, ...], chosen: tuple[int, ...]) -> bool:
-        one, other = curves[drawn], curves[chosen]
-        return one.shape == other.shape and np.allclose(other, one, rtol=_ON_EACH_OTHER, atol=0.0)
+        curve, other = curves[drawn], curves[chosen]
+        return curve.shape == other.shape and np.allclose(
+            other, curve, rtol=_ON_EACH_OTHER, atol=0.0
+        )
 
     alike: dict[tuple[int, ...], int] = {}
     for chosen in best:
-        drawn = next((one for one in alike if covers(one, chosen)), chosen)
+        drawn = next((twin for twin in alike if covers(twin, chosen)), chosen)
         alike[drawn] = alike.get(drawn, -1) + 1
     looks = itertools.product(_LINES, _COLOURS)
     for (chosen, others), (line, colour) in zip(alike.items(), looks, strict=False):
         look = {"color": colour, "ls": line, "lw": 1.6, "marker": "o", "ms": 3.5}
         events = [plan.events for plan in plans[chosen]]
-        label = style.shortened(found.name(chosen), 44) + (f", and {others} alike" * (others > 0))
+        label = style.shortened(planning.name(chosen), 44) + (
+            f", and {others} alike" * (others > 0)
+        )
         statistical.plot(events, curves[chosen][0], label=label, **look)
         total.plot(events, curves[chosen][1], **look)
     for axes, title in ((statistical, "statistical part"), (total, "statistical and systematic")):
-        axes.axhline(100 * found.wanted, color=style.GREY, lw=1, ls="--", zorder=1)
+        axes.axhline(100 * planning.wanted, color=style.GREY, lw=1, ls="--", zorder=1)
         axes.set(xscale="log", xlabel="events in the band, per mounting")
         axes.set_title(title, loc="left", fontsize=11)
         style.open_axes(axes)
@@ -320,8 +329,8 @@ def draw_plan(found: Planning) -> style.Drawing:
     statistical.yaxis.set_minor_formatter("{x:g}")
     total.set_ylim(bottom=0)
     total.annotate(
-        f"wanted: {percent(found.wanted)}",
-        (0.99, 100 * found.wanted),
+        f"wanted: {percent(planning.wanted)}",
+        (0.99, 100 * planning.wanted),
         (0, -3),
         xycoords=("axes fraction", "data"),
         textcoords="offset points",
@@ -335,7 +344,7 @@ def draw_plan(found: Planning) -> style.Drawing:
     figure.legend(loc="outside right upper", fontsize=9, frameon=False, handlelength=3.4)
     rows = [
         (
-            found.name(plan.configurations),
+            planning.name(plan.configurations),
             plan.mountings,
             plan.events,
             plan.hours,
@@ -344,7 +353,7 @@ def draw_plan(found: Planning) -> style.Drawing:
             100 * plan.light_yield.total,
             None if plan.alpha_scat is None else 100 * plan.alpha_scat.total,
         )
-        for plan in found.plans
+        for plan in planning.plans
     ]
     columns = (
         "couplings",

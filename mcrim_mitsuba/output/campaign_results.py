@@ -157,16 +157,16 @@ class FitResult(FittedResult, Calibration):
     seconds: float
 
     @classmethod
-    def of(cls, found: CampaignResult, campaign: Campaign, seconds: float) -> Self:
+    def of(cls, calibrated: CampaignResult, campaign: Campaign, seconds: float) -> Self:
         """The result of a calibration."""
-        fit, provenance = fields_of(found.calibration), found.provenance
+        fit, provenance = fields_of(calibrated.calibration), calibrated.provenance
         return cls(
             **fit | {"notes": (*fit["notes"], *provenance.notes)},
             title=campaign.title,
             unit=campaign.unit,
             provenance=provenance,
-            model=found.model,
-            spent=found.spent,
+            model=calibrated.model,
+            spent=calibrated.spent,
             seconds=seconds,
         )
 
@@ -201,13 +201,13 @@ class ComparisonResult(FittedResult, CheckedFit):
     """A campaign beside its model: pulls, suspect readings, trends."""
 
     @classmethod
-    def of(cls, found: Compared, campaign: Campaign) -> Self:
+    def of(cls, compared: Compared, campaign: Campaign) -> Self:
         """The result of a comparison."""
-        provenance = found.provenance
+        provenance = compared.provenance
         return cls.joined(
-            found.comparison,
-            found.calibration,
-            notes=(*found.calibration.notes, *provenance.notes),
+            compared.comparison,
+            compared.calibration,
+            notes=(*compared.calibration.notes, *provenance.notes),
             title=campaign.title,
             unit=campaign.unit,
             provenance=provenance,
@@ -222,15 +222,15 @@ class HypothesesResult(CampaignShown, SideBySide):
     scenes: dict[str, str]
 
     @classmethod
-    def of(cls, found: HypothesesCompared, campaign: Campaign) -> Self:
+    def of(cls, compared: HypothesesCompared, campaign: Campaign) -> Self:
         """The result of a comparison of several campaigns, the first of which gives the title."""
         return cls(
-            **fields_of(found.comparison),
+            **fields_of(compared.comparison),
             title=campaign.title,
             unit=campaign.unit,
-            provenance=found.provenance,
-            scenes=found.scenes,
-            notes=found.provenance.notes,
+            provenance=compared.provenance,
+            scenes=compared.scenes,
+            notes=compared.provenance.notes,
         )
 
     @property
@@ -250,20 +250,20 @@ class DiagnosisResult(CampaignShown, Diagnosis):
     baseline: CheckedFit
 
     @classmethod
-    def of(cls, found: Diagnosed, campaign: Campaign) -> Self:
+    def of(cls, diagnosed: Diagnosed, campaign: Campaign) -> Self:
         """The result of a diagnosis."""
         return cls(
-            **_diagnosis_fields(found),
+            **_diagnosis_fields(diagnosed),
             title=campaign.title,
             unit=campaign.unit,
-            provenance=found.provenance,
-            notes=(*found.baseline.notes, *found.provenance.notes),
+            provenance=diagnosed.provenance,
+            notes=(*diagnosed.baseline.notes, *diagnosed.provenance.notes),
         )
 
 
-def _diagnosis_fields(found: Diagnosed) -> dict[str, Any]:
-    diagnosis = found.diagnosis
-    baseline = CheckedFit.joined(diagnosis.baseline, found.baseline)
+def _diagnosis_fields(diagnosed: Diagnosed) -> dict[str, Any]:
+    diagnosis = diagnosed.diagnosis
+    baseline = CheckedFit.joined(diagnosis.baseline, diagnosed.baseline)
     return fields_of(diagnosis) | {"baseline": baseline}
 
 
@@ -288,18 +288,18 @@ class RepairResult(FittedResult, Diagnosis):
     undetermined: str
 
     @classmethod
-    def of(cls, found: Repaired, campaign: Campaign, **further: Any) -> Self:
+    def of(cls, repaired: Repaired, campaign: Campaign, **further: Any) -> Self:
         """The result of a repair; `further` are fields of a subclass, and such as differ."""
-        fit = found.calibration
-        own = "effects calibration model campaign_path scene_path undetermined provenance"
+        fit = repaired.calibration
+        names = "effects calibration model campaign_path scene_path undetermined provenance"
         return cls(
-            **_diagnosis_fields(found.diagnosed)
-            | attributes(found, own)
+            **_diagnosis_fields(repaired.diagnosed)
+            | attributes(repaired, names)
             | {
                 "parameters": fit.parameters,
                 "title": campaign.title,
                 "unit": campaign.unit,
-                "notes": (*fit.notes, *found.provenance.notes),
+                "notes": (*fit.notes, *repaired.provenance.notes),
             }
             | further
         )
@@ -344,16 +344,16 @@ class ReportResult(RepairResult):
     sections: Sections
 
     @classmethod
-    def of_report(cls, found: Reported) -> Self:
+    def of_report(cls, reported: Reported) -> Self:
         """The result of a report."""
-        repaired = found.sections.repaired
-        notes = (*repaired.calibration.notes, *found.provenance.notes)
+        repaired = reported.sections.repaired
+        notes = (*repaired.calibration.notes, *reported.provenance.notes)
         return cls.of(
             repaired,
-            found.sections.campaign,
-            path=found.path,
-            sections=found.sections,
-            provenance=found.provenance,
+            reported.sections.campaign,
+            path=reported.path,
+            sections=reported.sections,
+            provenance=reported.provenance,
             notes=tuple(dict.fromkeys(notes)),
         )
 
@@ -363,13 +363,13 @@ class BudgetResult(CampaignShown, Budget):
     """Where all errors of a campaign come from, and what its model leaves out."""
 
     @classmethod
-    def of(cls, found: Budget, campaign: Campaign) -> Self:
+    def of(cls, budget: Budget, campaign: Campaign) -> Self:
         """The result of a budget."""
         return cls(
-            **fields_of(found),
+            **fields_of(budget),
             title=campaign.title,
             unit=campaign.unit,
-            notes=(*found.calibration.notes, *found.provenance.notes),
+            notes=(*budget.calibration.notes, *budget.provenance.notes),
         )
 
 

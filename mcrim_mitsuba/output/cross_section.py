@@ -130,9 +130,11 @@ class SectionAxes:
         """Name everything in view."""
         outside = [([t], np.vstack([*map(self.on, lines)]), 0) for t, lines in self.named.items()]
         for volume in sorted({region.volume for region in self.cut.regions}):
-            texts, own = self.texts(volume, brief), self.owner == volume
-            if not own.any() or not self.place(texts, np.argwhere(own)[:, ::-1], volume):
-                cells = np.argwhere(binary_erosion(own, iterations=3))[:, ::-1]
+            texts, its_cells = self.texts(volume, brief), self.owner == volume
+            if not its_cells.any() or not self.place(
+                texts, np.argwhere(its_cells)[:, ::-1], volume
+            ):
+                cells = np.argwhere(binary_erosion(its_cells, iterations=3))[:, ::-1]
                 cells = cells if len(cells) else self.on(self.cut.corners(volume))  # it is thin
                 outside.append((texts, cells, volume))
         for texts, cells, volume in outside:
@@ -325,11 +327,11 @@ def _through(lines: list[np.ndarray], view: np.ndarray) -> np.ndarray:
 
 def _nearness(points: np.ndarray, others: list[DrawnTrail], size: float) -> float:
     """How close a line (x, z) comes to the paths that are there, and their ends to each other."""
-    own, cost = _sampled(points), 0.0
+    places, cost = _sampled(points), 0.0
     for other in others:
         there = _sampled(other.points)
-        away = np.linalg.norm(own[:, None] - there, axis=2).min(axis=1) / size
-        ends = np.linalg.norm(own[-1] - there[-1]) / size
+        away = np.linalg.norm(places[:, None] - there, axis=2).min(axis=1) / size
+        ends = np.linalg.norm(places[-1] - there[-1]) / size
         cost += 0.5 * float(np.exp(-8.0 * away).mean()) + 0.3 * float(np.exp(-6.0 * ends))
     return cost
 
@@ -491,11 +493,11 @@ def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ..
         wide = half * inner_in / tall_in
         ax.set(xlim=(x - wide, x + wide), ylim=(z - half, z + half), ylabel="z (mm)")
         ax.set_title(title, size=11, loc="left")
-        made = SectionAxes(ax, cut, model, interfaces)
+        section = SectionAxes(ax, cut, model, interfaces)
         for path in paths:
             draw_path(ax, path)
-            made.cross(path.points)
-        return made
+            section.cross(path.points)
+        return section
 
     title = f"Vertical plane y = {cut.y_mm:.3g} mm, to scale"
     if np.isfinite([s.aperture_radius_mm for s in model.surfaces]).any() and not masked(model, cut):

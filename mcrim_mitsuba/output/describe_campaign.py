@@ -80,11 +80,11 @@ def of_fit(fit: FitResult) -> Description:
     values: list[Iterable[str | Cell]] = []
     errors: list[Iterable[str | Cell]] = []
     wider = {profile.name: profile.interval_95 for profile in fit.profiles}
-    for name, known in fit.parameters.items():
+    for name, estimate in fit.parameters.items():
         titled = Cell(sentences.title_of(name), name)
-        ends = (known.lower, known.upper, *wider.get(name, (None, None)))
-        values.append((titled, _estimated(known), *(shown(end, ".4g") for end in ends), name))
-        contributions = {} if known.at_bound else known.contributions
+        ends = (estimate.lower, estimate.upper, *wider.get(name, (None, None)))
+        values.append((titled, _estimated(estimate), *(shown(end, ".4g") for end in ends), name))
+        contributions = {} if estimate.at_bound else estimate.contributions
         errors.append((titled, *(shown(contributions.get(origin), ".2g") for origin in _ORIGINS)))
     origins = ("parameter", *(name.replace("_", " ") for name in _ORIGINS))
     parts: list[Part] = [
@@ -108,20 +108,23 @@ def of_fit(fit: FitResult) -> Description:
         table(
             "readings",
             ("reading", "measured", "model", "pull", Column("eta (simulation's error)", "eta")),
-            ((*_reading(one), measured(one.eta, one.eta_sigma or None)) for one in fit.rows),
+            (
+                (*_reading(reading), measured(reading.eta, reading.eta_sigma or None))
+                for reading in fit.rows
+            ),
         ),
     ]
     if fit.spent:
         declared = fit.model.campaign.scene.defaults.items()
-        said = {name: default.comment or "" for name, default in declared}
+        comments = {name: default.comment or "" for name, default in declared}
         rows = (
             (
-                configuration_words(each.parameters, said) or "the scene's own",
-                shown(each.photons, ","),
-                shown(each.cached_photons, ","),
-                Cell(f"{100 * each.eta_relative_sigma:.2g} %", each.eta_relative_sigma),
+                configuration_words(spent.parameters, comments) or "the scene's own",
+                shown(spent.photons, ","),
+                shown(spent.cached_photons, ","),
+                Cell(f"{100 * spent.eta_relative_sigma:.2g} %", spent.eta_relative_sigma),
             )
-            for each in fit.spent
+            for spent in fit.spent
         )
         columns = ("configuration", "photons", "of the cache", "eta to")
         parts.append(table("photons spent", columns, rows))
@@ -152,34 +155,39 @@ def _shapes(profiles: Iterable[Profile]) -> list[Sentence]:
     return [Sentence(f"- {words}", strong=True) for words in sentences.shapes(profiles)]
 
 
-def _estimated(known: ParameterEstimate) -> Cell:
+def _estimated(estimate: ParameterEstimate) -> Cell:
     # at a bound sigma is no error: it knows nothing of the bound
     return Cell(
-        sentences.estimate_text(known), known.value, None if known.at_bound else known.sigma
+        sentences.estimate_text(estimate),
+        estimate.value,
+        None if estimate.at_bound else estimate.sigma,
     )
 
 
-def _reading(one: FittedRow) -> tuple[str | Cell, ...]:
+def _reading(reading: FittedRow) -> tuple[str | Cell, ...]:
     """A reading beside the model, and its pull."""
     return (
-        _name(one),
+        _name(reading),
         *(
-            Cell(sentences.signal_text(one.of_beam, value, sigma), value, sigma)
-            for value, sigma in ((one.measured, one.sigma), (one.model, one.model_sigma))
+            Cell(sentences.signal_text(reading.of_beam, value, sigma), value, sigma)
+            for value, sigma in (
+                (reading.measured, reading.sigma),
+                (reading.model, reading.model_sigma),
+            )
         ),
-        shown(one.pull, "+.2f"),
+        shown(reading.pull, "+.2f"),
     )
 
 
-def _name(one: FittedRow) -> str:
-    return one.label if one.use else f"{one.label} (not used)"
+def _name(reading: FittedRow) -> str:
+    return reading.label if reading.use else f"{reading.label} (not used)"
 
 
 def parameters_table(parameters: Mapping[str, ParameterEstimate]) -> Table:
     """Every fitted parameter with its error."""
     rows = (
-        (Cell(sentences.title_of(name), name), _estimated(known), name)
-        for name, known in parameters.items()
+        (Cell(sentences.title_of(name), name), _estimated(estimate), name)
+        for name, estimate in parameters.items()
     )
     return table("parameters", ("parameter", "value", _TYPED), rows)
 
@@ -204,7 +212,7 @@ def _described(title: str, parts: Iterable[Part], result: CampaignShown) -> Desc
 def of_comparison(comparison: ComparisonResult) -> Description:
     """Readings beside predictions, what chi2 says, and where the misfit lies."""
     shares, left_out = sentences.misfit_shares(comparison), comparison.left_out_pulls
-    suspects = {label for one in comparison.suspects for label in one.labels}
+    suspects = {label for suspect in comparison.suspects for label in suspect.labels}
     columns = (
         "reading",
         "measured",
@@ -215,12 +223,14 @@ def of_comparison(comparison: ComparisonResult) -> Description:
     )
     rows = (
         row(
-            *_reading(one),
-            shown(left_out.get(one.label), "+.2f"),
-            Cell(f"{100 * shares[one.label]:.0f} %", shares[one.label]) if one.use else "",
-            strong=one.label in suspects,
+            *_reading(reading),
+            shown(left_out.get(reading.label), "+.2f"),
+            Cell(f"{100 * shares[reading.label]:.0f} %", shares[reading.label])
+            if reading.use
+            else "",
+            strong=reading.label in suspects,
         )
-        for one in comparison.rows
+        for reading in comparison.rows
     )
     parts: list[Part] = [
         table("readings", columns, rows),
@@ -231,7 +241,7 @@ def of_comparison(comparison: ComparisonResult) -> Description:
         *(Sentence(f"- {sentences.trend_text(trend)}") for trend in comparison.trends),
         *listed(
             "Fitted parameters that may have taken up a misfit:",
-            (one.words for one in comparison.absorbed),
+            (parameter.words for parameter in comparison.absorbed),
         ),
         *_parameters(comparison.parameters),
     ]
@@ -249,17 +259,22 @@ _OF_HYPOTHESES = (
 def of_hypotheses(compared: HypothesesResult) -> Description:
     """The verdict, what the readings say of each hypothesis, sizes, pulls and predictions."""
     hypotheses = compared.hypotheses
-    names = [one.name for one in hypotheses]
+    names = [hypothesis.name for hypothesis in hypotheses]
     figures = {
-        "chi2": [shown(one.chi2, number) for one in hypotheses],
-        "ndf": [shown(one.ndf, "d") for one in hypotheses],
-        "p": [shown(one.p_value, p_text) for one in hypotheses],
-        "left out": [shown(one.left_out_error, number) for one in hypotheses],
+        "chi2": [shown(hypothesis.chi2, number) for hypothesis in hypotheses],
+        "ndf": [shown(hypothesis.ndf, "d") for hypothesis in hypotheses],
+        "p": [shown(hypothesis.p_value, p_text) for hypothesis in hypotheses],
+        "left out": [shown(hypothesis.left_out_error, number) for hypothesis in hypotheses],
         "ln evidence": list(map(_log_evidence, hypotheses)),
-        "probability": [shown(one.probability, probability) for one in hypotheses],
+        "probability": [shown(hypothesis.probability, probability) for hypothesis in hypotheses],
     }
-    fitted_names = dict.fromkeys(name for one in hypotheses for name in one.parameters)
-    sizes = {name: [one.parameters.get(name) for one in hypotheses] for name in fitted_names}
+    fitted_names = dict.fromkeys(
+        name for hypothesis in hypotheses for name in hypothesis.parameters
+    )
+    sizes = {
+        name: [hypothesis.parameters.get(name) for hypothesis in hypotheses]
+        for name in fitted_names
+    }
     if lights := sizes.pop(LIGHT_YIELD, None):
         figures["light yield"] = [
             Cell(sentences.value_with_errors(light), light.value, light.sigma)
@@ -268,23 +283,26 @@ def of_hypotheses(compared: HypothesesResult) -> Description:
             for light in lights
         ]
     most, pulls, predictions = sentences.most_apart(compared), [], []
-    for of_all in zip(*(one.rows for one in hypotheses), strict=True):
+    for of_all in zip(*(hypothesis.rows for hypothesis in hypotheses), strict=True):
         label, measured_cell, *_ = _reading(of_all[0])
         far, strong = compared.apart[of_all[0].label], of_all[0].label in most
-        told = (shown(one.pull, "+.2f") for one in of_all)
-        pulls.append(row(label, *told, shown(far, ".1f"), strong=strong))
-        told = (Cell(sentences.prediction_text(x), x.model, x.model_sigma) for x in of_all)
-        predictions.append(row(label, measured_cell, *told, strong=strong))
+        values = (shown(reading.pull, "+.2f") for reading in of_all)
+        pulls.append(row(label, *values, shown(far, ".1f"), strong=strong))
+        values = (Cell(sentences.prediction_text(x), x.model, x.model_sigma) for x in of_all)
+        predictions.append(row(label, measured_cell, *values, strong=strong))
     fitted = (
         (
             Cell(sentences.title_of(size), size),
-            *(_estimated(known) if known else "" for known in each),
+            *(_estimated(estimate) if estimate else "" for estimate in estimates),
         )
-        for size, each in sizes.items()
+        for size, estimates in sizes.items()
     )
     parts: list[Part] = [
         Sentence(f"{sentences.verdict_words(compared.verdict)}: {compared.reason}", strong=True),
-        *(Sentence(f"{one.name}: {sentences.hypothesis_text(one)}") for one in hypotheses),
+        *(
+            Sentence(f"{hypothesis.name}: {sentences.hypothesis_text(hypothesis)}")
+            for hypothesis in hypotheses
+        ),
         table(
             "hypotheses",
             (Column("", "quantity"), *names),
@@ -300,10 +318,14 @@ def of_hypotheses(compared: HypothesesResult) -> Description:
     return _described("hypotheses side by side", parts, compared)
 
 
-def _log_evidence(one: FittedHypothesis) -> Cell:
+def _log_evidence(hypothesis: FittedHypothesis) -> Cell:
     """The best is what the others are compared with."""
-    text = pdg(one.log_evidence, one.log_evidence_sigma) if one.log_evidence_sigma else "0"
-    return Cell(text, one.log_evidence, one.log_evidence_sigma or None)
+    text = (
+        pdg(hypothesis.log_evidence, hypothesis.log_evidence_sigma)
+        if hypothesis.log_evidence_sigma
+        else "0"
+    )
+    return Cell(text, hypothesis.log_evidence, hypothesis.log_evidence_sigma or None)
 
 
 def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
@@ -324,16 +346,16 @@ def of_diagnosis(diagnosis: DiagnosisResult) -> Description:
     )
     rows: Iterable[tuple[str | Cell, ...]] = (
         (
-            one.words,
+            proposal.words,
             *map(
                 Cell,
-                sentences.measurement_value(one),
-                (one.hours, one.light_yield_sigma, one.probability),
+                sentences.measurement_value(proposal),
+                (proposal.hours, proposal.light_yield_sigma, proposal.probability),
             ),
-            shown(one.expected_delta_chi2, number),
-            "; ".join(sentences.told_apart(diagnosis, one)),
+            shown(proposal.expected_delta_chi2, number),
+            "; ".join(sentences.told_apart(diagnosis, proposal)),
         )
-        for one in diagnosis.next_measurements
+        for proposal in diagnosis.next_measurements
     )
     parts: list[Part] = [
         *_strong(sentences.averaged_yield(diagnosis)),
@@ -345,7 +367,7 @@ def of_diagnosis(diagnosis: DiagnosisResult) -> Description:
         *(_brief(limits_table(diagnosis), diagnosis) if diagnosis.upper_limits else ()),
         *_strong(_beside_the_table(diagnosis, sentences.next_for_average(diagnosis))),
         *([table("what to measure next", columns, rows)] if diagnosis.next_measurements else []),
-        *(Sentence(f"not tried: {one}") for one in sentences.not_tried(diagnosis)),
+        *(Sentence(f"not tried: {effect}") for effect in sentences.not_tried(diagnosis)),
     ]
     return _described("what explains a campaign's misfit", parts, diagnosis)
 
@@ -388,9 +410,12 @@ def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
     )
     for candidates, title in titles:
         if candidates:
-            rows = (row(*_candidate(diagnosis, one), strong=one in leading) for one in candidates)
+            rows = (
+                row(*_candidate(diagnosis, candidate), strong=candidate in leading)
+                for candidate in candidates
+            )
             # a scale is no light yield
-            dark = all(one.light_yield_ph_per_keV is None for one in candidates)
+            dark = all(candidate.light_yield_ph_per_keV is None for candidate in candidates)
             columns = (replace(_LIGHT, hidden=dark) if c is _LIGHT else c for c in _CANDIDATE)
             yield from _brief(table(title, columns, rows), diagnosis)
     if diagnosis.candidates:
@@ -405,46 +430,52 @@ def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
 def _brief(given: Table, diagnosis: Diagnosis) -> Iterator[Part]:
     """A table of effects, of which people see those that matter, and how many they do not see."""
     behind = {
-        one.effect
-        for one in (
+        candidate.effect
+        for candidate in (
             *diagnosis.candidates[sentences.MOST_EFFECTS :],
             *diagnosis.pairs[sentences.MOST_PAIRS :],
         )
-    } - {one.effect for one in sentences.leading_candidates(diagnosis)}
+    } - {candidate.effect for candidate in sentences.leading_candidates(diagnosis)}
     rows = [
         # a limit is named EFFECT or EFFECT.PARAMETER
-        replace(one, hidden=str(one.cells[-1].value).partition(".")[0] in behind)
-        for one in given.rows
+        replace(line, hidden=str(line.cells[-1].value).partition(".")[0] in behind)
+        for line in given.rows
     ]
     yield replace(given, rows=tuple(rows))
-    if more := sum(one.hidden for one in rows):
+    if more := sum(line.hidden for line in rows):
         yield Sentence(
             f"and {more} more, less likely than these: the file of --json has all {len(rows)}, "
             "and so has to_dataframe in Python"
         )
 
 
-def _candidate(diagnosis: Diagnosis, one: Candidate) -> tuple[str | Cell, ...]:
-    p = diagnosis.probabilities.get(one.effect)
-    light = one.light_yield_ph_per_keV or {}
+def _candidate(diagnosis: Diagnosis, candidate: Candidate) -> tuple[str | Cell, ...]:
+    p = diagnosis.probabilities.get(candidate.effect)
+    light = candidate.light_yield_ph_per_keV or {}
     change = light.get("change")
     changed = "" if change is None else f" ({sentences.change_text(change)})"
-    sizes = {n: _estimated(one.parameters[n]) for n in one.effect_parameters if n in one.parameters}
+    sizes = {
+        n: _estimated(candidate.parameters[n])
+        for n in candidate.effect_parameters
+        if n in candidate.parameters
+    }
     return (
-        capital(" + ".join(sentences.titles_of(diagnosis, one.effects))),
+        capital(" + ".join(sentences.titles_of(diagnosis, candidate.effects))),
         "" if p is None else Cell(probability(p), p),
         Cell("", tuple(sizes) or None),
         Cell(
-            sentences.size_text(one, "\n"),
+            sentences.size_text(candidate, "\n"),
             tuple(cell.value for cell in sizes.values()) or None,
             tuple(c.sigma for c in sizes.values() if not isinstance(c.sigma, tuple)) or None,
         ),
-        sentences.plausibility(one),
+        sentences.plausibility(candidate),
         Cell(number(light["value"]) + changed, light["value"], light.get("sigma")) if light else "",
-        Cell(sentences.gain_text(one), one.delta_chi2, one.delta_chi2_sigma or None),
-        shown(one.p_value, p_text),
-        shown(one.left_out_error, number),
-        one.effect,
+        Cell(
+            sentences.gain_text(candidate), candidate.delta_chi2, candidate.delta_chi2_sigma or None
+        ),
+        shown(candidate.p_value, p_text),
+        shown(candidate.left_out_error, number),
+        candidate.effect,
     )
 
 
@@ -500,8 +531,8 @@ def of_repair(diagnosis: RepairResult, *, with_steps: bool = True) -> Descriptio
 
 def steps_table(steps: Iterable[RepairStep]) -> Table:
     """How the misfit falls while effects are added."""
-    made = tuple(steps)
-    light = LIGHT_YIELD if any(LIGHT_YIELD in one.parameters for one in made) else SCALE
+    repair = tuple(steps)
+    light = LIGHT_YIELD if any(LIGHT_YIELD in step.parameters for step in repair) else SCALE
     columns: tuple[str | Column, ...] = (
         "added",
         "chi2",
@@ -514,37 +545,37 @@ def steps_table(steps: Iterable[RepairStep]) -> Table:
     )
     rows = (
         (
-            Cell(_added(one), one.added),
-            shown(one.chi2, number),
-            shown(one.ndf, "d"),
-            shown(one.chi2 / one.ndf if one.ndf > 0 else None, number),
-            shown(one.p_value, p_text),
-            shown(one.rms_pull, number),
-            shown(one.left_out_error, number),
+            Cell(_added(step), step.added),
+            shown(step.chi2, number),
+            shown(step.ndf, "d"),
+            shown(step.chi2 / step.ndf if step.ndf > 0 else None, number),
+            shown(step.p_value, p_text),
+            shown(step.rms_pull, number),
+            shown(step.left_out_error, number),
             *(
-                _estimated(one.parameters[name]) if name in one.parameters else Cell("fixed")
+                _estimated(step.parameters[name]) if name in step.parameters else Cell("fixed")
                 for name in (light, ALPHA_SCAT)
             ),
         )
-        for one in made
+        for step in repair
     )
     return table("repair, step by step", columns, rows)
 
 
-def _added(one: RepairStep) -> str:
-    return "as it came" if one.added is None else f"+ {one.title or one.added}"
+def _added(step: RepairStep) -> str:
+    return "as it came" if step.added is None else f"+ {step.title or step.added}"
 
 
-def step_text(one: RepairStep) -> str:
+def step_text(step: RepairStep) -> str:
     """A step in one line."""
-    name, light = sentences.light_yield_text(one.parameters)
-    known = one.parameters.get(ALPHA_SCAT)
-    scattering = "fixed" if known is None else f"{sentences.estimate_text(known)} /cm"
-    per_ndf = f" = {number(one.chi2 / one.ndf)}" if one.ndf > 0 else ""
+    name, light = sentences.light_yield_text(step.parameters)
+    estimate = step.parameters.get(ALPHA_SCAT)
+    scattering = "fixed" if estimate is None else f"{sentences.estimate_text(estimate)} /cm"
+    per_ndf = f" = {number(step.chi2 / step.ndf)}" if step.ndf > 0 else ""
     return (
-        f"step {one.step}, {_added(one)}: chi2 / ndf {number(one.chi2)} / {one.ndf}{per_ndf}, "
-        f"{p_equals(one.p_value)}, rms pull {number(one.rms_pull)}, left-out error "
-        f"{number(one.left_out_error)}, {name} {light}, alpha_scat {scattering}"
+        f"step {step.step}, {_added(step)}: chi2 / ndf {number(step.chi2)} / {step.ndf}{per_ndf}, "
+        f"{p_equals(step.p_value)}, rms pull {number(step.rms_pull)}, left-out error "
+        f"{number(step.left_out_error)}, {name} {light}, alpha_scat {scattering}"
     )
 
 
@@ -566,12 +597,12 @@ _LEAST_PERCENT = 0.001
 _NOTHING = 1e-9
 
 
-def of_budget(found: BudgetResult) -> Description:
+def of_budget(errors: BudgetResult) -> Description:
     """Contributions, what the model leaves out, and values with all errors."""
-    budgets = {name: found.contributions[name] for name in found.main if name in found.totals}
+    budgets = {name: errors.contributions[name] for name in errors.main if name in errors.totals}
     title = "where the errors come from, in the model as it is"
     origins: list[Part] = [contributions_table(title, budgets)] if budgets else []
-    if not budgets and found.main:
+    if not budgets and errors.main:
         # a standard error knows nothing of the bound
         origins += _strong("A parameter ended at its bound: no budget.")
     main = next((name for name in (LIGHT_YIELD, SCALE) if name in budgets), None)
@@ -580,13 +611,13 @@ def of_budget(found: BudgetResult) -> Description:
     columns = (Column(name, left=True) for name in ("cause", "what it does", "how much"))
     parts: list[Part] = [
         *origins,
-        *_shifts(found),
-        *_totals(found),
-        *_corrections(found),
-        *_places(found),
+        *_shifts(errors),
+        *_totals(errors),
+        *_corrections(errors),
+        *_places(errors),
         table("neither modelled nor in any error", columns, not_modelled()),
     ]
-    return _described("error budget of a campaign", parts, found)
+    return _described("error budget of a campaign", parts, errors)
 
 
 def contributions_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table:
@@ -594,19 +625,19 @@ def contributions_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table
 
     The last budget puts the rows in order.
     """
-    known: dict[str, Contribution] = {}
+    contributions: dict[str, Contribution] = {}
     for budget in reversed(list(budgets.values())):
-        for one in budget.contributions:
-            known.setdefault(one.name, one)
+        for part in budget.contributions:
+            contributions.setdefault(part.name, part)
     rows = (
         (
             name.replace("_", " "),
             *(_part(name, budget) for budget in budgets.values()),
-            one.kind,
-            "yes" if one.reducible else "no",
-            one.by,
+            part.kind,
+            "yes" if part.reducible else "no",
+            part.by,
         )
-        for name, one in known.items()
+        for name, part in contributions.items()
     )
     sums = (
         row(
@@ -625,47 +656,47 @@ def contributions_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table
 
 
 def _part(name: str, budget: ErrorBudget) -> Cell:
-    found = next((one.relative for one in budget.contributions if one.name == name), None)
-    if found is None:
+    relative = next((part.relative for part in budget.contributions if part.name == name), None)
+    if relative is None:
         return Cell("")
-    return _percent_cell(abs(found)) if abs(found) > _NOTHING else Cell("0", 0.0)
+    return _percent_cell(abs(relative)) if abs(relative) > _NOTHING else Cell("0", 0.0)
 
 
 def _percent_cell(fraction: float) -> Cell:
     return Cell(f"{100 * fraction:.1f}", 100 * fraction)
 
 
-def _shifts(found: Budget) -> Iterator[Part]:
+def _shifts(errors: Budget) -> Iterator[Part]:
     """What every piece of neglected physics does, at fixed coefficients and refitted."""
     kinds = (
         ("at_fixed", "at the coefficients that were fitted"),
         ("refitted", "with everything fitted again"),
     )
-    for kind, how in kinds if found.pieces else ():
-        moved = getattr(found.pieces[0], kind)
+    for kind, how in kinds if errors.pieces else ():
+        moved = getattr(errors.pieces[0], kind)
         # fitted again, the ratio is that of the readings
-        names = [n for n in moved if n in found.main or (kind == "at_fixed" and " / " in n)]
+        names = [n for n in moved if n in errors.main or (kind == "at_fixed" and " / " in n)]
         rows = (
             row(
                 piece.title,
                 *(_shift(getattr(piece, kind)[name]) for name in names),
-                strong=piece is found.together,
+                strong=piece is errors.together,
             )
-            for piece in found.pieces
+            for piece in errors.pieces
         )
         title = f"what the model leaves out would move, %, {how}"
         moves = (Column(sentences.quantity(name), name) for name in names)
         yield table(title, ("left out", *moves), rows)
-    if found.pieces:
+    if errors.pieces:
         yield Sentence(
             "Errors: of the simulation, by the differences of its batches with and without; then "
             "of the size of what was put in."
         )
-    for piece in found.neglected:
+    for piece in errors.neglected:
         kind = "a correction" if piece.correction else "a systematic error"
         text = f"- {piece.title}, {kind}: {piece.put_in}. What helps: {piece.mend}."
         yield Sentence(text)
-    for name, reason in found.not_estimated.items():
+    for name, reason in errors.not_estimated.items():
         yield Sentence(f"- not put in: {name.replace('_', ' ')}: {reason}")
 
 
@@ -679,11 +710,11 @@ def _shift(shift: Shift) -> Cell:
     return Cell(signed, per_cent * shift.shift, per_cent * math.hypot(*sigmas))
 
 
-def _totals(found: Budget) -> Iterator[Part]:
+def _totals(errors: Budget) -> Iterator[Part]:
     """The values as they are, and as they ought to be."""
-    if not found.totals:
+    if not errors.totals:
         return
-    corrected = found.together is not None
+    corrected = errors.together is not None
     columns = [
         "quantity",
         "as fitted",
@@ -691,8 +722,8 @@ def _totals(found: Budget) -> Iterator[Part]:
         *(["corrected"] if corrected else []),
     ]
     rows = []
-    for name in found.main:
-        total = found.totals[name]
+    for name in errors.main:
+        total = errors.totals[name]
         cells = [
             _two_digits(total.value, sigma) for sigma in (total.sigma, total.sigma_with_neglected)
         ]
@@ -707,17 +738,17 @@ def _totals(found: Budget) -> Iterator[Part]:
         )
 
 
-def _corrections(found: Budget) -> Iterator[Part]:
+def _corrections(errors: Budget) -> Iterator[Part]:
     """What the absolute light yield is with each of the corrections that need no simulation."""
-    known = found.calibration.parameters.get(LIGHT_YIELD)
-    if known is None or not found.corrections:
+    light = errors.calibration.parameters.get(LIGHT_YIELD)
+    if light is None or not errors.corrections:
         return
     rows = []
-    for one in found.corrections:
-        factor = 1.0 if one.applied else 1.0 + one.relative
-        moved = Cell(f"{100 * one.relative:+.2f}", 100 * one.relative)
-        value = _two_digits(factor * known.value, factor * known.sigma)
-        rows.append(row(one.name, moved, "yes" if one.applied else "no", value))
+    for correction in errors.corrections:
+        factor = 1.0 if correction.applied else 1.0 + correction.relative
+        moved = Cell(f"{100 * correction.relative:+.2f}", 100 * correction.relative)
+        value = _two_digits(factor * light.value, factor * light.sigma)
+        rows.append(row(correction.name, moved, "yes" if correction.applied else "no", value))
     columns = ("correction", "moves it by, %", "is in it", "light yield with it (ph/keV)")
     yield table("the absolute light yield", columns, rows)
 
@@ -728,9 +759,9 @@ def not_modelled() -> list[tuple[str, str, str]]:
     return list(map(tuple, tomllib.loads(text)["causes"]))
 
 
-def _places(found: Budget) -> Iterator[Part]:
+def _places(errors: Budget) -> Iterator[Part]:
     """What it does to readings where gammas stop."""
-    if found.places is None:
+    if errors.places is None:
         return
     columns = (
         "gammas stop",
@@ -738,23 +769,23 @@ def _places(found: Budget) -> Iterator[Part]:
         Column("eta (%)", "eta_shift"),
         Column("light yield (%)", "yield_shift"),
     )
-    everywhere, *_ = found.places.shifts
+    everywhere, *_ = errors.places.shifts
     rows = (
         row(
-            one.source,
-            measured(one.eta, one.eta_sigma),
+            place.source,
+            measured(place.eta, place.eta_sigma),
             *(
-                Cell("") if one is everywhere else _signed(100.0 * moved, 100.0 * one.sigma)
-                for moved in (one.eta_shift, one.yield_shift)
+                Cell("") if place is everywhere else _signed(100.0 * moved, 100.0 * place.sigma)
+                for moved in (place.eta_shift, place.yield_shift)
             ),
         )
-        for one in found.places.shifts
+        for place in errors.places.shifts
     )
     yield table("where gammas stop, instead of everywhere", columns, rows)
     yield Sentence(
-        f"By the map of {', '.join(found.places.readings)}, at its coefficients, beside a model "
+        f"By the map of {', '.join(errors.places.readings)}, at its coefficients, beside a model "
         "whose light is born everywhere. Where nobody knows which of these the source does, half "
-        f"of what lies between them, {100.0 * found.places.half_range:.2g} %, is a systematic "
+        f"of what lies between them, {100.0 * errors.places.half_range:.2g} %, is a systematic "
         "error of the light yield that no total above has; where it is known, put it into the "
         "model instead (effect source_depth or side_source)."
     )
@@ -775,28 +806,32 @@ def _two_digits(value: float, sigma: float) -> Cell:
 _MOST_PLANS = 16
 
 
-def of_plan(found: Planning) -> Description:
+def of_plan(planning: Planning) -> Description:
     """What would be measured, what errors plans would leave, and the cheapest plan."""
     at = ", ".join(
-        f"{sentences.title_of(name)} {pdg(known.value, known.sigma)}"
-        for name, known in found.solution.items()
+        f"{sentences.title_of(name)} {pdg(estimate.value, estimate.sigma)}"
+        for name, estimate in planning.solution.items()
     )
     rows: Iterable[Any] = (
-        (each.name, shown(each.signal, ".1f"), _relative(each.event_sigma / each.signal / 100))
-        for each in found.candidates
+        (
+            coupling.name,
+            shown(coupling.signal, ".1f"),
+            _relative(coupling.event_sigma / coupling.signal / 100),
+        )
+        for coupling in planning.candidates
     )
     columns: tuple[str, ...] = ("coupling", "photons per event", "error of 10,000 events")
     signals = table("what would be measured", columns, rows)
     rows = (
-        (found.name(chosen), *map(_relative, (error.total, error.priors, error.efficiency)))
-        for chosen, error in found.floors.items()
+        (planning.name(chosen), *map(_relative, (error.total, error.priors, error.efficiency)))
+        for chosen, error in planning.floors.items()
     )
     columns = ("couplings", "total", "priors", "detector efficiency")
     title = "what readings without error would leave of the light yield's"
     floors = table(title, columns, rows)
     rows = (
         row(
-            found.name(plan.configurations),
+            planning.name(plan.configurations),
             shown(plan.mountings, "d"),
             shown(plan.events, ",.0f"),
             shown(plan.hours, ".1f"),
@@ -805,9 +840,9 @@ def of_plan(found: Planning) -> Description:
                 (plan.light_yield.statistical, plan.light_yield.systematic, plan.light_yield.total),
             ),
             "" if plan.alpha_scat is None else _relative(plan.alpha_scat.total),
-            strong=plan is found.cheapest,
+            strong=plan is planning.cheapest,
         )
-        for plan in found.efficient[-_MOST_PLANS:]
+        for plan in planning.efficient[-_MOST_PLANS:]
     )
     columns = (
         "couplings",
@@ -820,9 +855,9 @@ def of_plan(found: Planning) -> Description:
         "alpha_scat",
     )
     plans = table("plans that no cheaper one beats (relative errors)", columns, rows)
-    assumed, sets = found.conditions, "; ".join(map(found.name, found.undetermined))
+    assumed, sets = planning.conditions, "; ".join(map(planning.name, planning.undetermined))
     below = [
-        *(Sentence(line, strong=True) for line in sentences.verdict(found)),
+        *(Sentence(line, strong=True) for line in sentences.verdict(planning)),
         Sentence(
             f"Assumed: {assumed.events_per_second:g} events per second in the band, "
             f"{assumed.minutes_per_mounting:g} minutes per mounting, a scatter of "
@@ -833,7 +868,7 @@ def of_plan(found: Planning) -> Description:
     ]
     begin = Sentence(f"At the campaign's solution: {at}")
     parts: tuple[Part, ...] = (begin, signals, floors, plans, *below)
-    return Description("plan of a measurement", parts, notes=found.notes)
+    return Description("plan of a measurement", parts, notes=planning.notes)
 
 
 def _relative(fraction: float) -> Cell:

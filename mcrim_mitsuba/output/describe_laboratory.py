@@ -46,11 +46,11 @@ def of_reduction(raw: RawData) -> Description:
     if raw.readings:
         parts += [_peaks(raw), _means(raw), Sentence(_SCATTER)]
     if raw.efficiency is not None:
-        found = raw.efficiency.found
+        efficiency = raw.efficiency.found
         title = "detector efficiency"
         parts += [
-            _origins_table(title, _origins("absolute"), found.contributions, found.value),
-            Sentence(f"detector efficiency {pdg(found.value, found.sigma)}", strong=True),
+            _origins_table(title, _origins("absolute"), efficiency.contributions, efficiency.value),
+            Sentence(f"detector efficiency {pdg(efficiency.value, efficiency.sigma)}", strong=True),
         ]
     if raw.absorption is not None:
         parts += _absorption(raw.absorption)
@@ -60,14 +60,14 @@ def of_reduction(raw: RawData) -> Description:
             "tabulated cross-sections": depth.tables_sigma_mm,
             "coherent scattering, a stop or not": depth.process_sigma_mm,
         }
-        said = (
+        words = (
             f"source depth {pdg(depth.length_mm, depth.sigma_mm)} mm: {depth.energy_keV:g} keV in "
             f"{depth.formula}, {depth.density_g_per_cm3:g} g/cm3"
         )
         title = "where the gammas stop"
         parts += [
             _origins_table(title, _origins("mm"), origins, depth.length_mm),
-            Sentence(said, strong=True),
+            Sentence(words, strong=True),
         ]
     return Description("reduction of raw data", tuple(parts), notes=raw.notes)
 
@@ -157,31 +157,33 @@ def _origins(unit: str) -> tuple[str, str, str]:
 
 
 def _absorption(reduced: ReducedAbsorption) -> Iterator[Part]:
-    entry, found = reduced.entry, reduced.found
+    entry, absorption = reduced.entry, reduced.found
     names = [path.name for path in entry.files if path is not None]
     if not names and entry.value is not None:
         names = [pdg(entry.value, entry.transmittance_sigma)]
     rows = (
-        (name, shown(alpha, ".3g")) for name, alpha in zip(names, found.each_per_cm, strict=True)
+        (name, shown(alpha, ".3g"))
+        for name, alpha in zip(names, absorption.each_per_cm, strict=True)
     )
     yield table("absorption", ("transmittance", "alpha_abs, 1/cm"), rows)
-    yield _origins_table("", _origins("1/cm"), _there(found), found.alpha_abs_per_cm)
+    yield _origins_table("", _origins("1/cm"), _there(absorption), absorption.alpha_abs_per_cm)
     band = (
         ""
-        if found.spread_band_per_cm is None
-        else f"; over the detected light it varies by {found.spread_band_per_cm:.2g}"
+        if absorption.spread_band_per_cm is None
+        else f"; over the detected light it varies by {absorption.spread_band_per_cm:.2g}"
     )
     yield Sentence(
-        f"alpha_abs {pdg(found.alpha_abs_per_cm, found.sigma)} /cm, internal transmittance "
-        f"{pdg(found.internal_transmittance, found.internal_transmittance_sigma)} of "
-        f"{entry.thickness_mm:g} mm (n = {found.n:.4g}){band}",
+        f"alpha_abs {pdg(absorption.alpha_abs_per_cm, absorption.sigma)} /cm, internal "
+        "transmittance "
+        f"{pdg(absorption.internal_transmittance, absorption.internal_transmittance_sigma)} of "
+        f"{entry.thickness_mm:g} mm (n = {absorption.n:.4g}){band}",
         strong=True,
     )
 
 
-def _there(found: Absorption) -> dict[str, float]:
+def _there(absorption: Absorption) -> dict[str, float]:
     """Contributions to its error that are not 0."""
-    return {name: part for name, part in found.contributions.items() if part > 0}
+    return {name: part for name, part in absorption.contributions.items() if part > 0}
 
 
 # What `mcrim lab` finds.
@@ -195,13 +197,13 @@ def of_peaks(
 ) -> Description:
     """The main peak of every histogram, what several mountings make together, and the widths."""
     parts: list[Part] = []
-    found = sum(each.peak is not None for each in fitted)
-    if found:
-        rows = ((each.name, *_of_peak(each.peak, [*_PEAK])) for each in fitted)
+    count = sum(histogram.peak is not None for histogram in fitted)
+    if count:
+        rows = ((histogram.name, *_of_peak(histogram.peak, [*_PEAK])) for histogram in fitted)
         parts.append(table("peaks, photons per event", ("histogram", *_PEAK), rows))
     if combined is not None:
         mean = pdg(combined.mean, combined.sigma)
-        parts.append(Sentence(f"mean of {found}: {mean}", strong=True))
+        parts.append(Sentence(f"mean of {count}: {mean}", strong=True))
         parts.append(
             Sentence(
                 f"its error from their scatter {combined.scatter_sigma:.2g}, from the fits "
@@ -210,18 +212,18 @@ def of_peaks(
                 + ("" if combined.consistent else "; the set is inconsistent")
             )
         )
-    said = list(notes)
+    lines = list(notes)
     if widths:
         parts += _widths(widths)
-        said += [
-            f"{name}: counting and gammas that stop {one.source} alone would make the peak wider "
-            f"than it is, by {one.excess:.2g} standard errors: they do not stop so, the map is of "
-            "another bench, or the bins are no photoelectrons"
+        lines += [
+            f"{name}: counting and gammas that stop {mounting.source} alone would make the peak "
+            f"wider than it is, by {mounting.excess:.2g} standard errors: they do not stop so, the "
+            "map is of another bench, or the bins are no photoelectrons"
             for name, several in widths.items()
-            for one in several
-            if one.excess > _MUCH_TOO_WIDE
+            for mounting in several
+            if mounting.excess > _MUCH_TOO_WIDE
         ]
-    return Description("peaks of histograms", tuple(parts), notes=tuple(said))
+    return Description("peaks of histograms", tuple(parts), notes=tuple(lines))
 
 
 #: Standard errors by which parts may exceed the whole without a word.
@@ -232,12 +234,14 @@ def _widths(widths: Mapping[str, Sequence[WidthParts]]) -> tuple[Part, ...]:
     """A row for every peak and place, per cent of the centroid."""
     columns = ("histogram", Column("gammas stop", left=True), "whole", "counting", "place", "rest")
 
-    def cells(one: WidthParts) -> list[Cell]:
-        several = one.total, one.counting, one.place, one.rest
-        return [measured(100.0 * each.fwhm, 100.0 * each.sigma) for each in several]
+    def cells(parts: WidthParts) -> list[Cell]:
+        several = parts.total, parts.counting, parts.place, parts.rest
+        return [measured(100.0 * width.fwhm, 100.0 * width.sigma) for width in several]
 
     rows = (
-        row(name, one.source, *cells(one)) for name, several in widths.items() for one in several
+        row(name, width_parts.source, *cells(width_parts))
+        for name, several in widths.items()
+        for width_parts in several
     )
     return (
         table("full width at half maximum, % of the centroid, by origin", columns, rows),
@@ -248,15 +252,15 @@ def _widths(widths: Mapping[str, Sequence[WidthParts]]) -> tuple[Part, ...]:
     )
 
 
-def of_efficiency(found: DetectorEfficiency, notes: Sequence[str]) -> Description:
+def of_efficiency(efficiency: DetectorEfficiency, notes: Sequence[str]) -> Description:
     """A detector's efficiency, and where its error comes from."""
-    title = f"detector efficiency {pdg(found.value, found.sigma)}"
+    title = f"detector efficiency {pdg(efficiency.value, efficiency.sigma)}"
     columns = ("where the error comes from", "error", "relative")
     parts = (
-        Sentence(f"{title} ({100 * found.sigma / found.value:.2g} %)", strong=True),
-        _origins_table("", columns, found.contributions, found.value),
+        Sentence(f"{title} ({100 * efficiency.sigma / efficiency.value:.2g} %)", strong=True),
+        _origins_table("", columns, efficiency.contributions, efficiency.value),
         Sentence(
-            f"over the emission the quantum efficiency varies by {found.spread:.2g} (standard "
+            f"over the emission the quantum efficiency varies by {efficiency.spread:.2g} (standard "
             "deviation): the mean is for this emission only"
         ),
     )
@@ -264,37 +268,38 @@ def of_efficiency(found: DetectorEfficiency, notes: Sequence[str]) -> Descriptio
 
 
 def of_absorption(
-    found: Absorption, given: Sequence[str], beside: str, notes: Sequence[str]
+    absorption: Absorption, given: Sequence[str], beside: str, notes: Sequence[str]
 ) -> Description:
     """An absorption coefficient with its errors; `beside` is said of it, where there is a word."""
     internal = pdg(
-        100 * found.internal_transmittance, 100 * found.internal_transmittance_sigma or None
+        100 * absorption.internal_transmittance,
+        100 * absorption.internal_transmittance_sigma or None,
     )
-    sigma = found.sigma or None
-    alpha = pdg(found.alpha_abs_per_cm, sigma)
+    sigma = absorption.sigma or None
+    alpha = pdg(absorption.alpha_abs_per_cm, sigma)
     parts: list[Part] = [
         Sentence(f"alpha_abs {alpha} /cm, internal transmittance {internal} %", strong=True)
     ]
     if beside:
         parts.append(Sentence(beside))
-    if origins := _there(found):
+    if origins := _there(absorption):
         columns = ("where the error comes from", "error, 1/cm")
-        parts.append(_origins_table("", columns, origins, found.alpha_abs_per_cm))
+        parts.append(_origins_table("", columns, origins, absorption.alpha_abs_per_cm))
     if len(given) > 1:
-        each = zip(given, (shown(alpha, ".4g") for alpha in found.each_per_cm), strict=True)
-        parts.append(table("", ("orientation", "alpha, 1/cm"), each))
-    if found.spread_band_per_cm is not None:
+        pairs = zip(given, (shown(alpha, ".4g") for alpha in absorption.each_per_cm), strict=True)
+        parts.append(table("", ("orientation", "alpha, 1/cm"), pairs))
+    if absorption.spread_band_per_cm is not None:
         parts.append(
             Sentence(
-                f"over the emission the coefficient varies by {found.spread_band_per_cm:.2g} /cm "
-                "(standard deviation): one number leaves that out, it is no part of the error"
+                f"over the emission the coefficient varies by {absorption.spread_band_per_cm:.2g} "
+                "/cm (standard deviation): one number leaves that out, it is no part of the error"
             )
         )
     if sigma is not None:
         parts.append(
             Sentence(
-                f"in a campaign: prior = {found.alpha_abs_per_cm:.4g}, prior_sigma = {sigma:.2g} "
-                "under [parameters.alpha_abs_per_cm]"
+                f"in a campaign: prior = {absorption.alpha_abs_per_cm:.4g}, prior_sigma = "
+                f"{sigma:.2g} under [parameters.alpha_abs_per_cm]"
             )
         )
     return Description("absorption of a sample", tuple(parts), notes=tuple(notes))
@@ -310,66 +315,66 @@ def of_materials(indices: Mapping[Material, float | None], wavelength_nm: float)
         Column("source", left=True),
     )
     rows = (
-        (each.name, shown(n, ".5f"), _range_nm(each), each.what, each.source)
-        for each, n in indices.items()
+        (crystal.name, shown(n, ".5f"), _range_nm(crystal), crystal.what, crystal.source)
+        for crystal, n in indices.items()
     )
     return Description("materials", (table("", columns, rows),))
 
 
 def of_index(
-    known: Material,
-    said: Iterable[str],
+    crystal: Material,
+    lines: Iterable[str],
     ordinary: float,
     difference: float,
     scene: str,
     notes: Sequence[str] = (),
 ) -> Description:
     """An index: what is `said` of it first, its rays, what the material is, how a scene has it."""
-    first, *more = said
-    density = known.density_g_per_cm3
-    if known.extraordinary is not None:
+    first, *more = lines
+    density = crystal.density_g_per_cm3
+    if crystal.extraordinary is not None:
         more.append(
             f"ordinary {ordinary:.5f}, extraordinary {ordinary + difference:.5f}, difference "
             f"{difference:+.5f}; n is the mean of all directions and polarisations, "
             "(2 n_o + n_e) / 3"
         )
     more += [
-        f"{known.name}: {known.what}" + (f"; {density:g} g/cm3" if density is not None else ""),
-        f"known from {_range_nm(known)} nm; source: {known.source}",
+        f"{crystal.name}: {crystal.what}" + (f"; {density:g} g/cm3" if density is not None else ""),
+        f"known from {_range_nm(crystal)} nm; source: {crystal.source}",
         scene,
     ]
     parts = (Sentence(first, strong=True), *map(Sentence, more))
     return Description("refractive index", parts, notes=tuple(notes))
 
 
-def _range_nm(known: Material) -> str:
-    shortest, longest = known.range_nm
+def _range_nm(crystal: Material) -> str:
+    shortest, longest = crystal.range_nm
     return f"{shortest:g} to {longest:g}"
 
 
 def of_gammas(
-    found: AttenuationLength, parts_per_cm: Mapping[str, float], stopped: Mapping[float, float]
+    stops: AttenuationLength, parts_per_cm: Mapping[str, float], stopped: Mapping[float, float]
 ) -> Description:
     """How deep gammas get: the length, by processes, and what stops within some depths, mm."""
     from mcrim_mitsuba.optics.gammas import SOURCE
 
-    shares = (f"{100 * p / found.per_cm:.1f} % are {name}" for name, p in parts_per_cm.items())
+    shares = (f"{100 * p / stops.per_cm:.1f} % are {name}" for name, p in parts_per_cm.items())
     rows = ((f"{depth:g}", Cell(f"{100 * share:.1f} %", share)) for depth, share in stopped.items())
     parts = (
         Sentence(
-            f"attenuation length {pdg(found.length_mm, found.sigma_mm)} mm: {found.per_cm:.4g} /cm "
-            f"for {found.energy_keV:g} keV in {found.formula} of {found.density_g_per_cm3:g} g/cm3",
+            f"attenuation length {pdg(stops.length_mm, stops.sigma_mm)} mm: {stops.per_cm:.4g} /cm "
+            f"for {stops.energy_keV:g} keV in {stops.formula} of {stops.density_g_per_cm3:g} g/cm3",
             strong=True,
         ),
         Sentence(f"of the first interactions {', '.join(shares)}"),
         Sentence(
-            f"error: {found.tables_sigma_mm:.2g} mm by the tables, {found.process_sigma_mm:.2g} mm "
-            f"by the coherent scattering, without which it is {found.without_coherent_mm:.4g} mm"
+            f"error: {stops.tables_sigma_mm:.2g} mm by the tables, {stops.process_sigma_mm:.2g} mm "
+            f"by the coherent scattering, without which it is {stops.without_coherent_mm:.4g} mm"
         ),
         table("", ("depth, mm", "stopped within"), rows),
         Sentence(
-            f"K X-rays of {100 * found.escaping:.2g} % escape with {found.escaping_keV:.3g} keV: "
-            f"unresolved, they lower the centroid by {100 * found.escape_loss:.2g} %"
+            f"K X-rays of {100 * stops.escaping:.2g} % escape with {stops.escaping_keV:.3g} keV: "
+            f"unresolved, they lower the centroid by {100 * stops.escape_loss:.2g} %"
         ),
         Sentence(f"source: {SOURCE}"),
     )
@@ -396,9 +401,9 @@ def of_yields(
             measured(signal[0], signal[1] or None),
             measured(eta[0], eta[1] or None),
             Cell(f"{100 * weight:.0f} %", weight),
-            *_yield_cells(found),
+            *_yield_cells(light),
         )
-        for (label, (signal, eta, found)), weight in zip(
+        for (label, (signal, eta, light)), weight in zip(
             couplings.items(), together.weights, strict=True
         )
     )
@@ -432,14 +437,14 @@ def of_yields(
     return Description("light yield", tuple(parts), notes=tuple(notes))
 
 
-def _yield_cells(known: Uncertain) -> tuple[Cell, ...]:
+def _yield_cells(light: Uncertain) -> tuple[Cell, ...]:
     """Yield, its two kinds of errors and both together, ph/keV."""
-    errors = (known.statistical_sigma, known.systematic_sigma, known.sigma)
-    return shown(known.value, ".3g"), *(shown(sigma, ".2g") for sigma in errors)
+    errors = (light.statistical_sigma, light.systematic_sigma, light.sigma)
+    return shown(light.value, ".3g"), *(shown(sigma, ".2g") for sigma in errors)
 
 
 def of_relative(
-    read: RelativeMeasurement, found: RelativeYield, budgets: Mapping[str, ErrorBudget]
+    read: RelativeMeasurement, compared: RelativeYield, budgets: Mapping[str, ErrorBudget]
 ) -> Description:
     """A light yield by Eq. 7; budgets without what is shared, and with it, come in this order."""
     from mcrim_mitsuba.output.describe_campaign import contributions_table
@@ -454,7 +459,7 @@ def of_relative(
         for name, given in read.sample.items()
     ]
     rows.append(("light yield, ph/keV", "", measured(*read.reference_yield), ""))
-    known, equal = found.light_yield, found.equal_collection
+    light, equal = compared.light_yield, compared.equal_collection
     ignoring, total = (100 * budget.total for budget in budgets.values())
     sharing = "Nothing is said to be shared: the errors of both crystals count in full."
     if names := " and ".join(name.replace("_", " ") for name, part in read.shared.items() if part):
@@ -465,12 +470,12 @@ def of_relative(
     parts = (
         table("both crystals", ("quantity", "sample", "reference", "shared error"), rows),
         contributions_table("error budget", budgets),
-        Sentence(f"Y = {pdg(known.value, known.sigma)} ph/keV (±{total:.1f} %)", strong=True),
+        Sentence(f"Y = {pdg(light.value, light.sigma)} ph/keV (±{total:.1f} %)", strong=True),
         Sentence(sharing),
         Sentence(
             f"With equal light collection assumed it would be {equal:.3g} ph/keV, "
-            f"{equal / known.value:.2f} times as much; from the signals alone "
-            f"{found.signals_alone:.3g} ph/keV."
+            f"{equal / light.value:.2f} times as much; from the signals alone "
+            f"{compared.signals_alone:.3g} ph/keV."
         ),
     )
     return Description("light yield beside a reference", parts)

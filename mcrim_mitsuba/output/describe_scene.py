@@ -67,71 +67,71 @@ def of_simulation(result: LightResult) -> Description:
         for fate, part in result.budget.items()
         if part > 0
     )
-    found = (
+    words = (
         f"{result.photons:,} photons, seed {result.seed}, {result.seconds:.1f} s, "
         f"{result.photons_per_second / 1e6:.2f} million photons/s"
         if result.photons
         else f"no photons, {result.seconds:.2f} s"
     )
-    found = f"eta = {pdg(result.eta, result.eta_sigma)}   ({found}, {result.transport})"
+    words = f"eta = {pdg(result.eta, result.eta_sigma)}   ({words}, {result.transport})"
     columns = ("fate", "fraction", Column("error", "fraction_sigma"))
     fates = table("where the light ends", columns, rows)
-    return Description("light collection efficiency", (Sentence(found), fates), notes=result.notes)
+    return Description("light collection efficiency", (Sentence(words), fates), notes=result.notes)
 
 
 def of_map(mapped: MapResult) -> Description:
     """What the efficiency varies by over the crystal, and what that does to a peak."""
     rows = (
         (
-            one.source,
-            measured(one.eta, one.eta_sigma),
+            spread.source,
+            measured(spread.eta, spread.eta_sigma),
             Cell(
-                pdg(100.0 * one.relative_rms, 100.0 * one.relative_rms_sigma),
-                100.0 * one.relative_rms,
-                100.0 * one.relative_rms_sigma,
+                pdg(100.0 * spread.relative_rms, 100.0 * spread.relative_rms_sigma),
+                100.0 * spread.relative_rms,
+                100.0 * spread.relative_rms_sigma,
             ),
-            shown(100.0 * one.fwhm, ".2g"),
+            shown(100.0 * spread.fwhm, ".2g"),
         )
-        for one in mapped.gamma_spreads
+        for spread in mapped.gamma_spreads
     )
     percent = Column("rms (%)", "rms_percent"), Column("FWHM (%)", "fwhm_percent")
     columns = (Column("gammas stop", "source"), "eta", *percent)
     cells = " x ".join(str(n) for n in mapped.eta.shape)
     error = float(np.nanmedian(mapped.eta_sigma / mapped.eta))
-    said = (
+    words = (
         f"by where light is born: {cells} cells, {mapped.photons:,} photons, {100 * error:.2g} % "
         "error of one; FWHM is what a peak gets from the place alone"
     )
     return Description(
         "map of the light collection efficiency",
-        (Sentence(said), table("efficiency where gammas stop", columns, rows)),
+        (Sentence(words), table("efficiency where gammas stop", columns, rows)),
     )
 
 
-def of_spectrum(found: SpectrumResult) -> Description:
+def of_spectrum(spectrum: SpectrumResult) -> Description:
     """Means over the light, what one wavelength is off by, and some wavelengths."""
-    light, off = found.light, (found.one_wavelength_off, found.one_wavelength_off_sigma)
-    eta = pdg(found.eta_detected, found.eta_detected_sigma)
-    arriving = _percent(found.efficiency_arriving, found.efficiency_arriving_sigma)
-    benches = len(found.nodes_nm)
-    simulated = f"{counted(benches, 'simulation')}, {found.photons:,} photons"
-    if not found.photons:
+    light, off = spectrum.light, (spectrum.one_wavelength_off, spectrum.one_wavelength_off_sigma)
+    eta = pdg(spectrum.eta_detected, spectrum.eta_detected_sigma)
+    arriving = _percent(spectrum.efficiency_arriving, spectrum.efficiency_arriving_sigma)
+    benches = len(spectrum.nodes_nm)
+    simulated = f"{counted(benches, 'simulation')}, {spectrum.photons:,} photons"
+    if not spectrum.photons:
         simulated = f"{'a bench' if benches == 1 else f'{benches} benches'} solved by modes"
-    said = [
+    lines = [
         f"eta = {eta} of the light as it is {'detected' if light.detected else 'emitted'} "
         f"({simulated})"
     ]
     if light.detected:
-        said += [
-            f"eta = {pdg(found.eta_emitted, found.eta_emitted_sigma)} of the light as it is "
+        lines += [
+            f"eta = {pdg(spectrum.eta_emitted, spectrum.eta_emitted_sigma)} of the light as it is "
             "emitted",
             f"the detector sees {pdg(*arriving)} % of the light that arrives; of all that is "
-            f"emitted it would see {100 * found.efficiency_emitted:.4g} % (Eq. 3)",
+            f"emitted it would see {100 * spectrum.efficiency_emitted:.4g} % (Eq. 3)",
         ]
-    said.append(
+    lines.append(
         f"one wavelength, {light.mean_nm:.0f} nm: eta = "
-        f"{pdg(found.eta_at_mean, found.eta_at_mean_sigma)}; what is detected would be off by "
-        f"{pdg(*_percent(*off))} %"
+        f"{pdg(spectrum.eta_at_mean, spectrum.eta_at_mean_sigma)}; what is detected would be off "
+        f"by {pdg(*_percent(*off))} %"
     )
     count = len(light.wavelength_nm)
     some = set(np.linspace(0, count - 1, _MOST_WAVELENGTHS).astype(int).tolist())
@@ -140,7 +140,7 @@ def of_spectrum(found: SpectrumResult) -> Description:
         row(
             shown(light.wavelength_nm[i], ".0f"),
             *(shown(light.parameters[name][i], ".4g") for name in varying),
-            measured(float(found.eta[i]), float(found.eta_sigma[i])),
+            measured(float(spectrum.eta[i]), float(spectrum.eta_sigma[i])),
             hidden=i not in some,
         )
         for i in range(count)
@@ -148,14 +148,14 @@ def of_spectrum(found: SpectrumResult) -> Description:
     first = Column("wavelength (nm)", "wavelength_nm")
     columns: list[str | Column] = [first, *(Column(titled(n), n) for n in varying), "eta"]
     notes: tuple[str, ...] = ()
-    if found.interpolation_error > 0.0:
-        nodes = ", ".join(f"{each:.0f}" for each in found.nodes_nm)
-        included = ", the noise of the simulations included" if found.photons else ""
+    if spectrum.interpolation_error > 0.0:
+        nodes = ", ".join(f"{nm:.0f}" for nm in spectrum.nodes_nm)
+        included = ", the noise of the simulations included" if spectrum.photons else ""
         notes = (
-            f"{'simulated' if found.photons else 'solved'} at {nodes} nm; between them eta may be "
-            f"wrong by {100 * found.interpolation_error:.2g} %{included}",
+            f"{'simulated' if spectrum.photons else 'solved'} at {nodes} nm; between them eta may "
+            f"be wrong by {100 * spectrum.interpolation_error:.2g} %{included}",
         )
-    parts: list[Part] = [*map(Sentence, said), table("some wavelengths", columns, rows)]
+    parts: list[Part] = [*map(Sentence, lines), table("some wavelengths", columns, rows)]
     return Description("light collection efficiency over wavelengths", tuple(parts), notes=notes)
 
 
@@ -163,48 +163,51 @@ def _percent(value: float, sigma: float) -> tuple[float, float]:
     return 100.0 * value, 100.0 * sigma
 
 
-def of_times(found: TimesResult) -> Description:
+def of_times(times: TimesResult) -> Description:
     """When detected light arrives, in which parts it was, and when the first photons do."""
     numbers = (
-        ("mean", measured(found.mean_ps, found.mean_ps_sigma)),
-        ("rms", measured(found.rms_ps, found.rms_ps_sigma)),
-        ("10 % have arrived", measured(found.begin_ps, found.begin_ps_sigma)),
-        ("from 10 to 90 %", measured(found.rise_ps, found.rise_ps_sigma)),
+        ("mean", measured(times.mean_ps, times.mean_ps_sigma)),
+        ("rms", measured(times.rms_ps, times.rms_ps_sigma)),
+        ("10 % have arrived", measured(times.begin_ps, times.begin_ps_sigma)),
+        ("from 10 to 90 %", measured(times.rise_ps, times.rise_ps_sigma)),
     )
     parts = (
         (
-            one.name,
-            shown(one.group_index, ".5g"),
-            one.origin,
-            measured(one.mean_ps, one.mean_ps_sigma),
+            part.name,
+            shown(part.group_index, ".5g"),
+            part.origin,
+            measured(part.mean_ps, part.mean_ps_sigma),
         )
-        for one in found.parts
+        for part in times.parts
     )
     columns: list[str | Column] = ["photon"]
-    for one in found.first:
-        name = one.born.replace(" ", "_")
+    for photons in times.first:
+        name = photons.born.replace(" ", "_")
         columns += [
-            Column(f"{one.born}, mean (ps)", f"mean_ps_{name}"),
-            Column(f"{one.born}, rms (ps)", f"rms_ps_{name}"),
+            Column(f"{photons.born}, mean (ps)", f"mean_ps_{name}"),
+            Column(f"{photons.born}, rms (ps)", f"rms_ps_{name}"),
         ]
     values = [
         pair
-        for one in found.first
-        for pair in ((one.mean_ps, one.mean_ps_sigma), (one.rms_ps, one.rms_ps_sigma))
+        for photons in times.first
+        for pair in (
+            (photons.mean_ps, photons.mean_ps_sigma),
+            (photons.rms_ps, photons.rms_ps_sigma),
+        )
     ]
     first = (
         (
             Cell(str(place + 1), place + 1),
             *(measured(float(value[place]), float(sigma[place])) for value, sigma in values),
         )
-        for place in range(len(found.first[0].mean_ps))
+        for place in range(len(times.first[0].mean_ps))
     )
     emitted = (
         "all emitted at once"
-        if found.decay_ns is None
-        else (f"emitted with a decay of {found.decay_ns:g} ns")
+        if times.decay_ns is None
+        else (f"emitted with a decay of {times.decay_ns:g} ns")
     )
-    said = Sentence(f"arrival of detected light, {emitted}: {found.photons:,} photons followed")
+    words = Sentence(f"arrival of detected light, {emitted}: {times.photons:,} photons followed")
     tables = (
         table("times", ("detected light", "ps"), numbers),
         table(
@@ -212,19 +215,19 @@ def of_times(found: TimesResult) -> Description:
             ("part", "group index", Column("from", left=True), Column("mean (ps)", "mean_ps")),
             parts,
         ),
-        table(f"first of {found.detected:,} detected photons", columns, first),
+        table(f"first of {times.detected:,} detected photons", columns, first),
     )
     births = Sentence(
         "light of one event is born everywhere in the crystal, or, as that of a gamma, at one "
         "depth, which is another one in every event"
     )
-    below = (births,) if len(found.first) > 1 else ()
+    below = (births,) if len(times.first) > 1 else ()
     return Description(
-        "arrival times of detected light", (said, *tables, *below), notes=found.notes
+        "arrival times of detected light", (words, *tables, *below), notes=times.notes
     )
 
 
-def of_table(made: TableResult, *, written: str | None = None) -> Description:
+def of_table(tabulated: TableResult, *, written: str | None = None) -> Description:
     """Points of a table; of one that was written to a file what it took alone."""
     parts: tuple[Table, ...] = ()
     if not written:
@@ -233,20 +236,20 @@ def of_table(made: TableResult, *, written: str | None = None) -> Description:
                 *(Cell(f"{v:.5g}" if isinstance(v, float) else str(v), v) for v in at),
                 measured(float(eta), float(sigma)),
             )
-            for *at, eta, sigma in (one.values() for one in made.rows)
+            for *at, eta, sigma in (point.values() for point in tabulated.rows)
         )
-        parts = (table("", (*made.axes, "eta"), rows),)
+        parts = (table("", (*tabulated.axes, "eta"), rows),)
     spent = (
-        f"{made.eta.size} points{f' written to {written}' if written else ''}: "
+        f"{tabulated.eta.size} points{f' written to {written}' if written else ''}: "
         + (
-            f"{made.photons:,} photons ({made.cached_photons:,} of the cache), "
-            if made.photons
+            f"{tabulated.photons:,} photons ({tabulated.cached_photons:,} of the cache), "
+            if tabulated.photons
             else "no photons, "
         )
-        + f"{made.seconds:.1f} s, errors up to "
-        f"{100 * made.largest_relative_sigma:.2g} %"
+        + f"{tabulated.seconds:.1f} s, errors up to "
+        f"{100 * tabulated.largest_relative_sigma:.2g} %"
     )
-    return Description("table of the light collection efficiency", parts, spent, made.notes)
+    return Description("table of the light collection efficiency", parts, spent, tabulated.notes)
 
 
 def of_check(report: CheckResult, *, first: bool = True) -> Description:
@@ -285,14 +288,14 @@ def of_check(report: CheckResult, *, first: bool = True) -> Description:
     return Description("check of a scene", tuple(parts), notes=report.notes)
 
 
-def of_installation(found: Mapping[str, object]) -> Description:
+def of_installation(versions: Mapping[str, object]) -> Description:
     """What is installed, by part."""
-    rows = ((name, Cell(str(value), value)) for name, value in found.items())
-    said = Sentence("the installation works: a kernel was compiled and run")
-    return Description("the installation", (table("", ("part", "found"), rows), said))
+    rows = ((name, Cell(str(value), value)) for name, value in versions.items())
+    words = Sentence("the installation works: a kernel was compiled and run")
+    return Description("the installation", (table("", ("part", "found"), rows), words))
 
 
-def of_crosscheck(found: CrosscheckResult) -> Description:
+def of_crosscheck(compared: CrosscheckResult) -> Description:
     """Every fate from the programs, and whether they agree."""
     from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL
 
@@ -304,29 +307,38 @@ def of_crosscheck(found: CrosscheckResult) -> Description:
         Column("error", "NumPy_sigma"),
         "z",
     )
-    is_solved = any(one.modes is not None for one in found.rows)
+    is_solved = any(quantity.modes is not None for quantity in compared.rows)
     if is_solved:
         columns += ("modes", Column("error", "modes_sigma"), Column("z", "modes_z"))
     rows = (
         row(
-            Cell(fate_words(one.quantity), one.quantity),
+            Cell(fate_words(quantity.quantity), quantity.quantity),
             *(
                 shown(value, ".6f")
-                for value in (one.mitsuba, one.mitsuba_sigma, one.numpy, one.numpy_sigma)
+                for value in (
+                    quantity.mitsuba,
+                    quantity.mitsuba_sigma,
+                    quantity.numpy,
+                    quantity.numpy_sigma,
+                )
             ),
-            Cell("too few" if one.z is None else f"{one.z:+.2f}", one.z),
+            Cell("too few" if quantity.z is None else f"{quantity.z:+.2f}", quantity.z),
             *(
-                (shown(one.modes, ".6f"), shown(one.modes_sigma, ".6f"), shown(one.modes_z, "+.2f"))
+                (
+                    shown(quantity.modes, ".6f"),
+                    shown(quantity.modes_sigma, ".6f"),
+                    shown(quantity.modes_z, "+.2f"),
+                )
                 if is_solved
                 else ()
             ),
         )
-        for one in found.rows
+        for quantity in compared.rows
     )
     agreement = (
-        f"the {'three' if is_solved else 'two'} {'agree' if found.agrees else 'DISAGREE'}: "
-        f"family-wise {p_equals(found.family_p_value)}, tested at {FAMILY_LEVEL:g}; "
-        f"{found.mitsuba_photons:,} and {found.numpy_photons:,} photons"
+        f"the {'three' if is_solved else 'two'} {'agree' if compared.agrees else 'DISAGREE'}: "
+        f"family-wise {p_equals(compared.family_p_value)}, tested at {FAMILY_LEVEL:g}; "
+        f"{compared.mitsuba_photons:,} and {compared.numpy_photons:,} photons"
     )
     parts = (table("", columns, rows), Sentence(agreement))
     return Description("Mitsuba beside the NumPy tracer", parts)

@@ -83,15 +83,15 @@ class Table:
         def of(rows: tuple[TableRow, ...]) -> tuple[TableRow, ...]:
             return tuple(
                 replace(
-                    one,
+                    line,
                     cells=tuple(
                         cell
-                        for cell, column in zip(one.cells, self.columns, strict=True)
+                        for cell, column in zip(line.cells, self.columns, strict=True)
                         if not column.hidden
                     ),
                 )
-                for one in rows
-                if not one.hidden
+                for line in rows
+                if not line.hidden
             )
 
         return Table(self.title, columns, of(self.rows), of(self.sums))
@@ -106,7 +106,7 @@ class Table:
             columns[name] = [cell.value for cell in cells]
             if any(cell.sigma is not None for cell in cells):
                 columns[f"{name}_sigma"] = [cell.sigma for cell in cells]
-        several = [n for n, each in columns.items() if any(isinstance(v, tuple) for v in each)]
+        several = [n for n, values in columns.items() if any(isinstance(v, tuple) for v in values)]
         frame = pandas.DataFrame(columns)
         if several:
             frame = frame.explode(several, ignore_index=True).infer_objects()
@@ -142,8 +142,8 @@ class Description:
     @property
     def whole(self) -> tuple[Part, ...]:
         """Its parts, and below them what it rests on and its notes."""
-        told = (self.spent, *(f"note: {note}" for note in self.notes))
-        return (*self.parts, *(Sentence(line) for line in told if line))
+        lines = (self.spent, *(f"note: {note}" for note in self.notes))
+        return (*self.parts, *(Sentence(line) for line in lines if line))
 
     @property
     def tables(self) -> dict[str, Table]:
@@ -158,9 +158,9 @@ def table(
     sums: Iterable[TableRow | Iterable[str | Cell]] = (),
 ) -> Table:
     """A table from columns by title and rows of texts or cells."""
-    heads = tuple(Column(one) if isinstance(one, str) else one for one in columns)
+    heads = tuple(Column(column) if isinstance(column, str) else column for column in columns)
     below, above = (
-        tuple(one if isinstance(one, TableRow) else row(*one) for one in some)
+        tuple(line if isinstance(line, TableRow) else row(*line) for line in some)
         for some in (sums, rows)
     )
     return Table(title, heads, above, below)
@@ -168,8 +168,8 @@ def table(
 
 def row(*cells: str | Cell, strong: bool = False, hidden: bool = False) -> TableRow:
     """A row; a text stands for itself."""
-    made = tuple(Cell(c, c or None) if isinstance(c, str) else c for c in cells)
-    return TableRow(made, strong, hidden)
+    shown_cells = tuple(Cell(c, c or None) if isinstance(c, str) else c for c in cells)
+    return TableRow(shown_cells, strong, hidden)
 
 
 def measured(value: float, sigma: float | None) -> Cell:
@@ -202,7 +202,7 @@ _RULES, _END = 3, 1
 
 def wrapped(content: str, width: int) -> str:
     """A text with line ends between its words; only words longer than the width are cut."""
-    return "\n".join(line for one in content.split("\n") for line in _lines(one, width))
+    return "\n".join(line for paragraph in content.split("\n") for line in _lines(paragraph, width))
 
 
 def _lines(content: str, width: int) -> Iterator[str]:
@@ -243,11 +243,13 @@ def rich_tables(given: Table, width: int) -> Iterator[RichTable]:
     """
     given = given.seen
     lines = [[column.title for column in given.columns]]
-    lines += [[cell.text for cell in one.cells] for one in (*given.rows, *given.sums)]
-    columns = [[visible(content, keep="\n") for content in one] for one in zip(*lines, strict=True)]
+    lines += [[cell.text for cell in line.cells] for line in (*given.rows, *given.sums)]
+    columns = [
+        [visible(content, keep="\n") for content in texts] for texts in zip(*lines, strict=True)
+    ]
     usual, least = [], []
     for at, (column, (head, *cells)) in enumerate(zip(given.columns, columns, strict=True)):
-        widest = max((cell_len(one) for c in cells for one in c.split("\n")), default=0)
+        widest = max((cell_len(part) for c in cells for part in c.split("\n")), default=0)
         breakable = (head, *cells) if at == 0 or column.left else (head,)
         words = max((cell_len(word) for c in breakable for word in _WORD.findall(c)), default=0)
         usual.append(max(widest, cell_len(head)))
@@ -261,25 +263,25 @@ def rich_tables(given: Table, width: int) -> Iterator[RichTable]:
             more = min(usual[at] - least[at], max(room, 0) // left)
             wide[at], room = wide[at] + more, room - more
         title = f"{given.title}, continued" if place and given.title else given.title
-        made = RichTable(title=title or None, title_justify="left", title_style="bold")
+        shown = RichTable(title=title or None, title_justify="left", title_style="bold")
         # the first column has another width in every one
         broken = {at: [wrapped(content, wide[at]) for content in columns[at]] for at in block}
         for at in block:
             side: JustifyMethod = "left" if at == 0 or given.columns[at].left else "right"
-            made.add_column(
+            shown.add_column(
                 Text(broken[at][0]),
                 justify=side,
                 no_wrap=True,
                 overflow="fold",
                 style="dim" if given.columns[at].small else "",
             )
-        for number, one in enumerate((*given.rows, *given.sums), start=1):
+        for number, line in enumerate((*given.rows, *given.sums), start=1):
             if number == len(given.rows) + 1:
-                made.add_section()
+                shown.add_section()
             texts = [broken[at][number] for at in block]
             if place == 0 or any(texts[1:]):
-                made.add_row(*map(Text, texts), style="bold" if one.strong else "")
-        yield made
+                shown.add_row(*map(Text, texts), style="bold" if line.strong else "")
+        yield shown
 
 
 def _blocks(least: Sequence[int], width: int) -> list[list[int]]:
@@ -287,7 +289,7 @@ def _blocks(least: Sequence[int], width: int) -> list[list[int]]:
     blocks: list[list[int]] = [[0]]
     for at in range(1, len(least)):
         block = [*blocks[-1], at]
-        taken = _END + sum(_RULES + least[one] for one in block)
+        taken = _END + sum(_RULES + least[place] for place in block)
         if taken > width and len(block) > 2:
             blocks.append([0, at])
         else:

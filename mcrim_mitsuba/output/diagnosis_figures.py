@@ -75,14 +75,14 @@ def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
             diagnosis.probabilities.get(c.effect),
             *statistics(c),
             name,
-            *((known.value, known.sigma) if known else (None, None)),
+            *((estimate.value, estimate.sigma) if estimate else (None, None)),
             c.plausible,
             c.at_bound,
             (c.light_yield_ph_per_keV or {}).get("value"),
             " ".join(c.mimics),
         )
         for c in (*diagnosis.candidates, *diagnosis.pairs)
-        for name, known in _sizes(c)
+        for name, estimate in _sizes(c)
     ]
     columns = (
         "effect",
@@ -97,8 +97,10 @@ def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
         "light_yield_ph_per_keV",
         "mimics",
     )
-    found, unknown = diagnosis.probabilities, [None] * (len(columns) - 3)
-    rows += [(name, False, found[name], *unknown) for name in NO_EFFECTS if name in found]
+    probabilities, unknown = diagnosis.probabilities, [None] * (len(columns) - 3)
+    rows += [
+        (name, False, probabilities[name], *unknown) for name in NO_EFFECTS if name in probabilities
+    ]
     return columns, rows
 
 
@@ -128,21 +130,21 @@ class _Row:
 
 def _rows(diagnosis: Diagnosis) -> tuple[list[_Row], list[_Row]]:
     """Effects, among them what is none and how likely it is; and the best pairs."""
-    leading, known = leading_candidates(diagnosis), diagnosis.probabilities
+    leading, probabilities = leading_candidates(diagnosis), diagnosis.probabilities
     singles, pairs = (
         [
             _Row(
-                capital("\n+ ".join(map(_broken, titles_of(diagnosis, one.effects)))),
-                known.get(one.effect),
-                one in leading,
-                one,
+                capital("\n+ ".join(map(_broken, titles_of(diagnosis, candidate.effects)))),
+                probabilities.get(candidate.effect),
+                candidate in leading,
+                candidate,
             )
-            for one in candidates
+            for candidate in candidates
         ]
         for candidates in (diagnosis.candidates, diagnosis.pairs[:MOST_PAIRS])
     )
     for name, words in NO_EFFECTS.items():
-        p = known.get(name, 0.0)
+        p = probabilities.get(name, 0.0)
         if p >= _LEAST_PROBABILITY and (singles or pairs):
             above = [at for at, row in enumerate(singles) if (row.probability or 0.0) > p]
             singles.insert(max(above, default=-1) + 1, _Row(capital(words), p))
@@ -216,11 +218,11 @@ _BESIDE = "p of the fit", "fitted size", "in words"
 
 def _beside(row: _Row, brief: bool) -> tuple[str, ...]:
     """What stands beside a row's bars."""
-    one = row.candidate
+    candidate = row.candidate
     texts = (
         ("", "", "")
-        if one is None
-        else (p_text(one.p_value), size_text(one, "\n"), plausibility(one))
+        if candidate is None
+        else (p_text(candidate.p_value), size_text(candidate, "\n"), plausibility(candidate))
     )
     return texts[:1] if brief else texts
 
@@ -246,24 +248,24 @@ def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
         for place, row in zip(places, rows, strict=True)
         if row.candidate is not None
     ]
-    gains = [one.delta_chi2 + one.delta_chi2_sigma for _, _, one in tried]
+    gains = [candidate.delta_chi2 + candidate.delta_chi2_sigma for _, _, candidate in tried]
     right = 1.08 * max(*gains, axes.dataLim.x1 if axes.lines else 0.0, _LEAST_GAIN)
     left = -_LOSSES * right
-    for place, row, one in tried:
-        ends = one.delta_chi2 - one.delta_chi2_sigma < left
+    for place, row, candidate in tried:
+        ends = candidate.delta_chi2 - candidate.delta_chi2_sigma < left
         axes.barh(
             place,
-            max(one.delta_chi2, left),
+            max(candidate.delta_chi2, left),
             height=0.62,
             color=row.colour,
             edgecolor=style.DARK,
             lw=0.8,
-            xerr=None if ends else one.delta_chi2_sigma,
+            xerr=None if ends else candidate.delta_chi2_sigma,
             error_kw={"ecolor": style.WARM, "capsize": 3, "lw": 1.5},
         )
         if ends:
-            style.behind(axes, f"◂ {number(one.delta_chi2)}", (left, place))
-    lowest = min(one.delta_chi2 - one.delta_chi2_sigma for _, _, one in tried)
+            style.behind(axes, f"◂ {number(candidate.delta_chi2)}", (left, place))
+    lowest = min(candidate.delta_chi2 - candidate.delta_chi2_sigma for _, _, candidate in tried)
     axes.set_xlim(max(left, 1.08 * min(lowest, 0.0)), right)
     axes.axvline(0, color=style.GREY, lw=0.9)
     axes.set_xlabel("fall of χ² when the effect is added")
@@ -290,8 +292,8 @@ def _nothing_tried(diagnosis: Diagnosis) -> Figure:
 def _handles(leading: int, threshold: bool) -> list[Artist]:
     handles: list[Artist] = []
     if leading:
-        told = "leading: the data cannot tell these apart" if leading > 1 else "leading"
-        handles.append(Patch(facecolor=style.DARK, edgecolor=style.DARK, label=told))
+        words = "leading: the data cannot tell these apart" if leading > 1 else "leading"
+        handles.append(Patch(facecolor=style.DARK, edgecolor=style.DARK, label=words))
     handles += [
         Patch(facecolor=_OTHERS, edgecolor=style.DARK, label="others" if leading else "effects"),
         Line2D([], [], color=style.WARM, lw=1.5, marker="|", ms=8, label="simulation's error"),
@@ -307,9 +309,9 @@ def _draw_threshold(axes: Axes, edges: np.ndarray, chi2: float, rows: Sequence[_
     tried = [row.candidate for row in rows]
     needed = [
         math.nan
-        if one is None
-        else chi2 - (float(chdtri(one.ndf, ACCEPTABLE_P)) if one.ndf > 0 else 0.0)
-        for one in tried
+        if candidate is None
+        else chi2 - (float(chdtri(candidate.ndf, ACCEPTABLE_P)) if candidate.ndf > 0 else 0.0)
+        for candidate in tried
     ]
     if not any(gain > 0 for gain in needed):
         return False
@@ -343,9 +345,9 @@ class _Final(RepairStep):
 def _final_stair(last: RepairStep, final: Calibration) -> _Final:
     squares = [row.pull**2 for row in final.rows if row.use]
     unknown = dict.fromkeys(("added", "left_out_error", "delta_chi2_sigma"))
-    known = {name: getattr(final, name) for name in ("chi2", "ndf", "p_value", "parameters")}
+    fields = {name: getattr(final, name) for name in ("chi2", "ndf", "p_value", "parameters")}
     rms_pull = math.sqrt(sum(squares) / len(squares))
-    return _Final(**vars(last) | unknown | known | {"rms_pull": rms_pull})
+    return _Final(**vars(last) | unknown | fields | {"rms_pull": rms_pull})
 
 
 def _name(stair: RepairStep) -> str:
@@ -403,7 +405,7 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
         axes.set_xlim(-0.5, len(names) - 0.5)
     rows = []
     for stair in stairs:
-        known = [stair.parameters.get(name) for name in (LIGHT_YIELD, SCALE, ALPHA_SCAT)]
+        estimates = [stair.parameters.get(name) for name in (LIGHT_YIELD, SCALE, ALPHA_SCAT)]
         rows.append(
             (
                 stair.step,
@@ -415,7 +417,7 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
                 stair.p_value,
                 stair.rms_pull,
                 stair.left_out_error,
-                *(cell for k in known for cell in ((k.value, k.sigma) if k else (None, None))),
+                *(cell for k in estimates for cell in ((k.value, k.sigma) if k else (None, None))),
             )
         )
     columns = (
@@ -477,15 +479,15 @@ def _draw_p_values(axes: Axes, steps: Sequence[RepairStep]) -> None:
 
 def _draw_parameter(axes: Axes, steps: Sequence[RepairStep], name: str) -> None:
     """A fitted parameter with its errors; where it is at a bound, without."""
-    known = [step.parameters.get(name) for step in steps]
+    estimates = [step.parameters.get(name) for step in steps]
     _staircase_title(axes, style.parameter_title(name))
-    if not any(known):
+    if not any(estimates):
         axes.text(0.5, 0.5, "not fitted", transform=axes.transAxes, ha="center", color=style.GREY)
         axes.set_yticks([])
         return
-    errors = [k.sigma if k and k.at_bound is None else 0.0 for k in known]
-    heights = [k.value if k else math.nan for k in known]
-    _stairs(axes, steps, heights, [estimate_text(k) if k else "" for k in known], errors)
+    errors = [k.sigma if k and k.at_bound is None else 0.0 for k in estimates]
+    heights = [k.value if k else math.nan for k in estimates]
+    _stairs(axes, steps, heights, [estimate_text(k) if k else "" for k in estimates], errors)
 
 
 def _stairs(

@@ -79,8 +79,8 @@ def open_axes(axes: Axes, grid: Literal["both", "x", "y"] = "both") -> None:
 def legend(axes: Axes, handles: Sequence[Artist] | None = None, **options: Any) -> None:
     """A legend without a frame, which shows labels of users as they are."""
     given = {} if handles is None else {"handles": handles}
-    made = axes.legend(**given, **{"fontsize": 9.5, "frameon": False} | options)
-    for text in made.get_texts():
+    frame = axes.legend(**given, **{"fontsize": 9.5, "frameon": False} | options)
+    for text in frame.get_texts():
         text.set_parse_math(False)
 
 
@@ -144,8 +144,8 @@ def entitle(figure: Figure, words: str, weight: str = "bold") -> None:
     while True:
         text = "\n".join(textwrap.fill(line, letters) for line in lines)
         look = {"fontsize": 11.5, "weight": weight, "parse_math": False}
-        made = figure.suptitle(text, x=0.01, ha="left", **look)
-        if made.get_window_extent().x1 <= figure.bbox.width or letters < _FEWEST_LETTERS:
+        heading = figure.suptitle(text, x=0.01, ha="left", **look)
+        if heading.get_window_extent().x1 <= figure.bbox.width or letters < _FEWEST_LETTERS:
             return
         letters = letters * 9 // 10
 
@@ -212,9 +212,9 @@ class Drawing:
 
     def entitled(self, title: str) -> Drawing:
         """The same with a title over it, and over what the figure says there itself."""
-        own = self.figure.get_suptitle()
-        words = "\n".join(filter(None, (shortened(title, _MOST_LETTERS), own)))
-        entitle(self.figure, words, "normal" if "\n" in own else "bold")
+        words_there = self.figure.get_suptitle()
+        words = "\n".join(filter(None, (shortened(title, _MOST_LETTERS), words_there)))
+        entitle(self.figure, words, "normal" if "\n" in words_there else "bold")
         return self
 
     def save(self, path: str | Path) -> tuple[Path, Path]:

@@ -94,16 +94,18 @@ def draw_comparison(
         series = [(name, before, _AS_IT_IS, -_APART), (then, after, _MENDED, _APART)]
     _draw_pulls(lower, places, series)
     _mark_suspects(lower, places, before, mended=after is not None)
-    suspects = {label: one.kind for one in _suspects(before)[::-1] for label in one.labels}
+    suspects = {
+        label: suspect.kind for suspect in _suspects(before)[::-1] for label in suspect.labels
+    }
     for row, tick in zip(before.rows, lower.get_xticklabels(), strict=True):
         if row.label in suspects:
             tick.set(fontweight="bold", color=style.WARM if after is None else style.GREY)
     left_out = before.left_out_pulls if isinstance(before, Comparison) else {}
     mended = {row.label: row for row in after.rows} if after else {}
-    own, predicted = attrgetter(*_OWN), attrgetter(*_PREDICTED)
+    measured_of, predicted = attrgetter(*_OWN), attrgetter(*_PREDICTED)
     rows = [
         (
-            *own(row),
+            *measured_of(row),
             *predicted(row),
             left_out.get(row.label),
             suspects.get(row.label),
@@ -150,20 +152,26 @@ def draw_hypotheses(compared: SideBySide) -> style.Drawing:
     _draw_pulls(
         upper,
         places,
-        [(style.shortened(one.words, 56), one, look, at) for one, look, at in looks],
+        [
+            (style.shortened(hypothesis.words, 56), hypothesis, look, at)
+            for hypothesis, look, at in looks
+        ],
     )
     lower.axhline(0, color=style.GREY, lw=0.9)
     sigmas = np.array([row.sigma for row in first.rows])
-    own = np.array([row.model for row in first.rows])
-    far = {one.name: (np.array([row.model for row in one.rows]) - own) / sigmas for one in others}
-    for one, look, at in looks[1:]:
-        label = f"{one.name} − {first.name}"
-        lower.vlines(places + at, 0, far[one.name], color=look["color"], lw=1.1, zorder=3)
-        lower.plot(places + at, far[one.name], zorder=4, label=label, **look)
+    of_first = np.array([row.model for row in first.rows])
+    far = {
+        hypothesis.name: (np.array([row.model for row in hypothesis.rows]) - of_first) / sigmas
+        for hypothesis in others
+    }
+    for hypothesis, look, at in looks[1:]:
+        label = f"{hypothesis.name} − {first.name}"
+        lower.vlines(places + at, 0, far[hypothesis.name], color=look["color"], lw=1.1, zorder=3)
+        lower.plot(places + at, far[hypothesis.name], zorder=4, label=label, **look)
     lower.set_ylabel("difference of predictions\n(standard errors)")
     style.open_axes(lower, "y")
     style.legend_above(lower, ncols=2, handlelength=1.8)
-    of_each = (f"{name}_{one.name}" for one in hypotheses for name in _PREDICTED)
+    of_each = (f"{name}_{hypothesis.name}" for hypothesis in hypotheses for name in _PREDICTED)
     columns = (*_OWN, "apart", *of_each)
     own_of, predicted = attrgetter(*_OWN), attrgetter(*_PREDICTED)
     rows = [
@@ -172,7 +180,7 @@ def draw_hypotheses(compared: SideBySide) -> style.Drawing:
             compared.apart[of_all[0].label],
             *itertools.chain(*map(predicted, of_all)),
         )
-        for of_all in zip(*(one.rows for one in hypotheses), strict=True)
+        for of_all in zip(*(hypothesis.rows for hypothesis in hypotheses), strict=True)
     ]
     return style.Drawing(figure, columns, rows)
 
@@ -263,7 +271,12 @@ def _mark_suspects(
     position = {row.label: place for row, place in zip(before.rows, places, strict=True)}
     handles = []
     for kind, (title, box) in _SUSPECTS.items():
-        labels = {label for one in _suspects(before) if one.kind == kind for label in one.labels}
+        labels = {
+            label
+            for suspect in _suspects(before)
+            if suspect.kind == kind
+            for label in suspect.labels
+        }
         if mended:
             title, box = f"{title} before the repair", box | _NO_LONGER
         for label in labels & position.keys():

@@ -96,7 +96,7 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
     figure = style.canvas(7.2 if len(fitted) <= _MOST_INSIDE else 10.4, 5.0)
     axes = figure.add_subplot()
     handles, tops = [], []
-    styles = _styles([each.group for each in fitted])
+    styles = _styles([entry.group for entry in fitted])
     few = len(fitted) <= _MOST_STEPS
     for (name, histogram, peak, _), (colour, line, marker) in zip(fitted, styles, strict=True):
         look: dict[str, Any] = {"color": colour, "ls": line, **(_FIT if few else _THIN)}
@@ -117,12 +117,12 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
         else:
             tops.append(float(histogram.counts.max()))
         handles.append(Line2D([], [], label=_label(name, peak), **look | mark))
-    if any(each.peak is not None for each in fitted):
+    if any(entry.peak is not None for entry in fitted):
         handles.append(Line2D([], [], color=style.GREY, label="linear background", **_BACKGROUND))
     top = _HISTOGRAM_ROOM * max(tops, default=1.0)
-    highest = max((float(each.histogram.counts.max()) for each in fitted), default=1.0)
+    highest = max((float(entry.histogram.counts.max()) for entry in fitted), default=1.0)
     axes.set_ylim(0, max(top, 1.0) if highest > top else None)
-    axes.set_xlim(left=min((float(each.histogram.photons[0]) for each in fitted), default=0.0))
+    axes.set_xlim(left=min((float(entry.histogram.photons[0]) for entry in fitted), default=0.0))
     axes.set(xlabel="detected photons per event", ylabel="events per bin")
     axes.set_title(style.shortened(title, 90), loc="left", fontsize=11, parse_math=False)
     style.open_axes(axes)
@@ -147,12 +147,12 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
 def _styles(groups: Sequence[str | None]) -> list[tuple[str, object, str]]:
     """Colour, line and marker of each histogram."""
     keys = [("", i) if group is None else (group, -1) for i, group in enumerate(groups)]
-    distinct, found = list(dict.fromkeys(keys)), []
+    distinct, styles = list(dict.fromkeys(keys)), []
     for i, key in enumerate(keys):
         again, colour = divmod(distinct.index(key), len(_COLOURS))
         # colours that come again have other lines
-        found.append((_COLOURS[colour], *_LINES[(keys[:i].count(key) + again) % len(_LINES)]))
-    return found
+        styles.append((_COLOURS[colour], *_LINES[(keys[:i].count(key) + again) % len(_LINES)]))
+    return styles
 
 
 def _draw_steps(axes: Axes, histogram: Histogram, colour: str) -> None:
@@ -198,7 +198,7 @@ _SEEN = 0.002
 
 
 def _efficiency_numbers(
-    emission: Spectrum, quantum_efficiency: Spectrum, found: DetectorEfficiency
+    emission: Spectrum, quantum_efficiency: Spectrum, efficiency: DetectorEfficiency
 ) -> style.Numbers:
     """Points of both curves where both are; emission's highest value is 1, and errors stand at
     the points that have them."""
@@ -214,7 +214,16 @@ def _efficiency_numbers(
         light, share = float(emission.at(nm)) / highest, float(quantum_efficiency.at(nm))
         sigma = emitted[nm] / highest if nm in emitted else None
         rows.append(
-            (nm, light, sigma, share, detected.get(nm), light * share, found.value, found.sigma)
+            (
+                nm,
+                light,
+                sigma,
+                share,
+                detected.get(nm),
+                light * share,
+                efficiency.value,
+                efficiency.sigma,
+            )
         )
     columns = (
         "wavelength_nm",
@@ -231,7 +240,7 @@ def _efficiency_numbers(
 
 @style.styled
 def draw_efficiency(
-    emission: Spectrum, quantum_efficiency: Spectrum, found: DetectorEfficiency
+    emission: Spectrum, quantum_efficiency: Spectrum, efficiency: DetectorEfficiency
 ) -> style.Drawing:
     """Emission, quantum efficiency and what Eq. 3 makes of them."""
     figure = style.canvas(7.2, 4.8)
@@ -240,10 +249,10 @@ def draw_efficiency(
     curve = quantum_efficiency
     shown = (curve.wavelength_nm >= low) & (curve.wavelength_nm <= high)
     ends = curve.at(np.clip((low, high), curve.first_nm, curve.last_nm))
-    top = 100 * float(max(curve.values[shown].max(initial=0), found.value, *ends))
+    top = 100 * float(max(curve.values[shown].max(initial=0), efficiency.value, *ends))
     axes.set(ylim=(0, _SPECTRUM_ROOM * top), xlim=(low, high))
     _shade_emission(axes, emission, top)
-    scale = found.contributions[SCALE] / found.value
+    scale = efficiency.contributions[SCALE] / efficiency.value
     sigmas = np.zeros_like(curve.values) if curve.sigmas is None else curve.sigmas
     band = 100 * np.hypot(sigmas, scale * curve.values)
     percent = 100 * curve.values
@@ -264,21 +273,21 @@ def draw_efficiency(
     axes.plot(
         grid, product, color=style.WARM, lw=1.8, zorder=4, label="emission × quantum efficiency"
     )
-    mean, sigma = 100 * found.value, 100 * found.sigma
+    mean, sigma = 100 * efficiency.value, 100 * efficiency.sigma
     axes.axhspan(mean - sigma, mean + sigma, color=style.GREY, alpha=0.15, lw=0, zorder=2)
     axes.axhline(mean, label=f"weighted mean {pdg(mean, sigma)} %", **_DASHED)
     axes.set(xlabel="wavelength, nm", ylabel="quantum efficiency, %")
     style.open_axes(axes)
     style.legend(axes, loc="upper center", ncols=2)
-    return style.Drawing(figure, *_efficiency_numbers(emission, curve, found))
+    return style.Drawing(figure, *_efficiency_numbers(emission, curve, efficiency))
 
 
 def _absorption_numbers(
-    transmittances: Sequence[tuple[str, Spectrum]], n: Index, found: Absorption
+    transmittances: Sequence[tuple[str, Spectrum]], n: Index, absorption: Absorption
 ) -> style.Numbers:
     """The points that the coefficient rests on."""
     rows = []
-    for (name, measured), curve in zip(transmittances, found.curves, strict=True):
+    for (name, measured), curve in zip(transmittances, absorption.curves, strict=True):
         limits, sigmas = _limits(n, curve.wavelength_nm), curve.sigmas
         for i, (nm, alpha) in enumerate(zip(curve.wavelength_nm, curve.values, strict=True)):
             rows.append(
@@ -290,8 +299,8 @@ def _absorption_numbers(
                     limits[i],
                     alpha,
                     None if sigmas is None else sigmas[i],
-                    found.alpha_abs_per_cm,
-                    found.sigma,
+                    absorption.alpha_abs_per_cm,
+                    absorption.sigma,
                 )
             )
     columns = (
@@ -312,7 +321,7 @@ def _absorption_numbers(
 def draw_absorption(
     transmittances: Sequence[tuple[str, Spectrum]],
     n: Index,
-    found: Absorption,
+    absorption: Absorption,
     emission: Spectrum | None = None,
 ) -> style.Drawing:
     """Transmittances, and the coefficient that they give.
@@ -326,12 +335,14 @@ def draw_absorption(
     """
     figure = style.canvas(7.2, 6.4)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1))
-    low = min(curve.first_nm for curve in found.curves)
-    high = max(curve.last_nm for curve in found.curves)
+    low = min(curve.first_nm for curve in absorption.curves)
+    high = max(curve.last_nm for curve in absorption.curves)
     if emission is not None:
         low, high = max(low, _seen(emission)[0]), min(high, _seen(emission)[1])
     seen_t, seen_alpha = [], []
-    for i, ((name, measured), curve) in enumerate(zip(transmittances, found.curves, strict=True)):
+    for i, ((name, measured), curve) in enumerate(
+        zip(transmittances, absorption.curves, strict=True)
+    ):
         colour, line = _STYLES[i % len(_STYLES)]
         look = {"color": colour, "ls": line, "lw": 1.6, "zorder": 4}
         inside = (curve.wavelength_nm >= low) & (curve.wavelength_nm <= high)
@@ -346,7 +357,7 @@ def draw_absorption(
     fine = np.linspace(low, high, 200)
     limits = 100 * _limits(n, fine)
     above.plot(fine, limits, label="a sample that absorbs nothing", **_DASHED)
-    alpha, sigma = found.alpha_abs_per_cm, found.sigma
+    alpha, sigma = absorption.alpha_abs_per_cm, absorption.sigma
     below.axhspan(alpha - sigma, alpha + sigma, color=style.GREY, alpha=0.18, lw=0, zorder=2)
     label = f"coefficient {pdg(alpha, sigma or None)} /cm"
     below.axhline(alpha, color=style.GREY, lw=1.4, zorder=2, label=label)
@@ -361,7 +372,7 @@ def draw_absorption(
     for axes in (above, below):
         style.open_axes(axes)
         style.legend(axes, loc="upper center", ncols=2)
-    return style.Drawing(figure, *_absorption_numbers(transmittances, n, found))
+    return style.Drawing(figure, *_absorption_numbers(transmittances, n, absorption))
 
 
 def _frame(axes: Axes, values: Sequence[float], low: float, high: float) -> None:
@@ -424,10 +435,12 @@ def draw_raw_data(raw: RawData, kind: str) -> style.Drawing:
         names = (path.name for path in reduced.entry.files)
         named = list(zip(names, reduced.spectra, strict=True))
         return draw_absorption(named, reduced.n, reduced.found, reduced.light)
-    every = [_fitted(label, m) for label, one in raw.readings.items() for m in one.mountings]
+    every = [
+        _fitted(label, m) for label, reading in raw.readings.items() for m in reading.mountings
+    ]
     shown = every
     if len(every) > MOST_HISTOGRAMS:
-        shown = [_fitted(label, one.mountings[0]) for label, one in raw.readings.items()]
+        shown = [_fitted(label, reading.mountings[0]) for label, reading in raw.readings.items()]
     figure = draw_histograms(shown[:MOST_HISTOGRAMS]).figure
     return style.Drawing(figure, *_histograms_numbers(every))
 
@@ -454,15 +467,15 @@ _NARROW = 9.0
 @style.styled
 def draw_widths(widths: Mapping[str, Sequence[WidthParts]]) -> style.Drawing:
     """Shares of the variance, which add, with the full widths at half maximum in them."""
-    several = [(name, one) for name, parts in widths.items() for one in parts]
+    several = [(name, width_parts) for name, parts in widths.items() for width_parts in parts]
     figure = style.canvas(9.6, 1.5 + 0.55 * len(several))
     axes = figure.subplots()
     longest = 100.0
-    for row, (_, one) in enumerate(several):
+    for row, (_, width_parts) in enumerate(several):
         left = 0.0
         for part, (_, fill, text) in _OF_WIDTHS.items():
-            width: Width = getattr(one, part)
-            percent = 100.0 * (width.fwhm / one.total.fwhm) ** 2
+            width: Width = getattr(width_parts, part)
+            percent = 100.0 * (width.fwhm / width_parts.total.fwhm) ** 2
             axes.barh(row, percent, 0.62, left, color=fill, edgecolor="#222222", lw=0.8)
             if percent >= _NARROW:
                 words, middle = f"{100.0 * width.fwhm:.2g} %", left + percent / 2
@@ -470,9 +483,9 @@ def draw_widths(widths: Mapping[str, Sequence[WidthParts]]) -> style.Drawing:
             left += percent
         longest = max(longest, left)
     names = [
-        f"{style.shortened(name, 26)}, FWHM {100 * one.total.fwhm:.2g} %\n"
-        f"{style.shortened(one.source)}: {100 * one.place.fwhm:.2g} %"
-        for name, one in several
+        f"{style.shortened(name, 26)}, FWHM {100 * width_parts.total.fwhm:.2g} %\n"
+        f"{style.shortened(width_parts.source)}: {100 * width_parts.place.fwhm:.2g} %"
+        for name, width_parts in several
     ]
     axes.set_yticks(range(len(several)), names, parse_math=False, fontsize=9.5)
     axes.tick_params(axis="y", length=0)
@@ -488,13 +501,13 @@ def draw_widths(widths: Mapping[str, Sequence[WidthParts]]) -> style.Drawing:
     rows = [
         (
             name,
-            one.source,
+            width_parts.source,
             *(
                 number
                 for part in parts
-                for number in (getattr(one, part).fwhm, getattr(one, part).sigma)
+                for number in (getattr(width_parts, part).fwhm, getattr(width_parts, part).sigma)
             ),
         )
-        for name, one in several
+        for name, width_parts in several
     ]
     return style.Drawing(figure, ("histogram", "gammas_stop", *columns), rows)

@@ -168,10 +168,10 @@ def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
 
 
 def _draw_line(
-    axes: Axes, edges: np.ndarray, one: Binned, *, color: str, ls: Any, label: str
+    axes: Axes, edges: np.ndarray, binned: Binned, *, color: str, ls: Any, label: str
 ) -> None:
     """A density as steps, with a band of one standard error."""
-    density, sigma = _UNIT * one.density, _UNIT * one.density_sigma
+    density, sigma = _UNIT * binned.density, _UNIT * binned.density_sigma
     axes.stairs(density, edges, baseline=None, color=color, ls=ls, lw=1.6, label=label)
     low, high = (np.append(band, band[-1]) for band in (density - sigma, density + sigma))
     axes.fill_between(edges, low, high, step="post", color=color, alpha=0.25, lw=0)
@@ -279,11 +279,11 @@ def _draw_spreads(axes: Axes, mapped: EtaMap, spreads: Sequence[Spread]) -> None
     eta = mapped.eta[mapped.volume > 0.0]
     noise = 100.0 * np.median(mapped.eta_sigma[mapped.volume > 0.0])
     edges = np.linspace(100.0 * eta.min(), 100.0 * eta.max(), 36)
-    for one, colour, dashes in zip(spreads, _COLOURS, _LINES, strict=False):
-        light = one.light[mapped.volume > 0.0]
+    for spread, colour, dashes in zip(spreads, _COLOURS, _LINES, strict=False):
+        light = spread.light[mapped.volume > 0.0]
         percent = np.histogram(100.0 * eta, edges, weights=100.0 * light / light.sum())[0]
-        width = pdg(100.0 * one.fwhm, 100.0 * FWHM * one.relative_rms_sigma)
-        label = f"{style.shortened(one.source, 40)}: FWHM {width} %"
+        width = pdg(100.0 * spread.fwhm, 100.0 * FWHM * spread.relative_rms_sigma)
+        label = f"{style.shortened(spread.source, 40)}: FWHM {width} %"
         axes.stairs(percent, edges, color=colour, ls=dashes, lw=1.6, label=label)
     below = f"η (%) where gammas stop\n(each ±{noise:.2g} by the simulation)"
     axes.set(xlabel=below, ylabel="light (% per bin)", ylim=(0, None))
@@ -295,25 +295,25 @@ def _draw_spreads(axes: Axes, mapped: EtaMap, spreads: Sequence[Spread]) -> None
 
 
 @style.styled
-def draw_spectrum(found: EtaSpectrum) -> style.Drawing:
+def draw_spectrum(spectrum: EtaSpectrum) -> style.Drawing:
     """Eta over the wavelength above; below, the light as it is emitted and as it is detected."""
-    light = found.light
+    light = spectrum.light
     at = light.wavelength_nm
     figure = style.canvas(8.4, 6.4)
     above, below = figure.subplots(2, 1, sharex=True)
-    eta, sigma = 100.0 * found.eta, 100.0 * found.eta_sigma
+    eta, sigma = 100.0 * spectrum.eta, 100.0 * spectrum.eta_sigma
     style.band(above, at, eta, sigma, color=style.DARK, alpha=0.25)
     above.plot(at, eta, color=style.DARK, lw=1.8, label="by wavelength")
-    mean = 100.0 * (found.eta_detected if light.detected else found.eta_emitted)
+    mean = 100.0 * (spectrum.eta_detected if light.detected else spectrum.eta_emitted)
     words = "detected" if light.detected else "emitted"
     label = f"mean of the {words} light: {mean:.4g} %"
     above.axhline(mean, color=style.WARM, lw=1.4, ls=_LINES[1], label=label)
     above.axvline(light.mean_nm, **_LIMIT)
-    there = [light.mean_nm], [100.0 * found.eta_at_mean]
+    there = [light.mean_nm], [100.0 * spectrum.eta_at_mean]
     label = f"at {light.mean_nm:.0f} nm, the mean"
     above.plot(*there, "o", ms=6, color=style.DARK, label=label)
     above.set(ylabel="η (%)")
-    emitted, detected = (v / v.max() for v in (light.emission, found.detected_part))
+    emitted, detected = (v / v.max() for v in (light.emission, spectrum.detected_part))
     below.plot(at, emitted, color=style.DARK, lw=1.8, label="emitted")
     below.plot(at, detected, color=style.WARM, lw=1.8, ls=_LINES[1], label="detected")
     if light.detected:
@@ -325,9 +325,9 @@ def draw_spectrum(found: EtaSpectrum) -> style.Drawing:
     for axes in (above, below):
         style.open_axes(axes)
         style.legend_above(axes, ncols=3, handlelength=2.6)
-    columns = {"wavelength_nm": at, "eta": found.eta, "eta_sigma": found.eta_sigma}
+    columns = {"wavelength_nm": at, "eta": spectrum.eta, "eta_sigma": spectrum.eta_sigma}
     columns |= {"emission": light.emission, "efficiency": light.efficiency}
-    columns |= {"detected_part": found.detected_part, **light.parameters}
+    columns |= {"detected_part": spectrum.detected_part, **light.parameters}
     rows = [tuple(map(float, row)) for row in zip(*columns.values(), strict=True)]
     return style.Drawing(figure, tuple(columns), rows)
 
@@ -340,12 +340,12 @@ _OF_BIRTHS = ((style.DARK, "o", -0.12), (style.WARM, "s", 0.12))
 
 
 @style.styled
-def draw_times(found: ArrivalTimes) -> style.Drawing:
+def draw_times(times: ArrivalTimes) -> style.Drawing:
     """The histogram with its mean and 10 to 90 %, and the first photons with their rms."""
     figure = style.canvas(10.4, 4.5)
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
-    _draw_histogram(left, found)
-    _draw_first(right, found)
+    _draw_histogram(left, times)
+    _draw_first(right, times)
     names = "mean_ps", "mean_ps_sigma", "rms_ps", "rms_ps_sigma"
     columns = ("time_ps", "part", "part_sigma", "born", "photon", *names)
     first = [
@@ -353,29 +353,29 @@ def draw_times(found: ArrivalTimes) -> style.Drawing:
             None,
             None,
             None,
-            one.born,
+            photons.born,
             place + 1,
-            *(float(getattr(one, name)[place]) for name in names),
+            *(float(getattr(photons, name)[place]) for name in names),
         )
-        for one in found.first
-        for place in range(len(one.mean_ps))
+        for photons in times.first
+        for place in range(len(photons.mean_ps))
     ]
-    rows = [(*row, *(None,) * (1 + 1 + len(names))) for row in found.rows]
+    rows = [(*row, *(None,) * (1 + 1 + len(names))) for row in times.rows]
     return style.Drawing(figure, columns, [*rows, *first])
 
 
-def _draw_histogram(axes: Axes, found: ArrivalTimes) -> None:
-    unit, per = ("ns", 1000.0) if found.edges_ps[-1] > _LONG_PS else ("ps", 1.0)
-    edges = found.edges_ps / per
-    percent, sigma = 100.0 * found.part, 100.0 * found.part_sigma
+def _draw_histogram(axes: Axes, times: ArrivalTimes) -> None:
+    unit, per = ("ns", 1000.0) if times.edges_ps[-1] > _LONG_PS else ("ps", 1.0)
+    edges = times.edges_ps / per
+    percent, sigma = 100.0 * times.part, 100.0 * times.part_sigma
     axes.stairs(percent, edges, color=style.DARK, lw=1.6)
     low, high = (np.append(band, band[-1]) for band in (percent - sigma, percent + sigma))
     axes.fill_between(edges, low, high, step="post", color=style.DARK, alpha=0.25, lw=0)
-    mean = f"{pdg(found.mean_ps / per, found.mean_ps_sigma / per)} {unit}"
+    mean = f"{pdg(times.mean_ps / per, times.mean_ps_sigma / per)} {unit}"
     axes.axvline(
-        found.mean_ps / per, color=style.WARM, lw=1.4, ls=(0, (5, 1.6)), label=f"mean, {mean}"
+        times.mean_ps / per, color=style.WARM, lw=1.4, ls=(0, (5, 1.6)), label=f"mean, {mean}"
     )
-    begin, end = found.begin_ps / per, (found.begin_ps + found.rise_ps) / per
+    begin, end = times.begin_ps / per, (times.begin_ps + times.rise_ps) / per
     axes.axvspan(
         begin,
         end,
@@ -394,22 +394,22 @@ def _draw_histogram(axes: Axes, found: ArrivalTimes) -> None:
     style.legend_above(axes, ncols=1, handlelength=2.6)
 
 
-def _draw_first(axes: Axes, found: ArrivalTimes) -> None:
-    number = np.arange(1, len(found.first[0].mean_ps) + 1)
-    for one, (colour, marker, shift) in zip(found.first, _OF_BIRTHS, strict=False):
+def _draw_first(axes: Axes, times: ArrivalTimes) -> None:
+    number = np.arange(1, len(times.first[0].mean_ps) + 1)
+    for photons, (colour, marker, shift) in zip(times.first, _OF_BIRTHS, strict=False):
         axes.errorbar(
             number + shift,
-            one.mean_ps,
-            one.rms_ps,
+            photons.mean_ps,
+            photons.rms_ps,
             color=colour,
             fmt=marker,
             ms=4.5,
             lw=1.2,
             capsize=2.5,
-            label=f"light of an event born {one.born}",
+            label=f"light of an event born {photons.born}",
         )
     axes.set(
-        xlabel=f"number among {found.detected:,} detected photons",
+        xlabel=f"number among {times.detected:,} detected photons",
         ylabel="arrival time, mean and rms (ps)",
         ylim=(0, None),
         xticks=number,
@@ -535,22 +535,23 @@ def lines_of_table(axes: Mapping[str, Sequence[Value]]) -> tuple[str, list[str],
 
 
 @style.styled
-def draw_table(made: EtaTable) -> style.Drawing:
+def draw_table(tabulated: EtaTable) -> style.Drawing:
     """Eta along the table's longest axis, a line for every combination of the other values.
 
     Raises InputError as `lines_of_table`.
     """
-    along, others, lines = lines_of_table(made.axes)
-    place = list(made.axes).index(along)
+    along, others, lines = lines_of_table(tabulated.axes)
+    place = list(tabulated.axes).index(along)
     etas, sigmas = (
-        np.moveaxis(values, place, -1).reshape(lines, -1) for values in (made.eta, made.eta_sigma)
+        np.moveaxis(values, place, -1).reshape(lines, -1)
+        for values in (tabulated.eta, tabulated.eta_sigma)
     )
     figure = style.canvas(7.2, 4.8)
     axes = figure.subplots()
-    values = made.axes[along]
+    values = tabulated.axes[along]
     numbers = not any(isinstance(value, str | bool) for value in values)
     at = values if numbers else range(len(values))
-    combinations = product(*(made.axes[name] for name in others))
+    combinations = product(*(tabulated.axes[name] for name in others))
     for line, combination in enumerate(combinations):
         axes.errorbar(
             at,
@@ -569,4 +570,4 @@ def draw_table(made: EtaTable) -> style.Drawing:
     style.open_axes(axes)
     if others:
         figure.legend(loc="outside upper center", ncols=min(3, lines), fontsize=9, frameon=False)
-    return style.Drawing(figure, made.columns, [list(row.values()) for row in made.rows])
+    return style.Drawing(figure, tabulated.columns, [list(row.values()) for row in tabulated.rows])

@@ -191,9 +191,9 @@ def magnification(bench: Photo, edge: Photo, block: Block) -> float:
     """How much larger a millimetre at the lower edge is than in the picture of the bench."""
     step = 0.5 * block.height_mm
     ends = [raised(block.centre_mm, side * step) for side in (-1, 1)]
-    own = edge.at(np.array([(0.0, 0.0, -0.5), (0.0, 0.0, 0.5)]))
+    edge_ends = edge.at(np.array([(0.0, 0.0, -0.5), (0.0, 0.0, 0.5)]))
     return float(
-        np.linalg.norm(np.diff(own, axis=0)) / np.linalg.norm(np.diff(bench.at(ends), axis=0))
+        np.linalg.norm(np.diff(edge_ends, axis=0)) / np.linalg.norm(np.diff(bench.at(ends), axis=0))
     )
 
 
@@ -417,15 +417,15 @@ def render(
         for body in part.bodies
     ]
     bodies = [bench, block.bodies, apart]
-    for number, (own, panel) in enumerate(zip(bodies, panels, strict=True)):
+    for number, (own_bodies, panel) in enumerate(zip(bodies, panels, strict=True)):
 
         def report(done: int, _: int, before: int = number * samples) -> None:
             run.tell("rendering", before + done, len(panels) * samples)
 
-        points = _corners(own)
+        points = _corners(own_bodies)
         floor = points[:, 2].min() - 0.004 * np.ptp(points, axis=0).max()
         light = photograph(
-            own, panel.camera, floor, samples=samples, seed=run.seed, progress=report
+            own_bodies, panel.camera, floor, samples=samples, seed=run.seed, progress=report
         )
         sheet.put(light, panel)
     title, parameters = heading(file.path.name, file.overrides, file.parameters)

@@ -51,9 +51,9 @@ class Photograph:
 
     @functools.cached_property
     def _developed(self) -> tuple[NDArray[np.uint8] | None, str]:
-        png, said = self._process.communicate()
+        png, complaint = self._process.communicate()
         if self._process.returncode != 0:
-            words = said.decode(errors="replace").strip() or "the process that draws it ended"
+            words = complaint.decode(errors="replace").strip() or "the process that draws it ended"
             return None, words.splitlines()[-1]
         with Image.open(io.BytesIO(png)) as picture:
             return np.asarray(picture.convert("RGB")), ""
@@ -93,11 +93,11 @@ def main() -> int:
             scene = scene.edited(job["text"])
         scene = scene.with_overrides(job["overrides"])
         run = Run(variant=job["variant"], threads=job["threads"])
-        made = render(scene, scale=job["scale"], run=run)
+        picture = render(scene, scale=job["scale"], run=run)
     except InputError as error:
         print(error.problem, file=sys.stderr)
         return _REFUSED
-    sys.stdout.buffer.write(made.png())
+    sys.stdout.buffer.write(picture.png())
     return 0
 
 

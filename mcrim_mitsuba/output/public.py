@@ -771,8 +771,8 @@ def diagnose(
 
     campaign = _read(campaign)
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
-    found = diagnose_campaign(campaign, without=_names(without), only=_names(only), run=run)
-    return DiagnosisResult.of(found, campaign)
+    diagnosed = diagnose_campaign(campaign, without=_names(without), only=_names(only), run=run)
+    return DiagnosisResult.of(diagnosed, campaign)
 
 
 @_explained

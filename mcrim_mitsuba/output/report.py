@@ -108,9 +108,9 @@ def render(sections: Sections) -> str:
         pictures=album_of(sections),
         efficiencies=efficiencies_csv(sections),
         mountings=[
-            (label, each)
+            (label, mounting)
             for label, reduced in (raw.readings if raw else {}).items()
-            for each in reduced.mountings
+            for mounting in reduced.mountings
         ],
         most_rows=MOST_ROWS,
         most_printed=MOST_PRINTED,
@@ -215,7 +215,7 @@ def _mended_with(repaired: Repaired, effects: tuple[str, ...]) -> Repaired:
     tried = (*leading_candidates(diagnosis), *diagnosis.candidates, *diagnosis.pairs)
     starts = next(
         (
-            {name: known.value for name, known in candidate.parameters.items()}
+            {name: estimate.value for name, estimate in candidate.parameters.items()}
             for candidate in tried
             if set(candidate.effects) == set(effects)
         ),

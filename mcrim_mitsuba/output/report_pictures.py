@@ -95,12 +95,18 @@ def data_uri(data: bytes, kind: str = "text/plain") -> str:
 
 def efficiencies_csv(sections: Sections) -> bytes:
     """The light collection efficiency of every reading, with its configuration."""
-    known = sections.campaign.varied
+    varied = sections.campaign.varied
     rows = [
-        (each.label, *map(each.parameters.get, known), each.eta, each.sigma, row.pull)
-        for each, row in zip(sections.efficiencies, sections.calibration.rows, strict=True)
+        (
+            efficiency.label,
+            *map(efficiency.parameters.get, varied),
+            efficiency.eta,
+            efficiency.sigma,
+            row.pull,
+        )
+        for efficiency, row in zip(sections.efficiencies, sections.calibration.rows, strict=True)
     ]
-    columns = ("label", *known, "eta", "eta_sigma", "pull")
+    columns = ("label", *varied, "eta", "eta_sigma", "pull")
     return style.numbers_text(columns, rows).encode()
 
 
@@ -174,63 +180,63 @@ def album_of(sections: Sections) -> dict[str, Picture]:
     """The pictures by name; they are kept, so that they are drawn once."""
     if sections.drawn is not None:
         kept = json.loads(sections.drawn.arrays["pictures"].tobytes())
-        return {name: Picture(**each) for name, each in kept.items()}
-    made = _drawn(sections)
-    if "bench" in made:
-        content = json.dumps({name: asdict(each) for name, each in made.items()}).encode()
+        return {name: Picture(**fields) for name, fields in kept.items()}
+    pictures = _drawn(sections)
+    if "bench" in pictures:
+        content = json.dumps({name: asdict(picture) for name, picture in pictures.items()}).encode()
         sections.album.write(0, {"pictures": np.frombuffer(content, np.uint8)}, {})
-    return made
+    return pictures
 
 
 def _drawn(sections: Sections) -> dict[str, Picture]:
     drawings = _drawings(sections)
-    made = {name: of_drawing(name, drawn, _SHOWN[name]) for name, drawn in drawings.items()}
+    pictures = {name: of_drawing(name, drawn, _SHOWN[name]) for name, drawn in drawings.items()}
     if sections.lights:
         arrival = draw_arrival(sections.lights)
         # light along radius and angle; the map's cells, a row each, would make the page heavy
         part = arrival.columns.index("part")
         arrival = replace(arrival, rows=[row for row in arrival.rows if row[part] != "map"])
         of_map = _map(sections.lights)
-        made["arrival"] = of_drawing("arrival", arrival, _SHOWN["arrival"], map=of_map)
+        pictures["arrival"] = of_drawing("arrival", arrival, _SHOWN["arrival"], map=of_map)
     # last: it may have to be waited for
     photograph = sections.bench.photograph
     if photograph is not None and (sheet := photograph.picture) is not None:
         left, top, wide, high = (round(PICTURE_SCALE * side) for side in BENCH_PANEL)
         view = sheet[top : top + high, left : left + wide]
         for name, pixels in (("bench", sheet), ("view", view)):
-            made[name] = of_pixels(name, pixels, _SHOWN[name])
-    return made
+            pictures[name] = of_pixels(name, pixels, _SHOWN[name])
+    return pictures
 
 
 def _drawings(sections: Sections) -> dict[str, style.Drawing]:
     """By name, as in `_SHOWN`."""
     diagnosis, fit, baseline = sections.diagnosis, sections.calibration, sections.diagnosis.baseline
     unit = sections.campaign.unit
-    made = {
+    drawings = {
         "comparison": draw_comparison(baseline, unit=unit),
     }
     if sections.bench.cross_section is not None:
-        made["cross-section"] = style.Drawing(sections.bench.cross_section, (), ())
+        drawings["cross-section"] = style.Drawing(sections.bench.cross_section, (), ())
     if sections.campaign.raw is not None:
         for kind in sections.campaign.raw.kinds:
             drawing = draw_raw_data(sections.campaign.raw, kind)
-            made["detector-efficiency" if kind == "spectra" else kind] = drawing
+            drawings["detector-efficiency" if kind == "spectra" else kind] = drawing
     if diagnosis.candidates:
-        made["ranking"] = draw_ranking(diagnosis, brief=True)
+        drawings["ranking"] = draw_ranking(diagnosis, brief=True)
     if sections.effects:
         if not sections.chosen_by_hand:
-            made["staircase"] = draw_staircase(diagnosis.repair, fit)
+            drawings["staircase"] = draw_staircase(diagnosis.repair, fit)
         added = in_words(diagnosis, sections.effects)
-        made["before-and-after"] = draw_comparison(baseline, fit, added=added, unit=unit)
+        drawings["before-and-after"] = draw_comparison(baseline, fit, added=added, unit=unit)
     if sections.ratio is not None:
-        made["ratio"] = _draw_ratio(sections.ratio)
+        drawings["ratio"] = _draw_ratio(sections.ratio)
     if sections.profiles:
-        made["profiles"] = draw_profiles(sections.profiles)
+        drawings["profiles"] = draw_profiles(sections.profiles)
     if fit.parameters:
-        made["error-budget"] = draw_budget(fit)
+        drawings["error-budget"] = draw_budget(fit)
     if sections.lights:
-        made["fates"] = draw_fates(sections.lights)
-    return made
+        drawings["fates"] = draw_fates(sections.lights)
+    return drawings
 
 
 def _map(lights: Lights) -> style.Numbers:

@@ -99,15 +99,15 @@ class Sections:
     def numbers(self) -> dict[str, Any]:
         """The result for JSON."""
         result = {}
-        for name, known in self.calibration.parameters.items():
-            statistical, systematic = errors_apart(known)
+        for name, estimate in self.calibration.parameters.items():
+            statistical, systematic = errors_apart(estimate)
             result[name] = {
                 "name": name,
-                "value": known.value,
+                "value": estimate.value,
                 "statistical": statistical,
                 "systematic": systematic,
-                "total": known.sigma,
-                **attributes(known, "lower upper at_bound contributions"),
+                "total": estimate.sigma,
+                **attributes(estimate, "lower upper at_bound contributions"),
             }
         return {
             "result": result,
@@ -165,7 +165,7 @@ def _behind_pictures(
 ) -> dict[str, object]:
     """All that the pictures depend on, as a cache's key."""
     run = repaired.bench.run
-    told = {
+    numbers = {
         # how long it took is in no picture
         "diagnosis": asdict(replace(repaired.diagnosed.diagnosis, seconds=0.0)),
         "calibration": repaired.calibration.numbers(),
@@ -173,7 +173,7 @@ def _behind_pictures(
     return {
         "what": "pictures of a report",
         "files": [[source.role, source.path.name, source.sha256] for source in sources],
-        "told": sha256(json_text(told).encode()),
+        "told": sha256(json_text(numbers).encode()),
         "effects": [*repaired.effects, chosen_by_hand],
         "light_photons": LIGHT_PHOTONS,
         "seed": run.seed,
@@ -186,9 +186,9 @@ def scene_of_the_result(
     campaign: Campaign, effects: tuple[str, ...], calibration: Calibration
 ) -> SceneFile:
     """The scene at the fitted values, with all effects in it that are not of the readings."""
-    known = campaign.catalogue
-    lacking = [name for name in campaign.effects if not known[name].is_in(campaign.scene)]
-    values = {name: found.value for name, found in calibration.parameters.items()}
+    catalogue = campaign.catalogue
+    lacking = [name for name in campaign.effects if not catalogue[name].is_in(campaign.scene)]
+    values = {name: estimate.value for name, estimate in calibration.parameters.items()}
     return mended_scene(campaign, (*lacking, *effects), {**calibration.fixed, **values})
 
 
@@ -197,11 +197,11 @@ def _lights(
 ) -> tuple[tuple[str, Light], ...]:
     from mcrim_mitsuba.transport.simulation import Simulation
 
-    lights, own = [], replace(run, photons=LIGHT_PHOTONS, progress=None)
+    lights, of_lights = [], replace(run, photons=LIGHT_PHOTONS, progress=None)
     for reading in couplings:
         stage("where the light goes")
         simulation = Simulation(scene, reading.parameters, variant=run.variant, threads=run.threads)
-        lights.append((reading.label, follow_light(simulation, run=own)))
+        lights.append((reading.label, follow_light(simulation, run=of_lights)))
     return tuple(lights)
 
 
@@ -275,8 +275,8 @@ def ratio_curve(model: ResponseModel, calibration: Calibration) -> RatioOfSignal
     rows = [readings.index(reading) for reading in pair]
     index = calibration.names.index(ALPHA_SCAT)
     theta = calibration.theta
-    solution, known = float(theta[index]), model.free[index]
-    low, high = max(solution / _REACH, known.minimum), min(solution * _REACH, known.maximum)
+    solution, free = float(theta[index]), model.free[index]
+    low, high = max(solution / _REACH, free.minimum), min(solution * _REACH, free.maximum)
     if not 0 < low < high:
         return None
     alphas, eta, signals = np.geomspace(low, high, _POINTS), [], []
@@ -337,11 +337,11 @@ def efficiencies(model: ResponseModel, calibration: Calibration) -> tuple[Effici
     """The efficiency of every reading, its error propagated from the fit."""
     slopes = model.predict(calibration.theta).eta_slopes
     fitted = np.einsum("ri,ij,rj->r", slopes, calibration.covariance, slopes)
-    found = []
+    values = []
     for row, reading, variance in zip(calibration.rows, model.readings, fitted, strict=True):
         sigma = math.sqrt(max(variance, 0.0) + row.eta_sigma**2)
-        found.append(Efficiency(row.label, dict(reading.parameters), row.eta, sigma))
-    return tuple(found)
+        values.append(Efficiency(row.label, dict(reading.parameters), row.eta, sigma))
+    return tuple(values)
 
 
 # Files that a report has inside, as they were read.
@@ -381,7 +381,7 @@ def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
         If a file cannot be read any more.
     """
     scene, measured, folder = campaign.scene, campaign.measurements.path, campaign.effects_folder
-    found = [
+    files = [
         ("campaign", campaign.path, read_bytes(campaign.path, _LIMIT_MB)),
         ("measurements", measured, read_bytes(measured, _LIMIT_MB)),
         ("scene", scene.path, read_bytes(scene.path, _LIMIT_MB)),
@@ -389,14 +389,14 @@ def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
     ]
     if campaign.spectrum is not None:
         light = campaign.spectrum.path
-        found.append(("light over wavelengths", light, read_bytes(light, _LIMIT_MB)))
-    own = () if folder is None else sorted(folder.glob("*.py"))
-    found += [("own effect", path, read_bytes(path, _LIMIT_MB)) for path in own]
+        files.append(("light over wavelengths", light, read_bytes(light, _LIMIT_MB)))
+    effects = () if folder is None else sorted(folder.glob("*.py"))
+    files += [("own effect", path, read_bytes(path, _LIMIT_MB)) for path in effects]
     raw = () if campaign.raw is None else campaign.raw.files
-    shown = [MOST_CHARACTERS] * len(found) + [MOST_OF_RAW_DATA] * len(raw)
-    found += [(file.role, file.path, read_bytes(file.path, LIMIT_MB)) for file in raw]
+    shown = [MOST_CHARACTERS] * len(files) + [MOST_OF_RAW_DATA] * len(raw)
+    files += [(file.role, file.path, read_bytes(file.path, LIMIT_MB)) for file in raw]
     sources, room = [], MOST_BYTES
-    for (role, path, data), most in zip(found, shown, strict=True):
+    for (role, path, data), most in zip(files, shown, strict=True):
         text = data.decode("utf-8-sig", errors="replace").replace("\r\n", "\n")
         text = text.replace("\r", "\n")
         kept = data if len(data) <= room else None
@@ -469,7 +469,8 @@ def describe(
     if report.problems:
         raise report.problems[0].error()
     roles = dict.fromkeys(campaign.varied, "differs from reading to reading") | {
-        name: "held" if known.fixed else "fitted" for name, known in campaign.parameters.items()
+        name: "held" if parameter.fixed else "fitted"
+        for name, parameter in campaign.parameters.items()
     }
     # drawn in another process while what follows is made
     photograph = photographer.photograph(drawn, run, PICTURE_SCALE) if draw else None

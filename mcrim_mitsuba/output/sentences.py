@@ -67,14 +67,14 @@ def fails(fit: Comparison | Calibration) -> bool:
     return fit.p_value is not None and fit.p_value < ACCEPTABLE_P
 
 
-def estimate_text(known: ParameterEstimate) -> str:
+def estimate_text(estimate: ParameterEstimate) -> str:
     """``0.54 ± 0.02``; at a bound, where sigma is no error, ``0.05, at its bound``."""
-    if known.at_bound is None:
-        if math.isinf(known.sigma):
-            return f"{known.value:.4g}, not determined"
-        return pdg(known.value, known.sigma)
+    if estimate.at_bound is None:
+        if math.isinf(estimate.sigma):
+            return f"{estimate.value:.4g}, not determined"
+        return pdg(estimate.value, estimate.sigma)
     # at a bound of 0 the search ends close to it
-    value = 0.0 if abs(known.value) < 1e-6 * known.sigma else known.value
+    value = 0.0 if abs(estimate.value) < 1e-6 * estimate.sigma else estimate.value
     return f"{value:.4g}, at its bound"
 
 
@@ -127,13 +127,13 @@ def leading_candidates(diagnosis: Diagnosis) -> list[Candidate]:
 
     Without those that only the simulation's error lets lead: the verdict names them.
     """
-    found = {
+    candidates = {
         frozenset(candidate.effects): candidate
         for candidate in (*diagnosis.candidates, *diagnosis.pairs)
     }
     settled = (names for names in diagnosis.leading_sets if names not in diagnosis.unsettled)
     sets = [frozenset(names) for names in settled]
-    return [found[names] for names in sets if names in found]
+    return [candidates[names] for names in sets if names in candidates]
 
 
 def signal_text(of_beam: bool, value: float, sigma: float | None) -> str:
@@ -164,10 +164,12 @@ def beam_conflict(comparison: Comparison) -> list[str]:
 _MOST_APART = 3
 
 
-def hypothesis_text(one: FittedHypothesis) -> str:
+def hypothesis_text(hypothesis: FittedHypothesis) -> str:
     """``mended.toml, with air bubble in the gap``: where a hypothesis is from, and its effects."""
-    added = f"with {together(one.titles)}" if one.titles else "nothing added to its scene"
-    return added if one.campaign is None else f"{one.campaign}, {added}"
+    added = (
+        f"with {together(hypothesis.titles)}" if hypothesis.titles else "nothing added to its scene"
+    )
+    return added if hypothesis.campaign is None else f"{hypothesis.campaign}, {added}"
 
 
 def most_apart(compared: SideBySide) -> list[str]:
@@ -183,7 +185,9 @@ def prediction_text(row: FittedRow) -> str:
 def apart_text(compared: SideBySide) -> str:
     """Where hypotheses differ most, in a sentence."""
     first, *others = most_apart(compared)
-    rows = [next(r for r in one.rows if r.label == first) for one in compared.hypotheses]
+    rows = [
+        next(r for r in hypothesis.rows if r.label == first) for hypothesis in compared.hypotheses
+    ]
     measured = signal_text(rows[0].of_beam, rows[0].measured, rows[0].sigma)
     then = (
         together([f"{label} ({compared.apart[label]:.1f})" for label in others]) if others else ""
@@ -199,7 +203,7 @@ def likeliest_of(diagnosis: Diagnosis) -> Candidate | None:
     """What is likeliest, if it is an effect or a pair."""
     name = next(iter(diagnosis.probabilities), None)
     tried = (*diagnosis.candidates, *diagnosis.pairs)
-    return next((one for one in tried if one.effect == name), None)
+    return next((candidate for candidate in tried if candidate.effect == name), None)
 
 
 def averaged_yield(diagnosis: Diagnosis) -> str:
@@ -212,8 +216,8 @@ def averaged_yield(diagnosis: Diagnosis) -> str:
         return ""
     names, p = next(iter(diagnosis.probabilities.items()))
     likeliest = likeliest_of(diagnosis)
-    known = diagnosis.baseline.parameters.get(LIGHT_YIELD)
-    alone = "" if known is None else estimate_text(known)
+    estimate = diagnosis.baseline.parameters.get(LIGHT_YIELD)
+    alone = "" if estimate is None else estimate_text(estimate)
     if likeliest is not None and likeliest.light_yield_ph_per_keV is not None:
         light = likeliest.light_yield_ph_per_keV
         alone = pdg(light["value"], light["sigma"])
@@ -232,14 +236,16 @@ def averaged_yield(diagnosis: Diagnosis) -> str:
 
 def family_probabilities(diagnosis: Diagnosis) -> str:
     """``surface 91 %, housing 4 %; others < 0.1 % each``."""
-    told = {
-        IN_NO_CATALOGUE if one.family == UNKNOWN else one.family: probability(one.probability)
-        for one in diagnosis.families
-        if one.family != NOTHING_MISSING
+    words = {
+        IN_NO_CATALOGUE if likely.family == UNKNOWN else likely.family: probability(
+            likely.probability
+        )
+        for likely in diagnosis.families
+        if likely.family != NOTHING_MISSING
     }
     nothing = probability(diagnosis.probabilities.get(NOTHING_MISSING, 0.0))
-    named = [f"{family} {p}" for family, p in told.items() if not p.startswith("<")]
-    rest = "; others < 0.1 % each" if len(named) < len(told) else ""
+    named = [f"{family} {p}" for family, p in words.items() if not p.startswith("<")]
+    rest = "; others < 0.1 % each" if len(named) < len(words) else ""
     return f"{', '.join([*named, f'nothing missing {nothing}'])}{rest}"
 
 
@@ -249,23 +255,29 @@ def mistakable(diagnosis: Diagnosis) -> str:
     Said of all together.
     """
     leading = leading_candidates(diagnosis)
-    own = dict.fromkeys(name for one in leading for name in one.effects)
-    others = [n for n in dict.fromkeys(m for one in leading for m in one.mimics) if n not in own]
+    its_effects = dict.fromkeys(name for candidate in leading for name in candidate.effects)
+    others = [
+        n
+        for n in dict.fromkeys(m for candidate in leading for m in candidate.mimics)
+        if n not in its_effects
+    ]
     if not others:
         return ""
     families: dict[str, list[str]] = {}
-    for one in diagnosis.candidates:
-        if one.effect in others:
-            families.setdefault(one.family, []).append(one.effect)
-    alike = {name: each for name, each in families.items() if len(each) > 1}
+    for other in diagnosis.candidates:
+        if other.effect in others:
+            families.setdefault(other.family, []).append(other.effect)
+    alike = {name: names for name, names in families.items() if len(names) > 1}
     if len(others) <= MOST_NAMED:
         alike = {}
-    each = ["each other"] if len(leading) > 1 else []
+    alike_words = ["each other"] if len(leading) > 1 else []
     apart = [name for name in others if not any(name in some for some in alike.values())]
-    each += titles_of(diagnosis, apart)
+    alike_words += titles_of(diagnosis, apart)
     if alike:
-        each.append(f"one of {', '.join(f'{name} ({len(some)})' for name, some in alike.items())}")
-    words, alternatives = in_words(diagnosis, own), together(each, "or")
+        alike_words.append(
+            f"one of {', '.join(f'{name} ({len(some)})' for name, some in alike.items())}"
+        )
+    words, alternatives = in_words(diagnosis, its_effects), together(alike_words, "or")
     return f"By these readings {words} could be mistaken for {alternatives}."
 
 
@@ -288,8 +300,10 @@ def not_tried(diagnosis: Diagnosis) -> list[str]:
 
 def how_to_look(diagnosis: Diagnosis) -> list[str]:
     """How to look for the leading effects without a fit, a sentence or two for each."""
-    named = {one.effect: one.look for one in diagnosis.candidates}
-    leading = dict.fromkeys(name for one in leading_candidates(diagnosis) for name in one.effects)
+    named = {candidate.effect: candidate.look for candidate in diagnosis.candidates}
+    leading = dict.fromkeys(
+        name for candidate in leading_candidates(diagnosis) for name in candidate.effects
+    )
     return [
         f"{capital(in_words(diagnosis, [name]))}: {named[name]}"
         for name in list(leading)[:MOST_NAMED]
@@ -303,7 +317,7 @@ def set_aside_text(diagnosis: Diagnosis) -> str:
     if not names:
         return ""
     tried = (*diagnosis.candidates, *diagnosis.pairs)
-    fit = next((one for one in tried if set(one.effects) == set(names)), None)
+    fit = next((candidate for candidate in tried if set(candidate.effects) == set(names)), None)
     words = in_words(diagnosis, names)
     size = "" if fit is None else f" ({size_text(fit)})"
     if diagnosis.verdict == UNEXPLAINED:
@@ -370,15 +384,15 @@ def quality(comparison: Comparison) -> str:
             "but say nothing about whether the model is right"
         )
     spread = math.sqrt(2.0 * ndf)
-    found = (
+    words = (
         f"chi2 = {chi2} where {ndf} ± {spread:.1f} is expected (ndf = {ndf}), "
         f"{p_equals(comparison.p_value)}: "
     )
     if comparison.p_value < ACCEPTABLE_P:
-        return found + "the model does not describe the readings"
+        return words + "the model does not describe the readings"
     if comparison.p_value > 1.0 - ACCEPTABLE_P / 10:
-        return found + "the readings agree better than their errors allow: are these too large?"
-    return found + "the model describes the readings"
+        return words + "the readings agree better than their errors allow: are these too large?"
+    return words + "the model describes the readings"
 
 
 def misfit_shares(comparison: Comparison) -> dict[str, float]:
@@ -409,11 +423,11 @@ def trend_text(trend: Trend) -> str:
         f"{short_text(level)}: {pull:+.1f}"
         for level, pull in zip(trend.levels, trend.mean_pulls, strict=True)
     )
-    found = f"mean pull along {trend.parameter}: {pulls}"
+    words = f"mean pull along {trend.parameter}: {pulls}"
     if trend.p_value is None:
-        return f"{found} (chi2 falls by {number(trend.delta_chi2)} without the trend)"
+        return f"{words} (chi2 falls by {number(trend.delta_chi2)} without the trend)"
     clear = "a trend" if trend.p_value < 0.05 else "no clear trend"
-    return f"{found} ({clear}, {p_equals(trend.p_value)})"
+    return f"{words} ({clear}, {p_equals(trend.p_value)})"
 
 
 def limit_text(limit: Limit) -> str:
@@ -454,28 +468,31 @@ _LIKE_PARABOLA = 2 / 3, 3 / 2
 
 def shapes(profiles: Iterable[Profile]) -> list[str]:
     """What the standard error does not tell: 95 % intervals that are not twice as wide as it."""
-    said = []
-    for one in profiles:
-        ends = one.interval_95
+    lines = []
+    for profile in profiles:
+        ends = profile.interval_95
         # nearer bounds cut the interval off, which is said elsewhere
-        bounds = (float(one.values[place]) for place in (0, -1))
-        found = [bound if end is None else end for end, bound in zip(ends, bounds, strict=True)]
-        widths = [abs(end - one.value) / (_SIGMAS_95 * one.sigma) for end in found]
+        bounds = (float(profile.values[place]) for place in (0, -1))
+        interval_68 = [
+            bound if end is None else end for end, bound in zip(ends, bounds, strict=True)
+        ]
+        widths = [abs(end - profile.value) / (_SIGMAS_95 * profile.sigma) for end in interval_68]
         near, far = _LIKE_PARABOLA
         if any(
             width > far or (width < near and end is not None)
             for width, end in zip(widths, ends, strict=True)
         ):
-            usual = [one.value + sign * _SIGMAS_95 * one.sigma for sign in (-1, 1)]
+            usual = [profile.value + sign * _SIGMAS_95 * profile.sigma for sign in (-1, 1)]
             real, of_sigma = (
-                " to ".join(_value_of(pdg(end, one.sigma)) for end in pair)
-                for pair in (found, usual)
+                " to ".join(_value_of(pdg(end, profile.sigma)) for end in pair)
+                for pair in (interval_68, usual)
             )
-            said.append(
-                f"{one.name}: the 95 % interval is {real}, not {of_sigma} as "
-                f"{pdg(one.value, one.sigma)} would have it: chi2 does not rise like a parabola"
+            lines.append(
+                f"{profile.name}: the 95 % interval is {real}, not {of_sigma} as "
+                f"{pdg(profile.value, profile.sigma)} would have it: chi2 does not rise like a "
+                "parabola"
             )
-    return said
+    return lines
 
 
 # What to measure next for the light yield, by the parts of its error.
@@ -503,16 +520,16 @@ _NO_EFFECT = Contribution("what is in no catalogue", 0.0, "systematic", False, "
 
 def parameter_label(name: str) -> str:
     """A fitted parameter in words: ``light yield``."""
-    if (own := of_sample(name)) is not None:
-        return f"{parameter_label(own[0]).removesuffix(' of the crystal')} of {own[1]}"
+    if (sample := of_sample(name)) is not None:
+        return f"{parameter_label(sample[0]).removesuffix(' of the crystal')} of {sample[1]}"
     return NAMES[name][0].partition(":")[0] if name in NAMES else without_unit(name)
 
 
 def title_of(name: str) -> str:
     """A fitted parameter in words with its unit: ``light yield (ph/keV)``."""
-    if (own := of_sample(name)) is not None:
-        words, bracket, unit = title_of(own[0]).partition(" (")
-        return f"{words} of {own[1]}{bracket}{unit}"
+    if (sample := of_sample(name)) is not None:
+        words, bracket, unit = title_of(sample[0]).partition(" (")
+        return f"{words} of {sample[1]}{bracket}{unit}"
     # columns of tables are narrow
     return "light yield (ph/keV)" if name == LIGHT_YIELD else titled(name)
 
@@ -524,7 +541,14 @@ def quantity(name: str) -> str:
 
 def what_next(budget: ErrorBudget, of: str) -> str:
     """The largest part of a result's error that can be lowered, and what does; or nothing."""
-    first = next((one for one in budget.contributions if one.reducible), None)
+    first = next(
+        (
+            contribution_part
+            for contribution_part in budget.contributions
+            if contribution_part.reducible
+        ),
+        None,
+    )
     if first is None or not math.isfinite(budget.total) or not first.relative:
         return ""
     origin, _, whose = first.name.partition(", ")
@@ -540,35 +564,38 @@ def what_next(budget: ErrorBudget, of: str) -> str:
 def next_for_fit(fit: Calibration, priors: Iterable[str]) -> str:
     """`what_next` by a fit, whose campaign has these priors; nothing where it has no errors."""
     name = LIGHT_YIELD if LIGHT_YIELD in fit.parameters else SCALE
-    known = fit.parameters.get(name)
-    if known is None or known.at_bound is not None or not known.value:
+    estimate = fit.parameters.get(name)
+    if estimate is None or estimate.at_bound is not None or not estimate.value:
         return ""
     origin = "absorption" if list(priors) == [ALPHA_ABS] else "prior"
-    return what_next(ErrorBudget(_parts(known, origin)), parameter_label(name))
+    return what_next(ErrorBudget(_parts(estimate, origin)), parameter_label(name))
 
 
 def next_for_average(diagnosis: Diagnosis) -> str:
     """`what_next` for the averaged light yield; nothing where there is none."""
     averaged, likeliest = diagnosis.light_yield_averaged, likeliest_of(diagnosis)
     parameters = diagnosis.baseline.parameters if likeliest is None else likeliest.parameters
-    known = parameters.get(LIGHT_YIELD)
-    if averaged is None or known is None or known.at_bound is not None or not known.sigma:
+    estimate = parameters.get(LIGHT_YIELD)
+    if averaged is None or estimate is None or estimate.at_bound is not None or not estimate.sigma:
         return ""
     # what the models have in common, as the likeliest shares it out
-    own, within = ErrorBudget(_parts(known, "prior")), averaged.within / averaged.value
-    scaled = (replace(one, relative=one.relative * within / own.total) for one in own.contributions)
+    of_fit, within = ErrorBudget(_parts(estimate, "prior")), averaged.within / averaged.value
+    scaled = (
+        replace(part, relative=part.relative * within / of_fit.total)
+        for part in of_fit.contributions
+    )
     between, catalogue = averaged.between / averaged.value, averaged.catalogue / averaged.value
     others = replace(_WHICH, relative=between), replace(_NO_EFFECT, relative=catalogue)
     return what_next(ErrorBudget((*scaled, *others)), "averaged light yield")
 
 
-def _parts(known: ParameterEstimate, prior: str) -> tuple[Contribution, ...]:
+def _parts(estimate: ParameterEstimate, prior: str) -> tuple[Contribution, ...]:
     """Contributions to a result's error, relative; what its priors make is called `prior`."""
-    parts = dict(known.contributions)
-    if known.efficiency_contributions and parts.pop("detector_efficiency", None):
-        parts |= known.efficiency_contributions
+    parts = dict(estimate.contributions)
+    if estimate.efficiency_contributions and parts.pop("detector_efficiency", None):
+        parts |= estimate.efficiency_contributions
     return tuple(
-        contribution(prior if origin == "prior" else origin, part / known.value)
+        contribution(prior if origin == "prior" else origin, part / estimate.value)
         for origin, part in parts.items()
     )
 
@@ -596,27 +623,31 @@ _MENDS = {
 }
 
 
-def verdict(found: Planning) -> tuple[str, ...]:
+def verdict(planning: Planning) -> tuple[str, ...]:
     """The cheapest plan, or what forbids the wanted error and by what that is reduced."""
-    wanted, plan = percent(found.wanted), found.cheapest
+    wanted, plan = percent(planning.wanted), planning.cheapest
     if plan is not None:
-        return (f"Cheapest plan for a light yield to {wanted}: {plan_text(found, plan)}",)
-    sets, floor = found.lowest_floor
+        return (f"Cheapest plan for a light yield to {wanted}: {plan_text(planning, plan)}",)
+    sets, floor = planning.lowest_floor
     lines = [
-        _forbidden(found, sets, floor) if floor.total > found.wanted else _not_among_these(found)
+        _forbidden(planning, sets, floor)
+        if floor.total > planning.wanted
+        else _not_among_these(planning)
     ]
-    statistical = found.cheapest_statistical
+    statistical = planning.cheapest_statistical
     if statistical is not None:
         lines.append(
-            f"The statistical part alone reaches {wanted} with {plan_text(found, statistical)}"
+            f"The statistical part alone reaches {wanted} with {plan_text(planning, statistical)}"
         )
     else:
-        least = min(found.plans, key=lambda p: p.light_yield.statistical)
-        lines.append(f"Nor does the statistical part alone: the least is {plan_text(found, least)}")
+        least = min(planning.plans, key=lambda p: p.light_yield.statistical)
+        lines.append(
+            f"Nor does the statistical part alone: the least is {plan_text(planning, least)}"
+        )
     return tuple(lines)
 
 
-def plan_text(found: Planning, plan: Plan, more: int = 0) -> str:
+def plan_text(planning: Planning, plan: Plan, more: int = 0) -> str:
     """``n_gap = 1, 1.46; 4 mountings of 10,000 events each: 5 h, light yield to 10.6 % (...)``.
 
     `more` digits of the light yield's error may be asked for.
@@ -624,7 +655,7 @@ def plan_text(found: Planning, plan: Plan, more: int = 0) -> str:
     light, scattering = plan.light_yield, plan.alpha_scat
     count = counted(plan.mountings, "mounting")
     text = (
-        f"{found.name(plan.configurations)}; {count} of {plan.events:,.0f} events each: "
+        f"{planning.name(plan.configurations)}; {count} of {plan.events:,.0f} events each: "
         f"{plan.hours:.1f} h, light yield to {percent(light.total, more)} (statistical "
         f"{percent(light.statistical)}, systematic {percent(light.systematic)})"
     )
@@ -633,39 +664,42 @@ def plan_text(found: Planning, plan: Plan, more: int = 0) -> str:
     return f"{text}, scattering to {percent(scattering.total)}"
 
 
-def _forbidden(found: Planning, sets: tuple[int, ...], floor: ExpectedError) -> str:
+def _forbidden(planning: Planning, sets: tuple[int, ...], floor: ExpectedError) -> str:
     """Readings without error would not do."""
     parts = sorted(((part, name) for name, part in floor.parts.items()), reverse=True)
-    named, origin = [one for one in parts if one[0] ** 2 > _NAMED * floor.total**2], parts[0][1]
-    more = _digits_apart(found.wanted, floor.total)
+    named, origin = (
+        [share for share in parts if share[0] ** 2 > _NAMED * floor.total**2],
+        parts[0][1],
+    )
+    more = _digits_apart(planning.wanted, floor.total)
     makes = together([f"{name} {percent(part)}" for part, name in named])
     text = (
-        f"A light yield to {percent(found.wanted, more)} cannot be reached, however many events "
-        f"and mountings: readings without error ({found.name(sets)}) would leave "
+        f"A light yield to {percent(planning.wanted, more)} cannot be reached, however many events "
+        f"and mountings: readings without error ({planning.name(sets)}) would leave "
         f"{percent(floor.total, more)} ({makes}). What forbids it first is the {origin}"
     )
-    rest = min(p.light_yield.total**2 - p.light_yield.parts[origin] ** 2 for p in found.plans)
-    if rest < found.wanted**2:
-        needed = percent(math.sqrt(found.wanted**2 - rest))
+    rest = min(p.light_yield.total**2 - p.light_yield.parts[origin] ** 2 for p in planning.plans)
+    if rest < planning.wanted**2:
+        needed = percent(math.sqrt(planning.wanted**2 - rest))
         text += f": with the most precise of these plans it would have to fall to {needed}"
     else:
         text += ", and it is not the only part that is too large"
     return f"{text}. It is reduced by {_mend(origin)}"
 
 
-def _not_among_these(found: Planning) -> str:
+def _not_among_these(planning: Planning) -> str:
     """More statistics would do."""
-    least = min(found.plans, key=lambda p: p.light_yield.total)
+    least = min(planning.plans, key=lambda p: p.light_yield.total)
     of_plan = {
         name: part
         for name, part in least.light_yield.parts.items()
         if name in STATISTICAL or name.startswith(PRIOR)
     }
     origin = max(of_plan, key=of_plan.__getitem__)
-    more = _digits_apart(found.wanted, least.light_yield.total)
+    more = _digits_apart(planning.wanted, least.light_yield.total)
     return (
-        f"A light yield to {percent(found.wanted, more)} is not among these plans; the most "
-        f"precise is {plan_text(found, least, more)}. What it would take first: {_mend(origin)}"
+        f"A light yield to {percent(planning.wanted, more)} is not among these plans; the most "
+        f"precise is {plan_text(planning, least, more)}. What it would take first: {_mend(origin)}"
     )
 
 
@@ -710,10 +744,10 @@ def parameter_words(campaign: Campaign, name: str) -> tuple[str, str]:
         return meaning, (name == SCALE and campaign.unit) or unit
     if name == EFFICIENCY_FACTOR:
         return "factor on the detector's efficiency, one for all samples", ""
-    own = of_sample(name)
-    if own is not None and own[1] in campaign.samples:
-        meaning, unit = parameter_words(campaign, own[0])
-        return f"{meaning}, of {own[1]}", unit
+    sample = of_sample(name)
+    if sample is not None and sample[1] in campaign.samples:
+        meaning, unit = parameter_words(campaign, sample[0])
+        return f"{meaning}, of {sample[1]}", unit
     for effect in campaign.catalogue.values():
         for parameter in effect.parameters:
             if parameter.name == name:
@@ -722,33 +756,33 @@ def parameter_words(campaign: Campaign, name: str) -> tuple[str, str]:
     return (written.comment if written else ""), unit_of(name) or ""
 
 
-def errors_apart(known: ParameterEstimate) -> tuple[float, float]:
+def errors_apart(estimate: ParameterEstimate) -> tuple[float, float]:
     """What repeating the measurement or the simulation lowers; and all else, systematic."""
-    origins = known.contributions
+    origins = estimate.contributions
     return (
         math.hypot(*(origins.get(origin, 0.0) for origin in _REPEATING_LOWERS)),
         math.hypot(*(part for origin, part in origins.items() if origin not in _REPEATING_LOWERS)),
     )
 
 
-def value_with_errors(known: ParameterEstimate) -> str:
+def value_with_errors(estimate: ParameterEstimate) -> str:
     """``7.8 ± 0.2 ± 0.8``: statistical first, systematic second; at a bound the value alone."""
-    if known.at_bound is not None:
-        return f"{known.value:.4g}, at the end of its range"
-    if not math.isfinite(known.sigma):
-        return pdg(known.value, None)
+    if estimate.at_bound is not None:
+        return f"{estimate.value:.4g}, at the end of its range"
+    if not math.isfinite(estimate.sigma):
+        return pdg(estimate.value, None)
     # what does not count is none: 0.039 ± 0 ± 0.012
-    parts = (part if part > _NOTHING * known.sigma else 0.0 for part in errors_apart(known))
-    return pdg_parts(known.value, *parts)
+    parts = (part if part > _NOTHING * estimate.sigma else 0.0 for part in errors_apart(estimate))
+    return pdg_parts(estimate.value, *parts)
 
 
-def interval(known: ParameterEstimate) -> str:
+def interval(estimate: ParameterEstimate) -> str:
     """Ends of the interval, in as many digits as the error deserves."""
-    if known.lower is None or known.upper is None:
+    if estimate.lower is None or estimate.upper is None:
         return "-"
-    if not math.isfinite(known.sigma) or known.sigma <= 0:
-        return f"{number(known.lower, 4)} to {number(known.upper, 4)}"
-    ends = (pdg(end, known.sigma) for end in (known.lower, known.upper))
+    if not math.isfinite(estimate.sigma) or estimate.sigma <= 0:
+        return f"{number(estimate.lower, 4)} to {number(estimate.upper, 4)}"
+    ends = (pdg(end, estimate.sigma) for end in (estimate.lower, estimate.upper))
     return " to ".join(_value_of(text) for text in ends)
 
 
@@ -781,7 +815,9 @@ def pull_text(pull: float) -> str:
 def plain_headline(diagnosis: Diagnosis, effects: tuple[str, ...]) -> str:
     """The verdict for everybody."""
     plain = "The bench as described does not explain the readings"
-    leading = [in_words(diagnosis, one.effects) for one in leading_candidates(diagnosis)]
+    leading = [
+        in_words(diagnosis, candidate.effects) for candidate in leading_candidates(diagnosis)
+    ]
     if diagnosis.verdict == TOO_FEW_READINGS:
         return (
             "The readings determine the result, but none is left over to test whether the bench "
@@ -821,34 +857,34 @@ def reliability(diagnosis: Diagnosis, calibration: Calibration, effects: tuple[s
             "below know nothing of that."
         )
     of_hundred = f"{100 * p_value:.0f}" if p_value >= 0.015 else "1"
-    told = (
+    words = (
         f"If the model is right, readings disagree with it this much or more in "
         f"{of_hundred} of 100 campaigns ({fit}, {p_equals(p_value)}): nothing in them "
         "speaks against it."
     )
     if p_value > 1.0 - ACCEPTABLE_P / 10:
-        told = (
+        words = (
             f"The readings agree better than their errors allow ({fit}, {p_equals(p_value)}): "
             "these may be too large."
         )
     if diagnosis.verdict == AMBIGUOUS and effects:
-        told += (
+        words += (
             f" But {in_words(diagnosis, effects)} is one explanation of several; the numbers hold "
             "only if it is the right one."
         )
     elif effects:
-        told += f" This holds with {in_words(diagnosis, effects)} added to the bench."
-    return told
+        words += f" This holds with {in_words(diagnosis, effects)} added to the bench."
+    return words
 
 
 def beam_doubt(campaign: Campaign, calibration: Calibration) -> str:
     """What speaks against the scattering that was found; empty where nothing does."""
-    found = calibration.parameters.get(ALPHA_SCAT)
-    if campaign.raw is None or found is None:
+    estimate = calibration.parameters.get(ALPHA_SCAT)
+    if campaign.raw is None or estimate is None:
         return ""
     from mcrim_mitsuba.campaign.editor import beam_notes
 
-    return " ".join(f"But {note}." for note in beam_notes(campaign.raw, found.value))
+    return " ".join(f"But {note}." for note in beam_notes(campaign.raw, estimate.value))
 
 
 def value_of_others(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:

@@ -102,14 +102,18 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
         FittedHistogram(name, histogram, _fit(histogram, shape, window))
         for name, histogram in zip(names, histograms, strict=True)
     ]
-    peaks = {each.name: each.peak for each in fitted if each.peak is not None}
-    without = [each for each in fitted if each.peak is None]
-    notes = [f"{name}: {warning}" for name, one in peaks.items() for warning in one.warnings]
+    peaks = {histogram.name: histogram.peak for histogram in fitted if histogram.peak is not None}
+    without = [histogram for histogram in fitted if histogram.peak is None]
+    notes = [
+        f"{name}: {warning}"
+        for name, peak_of_file in peaks.items()
+        for warning in peak_of_file.warnings
+    ]
     combined = of_all = None
     if len(peaks) > 1:
         combined = combine(
-            [each.centroid for each in peaks.values()],
-            [each.centroid_sigma for each in peaks.values()],
+            [peak_of_file.centroid for peak_of_file in peaks.values()],
+            [peak_of_file.centroid_sigma for peak_of_file in peaks.values()],
         )
         outliers = [list(peaks)[i] for i in combined.outliers]
         notes += _notes(combined, outliers)
@@ -119,8 +123,8 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
         ) | {"outliers": outliers}
     document = {
         "histograms": [
-            {"file": file, **_peak_json(each.peak)}
-            for file, each in zip(files, fitted, strict=True)
+            {"file": file, **_peak_json(histogram.peak)}
+            for file, histogram in zip(files, fitted, strict=True)
         ],
         "combined": of_all,
         "notes": notes,
@@ -128,16 +132,18 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
     pictures = {"histograms": lambda: draw_histograms(fitted)}
     widths = {
         name: [
-            width_parts(one, each.source, each.relative_rms, each.relative_rms_sigma)
-            for each in spreads
+            width_parts(peak_of_file, spread.source, spread.relative_rms, spread.relative_rms_sigma)
+            for spread in spreads
         ]
-        for name, one in peaks.items()
+        for name, peak_of_file in peaks.items()
         if spreads
     }
     if widths:
         pictures["widths"] = lambda: draw_widths(widths)
         document["widths"] = [
-            {"histogram": name, **asdict(one)} for name, parts in widths.items() for one in parts
+            {"histogram": name, **asdict(width)}
+            for name, parts in widths.items()
+            for width in parts
         ]
     result = VerbResult(
         kind="peaks",
@@ -198,16 +204,16 @@ def _notes(combined, outliers: list[str]) -> list[str]:
     return notes
 
 
-def _peak_json(one) -> dict:
+def _peak_json(peak_found) -> dict:
     """A peak and, without its own `other`, the other shape's."""
-    if one is None:
+    if peak_found is None:
         return {"peak": None}
-    return {"peak": _fields(one) | {"other": one.other and _fields(one.other)}}
+    return {"peak": _fields(peak_found) | {"other": peak_found.other and _fields(peak_found.other)}}
 
 
-def _fields(one) -> dict:
+def _fields(peak_found) -> dict:
     return attributes(
-        one,
+        peak_found,
         "shape centroid centroid_sigma width width_sigma intrinsic_spread events chi2 ndf p_value "
         "low high warnings",
     )
@@ -321,18 +327,19 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
     if as_list and events > _MOST_LISTED:
         problem = f"--list would write a line for each of {events:g} events and more"
         raise InputError(problem, f"list {_MOST_LISTED:.0f} at most, or leave out --list for bins")
-    made = spectrum_of(mean, events, intrinsic_spread=spread, dark_photons=dark)
+    spectrum = spectrum_of(mean, events, intrinsic_spread=spread, dark_photons=dark)
     comments = [
         f"{_OURS} with seed {seed}",
-        f"# band: {made.peak_events:g} events, mean {mean:g} photons, intrinsic spread {spread:g}",
-        f"# pedestal: {made.pedestal_events:g} events, exp(-n/{made.pedestal_photons:g}); "
-        f"continuum: {made.continuum_events:g} events, exp(-n/{made.continuum_photons:g})",
+        f"# band: {spectrum.peak_events:g} events, mean {mean:g} photons, "
+        f"intrinsic spread {spread:g}",
+        f"# pedestal: {spectrum.pedestal_events:g} events, exp(-n/{spectrum.pedestal_photons:g}); "
+        f"continuum: {spectrum.continuum_events:g} events, exp(-n/{spectrum.continuum_photons:g})",
         f"# dark counts per event: {dark:g}",
     ]
     if as_list:
-        head, rows = "photons", [f"{photons:g}" for photons in made.events(seed)]
+        head, rows = "photons", [f"{photons:g}" for photons in spectrum.events(seed)]
     else:
-        counts = zip(made.photons(), made.sample(seed), strict=True)
+        counts = zip(spectrum.photons(), spectrum.sample(seed), strict=True)
         head, rows = "photons_per_event,events", [f"{n:g},{c:g}" for n, c in counts]
     write_text(path, "\n".join([*comments, head, *rows]) + "\n")
     terminal.write_json(
@@ -341,7 +348,7 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
             "kind": "histogram",
             "version": 1,
             **attributes(
-                made,
+                spectrum,
                 "mean_photons peak_events intrinsic_spread dark_photons pedestal_events "
                 "pedestal_photons continuum_events continuum_photons",
             ),

@@ -66,9 +66,9 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     from mcrim_mitsuba.laboratory.error_budget import Uncertain, budget_of, common_value
     from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
 
-    def common(known: NumberWithError, origin: str) -> Uncertain:
+    def common(number: NumberWithError, origin: str) -> Uncertain:
         """A number whose error all couplings share."""
-        return Uncertain(known.value, systematic={origin: known.sigma} if known.sigma else {})
+        return Uncertain(number.value, systematic={origin: number.sigma} if number.sigma else {})
 
     showing.refuse_places(json_file, [])
     # energies of sources are exact beside all else
@@ -87,15 +87,15 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     couplings = {}
     for label, signal, eta in zip(labels, signals, etas, strict=True):
         counts = f"counts, {label}" if len(labels) > 1 else "counts"
-        found = light_yield_ph_per_keV(
+        light = light_yield_ph_per_keV(
             Uncertain(signal.value, statistical={counts: signal.sigma} if signal.sigma else {}),
             common(eta, "eta"),
             common(efficiency, "detector_efficiency"),
             common(energy_keV, "energy"),
         )
-        couplings[label] = (signal.value, signal.sigma), (eta.value, eta.sigma), found
-    together = common_value([found for *_, found in couplings.values()])
-    budgets = {label: budget_of(found).merged for label, (*_, found) in couplings.items()}
+        couplings[label] = (signal.value, signal.sigma), (eta.value, eta.sigma), light
+    together = common_value([light for *_, light in couplings.values()])
+    budgets = {label: budget_of(light).merged for label, (*_, light) in couplings.items()}
     if len(couplings) > 1:
         budgets["together"] = budget_of(together.mean).merged
     document = {
@@ -107,10 +107,10 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
                 "eta": eta[0],
                 "eta_sigma": eta[1],
                 "weight": weight,
-                **_yield_json(found),
+                **_yield_json(light),
                 "budget": _budget_json(budgets[label]),
             }
-            for (label, (signal, eta, found)), weight in zip(
+            for (label, (signal, eta, light)), weight in zip(
                 couplings.items(), together.weights, strict=True
             )
         ],
@@ -148,9 +148,9 @@ def _budget_json(budget: ErrorBudget) -> dict:
     return {"contributions": parts, **attributes(budget, "statistical systematic total")}
 
 
-def _yield_json(known) -> dict:
+def _yield_json(light) -> dict:
     return attributes(
-        known,
+        light,
         light_yield_ph_per_keV="value",
         sigma="sigma",
         statistical="statistical_sigma",
@@ -174,20 +174,20 @@ def relative(file, json_file) -> None:
 
     showing.refuse_places(json_file, [file])
     read = read_comparison(file)
-    found = relative_yield(read.sample, read.reference, read.reference_yield, read.shared)
+    compared = relative_yield(read.sample, read.reference, read.reference_yield, read.shared)
     budgets = {
-        "nothing shared": budget_of(found.uncorrelated),
-        "Y": budget_of(found.light_yield),
+        "nothing shared": budget_of(compared.uncorrelated),
+        "Y": budget_of(compared.light_yield),
     }
     document = {
-        **_yield_json(found.light_yield),
-        "sigma_ignoring_shared": found.uncorrelated.sigma,
+        **_yield_json(compared.light_yield),
+        "sigma_ignoring_shared": compared.uncorrelated.sigma,
         "shared": read.shared,
         "budget": _budget_json(budgets["Y"]),
         "budget_ignoring_shared": _budget_json(budgets["nothing shared"]),
-        "equal_collection_ph_per_keV": found.equal_collection,
-        "signals_alone_ph_per_keV": found.signals_alone,
+        "equal_collection_ph_per_keV": compared.equal_collection,
+        "signals_alone_ph_per_keV": compared.signals_alone,
     }
-    shown = describe_laboratory.of_relative(read, found, budgets)
+    shown = describe_laboratory.of_relative(read, compared, budgets)
     result = VerbResult(kind="relative_yield", shown=shown, numbers=document)
     showing.answer(result, json_file)

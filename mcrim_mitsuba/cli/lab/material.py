@@ -46,26 +46,26 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
     showing.refuse_places(json_file, [emission, quantum_efficiency], figure)
     light = read_spectrum(emission, "emission")
     curve = read_spectrum(quantum_efficiency, "quantum_efficiency")
-    found = detector_efficiency(light, curve, scale_sigma)
-    notes = [*light.notes, *curve.notes, *found.notes]
+    weighted = detector_efficiency(light, curve, scale_sigma)
+    notes = [*light.notes, *curve.notes, *weighted.notes]
     document = {
         "emission": emission,
         "quantum_efficiency": quantum_efficiency,
         "scale_sigma": scale_sigma,
-        **attributes(found, detector_efficiency="value", detector_efficiency_sigma="sigma"),
-        **attributes(found, "contributions spread"),
-        "outside": found.mean.outside,
+        **attributes(weighted, detector_efficiency="value", detector_efficiency_sigma="sigma"),
+        **attributes(weighted, "contributions spread"),
+        "outside": weighted.mean.outside,
         "notes": notes,
     }
 
     def drawn():
         from mcrim_mitsuba.output.laboratory_figures import draw_efficiency
 
-        return draw_efficiency(light, curve, found)
+        return draw_efficiency(light, curve, weighted)
 
     result = VerbResult(
         kind="detector_efficiency",
-        shown=describe_laboratory.of_efficiency(found, notes),
+        shown=describe_laboratory.of_efficiency(weighted, notes),
         numbers=document,
         drawings={"efficiency": drawn},
     )
@@ -152,7 +152,7 @@ def absorption(
     from mcrim_mitsuba.optics.spectrum import detected_light
     from mcrim_mitsuba.optics.spectrum_file import read_spectra, read_spectrum
 
-    for text, option in (*((each, "--sigma") for each in transmittance), (index, "--n-sigma")):
+    for text, option in (*((value, "--sigma") for value in transmittance), (index, "--n-sigma")):
         if "±" in text or "+-" in text:
             raise InputError(f"'{text}' has its error beside it", f"give the error as {option}")
     numbers = [text for text in transmittance if _NUMBER_LIKE.fullmatch(text)]
@@ -177,7 +177,7 @@ def absorption(
     n_sigma = own_sigma if n_sigma is None else n_sigma
     spectra = read_spectra(files, "transmittance")
     readings = [parse_share("the transmittance", text) for text in numbers]
-    found = absorption_from_transmittance(
+    coefficient = absorption_from_transmittance(
         spectra or readings,
         n,
         thickness_mm,
@@ -187,19 +187,26 @@ def absorption(
         emission=light,
         wavelength_nm=wavelength_nm,
     )
-    notes = [*of_light, *notes, *(note for each in spectra for note in each.notes), *found.notes]
-    if not any(part > 0 for origin, part in found.contributions.items() if origin != EMISSION):
+    notes = [
+        *of_light,
+        *notes,
+        *(note for spectrum in spectra for note in spectrum.notes),
+        *coefficient.notes,
+    ]
+    if not any(
+        part > 0 for origin, part in coefficient.contributions.items() if origin != EMISSION
+    ):
         notes.append("no error is given: give --sigma, --n-sigma or --thickness-sigma-mm")
     article = _beside_the_article(readings, n, thickness_mm)
     document = {
         "transmittance": readings or files,
-        "n": found.n,
+        "n": coefficient.n,
         "n_sigma": n_sigma,
         "thickness_mm": thickness_mm,
-        "alpha_abs_per_cm": found.alpha_abs_per_cm,
-        "alpha_abs_sigma_per_cm": found.sigma,
+        "alpha_abs_per_cm": coefficient.alpha_abs_per_cm,
+        "alpha_abs_sigma_per_cm": coefficient.sigma,
         **attributes(
-            found,
+            coefficient,
             "contributions internal_transmittance internal_transmittance_sigma each_per_cm "
             "spread_orientations_per_cm spread_band_per_cm apparent_per_cm",
         ),
@@ -210,8 +217,8 @@ def absorption(
     def drawn():
         from mcrim_mitsuba.output.laboratory_figures import draw_absorption
 
-        named = [(Path(file).stem, known) for file, known in zip(files, spectra, strict=True)]
-        return draw_absorption(named, n, found, light)
+        named = [(Path(file).stem, spectrum) for file, spectrum in zip(files, spectra, strict=True)]
+        return draw_absorption(named, n, coefficient, light)
 
     beside = (
         ""
@@ -223,7 +230,7 @@ def absorption(
     )
     result = VerbResult(
         kind="absorption",
-        shown=describe_laboratory.of_absorption(found, transmittance, beside, notes),
+        shown=describe_laboratory.of_absorption(coefficient, transmittance, beside, notes),
         numbers=document,
         drawings={"absorption": drawn},
     )
@@ -240,12 +247,12 @@ def _index(text: str, light, wavelength_nm: float | None):
     if light is not None:
         band = index_over(text, light)
         return band.material.held_index, band.sigma, list(band.notes)
-    known = material(text)
+    crystal = material(text)
     if wavelength_nm is None:
-        problem = f"the index of {known.name} depends on the wavelength"
+        problem = f"the index of {crystal.name} depends on the wavelength"
         raise InputError(problem, "give --emission or --nm")
-    known.index(wavelength_nm)  # refuses what is outside the formula's range
-    return known.held_index, known.sigma, []
+    crystal.index(wavelength_nm)  # refuses what is outside the formula's range
+    return crystal.held_index, crystal.sigma, []
 
 
 def _beside_the_article(readings: list[float], n, thickness_mm: float) -> dict | None:
@@ -309,20 +316,22 @@ def _as_in_scenes(
     """Material, wavelength and emission of ``BK7@540nm`` or ``CaMoO4@emission.csv``."""
     if option := "--nm" if wavelength_nm is not None else "--emission" if emission else None:
         raise InputError(f"{text} and {option} are given", "leave one of them out")
-    known, where = material_at(f"'{text}'", text)
-    return (known.name, None, where) if isinstance(where, str) else (known.name, where, None)
+    crystal, where = material_at(f"'{text}'", text)
+    return (crystal.name, None, where) if isinstance(where, str) else (crystal.name, where, None)
 
 
 def _catalogue(wavelength_nm: float) -> VerbResult:
     from mcrim_mitsuba.optics.materials import MATERIALS
 
     indices = {
-        each: float(each.index(wavelength_nm)) if each.ordinary.covers(wavelength_nm) else None
-        for each in MATERIALS
+        crystal: float(crystal.index(wavelength_nm))
+        if crystal.ordinary.covers(wavelength_nm)
+        else None
+        for crystal in MATERIALS
     }
     document = {
         "wavelength_nm": wavelength_nm,
-        "materials": [{**_json(each), "n": n} for each, n in indices.items()],
+        "materials": [{**_json(crystal), "n": n} for crystal, n in indices.items()],
     }
     shown = describe_laboratory.of_materials(indices, wavelength_nm)
     return VerbResult(kind="materials", shown=shown, numbers=document)
@@ -332,21 +341,21 @@ def _at(name: str, wavelength_nm: float) -> VerbResult:
     """The index at one wavelength."""
     from mcrim_mitsuba.optics.materials import material
 
-    known = material(name)
-    n, difference = float(known.index(wavelength_nm)), float(known.birefringence(wavelength_nm))
-    ordinary = float(known.ordinary.index(wavelength_nm, known.name))
+    crystal = material(name)
+    n, difference = float(crystal.index(wavelength_nm)), float(crystal.birefringence(wavelength_nm))
+    ordinary = float(crystal.ordinary.index(wavelength_nm, crystal.name))
     document = {
-        **_json(known),
+        **_json(crystal),
         "wavelength_nm": wavelength_nm,
         "n": n,
         "n_ordinary": ordinary,
-        "n_extraordinary": None if known.extraordinary is None else ordinary + difference,
+        "n_extraordinary": None if crystal.extraordinary is None else ordinary + difference,
         "birefringence": difference,
         "notes": [],
     }
-    said = [f"n = {n:.5f} ± {known.sigma:g} at {wavelength_nm:g} nm"]
-    scene = f'in a scene: value="{known.name}@{wavelength_nm:g}nm"'
-    shown = describe_laboratory.of_index(known, said, ordinary, difference, scene)
+    lines = [f"n = {n:.5f} ± {crystal.sigma:g} at {wavelength_nm:g} nm"]
+    scene = f'in a scene: value="{crystal.name}@{wavelength_nm:g}nm"'
+    shown = describe_laboratory.of_index(crystal, lines, ordinary, difference, scene)
     return VerbResult(kind="index", shown=shown, numbers=document)
 
 
@@ -357,9 +366,9 @@ def _over(name: str, emission: str) -> VerbResult:
 
     spectrum = read_spectrum(emission, "emission")
     band = index_over(name, spectrum)
-    known, notes = band.material, [*spectrum.notes, *band.notes]
+    crystal, notes = band.material, [*spectrum.notes, *band.notes]
     document = {
-        **_json(known),
+        **_json(crystal),
         "emission": emission,
         **attributes(
             band,
@@ -372,27 +381,27 @@ def _over(name: str, emission: str) -> VerbResult:
         **attributes(band, "birefringence mean_wavelength_nm outside outside_sigma"),
         "notes": notes,
     }
-    said = [
+    lines = [
         f"n = {pdg(band.mean, band.sigma)}, mean over {emission}",
         f"spread over the band {band.spread:.4f} (standard deviation); mean wavelength "
         f"{band.mean_wavelength_nm:.1f} nm",
     ]
-    scene = f'in a scene in its folder: value="{known.name}@{Path(emission).name}"'
+    scene = f'in a scene in its folder: value="{crystal.name}@{Path(emission).name}"'
     shown = describe_laboratory.of_index(
-        known, said, band.ordinary_mean, band.birefringence, scene, notes
+        crystal, lines, band.ordinary_mean, band.birefringence, scene, notes
     )
     return VerbResult(kind="index", shown=shown, numbers=document)
 
 
-def _json(known) -> dict:
+def _json(crystal) -> dict:
     """What a material is, for ``--json``."""
-    shortest, longest = known.range_nm
+    shortest, longest = crystal.range_nm
     return {
-        **attributes(known, material="name", what="what", source="source"),
+        **attributes(crystal, material="name", what="what", source="source"),
         "shortest_nm": shortest,
         "longest_nm": longest,
-        **attributes(known, n_sigma="sigma", formula="formula"),
-        "density_g_per_cm3": known.density_g_per_cm3,
+        **attributes(crystal, n_sigma="sigma", formula="formula"),
+        "density_g_per_cm3": crystal.density_g_per_cm3,
     }
 
 
@@ -429,18 +438,18 @@ def gammas(formula, energy_keV, density, json_file) -> None:
     from mcrim_mitsuba.optics.gammas import SOURCE, attenuation_length_mm
 
     showing.refuse_places(json_file, [])
-    found = attenuation_length_mm(formula, energy_keV, density)
-    stopped = {depth: float(found.stopped_within(depth)) for depth in _DEPTHS_MM}
+    stops = attenuation_length_mm(formula, energy_keV, density)
+    stopped = {depth: float(stops.stopped_within(depth)) for depth in _DEPTHS_MM}
     processes = ("photoelectric", "incoherent", "coherent")
-    parts = attributes(found, **{name: f"{name}_per_cm" for name in processes})
+    parts = attributes(stops, **{name: f"{name}_per_cm" for name in processes})
     document = {
-        **attributes(found, "formula energy_keV density_g_per_cm3 length_mm"),
-        "length_sigma_mm": found.sigma_mm,
-        **attributes(found, "tables_sigma_mm process_sigma_mm without_coherent_mm per_cm"),
+        **attributes(stops, "formula energy_keV density_g_per_cm3 length_mm"),
+        "length_sigma_mm": stops.sigma_mm,
+        **attributes(stops, "tables_sigma_mm process_sigma_mm without_coherent_mm per_cm"),
         "parts_per_cm": parts,
-        **attributes(found, "escaping escaping_keV escape_loss"),
+        **attributes(stops, "escaping escaping_keV escape_loss"),
         "stopped": [{"depth_mm": depth, "share": share} for depth, share in stopped.items()],
         "source": SOURCE,
     }
-    shown = describe_laboratory.of_gammas(found, parts, stopped)
+    shown = describe_laboratory.of_gammas(stops, parts, stopped)
     showing.answer(VerbResult(kind="gammas", shown=shown, numbers=document), json_file)

@@ -120,7 +120,7 @@ def plan(
         },
     )
     with work.begin() as run:
-        found = mcrim.plan(
+        planning = mcrim.plan(
             read,
             wanted,
             n_gap=couplings,
@@ -129,7 +129,7 @@ def plan(
             conditions=conditions,
             run=run,
         )
-    showing.answer(found, json_file, figure)
+    showing.answer(planning, json_file, figure)
 
 
 def _counts(
