@@ -15,6 +15,7 @@ from pathlib import Path
 from xml.parsers import expat
 from xml.sax.saxutils import escape
 
+import numpy as np
 from lxml import etree
 
 from mcrim_mitsuba.core.errors import InputError
@@ -22,7 +23,7 @@ from mcrim_mitsuba.core.numbers import Value, value_text
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
 _COMMENT = "!--"
-_BYTE_ORDER_MARK = "\xef\xbb\xbf"
+_BYTE_ORDER_MARK = "\ufeff"
 _DECLARATION = re.compile(r"\s*(<\?xml.*?\?>)?\s*", re.DOTALL)
 _ENCODING = re.compile(r"encoding\s*=\s*[\"']([^\"']+)[\"']")
 # a > within quotes does not end it
@@ -120,10 +121,8 @@ class SceneEditor:
         self.values = dict(values)
         self._main = _text_of(scene, scene.path)
         self._pieces = list(self._flatten(scene.path, set()))
-        ends = itertools.accumulate(piece.end - piece.start for piece in self._pieces)
         # where each piece ends in the flat text
-        self._ends = list(ends)
-        # Bytes as characters: positions of the XML parser are then positions in the string.
+        self._ends = list(itertools.accumulate(p.end - p.start for p in self._pieces))
         self._text = "".join(piece.text[piece.start : piece.end] for piece in self._pieces)
         self.root = _parse(self._text, scene.path)
         self._splices: list[tuple[int, int, str]] = []
@@ -297,7 +296,7 @@ class SceneEditor:
         """Every element with ``$name`` put in, at other parameters perhaps."""
         key = tuple(sorted((overrides or {}).items()))
         if key not in self._resolved:
-            flat = self.scene.edited(_text(self._text)).with_overrides(overrides or {})
+            flat = self.scene.edited(self._text).with_overrides(overrides or {})
             nodes = (node for node in self.root.walk() if node.tag != "default")
             elements = flat.root.iter(etree.Element)
             self._resolved[key] = dict(zip(nodes, elements, strict=True))
@@ -307,7 +306,7 @@ class SceneEditor:
 
     def source(self, node: Node) -> str:
         """The text of a node, as `insert_after` takes it."""
-        text = _text(self._text[node.start : node.end]).replace("\r\n", "\n")
+        text = self._text[node.start : node.end].replace("\r\n", "\n")
         first, *lines = text.replace("\n" + (self._indentation(node) or ""), "\n").split("\n")
         for number, line in enumerate(lines):
             levels = 0
@@ -324,7 +323,7 @@ class SceneEditor:
 
     def set_attribute(self, node: Node, name: str, value: str) -> None:
         """Give an attribute, which must be there, another value."""
-        position = node.start + 1 + len(node.tag.encode())
+        position = node.start + 1 + len(node.tag)
         while match := _ATTRIBUTE.match(self._text, position):
             if match.group(1) == name:
                 start, end = match.span(2)
@@ -429,9 +428,8 @@ class SceneEditor:
             self._refuse_inclusion(splices[mapped.index(None)][0])
             text, places = self._text, [(start, end) for start, end, _ in splices]
         for (start, end), (_, _, new) in list(zip(places, splices, strict=True))[::-1]:
-            new = new.replace("\n", self._newline)
-            text = text[:start] + new.encode().decode("latin-1") + text[end:]
-        return _text(text)
+            text = text[:start] + new.replace("\n", self._newline) + text[end:]
+        return text
 
     def refusal(self, problem: str, mend: str, node: Node | None = None) -> InputError:
         """The error to raise about an element, with its file and line."""
@@ -576,40 +574,40 @@ def _start_with_comment(text: str, node: Node) -> int:
     return node.start
 
 
-def _text(characters: str) -> str:
-    """Text whose bytes were taken for characters."""
-    return characters.encode("latin-1").decode()
-
-
 def _declaration(text: str) -> str:
     """``<?xml ... ?>`` at the begin of a text; empty where there is none."""
     return match.group() if (match := _DECLARATION.match(text)) else ""
 
 
 def _text_of(scene: SceneFile, path: Path) -> str:
-    """A file's bytes as characters, if they are UTF-8."""
-    data = scene.source(path)
-    text = data.decode("latin-1")
-    declared = _ENCODING.search(_declaration(text.removeprefix(_BYTE_ORDER_MARK)))
+    """A file's text, byte order mark and line ends included, if it is UTF-8."""
+    refused = InputError(
+        "only scenes in UTF-8 can be edited", 'save it as UTF-8, with encoding="utf-8"', path=path
+    )
     try:
-        data.decode()
-        readable = declared is None or declared.group(1).lower() in _READABLE
+        text = scene.source(path).decode()
     except UnicodeDecodeError:
-        readable = False
-    if not readable or "\0" in text:
-        mend = 'save it as UTF-8, with encoding="utf-8"'
-        raise InputError("only scenes in UTF-8 can be edited", mend, path=path)
+        raise refused from None
+    declared = _ENCODING.search(_declaration(text.removeprefix(_BYTE_ORDER_MARK)))
+    if (declared is not None and declared.group(1).lower() not in _READABLE) or "\0" in text:
+        raise refused
     return text
 
 
 def _parse(text: str, path: Path) -> Node:
     """``<scene>`` of a text, with everything's position."""
+    data = text.encode()
+    # the parser counts bytes: the character that each begins, or belongs to
+    characters = np.cumsum(np.frombuffer(data, np.uint8) & 0xC0 != 0x80) - 1
     parser = expat.ParserCreate()
     top = Node("", {}, None, 0)
     stack = [top]
 
+    def place() -> int:
+        return int(characters[parser.CurrentByteIndex])
+
     def start(tag: str, attributes: dict[str, str]) -> None:
-        node = Node(tag, attributes, stack[-1], parser.CurrentByteIndex)
+        node = Node(tag, attributes, stack[-1], place())
         tag_text = _START_TAG.match(text, node.start)
         assert tag_text is not None  # the parser has just read one
         node.inside = tag_text.end()
@@ -621,19 +619,18 @@ def _parse(text: str, path: Path) -> Node:
         if text.endswith("/>", 0, node.inside):
             node.close = node.end = node.inside
         else:
-            node.close = parser.CurrentByteIndex
+            node.close = place()
             node.end = text.index(">", node.close) + 1
 
     def comment(_words: str) -> None:
-        position = parser.CurrentByteIndex
-        node = Node(_COMMENT, {}, stack[-1], position)
-        node.inside = node.close = node.end = text.index("-->", position) + 3
+        node = Node(_COMMENT, {}, stack[-1], place())
+        node.inside = node.close = node.end = text.index("-->", node.start) + 3
         stack[-1].children.append(node)
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CommentHandler = comment
     try:
-        parser.Parse(text.encode("latin-1"), True)
+        parser.Parse(data, True)
     except expat.ExpatError as error:
         # libxml2, which read the scene, takes more letters for those of names
         raise InputError(
