@@ -6,7 +6,9 @@ Everything is read from the loaded scene, never from our own idea of the bench.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -65,16 +67,16 @@ def read_scene_model(scene) -> SceneModel:
         inner, outer = (OUTSIDE if m is None else names.index(m.id()) for m in _media(shape))
         try:
             properties = _followed(shape, inner, outer)
-            own = _flat_faces(shape, number)
+            flat = _flat_faces(shape, number)
         except InputError as error:
             raise InputError(f"{shape.id()}: {error.problem}", error.mend) from None
         surfaces.append(Surface(shape.id(), inner, outer, **properties))
         wall = _wall(shape)
         if wall is not None:
             walls.append(replace(wall, surface=number))
-        elif own is None:
+        elif flat is None:
             curved.append(number)
-        faces.extend(own or [])
+        faces.extend(flat or [])
     if len({(s.film, s.head_on) for s in surfaces if s.kind == DETECTOR}) > 1:
         problem = "the detectors differ in what they take of light that arrives head-on"
         raise InputError(problem, "let all have the same cathode_nm and angular_falloff")
@@ -139,52 +141,84 @@ def surface_properties(bsdf) -> dict:
 
     Kinds that are not known here are `OTHER`: their own ``sample`` is called.
     """
-    if hasattr(bsdf, "interface") and hasattr(bsdf, "radius"):
-        inner = surface_properties(bsdf.interface)
-        if "aperture_radius_mm" in inner:
-            raise InputError("an aperture lies in an aperture", "keep the narrower one")
-        return inner | {
-            "aperture_radius_mm": bsdf.radius,
-            "axis_mm": bsdf.centre,
-            "mask_reflectance": bsdf.reflectance,
-        }
-    name = bsdf.class_name()
-    if getattr(bsdf, "detects_light", False):
-        return {
-            "kind": DETECTOR,
-            "axis_mm": bsdf.centre,
-            "reflectance": bsdf.reflectance,
-            "specular": bsdf.specular,
-            "film": bsdf.film,
-            "angular_falloff": bsdf.angular_falloff,
-            "radial_falloff_per_mm2": bsdf.radial_falloff_per_mm2,
-            "least_cosine": math.cos(math.radians(min(bsdf.acceptance_deg, 90.0))),
-        }
-    if hasattr(bsdf, "roughness_alpha"):
-        heights = bsdf.rms_roughness_nm / bsdf.wavelength_nm
-        polished = {
-            "roughness": bsdf.roughness_alpha,
-            "beckmann": bsdf.distribution == "beckmann",
-            "surface_loss": bsdf.surface_loss,
-            "haze": 2.0 * math.pi * heights * bsdf.int_ior,
-        }
-        return surface_properties(bsdf.smooth) | polished
+    name = type(bsdf).__name__
+    if name == "BSDF":  # none of Python's
+        name = bsdf.class_name()
+    read = _READERS.get(name)
+    properties = None if read is None else read(bsdf)
+    return properties or {"kind": OTHER, "plugin": name}
+
+
+def _of_aperture(bsdf) -> dict:
+    properties = surface_properties(bsdf.interface)
+    if "aperture_radius_mm" in properties:
+        raise InputError("an aperture lies in an aperture", "keep the narrower one")
+    return properties | {
+        "aperture_radius_mm": bsdf.radius,
+        "axis_mm": bsdf.centre,
+        "mask_reflectance": bsdf.reflectance,
+    }
+
+
+def _of_photodetector(bsdf) -> dict:
+    return {
+        "kind": DETECTOR,
+        "axis_mm": bsdf.centre,
+        "reflectance": bsdf.reflectance,
+        "specular": bsdf.specular,
+        "film": bsdf.film,
+        "angular_falloff": bsdf.angular_falloff,
+        "radial_falloff_per_mm2": bsdf.radial_falloff_per_mm2,
+        "least_cosine": math.cos(math.radians(min(bsdf.acceptance_deg, 90.0))),
+    }
+
+
+def _of_polish(bsdf) -> dict:
+    return surface_properties(bsdf.smooth) | {
+        "roughness": bsdf.roughness_alpha,
+        "beckmann": bsdf.distribution == "beckmann",
+        "surface_loss": bsdf.surface_loss,
+        "haze": 2.0 * math.pi * (bsdf.rms_roughness_nm / bsdf.wavelength_nm) * bsdf.int_ior,
+    }
+
+
+def _of_dielectric(bsdf) -> dict | None:
     parameters = mi.traverse(bsdf)
-    keys = parameters.keys()
-    if name == "SmoothDielectric" and not any("specular" in key for key in keys):
-        return {"kind": DIELECTRIC, "eta": _first(parameters["eta"])}
-    if name in ("SmoothDiffuse", "TwoSidedBRDF"):
-        two_sided = name == "TwoSidedBRDF"
-        if two_sided and "Photodetector" in str(bsdf):
-            problem = "a photodetector stands in a twosided bsdf"
-            raise InputError(problem, "use it alone: it takes light on both sides")
-        key = next((k for k in keys if k.endswith("reflectance.value")), None)
-        # Mitsuba names both sides' BSDFs, even if they are one and the same.
-        alike = str(bsdf).count("SmoothDiffuse") == (2 if two_sided else 1)
-        if key is not None and alike and sum("value" in k for k in keys) == 1:
-            grey = _grey(parameters[key])
-            return {"kind": DIFFUSE, "reflectance": grey, "two_sided": two_sided}
-    return {"kind": OTHER, "plugin": name}
+    if any("specular" in key for key in parameters.keys()):
+        return None
+    return {"kind": DIELECTRIC, "eta": _first(parameters["eta"])}
+
+
+def _of_diffuse(bsdf) -> dict | None:
+    return _reflector(mi.traverse(bsdf), "reflectance.value", two_sided=False)
+
+
+def _of_two_sided(bsdf) -> dict | None:
+    parameters = mi.traverse(bsdf)
+    if "brdf_0.acceptance_deg" in parameters:
+        problem = "a photodetector stands in a twosided bsdf"
+        raise InputError(problem, "use it alone: it takes light on both sides")
+    # where both sides are one and the same, Mitsuba names it once
+    return _reflector(parameters, "brdf_0.reflectance.value", two_sided=True)
+
+
+def _reflector(parameters, reflectance: str, *, two_sided: bool) -> dict | None:
+    """One grey diffuse reflector; None where the parameters are those of something else."""
+    if [key for key in parameters.keys() if "value" in key] != [reflectance]:
+        return None
+    grey = _grey(parameters[reflectance])
+    return {"kind": DIFFUSE, "reflectance": grey, "two_sided": two_sided}
+
+
+#: What reads a BSDF, by the name of its class: of `plugins.bsdfs`, and of Mitsuba.
+_READERS: dict[str, Callable[[Any], dict | None]] = {
+    "Aperture": _of_aperture,
+    "Photodetector": _of_photodetector,
+    "Polish": _of_polish,
+    "SmoothDielectric": _of_dielectric,
+    "SmoothDiffuse": _of_diffuse,
+    "TwoSidedBRDF": _of_two_sided,
+}
 
 
 def _followed(shape, interior: int, exterior: int) -> dict:
@@ -264,9 +298,9 @@ def _matrix(shape) -> np.ndarray:
 
 def _round_axis(matrix: np.ndarray) -> int | None:
     """The axis of the scene that a shape's own z axis is along, if a circle about it stays one."""
-    one, other, along = matrix[:3, :3].T
-    size = np.linalg.norm([one, other], axis=1)
-    if abs(size[0] - size[1]) > _ASKEW * size[0] or abs(one @ other) > _ASKEW * size[0] ** 2:
+    u, v, along = matrix[:3, :3].T
+    size = np.linalg.norm([u, v], axis=1)
+    if abs(size[0] - size[1]) > _ASKEW * size[0] or abs(u @ v) > _ASKEW * size[0] ** 2:
         return None
     axis = int(np.argmax(np.abs(along)))
     off = np.delete(np.abs(along), axis).max() > _ASKEW * abs(along[axis])
@@ -296,9 +330,9 @@ def _disk_face(shape, number: int) -> list[FlatFace] | None:
 
 def _wall(shape) -> RoundWall | None:
     """The round wall that a shape is: one of ours, or Mitsuba's ``cylinder`` along an axis."""
-    known = getattr(shape, "wall", None)
-    if known is not None or shape.shape_type() != int(mi.ShapeType.Cylinder):
-        return known
+    plugins_wall = getattr(shape, "wall", None)
+    if plugins_wall is not None or shape.shape_type() != int(mi.ShapeType.Cylinder):
+        return plugins_wall
     matrix = _matrix(shape)
     axis = _round_axis(matrix)
     if axis is None:

@@ -119,9 +119,6 @@ class Photodetector(mi.BSDF):
     below 1 with a photocathode or a negative ``angular_falloff``; eta counts relative to it.
     """
 
-    #: How the transport recognises a detector.
-    detects_light = True
-
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         for name in ("reflectance", "specular", "radial_falloff"):
