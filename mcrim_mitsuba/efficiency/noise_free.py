@@ -69,12 +69,12 @@ def solve_simulation(simulation: Simulation, run: Run = Run()) -> SimulationResu
     file = simulation.file
     run.tell(_WHAT, 0, 1)
     with placed(path=file.path):
-        found = solve_box(bench_of(simulation), precision=run.precision)
+        solved = solve_box(bench_of(simulation), precision=run.precision)
     run.tell(_WHAT, 1, 1)
-    notes = _notes(found.eta, found.error, run.precision)
+    notes = _notes(solved.eta, solved.error, run.precision)
     notes += calibration_notes(simulation.model.head_on)
-    fates = {name: float(part) for name, part in found.fates.items() if part}
-    eta, error = float(found.eta), float(found.error)
+    fates = {name: float(part) for name, part in solved.fates.items() if part}
+    eta, error = float(solved.eta), float(solved.error)
     return SimulationResult(
         seed=0,
         photons=0,
@@ -143,7 +143,7 @@ def solve_benches(
     """
     from mcrim_mitsuba.transport.simulation import Simulation
 
-    found = []
+    etas = []
     for number, file in enumerate(benches):
         run.tell(_WHAT, number, len(benches))
         simulation = Simulation(file, variant=run.variant, threads=run.threads, check=run.check)
@@ -151,9 +151,9 @@ def solve_benches(
             solved = solve_box(
                 bench_of(simulation), alpha_scat_per_cm, alpha_abs_per_cm, precision=run.precision
             )
-        found.append((solved.eta, solved.error))
+        etas.append((solved.eta, solved.error))
     run.tell(_WHAT, len(benches), len(benches))
-    return found
+    return etas
 
 
 def _notes(eta: ArrayLike, error: ArrayLike, precision: float | None) -> tuple[str, ...]:
@@ -287,13 +287,13 @@ def _parts(model: SceneModel) -> dict[str, list[tuple]]:
 _NOT_COMPARED = ("name", "surface", "interior", "exterior", "beckmann")
 
 
-def _alike(one: Any, other: Any) -> bool:
+def _alike(ours: Any, theirs: Any) -> bool:
     """Whether two parts of scenes are the same, but for rounding."""
-    if is_dataclass(one) and type(one) is type(other):
-        names = [field.name for field in fields(one) if field.name not in _NOT_COMPARED]
-        return all(_alike(getattr(one, name), getattr(other, name)) for name in names)
-    if isinstance(one, (list, tuple, np.ndarray)):
-        return len(one) == len(other) and all(map(_alike, one, other))
-    if one is None or other is None or isinstance(one, str):
-        return one == other
-    return cmath.isclose(one, other, rel_tol=1e-5, abs_tol=1e-4)
+    if is_dataclass(ours) and type(ours) is type(theirs):
+        names = [field.name for field in fields(ours) if field.name not in _NOT_COMPARED]
+        return all(_alike(getattr(ours, name), getattr(theirs, name)) for name in names)
+    if isinstance(ours, (list, tuple, np.ndarray)):
+        return len(ours) == len(theirs) and all(map(_alike, ours, theirs))
+    if ours is None or theirs is None or isinstance(ours, str):
+        return ours == theirs
+    return cmath.isclose(ours, theirs, rel_tol=1e-5, abs_tol=1e-4)

@@ -206,11 +206,11 @@ def chamfered_box(half_width: float, height: float, leg: float) -> HalfSpaceBody
     """
     plain = box(half_width, 0.0, height)
     normals, offsets = list(plain.normals), list(plain.offsets)
-    for one in range(6):
+    for face in range(6):
         # faces 2 i and 2 i + 1 are opposite to each other
-        for other in range(one - one % 2 + 2, 6):
-            normals.append((plain.normals[one] + plain.normals[other]) / math.sqrt(2.0))
-            offsets.append((plain.offsets[one] + plain.offsets[other] - leg) / math.sqrt(2.0))
+        for neighbour in range(face - face % 2 + 2, 6):
+            normals.append((plain.normals[face] + plain.normals[neighbour]) / math.sqrt(2.0))
+            offsets.append((plain.offsets[face] + plain.offsets[neighbour] - leg) / math.sqrt(2.0))
     return HalfSpaceBody(np.array(normals), np.array(offsets))
 
 

@@ -40,9 +40,9 @@ class ArrayPart:
     @classmethod
     def parse(cls, text: str) -> ArrayPart:
         """Of what is typed; raises InputError."""
-        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip(), re.ASCII)
-        if found and 1 <= int(found[1]) <= int(found[2]) <= MOST_PARTS:
-            return cls(int(found[1]), int(found[2]))
+        match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip(), re.ASCII)
+        if match and 1 <= int(match[1]) <= int(match[2]) <= MOST_PARTS:
+            return cls(int(match[1]), int(match[2]))
         mend = f"write K/N with K from 1 to N and N up to {MOST_PARTS:,}, such as 3/10"
         raise InputError(f"--unit {text} is no part of an array job", mend)
 
@@ -94,7 +94,7 @@ class UnitFolder:
         before = self.command()["files"]
         for file in sorted({*before, *hashes}):
             if before.get(file) != hashes.get(file):
-                theirs, now = (known.get(file, "no such file")[:12] for known in (before, hashes))
+                theirs, now = (files.get(file, "no such file")[:12] for files in (before, hashes))
                 raise InputError(
                     f"the parts have read another {file} (SHA-256 {theirs}; here is {now})",
                     "put it back, or let --units name a new folder and run all parts again",
@@ -170,8 +170,8 @@ class PartExecutor(MergingExecutor):
 
     def do(self, jobs: Sequence[Job], *, by_all: bool = False, **how: Any) -> Iterator[Finished]:
         """See `Executor.do`; raises PartDoneError where other parts' units are missing."""
-        own = jobs if by_all else jobs[self._part.number - 1 :: self._part.count]
-        for _ in super().do(own, **how):
+        mine = jobs if by_all else jobs[self._part.number - 1 :: self._part.count]
+        for _ in super().do(mine, **how):
             pass
         for index, job in enumerate(jobs):
             chunks = kept(job)
@@ -194,8 +194,8 @@ class PartExecutor(MergingExecutor):
 
     def finish(self) -> None:
         """Note in the folder that this part is done."""
-        made = {"units": self.units, "photons": self.photons, "host": socket.gethostname()}
-        self.folder.write(self._part.report, made)
+        report = {"units": self.units, "photons": self.photons, "host": socket.gethostname()}
+        self.folder.write(self._part.report, report)
 
 
 def _is_command(content: Any) -> bool:

@@ -76,8 +76,8 @@ def other_version(versions: Mapping[str, str]) -> tuple[str, str, str] | None:
     mine = record_versions(versions["variant"], *versions.get("modules", "").split())
     for name in sorted({*mine, *versions}):
         if mine.get(name) != versions.get(name):
-            theirs, own = (str(each.get(name, "none"))[:12] for each in (versions, mine))
-            return name.replace("_", " "), theirs, own
+            theirs, ours = (str(side.get(name, "none"))[:12] for side in (versions, mine))
+            return name.replace("_", " "), theirs, ours
     return None
 
 
@@ -320,14 +320,14 @@ class RecordCache:
     @property
     def notes(self) -> list[str]:
         """What the user must know of it, one line each."""
-        found = [] if self.trouble is None else [self.trouble]
+        notes = [] if self.trouble is None else [self.trouble]
         if self.damaged and self.folder is not None:
             files = "file was" if self.damaged == 1 else "files were"
-            found.append(
+            notes.append(
                 f"{self.folder.parent}: {self.damaged} {files} damaged, and made again: look at "
                 "this disk if it happens often"
             )
-        return found
+        return notes
 
     def read(self, number: int) -> Chunk | None:
         """Chunk `number` as it was written, or None where it is absent.

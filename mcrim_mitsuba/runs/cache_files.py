@@ -128,8 +128,8 @@ def _arrays(
 ) -> dict[str, NDArray] | None:
     """Arrays that begin at `start`, as views; None if what follows is not just these."""
     arrays = {}
-    for each in described:
-        match each:
+    for entry in described:
+        match entry:
             case {"name": str(name), "dtype": str(dtype), "length": int(length)} if (
                 dtype in _PLAIN_DTYPES and length >= 0
             ):
@@ -241,7 +241,7 @@ def _key_folders(cache: Path) -> list[tuple[float, Path, int]]:
 
     What vanishes meanwhile counts as empty.
     """
-    found = []
+    folders = []
     for entry in _entries(cache):
         if not _is_key_folder(entry):
             continue
@@ -252,8 +252,8 @@ def _key_folders(cache: Path) -> list[tuple[float, Path, int]]:
                 size_bytes += status.st_size
                 if file.name == KEY_FILE:
                     used_s = status.st_mtime
-        found.append((used_s, Path(entry.path), size_bytes))
-    return found
+        folders.append((used_s, Path(entry.path), size_bytes))
+    return folders
 
 
 def _is_key_folder(entry: os.DirEntry) -> bool:

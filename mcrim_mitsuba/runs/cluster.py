@@ -120,7 +120,7 @@ class ClusterExecutor(HandingExecutor):
 
     def ahead(self) -> int:
         workers = _workers(self._client, self._address).values()
-        return max(LEAST_AHEAD, AHEAD * sum(each["nthreads"] for each in workers))
+        return max(LEAST_AHEAD, AHEAD * sum(worker["nthreads"] for worker in workers))
 
     def submit(self, unit: WorkItem) -> Future:
         import distributed

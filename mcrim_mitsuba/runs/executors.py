@@ -251,25 +251,25 @@ class HandingExecutor(Executor):
 
 def pickled(unit: WorkItem) -> bytes:
     """A unit as bytes, with the user's own effects by value: others do not have their modules."""
-    own = [module for name, module in sys.modules.items() if name.startswith(OWN_MODULES)]
-    for module in own:
+    modules = [module for name, module in sys.modules.items() if name.startswith(OWN_MODULES)]
+    for module in modules:
         cloudpickle.register_pickle_by_value(module)
     try:
         return cloudpickle.dumps(unit, protocol=pickle.HIGHEST_PROTOCOL)
     finally:
-        for module in own:
+        for module in modules:
             cloudpickle.unregister_pickle_by_value(module)
 
 
 def kept(job: Job) -> dict[int, Chunk] | None:
     """A unit's chunks from the cache; None unless all of them are there."""
-    found = {}
+    chunks = {}
     for number in job.unit.numbers:
         chunk = job.cache.read(number)
         if chunk is None:
             return None
-        found[number] = chunk
-    return found
+        chunks[number] = chunk
+    return chunks
 
 
 def keep(job: Job, contents: Mapping[int, Content]) -> dict[int, Chunk]:

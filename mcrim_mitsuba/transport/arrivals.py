@@ -47,13 +47,13 @@ class DetectorPlane:
 
     def on_detector(self, points) -> np.ndarray:
         """Whether points of the plane, shape (n, 2), lie on a detecting face."""
-        found = np.zeros(len(points), dtype=bool)
+        hit = np.zeros(len(points), dtype=bool)
         for corners in self.faces:
             edges = np.roll(corners, -1, axis=0) - corners
             away = points[:, None] - corners
             turns = edges[:, 0] * away[..., 1] - edges[:, 1] * away[..., 0]
-            found |= (turns >= 0).all(axis=1) | (turns <= 0).all(axis=1)
-        return found
+            hit |= (turns >= 0).all(axis=1) | (turns <= 0).all(axis=1)
+        return hit
 
     def ring_areas(self, edges_mm) -> np.ndarray:
         """Area (mm2) on the detector of the rings between radii around the centre."""
@@ -139,11 +139,11 @@ def masks_of(model: SceneModel, plane: DetectorPlane) -> tuple[tuple[float, floa
         for s in model.surfaces
         if np.isfinite(s.aperture_radius_mm)
     }
-    found = []
+    masks = []
     for x, y, radius in sorted(holes):
         across, up = plane.coordinates([[x, y, plane.centre[2]]])[0]
-        found.append((float(across), float(up), radius))
-    return tuple(found)
+        masks.append((float(across), float(up), radius))
+    return tuple(masks)
 
 
 def largest_angle_deg(model: SceneModel, interfaces, plane: DetectorPlane) -> float | None:
@@ -177,8 +177,8 @@ def arrivals(
     the medium before it), the tally of all so far, and where the detected photons arrive: float64,
     shape (detected, 3), mm.
     """
-    for found, tally in launches(simulation, photons, seed, (*ARRIVAL_PLACE, "arrival_angle_deg")):
-        yield found, tally, _place(found, ARRIVAL_PLACE)
+    for launch, tally in launches(simulation, photons, seed, (*ARRIVAL_PLACE, "arrival_angle_deg")):
+        yield launch, tally, _place(launch, ARRIVAL_PLACE)
 
 
 def births(
@@ -187,8 +187,8 @@ def births(
     """The same, with where the detected photons were born: float64, shape (detected, 3), mm."""
     crystal = simulation.crystal
     corner = np.array([*crystal.lower[:2], crystal.upper[2]])
-    for found, tally in launches(simulation, photons, seed, BIRTH_PLACE):
-        yield found, tally, corner + _place(found, BIRTH_PLACE) * (1.0, 1.0, -1.0)
+    for launch, tally in launches(simulation, photons, seed, BIRTH_PLACE):
+        yield launch, tally, corner + _place(launch, BIRTH_PLACE) * (1.0, 1.0, -1.0)
 
 
 def launches(
@@ -199,12 +199,12 @@ def launches(
     done = number = 0
     while done < photons:
         chunk = min(launcher.size if number else FIRST_LAUNCH, photons - done)
-        found = launcher.launch(
+        launch = launcher.launch(
             chunk, seed=seed, number=number, max_depth=simulation.depth_limit, columns=columns
         )
         done, number = done + chunk, number + 1
-        yield found, launcher.tally
+        yield launch, launcher.tally
 
 
-def _place(found: Launch, names: Sequence[str]) -> np.ndarray:
-    return np.column_stack([found.records[name] for name in names]).astype(np.float64)
+def _place(launch: Launch, names: Sequence[str]) -> np.ndarray:
+    return np.column_stack([launch.records[name] for name in names]).astype(np.float64)

@@ -236,9 +236,9 @@ class CrystalVolume:
             c = self._share(c, self._from_high)
         radius = self._radius * dr.sqrt(a)
         sine, cosine = dr.sincos(dr.two_pi * b)
-        one, other = self.circle.across
+        u, v = self.circle.across
         away = mi.Vector3f(0.0)
-        away[one], away[other] = radius * cosine, radius * sine
+        away[u], away[v] = radius * cosine, radius * sine
         away[self.circle.axis] = self._length * c
         return mi.Point3f(self._corner) + away
 
@@ -320,9 +320,9 @@ class CrystalVolume:
         share = (np.arange(POINTS_ALONG_A_CELL) + 0.5) / POINTS_ALONG_A_CELL
         along = [(e[:-1, None] + share * np.diff(e)[:, None]).ravel() for e in edges_mm]
         points = np.stack(np.meshgrid(*along, indexing="ij")).reshape(3, -1)
-        found = np.array(inside(mi.Point3f(*points.astype(np.float32))))
+        hit = np.array(inside(mi.Point3f(*points.astype(np.float32))))
         lattice = [side for n in shape for side in (n, POINTS_ALONG_A_CELL)]
-        return found.reshape(lattice).mean(axis=(1, 3, 5))
+        return hit.reshape(lattice).mean(axis=(1, 3, 5))
 
     def birth_density(self, edges_mm: Sequence[np.ndarray]) -> np.ndarray:
         """Of births in each cell of such a grid over the bounding box; float64, its mean is 1."""
@@ -350,12 +350,12 @@ class CrystalVolume:
             hit = si.is_valid()
             number = number_of(si.shape, hit)
             behind = dr.dot(probe.d, si.n) > 0
-            own = dr.select(
+            borders = dr.select(
                 behind,
                 dr.gather(mi.Bool, interior, number, hit),
                 dr.gather(mi.Bool, exterior, number, hit),
             )
-            return hit & own
+            return hit & borders
 
         return inside
 
@@ -410,8 +410,8 @@ class CollimatedBeam(CrystalVolume):
         """A birth (Point3f, mm) on the disc from two of three uniforms (Float)."""
         radius = self._radius_mm * dr.sqrt(a)
         sine, cosine = dr.sincos(dr.two_pi * b)
-        one, other = self._across
-        return mi.Point3f(self._begin + one * (radius * cosine) + other * (radius * sine))
+        u, v = self._across
+        return mi.Point3f(self._begin + u * (radius * cosine) + v * (radius * sine))
 
 
 def read_crystal(scene) -> CrystalVolume:
@@ -532,8 +532,8 @@ class Scattering:
             return None
         here, per_mm = mi.Float(1.0), mi.Float(0.0)
         for number, (at_zero, slope) in self._graded.items():
-            own = dr.maximum(dr.fma(slope, origin.z, at_zero), 0.0)
-            here = dr.select(inside[number], own, here)
+            here_strength = dr.maximum(dr.fma(slope, origin.z, at_zero), 0.0)
+            here = dr.select(inside[number], here_strength, here)
             per_mm = dr.select(inside[number], slope * direction.z, per_mm)
         for number, (power, width) in coloured.items():
             # erfinv turns even numbers into those of a Gaussian

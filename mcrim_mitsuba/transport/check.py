@@ -63,8 +63,8 @@ def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckRepo
     if not problems:
         crossings = trace_crossings(model, *probe_lines(model))
         # Index claims come first where the geometry itself is sound: they name the faces best.
-        found = problems_of_volumes(file, model, faces, crossings)
-        problems = problems_of_named_volumes(faces) or found
+        contradictions = problems_of_volumes(file, model, faces, crossings)
+        problems = problems_of_named_volumes(faces) or contradictions
     if light and not problems:
         problems = _problems_of_detector(simulation)
     path = choose_path(model, simulation.polarization)
@@ -144,15 +144,15 @@ def problems_of_contacts(file: SceneFile, model: SceneModel) -> list[SceneProble
         if distance >= narrowest or not _overlap(first, second):
             continue
         seen.add(pair)
-        one, other = (model.surfaces[i].name for i in pair)
-        place = file.place_of_id(other)
+        name, other_name = (model.surfaces[i].name for i in pair)
+        place = file.place_of_id(other_name)
         if distance < 1e-6 * model.size_mm:
-            text = f"{one} (line {file.line_of(one)}) and {other} lie on each other"
+            text = f"{name} (line {file.line_of(name)}) and {other_name} lie on each other"
             mend = "an interface is ONE surface that names both indices: take one of them away"
             problems.append(SceneProblem("overlap", text, mend, *place))
         else:
             text = (
-                f"{one} (line {file.line_of(one)}) and {other} are {distance:.3g} mm apart, "
+                f"{name} (line {file.line_of(name)}) and {other_name} are {distance:.3g} mm apart, "
                 f"too thin for single precision in a scene of this size"
             )
             mend = f"make the gap at least {_round_up(narrowest):g} mm, or one single face"
@@ -164,10 +164,10 @@ def _overlap(first: FlatFace, second: FlatFace) -> bool:
     """Whether two parallel faces share area when projected along their normal."""
     grid = (np.arange(16) + 0.5) / 16
     a, b = (g.ravel()[:, None] for g in np.meshgrid(grid, grid))
-    for one, other in ((first, second), (second, first)):
-        u, v = (a * (1 - b), b) if one.triangle else (a, b)
-        points = one.corner + u * one.edge_u + v * one.edge_v
-        if (np.minimum(one.margin(points), other.margin(points)) > 1e-6).any():
+    for face, opposite in ((first, second), (second, first)):
+        u, v = (a * (1 - b), b) if face.triangle else (a, b)
+        points = face.corner + u * face.edge_u + v * face.edge_v
+        if (np.minimum(face.margin(points), opposite.margin(points)) > 1e-6).any():
             return True
     return False
 
@@ -201,46 +201,16 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
 
     `transport` is the name of the path that `simulate` will take.
     """
-    from mcrim_mitsuba.transport.solid_names import form_of
-
-    model, crystal = simulation.model, simulation.crystal
-    sentences = []
+    model = simulation.model
     indices = volume_indices(interfaces)
-    for number, volume in enumerate(model.volumes[1:], start=1):
-        lower, upper = model.bounds(number)
-        form = form_of(model, number)
-        text = f"{volume.name}: {form}, z from {_tidy(lower[2])} to {_tidy(upper[2])} mm"
-        if volume.name in indices:
-            text += f", index {indices[volume.name]:g}"
-        if volume.alpha_scat_per_mm or volume.alpha_abs_per_mm:
-            text += (
-                f", scatters {MM_PER_CM * volume.alpha_scat_per_mm:.4g} /cm{_scattering(volume)} "
-                f"and absorbs {MM_PER_CM * volume.alpha_abs_per_mm:.4g} /cm"
-            )
-        else:
-            text += ", clear"
-        if volume.endless:
-            text += "; light that enters it goes straight on, to what it meets from outside"
-        if number == crystal.volume:
-            text += f"; {_emission(crystal)}"
-        sentences.append(text)
+    sentences = [
+        _volume_sentence(model, number, indices, simulation.crystal)
+        for number in range(1, len(model.volumes))
+    ]
     detectors = [_detector(surface) for surface in model.surfaces if surface.kind == DETECTOR]
     sentences.append(f"detected is what reaches {' or '.join(detectors)}")
     for surface in model.surfaces:
-        if surface.aperture_radius_mm < np.inf:
-            sentences.append(
-                f"{surface.name} wears a black mask with a hole of radius "
-                f"{surface.aperture_radius_mm:g} mm{_off_axis(surface)}"
-            )
-        if surface.mask_reflectance > 0:
-            percent = 100 * surface.mask_reflectance
-            sentences.append(f"the mask of {surface.name} reflects {percent:g} % diffusely upwards")
-        if surface.reflectance > 0:
-            sentences.append(f"{surface.name} reflects {100 * surface.reflectance:g} % diffusely")
-        if surface.film is not None:
-            sentences.append(_film(surface))
-        if surface.plugin:
-            sentences.append(f"{surface.name} does what Mitsuba's {surface.plugin} does")
+        sentences += _surface_sentences(surface)
     imperfect: dict[str, list[str]] = {}
     for surface in model.surfaces:
         for name, factor, says in _IMPERFECTIONS:
@@ -253,10 +223,52 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
         else "Fresnel reflection is that of unpolarised light"
     )
     sentences += [
-        f"{name} = {known.value}: {known.words}"
-        for name, known in simulation.file.materials.items()
+        f"{name} = {material.value}: {material.words}"
+        for name, material in simulation.file.materials.items()
     ]
-    sentences.append(f"transport: {transport}")
+    return [*sentences, f"transport: {transport}"]
+
+
+def _volume_sentence(
+    model: SceneModel, number: int, indices: dict[str, float], crystal: CrystalVolume
+) -> str:
+    """Form, place, index and coefficients of a volume."""
+    from mcrim_mitsuba.transport.solid_names import form_of
+
+    volume, (lower, upper) = model.volumes[number], model.bounds(number)
+    text = f"{volume.name}: {form_of(model, number)}"
+    text += f", z from {_tidy(lower[2])} to {_tidy(upper[2])} mm"
+    if volume.name in indices:
+        text += f", index {indices[volume.name]:g}"
+    if volume.alpha_scat_per_mm or volume.alpha_abs_per_mm:
+        text += (
+            f", scatters {MM_PER_CM * volume.alpha_scat_per_mm:.4g} /cm{_scattering(volume)} "
+            f"and absorbs {MM_PER_CM * volume.alpha_abs_per_mm:.4g} /cm"
+        )
+    else:
+        text += ", clear"
+    if volume.endless:
+        text += "; light that enters it goes straight on, to what it meets from outside"
+    return text + (f"; {_emission(crystal)}" if number == crystal.volume else "")
+
+
+def _surface_sentences(surface: Surface) -> list[str]:
+    """What a surface does besides being an interface."""
+    sentences = []
+    if surface.aperture_radius_mm < np.inf:
+        sentences.append(
+            f"{surface.name} wears a black mask with a hole of radius "
+            f"{surface.aperture_radius_mm:g} mm{_off_axis(surface)}"
+        )
+    if surface.mask_reflectance > 0:
+        percent = 100 * surface.mask_reflectance
+        sentences.append(f"the mask of {surface.name} reflects {percent:g} % diffusely upwards")
+    if surface.reflectance > 0:
+        sentences.append(f"{surface.name} reflects {100 * surface.reflectance:g} % diffusely")
+    if surface.film is not None:
+        sentences.append(_film(surface))
+    if surface.plugin:
+        sentences.append(f"{surface.name} does what Mitsuba's {surface.plugin} does")
     return sentences
 
 
@@ -303,15 +315,15 @@ def _film(surface: Surface) -> str:
 def _scattering(volume: Volume) -> str:
     """How a volume scatters, where it is not evenly."""
     phases = {"hg": f"Henyey-Greenstein with g = {volume.scattering_g:g}", "rayleigh": "Rayleigh"}
-    said = [phases[volume.phase]] if volume.phase in phases else []
+    words = [phases[volume.phase]] if volume.phase in phases else []
     if volume.scattering_gradient:
-        said.append(f"{100 * volume.scattering_gradient:+g} % of it at the top")
+        words.append(f"{100 * volume.scattering_gradient:+g} % of it at the top")
     if volume.scattering_exponent:
-        said.append(
+        words.append(
             f"falling as wavelength^-{volume.scattering_exponent:g} over a band that is "
             f"{100 * volume.relative_bandwidth:.3g} % wide"
         )
-    return f" ({', '.join(said)})" if said else ""
+    return f" ({', '.join(words)})" if words else ""
 
 
 #: What a surface does less well than an ideal one, by the attribute that tells how much.
@@ -328,7 +340,7 @@ _IMPERFECTIONS = (
 
 def volume_indices(interfaces: Iterable[Interface]) -> dict[str, float]:
     """Index of every named volume, from its faces."""
-    return {volume: said[0][0] for volume, said in claimed_indices(interfaces).items()}
+    return {volume: claims[0][0] for volume, claims in claimed_indices(interfaces).items()}
 
 
 def _tidy(position_mm: float) -> str:

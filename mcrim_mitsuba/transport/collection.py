@@ -106,16 +106,16 @@ class Launcher:
             If the scene leaks, or does not have a record column.
         """
         units = (SHARE_STEPS,) if proposals is None else proposals.units
-        found = loop.launch(
+        launch = loop.launch(
             self.path, self._crystal, plan_lanes(photons, units), proposals=proposals, **options
         )
-        self.tally.add(found.photons_per_batch, found.weights)
+        self.tally.add(launch.photons_per_batch, launch.weights)
         lost = self.tally.fraction("lost")
         if lost > MOST_LOST and not may_leak:
             problem = f"{100 * lost:.3g} % of the light left a volume without crossing a face"
             mend = "run `mcrim check` on the scene: a face is missing, reversed or too small"
             raise InputError(problem, mend)
-        return found
+        return launch
 
 
 def collect(
@@ -176,11 +176,11 @@ def slope_along(
     slopes, number = FateTally(head_on=launcher.tally.head_on), 0
     while slopes.photons < photons:
         chunk = min(launcher.size, photons - slopes.photons)
-        found = launcher.launch(
+        launch = launcher.launch(
             chunk, seed=seed, number=number, max_depth=max_depth, tangent=tangent
         )
-        assert found.detected_slope is not None
-        slopes.add(found.photons_per_batch, {"detected": found.detected_slope})
+        assert launch.detected_slope is not None
+        slopes.add(launch.photons_per_batch, {"detected": launch.detected_slope})
         number += 1
     return slopes.eta, slopes.eta_sigma
 

@@ -65,7 +65,7 @@ class Solid:
 
     def test(self):
         """A function that tells of points (Point3f, mm) whether they lie in it (Mask)."""
-        known = [
+        planes = [
             (plane, [opaque([value]) for value in plane.axis], opaque([plane.offset]))
             for plane in self.planes
         ]
@@ -73,7 +73,7 @@ class Solid:
 
         def inside(point):
             held = mi.Mask(True) if disc is None else disc.holds(point)
-            for plane, weights, offset in known:
+            for plane, weights, offset in planes:
                 level = _component(point, plane.axis, weights)
                 held &= (level <= offset) if plane.high else (level >= offset)
             return held
@@ -104,7 +104,7 @@ def _find_convex_solids(model: SceneModel) -> list[Solid]:
     }
     # what is around a round solid
     hollow = {model.around(model.walls[wall]) for walls in round_walls.values() for wall in walls}
-    found = {
+    enclosed = {
         number: planes
         for number in range(len(model.volumes))
         if number not in {OUTSIDE, *hollow}
@@ -121,20 +121,17 @@ def _find_convex_solids(model: SceneModel) -> list[Solid]:
                 )
                 for side in sides
                 # no light comes back from a liquid without end
-                if side not in found and side != model.endless
+                if side not in enclosed and side != model.endless
             }
-            for number, planes in found.items()
+            for number, planes in enclosed.items()
         }
-        kept = {
-            number: found[number]
-            for number, others in around.items()
-            if len(others - clinging) <= 1
-        }
-        if len(kept) == len(found):
+        several = [number for number, others in around.items() if len(others - clinging) > 1]
+        if not several:
             break
-        found = kept
+        for number in several:
+            del enclosed[number]
     solids = []
-    for number, planes in found.items():
+    for number, planes in enclosed.items():
         walls = round_walls.get(number, ())
         circle = model.walls[walls[0]].circle if walls else None
         solids.append(Solid(number, tuple(planes), tuple(sorted(around[number])), walls, circle))
@@ -143,10 +140,10 @@ def _find_convex_solids(model: SceneModel) -> list[Solid]:
 
 def _round_wall(model: SceneModel, volume: int) -> tuple[int, ...]:
     """Indices of the walls that are all of the round wall around a volume; none if it has none."""
-    own = [i for i, wall in enumerate(model.walls) if model.within(wall) == volume]
+    numbers = [i for i, wall in enumerate(model.walls) if model.within(wall) == volume]
     # in the order of their heights
-    own.sort(key=lambda i: -np.inf if (above := model.walls[i].above_mm) is None else above)
-    walls = [model.walls[i] for i in own]
+    numbers.sort(key=lambda i: -np.inf if (above := model.walls[i].above_mm) is None else above)
+    walls = [model.walls[i] for i in numbers]
     if not walls or any(volume == model.around(wall) for wall in model.walls):
         return ()
     same = all(
@@ -158,7 +155,7 @@ def _round_wall(model: SceneModel, volume: int) -> tuple[int, ...]:
         whole = heights == [(None, None)]
     else:
         whole = len(walls) == 2 and heights[0] == (None, heights[1][0]) and heights[1][1] is None
-    return tuple(own) if same and whole else ()
+    return tuple(numbers) if same and whole else ()
 
 
 def _ends_and_circle(wall: RoundWall) -> list[float]:
@@ -187,17 +184,17 @@ def _planes(
     # what stands in it is tested for itself: it leaves a hole in what encloses it
     stands_in = any(volume in model.surfaces[wall.surface].sides for wall in model.walls)
     planes: list[Plane] = []
-    own_corners: list[np.ndarray] = []
+    all_corners: list[np.ndarray] = []
     for number, face in enumerate(model.flat_faces):
         interior, exterior = _sides(model, number)
         if volume not in (interior, exterior) or interior == exterior:
             continue
         outwards = face.normal if interior == volume else -face.normal
-        own = face.corners
-        own_corners.append(own)
+        corners = face.corners
+        all_corners.append(corners)
         area += face.filled_area if stands_in else face.area
-        axis = _axis(face.normal, own, axes, slack / 2)
-        levels, high = own @ axis, bool(axis @ outwards > 0)
+        axis = _axis(face.normal, corners, axes, slack / 2)
+        levels, high = corners @ axis, bool(axis @ outwards > 0)
         offset, side = float(levels.min() + levels.max()) / 2, (tuple(axis.tolist()), high)
         for plane in planes:
             if (plane.axis, plane.high) == side and abs(plane.offset - offset) <= slack / 2:
@@ -211,7 +208,7 @@ def _planes(
         return None
     if walls:
         return planes if _are_ends(model, planes, model.walls[walls[0]]) else None
-    corners = np.concatenate(own_corners)
+    corners = np.concatenate(all_corners)
     for plane in planes:
         beyond = (corners @ plane.axis - plane.offset) * (1.0 if plane.high else -1.0)
         if beyond.max() > slack:
@@ -231,7 +228,7 @@ def _are_ends(model: SceneModel, planes: list[Plane], wall: RoundWall) -> bool:
     offsets = sorted((plane.offset, plane.high) for plane in planes)
     if [plane.axis for plane in planes] != [along] * 2 or offsets[0][1]:
         return False
-    if not np.allclose([one for one, _ in offsets], (wall.low_mm, wall.high_mm), atol=slack):
+    if not np.allclose([offset for offset, _ in offsets], (wall.low_mm, wall.high_mm), atol=slack):
         return False
     for plane in planes:
         area = 0.0
@@ -260,7 +257,7 @@ def _axis(normal, corners, axes: list[np.ndarray], tolerance: float) -> np.ndarr
     for axis in (*axes, simple, scaled):
         if np.ptp(corners @ axis) <= tolerance:
             break
-    if not any(axis is known for known in axes):
+    if not any(axis is other for other in axes):
         axes.append(axis)
     return axis
 
@@ -394,6 +391,7 @@ class ConvexBody:
                 slabs[plane.axis] = _Slab(plane.axis, [number(value) for value in plane.axis])
             slabs[plane.axis].sides[plane.high] = self._side(model, plane, shape_of, number)
         self._slabs = list(slabs.values())
+        self._enters = bool(solid.around)
 
     def _side(self, model: SceneModel, plane: Plane, shape_of, number) -> _Side:
         rows: dict[int, list[int]] = {}
@@ -424,9 +422,38 @@ class ConvexBody:
         are returned as they are then; `here` tells of every volume whether light is in it (Mask).
         Light around a round wall that is on it, by `last_face` (UInt32), flies away from it.
         """
-        enters = bool(self.solid.around)
-        out, leaving = mi.Float(dr.inf), mi.UInt32(NO_FACE)
-        into, entering, slowness = mi.Float(-dr.inf), mi.UInt32(NO_FACE), mi.Float(0.0)
+        way = self._way_through(ray)
+        if self._wall is not None:
+            self._meet_wall(way, ray, last_face)
+        for slab in self._slabs:
+            for side in slab.sides.values():
+                way.leaving = _resolve(way.leaving, side.leave, side.leave_rows, ray, way.out)
+                if self._enters:
+                    way.entering = _resolve(
+                        way.entering, side.enter, side.enter_rows, ray, way.into
+                    )
+        met = here[self.solid.volume] & (way.out < best)
+        best, which = dr.select(met, way.out, best), dr.select(met, way.leaving, which)
+        if self._enters:
+            # what rounding has put just behind a face near an edge still meets that face
+            ahead = way.into >= -self._slack * dr.abs(way.slowness)
+            around, *others = (here[volume] for volume in self.solid.around)
+            for other in others:
+                around |= other
+            met = around & ahead & (way.into <= way.out) & (way.into < best)
+            met &= way.entering != NO_FACE
+            best, which = dr.select(met, way.into, best), dr.select(met, way.entering, which)
+        return best, which
+
+    def _way_through(self, ray: Ray) -> _Way:
+        """Where the planes let a ray out, and in, as if there were nothing else."""
+        way = _Way(
+            out=mi.Float(dr.inf),
+            leaving=mi.UInt32(NO_FACE),
+            into=mi.Float(-dr.inf),
+            entering=mi.UInt32(NO_FACE),
+            slowness=mi.Float(0.0),
+        )
         for slab in self._slabs:
             reciprocal, start, upwards = ray.along(slab.axis, slab.weights)
             high, low = slab.sides.get(True), slab.sides.get(False)
@@ -443,44 +470,46 @@ class ConvexBody:
                 near = _choice(upwards, low.enter, high.enter)
                 far_faces = near_faces = mi.Mask(True)
             t = (far_at - start) * reciprocal
-            nearer = far_faces & (t < out)
-            out, leaving = dr.select(nearer, t, out), dr.select(nearer, mi.UInt32(far), leaving)
-            if enters:
+            way.let_out(far_faces & (t < way.out), t, mi.UInt32(far))
+            if self._enters:
                 t = (near_at - start) * reciprocal
-                farther = near_faces & (t > into)
-                into = dr.select(farther, t, into)
-                entering = dr.select(farther, mi.UInt32(near), entering)
-                slowness = dr.select(farther, reciprocal, slowness)
-        if self._wall is not None:
-            t, t_in, root2 = self._wall.disc.crossings(ray)
-            nearer = t < out
-            out = dr.select(nearer, t, out)
-            leaving = dr.select(nearer, self._wall.met_at(ray, t), leaving)
-            if enters:
-                farther = t_in > into
-                into = dr.select(farther, t_in, into)
-                entering = dr.select(farther, self._wall.met_at(ray, t_in), entering)
-                entering = dr.select(self._wall.is_of(last_face), mi.UInt32(NO_FACE), entering)
-                steep = self._wall.disc.radius * dr.rsqrt(root2)
-                slowness = dr.select(farther, dr.minimum(steep, _GRAZING), slowness)
-        inside = here[self.solid.volume]
-        for slab in self._slabs:
-            for side in slab.sides.values():
-                leaving = _resolve(leaving, side.leave, side.leave_rows, ray, out)
-                if enters:
-                    entering = _resolve(entering, side.enter, side.enter_rows, ray, into)
-        met = inside & (out < best)
-        best, which = dr.select(met, out, best), dr.select(met, leaving, which)
-        if enters:
-            # what rounding has put just behind a face near an edge still meets that face
-            ahead = into >= -self._slack * dr.abs(slowness)
-            around, *others = (here[volume] for volume in self.solid.around)
-            for other in others:
-                around |= other
-            met = around & ahead & (into <= out) & (into < best)
-            met &= entering != NO_FACE
-            best, which = dr.select(met, into, best), dr.select(met, entering, which)
-        return best, which
+                way.let_in(near_faces & (t > way.into), t, mi.UInt32(near), reciprocal)
+        return way
+
+    def _meet_wall(self, way: _Way, ray: Ray, last_face) -> None:
+        """Let the round wall end the way through, or begin it."""
+        assert self._wall is not None
+        t, t_in, root2 = self._wall.disc.crossings(ray)
+        way.let_out(t < way.out, t, self._wall.met_at(ray, t))
+        if self._enters:
+            steep = self._wall.disc.radius * dr.rsqrt(root2)
+            number = self._wall.met_at(ray, t_in)
+            way.let_in(t_in > way.into, t_in, number, dr.minimum(steep, _GRAZING))
+            way.entering = dr.select(self._wall.is_of(last_face), mi.UInt32(NO_FACE), way.entering)
+
+
+@dataclass(kw_only=True)
+class _Way:
+    """A ray's way through a solid."""
+
+    #: Where it leaves (mm), and by which face.
+    out: Any
+    leaving: Any
+    #: Where it enters, by which face, and the reciprocal of the speed towards that.
+    into: Any
+    entering: Any
+    slowness: Any
+
+    def let_out(self, nearer, t, number) -> None:
+        """End it at a distance where that is `nearer`."""
+        self.out = dr.select(nearer, t, self.out)
+        self.leaving = dr.select(nearer, number, self.leaving)
+
+    def let_in(self, farther, t, number, slowness) -> None:
+        """Begin it at a distance where that is `farther`."""
+        self.into = dr.select(farther, t, self.into)
+        self.entering = dr.select(farther, number, self.entering)
+        self.slowness = dr.select(farther, slowness, self.slowness)
 
 
 #: Largest reciprocal of the cosine to a round wall's normal by which its slack grows.
@@ -506,19 +535,20 @@ class _Mantle:
 
     def is_of(self, face):
         """Whether faces of these numbers (UInt32) are this wall (Mask)."""
-        found = face == self._numbers[0]
+        wall = face == self._numbers[0]
         for number in self._numbers[1:]:
-            found |= face == number
-        return found
+            wall |= face == number
+        return wall
 
 
-def _choice(mask, one: int, other: int):
-    return one if one == other else dr.select(mask, mi.UInt32(one), mi.UInt32(other))
+def _choice(mask, number: int, otherwise: int):
+    same = number == otherwise
+    return number if same else dr.select(mask, mi.UInt32(number), mi.UInt32(otherwise))
 
 
-def _resolve(number, found: int, rows, ray: Ray, t):
-    """Which face of a plane is met at some distance, where it is `found` so far."""
-    here = number == found if rows else None
+def _resolve(number, first: int, rows, ray: Ray, t):
+    """Which face of a plane is met at some distance, where it is the `first` so far."""
+    here = number == first if rows else None
     for other, shapes in rows:
         inside = mi.Mask(False)
         for shape in shapes:

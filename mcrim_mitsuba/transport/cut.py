@@ -121,29 +121,29 @@ def _sweep(model: SceneModel, y_mm: float, along: int) -> Iterator[tuple]:
     pending = np.linspace(edges.min(), edges.max(), LINES + 2)[1:-1]
     # edges show what is thinner than the distance of these lines
     pending = np.concatenate([pending, *(edges + k * tolerance for k in (-9, -3, 3, 9))])
-    found: dict[float, _Met] = {}
+    crossed_by: dict[float, _Met] = {}
     rng = np.random.default_rng(0)
     for _ in range(20):
-        found |= _lines(model, y_mm + ASIDE * model.size_mm, along, pending)
-        places = sorted(found)
-        changes = [(a, b) for a, b in pairwise(places) if found[a][:2] != found[b][:2]]
+        crossed_by |= _lines(model, y_mm + ASIDE * model.size_mm, along, pending)
+        places = sorted(crossed_by)
+        changes = [(a, b) for a, b in pairwise(places) if crossed_by[a][:2] != crossed_by[b][:2]]
         wide = [(a, b) for a, b in changes if b - a > tolerance]
-        pairs = np.array([*wide, *_bends(found, places, 10 * tolerance)])
+        pairs = np.array([*wide, *_bends(crossed_by, places, 10 * tolerance)])
         if not len(pairs):
             break
         # Not evenly: a line that meets a rim is left out and must not be tried for ever; and with
         # one line that is known to hit: `trace_crossings` may fail where none does.
         shares = (np.arange(8) + rng.random((len(pairs), 8))) / 8
         pending = pairs[:, :1] + shares * np.ptp(pairs, axis=1, keepdims=True)
-        pending = np.append(pending, next(place for place in places if found[place][0]))
+        pending = np.append(pending, next(place for place in places if crossed_by[place][0]))
     # what lies before the first change and after the last one is outside the scene
     for (before, start), (end, after) in pairwise(changes):
-        if found[start][0]:
+        if crossed_by[start][0]:
             inner = [place for place in places if start <= place <= end]
-            crossed = np.array([found[place][2] for place in inner])
+            crossed = np.array([crossed_by[place][2] for place in inner])
             coords = np.pad(crossed, ((1, 1), (0, 0)), "edge")
             positions = np.array([(before + start) / 2, *inner, (end + after) / 2])
-            yield positions, coords, *found[start][:2]
+            yield positions, coords, *crossed_by[start][:2]
 
 
 def _lines(model: SceneModel, y: float, along: int, positions: np.ndarray) -> dict[float, _Met]:
@@ -151,23 +151,23 @@ def _lines(model: SceneModel, y: float, along: int, positions: np.ndarray) -> di
     origin, direction = np.full((len(positions), 3), y), np.eye(3)[[along] * len(positions)]
     origin[:, along], origin[:, 2 - along] = -2.0 * model.size_mm, positions
     met = trace_crossings(model, origin, direction)
-    found: dict[float, _Met] = {}
+    met_by: dict[float, _Met] = {}
     for line, distance in enumerate(met.distance):
         count = int(np.isfinite(distance).sum())
         surfaces, behind = (s[line, :count].tolist() for s in (met.surface, met.from_behind))
         coords = met.origin[line, along] + distance[:count]
-        found[float(met.origin[line, 2 - along])] = (surfaces, behind, coords)
-    return found
+        met_by[float(met.origin[line, 2 - along])] = (surfaces, behind, coords)
+    return met_by
 
 
 def _bends(
-    found: Mapping[float, _Met], places: Sequence[float], tolerance: float
+    lines: Mapping[float, _Met], places: Sequence[float], tolerance: float
 ) -> Iterator[tuple[float, float]]:
     """Neighbouring lines between which what they meet is the same, but not straight."""
     for a, b, c in zip(places, places[1:], places[2:], strict=False):
-        if found[a][:2] == found[b][:2] == found[c][:2]:
-            straight = found[a][2] + (b - a) / (c - a) * (found[c][2] - found[a][2])
-            if (np.abs(straight - found[b][2]) > tolerance).any():
+        if lines[a][:2] == lines[b][:2] == lines[c][:2]:
+            straight = lines[a][2] + (b - a) / (c - a) * (lines[c][2] - lines[a][2])
+            if (np.abs(straight - lines[b][2]) > tolerance).any():
                 yield from (pair for pair in ((a, b), (b, c)) if np.ptp(pair) > 3 * tolerance)
 
 
@@ -264,9 +264,9 @@ def lower_edge(model: SceneModel, crystal: CrystalVolume, indices: Mapping[str, 
     sheets: dict[str, np.ndarray] = {}
 
     def add_sheet(trace: Trace, side: ArrayLike, finish: Finish, name: str) -> None:
-        made = _sheet(scaled(trace.points), _SHEET * np.asarray(side), finish)
-        if made is not None:
-            sheets[name], body = made
+        sheet = _sheet(scaled(trace.points), _SHEET * np.asarray(side), finish)
+        if sheet is not None:
+            sheets[name], body = sheet
             bodies.append(body)
 
     for trace in cut.traces:
@@ -291,14 +291,14 @@ def _layers(
     low, high = centre[2] - height / 2, centre[2] + height / 2
     levels = cut.levels(at, 0)
     levels = np.array([low, *levels[(levels > low) & (levels < high)], high])
-    found = []
+    layers = []
     for a, b in pairwise(levels):
         whole = a > low and b < high
         left = np.array([[-WIDE / 2, 0.0, (z - centre[2]) / height] for z in (a, b)])
         volume = _volume_at(cut, at, (a + b) / 2)
         if whole or volume:
-            found.append(Layer(volume, float(b - a) if whole else None, left))
-    return tuple(found)
+            layers.append(Layer(volume, float(b - a) if whole else None, left))
+    return tuple(layers)
 
 
 def _volume_at(cut: CrossSection, x: float, z: float) -> int:
@@ -348,15 +348,15 @@ def _sheet(points: np.ndarray, aside: np.ndarray, finish: Finish) -> tuple[np.nd
     return np.array([x, 0.0, z]), body
 
 
-def _prism(one: np.ndarray, other: np.ndarray, front: float = 0.0) -> Triangles:
+def _prism(outline: np.ndarray, opposite: np.ndarray, front: float = 0.0) -> Triangles:
     """The band between two lines of as many points (x and z, shape (n, 2)), DEEP deep."""
 
     def at(line: np.ndarray, y: float) -> np.ndarray:
         return np.column_stack([line[:, 0], np.full(len(line), y), line[:, 1]])
 
-    near, far = (np.stack([at(one, y), at(other, y)]) for y in (front, DEEP))
+    near, far = (np.stack([at(outline, y), at(opposite, y)]) for y in (front, DEEP))
     quads = []
-    for i in range(len(one) - 1):
+    for i in range(len(outline) - 1):
         quads.append((near[0, i], near[0, i + 1], near[1, i + 1], near[1, i]))
         quads += [(near[k, i], near[k, i + 1], far[k, i + 1], far[k, i]) for k in (0, 1)]
     quads += [(near[0, i], near[1, i], far[1, i], far[0, i]) for i in (0, -1)]

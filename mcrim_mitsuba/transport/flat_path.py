@@ -60,6 +60,12 @@ class _Rectangle:
     #: What of it is left.
     circle: Disc | None = None
 
+    def crossed(self, ray, reciprocal, offset):
+        """Where a ray crosses the plane, from the reciprocal speed; whether from behind."""
+        upwards = ray.direction[self.axis] > 0
+        t = dr.fma(self.plane, reciprocal[self.axis], -offset[self.axis])
+        return t, upwards if self.positive else ~upwards
+
     def inside(self, ray, t):
         """Whether a point of the ray, which lies in the plane, lies on the face."""
         inside = mi.Mask(True)
@@ -83,6 +89,11 @@ class _Oblique:
     dual: list
     extent: list
     slack: Any
+
+    def crossed(self, ray, _reciprocal, _offset):
+        """Where a ray crosses the plane; whether from behind."""
+        towards = dr.dot(ray.direction, self.normal)
+        return dr.dot(self.corner - ray.origin, self.normal) / towards, towards > 0
 
     def inside(self, ray, t):
         """Whether a point of the ray, which lies in the plane, lies on the face."""
@@ -123,6 +134,7 @@ class FlatPath:
         # precision, so that no ray slips out between two faces.
         self._slack_mm = slack_of(model)
         self._numbers: dict[float, mi.Float] = {}
+        self._behind = self._number(-100.0 * self._slack_mm)
         solids = convex_solids(model)
         self._bodies = [
             ConvexBody(model, solid, lambda i: self._shape(faces[i]), self._number)
@@ -201,7 +213,6 @@ class FlatPath:
         reciprocal = dr.rcp(ray_d)
         offset = ray_o * reciprocal
         best, which = mi.Float(dr.inf), mi.UInt32(NO_FACE)
-        behind = self._number(-100.0 * self._slack_mm)
         here = [volume == number for number in range(len(self.model.volumes))]
         endless = self.model.endless
         if endless is not None:
@@ -211,51 +222,47 @@ class FlatPath:
             best, which = body.meet(ray, best, which, here, last_face)
         for face, (interior, exterior), shape in self._alone:
             number = mi.UInt32(face)
-            if isinstance(shape, _Rectangle):
-                upwards = ray_d[shape.axis] > 0
-                t = dr.fma(shape.plane, reciprocal[shape.axis], -offset[shape.axis])
-                leaving = upwards if shape.positive else ~upwards
-            else:
-                towards = dr.dot(ray_d, shape.normal)
-                t = dr.dot(shape.corner - ray_o, shape.normal) / towards
-                leaving = towards > 0
+            t, leaving = shape.crossed(ray, reciprocal, offset)
             if interior != exterior:
                 bordering = (leaving & here[interior]) | (~leaving & here[exterior])
-                ahead = (t > behind) & bordering
+                ahead = (t > self._behind) & bordering
             else:
                 ahead = t > 0.0
             hit = ahead & shape.inside(ray, t) & (t < best) & (last_face != number)
-            best = dr.select(hit, t, best)
-            which = dr.select(hit, number, which)
-        for number, (wall, disc) in enumerate(self._walls):
-            if wall not in self._walls_alone:
-                continue
-            within, around = self.model.within(wall), self.model.around(wall)
-            leaves, enters, root2 = disc.crossings(ray)
-            index = mi.UInt32(len(self.model.flat_faces) + number)
-            if within == around:
-                # a sheet, met from either side; of light on it, what flies inwards meets it again
-                fresh, inwards = last_face != index, enters > -dr.inf
-                times = [
-                    (enters, fresh & (enters > 0.0)),
-                    (leaves, (fresh | inwards) & (leaves > 0.0)),
-                ]
-            else:
-                t = dr.select(here[within], leaves, enters)
-                # light around it that is on it flies away from it
-                faced = here[within] | (here[around] & (last_face != index))
-                times = [(t, faced & (t > behind))]
-            for t, ahead in times:
-                # what lies within may be the outside, whose light need not come near
-                hit = ahead & (root2 > 0.0) & (t < best)
-                hit &= self._between(ray, t, disc.axis, wall.low_mm, wall.high_mm)
-                hit &= self._between(ray, t, 2, wall.above_mm, wall.below_mm)
-                best = dr.select(hit, t, best)
-                which = dr.select(hit, index, which)
+            best, which = dr.select(hit, t, best), dr.select(hit, number, which)
+        for index, (wall, disc) in enumerate(self._walls):
+            if wall in self._walls_alone:
+                number = mi.UInt32(len(self.model.flat_faces) + index)
+                for t, hit in self._crossings(ray, wall, disc, here, last_face == number):
+                    nearer = hit & (t < best)
+                    nearer &= self._between(ray, t, disc.axis, wall.low_mm, wall.high_mm)
+                    nearer &= self._between(ray, t, 2, wall.above_mm, wall.below_mm)
+                    best, which = dr.select(nearer, t, best), dr.select(nearer, number, which)
         if endless is not None:
             others = here[endless] & (which != NO_FACE)
             which = dr.select(others, which + self._count, which)
         return dr.maximum(best, 0.0), which
+
+    def _crossings(self, ray: Ray, wall: RoundWall, disc: Disc, here, on_it):
+        """Where a ray crosses a round wall's whole mantle, and whether light meets it there.
+
+        `on_it` (Mask) tells whether light is on the wall.
+        """
+        within, around = self.model.within(wall), self.model.around(wall)
+        leaves, enters, root2 = disc.crossings(ray)
+        # what lies within may be the outside, whose light need not come near
+        near = root2 > 0.0
+        if within == around:
+            # a sheet, met from either side; of light on it, what flies inwards meets it again
+            inwards = enters > -dr.inf
+            return [
+                (enters, ~on_it & (enters > 0.0) & near),
+                (leaves, (~on_it | inwards) & (leaves > 0.0) & near),
+            ]
+        t = dr.select(here[within], leaves, enters)
+        # light around it that is on it flies away from it
+        faced = here[within] | (here[around] & ~on_it)
+        return [(t, faced & (t > self._behind) & near)]
 
     def _between(self, ray: Ray, t, axis: int, low: float | None, high: float | None):
         """Whether a point of the ray lies between two levels on an axis, as far as there are."""
@@ -313,5 +320,5 @@ def _standing_alone(model: SceneModel, solids: list[Solid]) -> list[int]:
 
 def _walls_alone(model: SceneModel, solids: list[Solid]) -> list[RoundWall]:
     """Round walls that are no part of the convex solids' tests."""
-    known = {number for solid in solids for number in solid.walls}
-    return [wall for number, wall in enumerate(model.walls) if number not in known]
+    of_solids = {number for solid in solids for number in solid.walls}
+    return [wall for number, wall in enumerate(model.walls) if number not in of_solids]

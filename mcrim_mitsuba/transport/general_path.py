@@ -36,7 +36,7 @@ class Met:
     face: mi.UInt32
     ray: mi.Ray3f
     #: Of Mitsuba's shapes; not valid where the flat face is nearer.
-    found: mi.PreliminaryIntersection3f
+    hit: mi.PreliminaryIntersection3f
     #: Volume the ray is in.
     volume: mi.UInt32
 
@@ -91,7 +91,7 @@ class GeneralPath:
         if model.endless is not None:
             rows += [model.open_to(s) for s in surfaces]
             ends = [[side in s.sides for s in surfaces] for side in (OUTSIDE, model.endless)]
-            self._ends = [opaque(each, mi.Bool) for each in ends]
+            self._ends = [opaque(flags, mi.Bool) for flags in ends]
         normals += [np.zeros(3)] * (len(rows) - len(normals))
         self._tables = surface_physics.SurfaceTables(rows, normals)
         self._surface_number = surface_numbers(model)
@@ -108,10 +108,10 @@ class GeneralPath:
         if self._flat is not None:
             distance, face = self._flat.intersect(ray_o, ray_d, last_face, volume)
             ray.maxt = dr.minimum(distance, dr.largest(mi.Float))
-        found = self._scene.ray_intersect_preliminary(ray, coherent=False)
-        nearer = found.is_valid()
-        distance = dr.select(nearer, found.t, distance)
-        return distance, Met(dr.select(nearer, mi.UInt32(NO_FACE), face), ray, found, volume)
+        traced = self._scene.ray_intersect_preliminary(ray, coherent=False)
+        nearer = traced.is_valid()
+        distance = dr.select(nearer, traced.t, distance)
+        return distance, Met(dr.select(nearer, mi.UInt32(NO_FACE), face), ray, traced, volume)
 
     @staticmethod
     def face_of(met: Met):
@@ -124,14 +124,14 @@ class GeneralPath:
         A traced surface that the volume of the light is not on the near side of is passed as if
         it were not there: rounding has put the ray's start beyond the surface that it left.
         """
-        traced = active & met.found.is_valid()
+        traced = active & met.hit.is_valid()
         flags = mi.RayFlags.ShadingFrame if self._asks_bsdfs else mi.RayFlags.Minimal
-        si = met.found.compute_surface_interaction(met.ray, flags, traced)
-        surface = self._surface_number(met.found.shape, traced)
+        si = met.hit.compute_surface_interaction(met.ray, flags, traced)
+        surface = self._surface_number(met.hit.shape, traced)
         number = self._first_surface + surface
         if self.model.endless is not None:
             # outside and the endless volume are in one place: the face names one of them
-            to_air, to_liquid = (dr.gather(mi.Bool, each, surface, traced) for each in self._ends)
+            to_air, to_liquid = (dr.gather(mi.Bool, ends, surface, traced) for ends in self._ends)
             others = (met.volume == self.model.endless) & to_air
             others |= (met.volume == OUTSIDE) & to_liquid
             number = dr.select(others, number + len(self.model.surfaces), number)
@@ -202,8 +202,8 @@ def _surfaces_for_registers(model: SceneModel) -> set[int]:
     """Flat surfaces with BSDFs known here; those of fewest faces where there are too many."""
     numbers = [face.surface for face in model.flat_faces]
     numbers += [wall.surface for wall in model.walls]
-    known = (number for number in numbers if model.surfaces[number].kind != OTHER)
-    fewest_first = sorted(Counter(known).items(), key=lambda item: item[1])
+    surfaces = (number for number in numbers if model.surfaces[number].kind != OTHER)
+    fewest_first = sorted(Counter(surfaces).items(), key=lambda item: item[1])
     totals = itertools.accumulate(faces for _, faces in fewest_first)
     pairs = zip(fewest_first, totals, strict=True)
     return {surface for (surface, _), total in pairs if total <= MOST_FACES}

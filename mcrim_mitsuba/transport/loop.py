@@ -185,15 +185,7 @@ class Loop:
             self._births = emitter.sample(rng, photons)
             dr.eval(self._births)
             self._last_slot = opaque([photons - 1], mi.UInt32)
-        surfaces = path.model.surfaces
-        frequent = {
-            physics.DETECTED: True,
-            physics.ESCAPED: True,
-            physics.APERTURE: any(s.aperture_radius_mm < np.inf for s in surfaces),
-            physics.REFLECTOR: any(s.kind == DIFFUSE for s in surfaces),
-            physics.SURFACE: path.surfaces_may_absorb,
-        }
-        self._frequent = [code for code, happens in frequent.items() if happens]
+        self._frequent = _frequent_fates(path)
         # Rare fates are added to memory; registers are kept for what happens all the time.
         self._rare = {code: dr.zeros(mi.Float, lanes) for code in (physics.TRUNCATED, physics.LOST)}
         # Scattering and absorption (1/mm) of the volumes that have them, by their number.
@@ -211,10 +203,10 @@ class Loop:
             self._scat[source] = opaque(scat[plan.proposal])
             self._absorb[source] = opaque([proposals.alpha_abs_per_cm / MM_PER_CM])
         for number, slopes in (tangent or {}).items():
-            for known, slope in zip((self._scat, self._absorb), slopes, strict=True):
-                known[number] = mi.Float(known[number])
-                dr.enable_grad(known[number])
-                dr.set_grad(known[number], slope)
+            for coefficients, slope in zip((self._scat, self._absorb), slopes, strict=True):
+                coefficients[number] = mi.Float(coefficients[number])
+                dr.enable_grad(coefficients[number])
+                dr.set_grad(coefficients[number], slope)
         self._scattering = Scattering(path.model, self._scat)
 
     def start(self) -> Photon:
@@ -412,12 +404,16 @@ class Loop:
         """What the loop found, when it has run."""
         slope: Any = None
         if self._tangent is not None:
-            varied = [known[n] for known in (self._scat, self._absorb) for n in self._tangent]
+            varied = [
+                coefficients[n]
+                for coefficients in (self._scat, self._absorb)
+                for n in self._tangent
+            ]
             dr.enqueue(dr.ADMode.Forward, varied)
             dr.traverse(dr.ADMode.Forward)
             slope = dr.grad(final.fates[physics.DETECTED])
         totals = final.fates | self._rare
-        tables = [each.tables for each in (self.store, self.trails) if each is not None]
+        tables = [store.tables for store in (self.store, self.trails) if store is not None]
         dr.eval(totals, final.absorbed, slope, tables)
 
         def per_batch(total):
@@ -436,9 +432,22 @@ class Loop:
         )
 
 
+def _frequent_fates(path) -> list[int]:
+    """Fates that photons of the scene meet all the time."""
+    surfaces = path.model.surfaces
+    happens = {
+        physics.DETECTED: True,
+        physics.ESCAPED: True,
+        physics.APERTURE: any(s.aperture_radius_mm < np.inf for s in surfaces),
+        physics.REFLECTOR: any(s.kind == DIFFUSE for s in surfaces),
+        physics.SURFACE: path.surfaces_may_absorb,
+    }
+    return [code for code, often in happens.items() if often]
+
+
 def _here(coefficients, inside):
     """The coefficient of the volume a photon is in."""
     value = mi.Float(0.0)
-    for number, own in coefficients.items():
-        value = dr.select(inside[number], own, value)
+    for number, alpha in coefficients.items():
+        value = dr.select(inside[number], alpha, value)
     return value

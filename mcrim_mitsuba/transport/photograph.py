@@ -44,20 +44,20 @@ def surface_triangles(model: SceneModel) -> tuple[Triangles, ...]:
         if face.surface in round_ones:
             continue
         around = face.corners
-        own = [around[[0, i, i + 1]] for i in range(1, len(around) - 1)]
-        flat.setdefault(face.surface, []).extend(own)
+        fan = [around[[0, i, i + 1]] for i in range(1, len(around) - 1)]
+        flat.setdefault(face.surface, []).extend(fan)
     mantles = {wall.surface: wall for wall in model.walls if wall.outwards}
-    found = []
+    surfaces = []
     for number, shape in enumerate(model.shapes):
-        made = Triangles(np.array(flat[number])) if number in flat else _curved(shape)
+        triangles = Triangles(np.array(flat[number])) if number in flat else _curved(shape)
         if shape.is_mesh() and number in mantles:
-            circle = mantles[number].circle
-            normals = np.zeros_like(made.corners)
-            normals[..., circle.across] = made.corners[..., circle.across] - circle.centre_mm
+            circle, corners = mantles[number].circle, triangles.corners
+            normals = np.zeros_like(corners)
+            normals[..., circle.across] = corners[..., circle.across] - circle.centre_mm
             normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-            made = _orderly(made.corners, normals)
-        found.append(made)
-    return tuple(found)
+            triangles = _orderly(corners, normals)
+        surfaces.append(triangles)
+    return tuple(surfaces)
 
 
 def _curved(shape) -> Triangles:
@@ -203,13 +203,14 @@ def _smoothed(mean: np.ndarray, variance: np.ndarray, guide, camera: Camera) -> 
             index = mi.UInt32(at_y * wide + at_x)
             there &= dr.gather(mi.UInt32, guide, index, there) == guide
             other = dr.gather(mi.Color3f, light, index, there)
-            own = dr.gather(mi.Float, noise, index, there)
-            difference = dr.squared_norm(other - light) / (_TOLERANCE * (noise + own) + 1e-7)
+            other_noise = dr.gather(mi.Float, noise, index, there)
+            tolerance = _TOLERANCE * (noise + other_noise) + 1e-7
+            difference = dr.squared_norm(other - light) / tolerance
             weight = _SPLINE[abs(dy)] * _SPLINE[abs(dx)] * dr.exp(-difference)
             weight = dr.select(there, weight, 0.0)
             total += weight * other
             weights += weight
-            noises += dr.square(weight) * own
+            noises += dr.square(weight) * other_noise
         light, noise = total / weights, noises / dr.square(weights)
         dr.eval(light, noise)
     return np.array(light, dtype=float)
@@ -219,9 +220,9 @@ def _smoothed(mean: np.ndarray, variance: np.ndarray, guide, camera: Camera) -> 
 def _light(scene, camera: Camera, first, samples: int, seed: int):
     """What light paths from all pixels bring (Color3f), the samples of a pixel side by side."""
     lanes = camera.width * camera.height * samples
-    lane, each = dr.arange(mi.UInt32, lanes), opaque([samples], mi.UInt32)
-    numbers = _Numbers(lane // each, first + lane % each, seed)
-    ray = _rays(camera, lane // each, numbers.pair(0))
+    lane, per_pixel = dr.arange(mi.UInt32, lanes), opaque([samples], mi.UInt32)
+    numbers = _Numbers(lane // per_pixel, first + lane % per_pixel, seed)
+    ray = _rays(camera, lane // per_pixel, numbers.pair(0))
     throughput, light = mi.Color3f(1.0), mi.Color3f(0.0)
     depth, active = mi.UInt32(0), mi.Mask(True)
     context = mi.BSDFContext()
@@ -262,8 +263,8 @@ class _Numbers:
         dimension = mi.UInt32(dimension)
         even = dimension < len(GENERATORS)
         generator = dr.gather(mi.UInt32, self._generators, dimension, even)
-        own = dr.select(even, 0, self._sample * mi.UInt32(0x9E3779B9))
-        shift, _ = mi.sample_tea_32(self._pixel ^ own, self._salt + dimension, HASH_ROUNDS)
+        offset = dr.select(even, 0, self._sample * mi.UInt32(0x9E3779B9))
+        shift, _ = mi.sample_tea_32(self._pixel ^ offset, self._salt + dimension, HASH_ROUNDS)
         return mi.Float((shift + self._mirrored * generator) >> 8) * 2.0**-24
 
     def pair(self, dimension):

@@ -144,15 +144,15 @@ def edges(shapes: Iterable[Triangles], radius: float) -> Triangles:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     size = np.ptp(corners.reshape(-1, 3), axis=0).max()
-    known: dict[tuple, list] = {}
+    by_place: dict[tuple, list] = {}
     for triangle, normal in zip(corners, normals, strict=True):
         for ends in triangle[[[0, 1], [1, 2], [2, 0]]]:
             key = tuple(sorted(map(tuple, np.round(ends / (1e-5 * size)).astype(int).tolist())))
-            known.setdefault(key, []).append((ends, normal))
+            by_place.setdefault(key, []).append((ends, normal))
     rods = []
-    for found in known.values():
-        ends, normal = found[0]
-        others = [other for _, other in found[1:]]
+    for sides in by_place.values():
+        ends, normal = sides[0]
+        others = [other for _, other in sides[1:]]
         sharp = any(normal @ other < _SHARP for other in others)
         if sharp or (not others and _is_rim(ends, normal, corners, normals)):
             rods.append(_rod(ends[0], ends[1], radius))
@@ -176,9 +176,9 @@ def _rod(start: np.ndarray, end: np.ndarray, radius: float) -> np.ndarray:
     aside *= radius / np.linalg.norm(aside)
     other = np.cross(along, aside)
     ring, rod = [aside, other, -aside, -other], []
-    for one, two in zip(ring, ring[1:] + ring[:1], strict=True):
-        rod.append((start + one, end + one, end + two))
-        rod.append((start + one, end + two, start + two))
+    for side, next_side in zip(ring, ring[1:] + ring[:1], strict=True):
+        rod.append((start + side, end + side, end + next_side))
+        rod.append((start + side, end + next_side, start + next_side))
     return np.array(rod)
 
 
@@ -252,8 +252,8 @@ class PhotographedBench:
                 bodies += _rods(self._enclosing(number), _shade(number))
         for surface, shape in self._faces:
             if surface.kind == DIELECTRIC:
-                one, other = map(self._tint, surface.sides)
-                tint = (one[0] * other[0], one[1] * other[1], one[2] * other[2])
+                inner, outer = map(self._tint, surface.sides)
+                tint = (inner[0] * outer[0], inner[1] * outer[1], inner[2] * outer[2])
                 bodies.append(Body(shape, Finish(GLASS, tint, surface.eta, surface.roughness)))
             else:
                 bodies.append(Body(shape, _opaque(surface)))
@@ -288,8 +288,8 @@ class PhotographedBench:
         from mcrim_mitsuba.transport.solid_names import named_form
 
         volume = self._model.volumes[number]
-        own = self._enclosing(number)
-        points = _points(own)
+        faces = self._enclosing(number)
+        points = _points(faces)
         index, air = self._indices.get(volume.name), self._is_air(number)
         size = np.ptp(points, axis=0)
         wide = f"{size[0]:.4g} × {size[1]:.4g} mm, {size[2]:.3g} mm thick"
@@ -306,7 +306,7 @@ class PhotographedBench:
         bodies: list[Body] = []
         if not air:
             finish = Finish(GLASS, self._tint(number), index or 1.5)
-            bodies = [Body(shape, finish) for shape in own] + _rods(own, _shade(number))
+            bodies = [Body(shape, finish) for shape in faces] + _rods(faces, _shade(number))
         return BenchPart(volume.name, tuple(details), tuple(bodies), points)
 
     def _enclosing(self, number: int) -> list[Triangles]:
@@ -386,7 +386,7 @@ def _shade(number: int) -> Colour:
 def _outside_circle(triangles: np.ndarray, centre: tuple[float, float], radius: float):
     """What of horizontal triangles lies outside a circle, in triangles: shape (n, 3, 3)."""
     angles = np.linspace(0.0, 2.0 * np.pi, _SECTORS + 1)
-    found = []
+    outside = []
     for triangle in triangles:
         if np.linalg.norm(triangle[:, :2] - centre, axis=1).max() <= radius:
             continue
@@ -402,8 +402,8 @@ def _outside_circle(triangles: np.ndarray, centre: tuple[float, float], radius: 
                 polygon = _clipped(polygon, (polygon[:, :2] - centre) @ normal - offset)
                 if len(polygon) < 3:
                     break
-            found += [polygon[[0, i, i + 1]] for i in range(1, len(polygon) - 1)]
-    return np.array(found).reshape(-1, 3, 3)
+            outside += [polygon[[0, i, i + 1]] for i in range(1, len(polygon) - 1)]
+    return np.array(outside).reshape(-1, 3, 3)
 
 
 def _clipped(polygon: np.ndarray, distance: np.ndarray) -> np.ndarray:

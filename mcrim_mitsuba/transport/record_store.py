@@ -60,8 +60,8 @@ def _at_surface(event: Callable[..., Any]) -> Callable[..., Any]:
     """Whether something happens (Mask or ``None``) at a surface, and the photon goes on."""
 
     def happens(step: Step, mine):
-        found = event(step.outcome, mine)
-        return None if found is None else found & step.at_surface & ~step.ended
+        happened = event(step.outcome, mine)
+        return None if happened is None else happened & step.at_surface & ~step.ended
 
     return happens
 
@@ -85,13 +85,13 @@ BIRTH_PLACE = ("birth_from_left_mm", "birth_from_front_mm", "birth_from_top_mm")
 COLUMNS = {
     # internal ones at the crystal's polished faces
     "reflections": Recorded(
-        np.uint16, _at_surface(lambda found, mine: found.polished & ~found.crossed & mine)
+        np.uint16, _at_surface(lambda outcome, mine: outcome.polished & ~outcome.crossed & mine)
     ),
     # times that a diffuse reflector, or a detector, sent the photon back
-    "reflector_hits": Recorded(np.uint8, _at_surface(lambda found, mine: found.from_reflector)),
-    "detector_hits": Recorded(np.uint8, _at_surface(lambda found, mine: found.from_detector)),
+    "reflector_hits": Recorded(np.uint8, _at_surface(lambda outcome, mine: outcome.from_reflector)),
+    "detector_hits": Recorded(np.uint8, _at_surface(lambda outcome, mine: outcome.from_detector)),
     # times that the upper side of a mask did
-    "mask_hits": Recorded(np.uint8, _at_surface(lambda found, mine: found.from_mask)),
+    "mask_hits": Recorded(np.uint8, _at_surface(lambda outcome, mine: outcome.from_mask)),
     MASK_RADIUS: Recorded(
         np.float32, lambda step, mine: step.outcome.mask_radius2_mm2, kept=dr.sqrt
     ),
@@ -152,14 +152,14 @@ class RecordStore:
     def __init__(self, emitter: CrystalVolume, photons: int, columns: Sequence[str]) -> None:
         volumes = emitter.model.volumes
         others = [n for n in range(len(volumes)) if n != emitter.volume]
-        known = COLUMNS | {f"path_{volumes[n].name}_cm": _path_in(n) for n in others}
+        available = COLUMNS | {f"path_{volumes[n].name}_cm": _path_in(n) for n in others}
         for name in columns:
-            if name not in known:
+            if name not in available:
                 problem = f"photon records have no column {name!r}"
-                raise InputError(problem, f"use one of {', '.join(known)}")
+                raise InputError(problem, f"use one of {', '.join(available)}")
         if volumes[emitter.volume].uneven:
             columns = (*columns, SCATTERING_PATH)
-        self._columns = _OF_ALL | {name: known[name] for name in columns}
+        self._columns = _OF_ALL | {name: available[name] for name in columns}
         self._source, self._photons = emitter.volume, photons
         self._left_front_top = opaque_vector([*emitter.lower[:2], emitter.upper[2]])
         self._head_on = emitter.model.head_on
@@ -231,23 +231,23 @@ class RecordStore:
             return {name: np.zeros(0, kind) for name, kind in kinds.items()}
         rows = [c for table in self.tables for c in dr.gather(mi.Vector4f, table, seen)]
         # the first lanes may follow one photon more
-        each, more = divmod(self._photons, plan.lanes)
-        of_more = opaque([more * (each + 1)], mi.UInt32)
+        per_lane, more = divmod(self._photons, plan.lanes)
+        of_more = opaque([more * (per_lane + 1)], mi.UInt32)
         lane = dr.select(
             seen < of_more,
-            seen // opaque([each + 1], mi.UInt32),
-            opaque([more], mi.UInt32) + (seen - of_more) // opaque([each], mi.UInt32),
+            seen // opaque([per_lane + 1], mi.UInt32),
+            opaque([more], mi.UInt32) + (seen - of_more) // opaque([per_lane], mi.UInt32),
         )
-        found = {"batch": dr.gather(mi.UInt32, opaque(plan.batch, mi.UInt32), lane)}
+        columns = {"batch": dr.gather(mi.UInt32, opaque(plan.batch, mi.UInt32), lane)}
         for (name, column), value in zip(self._columns.items(), rows, strict=False):
             if column.counts:
                 most = int(np.iinfo(column.kind).max)
                 value = dr.minimum(dr.reinterpret_array(mi.UInt32, value), most)
-            found[name] = column.kept(value)
+            columns[name] = column.kept(value)
         if self._head_on != 1.0:
-            found["w"] /= self._head_on
-        dr.eval(found)
-        return {name: np.asarray(column).astype(kinds[name]) for name, column in found.items()}
+            columns["w"] /= self._head_on
+        dr.eval(columns)
+        return {name: np.asarray(column).astype(kinds[name]) for name, column in columns.items()}
 
 
 class TrailStore:

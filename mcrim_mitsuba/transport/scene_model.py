@@ -136,8 +136,8 @@ class Circle:
     @property
     def across(self) -> tuple[int, int]:
         """The two other axes."""
-        one, other = (axis for axis in range(3) if axis != self.axis)
-        return one, other
+        first, second = (axis for axis in range(3) if axis != self.axis)
+        return first, second
 
     @property
     def area(self) -> float:
@@ -147,10 +147,10 @@ class Circle:
     def points(self, level_mm: float, count: int = 180) -> np.ndarray:
         """Points around it at a level on its axis, shape (count, 3), mm."""
         angle = 2.0 * np.pi * np.arange(count) / count
-        found = np.full((count, 3), level_mm)
+        points = np.full((count, 3), level_mm)
         away = self.radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
-        found[:, self.across] = away + self.centre_mm
-        return found
+        points[:, self.across] = away + self.centre_mm
+        return points
 
     def margin(self, points: np.ndarray) -> np.ndarray:
         """How far on the face's side of it points, shape (n, 3), lie, in radii."""
@@ -225,9 +225,9 @@ class FlatFace:
     @property
     def corners(self) -> np.ndarray:
         """In their order around the face, shape (3 or 4, 3), mm."""
-        one, other = self.corner + self.edge_u, self.corner + self.edge_v
-        far = [] if self.triangle else [one + self.edge_v]
-        return np.array([self.corner, one, *far, other])
+        beside, opposite = self.corner + self.edge_u, self.corner + self.edge_v
+        far = [] if self.triangle else [beside + self.edge_v]
+        return np.array([self.corner, beside, *far, opposite])
 
     @property
     def area(self) -> float:
@@ -297,9 +297,9 @@ class SceneModel:
     @functools.cached_property
     def _endless_index(self) -> float:
         """Index of the endless volume, that outside being 1: from faces of what borders both."""
-        known = [s for s in self.surfaces if s.kind == DIELECTRIC]
-        wet = {s.interior: s.eta for s in known if s.exterior == self.endless}
-        dry = {s.interior: s.eta for s in known if s.exterior == OUTSIDE}
+        interfaces = [s for s in self.surfaces if s.kind == DIELECTRIC]
+        wet = {s.interior: s.eta for s in interfaces if s.exterior == self.endless}
+        dry = {s.interior: s.eta for s in interfaces if s.exterior == OUTSIDE}
         for volume in wet.keys() & dry.keys():
             return dry[volume] / wet[volume]
         name = self.volumes[self.endless or OUTSIDE].name

@@ -214,7 +214,7 @@ class Simulation:
         """What a tally of this scene's photons says; parameters as those of `collect`."""
         truncated, lost = tally.fraction("truncated"), tally.fraction("lost")
         missed = precision is not None and not interrupted and not tally.reaches(precision)
-        said = {
+        notes_if = {
             f"interrupted after {tally.photons:,} of {requested:,} photons": interrupted,
             f"{100 * truncated:.3g} % of the light was still under way after "
             f"{max_depth} flights and was cut off; eta could be up to that "
@@ -232,7 +232,7 @@ class Simulation:
             seconds=seconds,
             notes=(
                 *calibration_notes(tally.head_on),
-                *(note for note, holds in said.items() if holds),
+                *(note for note, holds in notes_if.items() if holds),
                 *notes,
             ),
             requested=requested,
@@ -251,8 +251,8 @@ def calibration_notes(head_on: float) -> tuple[str, ...]:
     """What the user must know of a detector that detects such a part of light head-on."""
     if head_on == 1.0:
         return ()
-    said = f"the detector detects {100 * head_on:.4g} % of light that arrives head-on, and eta"
-    return (f"{said} counts relative to that; the fate detected does not",)
+    relation = f"the detector detects {100 * head_on:.4g} % of light that arrives head-on, and eta"
+    return (f"{relation} counts relative to that; the fate detected does not",)
 
 
 def _refuse(problems: Sequence[SceneProblem]) -> None:

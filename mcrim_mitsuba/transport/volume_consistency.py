@@ -209,14 +209,14 @@ def problems_of_volumes(
 
     `interfaces` are of the model's surfaces, in their order.
     """
-    said = []
+    rows = []
     for surface, face in zip(model.surfaces, interfaces, strict=True):
         named = (surface.exterior, face.n_exterior), (surface.interior, face.n_interior)
         # a volume without end lies where outside does, whatever the index there
         ends = [(0, None) if side == model.endless else (side, n) for side, n in named]
-        said.append([part for pair in zip(*ends, strict=True) for part in pair])
+        rows.append([part for pair in zip(*ends, strict=True) for part in pair])
     # volumes are small integers, exact as floats; an index that is not named is nan
-    near, far, n_near, n_far = np.array(said, dtype=float).T[:, crossings.surface]
+    near, far, n_near, n_far = np.array(rows, dtype=float).T[:, crossings.surface]
     sides = Sides(near, far, n_near, n_far, crossings.surface >= 0)
     judge = _Judge(file, model, interfaces, crossings, sides.exchanged(crossings.from_behind))
     if not judge.wrong.any():
@@ -227,13 +227,13 @@ def problems_of_volumes(
 def problems_of_named_volumes(interfaces: tuple[Interface, ...]) -> list[SceneProblem]:
     """Faces that give one and the same volume different indices."""
     problems = []
-    for volume, said in claimed_indices(interfaces).items():
-        counted = Counter(index for index, _ in said)
+    for volume, claims in claimed_indices(interfaces).items():
+        counted = Counter(index for index, _ in claims)
         usual = max(counted, key=lambda index: (counted[index], -index))
-        rest = [(index, face) for index, face in said if abs(index - usual) > SAME_INDEX]
+        rest = [(index, face) for index, face in claims if abs(index - usual) > SAME_INDEX]
         if rest:
             index, face = rest[0]
-            other = next(f for i, f in said if i == usual)
+            other = next(f for i, f in claims if i == usual)
             text = (
                 f"{face.surface} gives the {volume} the index {index:g}, but {other.surface} "
                 f"(line {other.line}) gives it {usual:g}"
@@ -322,9 +322,9 @@ class _Judge:
         if problems:
             # one tilted face opens both of its volumes
             return list(dict.fromkeys(problems))
-        for (one, other), _ in overlaps.most_common():
+        for (first, other), _ in overlaps.most_common():
             face = next(f for f in self._interfaces if names[other] in (f.interior, f.exterior))
-            text = f"the volumes {names[one]!r} and {names[other]!r} overlap"
+            text = f"the volumes {names[first]!r} and {names[other]!r} overlap"
             mend = "move or resize one of them so that they share one face at most"
             problems.append(_at(face, "overlap", text, mend))
         return problems
@@ -352,28 +352,28 @@ class _Judge:
 
     def _tilted(self, volume: int) -> SceneProblem | None:
         """A flat face of a volume that lies askew, so that it does not meet its neighbours."""
-        own = [f for f in self._model.flat_faces if f.surface in self._model.bordering(volume)]
-        near, found = RIM * self._model.size_mm, []
-        for face in own:
-            others = [one for one in own if one.surface != face.surface]
+        faces = [f for f in self._model.flat_faces if f.surface in self._model.bordering(volume)]
+        near, tilted = RIM * self._model.size_mm, []
+        for face in faces:
+            others = [other for other in faces if other.surface != face.surface]
             corners = face.corners
             met = np.zeros(len(corners), dtype=bool)
-            for one in others:
-                beside = np.abs((corners - one.corner) @ one.normal) < near
-                edge = min(np.linalg.norm(one.edge_u), np.linalg.norm(one.edge_v))
-                met |= beside & (one.margin(corners) > -near / edge)
+            for other in others:
+                beside = np.abs((corners - other.corner) @ other.normal) < near
+                edge = min(np.linalg.norm(other.edge_u), np.linalg.norm(other.edge_v))
+                met |= beside & (other.margin(corners) > -near / edge)
             # as it was meant: along another face of the volume, or else along an axis
-            meant = {self._interfaces[one.surface].surface: one.normal for one in others}
+            meant = {self._interfaces[other.surface].surface: other.normal for other in others}
             axes = zip(("y and z", "x and z", "x and y"), np.eye(3), strict=True)
             meant |= {f"the plane of {two}": axis for two, axis in axes}
             sines = {n: float(np.linalg.norm(np.cross(face.normal, v))) for n, v in meant.items()}
             what = min(sines, key=lambda name: round(sines[name], 6))
             degrees = math.degrees(math.asin(min(sines[what], 1.0)))
             if TILTS[0] < degrees < TILTS[1] and 2 * met.sum() <= len(corners):
-                found.append((int(met.sum()), degrees, what, self._interfaces[face.surface]))
-        if not found:
+                tilted.append((int(met.sum()), degrees, what, self._interfaces[face.surface]))
+        if not tilted:
             return None
-        _, degrees, what, face_of = min(found, key=lambda one: one[:2])
+        _, degrees, what, face_of = min(tilted, key=lambda other: other[:2])
         text = f"{face_of.surface} is tilted by {degrees:.3g} degrees against {what}"
         mend = "turn it back in its <transform>: as it lies, it does not meet its neighbours"
         return _at(face_of, "tilted_face", text, mend)
@@ -401,7 +401,7 @@ class _Judge:
         crossings, sides = self._crossings, Counter[tuple[int, bool]]()
         lower, upper = self._model.bounds(volume)
         size = (upper - lower).max()
-        own = np.isin(crossings.surface, self._model.bordering(volume))
+        of_volume = np.isin(crossings.surface, self._model.bordering(volume))
         for line in lines[:400]:
             o, d = crossings.origin[line], crossings.direction[line]
             with np.errstate(divide="ignore"):
@@ -409,7 +409,7 @@ class _Judge:
             first, last = t.min(axis=0), t.max(axis=0)
             if not first.max() < last.min():
                 continue
-            met = crossings.distance[line][own[line]]
+            met = crossings.distance[line][of_volume[line]]
             for distance, axis in (
                 (first.max(), int(first.argmax())),
                 (last.min(), int(last.argmin())),

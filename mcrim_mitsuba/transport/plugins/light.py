@@ -327,7 +327,7 @@ class LightCollectionIntegrator(mi.CppADIntegrator):
             if coefficient == ALPHA_SCAT and not volumes[volume].alpha_scat_per_mm:
                 problem = f"{name} is 0, and light that does not scatter tells no derivative by it"
                 raise InputError(problem, "give it a value above 0")
-            along = [float(coefficient == each) / MM_PER_CM for each in COEFFICIENTS]
+            along = [float(coefficient == name) / MM_PER_CM for name in COEFFICIENTS]
             self.slopes[name] = slope_along(launcher, tangent={volume: along}, **plan)
         return {name: slope for name, (slope, _) in self.slopes.items()}
 

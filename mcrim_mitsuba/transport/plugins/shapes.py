@@ -329,19 +329,19 @@ class Frame(Polygons):
 
 def _with_diagonals(corners: np.ndarray) -> np.ndarray:
     """Corners around the origin, and where the diagonals of a square meet the edges between."""
-    found = []
-    for one, other in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+    around = []
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         met = [0.0]
         for diagonal in ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)):
-            # one + t (other - one) = s diagonal, s > 0
-            edge = np.column_stack([other[:2] - one[:2], -np.array(diagonal)])
+            # start + t (end - start) = s diagonal, s > 0
+            edge = np.column_stack([end[:2] - start[:2], -np.array(diagonal)])
             if abs(np.linalg.det(edge)) < NARROWEST * np.linalg.norm(edge) ** 2:
                 continue
-            t, s = np.linalg.solve(edge, -one[:2])
+            t, s = np.linalg.solve(edge, -start[:2])
             if NARROWEST < t < 1.0 - NARROWEST and s > 0.0:
                 met.append(float(t))
-        found += [one + t * (other - one) for t in sorted(met)]
-    return np.array(found)
+        around += [start + t * (end - start) for t in sorted(met)]
+    return np.array(around)
 
 
 class GapSides(Polygons):
@@ -373,8 +373,8 @@ class GapSides(Polygons):
         a, start = width / 2, cut * width - width / 2
         ring = [(start, -a), (a, -a), (a, a), (start, a)]
         walls = [
-            np.array([(*one, -thickness), (*other, -thickness), (*other, 0.0), (*one, 0.0)])
-            for one, other in zip(ring, ring[1:] + ring[:1], strict=True)
+            np.array([(*foot, -thickness), (*end, -thickness), (*end, 0.0), (*foot, 0.0)])
+            for foot, end in zip(ring, ring[1:] + ring[:1], strict=True)
         ]
         return walls if is_there(start, a, width) else []
 
@@ -406,8 +406,8 @@ class RoundWallShape(Polygons):
         self.wall = RoundWall(Circle((0.0, 0.0), radius), -thickness, 0.0, -1)
         ring = _ring(radius)
         return [
-            np.array([(*other, -thickness), (*one, -thickness), (*one, 0.0), (*other, 0.0)])
-            for one, other in zip(ring, np.roll(ring, -1, axis=0), strict=True)
+            np.array([(*end, -thickness), (*start, -thickness), (*start, 0.0), (*end, 0.0)])
+            for start, end in zip(ring, np.roll(ring, -1, axis=0), strict=True)
         ]
 
 
@@ -458,13 +458,13 @@ def _hexagon(half, along: int, signs: tuple[float, float], leg: float) -> list[n
     So `transport.conversion` gets the fewest flat faces. The box of these half widths is centred
     on the origin; the edge runs along an axis and lies on the given sides of the two others.
     """
-    one, other = (axis for axis in range(3) if axis != along)
+    first, second = (axis for axis in range(3) if axis != along)
     outwards = np.zeros(3)
-    outwards[[one, other]] = signs
+    outwards[[first, second]] = signs
 
     def point(end: float, inset_one: float, inset_other: float, inset_end: float):
         inset, side = np.zeros(3), outwards.copy()
-        inset[[one, other, along]], side[along] = (inset_one, inset_other, inset_end), end
+        inset[[first, second, along]], side[along] = (inset_one, inset_other, inset_end), end
         return side * (half - inset)
 
     (a, b), (d, c) = ((point(end, 0, leg, leg), point(end, leg, 0, leg)) for end in (-1.0, 1.0))
@@ -496,8 +496,8 @@ class Wrapping(Polygons):
         ring = [(-a, -a), (a, -a), (a, a), (-a, a)]
         # Seen from inside, corners run anticlockwise, so that normals point inwards.
         walls = [
-            [(*one, 0.0), (*other, 0.0), (*other, top), (*one, top)]
-            for one, other in zip(ring[1:] + ring[:1], ring, strict=True)
+            [(*start, 0.0), (*end, 0.0), (*end, top), (*start, top)]
+            for start, end in zip(ring[1:] + ring[:1], ring, strict=True)
         ]
         return [*walls, [(x, y, top) for x, y in reversed(ring)]]
 
@@ -524,12 +524,12 @@ class BeamDetector(Polygons):
             raise ValueError("the width and the height of what the beam crosses must be positive")
         half = np.array([width, width, height]) / 2
         along = BEAM_AXES.index(axis)
-        one, other = (along + 1) % 3, (along + 2) % 3
+        across, up = (along + 1) % 3, (along + 2) % 3
         # clockwise as seen from beyond, so that the normal points back at the crystal
         corners = np.zeros((4, 3))
         corners[:, along] = half[along] + BEHIND_MM
-        corners[:, one] = half[one] * np.array([-1, -1, 1, 1])
-        corners[:, other] = half[other] * np.array([-1, 1, 1, -1])
+        corners[:, across] = half[across] * np.array([-1, -1, 1, 1])
+        corners[:, up] = half[up] * np.array([-1, 1, 1, -1])
         corners[:, 2] += half[2]
         return [corners]
 

@@ -64,14 +64,14 @@ class PrismSides(Polygons):
             raise ValueError("the width and the height of a prism must be positive")
         if not top_width >= 0.0:
             raise ValueError(f"a prism's top_width is {top_width:g}; give 0 or more")
-        foot, top = (regular_polygon(sides, each) for each in (width, top_width))
+        foot, top = (regular_polygon(sides, across) for across in (width, top_width))
         top[:, 2] = height
-        found = []
+        sides_around = []
         for i in range(sides):
             j = (i + 1) % sides
             upper = [top[j], top[i]] if top_width else [top[i]]
-            found.append(np.array([foot[i], foot[j], *upper]))
-        return found
+            sides_around.append(np.array([foot[i], foot[j], *upper]))
+        return sides_around
 
 
 class _Lying(Polygons):
@@ -181,15 +181,9 @@ class LyingFillet(_Lying):
         across = np.linspace(-wet, wet, 17)
         under = [(at, float(_height(radius, at))) for at in across]
         ends = []
-        for (one, up), (other, next_up) in itertools.pairwise(under):
-            end = np.array(
-                [
-                    (half, one, -thickness),
-                    (half, other, -thickness),
-                    (half, other, next_up),
-                    (half, one, up),
-                ]
-            )
+        for (left, up), (right, next_up) in itertools.pairwise(under):
+            foot = [(half, left, -thickness), (half, right, -thickness)]
+            end = np.array([*foot, (half, right, next_up), (half, left, up)])
             ends += [end, (end * (-1.0, 1.0, 1.0))[::-1]]
         return [*walls, *ends]
 
