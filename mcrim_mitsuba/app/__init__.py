@@ -1,6 +1,7 @@
 """The page: a campaign in a browser, its model moved by hand.
 
 `page` makes the application of a `session`, `access` serves it to the person who started it and
-to nobody else. A session has a `simulated_bench` and its `jobs`; `state`, `layout`, `bench_picture`
-and `exchange` are parts of these.
+to nobody else. A session has its `jobs`, a history of its `state`, and the model of the readings in
+the table, which a `simulated_bench` answers; `layout`, `bench_picture` and `exchange` show it and
+bring it in and out.
 """
