@@ -152,7 +152,6 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
     fitted = yields.fitted
     counts = fitted.statistical_sigma / fitted.value
     reflected = float(reflectance(1.0, 1.0, p.N_WINDOW.value))
-    budget = math.hypot(yields.eta_error, p.EFFICIENCY_ERROR.value / 100, counts)
     return [
         *(
             compare(
@@ -196,10 +195,10 @@ def yield_rows(yields: LightYields) -> list[ArticleRow]:
         compare(
             "total error with our eta",
             p.TOTAL_ERROR,
-            100 * budget,
+            100 * fitted.sigma / fitted.value,
             judged=False,
             remark=f"{100 * yields.eta_error:.1f} % eta, 10 % detector efficiency, "
-            f"{100 * counts:.1f} % counts: ±{fitted.value * budget:.2f} ph/keV",
+            f"{100 * counts:.1f} % counts: ±{fitted.sigma:.2f} ph/keV",
         ),
     ]
 
