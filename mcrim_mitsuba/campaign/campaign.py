@@ -9,24 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.campaign.entries import (
-    BEAM,
-    BEAM_TABLE,
-    CAMPAIGN,
-    CONVENTION,
-    KNOWN_YIELD,
-    LIGHT_YIELD,
-    LONGEST_WORDS,
-    NEXT,
-    NEXT_ENTRIES,
-    NEXT_MINUTES,
-    NEXT_SIGMA,
-    SAMPLES,
-    SHARED_SIGMA,
-    SPECTRUM,
-    choice,
-    number_within,
-)
+from mcrim_mitsuba.campaign import entries as schema
+from mcrim_mitsuba.campaign.entries import choice, number_within
 from mcrim_mitsuba.campaign.known_physics import with_known_physics
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading, read_table
 from mcrim_mitsuba.campaign.parameter import (
@@ -147,10 +131,10 @@ class Campaign:
     @property
     def light_yields(self) -> dict[str, tuple[str, LightYieldInput]]:
         """Scales that turn into light yields: these by name, and by what they do so."""
-        yields = {} if self.light_yield is None else {SCALE: (KNOWN_YIELD, self.light_yield)}
+        yields = {} if self.light_yield is None else {SCALE: (schema.KNOWN_YIELD, self.light_yield)}
         for sample in self.samples.values():
             if sample.light_yield is not None:
-                name = own_name(KNOWN_YIELD, sample.name)
+                name = own_name(schema.KNOWN_YIELD, sample.name)
                 yields[sample.named(SCALE)] = name, sample.light_yield
         return yields
 
@@ -283,7 +267,7 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
         mend = f"name a campaign (.toml) with {entries_of_it}"
         raise InputError(f"this is {kind}, not a campaign", mend, path=path)
     document = read_toml(path)
-    folder = _folder(document.table("", CAMPAIGN), trust_effects)
+    folder = _folder(document.table("", schema.CAMPAIGN), trust_effects)
     with collected(READS) as files:
         campaign = _campaign_of(document, folder)
     sources = () if folder is None else sorted(folder.glob("*.py"))
@@ -293,7 +277,7 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
 
 def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
     """The campaign of a document and of the user's own effects."""
-    entries = document.table("", CAMPAIGN)
+    entries = document.table("", schema.CAMPAIGN)
     effects = catalogue(folder)
     scene = read_scene(_sibling(entries, "scene"))
     table = read_table(_sibling(entries, "measurements"), scene.parameters)
@@ -318,11 +302,11 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
     campaign = _with_parameters(campaign, document)
     campaign = replace(
         campaign,
-        next_measurements=_read_next(document.table(NEXT), campaign),
+        next_measurements=_read_next(document.table(schema.NEXT), campaign),
         spectrum=_read_spectrum(entries, campaign),
         title=_words(entries, "title") or document.path.stem,
         unit=_words(entries, "unit"),
-        convention=choice(entries, CONVENTION, CAMPAIGN),
+        convention=choice(entries, schema.CONVENTION, schema.CAMPAIGN),
     )
     _refuse_contradictions(document, campaign)
     return with_known_physics(campaign)
@@ -369,11 +353,11 @@ def _detected(
         parts = dict(raw.efficiency.found.contributions)
         light_yield = replace(light_yield, efficiency_parts=parts)
     if (shared := shared_efficiency(document)) is not None:
-        table = document.table(LIGHT_YIELD)
+        table = document.table(schema.LIGHT_YIELD)
         if not own_scales:
             problem = "no sample has a scale of its own, and shares the efficiency's error"
             mend = "remove it: it is a part of detector_efficiency_sigma"
-            raise table.refusal(SHARED_SIGMA, problem, mend)
+            raise table.refusal(schema.SHARED_SIGMA, problem, mend)
         light_yield = without_shared(table, light_yield, shared)
         common = math.hypot(common, shared)
     sigma = 0.0 if own_scales else detector.relative_sigma
@@ -386,11 +370,9 @@ def _refuse_contradictions(document: TomlDocument, campaign: Campaign) -> None:
     if campaign.spectrum is not None:
         for sample in campaign.samples.values():
             if coefficients := sample.own.keys() & set(COEFFICIENTS):
-                coefficient = min(coefficients)
-                problem = (
-                    f"{SPECTRUM} is of one crystal, and {sample.name} has its own {coefficient}"
-                )
-                raise document.refusal(f"{SAMPLES}.{sample.name}", problem, f"remove {SPECTRUM}")
+                what = f"{schema.SPECTRUM} is of one crystal, and {sample.name} has its own"
+                key, mend = f"{schema.SAMPLES}.{sample.name}", f"remove {schema.SPECTRUM}"
+                raise document.refusal(key, f"{what} {min(coefficients)}", mend)
     if campaign.ndf < 0:
         raise InputError(
             f"{counted(len(campaign.free), 'free parameter')} ({', '.join(campaign.free)}) but "
@@ -424,7 +406,7 @@ def _read_beam(
     document: TomlDocument, scene: SceneFile, measurements: Measurements
 ) -> dict[str, Value]:
     """``[beam]``, completed by what is usual; empty where no reading is a transmittance."""
-    table = document.table(BEAM_TABLE, BEAM)
+    table = document.table(schema.BEAM_TABLE, schema.BEAM)
     given: dict[str, Value] = {
         name: str(value) if name == BEAM_AXIS else table.known_number(name)
         for name, value in table.items()
@@ -492,16 +474,16 @@ def _read_spectrum(entries: TomlTable, campaign: Campaign) -> EmittedLight | Non
 
     Where the table has no efficiency of the detector, that of ``[light_yield]`` stands in.
     """
-    if SPECTRUM not in entries:
+    if schema.SPECTRUM not in entries:
         return None
-    light = read_light(file_in(entries, SPECTRUM, entries[SPECTRUM]), campaign.scene)
+    light = read_light(file_in(entries, schema.SPECTRUM, entries[schema.SPECTRUM]), campaign.scene)
     raw = campaign.raw
     if raw is not None and raw.efficiency is not None and not light.detected:
         light = light.seen_by(raw.efficiency.quantum_efficiency)
     if not light.parameters.keys() & set(COEFFICIENTS):
         problem = f"neither {ALPHA_SCAT} nor {ALPHA_ABS} varies in {light.path.name}"
-        mend = f"add a column, or remove {SPECTRUM}: one wavelength says the same"
-        raise entries.refusal(SPECTRUM, problem, mend)
+        mend = f"add a column, or remove {schema.SPECTRUM}: one wavelength says the same"
+        raise entries.refusal(schema.SPECTRUM, problem, mend)
     return light
 
 
@@ -526,9 +508,9 @@ def _words(entries: TomlTable, name: str) -> str:
     words = visible(" ".join(given.split()))
     if not words:
         raise entries.refusal(name, f"{name} is empty", "write some words, or remove it")
-    if len(words) > LONGEST_WORDS:
+    if len(words) > schema.LONGEST_WORDS:
         problem = f"{name} has {len(words)} characters"
-        raise entries.refusal(name, problem, f"{LONGEST_WORDS} are enough")
+        raise entries.refusal(name, problem, f"{schema.LONGEST_WORDS} are enough")
     return words
 
 
@@ -592,10 +574,10 @@ def _read_next(table: TomlTable, campaign: Campaign) -> dict[str, Any]:
     """``[next_measurements]``: lists of values by scene parameter, their error, their minutes."""
     entries: dict[str, Any] = {}
     for name, values in table.items():
-        if name == NEXT_SIGMA:
-            entries[name] = number_within(table, name, NEXT_ENTRIES)
+        if name == schema.NEXT_SIGMA:
+            entries[name] = number_within(table, name, schema.NEXT_ENTRIES)
             continue
-        if name == NEXT_MINUTES:
+        if name == schema.NEXT_MINUTES:
             entries[name] = _read_minutes(table, values, campaign.scene)
             continue
         if (wrong := _wrong_next(name, values, campaign)) is not None:
@@ -607,16 +589,16 @@ def _read_next(table: TomlTable, campaign: Campaign) -> dict[str, Any]:
 def _read_minutes(table: TomlTable, minutes: Any, scene: SceneFile) -> dict[str, float]:
     """Minutes by scene parameter."""
     if not isinstance(minutes, dict):
-        mend = f"write {NEXT_MINUTES} = {{ n_gap = 20 }}"
-        raise table.refusal(NEXT_MINUTES, f"{NEXT_MINUTES} is not a table", mend)
+        mend = f"write {schema.NEXT_MINUTES} = {{ n_gap = 20 }}"
+        raise table.refusal(schema.NEXT_MINUTES, f"{schema.NEXT_MINUTES} is not a table", mend)
     for name, value in minutes.items():
         if name not in scene.parameters:
-            problem = f"{NEXT_MINUTES}: {name} is not a parameter of {scene.path.name}"
-            raise table.refusal(NEXT_MINUTES, problem, did_you_mean(name, scene.parameters))
+            problem = f"{schema.NEXT_MINUTES}: {name} is not a parameter of {scene.path.name}"
+            raise table.refusal(schema.NEXT_MINUTES, problem, did_you_mean(name, scene.parameters))
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
         if not number or not 0.0 <= value < math.inf:
-            problem = f"{NEXT_MINUTES}: {name} = {value} is not a number of minutes"
-            raise table.refusal(NEXT_MINUTES, problem, f"write {name} = 20")
+            problem = f"{schema.NEXT_MINUTES}: {name} = {value} is not a number of minutes"
+            raise table.refusal(schema.NEXT_MINUTES, problem, f"write {name} = 20")
     return {name: float(value) for name, value in minutes.items()}
 
 
@@ -627,7 +609,7 @@ def _wrong_next(name: str, values: Any, campaign: Campaign) -> tuple[str, str] |
     if name not in present:
         return (
             f"{name} is not a parameter of {scene.path.name}",
-            did_you_mean(name, [*scene.parameters, NEXT_SIGMA, NEXT_MINUTES]),
+            did_you_mean(name, [*scene.parameters, schema.NEXT_SIGMA, schema.NEXT_MINUTES]),
         )
     if isinstance(present[name], (bool, str)):
         return f"{name} is not a number", f"remove {name}"

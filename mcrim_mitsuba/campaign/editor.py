@@ -16,16 +16,8 @@ from typing import Any
 
 import tomlkit
 
+from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
-from mcrim_mitsuba.campaign.entries import (
-    FILE_ENTRIES,
-    HISTOGRAMS,
-    KNOWN_YIELD,
-    KNOWN_YIELD_SIGMA,
-    LIGHT_YIELD,
-    RAW_TABLES,
-    SPECTRUM,
-)
 from mcrim_mitsuba.campaign.known_physics import CRYSTAL_INDEX, INDEX, material_of
 from mcrim_mitsuba.campaign.measurements import KIND, SAMPLE, Measurements
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
@@ -88,8 +80,8 @@ def campaign_with_effects(
             within = within.setdefault(part, tomlkit.table())
         if key in keys.values() and key.endswith(f".{SCALE}"):
             # in place of a light yield that says the same of it
-            given = _table(document, key.replace(f"parameters.{SCALE}", LIGHT_YIELD)) or {}
-            for entry in (KNOWN_YIELD, KNOWN_YIELD_SIGMA):
+            given = _table(document, key.replace(f"parameters.{SCALE}", schema.LIGHT_YIELD)) or {}
+            for entry in (schema.KNOWN_YIELD, schema.KNOWN_YIELD_SIGMA):
                 given.pop(entry, None)
         for entry in ("prior", "prior_sigma", "fixed"):
             within.pop(entry, None)
@@ -144,10 +136,10 @@ def _document(
     document["scene"] = relative(scene)
     document["measurements"] = relative(measurements)
     if campaign.spectrum is not None:
-        document[SPECTRUM] = relative(campaign.spectrum.path)
+        document[schema.SPECTRUM] = relative(campaign.spectrum.path)
     if campaign.effects_folder is not None:
         document["effects_folder"] = relative(campaign.effects_folder)
-    for key, name in FILE_ENTRIES:
+    for key, name in schema.FILE_ENTRIES:
         if (table := _table(document, key)) is None:
             continue
         given = table.get(name)
@@ -204,8 +196,8 @@ def plain_texts(campaign: Campaign, target: Path, measurements: Path) -> tuple[s
     # what was said of the entry may not be true any more
     trivia = document["measurements"].trivia
     trivia.comment_ws = trivia.comment = ""
-    document.pop(HISTOGRAMS, None)
-    for key, names in RAW_TABLES:
+    document.pop(schema.HISTOGRAMS, None)
+    for key, names in schema.RAW_TABLES:
         if (table := _table(document, key)) is not None:
             for name in names:
                 table.pop(name, None)
@@ -214,7 +206,7 @@ def plain_texts(campaign: Campaign, target: Path, measurements: Path) -> tuple[s
         if (table := _table(document, key)) is not None:  # the raw entry stood there
             table[entry] = value
     # raw entries named the material, and the spectrum that its index was averaged over
-    if campaign.known_physics and (table := _table(document, LIGHT_YIELD)) is not None:
+    if campaign.known_physics and (table := _table(document, schema.LIGHT_YIELD)) is not None:
         table["material"] = material_of(campaign)
     if CRYSTAL_INDEX in campaign.known_physics:
         held = {"start": campaign.scene.parameters[INDEX], "fixed": True}
@@ -339,6 +331,8 @@ def _quoted(cell: str) -> str:
 def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) -> Campaign:
     """Reduce a campaign's raw data, and write it in plain numbers where asked.
 
+    Raises InputError if a file cannot be used or written, or if the campaign has no raw data.
+
     Parameters
     ----------
     campaign : str, Path or Campaign
@@ -350,11 +344,6 @@ def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) ->
     -------
     Campaign
         As it was read: its `raw` has all steps.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be used or written, or if the campaign has no raw data.
     """
     campaign = as_campaign(campaign)
     if campaign.raw is None:

@@ -149,6 +149,8 @@ def read_table(
 ) -> Measurements:
     """Read a measurement file (CSV), every row checked by itself and beside its namesakes.
 
+    Raises InputError, with file, line and column, if anything cannot be used.
+
     Parameters
     ----------
     path : str or Path
@@ -161,11 +163,6 @@ def read_table(
     scene_parameters : mapping of str to value, optional
         Parameters of the scene (`SceneFile.parameters`): a column must be one of them and
         its cells of the same kind. Without it every further column is accepted.
-
-    Raises
-    ------
-    InputError
-        With file, line and column, if anything cannot be used.
     """
     path = Path(path)
     text = _text_of(path)

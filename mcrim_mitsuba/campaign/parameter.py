@@ -7,26 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from mcrim_mitsuba.campaign.entries import (
-    ARTICLE,
-    COLLECTION,
-    COLLECTION_SIGMA,
-    CONVENTION,
-    CRYSTAL,
-    DETECTOR,
-    EFFICIENCY_OF,
-    IN_AIR,
-    IN_WINDOW,
-    LIGHT_YIELD,
-    PARAMETER,
-    RAW_TABLES,
-    SCALE,
-    SHARED,
-    YIELD,
-    Entries,
-    choice,
-    number_within,
-)
+from mcrim_mitsuba.campaign import entries as schema
+from mcrim_mitsuba.campaign.entries import SCALE, choice, number_within
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
 from mcrim_mitsuba.core.numbers import Value, parse_number, unit_of, value_text
@@ -123,15 +105,15 @@ def read_parameter(
         mend = f"remove [{key}] or the column" if named else "remove the effect or the column"
         raise document.refusal(key if named else "effects", problem, mend)
     # raw entries are numbers by now; here they only serve the hint about a slip
-    table = document.table(key, (*PARAMETER, *dict(RAW_TABLES).get(key, ())))
+    table = document.table(key, (*schema.PARAMETER, *dict(schema.RAW_TABLES).get(key, ())))
     fixed = table.get("fixed", False)
     if not isinstance(fixed, bool):
         raise table.refusal("fixed", "fixed is not true or false", "write fixed = true")
-    given = {entry: table.number(entry) for entry in PARAMETER if entry != "fixed"}
+    given = {entry: table.number(entry) for entry in schema.PARAMETER if entry != "fixed"}
     if (given["prior"] is None) != (given["prior_sigma"] is None):
         problem = f"{name} has only one of prior and prior_sigma"
         raise table.refusal("", problem, "give both or none")
-    number_within(table, "prior_sigma", PARAMETER)
+    number_within(table, "prior_sigma", schema.PARAMETER)
     in_scene = values.get(name)
     if isinstance(in_scene, (bool, str)):
         problem = f"{name} is {value_text(in_scene)} in the scene, not a number"
@@ -253,7 +235,7 @@ class LightYieldInput:
 
 
 def read_light_yield(
-    document: TomlDocument, key: str = LIGHT_YIELD, further: Entries | None = None
+    document: TomlDocument, key: str = schema.LIGHT_YIELD, further: schema.Entries | None = None
 ) -> LightYieldInput | None:
     """``[light_yield]``, or another table of that kind; None without one.
 
@@ -262,17 +244,21 @@ def read_light_yield(
     Raises InputError with the line, if an entry is unknown, missing or impossible.
     """
     # raw entries are numbers by now; here they only serve the hint about a slip
-    raw = dict(RAW_TABLES)[LIGHT_YIELD]
-    more = {**raw, **CRYSTAL, **DETECTOR, **SHARED} if further is None else further
-    table = document.table(key, (*YIELD, *more))
-    if LIGHT_YIELD not in document.table(key.removesuffix(LIGHT_YIELD).rstrip(".")):
+    raw = dict(schema.RAW_TABLES)[schema.LIGHT_YIELD]
+    more = (
+        {**raw, **schema.CRYSTAL, **schema.DETECTOR, **schema.SHARED}
+        if further is None
+        else further
+    )
+    table = document.table(key, (*schema.YIELD, *more))
+    if schema.LIGHT_YIELD not in document.table(key.removesuffix(schema.LIGHT_YIELD).rstrip(".")):
         return None
-    energy, efficiency, sigma = map(table.number, YIELD)
+    energy, efficiency, sigma = map(table.number, schema.YIELD)
     if energy is None or efficiency is None:
         problem = f"[{key}] needs energy_keV and detector_efficiency"
         raise table.refusal("", problem, "add the missing one or remove the table")
-    for name in YIELD:
-        number_within(table, name, YIELD)
+    for name in schema.YIELD:
+        number_within(table, name, schema.YIELD)
     crystal = None
     if "material" in table:
         with said_by(partial(table.refusal, "material")):
@@ -310,7 +296,7 @@ class DetectorTerms:
         if sigma:
             parts = {
                 **(parts or {"detector_efficiency": sigma_of_efficiency}),
-                COLLECTION: sigma * efficiency,
+                schema.COLLECTION: sigma * efficiency,
             }
         return replace(
             light_yield,
@@ -335,8 +321,8 @@ class DetectorTerms:
             )
         if self.collection is None:
             yield (
-                f"{COLLECTION} is not given and counts as 1: losses before the first dynode and "
-                "below the threshold (5 to 20 %) make the light yield higher, afterpulses lower"
+                f"{schema.COLLECTION} is not given and counts as 1: losses before the first dynode "
+                "and below the threshold (5 to 20 %) make the light yield higher, afterpulses lower"
             )
 
 
@@ -347,15 +333,24 @@ def read_detector(
 
     Raises InputError with the line, if an entry is impossible.
     """
-    table = document.table(LIGHT_YIELD)
-    collection, sigma = (number_within(table, n, DETECTOR) for n in (COLLECTION, COLLECTION_SIGMA))
+    table = document.table(schema.LIGHT_YIELD)
+    collection, sigma = (
+        number_within(table, n, schema.DETECTOR)
+        for n in (schema.COLLECTION, schema.COLLECTION_SIGMA)
+    )
     if sigma is not None and collection is None:
-        problem = f"{COLLECTION_SIGMA} without {COLLECTION}"
-        raise table.refusal(COLLECTION_SIGMA, problem, f"add {COLLECTION}, or remove it")
-    given = choice(table, EFFICIENCY_OF, DETECTOR)
-    usual = IN_WINDOW if document.content.get(CONVENTION) == ARTICLE else IN_AIR
+        problem = f"{schema.COLLECTION_SIGMA} without {schema.COLLECTION}"
+        raise table.refusal(
+            schema.COLLECTION_SIGMA, problem, f"add {schema.COLLECTION}, or remove it"
+        )
+    given = choice(table, schema.EFFICIENCY_OF, schema.DETECTOR)
+    usual = (
+        schema.IN_WINDOW
+        if document.content.get(schema.CONVENTION) == schema.ARTICLE
+        else schema.IN_AIR
+    )
     reflected = float(reflectance(1.0, 1.0, _window_index(document, scene, measurements)))
-    in_air = (given or usual) == IN_AIR
+    in_air = (given or usual) == schema.IN_AIR
     return DetectorTerms(reflected, in_air, given is not None, collection, sigma or 0.0)
 
 

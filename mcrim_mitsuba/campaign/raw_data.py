@@ -10,19 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mcrim_mitsuba.campaign.entries import (
-    ABSORPTION,
-    EFFICIENCY,
-    GAMMAS,
-    HISTOGRAMS,
-    LIGHT_YIELD,
-    PEAKS,
-    RAW_TABLES,
-    SOURCE_DEPTH,
-    TRANSMITTANCE,
-    choice,
-    number_within,
-)
+from mcrim_mitsuba.campaign import entries as schema
+from mcrim_mitsuba.campaign.entries import choice, number_within
 from mcrim_mitsuba.core.files import is_there, look_around, resolved
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
 from mcrim_mitsuba.laboratory.peak import SHAPES
@@ -94,7 +83,10 @@ def read_raw_entries(document: TomlDocument) -> RawEntries:
     Raises InputError with the line, if one is impossible, lacks what it needs, or stands beside the
     number that it replaces.
     """
-    for entries, parameter in ((TRANSMITTANCE, ABSORPTION), (GAMMAS, SOURCE_DEPTH)):
+    for entries, parameter in (
+        (schema.TRANSMITTANCE, schema.ABSORPTION),
+        (schema.GAMMAS, schema.SOURCE_DEPTH),
+    ):
         raw = next(iter(entries))
         for other in document.table("parameters"):
             table = document.table(f"parameters.{other}")
@@ -102,11 +94,12 @@ def read_raw_entries(document: TomlDocument) -> RawEntries:
                 problem = f"{raw} says nothing of {other}"
                 raise table.refusal(raw, problem, f"write it into [parameters.{parameter}]")
     return RawEntries(
-        shape=choice(document.table(HISTOGRAMS, PEAKS), "shape", PEAKS) or SHAPES[0],
-        transmittance=_read_transmittance(document.table(f"parameters.{ABSORPTION}")),
-        efficiency=_read_efficiency(document.table(LIGHT_YIELD)),
+        shape=choice(document.table(schema.HISTOGRAMS, schema.PEAKS), "shape", schema.PEAKS)
+        or SHAPES[0],
+        transmittance=_read_transmittance(document.table(f"parameters.{schema.ABSORPTION}")),
+        efficiency=_read_efficiency(document.table(schema.LIGHT_YIELD)),
         gammas=_read_gammas(
-            document.table(f"parameters.{SOURCE_DEPTH}"), document.table(LIGHT_YIELD)
+            document.table(f"parameters.{schema.SOURCE_DEPTH}"), document.table(schema.LIGHT_YIELD)
         ),
     )
 
@@ -117,8 +110,8 @@ def with_numbers(document: TomlDocument, numbers: Mapping[str, float]) -> TomlDo
     `numbers` by dotted name, such as ``parameters.alpha_abs_per_cm.prior``.
     """
     content, lines = copy.deepcopy(document.content), dict(document.lines)
-    content.pop(HISTOGRAMS, None)
-    for key, names in RAW_TABLES:
+    content.pop(schema.HISTOGRAMS, None)
+    for key, names in schema.RAW_TABLES:
         given = [name for name in names if name in document.table(key)]
         if not given:
             continue
@@ -135,12 +128,12 @@ def with_numbers(document: TomlDocument, numbers: Mapping[str, float]) -> TomlDo
 
 
 def _read_transmittance(table: TomlTable) -> TransmittanceEntry | None:
-    if not _has(table, "transmittance", TRANSMITTANCE, _PRIOR):
+    if not _has(table, "transmittance", schema.TRANSMITTANCE, _PRIOR):
         return None
     files, value, sigma = _measured(table)
     n = table.get("n")
     if not isinstance(n, str):
-        n = number_within(table, "n", TRANSMITTANCE)
+        n = number_within(table, "n", schema.TRANSMITTANCE)
     elif not n.strip():
         raise table.refusal("n", "n is empty", 'write a material, such as "CaMoO4"')
     if "n_sigma" in table and not isinstance(n, float):
@@ -151,9 +144,9 @@ def _read_transmittance(table: TomlTable) -> TransmittanceEntry | None:
         value=value,
         transmittance_sigma=sigma,
         thickness_mm=_above_zero(table, "thickness_mm", "the sample's thickness in mm"),
-        thickness_sigma_mm=number_within(table, "thickness_sigma_mm", TRANSMITTANCE) or 0.0,
+        thickness_sigma_mm=number_within(table, "thickness_sigma_mm", schema.TRANSMITTANCE) or 0.0,
         n=n,
-        n_sigma=number_within(table, "n_sigma", TRANSMITTANCE) or 0.0,
+        n_sigma=number_within(table, "n_sigma", schema.TRANSMITTANCE) or 0.0,
     )
 
 
@@ -164,7 +157,7 @@ def _measured(table: TomlTable) -> tuple[tuple[Path, ...], float | None, float]:
     value: float | None = None
     files: tuple[Path, ...] = ()
     if isinstance(given, (int, float)) and not isinstance(given, bool):
-        value = number_within(table, name, TRANSMITTANCE)
+        value = number_within(table, name, schema.TRANSMITTANCE)
         sigma = _above_zero(table, sigma_name, f"the standard error of {name}")
     else:
         if isinstance(given, str) and _NUMBER_LIKE.fullmatch(given.strip()):
@@ -174,7 +167,7 @@ def _measured(table: TomlTable) -> tuple[tuple[Path, ...], float | None, float]:
         if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
             mend = f'write {name} = ["along.csv", "across.csv"], or {name} = 0.76'
             raise table.refusal(name, f"{name} is neither a list of files nor a number", mend)
-        sigma = number_within(table, sigma_name, TRANSMITTANCE) or 0.0
+        sigma = number_within(table, sigma_name, schema.TRANSMITTANCE) or 0.0
         files = tuple(file_in(table, name, file) for file in names)
         for position, file in enumerate(files):
             if resolved(file) in map(resolved, files[:position]):
@@ -188,14 +181,14 @@ def _measured(table: TomlTable) -> tuple[tuple[Path, ...], float | None, float]:
 
 
 def _read_efficiency(table: TomlTable) -> EfficiencyEntry | None:
-    emission, curve, scale = EFFICIENCY
+    emission, curve, scale = schema.EFFICIENCY
     for name, other in ((emission, curve), (curve, emission)):
         if name in table and other not in table:
             mend = f"name both spectra, or give {_EFFICIENCY[0]} as a number"
             raise table.refusal(name, f"{name} without {other}", mend)
-    if not _has(table, emission, EFFICIENCY, _EFFICIENCY):
+    if not _has(table, emission, schema.EFFICIENCY, _EFFICIENCY):
         return None
-    sigma = number_within(table, scale, EFFICIENCY)
+    sigma = number_within(table, scale, schema.EFFICIENCY)
     return EfficiencyEntry(
         file_in(table, emission, table[emission]),
         file_in(table, curve, table[curve]),
@@ -204,8 +197,8 @@ def _read_efficiency(table: TomlTable) -> EfficiencyEntry | None:
 
 
 def _read_gammas(table: TomlTable, light_yield: TomlTable) -> GammasEntry | None:
-    name, density = GAMMAS
-    if not _has(table, name, GAMMAS, _PRIOR):
+    name, density = schema.GAMMAS
+    if not _has(table, name, schema.GAMMAS, _PRIOR):
         return None
     formula = table[name]
     if not isinstance(formula, str) or not formula.strip():
@@ -251,7 +244,7 @@ def _above_zero(table: TomlTable, name: str, what: str) -> float:
     value = table.number(name)
     if value is None:
         # thickness_cm for thickness_mm
-        stem, names = name.partition("_")[0], {**TRANSMITTANCE, **GAMMAS}
+        stem, names = name.partition("_")[0], {**schema.TRANSMITTANCE, **schema.GAMMAS}
         others = [other for other in table if other.startswith(stem) and other not in names]
         instead = f", {name} instead of {others[0]}" if others else ""
         raise table.refusal("", f"[{table.key}] has no {name}", f"give {what}{instead}")

@@ -13,19 +13,8 @@ from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
-from mcrim_mitsuba.campaign.entries import (
-    KNOWN,
-    KNOWN_YIELD,
-    KNOWN_YIELD_SIGMA,
-    LIGHT_YIELD,
-    SAMPLE,
-    SAMPLE_SCENE,
-    SAMPLES,
-    SCALE,
-    SHARED,
-    SHARED_SIGMA,
-    number_within,
-)
+from mcrim_mitsuba.campaign import entries as schema
+from mcrim_mitsuba.campaign.entries import SCALE, number_within
 from mcrim_mitsuba.campaign.measurements import SAMPLE as COLUMN
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.campaign.parameter import (
@@ -79,7 +68,7 @@ def own_name(name: str, sample: str) -> str:
 
 def of_sample(name: str) -> tuple[str, str] | None:
     """What `own_name` makes a name of: the shared parameter and the sample; None of others."""
-    for of in (*_OWN, KNOWN_YIELD):
+    for of in (*_OWN, schema.KNOWN_YIELD):
         before, after = own_name(of, "\0").split("\0")
         sample = name.removeprefix(before).removesuffix(after)
         if sample and name == own_name(of, sample):
@@ -96,7 +85,7 @@ def read_samples(
     Raises InputError with the line, if an entry cannot be used, or if samples and readings do not
     belong together.
     """
-    declared = document.table(SAMPLES)
+    declared = document.table(schema.SAMPLES)
     used = dict.fromkeys(reading.sample for reading in measurements.readings if reading.sample)
     for name in declared:
         if not _NAME.fullmatch(name):
@@ -105,17 +94,16 @@ def read_samples(
     for reading in measurements.readings:
         if reading.sample and reading.sample not in declared:
             problem = f"{reading.sample} is no sample of {document.path.name}"
-            mend = f"declare it there: [{SAMPLES}.{reading.sample}]"
+            mend = f"declare it there: [{schema.SAMPLES}.{reading.sample}]"
             if declared:
                 mend = f"{did_you_mean(reading.sample, declared)}; or {mend}"
             raise measurements.refusal(reading, COLUMN, problem, mend)
     for name in declared:
         if name not in used:
-            raise declared.refusal(
-                name,
-                f"no reading of {measurements.path.name} is of the sample {name}",
-                f"write {name} into a column {COLUMN} of its rows, or remove [{SAMPLES}.{name}]",
-            )
+            problem = f"no reading of {measurements.path.name} is of the sample {name}"
+            table = f"[{schema.SAMPLES}.{name}]"
+            mend = f"write {name} into a column {COLUMN} of its rows, or remove {table}"
+            raise declared.refusal(name, problem, mend)
     samples = {name: _read_sample(document, name, scene, measurements) for name in declared}
     _refuse_clashes(document, samples.values(), taken)
     return samples, replace(
@@ -138,8 +126,8 @@ def _completed(reading: Reading, samples: Mapping[str, Sample], scene: SceneFile
 def _read_sample(
     document: TomlDocument, name: str, scene: SceneFile, measurements: Measurements
 ) -> Sample:
-    key = f"{SAMPLES}.{name}"
-    document.table(key, SAMPLE)
+    key = f"{schema.SAMPLES}.{name}"
+    document.table(key, schema.SAMPLE)
     parameters = document.table(f"{key}.parameters")
     own: dict[str, CampaignParameter] = {}
     for of in parameters:
@@ -147,9 +135,9 @@ def _read_sample(
             problem = f"{of} cannot be a sample's own"
             raise parameters.refusal(of, problem, did_you_mean(of, _OWN))
         own[of] = _read_own(document, name, of, scene, measurements)
-    light_yield = read_light_yield(document, f"{key}.{LIGHT_YIELD}", KNOWN)
+    light_yield = read_light_yield(document, f"{key}.{schema.LIGHT_YIELD}", schema.KNOWN)
     if light_yield is not None:
-        table = document.table(f"{key}.{LIGHT_YIELD}")
+        table = document.table(f"{key}.{schema.LIGHT_YIELD}")
         if (shared := shared_efficiency(document)) is not None:
             light_yield = without_shared(table, light_yield, shared)
         # the collection's error is one that samples share
@@ -158,7 +146,7 @@ def _read_sample(
         if (of_known := _known_scale(table, light_yield)) is not None:
             if own[SCALE].fixed or own[SCALE].prior is not None:
                 problem = "its scale is known twice: by its light yield, and in parameters.scale"
-                raise table.refusal(KNOWN_YIELD, problem, "keep one of the two")
+                raise table.refusal(schema.KNOWN_YIELD, problem, "keep one of the two")
             at, sigma = of_known
             own[SCALE] = replace(own[SCALE], start=at, prior=at, prior_sigma=sigma)
             light_yield = None
@@ -176,7 +164,7 @@ def _read_own(
     document: TomlDocument, sample: str, of: str, scene: SceneFile, measurements: Measurements
 ) -> CampaignParameter:
     """``[samples.NAME.parameters.X]``."""
-    within = f"{SAMPLES}.{sample}.parameters"
+    within = f"{schema.SAMPLES}.{sample}.parameters"
     values = {**scene.parameters, SCALE: _scale(sample, measurements).start}
     parameter = read_parameter(document, of, scene, values, measurements, {}, within=within)
     return replace(parameter, name=own_name(of, sample))
@@ -184,11 +172,11 @@ def _read_own(
 
 def _known_scale(table: TomlTable, light_yield: LightYieldInput) -> tuple[float, float] | None:
     """The scale that a reference's light yield makes, and its standard error."""
-    value, sigma = (number_within(table, name, KNOWN) for name in KNOWN)
+    value, sigma = (number_within(table, name, schema.KNOWN) for name in schema.KNOWN)
     if value is None and sigma is None:
         return None
     if value is None or sigma is None:
-        problem = f"only one of {KNOWN_YIELD} and {KNOWN_YIELD_SIGMA} is given"
+        problem = f"only one of {schema.KNOWN_YIELD} and {schema.KNOWN_YIELD_SIGMA} is given"
         raise table.refusal("", problem, "give both or none")
     relative = math.hypot(
         sigma / value, light_yield.detector_efficiency_sigma / light_yield.detector_efficiency
@@ -198,7 +186,7 @@ def _known_scale(table: TomlTable, light_yield: LightYieldInput) -> tuple[float,
 
 def _read_scene(document: TomlDocument, key: str, scene: SceneFile) -> dict[str, Value]:
     """``[samples.NAME.scene]``."""
-    table = document.table(f"{key}.{SAMPLE_SCENE}")
+    table = document.table(f"{key}.{schema.SAMPLE_SCENE}")
     values: dict[str, Value] = {}
     for name, given in table.items():
         if name in (ALPHA_SCAT, ALPHA_ABS):
@@ -219,7 +207,7 @@ def _read_scene(document: TomlDocument, key: str, scene: SceneFile) -> dict[str,
 
 def shared_efficiency(document: TomlDocument) -> float | None:
     """The relative error of the efficiency that all samples share; None where none is named."""
-    return number_within(document.table(LIGHT_YIELD), SHARED_SIGMA, SHARED)
+    return number_within(document.table(schema.LIGHT_YIELD), schema.SHARED_SIGMA, schema.SHARED)
 
 
 def without_shared(
@@ -247,7 +235,7 @@ def _refuse_clashes(
 ) -> None:
     """Refuse samples whose parameters would be called as others, or are fitted in the scene."""
     for sample in samples:
-        key = f"{SAMPLES}.{sample.name}"
+        key = f"{schema.SAMPLES}.{sample.name}"
         for parameter in sample.own.values():
             if parameter.name in taken:
                 problem = f"{parameter.name}, its own parameter, is one of the campaign already"
@@ -256,4 +244,4 @@ def _refuse_clashes(
             if name in document.table("parameters"):
                 problem = f"{name} is fitted, and the sample {sample.name} has its own"
                 mend = f"remove it here, or [parameters.{name}]"
-                raise document.refusal(f"{key}.{SAMPLE_SCENE}.{name}", problem, mend)
+                raise document.refusal(f"{key}.{schema.SAMPLE_SCENE}.{name}", problem, mend)

@@ -93,6 +93,8 @@ def read_data_table(
 ) -> DataTable:
     """Read a table of numbers.
 
+    Raises InputError, with file, line and column, if the table cannot be read with certainty.
+
     Parameters
     ----------
     path : str or Path
@@ -102,11 +104,6 @@ def read_data_table(
         columns so where the file does not.
     limit_mb : int
         Size of the largest file, in megabytes.
-
-    Raises
-    ------
-    InputError
-        With file, line and column, if the table cannot be read with certainty.
     """
     path, roles = Path(path), tuple(roles)
     texts = read_table_text(path, limit_mb).split("\n")

@@ -415,6 +415,8 @@ def refuse_outputs(
 ) -> None:
     """Refuse output files that could not be written, or would replace what is read.
 
+    Raises InputError before any work is done and without touching a file.
+
     Parameters
     ----------
     outputs : mapping of str to (str or None)
@@ -423,11 +425,6 @@ def refuse_outputs(
         Files that the command reads, and folders of which it may read any file.
     suffixes : mapping of str to tuple of str, optional
         Suffixes that an option's file must have, if not any.
-
-    Raises
-    ------
-    InputError
-        Before any work is done and without touching a file.
     """
     read = [Path(file) for file in inputs]
     taken: dict[Path, str] = {}

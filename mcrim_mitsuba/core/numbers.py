@@ -84,6 +84,8 @@ def said(name: str, value: object) -> str:
 def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> float:
     """Finite number from text.
 
+    Raises InputError if it is not a finite number; a decimal comma gets its own hint.
+
     Parameters
     ----------
     what : str
@@ -94,11 +96,6 @@ def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> 
         The text does not stand in the file that `place` names: the message must say so.
     **place
         ``path``, ``line``, ``column`` of the text, for the error message.
-
-    Raises
-    ------
-    InputError
-        If it is not a finite number; a decimal comma gets its own hint.
     """
     stripped = text.strip()
     if not stripped:

@@ -17,6 +17,8 @@ def pdg(value: float, sigma: float | None) -> str:
     digits of the error lie in 100-354, keep two; in 355-949, keep one; in 950-999, round
     up to 1000 and keep two. The value gets the same last place.
 
+    Raises ValueError if `sigma` is negative.
+
     Parameters
     ----------
     value : float
@@ -29,11 +31,6 @@ def pdg(value: float, sigma: float | None) -> str:
     -------
     str
         ``7.5 ± 1.2``, or ``(1.23 ± 0.05)e7`` for very large or small numbers.
-
-    Raises
-    ------
-    ValueError
-        If `sigma` is negative.
     """
     if sigma is None or not math.isfinite(sigma) or not math.isfinite(value):
         unknown = sigma is None or math.isnan(sigma)

@@ -13,53 +13,19 @@ from mcrim_mitsuba.core.errors import InputError
 
 #: Units by their spellings, small letters; what is not here is kept as it was written.
 _SPELLINGS = {
-    "nm": ("nm", "nm.", "nanometer", "nanometers", "nanometre", "nanometres", "нм"),
-    "µm": (
-        "μm",
-        "um",
-        "micron",
-        "microns",
-        "micrometer",
-        "micrometers",
-        "micrometre",
-        "micrometres",
-        "мкм",
-    ),
-    "Å": ("å", "ang", "angstrom", "angstroms", "ångström", "ångstrom"),
-    "eV": ("ev", "эв"),
-    "1/cm": ("1/cm", "cm-1", "cm^-1", "cm⁻¹"),
-    "%": (
-        "%",
-        "percent",
-        "per cent",
-        "pct",
-        "pct.",
-        "prozent",
-        "procent",
-        "proc.",
-        "proc",
-        "проц.",
-        "процент",
-    ),
-    "fraction": ("fraction", "1"),
-    "a.u.": (
-        "a.u.",
-        "a. u.",
-        "a.u",
-        "au",
-        "arb. u.",
-        "arb. units",
-        "arb.units",
-        "arb.u.",
-        "arbitrary units",
-        "rel. u.",
-        "r.u.",
-    ),
+    "nm": "nm|nm.|nanometer|nanometers|nanometre|nanometres|нм",
+    "µm": "μm|um|micron|microns|micrometer|micrometers|micrometre|micrometres|мкм",
+    "Å": "å|ang|angstrom|angstroms|ångström|ångstrom",
+    "eV": "ev|эв",
+    "1/cm": "1/cm|cm-1|cm^-1|cm⁻¹",
+    "%": "%|percent|per cent|pct|pct.|prozent|procent|proc.|proc|проц.|процент",
+    "fraction": "fraction|1",
+    "a.u.": "a.u.|a. u.|a.u|au|arb. u.|arb. units|arb.units|arb.u.|arbitrary units|rel. u.|r.u.",
 }
 _UNITS = {
     unicodedata.normalize("NFKC", spelling): unit
     for unit, spellings in _SPELLINGS.items()
-    for spelling in spellings
+    for spelling in spellings.split("|")
 }
 # "A" is an Ångström beside wavelengths and an absorbance elsewhere: its reader must know
 _UNITS["a"] = "A"
@@ -223,17 +189,14 @@ def has_decimal_commas(
 ) -> bool:
     """Whether the numbers of a table have decimal commas: one sign all through.
 
+    Raises InputError if both signs are there, or all commas may as well separate thousands.
+
     Parameters
     ----------
     cells : iterable of (int, int or str, str)
         Line, column and text of every cell that is to be a number.
     refusal : callable
         The error of a problem and its mend at a line and a column.
-
-    Raises
-    ------
-    InputError
-        If both signs are there, or all commas may as well separate thousands.
     """
     comma = point = None
     thousands = True

@@ -210,6 +210,10 @@ def add(
 ) -> str:
     """The text of a scene with an effect in it, for `SceneFile.edited`, or to be written.
 
+    Raises InputError if there is no such effect, if it belongs to the readings or is in the scene
+    already, if a value is out of the catalogue's range, or if the scene is not such that the effect
+    could be put into it.
+
     Parameters
     ----------
     effect : str or Effect
@@ -221,13 +225,6 @@ def add(
         gets the catalogue's start.
     folder : str or Path, optional
         Of the user's own effects, see `catalogue`.
-
-    Raises
-    ------
-    InputError
-        If there is no such effect, if it belongs to the readings or is in the scene already, if
-        a value is out of the catalogue's range, or if the scene is not such that the effect
-        could be put into it.
     """
     effects = catalogue(folder) if isinstance(effect, str) or folder is not None else {}
     chosen = effect_of(effect, effects, scene.path) if isinstance(effect, str) else effect

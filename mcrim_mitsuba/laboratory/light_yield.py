@@ -67,6 +67,9 @@ def detector_efficiency(
 ) -> DetectorEfficiency:
     """Quantum efficiency, weighted with the emission spectrum (Eq. 3).
 
+    Raises InputError if the curve does not cover the emission, the emission has no area, or the
+    error is no fraction.
+
     Parameters
     ----------
     emission : Spectrum
@@ -76,12 +79,6 @@ def detector_efficiency(
     scale_sigma : float
         Relative standard error that all points of the quantum efficiency share: tubes of one
         type differ, and so do calibrations.
-
-    Raises
-    ------
-    InputError
-        If the curve does not cover the emission, the emission has no area, or the error is no
-        fraction.
     """
     if not 0 <= scale_sigma < 1:
         problem = f"the tube's scale error is {scale_sigma:g}"

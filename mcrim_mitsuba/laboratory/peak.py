@@ -53,6 +53,8 @@ def fit_peak(
     The pedestal, and peaks of escaping quanta, lie below it. The window is chosen about the
     centroid, but not beyond the valleys to other peaks.
 
+    Raises InputError if the shape is not known or not possible, or the window cannot be used.
+
     Parameters
     ----------
     values, counts : (bins,) float64
@@ -63,11 +65,6 @@ def fit_peak(
         Gaussian fits, narrower than the square root of its centroid, and "counting" does not.
     window : (float, float), optional
         Lowest and highest bin centre to fit; without it, it is chosen.
-
-    Raises
-    ------
-    InputError
-        If the shape is not known or not possible, or the window cannot be used.
     """
     whole = numbers_per_bin(values) is not None
     _check(values, shape, window, whole)

@@ -222,6 +222,9 @@ def absorption_from_transmittance(
 ) -> Absorption:
     """Absorption coefficient, mean over orientations and over the emission.
 
+    Raises InputError if a value is impossible, a spectrum has neither emission nor wavelength or
+    does not cover it, or the crystal transmits clearly more than one that absorbs nothing.
+
     Parameters
     ----------
     transmittances : sequence of float or of Spectrum
@@ -238,12 +241,6 @@ def absorption_from_transmittance(
         What spectra, and an index that is a function, are averaged with.
     wavelength_nm : float, optional
         Where they are taken without an emission.
-
-    Raises
-    ------
-    InputError
-        If a value is impossible, a spectrum has neither emission nor wavelength or does not
-        cover it, or the crystal transmits clearly more than one that absorbs nothing.
     """
     if not len(transmittances):
         raise InputError("there is no transmittance", "give one at least")

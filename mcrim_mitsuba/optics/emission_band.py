@@ -167,6 +167,9 @@ def indices_over_band(
     Light counts as it is detected: by the emission, times the quantum efficiency where it is
     known. Beyond the range of the material's formula the index at its end stands in.
 
+    Raises InputError if the material is unknown, if nothing tells where its band is, or if its
+    index is not known over too much of it.
+
     Parameters
     ----------
     name : str
@@ -175,12 +178,6 @@ def indices_over_band(
         Without an emission, a Gaussian band stands in for it.
     wavelength_nm : float, optional
         That band's maximum; `USUAL_BANDS_NM` without it.
-
-    Raises
-    ------
-    InputError
-        If the material is unknown, if nothing tells where its band is, or if its index is not
-        known over too much of it.
     """
     medium = material(name)
     if emission is None:

@@ -22,6 +22,8 @@ def amplitudes(
     exp(-i omega t), so in total internal reflection ``cos_t = +i |cos_t|`` (a wave
     that decays away from the interface); at normal incidence r_p = -r_s.
 
+    Raises InputError if a cosine is outside [0, 1] or an index is not above 0.
+
     Parameters
     ----------
     cos_i : float or array
@@ -34,11 +36,6 @@ def amplitudes(
     r_s, r_p : complex or array of complex
         Ratio of reflected to incident electric field, s and p polarisation;
         both of modulus 1 in total internal reflection.
-
-    Raises
-    ------
-    InputError
-        If a cosine is outside [0, 1] or an index is not above 0.
     """
     cos_i = np.asarray(cos_i, dtype=float)
     n_from = np.asarray(n_from, dtype=float)

@@ -106,6 +106,9 @@ def attenuation_length_mm(
 ) -> AttenuationLength:
     """Attenuation length of gammas of one energy in a compound.
 
+    Raises InputError if the formula cannot be read, the energy is out of range, or the density is
+    neither given nor known.
+
     Parameters
     ----------
     formula : str
@@ -115,12 +118,6 @@ def attenuation_length_mm(
         `LOWEST_KEV` to `HIGHEST_KEV`.
     density_g_per_cm3 : float, optional
         Without it, that of the material of this formula in the catalogue.
-
-    Raises
-    ------
-    InputError
-        If the formula cannot be read, the energy is out of range, or the density is neither given
-        nor known.
     """
     if not LOWEST_KEV <= energy_keV <= HIGHEST_KEV:
         raise InputError(

@@ -250,6 +250,9 @@ def read_spectra(paths: Sequence[str | Path], kind: Kind) -> list[Spectrum]:
 def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
     """Read and check a spectrum; efficiencies and transmittances are fractions then.
 
+    Raises InputError, with file, line and column, if anything cannot be used or may be meant
+    otherwise.
+
     Parameters
     ----------
     path : str or Path
@@ -263,11 +266,6 @@ def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
         per nm (per eV or per 1/cm where the column is one of these). Both are converted to photons
         per nm. Noise below zero is kept: without it the mean would be biased.
         ``quantum_efficiency``, ``transmittance``: fractions, or % where the name says so.
-
-    Raises
-    ------
-    InputError
-        With file, line and column, if anything cannot be used or may be meant otherwise.
     """
     table = read_data_table(path, roles=("wavelength", "value", "sigma"))
     places, value, sigma = _columns(table)

@@ -115,6 +115,8 @@ def read_light(
     Indices of the scene that name a material follow its dispersion, beyond the formula's range that
     at its end.
 
+    Raises InputError if a file cannot be read, or a column is none of the scene's parameters.
+
     Parameters
     ----------
     path : str or Path
@@ -125,11 +127,6 @@ def read_light(
     scene : SceneFile
     quantum_efficiency : str or Path, optional
         Spectrum of the detector's efficiency, for a table without.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read, or a column is none of the scene's parameters.
     """
     table = read_data_table(path, roles=(WAVELENGTH, EMISSION))
     names = [_as_named(table, column) for column in range(table.values.shape[1])]

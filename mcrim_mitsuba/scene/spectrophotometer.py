@@ -76,6 +76,9 @@ def too_wide(values: Mapping[str, Value]) -> tuple[str, str] | None:
 def spectrophotometer_of(bench: SceneFile) -> SceneFile:
     """The scene of a beam through a bench's crystal, in air.
 
+    Raises InputError if the bench does not name the sizes, or if a face of the crystal would still
+    touch a liquid.
+
     Parameters
     ----------
     bench : SceneFile
@@ -87,12 +90,6 @@ def spectrophotometer_of(bench: SceneFile) -> SceneFile:
     SceneFile
         With the bench's parameters and those of `BEAM_PARAMETERS`; of a bench that is a beam's
         scene already, itself.
-
-    Raises
-    ------
-    InputError
-        If the bench does not name the sizes, or if a face of the crystal would still touch a
-        liquid.
     """
     editor = SceneEditor(bench, {})
     if editor.all("emitter", "collimated_beam"):

@@ -93,6 +93,9 @@ def names_material(name: str, text: str) -> bool:
 def read_index(what: str, text: str, folder: Path | None = None, **place: Any) -> MaterialIndex:
     """Index of refraction that a text names.
 
+    Raises InputError if the material or the unit is unknown, the spectrum cannot be read, or the
+    material's index is not known at the wavelength, or for too much of the emission.
+
     Parameters
     ----------
     what : str
@@ -104,12 +107,6 @@ def read_index(what: str, text: str, folder: Path | None = None, **place: Any) -
         That a relative path of a file starts from; without it, that of the file in `place`.
     **place
         ``path``, ``line``, ``column`` of the text, for the refusal.
-
-    Raises
-    ------
-    InputError
-        If the material or the unit is unknown, the spectrum cannot be read, or the material's
-        index is not known at the wavelength, or for too much of the emission.
     """
     medium, where = material_at(what, text, **place)
     if isinstance(where, str):
