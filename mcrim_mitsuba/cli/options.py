@@ -349,9 +349,10 @@ def effects(option: str, explained: str):
     )
 
 
-#: Where the command's context keeps whether effects may be executed unasked, and which files the
-#: command reads.
-TRUST, FILES = "trust_effects", "files"
+#: Where the command's context keeps whether effects may be executed unasked.
+TRUST = "trust_effects"
+#: Where it keeps which files the command reads.
+FILES = "files"
 
 
 def _remember_trust(ctx, param, value) -> None:

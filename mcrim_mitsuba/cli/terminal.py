@@ -259,7 +259,11 @@ def photon_progress(
 
 # Runs a command to its exit status; what goes wrong becomes one line.
 
-DONE, OUR_FAULT, YOUR_INPUT, INTERRUPTED = 0, 1, 2, 130
+#: Exit statuses.
+DONE = 0
+OUR_FAULT = 1
+YOUR_INPUT = 2
+INTERRUPTED = 130
 #: What helps where a file takes no more.
 _ROOM = dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "free some space") | {errno.EFBIG: LIFT_LIMIT}
 _OUTPUT = "what standard output goes to"

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.neglected import Neglected
 
 
-STATISTICAL, SYSTEMATIC, TOTAL = "statistical", "systematic", "total"
+#: Kinds of contributions.
+STATISTICAL = "statistical"
+SYSTEMATIC = "systematic"
+TOTAL = "total"
 #: Contributions of `ParameterEstimate`, as the figure names them, and what they are.
 _ORIGINS = {
     "statistical": ("readings", STATISTICAL),
@@ -39,8 +42,9 @@ BARS: dict[str, dict[str, Any]] = {
 }
 _CORRECTION = "correction, to be made"
 _STYLES = BARS | {_CORRECTION: {"facecolor": "white", "edgecolor": style.DARK}}
-#: Inches of a panel.
-_BUDGET_WIDE, _HIGH = 3.5, 2.5
+#: Inches of a panel of the budget.
+_BUDGET_WIDE = 3.5
+_HIGH = 2.5
 #: Of the line above the panels.
 _LETTERS_PER_INCH = 11.5
 #: Rows for which there is room, lest few bars become thick.
@@ -147,8 +151,12 @@ def _spelled_out(light: ParameterEstimate) -> str:
 # The whole budget of a campaign, what its model leaves out included.
 
 
-#: Inches of a panel, of the names at the left, of a row.
-_NEGLECTED_WIDE, _NAMES, _ROW = 2.6, 2.4, 0.33
+#: Inches of a panel of what is neglected.
+_NEGLECTED_WIDE = 2.6
+#: Inches of the names at the left.
+_NAMES = 2.4
+#: Inches of a row.
+_ROW = 0.33
 #: Shares smaller than this have no digits worth showing, per cent.
 _LEAST_PERCENT = 0.005
 
@@ -268,10 +276,8 @@ def _rows(budget: Budget, names: list[str]) -> list[tuple[str, str, dict[str, tu
 # The light yield's error over events, by couplings.
 
 
-_COLOURS, _LINES = (
-    (style.DARK, style.WARM, style.LIGHT),
-    ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5))),
-)
+_COLOURS = (style.DARK, style.WARM, style.LIGHT)
+_LINES = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5)))
 #: Curves that differ by no more than this part of themselves are drawn as one.
 _ON_EACH_OTHER = 0.06
 

@@ -38,9 +38,14 @@ if TYPE_CHECKING:
 
 # Calm, and of different lightness, so that a grey print still tells neighbours apart.
 COLOURS = ("#7aa6cf", "#f7e7b9", "#bcd3b4", "#d9a48f", "#9a86b8", "#8fb5b0")
-INK, _DETECTOR, _OTHER = "#222222", "#b3261e", "#777777"
-#: Pixels: a cell of the grid on which labels find their place; the space beside and above a label.
-_CELL, _CLEAR = 3, np.array([8, 4])
+#: Colours of lines: of most, of the detector, of what is neither volume nor detector.
+INK = "#222222"
+_DETECTOR = "#b3261e"
+_OTHER = "#777777"
+#: Pixels of a cell of the grid on which labels find their place.
+_CELL = 3
+#: Pixels of the space beside and above a label.
+_CLEAR = np.array([8, 4])
 
 
 class SectionAxes:
@@ -216,14 +221,20 @@ def _within(cells: np.ndarray, wide: int, tall: int) -> np.ndarray:
 
 # A few photons' paths for the cross-section: short ones of every fate that matters.
 
-#: Fates of less of the light are not shown; those of more get two paths.
-LEAST_SHARE, COMMON_SHARE = 0.01, 0.15
-#: Flights of a path that is easily followed; of longer paths so many are drawn.
-_WANTED_FLIGHTS, MOST_FLIGHTS = 5, 16
+#: Fates of less of the light are not shown.
+LEAST_SHARE = 0.01
+#: Fates of more of the light get two paths.
+COMMON_SHARE = 0.15
+#: Flights of a path that is easily followed.
+_WANTED_FLIGHTS = 5
+#: Flights that are drawn of longer paths.
+MOST_FLIGHTS = 16
 #: How far an escaping photon's last flight is drawn, over the scene's size.
 _AWAY = 0.16
-#: Length over the scene's size that is long enough to be seen, and photons to choose from.
-_SEEN, _CANDIDATES = 0.4, 50
+#: Length over the scene's size that is long enough to be seen.
+_SEEN = 0.4
+#: Photons to choose from.
+_CANDIDATES = 50
 _PER_ROW = 5
 _TITLE = (
     "Photons' paths, projected on the plane, and how much of the light meets the same fate "
@@ -410,7 +421,11 @@ def _handles(paths: tuple[DrawnTrail, ...], shares: dict[str, float]) -> list[Li
 SUFFIXES = (".png", ".svg", ".pdf")
 
 _FRAME = "#d95f02"
-_WIDTH_IN, _MARGIN_IN, _DETAIL_IN, _DPI = 12.0, 0.85, 2.6, 150
+#: Inches of the figure, of its margins and of the enlarged part.
+_WIDTH_IN = 12.0
+_MARGIN_IN = 0.85
+_DETAIL_IN = 2.6
+_DPI = 150
 
 
 def write_cross_section(figure: Figure, path: str | Path) -> None:

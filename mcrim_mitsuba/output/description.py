@@ -196,8 +196,10 @@ def listed(heading: str, sentences: Iterable[str]) -> Iterator[Sentence]:
 
 #: What is never broken: a word, numbers with the signs of their errors between them, or "p = 0.3".
 _WORD = re.compile(r"\S+(?: [±=<>] \S+)*")
-#: Characters that a table takes for a column beside its text, and for its last line.
-_RULES, _END = 3, 1
+#: Characters that a table takes for a column beside its text.
+_RULES = 3
+#: Characters of its last line.
+_END = 1
 
 
 def wrapped(content: str, width: int) -> str:

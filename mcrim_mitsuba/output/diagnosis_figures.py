@@ -39,8 +39,12 @@ from mcrim_mitsuba.output.sentences import (
     titles_of,
 )
 
-#: Inches: a row, the bars without their names, a character.
-_PER_ROW, _BARS_WIDTHS, _LABEL_PER_CHARACTER = 0.34, (2.4, 3.4), 0.088
+#: Inches of a row.
+_PER_ROW = 0.34
+#: Inches of the bars without their names: probabilities, gains.
+_BARS_WIDTHS = (2.4, 3.4)
+#: Inches of a character.
+_LABEL_PER_CHARACTER = 0.088
 _BARS_WIDTH = sum(_BARS_WIDTHS)
 #: Of a line of an effect's title.
 _LETTERS = 34
@@ -49,8 +53,10 @@ _FURTHER_LINE = 0.5
 _OTHERS = "#b9c4d0"
 #: What is no effect has a row from here on.
 _LEAST_PROBABILITY = 1e-3
-#: The axis of gains reaches at least so far, and for losses so much of that.
-_LEAST_GAIN, _LOSSES = 4.0, 0.6
+#: The axis of gains reaches at least so far.
+_LEAST_GAIN = 4.0
+#: For losses it reaches so much of that.
+_LOSSES = 0.6
 _STATISTICS = (
     "delta_chi2",
     "delta_chi2_sigma",

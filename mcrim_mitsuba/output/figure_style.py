@@ -33,14 +33,20 @@ Numbers = tuple[Sequence[str], Sequence[Sequence[object]]]
 SUFFIXES = (".png", ".pdf")
 
 #: Their darkness tells these apart in grey.
-DARK, WARM, LIGHT = "#0b2f5c", "#c2410c", "#5aa7ad"
-GREY, PALE, _INK = "#4d4d4d", "0.87", "#222222"
+DARK = "#0b2f5c"
+WARM = "#c2410c"
+LIGHT = "#5aa7ad"
+GREY = "#4d4d4d"
+PALE = "0.87"
+_INK = "#222222"
 
 #: Decorates everything that draws.
 styled = rc_context({"font.size": 11})
 _DPI = 200
-#: In a line of a title; and most in a title of a user's own.
-_FEWEST_LETTERS, _MOST_LETTERS = 16, 300
+#: Letters in a line of a title, at least.
+_FEWEST_LETTERS = 16
+#: Letters in a title of a user's own, at most.
+_MOST_LETTERS = 300
 
 
 def canvas(width_inches: float = 7.2, height_inches: float = 5.0) -> Figure:
@@ -269,7 +275,9 @@ class FateStyle:
     text: str = "black"
 
 
-_DASHED, _DOTTED, _MIXED = (0, (6, 1.5)), (0, (1.2, 1.2)), (0, (4, 1.2, 1, 1.2))
+_DASHED = (0, (6, 1.5))
+_DOTTED = (0, (1.2, 1.2))
+_MIXED = (0, (4, 1.2, 1, 1.2))
 _LOOKS: dict[str, tuple[Any, ...]] = {
     "detected": (DARK, DARK, "", "o", "-", _INK, "white"),
     "absorbed_crystal": ("#7a1f5c", "#c9a0bd", "//", "X", _DASHED),

@@ -51,12 +51,18 @@ _SUSPECTS: dict[str, Any] = {
 }
 #: After a repair the suspicion is history.
 _NO_LONGER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.6", "ls": ":"}
-#: Half the width of a prediction's dash, and how far before and after stand apart.
-_DASH, _APART = 0.32, 0.13
+#: Half the width of a prediction's dash.
+_DASH = 0.32
+#: How far before and after stand apart.
+_APART = 0.13
 #: How far hypotheses stand apart.
 _BESIDE = 0.24
-#: Width of a reading, height of a character of its name, and the widest figure: inches.
-_PER_READING, _PER_CHARACTER, _WIDEST = 0.46, 0.068, 26.0
+#: Inches of a reading's width.
+_PER_READING = 0.46
+#: Inches of the height of a character of its name.
+_PER_CHARACTER = 0.068
+#: Inches of the widest figure.
+_WIDEST = 26.0
 _OWN = ("label", "use", "measured", "sigma")
 _PREDICTED = ("model", "model_sigma", "pull")
 #: A name, a fit, how it looks, and how far beside the places of the readings it stands.
@@ -303,7 +309,8 @@ _CROSSING: dict[str, Any] = {
 }
 _BOUND: dict[str, Any] = dict(facecolor=style.PALE, edgecolor=style.GREY, hatch="////", lw=0)
 #: Inches of a panel.
-_WIDE, _HIGH = 4.0, 3.3
+_WIDE = 4.0
+_HIGH = 3.3
 _TOP = END + 0.6
 
 

@@ -32,9 +32,10 @@ _LINES = (
 _FIT: dict[str, Any] = {"lw": 2.2, "zorder": 4}
 _THIN: dict[str, Any] = {"lw": 1.5, "zorder": 4}
 _BACKGROUND: dict[str, Any] = {"lw": 0.9, "ls": (0, (4, 2)), "zorder": 3}
-#: Error bars at most, in one histogram; histograms with steps and error bars, beyond which each
-#: has markers.
-_MOST_BARS, _MOST_STEPS = 60, 2
+#: Error bars at most, in one histogram.
+_MOST_BARS = 60
+#: Histograms with steps and error bars, beyond which each has markers.
+_MOST_STEPS = 2
 #: Histograms whose legend has room inside.
 _MOST_INSIDE = 3
 #: Height of the picture over the highest fitted peak: pedestals go out of it.

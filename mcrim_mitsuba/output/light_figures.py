@@ -421,8 +421,10 @@ def _draw_first(axes: Axes, times: ArrivalTimes) -> None:
 # Fates: one stacked bar per configuration.
 
 
-#: Percent: narrower parts have their label above the bar, and the narrowest have none.
-_INSIDE, _LEAST = 6.8, 0.1
+#: Percent below which parts have their label above the bar.
+_INSIDE = 6.8
+#: Percent below which they have none.
+_LEAST = 0.1
 #: Percent that a label above the bar takes.
 _LABEL = 6.6
 _HEIGHT = 0.56

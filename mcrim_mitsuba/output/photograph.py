@@ -39,12 +39,17 @@ from mcrim_mitsuba.transport.photograph_parts import (
 from mcrim_mitsuba.transport.scene_model import SceneModel
 
 #: Pixels of the sheet.
-WIDTH, HEIGHT = 1800, 1150
+WIDTH = 1800
+HEIGHT = 1150
 #: Pixels over which a photograph fades into the sheet.
 _RIM = 60
 #: What an empty floor becomes, 0 to 1 before the curve of sRGB: the colour of the sheet.
 _FLOOR = 0.93
-INK, QUIET, LEADER, AIR = "#1d2733", "#4d5863", "#7d8894", "#2f7fc1"
+#: Colours of texts, of quiet ones, of leaders, of air.
+INK = "#1d2733"
+QUIET = "#4d5863"
+LEADER = "#7d8894"
+AIR = "#2f7fc1"
 _DPI = 100
 
 
@@ -301,7 +306,8 @@ SAMPLES = 12
 #: Left, top, width and height of the photographs of the bench, of its lower edge and of its
 #: parts, in pixels of the full sheet; what is right of the parts belongs to their labels.
 BENCH_PANEL = (0, 100, 890, 590)
-_EDGE, _PARTS = (0, 690, 890, 460), (870, 100, 660, 1050)
+_EDGE = (0, 690, 890, 460)
+_PARTS = (870, 100, 660, 1050)
 _FIELD_DEG = 20.0
 #: Margins of the photograph of the parts: left, right, top and bottom, over its size.
 _MARGINS = (0.09, 0.1, 0.06, 0.06)

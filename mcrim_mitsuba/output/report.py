@@ -67,8 +67,10 @@ def in_full(text: object) -> Markup:
 
 # The page: it loads nothing, runs nothing and shows texts of users as texts.
 
-#: Rows of a table, and rows of effects that are printed: the page as a file has more.
-MOST_ROWS, MOST_PRINTED = 30, 8
+#: Rows of a table that are printed: the page as a file has more.
+MOST_ROWS = 30
+#: Rows of effects that are printed.
+MOST_PRINTED = 8
 
 
 def render(sections: Sections) -> str:

@@ -27,7 +27,8 @@ from mcrim_mitsuba.output.sentences import in_words
 # matplotlib writes texts into comments and a date into the metadata; a page needs neither
 _COMMENTS = re.compile(r"<!--.*?-->\n?|<metadata>.*?</metadata>\n?|<!DOCTYPE.*?>\n?", re.DOTALL)
 # a hundredth of a point is not seen
-_PATHS, _FURTHER_DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(\.\d\d)\d+")
+_PATHS = re.compile(r' d="[^"]*"')
+_FURTHER_DIGITS = re.compile(r"(\.\d\d)\d+")
 _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _PIXELS_PER_INCH = 96
 _COLOURS = 256

@@ -35,8 +35,10 @@ from mcrim_mitsuba.runs.cache_files import Chunk
 from mcrim_mitsuba.scene.check_text import CheckReport
 from mcrim_mitsuba.scene.scene_file import DefaultParameter, SceneFile
 
-#: Configurations whose light is followed, and photons of each.
-MOST_LIGHTS, LIGHT_PHOTONS = 4, 400_000
+#: Configurations whose light is followed.
+MOST_LIGHTS = 4
+#: Photons of each.
+LIGHT_PHOTONS = 400_000
 _COUPLING = "n_gap"
 
 Stage = Callable[[str], None]
@@ -348,8 +350,10 @@ def efficiencies(model: ResponseModel, calibration: Calibration) -> tuple[Effici
 
 #: Bytes of all files together that a report has inside: it must stay easy to mail.
 MOST_BYTES = 1_000_000
-#: Characters that are shown of a file, and of one with raw data, such as a list of events.
-MOST_CHARACTERS, MOST_OF_RAW_DATA = 100_000, 4_000
+#: Characters that are shown of a file.
+MOST_CHARACTERS = 100_000
+#: Characters that are shown of one with raw data, such as a list of events.
+MOST_OF_RAW_DATA = 4_000
 #: Lines around a change that are shown with it.
 _AROUND = 1
 _LIMIT_MB = 10

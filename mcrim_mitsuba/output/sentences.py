@@ -731,7 +731,8 @@ NO_EFFECTS = {UNKNOWN: IN_NO_CATALOGUE, NOTHING_MISSING: "nothing missing"}
 #: Leading effects that are named in a sentence and explained; tables have all.
 MOST_NAMED = 4
 #: Effects and pairs of them that a table or figure shows, besides the leading ones.
-MOST_EFFECTS, MOST_PAIRS = 12, 6
+MOST_EFFECTS = 12
+MOST_PAIRS = 6
 _REPEATING_LOWERS = ("statistical", "monte_carlo")
 #: Part of an error that is not worth a digit.
 _NOTHING = 1e-3

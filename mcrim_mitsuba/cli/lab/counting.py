@@ -221,7 +221,9 @@ def _fields(peak_found) -> dict:
 
 #: How files begin that this command made, and may replace.
 _OURS = "# SYNTHETIC, not measured: mcrim lab histogram made it"
-_EVENTS, _MINUTES = 20_000.0, 10.0
+#: Events of the band, and minutes beside --rate, unless asked otherwise.
+_EVENTS = 20_000.0
+_MINUTES = 10.0
 #: Lines of a list: some ten megabytes.
 _MOST_LISTED = 1e6
 _MOST_POSITIVE = 1e12

@@ -13,9 +13,13 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import READS, collected
 from mcrim_mitsuba.scene.values import parse_list, told_of_comma
 
+#: What is planned with unless asked otherwise: indices of the gap, events and mountings.
 _COUPLINGS = "1.0,1.333,1.46,1.515"
-_EVENTS, _MOUNTINGS = "log:1e3:1e6:4", "1,2,4,8,16"
-_LARGEST_COUNT, _MOST_MOUNTINGS = 1e12, 10_000
+_EVENTS = "log:1e3:1e6:4"
+_MOUNTINGS = "1,2,4,8,16"
+#: Events and mountings at most.
+_LARGEST_COUNT = 1e12
+_MOST_MOUNTINGS = 10_000
 
 
 @click.command(short_help="How many events, mountings and which couplings are needed.")
