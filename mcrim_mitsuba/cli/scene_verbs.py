@@ -177,19 +177,12 @@ def simulate(
 ) -> None:
     """Light collection efficiency of one configuration of SCENE, with every photon's fate."""
     followed = {"--figure": None if spectrum else figure, "--map": map_file, "--times": times_file}
+    of_times = {name: given for name, given in of_times.items() if given}
+    _refuse_alone(map_file, deposits, spectrum, quantum_efficiency, times_file, of_times)
     for option, given in followed.items():
         if given and method == "modes":
             problem = f"{option} follows photons, and --method modes none"
             raise InputError(problem, "leave one of them out")
-    if deposits and not map_file:
-        raise InputError("--deposits says where light is born in a map", "give --map FILE.nc too")
-    if quantum_efficiency and not spectrum:
-        problem = "--quantum-efficiency says what the detector sees of an emission"
-        raise InputError(problem, "give --spectrum EMISSION.csv too")
-    of_times = {name: given for name, given in of_times.items() if given}
-    if of_times and not times_file:
-        option = f"--{next(iter(of_times)).replace('_', '-')}"
-        raise InputError(f"{option} is for arrival times", "give --times FILE.csv too")
     wanted = {"map": (map_file, (".nc",)), "times": (times_file, (".csv",))}
     written = {f"--{name}": place for name, place in wanted.items() if place[0]}
     file = mcrim.read_scene(scene, overrides)
@@ -203,17 +196,7 @@ def simulate(
     else:
         showing.refuse_places(json_file, inputs, written=written)
     if figure or times_file:
-        # what would be found wrong after the run
-        from mcrim_mitsuba.efficiency.arrival_times import group_indices
-        from mcrim_mitsuba.efficiency.lighting import refuse_curved
-        from mcrim_mitsuba.transport.simulation import Simulation
-
-        run = work.run
-        loaded = Simulation(file, variant=run.variant, threads=run.threads)
-        if figure:
-            refuse_curved(loaded)
-        if times_file:
-            group_indices(loaded, of_times.get("group_index", {}))
+        _refuse_beforehand(file, work.run, figure, times_file, of_times)
     further: dict[str, mcrim.Result] = {}
     with work.begin() as run:
         light = mcrim.simulate(file, run=run, method=method)
@@ -249,6 +232,33 @@ def simulate(
         files = [Path(wanted[name][0])] if name in wanted else []
         drawn = result.draw(showing.further_picture(figure, name)) if figure else ()
         showing.show(screen, result.description, [*files, *drawn])
+
+
+def _refuse_alone(
+    map_file, deposits, spectrum, quantum_efficiency, times_file, of_times: dict
+) -> None:
+    """Refuse options that mean nothing without another."""
+    if deposits and not map_file:
+        raise InputError("--deposits says where light is born in a map", "give --map FILE.nc too")
+    if quantum_efficiency and not spectrum:
+        problem = "--quantum-efficiency says what the detector sees of an emission"
+        raise InputError(problem, "give --spectrum EMISSION.csv too")
+    if of_times and not times_file:
+        option = f"--{next(iter(of_times)).replace('_', '-')}"
+        raise InputError(f"{option} is for arrival times", "give --times FILE.csv too")
+
+
+def _refuse_beforehand(file, run, figure, times_file, of_times: dict) -> None:
+    """Refuse what figures and arrival times would find wrong after the run."""
+    from mcrim_mitsuba.efficiency.arrival_times import group_indices
+    from mcrim_mitsuba.efficiency.lighting import refuse_curved
+    from mcrim_mitsuba.transport.simulation import Simulation
+
+    loaded = Simulation(file, variant=run.variant, threads=run.threads)
+    if figure:
+        refuse_curved(loaded)
+    if times_file:
+        group_indices(loaded, of_times.get("group_index", {}))
 
 
 _LIST = "such as 0.1,0.5 or 0.01:2:40 (start:stop:count) or log:0.01:2:40"

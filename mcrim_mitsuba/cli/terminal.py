@@ -310,13 +310,8 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         # Python ends as if SIGINT had killed it where a KeyboardInterrupt left text that is
         # executed, as dataclasses do: whatever is executed then makes it forget that
         eval("0")
-        # click makes an Abort of what was raised
-        cause = error.__cause__ if isinstance(error, click.Abort) else error
-        how_far = str(cause) if isinstance(cause, KeyboardInterrupt) else ""
-        if written:
-            how_far = f"interrupted when {', '.join(map(str, written))} had been written"
         status = 128 + received[0] if received else INTERRUPTED
-        return _say(name, how_far or "interrupted before there was a result", status)
+        return _say(name, _how_far(error, written), status)
     except InputError as error:
         return _say(name, str(error), YOUR_INPUT)
     except click.UsageError as error:
@@ -327,15 +322,24 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         if error.errno not in _ROOM:
             return _our_fault(name)
         silence_stdout()
-        where = error.filename or "a temporary file"
-        mend = f"{_ROOM[error.errno]} and run it again"
-        line = f"{where}: cannot be written ({error.strerror}); {mend}"
+        where, mend = error.filename or "a temporary file", _ROOM[error.errno]
+        line = f"{where}: cannot be written ({error.strerror}); {mend} and run it again"
         return _say(name, line, YOUR_INPUT)
     except Exception:
         return _our_fault(name)
     finally:
         if arguments is None:
             _ignore_signals()
+
+
+def _how_far(error: BaseException, written: list[Path]) -> str:
+    """What an interrupted command had done: what it says itself, or which files it had written."""
+    if written:
+        return f"interrupted when {', '.join(map(str, written))} had been written"
+    # click makes an Abort of what was raised
+    cause = error.__cause__ if isinstance(error, click.Abort) else error
+    words = str(cause) if isinstance(cause, KeyboardInterrupt) else ""
+    return words or "interrupted before there was a result"
 
 
 class _InterruptError(KeyboardInterrupt):

@@ -323,8 +323,17 @@ def draw_plan(planning: Planning) -> style.Drawing:
         )
         statistical.plot(events, curves[chosen][0], label=label, **look)
         total.plot(events, curves[chosen][1], **look)
+    _finish_plan(statistical, total, planning.wanted)
+    times = counted(mountings, "mounting")
+    figure.suptitle(f"{times} of each coupling", x=0.01, ha="left", fontsize=11)
+    figure.legend(loc="outside right upper", fontsize=9, frameon=False, handlelength=3.4)
+    return style.Drawing(figure, *_plan_numbers(planning))
+
+
+def _finish_plan(statistical: Axes, total: Axes, wanted: float) -> None:
+    """Axes, titles and what is wanted, a relative error."""
     for axes, title in ((statistical, "statistical part"), (total, "statistical and systematic")):
-        axes.axhline(100 * planning.wanted, color=style.GREY, lw=1, ls="--", zorder=1)
+        axes.axhline(100 * wanted, color=style.GREY, lw=1, ls="--", zorder=1)
         axes.set(xscale="log", xlabel="events in the band, per mounting")
         axes.set_title(title, loc="left", fontsize=11)
         style.open_axes(axes)
@@ -335,8 +344,8 @@ def draw_plan(planning: Planning) -> style.Drawing:
     statistical.yaxis.set_minor_formatter("{x:g}")
     total.set_ylim(bottom=0)
     total.annotate(
-        f"wanted: {percent(planning.wanted)}",
-        (0.99, 100 * planning.wanted),
+        f"wanted: {percent(wanted)}",
+        (0.99, 100 * wanted),
         (0, -3),
         xycoords=("axes fraction", "data"),
         textcoords="offset points",
@@ -345,9 +354,10 @@ def draw_plan(planning: Planning) -> style.Drawing:
         fontsize=9.5,
         color=style.GREY,
     )
-    times = counted(mountings, "mounting")
-    figure.suptitle(f"{times} of each coupling", x=0.01, ha="left", fontsize=11)
-    figure.legend(loc="outside right upper", fontsize=9, frameon=False, handlelength=3.4)
+
+
+def _plan_numbers(planning: Planning) -> style.Numbers:
+    """Expected relative errors of every plan, per cent."""
     rows = [
         (
             planning.name(plan.configurations),
@@ -371,4 +381,4 @@ def draw_plan(planning: Planning) -> style.Drawing:
         "light_yield_total_percent",
         "alpha_scat_total_percent",
     )
-    return style.Drawing(figure, columns, rows)
+    return columns, rows

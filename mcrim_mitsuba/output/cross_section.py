@@ -32,6 +32,7 @@ from mcrim_mitsuba.transport.scene_model import SceneModel
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.scene.check_text import Interface
+    from mcrim_mitsuba.scene.scene_file import SceneFile
     from mcrim_mitsuba.transport.collection import Trail
     from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -468,37 +469,7 @@ def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ..
     height_in = below_in + main_in + 1.75 + 0.22 * -(-len(handles) // _PER_ROW)
     figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor="white")
     FigureCanvasAgg(figure)  # which measures texts
-    changed = ", ".join(said(name, file.parameters[name]) for name in file.overrides)
-    title = textwrap.shorten(f"{file.path.name} {changed and 'with'} {changed}", 90)
-    # in small print, what may be typed
-    typed = (
-        f"{n}={v:g}" if isinstance(v, float) else f"{n}={str(v).lower()}"
-        for n, v in file.parameters.items()
-    )
-    shown = textwrap.fill(",  ".join(typed), 150, max_lines=3)
-    style: dict[str, Any] = {
-        "ha": "center",
-        "va": "top",
-        "color": INK,
-        "linespacing": 1.4,
-        "parse_math": False,
-    }
-    figure.text(0.5, 1 - 0.18 / height_in, title, size=16, weight="bold", **style)
-    figure.text(0.5, 1 - 0.55 / height_in, shown, size=9.5, **style)
-    if paths:
-        figure.legend(
-            handles=handles,
-            loc="upper center",
-            bbox_to_anchor=(0.5, 1 - 1.2 / height_in),
-            ncols=_PER_ROW,
-            fontsize=9.5,
-            frameon=False,
-            handlelength=2.6,
-            columnspacing=1.4,
-            borderaxespad=0.0,
-            title=_TITLE,
-            title_fontsize=9.5,
-        )
+    _write_above(figure, file, handles if paths else ())
 
     def panel(
         bottom_in: float, tall_in: float, x: float, z: float, half: float, title: str
@@ -528,6 +499,42 @@ def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ..
         main.named[f"enlarged {times:g} times below"] = [rim]
     main.label()
     return figure
+
+
+def _write_above(figure: Figure, file: SceneFile, handles: Sequence[Line2D]) -> None:
+    """The scene's name with its parameters, and the legend of the paths, if there are any."""
+    height_in = figure.get_figheight()
+    changed = ", ".join(said(name, file.parameters[name]) for name in file.overrides)
+    title = textwrap.shorten(f"{file.path.name} {changed and 'with'} {changed}", 90)
+    # in small print, what may be typed
+    typed = (
+        f"{n}={v:g}" if isinstance(v, float) else f"{n}={str(v).lower()}"
+        for n, v in file.parameters.items()
+    )
+    shown = textwrap.fill(",  ".join(typed), 150, max_lines=3)
+    style: dict[str, Any] = {
+        "ha": "center",
+        "va": "top",
+        "color": INK,
+        "linespacing": 1.4,
+        "parse_math": False,
+    }
+    figure.text(0.5, 1 - 0.18 / height_in, title, size=16, weight="bold", **style)
+    figure.text(0.5, 1 - 0.55 / height_in, shown, size=9.5, **style)
+    if handles:
+        figure.legend(
+            handles=handles,
+            loc="upper center",
+            bbox_to_anchor=(0.5, 1 - 1.2 / height_in),
+            ncols=_PER_ROW,
+            fontsize=9.5,
+            frameon=False,
+            handlelength=2.6,
+            columnspacing=1.4,
+            borderaxespad=0.0,
+            title=_TITLE,
+            title_fontsize=9.5,
+        )
 
 
 def _closer_view(cut: CrossSection, crystal: int) -> tuple[float, float, float]:

@@ -114,6 +114,19 @@ def of_fit(fit: FitResult) -> Description:
             ),
         ),
     ]
+    parts += _photons_spent(fit)
+    chance = (
+        "no p-value without degrees of freedom" if fit.p_value is None else p_equals(fit.p_value)
+    )
+    words = (
+        f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {fit.photons:,} photons in "
+        f"{len(fit.rows)} readings, seed {fit.seed}, {fit.seconds:.1f} s"
+    )
+    return Description("fit of a campaign", (*parts, Sentence(words)), notes=fit.notes)
+
+
+def _photons_spent(fit: FitResult) -> Iterator[Table]:
+    """What each configuration took; nothing of a campaign with effects."""
     if fit.spent:
         declared = fit.model.campaign.scene.defaults.items()
         comments = {name: default.comment or "" for name, default in declared}
@@ -127,17 +140,7 @@ def of_fit(fit: FitResult) -> Description:
             for spent in fit.spent
         )
         columns = ("configuration", "photons", "of the cache", "eta to")
-        parts.append(table("photons spent", columns, rows))
-    chance = (
-        "no p-value without degrees of freedom" if fit.p_value is None else p_equals(fit.p_value)
-    )
-    parts.append(
-        Sentence(
-            f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {fit.photons:,} photons in "
-            f"{len(fit.rows)} readings, seed {fit.seed}, {fit.seconds:.1f} s"
-        )
-    )
-    return Description("fit of a campaign", tuple(parts), notes=fit.notes)
+        yield table("photons spent", columns, rows)
 
 
 def _light_yield(fit: Calibration, light: ParameterEstimate) -> str:
@@ -855,8 +858,15 @@ def of_plan(planning: Planning) -> Description:
         "alpha_scat",
     )
     plans = table("plans that no cheaper one beats (relative errors)", columns, rows)
+    begin = Sentence(f"At the campaign's solution: {at}")
+    parts: tuple[Part, ...] = (begin, signals, floors, plans, *_verdict_of_plan(planning))
+    return Description("plan of a measurement", parts, notes=planning.notes)
+
+
+def _verdict_of_plan(planning: Planning) -> list[Sentence]:
+    """What to do, what was assumed, and what would not determine the parameters."""
     assumed, sets = planning.conditions, "; ".join(map(planning.name, planning.undetermined))
-    below = [
+    return [
         *(Sentence(line, strong=True) for line in sentences.verdict(planning)),
         Sentence(
             f"Assumed: {assumed.events_per_second:g} events per second in the band, "
@@ -866,9 +876,6 @@ def of_plan(planning: Planning) -> Description:
         ),
         *([Sentence(f"Not enough to determine the parameters: {sets}")] if sets else []),
     ]
-    begin = Sentence(f"At the campaign's solution: {at}")
-    parts: tuple[Part, ...] = (begin, signals, floors, plans, *below)
-    return Description("plan of a measurement", parts, notes=planning.notes)
 
 
 def _relative(fraction: float) -> Cell:

@@ -180,28 +180,6 @@ def of_times(times: TimesResult) -> Description:
         )
         for part in times.parts
     )
-    columns: list[str | Column] = ["photon"]
-    for photons in times.first:
-        name = photons.born.replace(" ", "_")
-        columns += [
-            Column(f"{photons.born}, mean (ps)", f"mean_ps_{name}"),
-            Column(f"{photons.born}, rms (ps)", f"rms_ps_{name}"),
-        ]
-    values = [
-        pair
-        for photons in times.first
-        for pair in (
-            (photons.mean_ps, photons.mean_ps_sigma),
-            (photons.rms_ps, photons.rms_ps_sigma),
-        )
-    ]
-    first = (
-        (
-            Cell(str(place + 1), place + 1),
-            *(measured(float(value[place]), float(sigma[place])) for value, sigma in values),
-        )
-        for place in range(len(times.first[0].mean_ps))
-    )
     emitted = (
         "all emitted at once"
         if times.decay_ns is None
@@ -215,7 +193,7 @@ def of_times(times: TimesResult) -> Description:
             ("part", "group index", Column("from", left=True), Column("mean (ps)", "mean_ps")),
             parts,
         ),
-        table(f"first of {times.detected:,} detected photons", columns, first),
+        _first_photons(times),
     )
     births = Sentence(
         "light of one event is born everywhere in the crystal, or, as that of a gamma, at one "
@@ -225,6 +203,25 @@ def of_times(times: TimesResult) -> Description:
     return Description(
         "arrival times of detected light", (words, *tables, *below), notes=times.notes
     )
+
+
+def _first_photons(times: TimesResult) -> Table:
+    """When the first photons of an event are detected, by where its light is born."""
+    columns: list[str | Column] = ["photon"]
+    values: list[tuple[np.ndarray, np.ndarray]] = []
+    for photons in times.first:
+        name = photons.born.replace(" ", "_")
+        for what in ("mean", "rms"):
+            columns.append(Column(f"{photons.born}, {what} (ps)", f"{what}_ps_{name}"))
+            values.append((getattr(photons, f"{what}_ps"), getattr(photons, f"{what}_ps_sigma")))
+    rows = (
+        (
+            Cell(str(place + 1), place + 1),
+            *(measured(float(value[place]), float(sigma[place])) for value, sigma in values),
+        )
+        for place in range(len(times.first[0].mean_ps))
+    )
+    return table(f"first of {times.detected:,} detected photons", columns, rows)
 
 
 def of_table(tabulated: TableResult, *, written: str | None = None) -> Description:

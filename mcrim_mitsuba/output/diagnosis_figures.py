@@ -409,6 +409,11 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
             parse_math=False,
         )
         axes.set_xlim(-0.5, len(names) - 0.5)
+    return style.Drawing(figure, *_staircase_numbers(stairs))
+
+
+def _staircase_numbers(stairs: Sequence[RepairStep | _Final]) -> style.Numbers:
+    """What is drawn of every step."""
     rows = []
     for stair in stairs:
         estimates = [stair.parameters.get(name) for name in (LIGHT_YIELD, SCALE, ALPHA_SCAT)]
@@ -443,7 +448,7 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
         "alpha_scat_per_cm",
         "alpha_scat_sigma",
     )
-    return style.Drawing(figure, columns, rows)
+    return columns, rows
 
 
 def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:

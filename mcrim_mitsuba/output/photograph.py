@@ -402,7 +402,7 @@ def render(
 
     simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
     file, model = simulation.file, simulation.model
-    from mcrim_mitsuba.transport.photograph import photograph, surface_triangles
+    from mcrim_mitsuba.transport.photograph import surface_triangles
 
     with placed(path=file.path):
         triangles = surface_triangles(model)
@@ -423,25 +423,8 @@ def render(
         for body in part.bodies
     ]
     bodies = [bench, block.bodies, apart]
-    for number, (own_bodies, panel) in enumerate(zip(bodies, panels, strict=True)):
-
-        def report(done: int, _: int, before: int = number * samples) -> None:
-            run.tell("rendering", before + done, len(panels) * samples)
-
-        points = _corners(own_bodies)
-        floor = points[:, 2].min() - 0.004 * np.ptp(points, axis=0).max()
-        light = photograph(
-            own_bodies, panel.camera, floor, samples=samples, seed=run.seed, progress=report
-        )
-        sheet.put(light, panel)
-    title, parameters = heading(file.path.name, file.overrides, file.parameters)
-    sheet.text(24 * scale, 20 * scale, title, 19, weight="bold")
-    sheet.text(24 * scale, 56 * scale, parameters, 9.5, color=QUIET)
-    times = magnification(panels[0], panels[1], block)
-    caption(sheet, BENCH_PANEL[:2], "The bench as it stands")
-    enlarged = f"enlarged {float(f'{times:.2g}'):g} times"
-    caption(sheet, _EDGE[:2], f"The crystal's lower edge, cut open, {enlarged}")
-    caption(sheet, (_PARTS[0] + 24, _PARTS[1]), "The parts, moved apart, to scale")
+    _expose(sheet, bodies, panels, samples, run)
+    _write_titles(sheet, file, magnification(panels[0], panels[1], block), scale)
     label_bench(sheet, panels[0], block)
     label_layers(sheet, panels[1], block, model, indices)
     label_sheets(sheet, panels[1], block)
@@ -456,6 +439,40 @@ def render(
         file.content_hash,
         versions(run.variant),
     )
+
+
+def _expose(
+    sheet: Sheet,
+    bodies: Sequence[Sequence[Body]],
+    panels: Sequence[Photo],
+    samples: int,
+    run: Run,
+) -> None:
+    """Photograph the bodies of each panel, and put the pictures on the sheet."""
+    from mcrim_mitsuba.transport.photograph import photograph
+
+    for number, (in_panel, panel) in enumerate(zip(bodies, panels, strict=True)):
+
+        def report(done: int, _: int, before: int = number * samples) -> None:
+            run.tell("rendering", before + done, len(panels) * samples)
+
+        points = _corners(in_panel)
+        floor = points[:, 2].min() - 0.004 * np.ptp(points, axis=0).max()
+        light = photograph(
+            in_panel, panel.camera, floor, samples=samples, seed=run.seed, progress=report
+        )
+        sheet.put(light, panel)
+
+
+def _write_titles(sheet: Sheet, file: SceneFile, times: float, scale: float) -> None:
+    """The scene's name and parameters, and a caption for each panel."""
+    title, parameters = heading(file.path.name, file.overrides, file.parameters)
+    sheet.text(24 * scale, 20 * scale, title, 19, weight="bold")
+    sheet.text(24 * scale, 56 * scale, parameters, 9.5, color=QUIET)
+    caption(sheet, BENCH_PANEL[:2], "The bench as it stands")
+    enlarged = f"enlarged {float(f'{times:.2g}'):g} times"
+    caption(sheet, _EDGE[:2], f"The crystal's lower edge, cut open, {enlarged}")
+    caption(sheet, (_PARTS[0] + 24, _PARTS[1]), "The parts, moved apart, to scale")
 
 
 def _corners(bodies: Sequence[Body]) -> np.ndarray:

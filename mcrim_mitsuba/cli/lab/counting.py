@@ -76,8 +76,6 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
     mean: both centroids are shown.
     """
     from mcrim_mitsuba.laboratory.histogram import read_histogram
-    from mcrim_mitsuba.laboratory.peak import combine
-    from mcrim_mitsuba.laboratory.peak_band import width_parts
     from mcrim_mitsuba.output.laboratory_figures import (
         FittedHistogram,
         draw_histograms,
@@ -93,7 +91,6 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
     inputs = [*files, *filter(None, (map_file, deposits))]
     showing.refuse_places(json_file, inputs, figure, *(["widths"] if map_file else []))
     _refuse_duplicates(files)
-    spreads = _spreads(map_file, depth_mm, deposits)
     names = [Path(file).name for file in files]
     if len(set(names)) < len(names):
         names = list(files)
@@ -104,40 +101,20 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
     ]
     peaks = {histogram.name: histogram.peak for histogram in fitted if histogram.peak is not None}
     without = [histogram for histogram in fitted if histogram.peak is None]
-    notes = [
-        f"{name}: {warning}"
-        for name, peak_of_file in peaks.items()
-        for warning in peak_of_file.warnings
-    ]
-    combined = of_all = None
-    if len(peaks) > 1:
-        combined = combine(
-            [peak_of_file.centroid for peak_of_file in peaks.values()],
-            [peak_of_file.centroid_sigma for peak_of_file in peaks.values()],
-        )
-        outliers = [list(peaks)[i] for i in combined.outliers]
+    notes = [f"{name}: {words}" for name, peak in peaks.items() for words in peak.warnings]
+    combined, outliers = _combined(peaks)
+    if combined is not None:
         notes += _notes(combined, outliers)
-        of_all = attributes(
-            combined,
-            "mean sigma scatter_sigma internal_sigma chi2 ndf p_value consistent outliers warnings",
-        ) | {"outliers": outliers}
     document = {
         "histograms": [
             {"file": file, **_peak_json(histogram.peak)}
             for file, histogram in zip(files, fitted, strict=True)
         ],
-        "combined": of_all,
+        "combined": combined and attributes(combined, _OF_MEAN) | {"outliers": outliers},
         "notes": notes,
     }
     pictures = {"histograms": lambda: draw_histograms(fitted)}
-    widths = {
-        name: [
-            width_parts(peak_of_file, spread.source, spread.relative_rms, spread.relative_rms_sigma)
-            for spread in spreads
-        ]
-        for name, peak_of_file in peaks.items()
-        if spreads
-    }
+    widths = _widths(peaks, _spreads(map_file, depth_mm, deposits))
     if widths:
         pictures["widths"] = lambda: draw_widths(widths)
         document["widths"] = [
@@ -153,13 +130,38 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
     )
     showing.answer(result, json_file, figure)
     if without:
-        raise InputError(
-            "no peak stands out",
-            "measure longer, or show where it is with --window"
-            if window is None
-            else "let --window have the whole peak, and some background beside it",
-            path=without[0].histogram.path,
-        )
+        mend = "let --window have the whole peak, and some background beside it"
+        if window is None:
+            mend = "measure longer, or show where it is with --window"
+        raise InputError("no peak stands out", mend, path=without[0].histogram.path)
+
+
+_OF_MEAN = "mean sigma scatter_sigma internal_sigma chi2 ndf p_value consistent outliers warnings"
+
+
+def _combined(peaks: dict):
+    """The mean of several mountings, None of one; and the names of outliers among them."""
+    from mcrim_mitsuba.laboratory.peak import combine
+
+    if len(peaks) < 2:
+        return None, []
+    centroids = [peak.centroid for peak in peaks.values()]
+    combined = combine(centroids, [peak.centroid_sigma for peak in peaks.values()])
+    return combined, [list(peaks)[i] for i in combined.outliers]
+
+
+def _widths(peaks: dict, spreads) -> dict[str, list]:
+    """Parts of each peak's width, for every place where gammas may stop; nothing without any."""
+    from mcrim_mitsuba.laboratory.peak_band import width_parts
+
+    return {
+        name: [
+            width_parts(peak, spread.source, spread.relative_rms, spread.relative_rms_sigma)
+            for spread in spreads
+        ]
+        for name, peak in peaks.items()
+        if spreads
+    }
 
 
 def _spreads(map_file: str | None, depth_mm: float, deposits: str | None):

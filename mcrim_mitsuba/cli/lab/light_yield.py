@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import click
 
 from mcrim_mitsuba.cli import options, showing
@@ -73,16 +75,7 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     showing.refuse_places(json_file, [])
     # energies of sources are exact beside all else
     given = {"--signal": signals, "--eta": etas, "--efficiency": (efficiency,)}
-    lacking = [option for option, numbers in given.items() if not all(n.sigma for n in numbers)]
-    notes = (
-        [f"{' and '.join(lacking)} came without an error (as in 14.3±0.2): the budget lacks it"]
-        if lacking
-        else []
-    )
-    notes.append(
-        "--efficiency counts as that of light inside the window: measured in air it has the "
-        "window's reflection in it, and the yield is lower by that (4.26 % at n = 1.52)"
-    )
+    notes = [*_lacking_errors(given), _INSIDE_THE_WINDOW]
     labels = _labels(signals, etas, labels)
     couplings = {}
     for label, signal, eta in zip(labels, signals, etas, strict=True):
@@ -98,21 +91,20 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     budgets = {label: budget_of(light).merged for label, (*_, light) in couplings.items()}
     if len(couplings) > 1:
         budgets["together"] = budget_of(together.mean).merged
+    weights = dict(zip(couplings, together.weights, strict=True))
     document = {
         "yields": [
             {
                 "label": label,
-                "signal": signal[0],
-                "signal_sigma": signal[1],
-                "eta": eta[0],
-                "eta_sigma": eta[1],
-                "weight": weight,
+                "signal": signal,
+                "signal_sigma": signal_sigma,
+                "eta": eta,
+                "eta_sigma": eta_sigma,
+                "weight": weights[label],
                 **_yield_json(light),
                 "budget": _budget_json(budgets[label]),
             }
-            for (label, (signal, eta, light)), weight in zip(
-                couplings.items(), together.weights, strict=True
-            )
+            for label, ((signal, signal_sigma), (eta, eta_sigma), light) in couplings.items()
         ],
         **_yield_json(together.mean),
         "budget": _budget_json(list(budgets.values())[-1]),
@@ -121,6 +113,19 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     }
     shown = describe_laboratory.of_yields(couplings, together, budgets, notes)
     showing.answer(VerbResult(kind="light_yield", shown=shown, numbers=document), json_file)
+
+
+_INSIDE_THE_WINDOW = (
+    "--efficiency counts as that of light inside the window: measured in air it has the "
+    "window's reflection in it, and the yield is lower by that (4.26 % at n = 1.52)"
+)
+
+
+def _lacking_errors(given: Mapping[str, Sequence[NumberWithError]]) -> list[str]:
+    """A note on options whose numbers came without errors, if there are such."""
+    lacking = [option for option, numbers in given.items() if not all(n.sigma for n in numbers)]
+    words = f"{' and '.join(lacking)} came without an error (as in 14.3±0.2): the budget lacks it"
+    return [words] if lacking else []
 
 
 def _labels(signals, etas, labels: tuple[str, ...]) -> tuple[str, ...]:

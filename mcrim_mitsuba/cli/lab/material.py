@@ -125,17 +125,7 @@ _INDEX_LIKE = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 @options.figure("transmittances and coefficients over wavelength")
 @options.json_output
 def absorption(
-    transmittance,
-    thickness_mm,
-    index,
-    n_sigma,
-    sigma,
-    thickness_sigma_mm,
-    emission,
-    quantum_efficiency,
-    wavelength_nm,
-    figure,
-    json_file,
+    transmittance, index, n_sigma, sigma, emission, quantum_efficiency, figure, json_file, **sample
 ) -> None:
     r"""Absorption coefficient from the transmittance of a polished sample in air (Eq. 4).
 
@@ -149,16 +139,10 @@ def absorption(
     scattered out of the beam counts as absorbed unless an integrating sphere collected it.
     """
     from mcrim_mitsuba.optics.absorption import EMISSION, absorption_from_transmittance
-    from mcrim_mitsuba.optics.spectrum import detected_light
-    from mcrim_mitsuba.optics.spectrum_file import read_spectra, read_spectrum
+    from mcrim_mitsuba.optics.spectrum_file import read_spectra
 
-    for text, option in (*((value, "--sigma") for value in transmittance), (index, "--n-sigma")):
-        if "±" in text or "+-" in text:
-            raise InputError(f"'{text}' has its error beside it", f"give the error as {option}")
-    numbers = [text for text in transmittance if _NUMBER_LIKE.fullmatch(text)]
-    files = [] if numbers else list(transmittance)
-    if numbers and len(numbers) < len(transmittance):
-        raise InputError("numbers and files together", "give all orientations the same way")
+    numbers, files = _numbers_or_files(transmittance, index)
+    thickness_mm, wavelength_nm = sample["thickness_mm"], sample["wavelength_nm"]
     if figure is not None and not files:
         raise InputError("--figure has no spectrum to draw", "leave it out, or name files")
     if emission is not None and wavelength_nm is not None:
@@ -168,34 +152,19 @@ def absorption(
         raise InputError(problem, "give the crystal's emission spectrum too")
     weights = [file for file in (emission, quantum_efficiency) if file is not None]
     showing.refuse_places(json_file, [*files, *weights], figure)
-    light = None if emission is None else read_spectrum(emission, "emission")
-    of_light = [] if light is None else list(light.notes)
-    if light is not None and quantum_efficiency is not None:
-        detector = read_spectrum(quantum_efficiency, "quantum_efficiency")
-        light, of_light = detected_light(light, detector), [*of_light, *detector.notes]
+    light, of_light = _light(emission, quantum_efficiency)
     n, own_sigma, notes = _index(index, light, wavelength_nm)
     n_sigma = own_sigma if n_sigma is None else n_sigma
     spectra = read_spectra(files, "transmittance")
     readings = [parse_share("the transmittance", text) for text in numbers]
+    errors = {"transmittance_sigma": sigma, "n_sigma": n_sigma}
     coefficient = absorption_from_transmittance(
-        spectra or readings,
-        n,
-        thickness_mm,
-        transmittance_sigma=sigma,
-        n_sigma=n_sigma,
-        thickness_sigma_mm=thickness_sigma_mm,
-        emission=light,
-        wavelength_nm=wavelength_nm,
+        spectra or readings, n, emission=light, **errors, **sample
     )
-    notes = [
-        *of_light,
-        *notes,
-        *(note for spectrum in spectra for note in spectrum.notes),
-        *coefficient.notes,
-    ]
-    if not any(
-        part > 0 for origin, part in coefficient.contributions.items() if origin != EMISSION
-    ):
+    of_spectra = [note for spectrum in spectra for note in spectrum.notes]
+    notes = [*of_light, *notes, *of_spectra, *coefficient.notes]
+    others = (part for origin, part in coefficient.contributions.items() if origin != EMISSION)
+    if not any(part > 0 for part in others):
         notes.append("no error is given: give --sigma, --n-sigma or --thickness-sigma-mm")
     article = _beside_the_article(readings, n, thickness_mm)
     document = {
@@ -203,13 +172,8 @@ def absorption(
         "n": coefficient.n,
         "n_sigma": n_sigma,
         "thickness_mm": thickness_mm,
-        "alpha_abs_per_cm": coefficient.alpha_abs_per_cm,
-        "alpha_abs_sigma_per_cm": coefficient.sigma,
-        **attributes(
-            coefficient,
-            "contributions internal_transmittance internal_transmittance_sigma each_per_cm "
-            "spread_orientations_per_cm spread_band_per_cm apparent_per_cm",
-        ),
+        **attributes(coefficient, "alpha_abs_per_cm", alpha_abs_sigma_per_cm="sigma"),
+        **attributes(coefficient, _OF_ABSORPTION),
         "article": article,
         "notes": notes,
     }
@@ -220,14 +184,7 @@ def absorption(
         named = [(Path(file).stem, spectrum) for file, spectrum in zip(files, spectra, strict=True)]
         return draw_absorption(named, n, coefficient, light)
 
-    beside = (
-        ""
-        if article is None
-        else (
-            f"the article ({article['where']}) has {100 * article['internal_transmittance']:.0f} % "
-            f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
-        )
-    )
+    beside = "" if article is None else _article_in_words(article)
     result = VerbResult(
         kind="absorption",
         shown=describe_laboratory.of_absorption(coefficient, transmittance, beside, notes),
@@ -235,6 +192,37 @@ def absorption(
         drawings={"absorption": drawn},
     )
     showing.answer(result, json_file, figure)
+
+
+_OF_ABSORPTION = (
+    "contributions internal_transmittance internal_transmittance_sigma each_per_cm "
+    "spread_orientations_per_cm spread_band_per_cm apparent_per_cm"
+)
+
+
+def _numbers_or_files(transmittance: tuple[str, ...], index: str) -> tuple[list[str], list[str]]:
+    """Transmittances as they were typed, all numbers or all files."""
+    for text, option in (*((value, "--sigma") for value in transmittance), (index, "--n-sigma")):
+        if "±" in text or "+-" in text:
+            raise InputError(f"'{text}' has its error beside it", f"give the error as {option}")
+    numbers = [text for text in transmittance if _NUMBER_LIKE.fullmatch(text)]
+    if numbers and len(numbers) < len(transmittance):
+        raise InputError("numbers and files together", "give all orientations the same way")
+    return numbers, [] if numbers else list(transmittance)
+
+
+def _light(emission: str | None, quantum_efficiency: str | None):
+    """The light that the coefficient is averaged over, None without a spectrum; and notes."""
+    from mcrim_mitsuba.optics.spectrum import detected_light
+    from mcrim_mitsuba.optics.spectrum_file import read_spectrum
+
+    if emission is None:
+        return None, []
+    light = read_spectrum(emission, "emission")
+    if quantum_efficiency is None:
+        return light, list(light.notes)
+    detector = read_spectrum(quantum_efficiency, "quantum_efficiency")
+    return detected_light(light, detector), [*light.notes, *detector.notes]
 
 
 def _index(text: str, light, wavelength_nm: float | None):
@@ -267,6 +255,13 @@ def _beside_the_article(readings: list[float], n, thickness_mm: float) -> dict |
         "alpha_abs_per_cm": p.NOMINAL.alpha_abs_per_cm.value,
         "where": p.CORRECTED_TRANSMITTANCE.where,
     }
+
+
+def _article_in_words(article: dict) -> str:
+    return (
+        f"the article ({article['where']}) has {100 * article['internal_transmittance']:.0f} % "
+        f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
+    )
 
 
 _USUAL_NM = 540.0
