@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from mcrim_mitsuba.inference import repair as repairing
 from mcrim_mitsuba.inference.candidates import Candidate, Limit
 from mcrim_mitsuba.inference.compare import Absorbed, Comparison, Suspect, Trend
 from mcrim_mitsuba.inference.diagnose import Diagnosis, FamilyProbability, RepairStep
+from mcrim_mitsuba.inference.drivers import Minimum
 from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
 from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.fit import Calibration
@@ -89,19 +91,24 @@ BAD = Suspect("bad_reading", (MARKUP,), 50.1, 3e-6, 14.1, 11, 0.23, 7.1, True)
 SWAPPED = Suspect("swapped_rows", (QUOTES, SCRIPT), 30.2, 1e-5, 34.0, 12, 6e-4, None, False)
 
 
+#: A fit made by hand has no model, and no profiles.
+MINIMUM = cast(Minimum, SimpleNamespace(names=(), statistic=SimpleNamespace(model=None)))
+
+
 def calibration(parameters=FITTED, shrunk: float = 1.0, chi2: float = 64.2) -> Calibration:
     return Calibration(
-        parameters,
-        {},
-        chi2,
-        12,
-        0.42 if shrunk < 1 else 2.3e-9,
-        rows(shrunk),
-        ("alpha_scat_per_cm",),
-        np.eye(1),
-        np.zeros((1, 16)),
-        True,
-        (),
+        parameters=parameters,
+        fixed={},
+        chi2=chi2,
+        ndf=12,
+        p_value=0.42 if shrunk < 1 else 2.3e-9,
+        rows=rows(shrunk),
+        names=("alpha_scat_per_cm",),
+        covariance=np.eye(1),
+        response=np.zeros((1, 16)),
+        converged=True,
+        notes=(),
+        minimum=MINIMUM,
     )
 
 
@@ -192,22 +199,20 @@ def diagnosis(verdict: str, **changed) -> Diagnosis:
         "water, gap of 0.5 mm; and gel, mask of 7 mm radius",
     )
     made = Diagnosis(
-        verdict,
-        f"as {MARKUP} shows",
-        comparison(),
-        CANDIDATES,
-        (),
-        tuple(name for names in leading for name in names),
-        leading,
-        limits if verdict == "adequate" else {},
-        (),
-        STEPS,
-        (following,) if verdict == "ambiguous" else (),
-        {"saturation": "excluded"},
-        {FIRST: 0.7, SECOND: 0.29, "none": 0.01},
-        AveragedYield(7.7, 0.86, 0.78, 0.34, 0.12),
-        1.0,
-        FAMILIES,
+        verdict=verdict,
+        reason=f"as {MARKUP} shows",
+        baseline=comparison(),
+        candidates=CANDIDATES,
+        leading=tuple(name for names in leading for name in names),
+        leading_sets=leading,
+        upper_limits=limits if verdict == "adequate" else {},
+        repair=STEPS,
+        next_measurements=(following,) if verdict == "ambiguous" else (),
+        not_tried={"saturation": "excluded"},
+        probabilities={FIRST: 0.7, SECOND: 0.29, "none": 0.01},
+        light_yield_averaged=AveragedYield(7.7, 0.86, 0.78, 0.34, 0.12),
+        seconds=1.0,
+        families=FAMILIES,
         titles=TITLES,
     )
     return replace(made, **changed)

@@ -15,7 +15,10 @@ from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.effects.catalogue import catalogue
+from mcrim_mitsuba.inference.drivers import find_minima
+from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.model import Prediction
+from mcrim_mitsuba.inference.statistic import Statistic
 
 SIGMA = 0.007
 PRIOR, PRIOR_SIGMA = 0.039, 0.012
@@ -145,7 +148,12 @@ class Model:
         self.campaign = SimpleNamespace(
             path=None,
             light_yield=known,
-            switched_on=[],
+            switched_on=[EFFECTS[name] for name in self.effects],
+            effects=(),
+            parameters={},
+            scale=None,
+            notes=(),
+            raw=None,
             values=SCENE,
             # of one crystal
             light_yields={} if known is None else {"scale": ("light_yield_ph_per_keV", known)},
@@ -169,6 +177,8 @@ class Model:
             eta=eta,
             eta_slopes=(np.exp(log).imag[1:] / step).T,
             eta_errors=np.diag(self._error_sigma * eta) if covariance else None,
+            eta_sigma=self._error_sigma * eta,
+            interpolation_error=np.zeros(len(eta)),
             signal=signal[0].real,
             signal_slopes=(signal[1:].imag / step).T,
             signal_per_eta=scale[0, 0].real / bent[0].real ** 2,
@@ -183,6 +193,12 @@ class Model:
 
     def eta_batches(self, theta) -> np.ndarray:
         return (self.noise - self.noise.mean(axis=0))[:, self._at]
+
+
+def explanations_of(models, effects, scales=None) -> Explanations:
+    """What effects make of the campaign whose models these are."""
+    baseline = find_minima(Statistic(models(())))[0]
+    return Explanations(models, effects, baseline, scales or {})
 
 
 def simulation_noise(seed: int) -> np.ndarray:

@@ -29,8 +29,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Progress, Run
 from mcrim_mitsuba.inference.diagnose import diagnose_on
-from mcrim_mitsuba.inference.fit import Calibration, fit_model
-from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.inference.fit import Calibration
 
 
 class _OutdatedError(Exception):
@@ -48,7 +47,7 @@ class ReadingsModel:
     history : History
         Its campaign has the readings; it is told what was simulated.
     run : Run
-        See `inference.workbench.Workbench`.
+        See `inference.simulations.CampaignSimulations`.
     progress : callable
         As `Run.progress`; it may raise an exception to end a simulation.
     """
@@ -157,7 +156,7 @@ class Session:
     ----------
     campaign : Campaign
     run : Run
-        See `inference.workbench.Workbench`; its progress is shown on the page.
+        See `inference.simulations.CampaignSimulations`; its progress is shown on the page.
     folder : Path
         For uploads and for files to be downloaded.
     """
@@ -202,9 +201,8 @@ class Session:
             before, campaign = self.state.settings, self._opened
             self.model.bench.simulate()
             self.history.change()
-            model = self.model.bench.workbench(campaign).model()
-            fit = fit_model(model, profile=False)
-            self._take_fit(model, fit, Settings(values=before.values), before, campaign)
+            fit = self.model.bench.simulations_of(campaign).fit()
+            self._take_fit(fit, Settings(values=before.values), before, campaign)
         self.model.make_ready(effects)
 
     def switch_on(self, effect: str) -> None:
@@ -247,14 +245,13 @@ class Session:
         self._make_ready(wanted.effects)
         bench, campaign = self.model.bench, self.state.campaign
         fitted, rest = bench.fitted_campaign(campaign, wanted)
-        model, fit = bench.workbench(fitted).settled_model(rest, wanted.values)
-        bench.keep_anchor(wanted.effects, model.anchor)
+        fit = bench.simulations_of(fitted).settled_fit(rest, wanted.values)
+        bench.keep_anchor(wanted.effects, fit.model)
         self.history.keep()
-        self._take_fit(model, fit, wanted, pressed, campaign)
+        self._take_fit(fit, wanted, pressed, campaign)
 
     def _take_fit(
         self,
-        model: ResponseModel,
         fit: Calibration,
         wanted: Settings,
         pressed: Settings,
@@ -271,7 +268,7 @@ class Session:
             settings=fitted,
             campaign=campaign,
             calibration=fit,
-            priors=model.campaign.priors,
+            priors=fit.model.campaign.priors,
             words=difference(self._opened, campaign, wanted, bench.known(wanted), controls),
         )
         since = (name for name in now.effects if name not in pressed.effects)
@@ -287,9 +284,9 @@ class Session:
             self._make_ready()
             bench, campaign = self.model.bench, self.state.campaign
             fitted, _ = bench.fitted_campaign(campaign, replace(settings, effects=()))
-            workbench = bench.workbench(fitted)
-            diagnosed = diagnose_on(workbench)
-            bench.take(workbench)
+            simulations = bench.simulations_of(fitted)
+            diagnosed = diagnose_on(simulations)
+            bench.take(simulations)
             with self.history.lock:
                 if self.state.campaign is campaign:
                     self.history.keep()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import replace
@@ -24,18 +23,20 @@ from mcrim_mitsuba.app.state import (
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
+from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run, one_thread
 from mcrim_mitsuba.efficiency.response_maker import configurations
 from mcrim_mitsuba.efficiency.responses import Anchor
+from mcrim_mitsuba.inference.drivers import newton
 from mcrim_mitsuba.inference.estimates import fitted_rows
-from mcrim_mitsuba.inference.likelihood import FrozenStatistic, Likelihood, p_value
-from mcrim_mitsuba.inference.model import UNKNOWN_SCALE, ResponseModel
-from mcrim_mitsuba.inference.workbench import Workbench
+from mcrim_mitsuba.inference.model import UNKNOWN_SCALE, Model, ResponseModel
+from mcrim_mitsuba.inference.simulations import CampaignModels, CampaignSimulations
+from mcrim_mitsuba.inference.statistic import Statistic, Weights, p_value
 from mcrim_mitsuba.output.sentences import parameter_words
 
-#: Steps of the scale's fit: it is linear but for effects of the readings, which bend it a little.
-_SCALE_STEPS = 4
+#: Updates of the covariance while the scale is fitted.
+_SCALE_STEPS = 2
 #: Models that are kept ready.
 _MOST_MODELS = 30
 
@@ -50,11 +51,12 @@ class SimulatedBench:
     ----------
     campaign : Campaign
     run : Run
-        See `inference.workbench.Workbench`.
+        See `inference.simulations.CampaignSimulations`.
     """
 
     def __init__(self, campaign: Campaign, run: Run) -> None:
-        self._workbench = Workbench(campaign, run)
+        self._simulations = CampaignSimulations(campaign, run)
+        self._simulated: CampaignModels | None = None
         self._shape = _shape(campaign)
         self._models: dict[Any, tuple[Campaign, ResponseModel]] = {}
         #: Effects that were simulated; None before the bench as it is was.
@@ -75,10 +77,10 @@ class SimulatedBench:
         #: Effects that can be switched on, with their controls.
         self.effects = {
             name: (effect, tuple(effect_control(one, *known) for one in effect.parameters))
-            for name, effect in self._workbench.possible().items()
+            for name, effect in self._simulations.possible().items()
         }
         #: Why some effects cannot be switched on.
-        self.refused = tuple(dict.fromkeys(self._workbench.notes))
+        self.refused = tuple(dict.fromkeys(self._simulations.notes))
 
     def fits(self, campaign: Campaign) -> bool:
         """Whether the readings of a campaign have these configurations."""
@@ -87,10 +89,10 @@ class SimulatedBench:
     # ---- what can be moved -------------------------------------------------------------------
 
     def _own_controls(self, campaign: Campaign, largest_signal: float) -> tuple[Control, ...]:
-        maker = self._workbench.own_maker
+        grid = self._simulations.grid
         covered = {
-            ALPHA_SCAT: maker.grid.alpha_scat_range_per_cm,
-            ALPHA_ABS: maker.grid.alpha_abs_range_per_cm,
+            ALPHA_SCAT: grid.alpha_scat_range_per_cm,
+            ALPHA_ABS: grid.alpha_abs_range_per_cm,
         }
         own = [
             parameter_control(known, parameter_words(campaign, name)[0], covered.get(of))
@@ -137,14 +139,19 @@ class SimulatedBench:
 
     def simulate(self, effects: Collection[str] = ()) -> None:
         """Simulate what is not simulated yet: the bench as it is, and effects."""
-        bench, ready = self._workbench, self.ready
-        if ready is None or any(n not in ready or n not in bench.precise for n in effects):
+        ready = self.ready
+        precise = self._simulated.precise if self._simulated is not None else ()
+        if ready is None or any(n not in ready or n not in precise for n in effects):
             before = ready or frozenset()
-            bench.simulate(sorted({*before, *effects}), look=before - {*effects})
-            self._simulated()
+            wanted = sorted({*before, *effects})
+            self._simulations.simulate(wanted, look=before - {*effects})
+            self.take(self._simulations)
 
-    def _simulated(self) -> None:
-        self.ready = self._workbench.simulated
+    def take(self, simulations: CampaignSimulations) -> None:
+        """Go on with what was simulated, here or for other knowledge of the same bench."""
+        self._simulations = simulations.of(self._simulations.campaign)
+        self._simulated = simulations.models
+        self.ready = self._simulated.simulated
         self.version += 1
 
     def fitted_campaign(
@@ -172,21 +179,14 @@ class SimulatedBench:
         rest = tuple(sorted(name for name in settings.effects if name not in own))
         return replace(campaign, parameters=parameters, scale=scale), rest
 
-    def workbench(self, campaign: Campaign) -> Workbench:
-        """The workbench with other knowledge or readings: what was simulated serves them too."""
-        bench = copy.copy(self._workbench)
-        bench.campaign = campaign
-        return bench
+    def simulations_of(self, campaign: Campaign) -> CampaignSimulations:
+        """The simulations with other knowledge or readings: what there is serves them too."""
+        return self._simulations.of(campaign)
 
-    def take(self, workbench: Workbench) -> None:
-        """Go on with what one of `workbench` has simulated besides."""
-        self._workbench.responses = workbench.responses
-        self._simulated()
-
-    def keep_anchor(self, effects: tuple[str, ...], anchor: Anchor | None) -> None:
-        """Models with these effects are corrected by a joint simulation from now on."""
-        if anchor is not None:
-            self._anchors[tuple(sorted(effects))] = anchor
+    def keep_anchor(self, effects: tuple[str, ...], model: Model) -> None:
+        """Models with these effects are corrected as this one from now on."""
+        if isinstance(model, ResponseModel) and model.anchor is not None:
+            self._anchors[tuple(sorted(effects))] = model.anchor
             self.version += 1
 
     def settle_at(self, campaign: Campaign, settings: Settings) -> dict[str, float]:
@@ -199,10 +199,11 @@ class SimulatedBench:
         # sizes of other effects may be the scene's own parameters: those stay as they are
         used = {*campaign.parameters, *(p.name for e in switched_on for p in e.parameters)}
         values = {name: value for name, value in settings.values.items() if name in used}
-        if not self._workbench.own_maker.is_exact(switched_on):
+        if not self._simulations.is_exact(switched_on):
             free = self._model(campaign, names, self.known(settings)).free
             here = {p.name: values.get(p.name, p.start) for p in free if p.name != SCALE}
-            self.keep_anchor(names, self._workbench.anchored_model(names, here).anchor)
+            with_effects = campaign.with_effects(names)
+            self.keep_anchor(names, self._simulations.anchored_model(with_effects, here))
         return values
 
     # ---- what the model says -----------------------------------------------------------------
@@ -218,7 +219,7 @@ class SimulatedBench:
         effects = tuple(name for name in settings.effects if name in self.ready)
         known = self.known(settings)
         model = self._model(campaign, effects, known)
-        likelihood = Likelihood(model)
+        statistic = Statistic(model)
         theta = np.array(
             [
                 min(max(settings.values.get(p.name, p.start), p.minimum), p.maximum)
@@ -229,14 +230,14 @@ class SimulatedBench:
         )
         names, sigma = [parameter.name for parameter in model.free], 0.0
         if settings.fit_scale:
-            sigma = _fit_scale(likelihood, theta, names.index(SCALE))
-        statistic = FrozenStatistic(likelihood, likelihood.errors_at(theta))
+            theta, sigma = _fit_scale(statistic, theta)
+        weights = Weights(statistic.errors_at(theta))
         prediction = model.predict(theta, check=True)
         assert prediction.eta_sigma is not None  # checked
         assert prediction.interpolation_error is not None
         errors = list(map(math.hypot, prediction.eta_sigma, prediction.interpolation_error))
         held = sum(known[name].how == HELD for name in names if name in known)
-        chi2, ndf = statistic.chi2(theta), likelihood.ndf + held
+        chi2, ndf = statistic.chi2(theta, weights), statistic.ndf + held
         return Shown(
             rows=fitted_rows(model.readings, prediction, errors),
             chi2=chi2,
@@ -270,7 +271,8 @@ class SimulatedBench:
             own = replace(own, parameters=parameters, scale=scale)
             if len(self._models) >= _MOST_MODELS:
                 self._models = {}
-            model = ResponseModel(own, self._workbench.responses, own.switched_on, anchor)
+            assert self._simulated is not None  # only then is anything shown
+            model = self._simulated.model_of(own, anchor)
             # with what its key is the identity of
             self._models[key] = (campaign, model)
         return self._models[key][1]
@@ -294,13 +296,12 @@ def _light_yield(
     return scale * known.per_scale, sigma * known.per_scale, scale * known.per_scale * relative
 
 
-def _fit_scale(likelihood: Likelihood, theta: np.ndarray, place: int) -> float:
-    """Let the scale, in place, follow the readings; returns its error with all else held."""
-    eta = likelihood.model.predict(theta).eta
-    theta[place] = likelihood.best_scale(eta, likelihood.errors_before_any_fit())
+def _fit_scale(statistic: Statistic, theta: Array) -> tuple[Array, float]:
+    """Parameters with the scale that follows the readings, and its error; all else is held."""
+    place = statistic.index(SCALE)
+    held = [i for i in range(len(theta)) if i != place]
     for _ in range(_SCALE_STEPS):
-        errors = likelihood.errors_at(theta)
-        statistic = FrozenStatistic(likelihood, errors)
-        curvature = statistic.information(theta)[place, place]
-        theta[place] -= 0.5 * statistic.gradient(theta)[place] / curvature
-    return 1.0 / math.sqrt(curvature)
+        weights = Weights(statistic.errors_at(theta))
+        theta, _, _ = newton(statistic, theta, weights, held=held)
+    slopes = statistic.evaluate(theta, weights)[1][:, place]
+    return theta, float(slopes @ slopes) ** -0.5

@@ -28,8 +28,8 @@ from mcrim_mitsuba.inference.compare import Comparison
 from mcrim_mitsuba.inference.diagnose import Diagnosis, diagnose
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.inference.unexplained import UNKNOWN
-from mcrim_mitsuba.inference.workbench import Workbench
 from mcrim_mitsuba.optics.slab_transmittance import (
     absorption_coefficient,
     internal_transmittance,
@@ -91,7 +91,7 @@ def find_contradiction(run: Run) -> Contradiction:
     """
     campaign = read_campaign(scene_path(CAMPAIGN))
     run = replace(run, photons=PHOTONS, precision=None)
-    ignorant = Workbench(replace(campaign, scene=read_scene(campaign.scene.path)), run)
+    ignorant = CampaignSimulations(replace(campaign, scene=read_scene(campaign.scene.path)), run)
     ignorant.simulate()
     fitted = {ALPHA_SCAT: p.ALPHA_SCAT.value, ALPHA_ABS: p.NOMINAL.alpha_abs_per_cm.value}
     bench = campaign.scene.with_overrides(fitted)
@@ -110,7 +110,7 @@ def find_contradiction(run: Run) -> Contradiction:
     }
     ground = [name for name in campaign.catalogue if name.split("_")[0] == "ground"]
     diagnosis = diagnose(campaign, without=ground, run=run).diagnosis
-    return Contradiction(diagnosis, ignorant.settled_model()[1], etas)
+    return Contradiction(diagnosis, ignorant.fit(), etas)
 
 
 def hazy_transmittance(rms_nm: float) -> float:

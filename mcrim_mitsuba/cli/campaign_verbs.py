@@ -113,7 +113,7 @@ def compare(campaigns, figure, json_file, work) -> None:
 
 
 def _after_hypotheses(compared) -> str:
-    from mcrim_mitsuba.inference.diagnose import AMBIGUOUS, UNEXPLAINED
+    from mcrim_mitsuba.inference.judgement import AMBIGUOUS, UNEXPLAINED
     from mcrim_mitsuba.output.sentences import most_apart
 
     best = compared.named[compared.leading[0]].campaign
@@ -168,7 +168,7 @@ def diagnose(campaign, figure, json_file, work, without, only) -> None:
 
 
 def _after_diagnosis(campaign: str, diagnosis) -> str:
-    from mcrim_mitsuba.inference.diagnose import ADEQUATE, AMBIGUOUS, MISSING_EFFECT
+    from mcrim_mitsuba.inference.judgement import ADEQUATE, AMBIGUOUS, MISSING_EFFECT
 
     path = Path(campaign)
     chosen = ["--effect", ",".join(diagnosis.set_aside)] if diagnosis.set_aside else []

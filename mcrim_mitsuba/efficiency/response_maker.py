@@ -347,7 +347,12 @@ class ResponseMaker:
             [float(own[name]) for own in named] for name in (ALPHA_SCAT, ALPHA_ABS)
         )
         point = Point.of(self.grid, scattering, absorption)
-        return Anchor(dict(values), point.value(log_eta), point.values(deviations))
+        return Anchor(
+            effects=frozenset([*(effect.name for effect in effects), *self.campaign.parameters]),
+            values=dict(values),
+            log_eta=point.value(log_eta),
+            deviations=point.values(deviations),
+        )
 
     def is_exact(self, effects: Sequence[Effect]) -> bool:
         """Whether what responses make of effects together is exact, and not interpolated."""

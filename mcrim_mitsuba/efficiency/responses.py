@@ -171,6 +171,8 @@ def _outer(weights: Sequence[NDArray]) -> NDArray:
 class Anchor:
     """A joint simulation of all effects at one point, which a sum of single ones only estimates."""
 
+    #: What was simulated together: effects, and scene parameters that are fitted.
+    effects: frozenset[str]
     #: Where: the free parameters, the scale left out.
     values: Mapping[str, float]
     #: (readings,) float64

@@ -17,8 +17,6 @@ from mcrim_mitsuba.campaign.known_physics import DEPTH_MM, KnownCrystal
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.fit import Calibration
-from mcrim_mitsuba.inference.likelihood import Likelihood
-from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.neglected import (
     Neglected,
     NeglectWork,
@@ -27,6 +25,7 @@ from mcrim_mitsuba.inference.neglected import (
     fitted,
 )
 from mcrim_mitsuba.inference.places import USUAL_DEPTH_MM, Places, places_of
+from mcrim_mitsuba.inference.simulations import CampaignSimulations, spent_together
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, contribution
 from mcrim_mitsuba.optics.gammas import AttenuationLength
 
@@ -36,31 +35,29 @@ _ROUNDING = 1e-6
 _PRIORS = {ALPHA_ABS: "absorption", DEPTH_MM: "source depth"}
 
 
-def contributions_to(
-    model: ResponseModel, found: Calibration, quantities: Quantities
-) -> dict[str, ErrorBudget]:
+def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, ErrorBudget]:
     """The budget of every quantity, the detector's part of the light yield's included."""
-    if any(fitted.at_bound is not None for fitted in found.parameters.values()):
+    if any(fitted.at_bound is not None for fitted in fit.parameters.values()):
         return {}
-    likelihood = Likelihood(model)
+    minimum = fit.minimum
     # (quantities, used readings): how a reading moves a quantity
-    pulled = quantities.slopes @ found.response[:, likelihood.used]
-    counted = likelihood.errors_at(found.theta).statistical_variances(pulled)
+    pulled = quantities.slopes @ minimum.response
+    counted = minimum.weights.errors.statistical_variances(pulled)
     parts = {"counts": np.sqrt(counted)}
-    for i, parameter in enumerate(model.free):
+    for i, parameter in enumerate(fit.model.free):
         if parameter.prior_sigma is not None:
             origin = _PRIORS.get(parameter.name, f"prior, {parameter.name}")
-            moved = quantities.slopes @ found.covariance[:, i] / parameter.prior_sigma
+            moved = quantities.slopes @ fit.covariance[:, i] / parameter.prior_sigma
             parts[origin] = np.abs(moved)
     parts["monte_carlo"] = quantities.sigmas
     budgets = {}
-    yields = dict(model.campaign.light_yields.values())
+    yields = dict(fit.model.campaign.light_yields.values())
     for i, (name, value) in enumerate(
         zip(quantities.names, quantities.values.tolist(), strict=True)
     ):
         errors = {origin: float(part[i]) for origin, part in parts.items()}
         if (known := yields.get(name)) is not None:
-            yield_value = found.parameters[name].value
+            yield_value = fit.parameters[name].value
             own = known.efficiency_parts or {"detector_efficiency": known.detector_efficiency_sigma}
             errors |= {
                 origin: yield_value * sigma / known.detector_efficiency
@@ -99,14 +96,12 @@ def totals(
     contributions: Mapping[str, ErrorBudget],
     neglected: tuple[Neglected, ...],
     corrected: Refit | None,
+    together: Neglected | None,
 ) -> dict[str, Total]:
     """Every quantity with all its errors, as it is and corrected."""
-    after: dict[str, float] = {}
     budgets: dict[str, ErrorBudget] = {}
     if corrected is not None:
-        quantities = corrected.refitted
-        after = dict(zip(quantities.names, quantities.values.tolist(), strict=True))
-        budgets = contributions_to(corrected.model, corrected.calibration, quantities)
+        budgets = contributions_to(corrected.fit, corrected.refitted)
     found = {}
     for name, value in zip(own.names, own.values.tolist(), strict=True):
         if name not in contributions:
@@ -114,10 +109,11 @@ def totals(
         sigma = contributions[name].total * abs(value)
         lasting = math.hypot(*(p.refitted[name].as_error for p in neglected if not p.correction))
         total = Total(value, sigma, lasting)
-        if name in budgets:
+        if together is not None and name in budgets:
+            after = value + together.refitted[name].shift
             sizes = (p.refitted[name].size_sigma for p in neglected if p.correction)
-            parts = (budgets[name].total * abs(after[name]), lasting, *sizes)
-            total = replace(total, corrected=after[name], corrected_sigma=math.hypot(*parts))
+            parts = (budgets[name].total * abs(after), lasting, *sizes)
+            total = replace(total, corrected=after, corrected_sigma=math.hypot(*parts))
         found[name] = total
     return found
 
@@ -166,7 +162,7 @@ class Budget:
     """
 
     #: The campaign's own fit.
-    calibration: Calibration
+    fit: Calibration
     #: Quantities that tables and figures show: the first two efficiencies, parameters without a
     #: prior, the light yield last.
     main: tuple[str, ...]
@@ -196,7 +192,7 @@ class Budget:
     def numbers(self) -> dict[str, Any]:
         """Plain numbers, strings, lists and dicts; `provenance` apart."""
         return {
-            "calibration": self.calibration.numbers(),
+            "calibration": self.fit.numbers(),
             "contributions": {
                 name: {"total": each.total, "contributions": list(map(vars, each.contributions))}
                 for name, each in self.contributions.items()
@@ -233,7 +229,7 @@ def budget(
     deposits: str | Path | None = None,
     run: Run = Run(),
 ) -> Budget:
-    """Fit a campaign, and fit it again with every piece of physics that it leaves out.
+    """Minimum a campaign, and fit it again with every piece of physics that it leaves out.
 
     The pieces: where the source's gammas stop, polarisation, the crystal's index at its emission,
     the spread of the index over the band, and birefringence. A campaign that has one of them
@@ -271,19 +267,24 @@ def budget(
     configurations = {tuple(r.parameters.items()) for r in campaign.measurements.readings}
     each = run.photons_or(max(DEFAULT_PHOTONS // len(configurations), FEWEST_PHOTONS))
     work = NeglectWork(campaign, known, replace(run, photons=each))
-    model, found = work.bench.settled_model()
-    own = fitted(model, found)
-    contributions = contributions_to(model, found, own)
+    simulations = CampaignSimulations(campaign, run)
+    fit = simulations.fit()
+    own = fitted(fit)
+    contributions = contributions_to(fit, own)
     neglected = work.neglected()
+    together = work.together(neglected)
     return Budget(
-        calibration=found,
+        fit=fit,
         main=own.main(tuple(campaign.priors)),
         contributions=contributions,
         neglected=neglected,
-        together=work.together(neglected),
-        totals=totals(own, contributions, neglected, work.corrected),
+        together=together,
+        totals=totals(own, contributions, neglected, work.corrected, together),
         not_estimated=work.refused,
-        provenance=replace(work.provenance(), seconds=time.perf_counter() - start),
+        provenance=replace(
+            spent_together([simulations.provenance(), work.provenance()]),
+            seconds=time.perf_counter() - start,
+        ),
         places=places,
         corrections=yield_corrections(campaign, known.depth),
     )

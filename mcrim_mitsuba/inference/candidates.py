@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
 
 from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.inference.drivers import Minimum, newton
 from mcrim_mitsuba.inference.estimates import (
     LIGHT_YIELD,
     ParameterEstimate,
@@ -21,13 +21,12 @@ from mcrim_mitsuba.inference.estimates import (
 from mcrim_mitsuba.inference.evidence import Evidence
 from mcrim_mitsuba.inference.explanations import (
     LEADING,
-    TWO_SIDED,
     Curve,
     Explanations,
     NullDistribution,
     Ranking,
 )
-from mcrim_mitsuba.inference.least_squares import Fit, descend
+from mcrim_mitsuba.inference.profiles import RISE_95, Pace, ProfileWalk
 
 
 @dataclass(frozen=True)
@@ -141,26 +140,27 @@ class CandidateMaker:
             effect_parameters=tuple(own),
             light_yield_ph_per_keV=of_light,
             plausible=self._explanations.is_plausible(effects),
-            at_bound=any(fit.at_bound[fit.problem.index(n)] is not None for n in own),
+            at_bound=any(fit.at_bound[fit.statistic.index(n)] is not None for n in own),
             collinearity=self._collinearity(fit, own),
             mimics=(),
             family=self._explanations.family(effects),
             look=" ".join(self._explanations.effects[name].look for name in effects),
         )
 
-    def _collinearity(self, fit: Fit, own: list[str]) -> float:
+    def _collinearity(self, fit: Minimum, own: list[str]) -> float:
         """Part of the effect's signature that the other parameters follow (R^2); the largest."""
         baseline = self._explanations.baseline
-        whitener, weight = fit.weights.whitener, fit.problem.prior_weight
+        weights, weight = fit.weights, fit.statistic.prior_weight
         rows = np.diag(np.sqrt(weight))[weight > 0]
-        slopes = np.vstack([whitener @ fit.slopes, rows])
-        places = [fit.problem.index(name) for name in own]
+        slopes = np.vstack([weights.whiten(fit.slopes.T).T, rows])
+        places = [fit.statistic.index(name) for name in own]
         others = np.delete(slopes, places, axis=1)
         directions = [slopes[:, place] for place in places]
         if not directions:
-            start = fit.problem.theta(baseline.values)
-            moved = fit.problem.model.predict(start).signal - baseline.signal
-            directions = [np.concatenate([whitener @ moved[fit.problem.used], np.zeros(len(rows))])]
+            start = fit.statistic.theta(baseline.values)
+            moved = fit.statistic.model.predict(start).signal - baseline.signal
+            whitened = weights.whiten(moved[fit.statistic.used])
+            directions = [np.concatenate([whitened, np.zeros(len(rows))])]
         found = []
         for direction in directions:
             left = direction - others @ np.linalg.lstsq(others, direction, rcond=None)[0]
@@ -171,7 +171,7 @@ class CandidateMaker:
     def _mimics(self, effect: str, *, exact: bool) -> tuple[str, ...]:
         """Other effects that would fit this one's prediction about as well, the likeliest first."""
         fit = self._explanations.fit((effect,))
-        point = self._null.frame.displacement(fit.problem, fit.theta)
+        point = self._null.frame.displacement(fit.statistic, fit.theta)
         found = []
         for other, curve in self._null.curves.items():
             if other == effect:
@@ -189,17 +189,17 @@ class CandidateMaker:
                 found.append((separation, other))
         return tuple(other for _, other in sorted(found))
 
-    def _separation(self, fit: Fit, other: str) -> float:
+    def _separation(self, fit: Minimum, other: str) -> float:
         """chi2 of another effect fitted to this one's prediction."""
         theirs = self._explanations.fit((other,))
-        problem = theirs.problem
-        ideal = problem.against(fit.signal[fit.problem.used], problem.theta(fit.values))
-        profile = self._explanations.profile((other,), other, fit, problem=ideal, steps=2)
+        statistic = theirs.statistic
+        ideal = statistic.against(fit.signal[fit.statistic.used], statistic.theta(fit.values))
+        profile = self._explanations.profile((other,), other, fit, statistic=ideal, steps=2)
         starts = (theirs.theta, min(profile, key=lambda item: item[0])[1])
-        return min(descend(ideal, start, fit.weights, precision=0.02)[1] for start in starts)
+        return min(newton(ideal, start, fit.weights, precision=0.02)[1] for start in starts)
 
 
-def determined_estimates(fit: Fit, evidence: Evidence) -> dict[str, ParameterEstimate]:
+def determined_estimates(fit: Minimum, evidence: Evidence) -> dict[str, ParameterEstimate]:
     """Parameters of a fit; what readings do not determine has the error that evidence leaves."""
     parameters = estimates(fit)
     for name in fit.names:
@@ -212,7 +212,7 @@ def determined_estimates(fit: Fit, evidence: Evidence) -> dict[str, ParameterEst
                 upper=own.value + sigma,
                 contributions={"plausible": sigma},
             )
-    return parameters | light_yields(parameters, fit.problem.model.campaign)
+    return parameters | light_yields(parameters, fit.statistic.model.campaign)
 
 
 def _likeness(one: Curve, other: Curve) -> float:
@@ -229,8 +229,8 @@ def _likeness(one: Curve, other: Curve) -> float:
 
 # Rise of chi2 at 95 % confidence where the effect is absent at a bound.
 _ONE_SIDED = 2.706
-# Relative precision of a limit.
-_PRECISION = 2e-3
+# Limits need one height of a profile only, and go as far as the range does.
+_TO_LIMITS = Pace(end=1.3 * RISE_95, points=5, most_points=40, least_curvature=1e-9, precision=1e-4)
 
 
 @dataclass(frozen=True)
@@ -256,101 +256,60 @@ def upper_limits(explanations: Explanations) -> dict[str, Limit]:
 
     They are by effect; of an effect with several parameters by ``effect.parameter``.
     """
-    baseline, found = explanations.baseline, {}
+    baseline, limits = explanations.baseline, {}
     for effect, fit in explanations.singles().items():
         names = explanations.free_parameters((effect,), effect)
-        gain = baseline.chi2 - fit.chi2
         if not names:
-            found[effect] = Limit(None, None, None, None, gain, bool(-gain > TWO_SIDED))
+            gain = baseline.chi2 - fit.chi2
+            limits[effect] = Limit(None, None, None, None, gain, bool(-gain > RISE_95))
         for name in names:
-            absent, known = explanations.absent(effect)[name], fit.problem.parameter(name)
-            below, above = absent > known.minimum, absent < known.maximum
-            best, least = _lowest(explanations, fit, explanations.absent(effect))
-            # not nested where the range ends before the effect is absent
-            nested = known.minimum <= absent <= known.maximum
-            height = least if nested else min(least, baseline.chi2)
-            height += TWO_SIDED if below and above else _ONE_SIDED
-            nodes = [node[name] for node in explanations.nodes((effect,), effect)]
-            lower = upper = None
-            always = all(p.absent is None for p in explanations.effects[effect].parameters)
-            if not (excluded := always and least >= height):
-                walk = (fit, best, least, name, nodes, height)
-                lower = _end(*walk, known.minimum) if below else None
-                upper = _end(*walk, known.maximum) if above else None
             key = effect if len(names) == 1 else f"{effect}.{name}"
-            found[key] = Limit(name, absent, lower, upper, gain, excluded)
-    return found
+            limits[key] = _limit(explanations, effect, name)
+    return limits
 
 
-def _lowest(explanations: Explanations, fit: Fit, absent: dict[str, float]) -> tuple[Array, float]:
+def _limit(explanations: Explanations, effect: str, name: str) -> Limit:
+    """What the profile of one parameter of an effect says of its size."""
+    fit, baseline = explanations.fit((effect,)), explanations.baseline
+    absent, bounds = explanations.absent(effect)[name], fit.statistic.parameter(name)
+    below, above = absent > bounds.minimum, absent < bounds.maximum
+    theta, least = _lowest(explanations, fit, explanations.absent(effect))
+    # not nested where the range ends before the effect is absent
+    nested = bounds.minimum <= absent <= bounds.maximum
+    rise = (0.0 if nested else min(baseline.chi2 - least, 0.0)) + (
+        RISE_95 if below and above else _ONE_SIDED
+    )
+    always = all(p.absent is None for p in explanations.effects[effect].parameters)
+    excluded = always and rise <= 0.0
+    # even the best value is refused where the range ends before the effect is absent
+    value = float(theta[fit.statistic.index(name)])
+    ends: tuple[float | None, float | None] = (value, value)
+    if rise > 0.0:
+        walk = ProfileWalk(fit.statistic, fit.weights, theta, least, name, _TO_LIMITS)
+        ends = walk.crossings(rise)
+    lower, upper = ends
+    return Limit(
+        parameter=name,
+        absent=absent,
+        lower=None if excluded or not below else -math.inf if lower is None else lower,
+        upper=None if excluded or not above else math.inf if upper is None else upper,
+        delta_chi2=baseline.chi2 - fit.chi2,
+        excluded=excluded,
+    )
+
+
+def _lowest(
+    explanations: Explanations, fit: Minimum, absent: dict[str, float]
+) -> tuple[Array, float]:
     """Parameters and chi2 where limits begin: the lowest with the fit's own weights.
 
     The fit is the best of its deviance, in which larger errors of the simulation cost something;
     with weights that stay as they are chi2 may be lower where the effect is absent.
     """
-    best, least, free = fit.theta, fit.chi2, {p.name: p for p in fit.problem.free}
+    best, least, free = fit.theta, fit.chi2, {p.name: p for p in fit.statistic.free}
     if all(n not in free or free[n].minimum <= v <= free[n].maximum for n, v in absent.items()):
-        start = fit.problem.theta({**explanations.baseline.values, **absent})
-        theta, chi2, _ = descend(fit.problem, start, fit.weights, precision=0.01)
+        start = fit.statistic.theta({**explanations.baseline.values, **absent})
+        theta, chi2, _ = newton(fit.statistic, start, fit.weights, precision=0.01)
         if chi2 < least:
             best, least = theta, chi2
     return best, least
-
-
-def _end(
-    fit: Fit,
-    lowest: Array,
-    least: float,
-    name: str,
-    nodes: list[float],
-    height: float,
-    bound: float,
-) -> float:
-    """Where the profile passes a height on the way to a bound; infinite if nowhere."""
-    problem, place = fit.problem, fit.problem.index(name)
-    best, theta = float(lowest[place]), lowest.copy()
-    if least >= height:
-        # even the best value is refused: the range ends before the effect is absent
-        return best
-    sign = math.copysign(1.0, bound - best)
-
-    def internal(value: float) -> float:
-        start = lowest.copy()
-        start[place] = value
-        return float(problem.internal(start)[place])
-
-    def moved(x: float) -> Array:
-        """The parameters where the profile was last, this one moved."""
-        coordinates = problem.internal(theta)
-        coordinates[place] = x
-        return problem.external(coordinates)
-
-    # a profile depends a little on where it comes from: every point keeps its first height, so
-    # that the ends of a search have the signs that they were chosen for
-    known = {internal(best): least - height}
-
-    def above(x: float) -> float:
-        nonlocal theta
-        if x not in known:
-            theta, chi2, _ = descend(
-                problem, moved(x), fit.weights, held=[place], steps=8, precision=0.01
-            )
-            known[x] = chi2 - height
-        return known[x]
-
-    stops = {*nodes, bound}
-    sigma = math.sqrt(fit.parameter_covariance[place, place])
-    if sigma * 2.0 < abs(bound - best):
-        # the linear guess
-        stops.add(best + 2.0 * sign * sigma)
-    inner = internal(best)
-    for stop in sorted(stops, key=lambda v: sign * v):
-        if sign * (stop - best) <= 0 or not math.isfinite(stop):
-            continue
-        outer = internal(stop)
-        if above(outer) > 0:
-            width = abs(outer - inner)
-            x = brentq(above, inner, outer, xtol=_PRECISION * width, rtol=1e-6, maxiter=25)
-            return float(moved(x)[place])
-        inner = outer
-    return math.copysign(math.inf, sign)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,29 +14,21 @@ from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Provenance, Run
+from mcrim_mitsuba.inference.drivers import Minimum, newton
 from mcrim_mitsuba.inference.estimates import (
     ACCEPTABLE_P,
     FittedRow,
     ParameterEstimate,
     corrected,
-    estimates,
     left_out,
     left_out_error,
     pulls,
     rms_pull,
-    rows,
 )
 from mcrim_mitsuba.inference.explanations import plausible_ranges
-from mcrim_mitsuba.inference.fit import Calibration, fit_model
-from mcrim_mitsuba.inference.least_squares import (
-    Fit,
-    LeastSquaresProblem,
-    Weights,
-    descend,
-    fit_from_scratch,
-)
-from mcrim_mitsuba.inference.likelihood import p_value
-from mcrim_mitsuba.inference.workbench import Workbench
+from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
+from mcrim_mitsuba.inference.statistic import Weights, p_value
 
 #: Kinds of suspicion: one reading off, two signals exchanged.
 BAD_READING, SWAPPED_ROWS = "bad_reading", "swapped_rows"
@@ -142,7 +134,7 @@ class Comparison:
 class Compared:
     """Where a campaign's model fails."""
 
-    calibration: Calibration
+    fit: Calibration
     comparison: Comparison
     provenance: Provenance
 
@@ -153,39 +145,36 @@ def compare(campaign: str | Path | Campaign, *, run: Run = Run()) -> Compared:
     Parameters
     ----------
     run : Run
-        See `Workbench`.
+        See `CampaignSimulations`.
 
     Raises
     ------
     InputError
         If a file is wrong, a scene is not sound, or the readings do not determine the parameters.
     """
-    bench = Workbench(as_campaign(campaign), run)
-    bench.simulate()
-    model = bench.model()
-    found = comparison_of(fit_from_scratch(LeastSquaresProblem(model)))
-    return Compared(fit_model(model), found, bench.provenance())
+    simulations = CampaignSimulations(as_campaign(campaign), run)
+    fit = simulations.fit()
+    return Compared(fit, comparison_of(fit), simulations.provenance())
 
 
-def comparison_of(fit: Fit) -> Comparison:
+def comparison_of(fit: Calibration) -> Comparison:
     """A fit laid out to show where the model fails."""
-    spread = math.sqrt(2.0 * max(fit.ndf, 0))
-    _, pulls = left_out(fit)
-    campaign = fit.problem.model.campaign
-    usual = plausible_ranges(campaign.switched_on, fit.problem.model)
+    minimum, spread = fit.minimum, math.sqrt(2.0 * max(fit.ndf, 0))
+    _, pulls = left_out(minimum)
+    usual = plausible_ranges(fit.model.campaign.switched_on, fit.model)
     return Comparison(
-        parameters=estimates(fit),
+        parameters=fit.parameters,
         chi2=fit.chi2,
         ndf=fit.ndf,
         p_value=fit.p_value,
         expected_chi2=(max(fit.ndf - spread, 0.0), fit.ndf + spread),
-        rms_pull=rms_pull(fit),
-        left_out_error=left_out_error(fit),
-        rows=rows(fit),
-        left_out_pulls=dict(zip(fit.problem.labels, pulls.tolist(), strict=True)),
-        suspects=tuple(find_suspects(fit)),
-        trends=find_trends(fit),
-        absorbed=find_absorbed(fit, usual),
+        rms_pull=rms_pull(minimum),
+        left_out_error=left_out_error(minimum),
+        rows=fit.rows,
+        left_out_pulls=dict(zip(minimum.statistic.labels, pulls.tolist(), strict=True)),
+        suspects=tuple(find_suspects(minimum)),
+        trends=find_trends(minimum),
+        absorbed=find_absorbed(minimum, usual),
     )
 
 
@@ -193,19 +182,19 @@ def comparison_of(fit: Fit) -> Comparison:
 
 # Suspects of each kind that are fitted exactly, after all were judged to first order.
 _TO_THE_END = 6
-# Variance that leaves a reading out.
+# By this much a reading's variance grows when it is left out.
 _OUT = 1e8
 # Suspects as good as the best, within this in chi2.
 _RIVAL = 4.0
 
 
-def find_suspects(fit: Fit) -> list[Suspect]:
+def find_suspects(fit: Minimum) -> list[Suspect]:
     """Single readings and pairs of rows that account for a campaign's misfit, the likeliest first.
 
     Empty where the campaign fits, or has no degrees of freedom to say so. Those that explain the
     readings as well as the best; or the best one, where it accounts for most of the misfit.
     """
-    p, readings = fit.p_value, len(fit.problem.signal)
+    p, readings = fit.p_value, len(fit.statistic.signal)
     if p is None or p > ACCEPTABLE_P:
         return []
     found = [one for one in (*_bad_readings(fit), *_swapped_rows(fit)) if one.explains]
@@ -214,14 +203,15 @@ def find_suspects(fit: Fit) -> list[Suspect]:
     return [one for one in found if one.score(readings) < found[0].score(readings) + _RIVAL]
 
 
-def _bad_readings(fit: Fit) -> list[Suspect]:
+def _bad_readings(fit: Minimum) -> list[Suspect]:
     """Single readings, each with an offset of its own."""
     _, pulls = left_out(fit)
     found = []
     for i in np.argsort(-np.abs(pulls))[:_TO_THE_END]:
-        covariance = fit.weights.covariance.copy()
-        covariance[i, i] *= _OUT
-        _, chi2, _ = descend(fit.problem, fit.theta, Weights.of(covariance))
+        variance = fit.weights.errors.variance.copy()
+        variance[i] += _OUT * fit.weights.covariance[i, i]
+        weights = Weights(replace(fit.weights.errors, variance=variance))
+        _, chi2, _ = newton(fit.statistic, fit.theta, weights)
         gain = max(fit.chi2 - chi2, 0.0)
         # to first order the square of the pull is the gain
         pull = math.copysign(math.sqrt(gain), pulls[i])
@@ -229,30 +219,33 @@ def _bad_readings(fit: Fit) -> list[Suspect]:
     return found
 
 
-def _swapped_rows(fit: Fit) -> list[Suspect]:
+def _swapped_rows(fit: Minimum) -> list[Suspect]:
     """Pairs of rows, with their signals and errors exchanged."""
     followed = []
     for pair in likely_swaps(fit, 2 * _TO_THE_END):
-        order = np.arange(len(fit.problem.signal))
+        order = np.arange(len(fit.statistic.signal))
         order[list(pair)] = pair[::-1]
-        problem = fit.problem.against(fit.problem.signal[order])
-        _, chi2, _ = descend(problem, fit.theta, Weights.of(_exchanged(fit, order)))
+        statistic = fit.statistic.against(fit.statistic.signal[order])
+        # signals move with their own errors, all else stays
+        errors = fit.weights.errors
+        weights = Weights(replace(errors, variance=errors.variance[order]))
+        _, chi2, _ = newton(statistic, fit.theta, weights)
         followed.append((chi2, pair))
     return [
         suspected(fit, SWAPPED_ROWS, pair, chi2) for chi2, pair in sorted(followed)[:_TO_THE_END]
     ]
 
 
-def likely_swaps(fit: Fit, most: int) -> list[tuple[int, int]]:
+def likely_swaps(fit: Minimum, most: int) -> list[tuple[int, int]]:
     """Pairs of rows whose exchange, with that of their own errors, lowers chi2 most.
 
-    To first order around the fit: with residuals that move by d, and P of `Fit.precision`, chi2
+    To first order around the fit: with residuals that move by d, and P of `Minimum.precision`, chi2
     rises by 2 d^T g + d^T P d, where g = C^-1 r; and falls by h^T (1/v + P)^-1 h of the two rows,
     where v is what is added to their variances and h = g + P d.
     """
-    precision, signal = fit.precision, fit.problem.signal
+    precision, signal = fit.precision, fit.statistic.signal
     pulled, own = fit.weighted_residuals, np.diag(precision)
-    variance = fit.problem.variance
+    variance = fit.statistic.variance
     # (used, used): of the first row by that of the second
     moved, added = (np.subtract.outer(each, each).T for each in (signal, variance))
     first, second = own[:, None], own
@@ -270,10 +263,10 @@ def likely_swaps(fit: Fit, most: int) -> list[tuple[int, int]]:
 
 
 def suspected(
-    fit: Fit, kind: str, places: Sequence[int], chi2: float, pull: float | None = None
+    fit: Minimum, kind: str, places: Sequence[int], chi2: float, pull: float | None = None
 ) -> Suspect:
     """A suspicion that leaves a chi2 of a fit's."""
-    unknowns, ways = _unknowns_and_ways(kind, len(fit.problem.signal), len(places))
+    unknowns, ways = _unknowns_and_ways(kind, len(fit.statistic.signal), len(places))
     gain = fit.chi2 - chi2
     if kind == SWAPPED_ROWS:
         first, second = places
@@ -284,7 +277,7 @@ def suspected(
     left = p_value(chi2, ndf)
     return Suspect(
         kind=kind,
-        labels=tuple(fit.problem.labels[i] for i in places),
+        labels=tuple(fit.statistic.labels[i] for i in places),
         delta_chi2=fit.chi2 - chi2,
         p_gain=corrected(p, ways),
         chi2=chi2,
@@ -295,20 +288,13 @@ def suspected(
     )
 
 
-def _exchanged(fit: Fit, order: np.ndarray) -> Array:
-    """The covariance once signals have moved: their own errors move along, all else stays."""
-    own = np.diag(fit.problem.variance)
-    rest = fit.weights.covariance - own
-    return rest + own[np.ix_(order, order)]
-
-
-def _chance(fit: Fit, i: int, j: int, gain: float) -> float:
+def _chance(fit: Minimum, i: int, j: int, gain: float) -> float:
     """Probability that exchanging two correct rows lowers chi2 by as much.
 
     Exchanging moves the readings by a known amount: the gain is 2 z s - s^2, s the size of what the
     parameters cannot follow.
     """
-    predicted = fit.signal[fit.problem.used]
+    predicted = fit.signal[fit.statistic.used]
     moved = np.zeros(len(predicted))
     moved[i], moved[j] = predicted[j] - predicted[i], predicted[i] - predicted[j]
     size = math.sqrt(max(float(moved @ fit.precision @ moved), 1e-12))
@@ -321,16 +307,17 @@ def _chance(fit: Fit, i: int, j: int, gain: float) -> float:
 _ABSORBED = 1e-6
 
 
-def find_trends(fit: Fit) -> tuple[Trend, ...]:
+def find_trends(fit: Minimum) -> tuple[Trend, ...]:
     """Bench parameters by how clearly the pulls differ between their values, the clearest first.
 
     Every value (level) of a bench parameter is given a factor of its own on the signal, and the
     fall of chi2 is compared with what is left, as an analysis of variance does:
     F = (fall / factors) / (rest / its degrees of freedom). What the free parameters follow is no
-    factor: all is weighed with `Fit.precision`. With too many levels for the readings a straight
-    line takes their place. There is one for each column of the readings with two values or more.
+    factor: all is weighed with `Minimum.precision`. With too many levels for the readings a
+    straight line takes their place. There is one for each column of the readings with two values or
+    more.
     """
-    readings = [r for r in fit.problem.model.readings if r.use]
+    readings = [r for r in fit.statistic.model.readings if r.use]
     columns = dict.fromkeys(name for r in readings for name in r.parameters)
     found = []
     for name in columns:
@@ -345,8 +332,8 @@ def find_trends(fit: Fit) -> tuple[Trend, ...]:
     return tuple(sorted(trends, key=lambda t: (t.p_value is None, t.p_value, -t.delta_chi2)))
 
 
-def _trend(fit: Fit, name: str, levels: tuple, which: np.ndarray, tried: int) -> Trend:
-    predicted = fit.signal[fit.problem.used]
+def _trend(fit: Minimum, name: str, levels: tuple, which: np.ndarray, tried: int) -> Trend:
+    predicted = fit.signal[fit.statistic.used]
     factors = predicted[:, None] * (which[:, None] == np.arange(len(levels)))
     if len(levels) - 1 > max(fit.ndf // 2, 1):
         factors = (predicted * (which - which[which >= 0].mean()) * (which >= 0))[:, None]
@@ -361,7 +348,7 @@ def _trend(fit: Fit, name: str, levels: tuple, which: np.ndarray, tried: int) ->
     return Trend(name, levels, means, fall, count, p)
 
 
-def _fall(fit: Fit, factors: Array) -> tuple[float, int]:
+def _fall(fit: Minimum, factors: Array) -> tuple[float, int]:
     """Fall of chi2 with a factor per column, and how many of them the parameters do not follow."""
     seen = factors.T @ fit.precision @ factors
     whole = np.sqrt(np.einsum("ij,ij->j", factors, fit.weights.inverse @ factors))
@@ -379,10 +366,12 @@ _PULLED = 2.0
 _EDGE = 0.05
 
 
-def find_absorbed(fit: Fit, plausible: Mapping[str, tuple[float, float]]) -> tuple[Absorbed, ...]:
+def find_absorbed(
+    fit: Minimum, plausible: Mapping[str, tuple[float, float]]
+) -> tuple[Absorbed, ...]:
     """Parameters with the marks of having taken up a misfit."""
     found = []
-    for parameter, at, side in zip(fit.problem.free, fit.theta, fit.at_bound, strict=True):
+    for parameter, at, side in zip(fit.statistic.free, fit.theta, fit.at_bound, strict=True):
         name, value, signs = parameter.name, float(at), []
         if parameter.prior is not None and parameter.prior_sigma is not None:
             pull = (value - parameter.prior) / parameter.prior_sigma

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput
 from mcrim_mitsuba.campaign.measurements import LIGHT, TRANSMITTANCE, Reading
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.inference.least_squares import Fit
-from mcrim_mitsuba.inference.likelihood import ErrorMatrices, Interval, Likelihood
+from mcrim_mitsuba.inference.drivers import Minimum
 from mcrim_mitsuba.inference.model import Prediction
 
 LIGHT_YIELD = "light_yield_ph_per_keV"
@@ -74,42 +73,38 @@ class FittedRow:
         return self.kind == TRANSMITTANCE
 
 
-def propagated(
-    likelihood: Likelihood,
-    theta: Array,
-    errors: ErrorMatrices,
-    covariance: Array,
-    response: Array,
-    at_bound: Sequence[str | None],
-    ends: Sequence[Interval | None],
-) -> dict[str, ParameterEstimate]:
-    """Every free parameter with its errors by origin.
+def estimates(minimum: Minimum) -> dict[str, ParameterEstimate]:
+    """Every free parameter with its errors by origin, and the light yield where it is known how.
 
-    To first order the estimate is theta = V (J^T C^-1 y + P prior), V the (free, free) `covariance`
-    and V J^T C^-1 the (free, used) `response`: each part of C, the `errors`, and P propagates by
-    itself, and the parts add up to V. The intervals `ends` are what `lower` and `upper` are.
+    To first order the estimate is theta = V (J^T C^-1 y + P prior), V the covariance of the
+    parameters and V J^T C^-1 their response to the readings: each part of C and P propagates by
+    itself, and the parts add up to V. The intervals are those of the linear theory: value -+ sigma,
+    cut off at the bounds.
     """
+    statistic, covariance, response = minimum.statistic, minimum.covariance, minimum.response
+    errors = minimum.weights.errors
     variances = {
         "statistical": errors.statistical_variances(response),
-        "prior": covariance**2 @ likelihood.prior_weight,
+        "prior": covariance**2 @ statistic.prior_weight,
         "monte_carlo": np.square(response @ errors.simulated).sum(axis=1),
     }
-    found = {}
-    for i, (name, interval) in enumerate(zip(likelihood.names, ends, strict=True)):
-        whole = max(float(covariance[i, i]), 0.0)
-        found[name] = ParameterEstimate(
-            value=float(theta[i]),
-            sigma=math.sqrt(whole),
-            lower=None if interval is None else interval.lower,
-            upper=None if interval is None else interval.upper,
-            at_bound=at_bound[i],
+    parameters = {}
+    for i, bounds in enumerate(statistic.free):
+        whole, value = max(float(covariance[i, i]), 0.0), float(minimum.theta[i])
+        sigma = math.sqrt(whole)
+        parameters[bounds.name] = ParameterEstimate(
+            value=value,
+            sigma=sigma,
+            lower=max(value - sigma, bounds.minimum),
+            upper=min(value + sigma, bounds.maximum),
+            at_bound=minimum.at_bound[i],
             contributions={
                 # what only rounding makes is none
                 origin: math.sqrt(part[i]) if part[i] > _ROUNDING**2 * whole else 0.0
                 for origin, part in variances.items()
             },
         )
-    return found
+    return parameters | light_yields(parameters, statistic.model.campaign)
 
 
 def light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEstimate:
@@ -177,36 +172,6 @@ def fitted_rows(
     return tuple(rows)
 
 
-def estimates(fit: Fit) -> dict[str, ParameterEstimate]:
-    """Every free parameter, and the light yield where the campaign says how to get it.
-
-    The interval is value -+ sigma, cut off at the bounds.
-    """
-    covariance = fit.parameter_covariance
-    sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    ends = [
-        Interval(max(value - sigma, bounds.minimum), min(value + sigma, bounds.maximum), ())
-        for value, sigma, bounds in zip(
-            fit.theta.tolist(), sigmas.tolist(), fit.problem.free, strict=True
-        )
-    ]
-    response = covariance @ fit.slopes.T @ fit.weights.inverse
-    found = propagated(fit.problem, fit.theta, fit.errors, covariance, response, fit.at_bound, ends)
-    for name, of_light in light_yields(found, fit.problem.model.campaign).items():
-        lower, upper = of_light.value - of_light.sigma, of_light.value + of_light.sigma
-        found[name] = replace(of_light, lower=lower, upper=upper, efficiency_contributions=None)
-    return found
-
-
-def rows(fit: Fit) -> tuple[FittedRow, ...]:
-    """Every reading beside its prediction."""
-    model = fit.problem.model
-    prediction = model.predict(fit.theta, covariance=True)
-    assert prediction.eta_errors is not None  # asked for
-    sigmas = np.sqrt(np.square(prediction.eta_errors).sum(axis=1))
-    return fitted_rows(model.readings, prediction, sigmas.tolist())
-
-
 # ---- statistics of a fit, by linear error propagation ----
 
 # Part of a reading's weight that must be left once the parameters have followed it, for the other
@@ -222,7 +187,7 @@ def corrected(p: float, tries: float) -> float:
     return -math.expm1(tries * math.log1p(-p)) if p < 1.0 else 1.0
 
 
-def left_out(fit: Fit) -> tuple[Array, Array]:
+def left_out(fit: Minimum) -> tuple[Array, Array]:
     """How the fit to all other readings and priors predicts every reading.
 
     Returns
@@ -236,8 +201,8 @@ def left_out(fit: Fit) -> tuple[Array, Array]:
     Notes
     -----
     Exact for a linear model with correlated errors and Gaussian priors: with P the inverse
-    covariance of readings whose parameters are unknown (`Fit.precision`) and r the residuals of the
-    fit to all, the error is (C^-1 r)_i / P_ii and its variance 1 / P_ii (the PRESS residuals of
+    covariance of readings whose parameters are unknown (`Minimum.precision`) and r the residuals of
+    the fit to all, the error is (C^-1 r)_i / P_ii and its variance 1 / P_ii (the PRESS residuals of
     D. M. Allen, Technometrics 16 (1974) 125, with the covariance in place of the unit matrix).
     """
     weighted = fit.weighted_residuals
@@ -249,27 +214,27 @@ def left_out(fit: Fit) -> tuple[Array, Array]:
     return errors, pulls
 
 
-def left_out_error(fit: Fit) -> float:
+def left_out_error(fit: Minimum) -> float:
     """Root mean square error on readings left out of the fit, in units of their sigma.
 
     Sigma is a reading's own and its mounting's. Infinite where the others do not tell some reading.
     """
     errors, _ = left_out(fit)
-    error = float(np.sqrt(np.mean(errors**2 / np.diag(fit.errors.readings))))
+    error = float(np.sqrt(np.mean(errors**2 / np.diag(fit.weights.errors.readings))))
     return error if error < _LARGEST_ERROR else math.inf
 
 
-def pulls(fit: Fit) -> Array:
+def pulls(fit: Minimum) -> Array:
     """(used,) residuals in units of the readings' whole standard error."""
     return fit.residuals / np.sqrt(np.diag(fit.weights.covariance))
 
 
-def rms_pull(fit: Fit) -> float:
+def rms_pull(fit: Minimum) -> float:
     """Root mean square of `pulls`."""
     return float(np.sqrt(np.mean(pulls(fit) ** 2)))
 
 
-def criterion(fit: Fit) -> float:
+def criterion(fit: Minimum) -> float:
     """What explanations are ranked by, up to a constant of the campaign: -2 log(likelihood) + 2 k.
 
     Readings come with their errors. For these Akaike's criterion, which here is C. L. Mallows' Cp
@@ -279,27 +244,27 @@ def criterion(fit: Fit) -> float:
     return fit.deviance + 2.0 * len(fit.names)
 
 
-def aicc(fit: Fit) -> float:
+def aicc(fit: Minimum) -> float:
     """Akaike's information criterion for small samples, up to a constant of the campaign.
 
     -2 log(likelihood) + 2 k + 2 k (k + 1) / (n - k - 1), k free parameters, n readings and priors
     (C. M. Hurvich and C.-L. Tsai, Biometrika 76 (1989) 297); infinite where n <= k + 1.
     """
-    n, k = fit.problem.knowns, len(fit.names)
+    n, k = fit.statistic.knowns, len(fit.names)
     if n - k - 1 <= 0:
         return math.inf
     return fit.deviance + 2.0 * k + 2.0 * k * (k + 1) / (n - k - 1)
 
 
-def chi2_of_batches(fit: Fit) -> Array | None:
+def chi2_of_batches(fit: Minimum) -> Array | None:
     """(batches,) first-order change of chi2 with the simulation's batches; None without any.
 
     At a minimum only the prediction's direct change counts, not that of the parameters.
     """
-    batches = getattr(fit.problem.model, "eta_batches", None)
+    batches = getattr(fit.statistic.model, "eta_batches", None)
     if batches is None:
         return None
-    prediction, used = fit.problem.model.predict(fit.theta), fit.problem.used
+    prediction, used = fit.statistic.model.predict(fit.theta), fit.statistic.used
     deviations = (batches(fit.theta) * prediction.eta * prediction.signal_per_eta)[:, used]
     return -2.0 * deviations @ fit.weighted_residuals
 
@@ -310,7 +275,7 @@ def spread(batches: Array) -> Array:
     return np.sqrt((batches**2).sum(axis=0) / (count * (count - 1)))
 
 
-def error_of_difference(fit: Fit, other: Fit) -> float:
+def error_of_difference(fit: Minimum, other: Minimum) -> float:
     """The simulation's standard error of two fits' difference in chi2.
 
     Both were made with the same batches, so that much of their error is common.

@@ -22,7 +22,8 @@ from scipy.special import logsumexp, ndtr, ndtri, stdtr, stdtrit
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter, LightYieldInput
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.rounding import number, pdg
-from mcrim_mitsuba.inference.least_squares import Fit, LeastSquaresProblem
+from mcrim_mitsuba.inference.drivers import Minimum
+from mcrim_mitsuba.inference.statistic import Statistic
 
 #: The name of the model without further effects.
 NOTHING_MISSING = "none"
@@ -151,7 +152,7 @@ class Evidence:
 
 
 def evidence_of(
-    fit: Fit, priors: Mapping[str, PriorDensity], *, hopeless: bool = False
+    fit: Minimum, priors: Mapping[str, PriorDensity], *, hopeless: bool = False
 ) -> Evidence:
     """Evidence of the model of a fit, with a prior for every free parameter.
 
@@ -198,8 +199,8 @@ class _Sampled:
     #: Step of slopes, and descents towards a maximum.
     _STEP, _DESCENTS = 1e-3, 12
 
-    def __init__(self, fit: Fit, priors: Sequence[PriorDensity]) -> None:
-        self._problem: LeastSquaresProblem = fit.problem
+    def __init__(self, fit: Minimum, priors: Sequence[PriorDensity]) -> None:
+        self._statistic: Statistic = fit.statistic
         self._weights, self._priors = fit.weights, priors
 
     def values(self, z: Array) -> Array:
@@ -208,8 +209,8 @@ class _Sampled:
 
     def _residuals(self, theta: Array) -> Array:
         """(points, used) whitened residuals."""
-        predicted = self._problem.model.predict_many(theta)[:, self._problem.used]
-        return (self._problem.signal - predicted) @ self._weights.whitener.T
+        predicted = self._statistic.model.predict_many(theta)[:, self._statistic.used]
+        return self._weights.whiten(self._statistic.signal - predicted)
 
     def log_likelihood(self, theta: Array) -> Array:
         """(points,) of (points, free) parameters, up to a constant of the campaign."""

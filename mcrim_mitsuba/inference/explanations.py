@@ -24,6 +24,13 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.inference.drivers import (
+    Minimum,
+    best_of,
+    local_minima,
+    newton,
+    settle,
+)
 from mcrim_mitsuba.inference.estimates import corrected, criterion, error_of_difference
 from mcrim_mitsuba.inference.evidence import (
     Evidence,
@@ -34,23 +41,13 @@ from mcrim_mitsuba.inference.evidence import (
     of_parameter,
     size,
 )
-from mcrim_mitsuba.inference.least_squares import (
-    Fit,
-    LeastSquaresProblem,
-    best_of,
-    descend,
-    fit_from_scratch,
-    inverse,
-    settle,
-)
-from mcrim_mitsuba.inference.likelihood import local_minima
 from mcrim_mitsuba.inference.model import Model
+from mcrim_mitsuba.inference.profiles import RISE_95
+from mcrim_mitsuba.inference.statistic import Statistic, inverse
 
 #: Gives the model of the campaign with these effects, besides its own.
 Models = Callable[[tuple[str, ...]], Model]
 
-#: Rise of chi2 to the end of a two-sided interval of 95 %.
-TWO_SIDED = 3.841
 # Most nodes of a single effect's profile; of more than one parameter, a coarser product.
 _MOST_NODES = 27
 # Nodes in standard errors, where the catalogue has none.
@@ -70,35 +67,36 @@ class Explanations:
     """
 
     def __init__(
-        self, models: Models, effects: Mapping[str, Effect], scales: Mapping[str, float] = {}
+        self,
+        models: Models,
+        effects: Mapping[str, Effect],
+        baseline: Minimum,
+        scales: Mapping[str, float] = {},
     ) -> None:
         self._models = models
         self.effects = dict(effects)
-        self._coordinates = {
-            p.name: p.coordinate for effect in effects.values() for p in effect.parameters
-        }
-        self._problems: dict[tuple[str, ...], LeastSquaresProblem] = {}
-        self._fits: dict[tuple[str, ...], Fit] = {}
+        self._statistics: dict[tuple[str, ...], Statistic] = {}
+        self._fits: dict[tuple[str, ...], Minimum] = {}
         self._evidences: dict[tuple[str, ...], Evidence] = {}
         self._by_size: dict[str, Array] = {}
         #: Effects that cannot be fitted here, with the reason.
         self.refused: dict[str, str] = {}
         # an effect may be one of the scene's parameters off its nominal value
-        self._scene = self.problem(()).model.campaign.values
+        self._scene = self.statistic(()).model.campaign.values
         #: Of the campaign as it is.
-        self.baseline = fit_from_scratch(self.problem(()))
-        campaign = self.problem(()).model.campaign
+        self.baseline = baseline
+        campaign = self.statistic(()).model.campaign
         found = self.baseline.values
         self.scales = {n: v for n, v in found.items() if campaign.stands_for(n) == SCALE}
         self.scales |= scales
         self._fits[()] = self.baseline
 
-    def problem(self, added: Iterable[str]) -> LeastSquaresProblem:
+    def statistic(self, added: Iterable[str]) -> Statistic:
         """The campaign with these effects; `InputError` where the scene cannot take them."""
         key = tuple(sorted(added))
-        if key not in self._problems:
-            self._problems[key] = LeastSquaresProblem(self._models(key), self._coordinates)
-        return self._problems[key]
+        if key not in self._statistics:
+            self._statistics[key] = Statistic(self._models(key))
+        return self._statistics[key]
 
     def possible(self, added: Iterable[str]) -> bool:
         """Whether these effects may be together and leave the readings something to say."""
@@ -109,13 +107,13 @@ class Explanations:
         if any(name in self.refused for name in added):
             return False
         try:
-            return self.problem(added).ndf >= 0
+            return self.statistic(added).ndf >= 0
         except InputError as error:
             if len(added) == 1:
                 self.refused[added[0]] = error.problem
             return False
 
-    def singles(self) -> dict[str, Fit]:
+    def singles(self) -> dict[str, Minimum]:
         """The fit with each possible effect alone."""
         fits = {}
         for name in self.effects:
@@ -125,11 +123,11 @@ class Explanations:
                 self.refused[name] = "more parameters than readings and priors"
         return fits
 
-    def fit(self, added: Iterable[str]) -> Fit:
+    def fit(self, added: Iterable[str]) -> Minimum:
         """The best fit with these effects added, started from those with one of them less."""
         key = tuple(sorted(added))
         if key not in self._fits:
-            problem = self.problem(key)
+            statistic = self.statistic(key)
             starts: list[Array] = []
             fewers = {name: tuple(other for other in key if other != name) for name in key}
             # what has been fitted is a start; the rest need not be for this
@@ -139,12 +137,12 @@ class Explanations:
                 profile = self.profile(key, name, fewer)
                 lowest = local_minima([height for height, _ in profile])[:3]
                 starts += [profile[i][1] for i in lowest]
-            self._fits[key] = best_of(problem, starts, self.baseline.weights)
+            self._fits[key] = best_of(statistic, starts, self.baseline.weights)
         return self._fits[key]
 
     def free_parameters(self, added: Iterable[str], effect: str) -> tuple[str, ...]:
         """Parameters of an effect that the fit with these effects varies."""
-        names = self.problem(added).names
+        names = self.statistic(added).names
         return tuple(p.name for p in self.effects[effect].parameters if p.name in names)
 
     def absent(self, effect: str) -> dict[str, float]:
@@ -155,7 +153,7 @@ class Explanations:
     def plausible(self, added: Iterable[str]) -> dict[str, tuple[float, float]]:
         """What a laboratory usually meets of some effects, by parameter."""
         effects = [self.effects[name] for name in added]
-        return plausible_ranges(effects, self.baseline.problem.model)
+        return plausible_ranges(effects, self.baseline.statistic.model)
 
     def is_plausible(self, added: Iterable[str]) -> bool:
         """Whether a laboratory meets effects of the sizes that were fitted, or that fit as well.
@@ -170,9 +168,9 @@ class Explanations:
                 nearest[name] = min(max(value, low), high)
         if not nearest:
             return True
-        start = fit.problem.theta({**fit.values, **nearest})
-        held = [fit.problem.index(name) for name in nearest]
-        chi2 = descend(fit.problem, start, fit.weights, held=held, precision=0.01)[1]
+        start = fit.statistic.theta({**fit.values, **nearest})
+        held = [fit.statistic.index(name) for name in nearest]
+        chi2 = newton(fit.statistic, start, fit.weights, held=held, precision=0.01)[1]
         return chi2 < fit.chi2 + 1.0
 
     def title(self, added: Iterable[str]) -> str:
@@ -208,7 +206,7 @@ class Explanations:
         plausible = self.plausible(added)
         of_effects = {p.name: p for name in added for p in self.effects[name].parameters}
         found = {}
-        for known in self.problem(added).free:
+        for known in self.statistic(added).free:
             effect = of_effects.get(known.name)
             if effect is not None and known.prior is None:
                 usual, (low, high) = plausible[known.name], (known.minimum, known.maximum)
@@ -235,7 +233,7 @@ class Explanations:
             values = np.array(known[name].nodes, float) + known[name].origin(self._scene)
             if not len(values):
                 values = self._nodes_by_size(effect, name)
-            bounds = self.problem(added).parameter(name)
+            bounds = self.statistic(added).parameter(name)
             values = np.unique(np.clip(values, bounds.minimum, bounds.maximum)).tolist()
             axes.append([v for v in values if not math.isclose(v, absent[name], abs_tol=1e-12)])
         while math.prod(len(axis) for axis in axes) > _MOST_NODES:
@@ -245,12 +243,12 @@ class Explanations:
     def _nodes_by_size(self, effect: str, name: str) -> Array:
         """Values of a parameter for which the catalogue has none: some standard errors of it."""
         if name not in self._by_size:
-            problem, baseline = self.problem((effect,)), self.baseline
-            theta = problem.theta({**baseline.values, **self.absent(effect)})
-            slopes = problem.model.predict(theta).signal_slopes[problem.used]
-            whitened = baseline.weights.whitener @ slopes
-            information = whitened.T @ whitened + np.diag(problem.prior_weight)
-            place = problem.index(name)
+            statistic, baseline = self.statistic((effect,)), self.baseline
+            theta = statistic.theta({**baseline.values, **self.absent(effect)})
+            slopes = statistic.model.predict(theta).signal_slopes[statistic.used]
+            whitened = baseline.weights.whiten(slopes.T).T
+            information = whitened.T @ whitened + np.diag(statistic.prior_weight)
+            place = statistic.index(name)
             sigma = math.sqrt(inverse(information)[place, place])
             self._by_size[name] = theta[place] + sigma * _SIZES
         return self._by_size[name]
@@ -259,43 +257,44 @@ class Explanations:
         self,
         added: Iterable[str],
         effect: str,
-        fewer: Fit,
+        fewer: Minimum,
         *,
-        problem: LeastSquaresProblem | None = None,
+        statistic: Statistic | None = None,
         steps: int = 4,
         precision: float = 0.05,
     ) -> list[tuple[float, Array]]:
         """chi2 and parameters along an effect's nodes, all other parameters fitted.
 
         The effect is among `added`, and the others start from the fit `fewer` with all but it. A
-        `problem` may have other readings than the campaign's; `steps` and `precision` as `descend`.
+        `statistic` may have other readings than the campaign's; `steps` and `precision` are those
+        of `newton`.
         """
-        problem = problem or self.problem(added)
+        statistic = statistic or self.statistic(added)
         names = self.free_parameters(added, effect)
-        held = [problem.index(name) for name in names]
+        held = [statistic.index(name) for name in names]
         weights = self.baseline.weights
         if not names:
-            start = problem.theta(fewer.values)
-            theta, chi2, _ = descend(problem, start, weights, steps=steps, precision=precision)
+            start = statistic.theta(fewer.values)
+            theta, chi2, _ = newton(statistic, start, weights, steps=steps, precision=precision)
             return [(chi2, theta)]
         nodes, absent = self.nodes(added, effect), self.absent(effect)
         order = list(range(len(nodes)))
         if single := len(names) == 1:
             # from the absent value outwards, each from where its neighbour ended
-            thetas = [problem.theta({**fewer.values, **node}) for node in (absent, *nodes)]
-            there, *x = (problem.internal(theta)[held[0]] for theta in thetas)
+            thetas = [statistic.theta({**fewer.values, **node}) for node in (absent, *nodes)]
+            there, *x = (statistic.internal(theta)[held[0]] for theta in thetas)
             order.sort(key=lambda i: abs(x[i] - there))
         found: dict[int, tuple[float, Array]] = {}
         warm: dict[bool, dict[str, float]] = {}
         for i in order:
             side = nodes[i][names[0]] > absent[names[0]]
-            start = problem.theta({**warm.get(side, fewer.values), **nodes[i]})
-            theta, chi2, _ = descend(
-                problem, start, weights, held=held, steps=steps, precision=precision
+            start = statistic.theta({**warm.get(side, fewer.values), **nodes[i]})
+            theta, chi2, _ = newton(
+                statistic, start, weights, held=held, steps=steps, precision=precision
             )
             found[i] = (chi2, theta)
             if single:
-                warm[side] = problem.values(theta)
+                warm[side] = statistic.values(theta)
         return [found[i] for i in range(len(nodes))]
 
     def ranked_pairs(self) -> list[tuple[str, ...]]:
@@ -320,12 +319,12 @@ class Explanations:
             """Sets with where their best start leads, the best first."""
             found = []
             for added, each in starts:
-                problem, weights = self.problem(added), self.baseline.weights
+                statistic, weights = self.statistic(added), self.baseline.weights
                 theta, height, _ = min(
-                    (descend(problem, s, weights, steps=steps, precision=precision) for s in each),
+                    (newton(statistic, s, weights, steps=steps, precision=precision) for s in each),
                     key=lambda end: end[1],
                 )
-                found.append((height + 2.0 * len(problem.names), added, theta))
+                found.append((height + 2.0 * len(statistic.names), added, theta))
             found.sort(key=lambda item: item[0])
             return [(added, theta) for _, added, theta in found]
 
@@ -334,32 +333,34 @@ class Explanations:
         best = followed(better, 5, 0.3)[:to_the_end]
         for added, theta in best:
             key = tuple(sorted(added))
-            fit, other = self.fit(key), settle(self.problem(key), theta)
+            fit, other = self.fit(key), settle(self.statistic(key), theta)
             if other.deviance < fit.deviance:
                 self._fits[key] = other
         return sorted((added for added, _ in best), key=lambda added: criterion(self.fit(added)))
 
     def _starts(self, added: tuple[str, ...]) -> list[Array]:
         """Effects as they are without one of them, and that one as it is alone, and middling."""
-        problem, starts = self.problem(added), []
+        statistic, starts = self.statistic(added), []
         for other in added:
             fewer = tuple(sorted(name for name in added if name != other))
             if fewer not in self._fits:
                 continue
             values = self._fits[fewer].values
             nodes = sorted(self.nodes(added, other), key=lambda n: self._size(added, other, n))
-            starts.append(problem.theta({**values, **nodes[len(nodes) // 2]}))
+            starts.append(statistic.theta({**values, **nodes[len(nodes) // 2]}))
             if other == added[-1]:
-                starts.append(problem.theta({**self._fits[other,].values, **values}))
+                starts.append(statistic.theta({**self._fits[other,].values, **values}))
         return starts
 
     def _size(self, added: Iterable[str], effect: str, node: Mapping[str, float]) -> float:
         """How far an effect's values are from its absence, relative to its range."""
-        problem = self.problem(added)
+        statistic = self.statistic(added)
         base = self.baseline.values
-        there = problem.internal(problem.theta({**base, **node}))
-        absent = problem.internal(problem.theta({**base, **self.absent(effect)}))
-        span = np.where(np.isfinite(problem.high - problem.low), problem.high - problem.low, 1.0)
+        there = statistic.internal(statistic.theta({**base, **node}))
+        absent = statistic.internal(statistic.theta({**base, **self.absent(effect)}))
+        span = np.where(
+            np.isfinite(statistic.high - statistic.low), statistic.high - statistic.low, 1.0
+        )
         return float(np.abs((there - absent) / span).max(initial=0.0))
 
 
@@ -385,7 +386,7 @@ def plausible_priors(effects: Iterable[Effect], model: Model) -> dict[str, tuple
         middle = 0.5 * (low + high)
         if known.absent is not None and math.isfinite(known.absent):
             middle = known.origin(model.campaign.values) + known.absent
-        found[known.name] = (middle, max(high - middle, middle - low) / math.sqrt(TWO_SIDED))
+        found[known.name] = (middle, max(high - middle, middle - low) / math.sqrt(RISE_95))
     return found
 
 
@@ -412,7 +413,7 @@ class Ranking:
         self.order = tuple(sorted(self._scores, key=lambda key: self._scores[key]))
 
     @property
-    def best(self) -> Fit:
+    def best(self) -> Minimum:
         """Of the first explanation."""
         return self._fits[self.order[0]]
 
@@ -441,30 +442,30 @@ _TAIL = 0.02
 class BaselineFrame:
     """The readings and priors around a fit, whitened and freed of what its parameters follow."""
 
-    def __init__(self, fit: Fit) -> None:
+    def __init__(self, fit: Minimum) -> None:
         self.fit = fit
-        self.problem = fit.problem.against(fit.signal[fit.problem.used], fit.theta.copy())
+        self.statistic = fit.statistic.against(fit.signal[fit.statistic.used], fit.theta.copy())
         slopes = self._whitened(fit.slopes, np.eye(len(fit.theta)))
         self._basis = null_space(slopes[:, fit.movable].T).T
 
     def _whitened(self, of_readings: Array, of_parameters: Array) -> Array:
-        weight = self.fit.problem.prior_weight
+        weight = self.fit.statistic.prior_weight
         rows = np.sqrt(weight[weight > 0])
         of_priors = (of_parameters[weight > 0].T * rows).T
-        return np.concatenate([self.fit.weights.whitener @ of_readings, of_priors])
+        return np.concatenate([self.fit.weights.whiten(of_readings.T).T, of_priors])
 
     @property
     def dimensions(self) -> int:
         """Degrees of freedom."""
         return len(self._basis)
 
-    def displacement(self, problem: LeastSquaresProblem, theta: Array) -> Array:
+    def displacement(self, statistic: Statistic, theta: Array) -> Array:
         """(dimensions,) of a model's prediction from the fit's."""
         fit = self.fit
-        of_readings = problem.model.predict(theta).signal - fit.signal
-        values = problem.values(theta)
+        of_readings = statistic.model.predict(theta).signal - fit.signal
+        values = statistic.values(theta)
         of_parameters = np.array([values[name] for name in fit.names]) - fit.theta
-        return self._basis @ self._whitened(of_readings[fit.problem.used], of_parameters)
+        return self._basis @ self._whitened(of_readings[fit.statistic.used], of_parameters)
 
 
 @dataclass(frozen=True, eq=False)
@@ -504,24 +505,26 @@ class Curve:
 def curve_of(explanations: Explanations, effect: str, frame: BaselineFrame) -> Curve:
     """An effect's curve around the baseline fit."""
     added = (effect,)
-    problem = explanations.problem(added)
+    statistic = explanations.statistic(added)
     centre = frame.fit.values
-    prior = problem.theta({**{p.name: p.prior or 0.0 for p in problem.free}, **centre})
+    prior = statistic.theta({**{p.name: p.prior or 0.0 for p in statistic.free}, **centre})
     # the effect's own priors, if a campaign gives any, stay where they are
-    own = [problem.index(n) for n in explanations.free_parameters(added, effect)]
-    prior[own] = problem.prior[own]
-    ideal = problem.against(frame.problem.signal, prior)
+    own = [statistic.index(n) for n in explanations.free_parameters(added, effect)]
+    prior[own] = statistic.prior[own]
+    ideal = statistic.against(frame.statistic.signal, prior)
     if not own:
-        theta, _, _ = descend(ideal, problem.theta(centre), frame.fit.weights, steps=4)
-        point = frame.displacement(problem, theta)
+        theta, _, _ = newton(ideal, statistic.theta(centre), frame.fit.weights, steps=4)
+        point = frame.displacement(statistic, theta)
         return Curve(point[None], np.empty((0, 2), int), False, 0)
-    profile = explanations.profile(added, effect, frame.fit, problem=ideal, steps=3, precision=0.02)
+    profile = explanations.profile(
+        added, effect, frame.fit, statistic=ideal, steps=3, precision=0.02
+    )
     thetas = [theta for _, theta in profile]
-    points = np.array([frame.displacement(problem, theta) for theta in thetas])
-    absent = problem.theta({**centre, **explanations.absent(effect)})
-    x = np.array([problem.internal(theta)[own] for theta in [absent, *thetas]])
+    points = np.array([frame.displacement(statistic, theta) for theta in thetas])
+    absent = statistic.theta({**centre, **explanations.absent(effect)})
+    x = np.array([statistic.internal(theta)[own] for theta in [absent, *thetas]])
     points = np.vstack([np.zeros(frame.dimensions), points])
-    free = [problem.free[i] for i in own]
+    free = [statistic.free[i] for i in own]
     boundary = not any(p.minimum < at < p.maximum for p, at in zip(free, absent[own], strict=True))
     return Curve(points, _neighbours(x), boundary, len(own))
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,27 +17,20 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes, plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import p_equals
+from mcrim_mitsuba.inference.drivers import Minimum, find_minima
 from mcrim_mitsuba.inference.estimates import (
     ACCEPTABLE_P,
     FittedRow,
     ParameterEstimate,
+    estimates,
     fitted_rows,
-    light_yields,
-    propagated,
-)
-from mcrim_mitsuba.inference.likelihood import (
-    Interval,
-    Likelihood,
-    Optimum,
-    find_minima,
-    intervals,
-    p_value,
-    undetermined,
 )
 from mcrim_mitsuba.inference.model import Model, Prediction, held
+from mcrim_mitsuba.inference.profiles import ONE_SIGMA, Profile, profiles_of
+from mcrim_mitsuba.inference.statistic import Statistic, undetermined
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Calibration:
     """A fitted campaign."""
 
@@ -66,16 +59,23 @@ class Calibration:
     converged: bool
     #: What the reader must know before using the numbers.
     notes: tuple[str, ...]
+    #: The minimum that all of this describes.
+    minimum: Minimum = field(repr=False)
+
+    @property
+    def model(self) -> Model:
+        """The one that was fitted."""
+        return self.minimum.statistic.model
 
     @property
     def values(self) -> dict[str, float]:
         """The free parameters' values by name."""
-        return {name: self.parameters[name].value for name in self.names}
+        return self.minimum.values
 
     @property
     def theta(self) -> Array:
-        """(free,) the same, in the order of `names`."""
-        return np.array(list(self.values.values()))
+        """(free,) float64 values, in the order of `names`."""
+        return self.minimum.theta
 
     @property
     def correlation(self) -> Array:
@@ -83,12 +83,17 @@ class Calibration:
         sigma = np.sqrt(np.diag(self.covariance))
         return self.covariance / np.outer(sigma, sigma)
 
+    @property
+    def profiles(self) -> tuple[Profile, ...]:
+        """How chi2 rises along every free parameter and the light yield."""
+        return profiles_of(self.minimum)
+
     def numbers(self) -> dict[str, Any]:
         """Plain numbers, strings, lists and dicts; what is not finite becomes None."""
         matrices = attributes(self, "covariance correlation")
         return plain(
             attributes(self, "parameters fixed chi2 ndf p_value rows")
-            | {name: {"names": self.names, "matrix": each} for name, each in matrices.items()}
+            | {name: {"names": self.names, "matrix": matrix} for name, matrix in matrices.items()}
             | attributes(self, "converged notes")
         )
 
@@ -132,11 +137,7 @@ class UndeterminedError(TooLittleSimulatedError):
 
 
 def fit_model(model: Model, *, profile: bool = True) -> Calibration:
-    """Fit a model's readings.
-
-    The statistic is chi2 = r^T C^-1 r + sum of ((theta - prior) / prior_sigma)^2, with
-    r = signal - scale eta(theta) and C from the readings' errors, the relative errors that
-    mountings share, and the Monte Carlo errors of eta.
+    """Fit a model's readings; see `statistic` for what is minimised.
 
     Parameters
     ----------
@@ -150,108 +151,138 @@ def fit_model(model: Model, *, profile: bool = True) -> Calibration:
         If the readings cannot determine the parameters, or the photons that were simulated say
         too little at the solution.
     """
-    likelihood, campaign = Likelihood(model), model.campaign
-    names = campaign.free
-    minima, prediction = _trusted(find_minima(likelihood))
+    return result_of(find_minima(Statistic(model)), profile=profile)
+
+
+def result_of(minima: list[Minimum], *, profile: bool) -> Calibration:
+    """What minima, the lowest first, say of a campaign; errors as `fit_model`."""
+    minima, prediction = _trusted(minima)
     best = minima[0]
-    covariance = np.linalg.inv(best.information).astype(float, copy=False)
-    found: Sequence[Interval | None] = [None] * len(names)
-    if profile and names:
-        found = intervals(best)
-    response = covariance @ best.statistic.response(best.theta)
-    parameters = propagated(
-        likelihood, best.theta, best.statistic.errors, covariance, response, best.at_bound, found
-    )
-    of_rows = np.zeros((len(names), len(likelihood.used)))
-    of_rows[:, likelihood.used] = response
+    statistic = best.statistic
+    model, campaign = statistic.model, statistic.model.campaign
+    of_rows = np.zeros((len(best.names), len(statistic.used)))
+    of_rows[:, statistic.used] = best.response
     assert prediction.eta_sigma is not None  # checked
-    rows = fitted_rows(model.readings, prediction, prediction.eta_sigma.tolist())
-    p = p_value(best.chi2, campaign.ndf)
-    notes = [
-        *campaign.notes,
-        *_notes_of_raw_data(campaign, parameters),
-        *_notes_of_search(minima, names),
-        *_notes_of_disagreement(best, p, rows, prediction),
-        *_notes_of_intervals(best, found),
-        *_notes_of_simulation(parameters),
-        *_notes_of_interpolation(likelihood, prediction),
-    ]
-    if campaign.light_yield is not None and SCALE not in parameters:
-        notes.append("no light yield: the scale is held, not fitted")
-    parameters |= light_yields(parameters, campaign)
-    return Calibration(
+    parameters, notes_of_intervals = estimates(best), list[str]()
+    if profile and best.names:
+        parameters, notes_of_intervals = _with_intervals(best)
+    else:
+        parameters = {n: replace(e, lower=None, upper=None) for n, e in parameters.items()}
+    fit = Calibration(
         parameters=parameters,
         fixed=held(campaign),
         chi2=best.chi2,
-        ndf=campaign.ndf,
-        p_value=p,
-        rows=rows,
-        names=names,
-        covariance=covariance,
+        ndf=best.ndf,
+        p_value=best.p_value,
+        rows=fitted_rows(model.readings, prediction, prediction.eta_sigma.tolist()),
+        names=best.names,
+        covariance=best.covariance,
         response=of_rows,
         converged=best.converged,
-        notes=tuple(notes),
+        notes=(),
+        minimum=best,
     )
+    notes = [
+        *campaign.notes,
+        *_notes_of_raw_data(campaign, fit.parameters),
+        *_notes_of_search(minima),
+        *_notes_of_disagreement(fit, prediction),
+        *notes_of_intervals,
+        *_notes_of_simulation(fit.parameters),
+        *_notes_of_interpolation(statistic, prediction),
+    ]
+    if campaign.light_yield is not None and SCALE not in fit.parameters:
+        notes.append("no light yield: the scale is held, not fitted")
+    return replace(fit, notes=tuple(notes))
 
 
-def _refuse_undetermined(optimum: Optimum) -> None:
+def _refuse_undetermined(minimum: Minimum) -> None:
     """Refuse readings that do not determine all parameters.
 
     At an end of alpha_scat's range readings often do not depend on it any more; then it is that
     end which is to be explained.
     """
-    likelihood, information = optimum.statistic.likelihood, optimum.information
-    if without := undetermined(information, likelihood.names):
-        path = likelihood.model.campaign.path
-        if wish := _wish(optimum):
-            raise UndeterminedError(wish, _SWAPPED, optimum.values, path=path)
+    if without := undetermined(minimum.information, minimum.names):
+        path = minimum.statistic.model.campaign.path
+        if wish := _wish(minimum):
+            raise UndeterminedError(wish, _SWAPPED, minimum.values, path=path)
         problem = f"the readings do not determine {' and '.join(without)}"
         mend = "add a reading in another configuration or a prior, or hold one with fixed = true"
         raise UndeterminedError(problem, mend, {}, path=path)
 
 
-def _trusted(minima: list[Optimum]) -> tuple[list[Optimum], Prediction]:
+def _trusted(minima: list[Minimum]) -> tuple[list[Minimum], Prediction]:
     """Minima from the lowest on of which the simulation can tell, and the prediction there.
 
     Where photons of others are weighted too far, eta is what chance makes of it, and may suit
     readings that the model does not describe. Errors are those of the lowest of all.
     """
     refusal: InputError | None = None
-    for place, optimum in enumerate(minima):
+    for place, minimum in enumerate(minima):
         try:
-            _refuse_undetermined(optimum)
-            return minima[place:], _checked_prediction(optimum)
+            _refuse_undetermined(minimum)
+            return minima[place:], _checked_prediction(minimum)
         except (UndeterminedError, TooLittleSimulatedError) as error:
             refusal = refusal or error
     assert refusal is not None
     raise refusal
 
 
-def _checked_prediction(best: Optimum) -> Prediction:
+def _checked_prediction(best: Minimum) -> Prediction:
     """The prediction at the solution, refused where the simulation says too little."""
-    likelihood = best.statistic.likelihood
+    model = best.statistic.model
     try:
-        return likelihood.model.predict(best.theta, check=True)
+        return model.predict(best.theta, check=True)
     except InputError as error:
         problem, mend = (
             f"the fit ended where the simulation says too little: {error.problem}",
-            f"the readings do not fit this bench; mcrim compare {likelihood.model.campaign.path} "
-            "shows which",
+            f"the readings do not fit this bench; mcrim compare {model.campaign.path} shows which",
         )
         if wish := _wish(best):
             problem, mend = f"{wish}, and there {error.problem}", _SWAPPED
-        mend = _lost_point(likelihood, likelihood.model.predict(best.theta)) or mend
-        path = likelihood.model.campaign.path
-        raise TooLittleSimulatedError(problem, mend, best.values, path=path) from None
+        mend = _lost_point(model, model.predict(best.theta)) or mend
+        raise TooLittleSimulatedError(
+            problem, mend, best.values, path=model.campaign.path
+        ) from None
 
 
-def _wish(best: Optimum) -> str:
+def _with_intervals(best: Minimum) -> tuple[dict[str, ParameterEstimate], list[str]]:
+    """Estimates with the intervals that their profiles tell, and notes on these.
+
+    A note tells of an interval that a bound cuts off, or that ends where the simulation says too
+    little.
+    """
+    parameters, notes = estimates(best), list[str]()
+    model, bounds_of = best.statistic.model, {p.name: p for p in best.statistic.free}
+    for profile in profiles_of(best):
+        lower, upper = profile.crossings(ONE_SIGMA)
+        if (bounds := bounds_of.get(profile.name)) is not None:
+            for side, end in (("min", lower), ("max", upper)):
+                if end is None:
+                    limit = _bound(model, bounds, side)
+                    notes.append(f"the interval of {profile.name} is cut off at the bound {limit}")
+            lower = bounds.minimum if lower is None else lower
+            upper = bounds.maximum if upper is None else upper
+            for end in (lower, upper):
+                theta = best.theta.copy()
+                theta[best.statistic.index(profile.name)] = end
+                try:
+                    model.predict(theta, check=True)
+                except InputError as error:
+                    notes.append(
+                        f"the interval of {profile.name} ends at {end:g}, but {error.problem}"
+                    )
+        parameters[profile.name] = replace(parameters[profile.name], lower=lower, upper=upper)
+    return parameters, notes
+
+
+def _wish(best: Minimum) -> str:
     """What the readings ask for, where they push alpha_scat to an end of its range."""
-    likelihood = best.statistic.likelihood
-    if ALPHA_SCAT not in likelihood.names:
+    statistic = best.statistic
+    if ALPHA_SCAT not in best.names:
         return ""
-    place = likelihood.names.index(ALPHA_SCAT)
-    value, side, bounds = best.theta[place], best.at_bound[place], likelihood.free[place]
+    place = statistic.index(ALPHA_SCAT)
+    value, side, bounds = best.theta[place], best.at_bound[place], statistic.free[place]
     edge = (bounds.maximum / bounds.minimum) ** _EDGE
     if side is None and bounds.minimum * edge <= value <= bounds.maximum / edge:
         return ""
@@ -269,96 +300,76 @@ def _notes_of_raw_data(
     return beam_notes(campaign.raw, fitted.value)
 
 
-def _notes_of_search(minima: list[Optimum], names: tuple[str, ...]) -> Iterator[str]:
+def _notes_of_search(minima: list[Minimum]) -> Iterator[str]:
     """What the reader must know of the minimum, and of its rivals."""
     best, *others = minima
     if not best.converged:
         yield "the minimiser did not converge: the numbers may be off"
-    model = best.statistic.likelihood.model
+    model = best.statistic.model
     for parameter, side in zip(model.free, best.at_bound, strict=True):
         if side is not None:
             wish = _wish(best) if parameter.name == ALPHA_SCAT else ""
-            asked = f"; {wish}: {_SWAPPED}" if wish else ""
-            yield f"{parameter.name} ended at its bound {_bound(model, parameter, side)}{asked}"
+            reason = f"; {wish}: {_SWAPPED}" if wish else ""
+            yield f"{parameter.name} ended at its bound {_bound(model, parameter, side)}{reason}"
     for other in others:
         higher = other.deviance - best.deviance
         if higher < _RIVAL:
-            where = ", ".join(f"{n} = {v:.4g}" for n, v in zip(names, other.theta, strict=True))
+            where = ", ".join(f"{name} = {value:.4g}" for name, value in other.values.items())
             yield f"a second solution, chi2 {higher:.2f} higher: {where}"
 
 
-def _notes_of_disagreement(
-    best: Optimum, p: float | None, rows: tuple[FittedRow, ...], prediction: Prediction
-) -> Iterator[str]:
+def _notes_of_disagreement(fit: Calibration, prediction: Prediction) -> Iterator[str]:
     """Whether the model describes the readings at all."""
-    likelihood = best.statistic.likelihood
+    p, statistic = fit.p_value, fit.minimum.statistic
     # priors count as well as readings
-    if best.chi2 > _LARGEST_PULL**2 if p is None else p < ACCEPTABLE_P:
-        pulls = [(row.label, row.pull) for row in rows if row.use]
-        priors = zip(likelihood.names, likelihood.prior_pulls(best.theta), strict=True)
+    if fit.chi2 > _LARGEST_PULL**2 if p is None else p < ACCEPTABLE_P:
+        pulls = [(row.label, row.pull) for row in fit.rows if row.use]
+        priors = zip(fit.names, statistic.prior_pulls(fit.theta), strict=True)
         pulls += [(f"the prior of {n}", pull) for n, pull in priors if abs(pull) > _LARGEST_PULL]
-        worst, pull = max(pulls, key=lambda known: abs(known[1]))
-        chance = f"ndf = {likelihood.ndf}" if p is None else p_equals(p)
+        worst, pull = max(pulls, key=lambda item: abs(item[1]))
+        chance = f"ndf = {statistic.ndf}" if p is None else p_equals(p)
         yield (
-            f"the model does not describe the readings: chi2 = {best.chi2:.3g}, {chance}; the "
+            f"the model does not describe the readings: chi2 = {fit.chi2:.3g}, {chance}; the "
             f"largest pull is that of {worst} ({pull:+.1f})"
         )
-        if lost_point := _lost_point(likelihood, prediction):
+        if lost_point := _lost_point(statistic.model, prediction):
             yield lost_point
 
 
-def _lost_point(likelihood: Likelihood, prediction: Prediction) -> str:
+def _lost_point(model: Model, prediction: Prediction) -> str:
     """Which readings are many times off the others, as after a decimal point is lost."""
-    light = [(i, r) for i, r in enumerate(likelihood.model.readings) if r.use and not r.of_beam]
+    light = [(i, r) for i, r in enumerate(model.readings) if r.use and not r.of_beam]
     if len(light) < 2:
         return ""
-    asked = np.log([r.signal / prediction.signal[i] for i, r in light])
+    scales = np.log([r.signal / prediction.signal[i] for i, r in light])
     # of two nobody knows which one it is
-    off = abs(asked - np.median(asked)) > np.log(_FAR_OFF if len(light) > 2 else _TWO_APART)
+    off = abs(scales - np.median(scales)) > np.log(_FAR_OFF if len(light) > 2 else _TWO_APART)
     if not off.any() or (len(light) > 2 and 2 * off.sum() >= len(light)):
         return ""
-    far = [r for (_, r), one in zip(light, off, strict=True) if one]
-    named = " and ".join(f"{r.label} (line {r.line}, {r.signal:g})" for r in far)
+    far = [reading for (_, reading), is_off in zip(light, off, strict=True) if is_off]
+    labels = " and ".join(f"{r.label} (line {r.line}, {r.signal:g})" for r in far)
     are = "is" if len(far) == 1 else "are"
     how = f"{are} many times off what the others ask for"
     if len(light) == 2:
         how = "do not belong together on any bench like this"
-    return f"{named} {how}: is a decimal point or comma lost?"
+    return f"{labels} {how}: is a decimal point or comma lost?"
 
 
 def _bound(model: Model, parameter: CampaignParameter, side: str) -> str:
-    """A bound in words: the campaign's own, or where the surfaces end before it."""
+    """A bound in words: the campaign's own, or where the simulation ends before it."""
     attribute = {"min": "minimum", "max": "maximum"}[side]
     value = getattr(parameter, attribute)
-    own = model.campaign.parameters.get(parameter.name, parameter)
-    reason = "" if value == getattr(own, attribute) else ": eta is worked out no further"
+    of_campaign = model.campaign.parameters.get(parameter.name, parameter)
+    reason = "" if value == getattr(of_campaign, attribute) else ": eta is worked out no further"
     return f"{side} = {value:g}{reason}"
-
-
-def _notes_of_intervals(best: Optimum, found: Sequence[Interval | None]) -> Iterator[str]:
-    """Intervals that a bound cuts off, or that end where the simulation says too little."""
-    model = best.statistic.likelihood.model
-    for i, (parameter, ends) in enumerate(zip(model.free, found, strict=True)):
-        if ends is None:
-            continue
-        for side in ends.cut:
-            bound = _bound(model, parameter, side)
-            yield f"the interval of {parameter.name} is cut off at the bound {bound}"
-        for end in (ends.lower, ends.upper):
-            theta = best.theta.copy()
-            theta[i] = end
-            try:
-                model.predict(theta, check=True)
-            except InputError as error:
-                yield f"the interval of {parameter.name} ends at {end:g}, but {error.problem}"
 
 
 def _notes_of_simulation(parameters: dict[str, ParameterEstimate]) -> Iterator[str]:
     """Whether more photons would tell more."""
     parts = {
-        name: known.contributions["monte_carlo"] / known.sigma
-        for name, known in parameters.items()
-        if known.sigma > 0
+        name: estimate.contributions["monte_carlo"] / estimate.sigma
+        for name, estimate in parameters.items()
+        if estimate.sigma > 0
     }
     worst = max(parts, key=parts.__getitem__, default="")
     if worst and parts[worst] >= _NOTABLE_MONTE_CARLO:
@@ -369,12 +380,12 @@ def _notes_of_simulation(parameters: dict[str, ParameterEstimate]) -> Iterator[s
         )
 
 
-def _notes_of_interpolation(likelihood: Likelihood, prediction: Prediction) -> Iterator[str]:
+def _notes_of_interpolation(statistic: Statistic, prediction: Prediction) -> Iterator[str]:
     """Interpolation errors that a reading would notice."""
     assert prediction.interpolation_error is not None  # checked
-    sigmas = np.array([reading.sigma for reading in likelihood.model.readings])
+    sigmas = np.array([reading.sigma for reading in statistic.model.readings])
     errors = np.abs(prediction.signal_per_eta) * prediction.interpolation_error / sigmas
-    worst = errors[likelihood.used].max()
+    worst = errors[statistic.used].max()
     if worst >= _NOTABLE_INTERPOLATION:
         yield (
             f"interpolation between simulations may be off by {worst:.1f} of a reading's sigma: "

@@ -20,22 +20,21 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import counted, p_equals, probability
 from mcrim_mitsuba.core.run import Provenance, Run
-from mcrim_mitsuba.inference.diagnose import AMBIGUOUS, UNEXPLAINED, explains
+from mcrim_mitsuba.inference.drivers import find_minima
 from mcrim_mitsuba.inference.estimates import (
     ACCEPTABLE_P,
     FittedRow,
     ParameterEstimate,
     error_of_difference,
-    estimates,
     left_out_error,
-    rows,
 )
 from mcrim_mitsuba.inference.evidence import Hypothesis, weigh
 from mcrim_mitsuba.inference.explanations import LEADING, Explanations
-from mcrim_mitsuba.inference.fit import fit_model
-from mcrim_mitsuba.inference.least_squares import Fit
+from mcrim_mitsuba.inference.fit import Calibration, result_of
+from mcrim_mitsuba.inference.judgement import AMBIGUOUS, UNEXPLAINED, explains
 from mcrim_mitsuba.inference.model import UNKNOWN_SCALE
-from mcrim_mitsuba.inference.workbench import Workbench, spent_together
+from mcrim_mitsuba.inference.simulations import CampaignSimulations, spent_together
+from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.runs.array_job import PartDoneError
 
 #: What hypotheses are called, in the order in which they are given; so many are compared at most.
@@ -120,14 +119,14 @@ class HypothesesCompared:
 def compare_hypotheses(
     campaigns: Sequence[str | Path | Campaign], *, run: Run = Run()
 ) -> HypothesesCompared:
-    """Fit campaigns of the same readings and weigh them against each other.
+    """Minimum campaigns of the same readings and weigh them against each other.
 
     Parameters
     ----------
     campaigns : sequence of str, Path or Campaign
         Two or three; scenes, effects, priors and starts may differ.
     run : Run
-        See `Workbench`. All campaigns are simulated with the same random numbers.
+        See `CampaignSimulations`. All campaigns are simulated with the same random numbers.
 
     Raises
     ------
@@ -142,27 +141,25 @@ def compare_hypotheses(
         n: first.parameters[n].start for n in (ALPHA_SCAT, ALPHA_ABS) if n in first.parameters
     }
     benches = {
-        name: Workbench(one.with_starts(starts), run)
+        name: CampaignSimulations(one.with_starts(starts), run)
         for name, one in zip(NAMES, given, strict=False)
     }
-    made: dict[str, Explanations] = {}
-    notes: list[str] = []
+    explained: dict[str, Explanations] = {}
     _simulate(benches.values())
-    for name, bench in benches.items():
-        effects = bench.campaign.effects
-        scales = next((each.scales for each in made.values()), {})
-        own = {each.name: each for each in bench.campaign.switched_on}
-        made[name] = Explanations(bench.reduced_model, own, scales)
-        # refused where the readings do not determine its parameters
-        fit = fit_model(bench.model(starts=made[name].fit(effects).values), profile=False)
-        notes += [f"{name}: {note}" for note in fit.notes]
-    found = side_by_side(made)
+    for name, simulations in benches.items():
+        scales = next((others.scales for others in explained.values()), {})
+        switched_on = {effect.name: effect for effect in simulations.campaign.switched_on}
+        models = simulations.models.reduced_model
+        baseline = find_minima(Statistic(models(())))[0]
+        explained[name] = Explanations(models, switched_on, baseline, scales)
+    notes = [f"{name}: {note}" for name, fit in fits_of(explained).items() for note in fit.notes]
+    found = side_by_side(explained)
     spent = [bench.provenance() for bench in benches.values()]
     scenes = {name: each.scene_hash for name, each in zip(benches, spent, strict=True)}
     return HypothesesCompared(found, spent_together(spent, notes), scenes)
 
 
-def _simulate(benches: Iterable[Workbench]) -> None:
+def _simulate(benches: Iterable[CampaignSimulations]) -> None:
     """Of all campaigns; a part of an array job does its share of each before it is done."""
     done: PartDoneError | None = None
     for bench in benches:
@@ -174,16 +171,27 @@ def _simulate(benches: Iterable[Workbench]) -> None:
         raise done
 
 
-def side_by_side(made: Mapping[str, Explanations]) -> SideBySide:
+def fits_of(explained: Mapping[str, Explanations]) -> dict[str, Calibration]:
+    """The fit of every hypothesis, with all effects that its explanations know.
+
+    Raises InputError where the readings do not determine its parameters.
+    """
+    return {
+        name: result_of([own.fit(own.effects)], profile=False) for name, own in explained.items()
+    }
+
+
+def side_by_side(explained: Mapping[str, Explanations]) -> SideBySide:
     """Hypotheses by name, each with all effects that its explanations know, of the same readings.
 
     Those whose evidence is as close to the best as explanations are that lead a diagnosis together
     cannot be told from it.
     """
-    effects = {name: tuple(each.effects) for name, each in made.items()}
-    fits = {name: each.fit(effects[name]) for name, each in made.items()}
-    evidences = {name: each.evidence(effects[name]) for name, each in made.items()}
-    order = sorted(made, key=lambda name: -evidences[name].log)
+    effects = {name: tuple(own.effects) for name, own in explained.items()}
+    results = fits_of(explained)
+    fits = {name: fit.minimum for name, fit in results.items()}
+    evidences = {name: own.evidence(effects[name]) for name, own in explained.items()}
+    order = sorted(explained, key=lambda name: -evidences[name].log)
     best = order[0]
     weighed = weigh(
         [Hypothesis(found, 0.0, besides=name) for name, found in evidences.items()], None
@@ -192,7 +200,7 @@ def side_by_side(made: Mapping[str, Explanations]) -> SideBySide:
     hypotheses = tuple(
         FittedHypothesis(
             name=name,
-            campaign=fit.problem.model.campaign.path,
+            campaign=fit.statistic.model.campaign.path,
             effects=effects[name],
             chi2=fit.chi2,
             ndf=fit.ndf,
@@ -205,16 +213,16 @@ def side_by_side(made: Mapping[str, Explanations]) -> SideBySide:
                 evidences[name].log_sigma, evidences[best].log_sigma, 0.5 * noise[name]
             ),
             probability=weighed.probabilities[name],
-            parameters=estimates(fit),
-            rows=rows(fit),
-            titles=tuple(each.title for each in made[name].effects.values()),
+            parameters=results[name].parameters,
+            rows=results[name].rows,
+            titles=tuple(each.title for each in explained[name].effects.values()),
         )
         for name, fit in fits.items()
     )
     named = {one.name: one for one in hypotheses}
     leading = tuple(n for n in order if -2.0 * named[n].log_evidence <= LEADING + 2.0 * noise[n])
-    verdict, reason = _verdict([named[name] for name in leading], fits[best])
-    readings = fits[best].problem.model.readings
+    verdict, reason = _verdict([named[name] for name in leading], results[best])
+    readings = fits[best].statistic.model.readings
     predicted = np.ptp([fit.signal for fit in fits.values()], axis=0)
     apart = {
         reading.label: float(far / reading.sigma)
@@ -223,7 +231,7 @@ def side_by_side(made: Mapping[str, Explanations]) -> SideBySide:
     return SideBySide(verdict, reason, leading, hypotheses, apart)
 
 
-def _verdict(leading: Sequence[FittedHypothesis], fit: Fit) -> tuple[str, str]:
+def _verdict(leading: Sequence[FittedHypothesis], fit: Calibration) -> tuple[str, str]:
     """The verdict and its reason; the fit is that of the first."""
     best = leading[0]
     quality = f"chi2 = {fit.chi2:.3g} without degrees of freedom"
@@ -231,7 +239,7 @@ def _verdict(leading: Sequence[FittedHypothesis], fit: Fit) -> tuple[str, str]:
         degrees = f"{counted(fit.ndf, 'degree')} of freedom"
         quality = f"chi2 = {fit.chi2:.3g} for {degrees} ({p_equals(fit.p_value)})"
     likeliest = f"{best.words} is the likeliest of those compared, {probability(best.probability)}"
-    if not explains(fit, ACCEPTABLE_P):
+    if not explains(fit.minimum, ACCEPTABLE_P):
         return UNEXPLAINED, f"{likeliest}, but it does not describe the readings: {quality}"
     if len(leading) > 1:
         *others, last = (one.words for one in leading)

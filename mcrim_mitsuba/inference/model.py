@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -23,7 +23,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.effects.effect import Effect, Rows
-from mcrim_mitsuba.efficiency.responses import Anchor, Point, Responses, errors_of
+from mcrim_mitsuba.efficiency.responses import Anchor, EffectResponse, Point, Responses, errors_of
 from mcrim_mitsuba.efficiency.surface import (
     EfficiencySurface,
     InterpolatedSurface,
@@ -342,9 +342,9 @@ class ResponseModel:
         #: Responses to the effects that are switched on, and to other scene parameters that are
         #: fitted.
         names = dict.fromkeys([*(effect.name for effect in effects), *campaign.parameters])
-        self.switched_on = [responses.effects[n] for n in names if n in responses.effects]
+        self.switched_on = {n: responses.effects[n] for n in names if n in responses.effects}
         # an effect's response may depend on a beam's parameter, too, that is not fitted
-        axes = [axis for response in self.switched_on for axis in response.axes]
+        axes = [axis for response in self.switched_on.values() for axis in response.axes]
         named = {axis.name for axis in axes} - set(campaign.parameters)
         self._held = {**{n: float(campaign.values[n]) for n in named}, **held(campaign)}
         grid = responses.grid
@@ -382,7 +382,8 @@ class ResponseModel:
         self._latest: _Place | None = None
         self._shift: Array | None = None
         if anchor is not None:
-            self._shift = anchor.log_eta - self._at({**self._held, **anchor.values}).log_eta
+            values = {**self._held, **anchor.values}
+            self._shift = anchor.log_eta - _Place(self, values, anchor.effects).log_eta
 
     def _values(self, theta: Array) -> dict[str, float]:
         """All parameters that the campaign names, free and held."""
@@ -449,7 +450,7 @@ class ResponseModel:
                 grid.weights_at(*pair) for grid in (self.responses.grid, self.responses.coarse)
             )
             found = fine @ self.responses.log_eta[rows].reshape(len(rows), -1).T
-            for response in self.switched_on:
+            for response in self.switched_on.values():
                 weights = response.weights_at([values[axis.name] for axis in response.axes])
                 tables = response.log_ratio[..., rows, :, :].reshape(-1, coarse.shape[1])
                 # of all nodes and readings at once: products with few columns are slow
@@ -502,16 +503,25 @@ class ResponseModel:
 class _Place:
     """What a model's responses say where its parameters, but for the scale, have some values."""
 
-    def __init__(self, model: ResponseModel, values: Mapping[str, float]) -> None:
+    def __init__(
+        self,
+        model: ResponseModel,
+        values: Mapping[str, float],
+        effects: Collection[str] | None = None,
+    ) -> None:
         self.values = values
         self._anchor, self._responses = model.anchor, model.responses
         self._fine, self._coarse = model.points(values)
         # each with its parameters' values
-        self._switched_on = [(r, [values[a.name] for a in r.axes]) for r in model.switched_on]
+        self._switched_on = {
+            name: (response, [values[axis.name] for axis in response.axes])
+            for name, response in model.switched_on.items()
+            if effects is None or name in effects
+        }
         log_eta, by_scat, by_abs = self._fine.value_and_slopes(self._responses.log_eta)
         #: (readings,) d log_eta / d parameter, by its name.
         self.slopes: dict[str, Array] = {}
-        for response, own in self._switched_on:
+        for response, own in self._switched_on.values():
             more, more_by_scat, more_by_abs, by_axis = response.at(self._coarse, own)
             log_eta, by_scat, by_abs = log_eta + more, by_scat + more_by_scat, by_abs + more_by_abs
             for i, axis in enumerate(response.axes):
@@ -521,20 +531,26 @@ class _Place:
         self.log_eta = log_eta
         self.slopes |= model.by_name(ALPHA_SCAT, by_scat) | model.by_name(ALPHA_ABS, by_abs)
 
+    @property
+    def _added(self) -> list[tuple[EffectResponse, list[float]]]:
+        """Responses that no joint simulation has in it."""
+        joint = frozenset[str]() if self._anchor is None else self._anchor.effects
+        return [known for name, known in self._switched_on.items() if name not in joint]
+
     @cached_property
     def deviations(self) -> Array:
         """(batches, readings) deviations of log(eta)."""
-        if self._anchor is not None:
-            return self._anchor.deviations
-        deviations = self._fine.values(self._responses.deviations)
-        for response, own in self._switched_on:
+        if self._anchor is None:
+            deviations = self._fine.values(self._responses.deviations)
+        else:
+            deviations = self._anchor.deviations
+        for response, own in self._added:
             deviations = deviations + response.deviations_at(self._coarse, own)
         return deviations
 
     def interpolation_error(self) -> Array:
         """(readings,) estimated size of the error that interpolation makes in log(eta)."""
         error = np.zeros(len(self.log_eta))
-        if self._anchor is None:
-            for response, own in self._switched_on:
-                error += response.interpolation_error(self._coarse, own)
+        for response, own in self._added:
+            error += response.interpolation_error(self._coarse, own)
         return error

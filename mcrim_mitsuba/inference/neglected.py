@@ -33,7 +33,7 @@ from mcrim_mitsuba.efficiency.responses import EffectResponse, mixture
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, spread
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
-from mcrim_mitsuba.inference.workbench import Workbench, spent_together
+from mcrim_mitsuba.inference.simulations import CampaignSimulations, spent_together
 from mcrim_mitsuba.optics.dispersion import indices_of_light, orientation_sigma
 from mcrim_mitsuba.optics.emission_band import BandIndices
 from mcrim_mitsuba.optics.gammas import AttenuationLength
@@ -83,20 +83,21 @@ def at(model: ResponseModel, values: Mapping[str, float]) -> Quantities:
     return _of_eta(model, prediction.eta, batches, prediction.eta_slopes)
 
 
-def fitted(model: ResponseModel, found: Calibration) -> Quantities:
+def fitted(fit: Calibration) -> Quantities:
     """Efficiencies, their ratio and parameters where a fit ended.
 
     Where a batch alone would give other efficiencies, the fit would end elsewhere: by the
     response of the estimate to the readings, to first order.
     """
-    theta = found.theta
+    model, theta = fit.model, fit.theta
+    assert isinstance(model, ResponseModel)  # with batches
     prediction = model.predict(theta)
     own = prediction.eta * model.eta_batches(theta)
     # a model that predicts more acts as a reading that is lower
-    moved = -(own * prediction.signal_per_eta) @ found.response.T
+    moved = -(own * prediction.signal_per_eta) @ fit.response.T
     slopes = prediction.eta_slopes
     etas = _of_eta(model, prediction.eta, own + moved @ slopes.T, slopes)
-    names, parameters = list(found.names), np.eye(len(theta))
+    names, parameters = list(fit.names), np.eye(len(theta))
     for scale, (name, known) in model.campaign.light_yields.items():
         if scale in names:
             place = names.index(scale)
@@ -220,8 +221,7 @@ def refuse_far(campaign: Campaign, band: BandIndices) -> None:
 class Refit:
     """A fit with the quantities that come of it."""
 
-    model: ResponseModel
-    calibration: Calibration
+    fit: Calibration
     #: At the coefficients of the campaign's own fit.
     at_fixed: Quantities
     refitted: Quantities
@@ -247,7 +247,7 @@ class NeglectWork:
                 refuse_far(campaign, self._band)
             except InputError as error:
                 self.refused[CRYSTAL_INDEX], self._band = error.problem, None
-        self._benches: list[Workbench] = []
+        self._benches: list[CampaignSimulations] = []
         self._index = (CRYSTAL_INDEX,) * (self._band is not None)
         # births can be weighted too: that tells what the depth's error does
         depth = (SOURCE_DEPTH,) * (SOURCE_DEPTH in self._known.effects)
@@ -255,21 +255,21 @@ class NeglectWork:
         self.bench = self._bench(campaign, (*self._index, *depth))
         self._fixed: dict[str, float] = {}
         self._own = self._refit(self.bench)
-        self._fixed = self._own.calibration.values
+        self._fixed = self._own.fit.values
 
     def _with(self, *effects: str) -> Campaign:
         """The campaign with effects of known size in its scene."""
         return replace(self._campaign, scene=self._known.put_into(self._campaign.scene, *effects))
 
-    def _bench(self, campaign: Campaign, effects: tuple[str, ...] = ()) -> Workbench:
-        bench = Workbench(campaign, self._run)
+    def _bench(self, campaign: Campaign, effects: tuple[str, ...] = ()) -> CampaignSimulations:
+        bench = CampaignSimulations(campaign, self._run)
         bench.simulate(effects)
         self._benches.append(bench)
         return bench
 
     def _refit(
         self,
-        bench: Workbench,
+        bench: CampaignSimulations,
         switched_on: tuple[str, str, float] | None = None,
         mixed: EffectResponse | None = None,
     ) -> Refit:
@@ -278,7 +278,7 @@ class NeglectWork:
         An effect is switched on with its parameter held at a value; or light has many indices,
         whose response is `mixed`.
         """
-        campaign, responses = bench.campaign, bench.responses
+        campaign, responses = bench.campaign, bench.models.responses
         stand_ins = []
         if switched_on is not None:
             effect, name, value = switched_on
@@ -290,9 +290,8 @@ class NeglectWork:
             stand_ins = [Effect(_MIXED, _MIXED, "", "", edit=lambda editor: None)]
             responses = replace(responses, effects={**responses.effects, _MIXED: mixed})
         model = ResponseModel(campaign, responses, campaign.switched_on + stand_ins)
-        found = fit_model(model, profile=False)
-        values = found.values | self._fixed
-        return Refit(model, found, at(model, values), fitted(model, found))
+        fit = fit_model(model, profile=False)
+        return Refit(fit, at(model, fit.values | self._fixed), fitted(fit))
 
     def _piece(
         self,
@@ -426,7 +425,7 @@ class NeglectWork:
 
     def _mixed(self, indices: Array, parts: Array) -> Refit:
         """The fit where parts of the light have indices of their own, with the scene's as mean."""
-        response = self.bench.responses.effects[CRYSTAL_INDEX]
+        response = self.bench.models.responses.effects[CRYSTAL_INDEX]
         mixed = mixture(response, self._nominal + indices - parts @ indices, parts)
         return self._refit(self.bench, mixed=mixed)
 

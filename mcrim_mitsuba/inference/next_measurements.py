@@ -27,8 +27,8 @@ from mcrim_mitsuba.core.numbers import Value, unit_of
 from mcrim_mitsuba.core.rounding import short_text
 from mcrim_mitsuba.inference.evidence import QUANTILES, WIDTH, Hypothesis
 from mcrim_mitsuba.inference.explanations import Explanations
+from mcrim_mitsuba.inference.simulations import MeasurementProposals
 from mcrim_mitsuba.inference.unexplained import unnamed_at
-from mcrim_mitsuba.inference.workbench import MeasurementProposals
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE, BEAM_AXIS, GAP_INDEX
 
@@ -136,7 +136,7 @@ def next_measurements(
     configurations = proposals.configurations
     if not configurations:
         return ()
-    known = explanations.baseline.problem.model.campaign.light_yield
+    known = explanations.baseline.statistic.model.campaign.light_yield
     efficiency = known.detector_efficiency_sigma / known.detector_efficiency if known else 0.0
     cloud = _cloud(explanations, leading, hypotheses, proposals)
     rises, pairs = cloud.rises(leading[:_MOST_RIVALS])

@@ -1,6 +1,6 @@
 """Plan a measurement: which couplings, how many mountings, how many events for a wanted error.
 
-The campaign is calibrated as it is. At its solution the model predicts the signals of candidate
+The campaign is fitted as it is. At its solution the model predicts the signals of candidate
 configurations, counting statistics and the mountings' scatter predict their errors, and the fit's
 own Fisher information, priors included, predicts the errors of what would be fitted to them. The
 simulation's error counts as none: photons are cheap. What the model neglects comes on top.
@@ -16,21 +16,19 @@ from pathlib import Path
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.special import chdtrc
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
-from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge, said
 from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration
-from mcrim_mitsuba.inference.likelihood import Likelihood, undetermined
-from mcrim_mitsuba.inference.model import CampaignModel, Prediction, ResponseModel
+from mcrim_mitsuba.inference.model import Model
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
+from mcrim_mitsuba.inference.statistic import undetermined
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 
@@ -51,10 +49,6 @@ PRIOR = "prior of "
 EVENTS_ORIGIN, MOUNTINGS_ORIGIN, EFFICIENCY = "events", "mountings", "detector efficiency"
 STATISTICAL = (EVENTS_ORIGIN, MOUNTINGS_ORIGIN)
 
-# Error of eta that the simulation may leave: a tenth of the best centroid's.
-_PRECISION = 0.002
-# A candidate has not been measured: in the calibration its error is beyond all that counts.
-_UNMEASURED = 1e6
 # A plan is more precise than another if its error is less than this part of the other's.
 _BETTER = 0.98
 # Relative error of readings that counts as none, and keeps the information's inverse exact.
@@ -238,7 +232,7 @@ def plan(
     conditions : Conditions, optional
         Without it scatter and spread are the raw campaign's own, if it has histograms.
     run : Run
-        As for `calibrate`; its precision is 0.2 %.
+        As for `calibrate`.
 
     Raises
     ------
@@ -255,23 +249,15 @@ def plan(
     if SCALE not in campaign.free:
         problem = "the scale is held, so that there is no light yield to plan for"
         raise InputError(problem, "plan with a campaign that fits it", path=campaign.path)
-    campaign_and_candidates = _with_candidates(campaign, configurations)
-    result = calibrate(campaign_and_candidates, run=replace(run, precision=_PRECISION))
-    found, model = result.calibration, result.model
-    theta = found.theta
-    prediction = model.predict(theta, check=True)
     conditions = conditions or measured_conditions(campaign)
-    at = len(campaign.measurements.readings)
-    candidates = tuple(
-        _candidate(parameters, float(signal), conditions)
-        for parameters, signal in zip(configurations, prediction.signal[at:], strict=True)
-    )
-    expected = Expectation(model, theta, prediction, candidates, conditions)
-    plans, floors, undetermined = [], {}, []
-    places = range(len(candidates))
+    simulations = CampaignSimulations(campaign, run)
+    fit = simulations.fit()
+    expected = Expectation(fit, simulations.further(configurations), configurations, conditions)
+    plans, floors, without = list[Plan](), {}, []
+    places = range(len(expected.candidates))
     for chosen in chain.from_iterable(combinations(places, n + 1) for n in places):
         if not expected.determined(chosen):
-            undetermined.append(chosen)
+            without.append(chosen)
             continue
         floors[chosen] = expected.floor(chosen)
         plans += [
@@ -279,37 +265,35 @@ def plan(
             for m, n in product(sorted(set(mountings)), sorted(set(events)))
         ]
     if not plans:
-        problem = f"none of these couplings together determine {', '.join(found.names)}"
+        problem = f"none of these couplings together determine {', '.join(fit.names)}"
         mend = "allow more couplings in --n-gap, or give the campaign a prior"
         raise InputError(problem, mend, path=campaign.path)
     return Planning(
         wanted=wanted,
         conditions=conditions,
-        candidates=candidates,
+        candidates=expected.candidates,
         plans=tuple(sorted(plans, key=lambda p: (p.hours, p.light_yield.total))),
         floors=floors,
-        solution=found.parameters,
-        undetermined=tuple(undetermined),
+        solution=fit.parameters,
+        undetermined=tuple(without),
         notes=(
-            *_doubt(found, without=len(candidates)),
+            *_doubt(fit),
             *(
                 f"the campaign's own fit ended with {name} at its bound: the plans start from there"
-                for name, known in found.parameters.items()
-                if known.at_bound is not None
+                for name, estimate in fit.parameters.items()
+                if estimate.at_bound is not None
             ),
-            *result.provenance.notes,
+            *simulations.provenance().notes,
         ),
     )
 
 
-def _doubt(found: Calibration, without: int) -> Iterator[str]:
-    """Whether the campaign's own fit fails; its candidates, which carry no weight, do not count."""
-    ndf = found.ndf - without
-    p = float(chdtrc(ndf, found.chi2)) if ndf > 0 else 1.0
-    if p < ACCEPTABLE_P:
+def _doubt(fit: Calibration) -> Iterator[str]:
+    """Whether the campaign's own fit fails."""
+    if fit.p_value is not None and fit.p_value < ACCEPTABLE_P:
         yield (
-            f"the model does not describe the readings: chi2 = {found.chi2:.3g}, {p_equals(p)}: "
-            "the doubt about the model is not in these plans"
+            f"the model does not describe the readings: chi2 = {fit.chi2:.3g}, "
+            f"{p_equals(fit.p_value)}: the doubt about the model is not in these plans"
         )
 
 
@@ -329,26 +313,6 @@ def _couplings(campaign: Campaign, n_gap: Sequence[float]) -> list[dict[str, flo
         if (wrong := judge("n_gap", value)) is not None:
             raise InputError(f"n_gap = {value:g}: {wrong[1]}", wrong[2])
     return [{"n_gap": value} for value in values]
-
-
-def _with_candidates(campaign: Campaign, configurations: Sequence[dict[str, float]]) -> Campaign:
-    """The campaign with candidates as readings that carry no weight.
-
-    Readings out of use would do too, but get few photons, and slopes need more than signals.
-    """
-    measured = campaign.measurements
-    labels = {reading.label for reading in measured.readings}
-    light = [reading.signal for reading in measured.readings if not reading.of_beam]
-    typical = float(np.mean(light)) if light else 1.0
-    added = []
-    for place, parameters in enumerate(configurations):
-        label = f"candidate {place}"
-        while label in labels:
-            label += "_"
-        added.append(
-            Reading(label, typical, _UNMEASURED * typical, dict(parameters), True, None, None, 0)
-        )
-    return replace(campaign, measurements=replace(measured, readings=(*measured.readings, *added)))
 
 
 def _candidate(
@@ -409,43 +373,50 @@ class Expectation:
 
     def __init__(
         self,
-        model: CampaignModel | ResponseModel,
-        theta: Array,
-        prediction: Prediction,
-        candidates: Sequence[PlanCandidate],
+        fit: Calibration,
+        further: Model,
+        configurations: Sequence[dict[str, float]],
         conditions: Conditions,
     ) -> None:
-        self._model, self._theta, self._prediction = model, theta, prediction
-        self._candidates, self._scatter = candidates, conditions.mounting_scatter
-        self._names = [known.name for known in model.free]
-        self._prior_weight = Likelihood(model).prior_weight
+        #: (candidates,) and the signals, with their slopes, that the fit predicts of them.
+        prediction = further.predict(fit.theta, check=True)
+        self._signals, self._slopes = prediction.signal, prediction.signal_slopes
+        self.candidates = tuple(
+            _candidate(parameters, float(signal), conditions)
+            for parameters, signal in zip(configurations, prediction.signal, strict=True)
+        )
+        self._fit, self._scatter = fit, conditions.mounting_scatter
+        minimum = fit.minimum
+        self._prior_weight = minimum.statistic.prior_weight
         # transmittances are not measured again: what they told goes on, like priors
-        told = [i for i, r in enumerate(model.readings) if r.of_beam and r.use]
-        sigmas = np.array([model.readings[i].sigma for i in told])
-        self._transmittances = [model.readings[i].label for i in told]
-        self._beam_slopes = prediction.signal_slopes[told] / sigmas[:, None]
+        beams = np.array([r.of_beam for r in fit.model.readings if r.use])
+        sigmas = np.sqrt(minimum.statistic.variance)
+        self._transmittances = [
+            label for label, of_beam in zip(minimum.statistic.labels, beams, strict=True) if of_beam
+        ]
+        self._beam_slopes = (minimum.slopes / sigmas[:, None])[beams]
 
     def determined(self, chosen: Sequence[int]) -> bool:
         """Whether these configurations, and the priors, determine all parameters."""
-        _, information = self._told(chosen, np.full(len(chosen), _PERFECT))
-        return not undetermined(information, self._names)
+        _, information = self._information(chosen, np.full(len(chosen), _PERFECT))
+        return not undetermined(information, self._fit.names)
 
     def floor(self, chosen: Sequence[int]) -> ExpectedError:
         """The light yield's error with readings of no error."""
         nothing = np.zeros(len(chosen))
-        found = self._parts(SCALE, chosen, nothing + _PERFECT, nothing)
-        return ExpectedError(found.parts | dict.fromkeys(STATISTICAL, 0.0))
+        error = self._parts(SCALE, chosen, nothing + _PERFECT, nothing)
+        return ExpectedError(error.parts | dict.fromkeys(STATISTICAL, 0.0))
 
     def errors(
         self, chosen: Sequence[int], mountings: int, events: float
     ) -> tuple[ExpectedError, ExpectedError | None]:
         """Of the light yield and of alpha_scat."""
-        used = [self._candidates[i] for i in chosen]
+        used = [self.candidates[i] for i in chosen]
         of_events = np.array([each.event_sigma / each.signal for each in used])
         of_events /= math.sqrt(events * mountings)
         of_mountings = np.full(len(chosen), self._scatter / math.sqrt(mountings))
         light_yield = self._parts(SCALE, chosen, of_events, of_mountings)
-        if ALPHA_SCAT not in self._names:
+        if ALPHA_SCAT not in self._fit.names:
             return light_yield, None
         return light_yield, self._parts(ALPHA_SCAT, chosen, of_events, of_mountings)
 
@@ -453,41 +424,37 @@ class Expectation:
         self, name: str, chosen: Sequence[int], of_events: Array, of_mountings: Array
     ) -> ExpectedError:
         """A parameter's relative error by origin, from the readings' relative errors."""
-        response, information = self._told(chosen, np.hypot(of_events, of_mountings))
+        response, information = self._information(chosen, np.hypot(of_events, of_mountings))
         covariance = np.linalg.inv(information)
-        place = self._names.index(name)
+        place = self._fit.names.index(name)
         response = (covariance @ response)[place]
-        signal, weights = self._signal(chosen), self._prior_weight
+        signal, weights = self._signals[list(chosen)], self._prior_weight
         parts = {
             EVENTS_ORIGIN: float(np.linalg.norm(response * of_events * signal)),
             MOUNTINGS_ORIGIN: float(np.linalg.norm(response * of_mountings * signal)),
         }
         for j in np.flatnonzero(weights):
-            parts[PRIOR + self._names[j]] = float(abs(covariance[place, j]) * math.sqrt(weights[j]))
+            parts[PRIOR + self._fit.names[j]] = float(
+                abs(covariance[place, j]) * math.sqrt(weights[j])
+            )
         for label, slopes in zip(self._transmittances, self._beam_slopes, strict=True):
             parts[PRIOR + label] = float(abs(covariance[place] @ slopes))
-        relative = {origin: part / abs(self._theta[place]) for origin, part in parts.items()}
-        known = self._model.campaign.light_yield
+        relative = {origin: part / abs(self._fit.theta[place]) for origin, part in parts.items()}
+        known = self._fit.model.campaign.light_yield
         if name == SCALE and known is not None:
             # by origin where spectra tell
             sigmas = known.efficiency_parts or {EFFICIENCY: known.detector_efficiency_sigma}
             relative |= {n: sigma / known.detector_efficiency for n, sigma in sigmas.items()}
         return ExpectedError(relative)
 
-    def _told(self, chosen: Sequence[int], relative: Array) -> tuple[Array, Array]:
+    def _information(self, chosen: Sequence[int], relative: Array) -> tuple[Array, Array]:
         """What readings of the predicted signals, with these relative errors, tell.
 
-        J^T C^-1, (free, chosen), as `FrozenStatistic.response`; and Fisher's (free, free)
-        information, priors and transmittances included.
+        J^T C^-1, (free, chosen): how they move the estimate, before the covariance; and Fisher's
+        (free, free) information, priors and transmittances included.
         """
-        slopes = self._prediction.signal_slopes[self._rows(chosen)]
-        weighted = cho_solve(cho_factor(np.diag((relative * self._signal(chosen)) ** 2)), slopes)
+        slopes = self._slopes[list(chosen)]
+        errors = np.diag((relative * self._signals[list(chosen)]) ** 2)
+        weighted = cho_solve(cho_factor(errors), slopes)
         known = np.diag(self._prior_weight) + self._beam_slopes.T @ self._beam_slopes
         return weighted.T, slopes.T @ weighted + known
-
-    def _signal(self, chosen: Sequence[int]) -> Array:
-        return self._prediction.signal[self._rows(chosen)]
-
-    def _rows(self, chosen: Sequence[int]) -> list[int]:
-        first = len(self._prediction.signal) - len(self._candidates)
-        return [first + i for i in chosen]

@@ -1,8 +1,8 @@
 """Profile likelihoods: how chi2 rises with one parameter while all others follow.
 
-The covariance is held at the solution, as for the intervals of `calibrate`: the curves cross 1
-where its intervals end. S. S. Wilks, Ann. Math. Stat. 9 (1938) 60; W. A. Rolke, A. M. Lopez and
-J. Conrad, Nucl. Instr. Meth. A 551 (2005) 493.
+Intervals, 95 % curves and limits are read from these curves. The covariance is held at the
+solution. S. S. Wilks, Ann. Math. Stat. 9 (1938) 60; W. A. Rolke, A. M. Lopez and J. Conrad, Nucl.
+Instr. Meth. A 551 (2005) 493.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -17,26 +18,37 @@ from scipy.optimize import brentq, minimize_scalar
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.inference.fit import Calibration
-from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, descend
-from mcrim_mitsuba.inference.likelihood import Whitener
-from mcrim_mitsuba.inference.model import Model
+from mcrim_mitsuba.inference.drivers import Minimum, newton
+from mcrim_mitsuba.inference.statistic import Statistic, Weights, inverse
 
 #: Rises of chi2 that hold 68.3 % and 95.4 % of a Gaussian likelihood, and where curves end.
 ONE_SIGMA, TWO_SIGMA, END = 1.0, 4.0, 9.0
-# That which holds 95 %.
-_RISE_95 = 3.841
-#: Points on either side of the solution.
-POINTS = 12
-# Fall of chi2, still to be expected, that ends a descent.
-_SETTLED = 1e-12
+#: That which holds 95 %.
+RISE_95 = 3.841
 # Rise of chi2 from point to point that its slopes do not account for.
 _JUMP = 0.05
-# A flat profile is followed this many times as many points as a parabola, and no further.
-_PATIENCE = 3
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True)
+class Pace:
+    """How far and how closely a profile is followed."""
+
+    #: Rise of chi2 where it ends.
+    end: float = END
+    #: Points on either side of the solution, of a parabola; and of whatever else at most.
+    points: int = 12
+    most_points: int = 36
+    #: Least curvature that is believed, of that at the solution: it limits the steps on a plain.
+    least_curvature: float = 1e-3
+    #: Fall of chi2, still to be expected, that ends the fit of the other parameters.
+    precision: float = 1e-12
+
+
+#: For curves that are drawn.
+CURVE = Pace()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Profile:
     """Rise of chi2 along one parameter, minimised over all others within their bounds."""
 
@@ -54,10 +66,10 @@ class Profile:
     value: float
     sigma: float
     #: What the campaign knows from elsewhere.
-    prior: float | None
-    prior_sigma: float | None
+    prior: float | None = None
+    prior_sigma: float | None = None
     #: ``min`` and ``max`` where the curve ends at the parameter's bound on that side.
-    ends: tuple[str | None, str | None]
+    ends: tuple[str | None, str | None] = (None, None)
 
     @property
     def curve(self) -> CubicHermiteSpline:
@@ -67,136 +79,203 @@ class Profile:
     @property
     def interval_95(self) -> tuple[float | None, float | None]:
         """Ends of the interval that holds 95 %; None where a bound comes before."""
-        return self.crossings(_RISE_95)
+        return self.crossings(RISE_95)
 
     def crossings(self, rise: float) -> tuple[float | None, float | None]:
         """Where the curve crosses a rise below and above the solution; None where it does not."""
-        at, curve = int(np.argmin(self.delta_chi2)), self.curve
-
-        def crossing(outward: range) -> float | None:
-            for inner in outward:
-                outer = inner + outward.step
-                if self.delta_chi2[outer] >= rise:
-                    ends = self.values[inner], self.values[outer]
-                    return float(brentq(lambda v: float(curve(v)) - rise, *ends))
-            return None
-
-        return crossing(range(at, 0, -1)), crossing(range(at, len(self.values) - 1))
+        return crossings(self.values, self.delta_chi2, self.slopes, rise)
 
 
-def profiles_of(model: Model, calibration: Calibration) -> tuple[Profile, ...]:
+def crossings(
+    x: Array, heights: Array, slopes: Array, height: float
+) -> tuple[float | None, float | None]:
+    """Where a cubic through points crosses a height on either side of its lowest point.
+
+    `x` are (points,) ascending. None where the curve ends before.
+    """
+    lowest = int(np.argmin(heights))
+    curve = CubicHermiteSpline(x, heights, slopes) if len(x) > 1 else None
+
+    def crossing(outward: range) -> float | None:
+        for inner in outward:
+            outer = inner + outward.step
+            if curve is not None and heights[outer] >= height:
+                return float(brentq(lambda at: float(curve(at)) - height, x[inner], x[outer]))
+        return None
+
+    return crossing(range(lowest, 0, -1)), crossing(range(lowest, len(x) - 1))
+
+
+@lru_cache(maxsize=4)
+def profiles_of(minimum: Minimum) -> tuple[Profile, ...]:
     """Profiles of every free parameter, and of the light yield where the campaign tells it.
 
     That of the light yield minimises over the scale and over the detector efficiency, whose
-    relative error is a Gaussian factor on the light yield. The calibration is the model's fit.
+    relative error is a Gaussian factor on the light yield. The last few are kept.
     """
-    problem = LeastSquaresProblem(model)
-    weights = Whitener(problem.errors_at(calibration.theta))
-    best, least, _ = descend(problem, calibration.theta, weights, precision=_SETTLED)
+    statistic, weights = minimum.statistic, minimum.weights
+    theta, chi2, _ = newton(statistic, minimum.theta, weights, precision=CURVE.precision)
     profiles = {
-        parameter.name: _profile(problem, weights, best, least, index)
-        for index, parameter in enumerate(problem.free)
+        name: _profile(ProfileWalk(statistic, weights, theta, chi2, name), minimum)
+        for name in minimum.names
     }
-    for scale, (name, known) in model.campaign.light_yields.items():
-        if scale in profiles and name in calibration.parameters:
-            profiles[name] = _of_light_yield(profiles[scale], name, known)
+    for scale, (name, light_yield) in statistic.model.campaign.light_yields.items():
+        if scale in profiles:
+            profiles[name] = _of_light_yield(profiles[scale], name, light_yield)
     return tuple(profiles.values())
 
 
-def _profile(
-    problem: LeastSquaresProblem, weights: Whitener, best: Array, least: float, index: int
-) -> Profile:
-    """One parameter's, from the solution and its chi2 outwards."""
-
-    def slopes_at(theta: Array) -> tuple[Array, Array]:
-        """(free,) d chi2 / d parameter and (free, free) information, in the parameters' units."""
-        residuals, slopes = problem.evaluate(theta, weights)
-        slopes = slopes / problem.slopes_of_external(theta)
-        return 2.0 * slopes.T @ residuals, slopes.T @ slopes
-
-    parameter, value = problem.free[index], float(best[index])
-    slope, information = slopes_at(best)
-    sigma = math.sqrt(np.linalg.inv(information)[index, index])
-    others = np.arange(len(best)) != index
-    low, high = np.array([(p.minimum, p.maximum) for p in problem.free]).T
-    sides = []
-    for bound in (parameter.minimum, parameter.maximum):
-        theta = best
-
-        def height(value: float) -> tuple[float, float]:
-            nonlocal theta
-            # the others begin where they are best to first order
-            start, information = theta.copy(), slopes_at(theta)[1]
-            start[others] -= np.linalg.solve(
-                information[np.ix_(others, others)],
-                information[others, index] * (value - theta[index]),
-            )
-            start[index] = value
-            start = np.clip(start, low, high)
-            theta, chi2, _ = descend(problem, start, weights, held=[index], precision=_SETTLED)
-            # others at their best do not add to the slope
-            return chi2 - least, float(slopes_at(theta)[0][index])
-
-        found = _walk(height, value, bound, sigma)
-        # where the others jump to another minimum, that may have been the lower one before
-        if _jumps(found):
-            back = [height(value) for value, _, _ in found[::-1]]
-            found = [
-                (value, *min((rise, slope), there))
-                for (value, rise, slope), there in zip(found, back[::-1], strict=True)
-            ]
-        sides.append(found)
-    # without a point the solution itself is at the bound
-    below, above = sides
-    ends = (
-        "min" if not below or below[-1][0] == parameter.minimum else None,
-        "max" if not above or above[-1][0] == parameter.maximum else None,
-    )
+def _profile(walk: ProfileWalk, minimum: Minimum) -> Profile:
+    """The curve of a walk in the parameter's own unit."""
+    statistic, place = minimum.statistic, walk.place
+    parameter, rows = statistic.free[place], walk.points
+    thetas = np.repeat(minimum.theta[None], len(rows), axis=0)
+    thetas[:, place] = walk.values
+    chain = np.array([statistic.slopes_of_external(theta)[place] for theta in thetas])
+    order = np.argsort(walk.values)
     return Profile(
-        parameter.name,
-        *_joined(sides, value, float(slope[index])),
-        value,
-        sigma,
-        parameter.prior,
-        parameter.prior_sigma,
-        ends,
+        name=parameter.name,
+        values=walk.values[order],
+        delta_chi2=rows[order, 1],
+        slopes=(rows[:, 2] / chain)[order],
+        value=float(walk.theta[place]),
+        sigma=math.sqrt(minimum.covariance[place, place]),
+        prior=parameter.prior,
+        prior_sigma=parameter.prior_sigma,
+        ends=(
+            "min" if walk.values.min() == parameter.minimum else None,
+            "max" if walk.values.max() == parameter.maximum else None,
+        ),
     )
+
+
+class ProfileWalk:
+    """The profile of one parameter in the coordinate in which minima are searched.
+
+    It begins at (free,) parameters `theta` and their chi2, and goes outwards on both sides.
+    """
+
+    def __init__(
+        self,
+        statistic: Statistic,
+        weights: Weights,
+        theta: Array,
+        chi2: float,
+        name: str,
+        pace: Pace = CURVE,
+    ) -> None:
+        self._statistic, self._weights, self._pace = statistic, weights, pace
+        self._chi2 = chi2
+        self.theta, self.place = theta, statistic.index(name)
+        residuals, slopes = statistic.evaluate(theta, weights)
+        start = float(statistic.internal(theta)[self.place])
+        curvature = float(inverse(slopes.T @ slopes)[self.place, self.place]) ** -1
+        sides = [
+            self._side(start, wall, curvature)
+            for wall in (float(end[self.place]) for end in (statistic.low, statistic.high))
+        ]
+        middle = (start, 0.0, 2.0 * float(slopes[:, self.place] @ residuals))
+        #: (points, 3) float64: Coordinates, ascending, rises of chi2 and their slopes.
+        self.points = np.array([*sides[0][::-1], middle, *sides[1]])
+
+    @cached_property
+    def values(self) -> Array:
+        """(points,) of the parameter; a bound that was reached is there to the last digit."""
+        return np.array([self._value(x) for x in self.points[:, 0]])
+
+    def crossings(self, rise: float) -> tuple[float | None, float | None]:
+        """Values of the parameter below and above the solution; None where chi2 stays lower."""
+        x, rises, slopes = self.points.T
+        ends = [
+            None if end is None else self._value(end) for end in crossings(x, rises, slopes, rise)
+        ]
+        # in a reciprocal coordinate above is below
+        return (ends[0], ends[1]) if self.values[0] <= self.values[-1] else (ends[1], ends[0])
+
+    def _value(self, x: float) -> float:
+        statistic, place = self._statistic, self.place
+        for bound, wall in zip(statistic.bounds, statistic.walls, strict=True):
+            if x == wall[place]:
+                return float(bound[place])
+        coordinates = statistic.internal(self.theta)
+        coordinates[place] = x
+        return float(statistic.external(coordinates)[place])
+
+    def _side(self, start: float, wall: float, curvature: float) -> _Points:
+        """(coordinate, rise, slope) of the points from the solution to one side."""
+        statistic, place, pace = self._statistic, self.place, self._pace
+        others = np.arange(len(self.theta)) != place
+        coordinates = statistic.internal(self.theta)
+
+        def height(x: float) -> tuple[float, float]:
+            nonlocal coordinates
+            _, slopes = statistic.evaluate(statistic.external(coordinates), self._weights)
+            information, ahead = slopes.T @ slopes, coordinates.copy()
+            # the others begin where they are best to first order
+            ahead[others] -= inverse(information[np.ix_(others, others)]) @ (
+                information[others, place] * (x - coordinates[place])
+            )
+            ahead[place] = x
+            theta = statistic.external(np.clip(ahead, statistic.low, statistic.high))
+            theta, chi2, _ = newton(
+                statistic, theta, self._weights, held=[place], precision=pace.precision
+            )
+            residuals, slopes = statistic.evaluate(theta, self._weights)
+            coordinates = statistic.internal(theta)
+            # others at their best do not add to the slope
+            return chi2 - self._chi2, 2.0 * float(slopes[:, place] @ residuals)
+
+        points = _walk(height, start, wall, curvature, pace)
+        if not _jumps(points):
+            return points
+        # where the others jump to another minimum, that may have been the lower one before
+        back = [height(x) for x, _, _ in points[::-1]]
+        return [
+            (x, *min((rise, slope), there))
+            for (x, rise, slope), there in zip(points, back[::-1], strict=True)
+        ]
 
 
 _Points = list[tuple[float, float, float]]
 
 
 def _walk(
-    height: Callable[[float], tuple[float, float]], start: float, bound: float, sigma: float
+    height: Callable[[float], tuple[float, float]],
+    start: float,
+    wall: float,
+    curvature: float,
+    pace: Pace = CURVE,
 ) -> _Points:
-    """(value, rise, slope) outwards until the rise is `END`, or to the bound.
+    """(coordinate, rise, slope) outwards until the rise is the pace's end, or to the wall.
 
-    A parabola through the last point, of its slope and the curvature found so far, says how far it
-    is to the next root of the rise.
+    A parabola through the last point, of its slope and the curvature there, says how far it is to
+    the next root of the rise.
     """
-    side = math.copysign(1.0, bound - start)
-    value, rise, slope = start, 0.0, 0.0
-    curvature, longest = sigma**-2, 0.5 * sigma
-    found: _Points = []
-    while value != bound and rise < END and len(found) < _PATIENCE * POINTS:
+    side = math.copysign(1.0, wall - start)
+    x, rise, slope = start, 0.0, 0.0
+    least = pace.least_curvature * curvature
+    longest = 0.5 / math.sqrt(curvature)
+    points: _Points = []
+    while x != wall and rise < pace.end and len(points) < pace.most_points:
         # a little beyond the end, lest rounding asks for one more point
-        wanted = (math.sqrt(max(rise, 0.0)) + 1.001 * math.sqrt(END) / POINTS) ** 2 - rise
+        stride = 1.001 * math.sqrt(pace.end) / pace.points
+        wanted = (math.sqrt(max(rise, 0.0)) + stride) ** 2 - rise
         step = min(_distance(wanted, side * slope, curvature), longest)
-        before, slope_before = value, slope
-        value = value + side * step
-        if (bound - value) * side <= 0:
-            value = bound
-        rise, slope = height(value)
-        found.append((value, rise, slope))
-        curvature = max((slope - slope_before) / (2 * (value - before)), 1e-3 / sigma**2)
-        longest = 2 * abs(value - before)
-    return found
+        before, slope_before = x, slope
+        x = x + side * step
+        if (wall - x) * side <= 0:
+            x = wall
+        rise, slope = height(x)
+        points.append((x, rise, slope))
+        curvature = max((slope - slope_before) / (2 * (x - before)), least)
+        longest = 2 * abs(x - before)
+    return points
 
 
-def _jumps(found: _Points) -> bool:
+def _jumps(points: _Points) -> bool:
     """Whether the rises are not those of their slopes."""
-    value, rise, slope = np.array(found or [(0.0, 0.0, 0.0)]).T
-    by_slopes = np.diff(value) * (slope[1:] + slope[:-1]) / 2
+    x, rise, slope = np.array(points or [(0.0, 0.0, 0.0)]).T
+    by_slopes = np.diff(x) * (slope[1:] + slope[:-1]) / 2
     return bool(np.any(np.abs(np.diff(rise) - by_slopes) > _JUMP))
 
 
@@ -206,43 +285,37 @@ def _distance(rise: float, slope: float, curvature: float) -> float:
     return 2 * rise / (slope + math.sqrt(slope**2 + 4 * curvature * rise))
 
 
-def _joined(sides: list[_Points], start: float, slope: float) -> tuple[Array, Array, Array]:
-    """Values, rises and slopes of both sides and the solution between them, ascending."""
-    below, above = sides
-    rows = np.array([*below[::-1], (start, 0.0, slope), *above])
-    return rows[:, 0], rows[:, 1], rows[:, 2]
-
-
-def _of_light_yield(scale: Profile, name: str, known: LightYieldInput) -> Profile:
+def _of_light_yield(scale: Profile, name: str, light_yield: LightYieldInput) -> Profile:
     """Of scale / (energy efficiency): over the scale, with a Gaussian factor for the efficiency."""
-    per_scale = known.per_scale
-    relative = known.detector_efficiency_sigma / known.detector_efficiency
+    per_scale = light_yield.per_scale
+    relative = light_yield.detector_efficiency_sigma / light_yield.detector_efficiency
     value = scale.value * per_scale
     sigma = math.hypot(scale.sigma * per_scale, value * relative)
     if relative == 0:
         return Profile(
-            name,
-            scale.values * per_scale,
-            scale.delta_chi2,
-            scale.slopes / per_scale,
-            value,
-            sigma,
-            None,
-            None,
-            scale.ends,
+            name=name,
+            values=scale.values * per_scale,
+            delta_chi2=scale.delta_chi2,
+            slopes=scale.slopes / per_scale,
+            value=value,
+            sigma=sigma,
+            ends=scale.ends,
         )
     curve, low, high = scale.curve, float(scale.values[0]), float(scale.values[-1])
 
-    def height(light_yield: float) -> tuple[float, float]:
+    def height(photons_per_keV: float) -> tuple[float, float]:
         def rise(of_scale: float) -> float:
-            factor = light_yield / (of_scale * per_scale)
+            factor = photons_per_keV / (of_scale * per_scale)
             return float(curve(of_scale)) + ((factor - 1) / relative) ** 2
 
-        found = minimize_scalar(
+        best = minimize_scalar(
             rise, bounds=(low, high), method="bounded", options={"xatol": 1e-7 * (high - low)}
         )
-        factor = light_yield / (found.x * per_scale)
-        return float(found.fun), 2 * (factor - 1) / (relative**2 * found.x * per_scale)
+        factor = photons_per_keV / (best.x * per_scale)
+        return float(best.fun), 2 * (factor - 1) / (relative**2 * best.x * per_scale)
 
-    sides = [_walk(height, value, bound, sigma) for bound in (0.0, math.inf)]
-    return Profile(name, *_joined(sides, value, 0.0), value, sigma, None, None, (None, None))
+    below, above = (_walk(height, value, wall, sigma**-2) for wall in (0.0, math.inf))
+    values, rises, slopes = np.array([*below[::-1], (value, 0.0, 0.0), *above]).T
+    return Profile(
+        name=name, values=values, delta_chi2=rises, slopes=slopes, value=value, sigma=sigma
+    )

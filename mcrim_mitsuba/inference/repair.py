@@ -16,9 +16,8 @@ from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.inference.diagnose import Diagnosed, RepairStep, diagnose_on
 from mcrim_mitsuba.inference.evidence import AveragedYield
-from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model
-from mcrim_mitsuba.inference.model import ResponseModel
-from mcrim_mitsuba.inference.workbench import Workbench
+from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
@@ -29,7 +28,7 @@ _MENDED = "# Mended: "
 _LIMIT_MB = 10
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Repaired:
     """A mended campaign."""
 
@@ -37,16 +36,14 @@ class Repaired:
     #: Those that were added; none where the campaign was adequate or nothing explains it.
     effects: tuple[str, ...]
     #: Of the mended campaign, its effects simulated together where the fit ends.
-    calibration: Calibration
+    fit: Calibration
     #: What was written; None where nothing was added.
     campaign_path: Path | None
     scene_path: Path | None
     #: Of everything.
     provenance: Provenance
     #: On which it was done: makes further models.
-    bench: Workbench
-    #: The one that `calibration` is the fit of.
-    model: ResponseModel
+    simulations: CampaignSimulations
     #: Why nothing was added although the verdict names an effect: what is not determined with it.
     undetermined: str = ""
 
@@ -78,57 +75,48 @@ def repair(
     InputError
         As for `diagnose`, or if the files cannot be written.
     """
-    bench = Workbench(as_campaign(campaign), run)
-    diagnosed = diagnose_on(bench, adding=effect)
+    simulations = CampaignSimulations(as_campaign(campaign), run)
+    diagnosed = diagnose_on(simulations, adding=effect)
     steps = diagnosed.diagnosis.repair
     for step in steps:
         if on_step is not None:
             on_step(step)
     effects = steps[-1].effects  # of the campaign as it came, if nothing was added
-    undetermined = ""
+    fit, undetermined = diagnosed.baseline, ""
     if effects:
-        starts = {name: known.value for name, known in steps[-1].parameters.items()}
+        starts = {name: estimate.value for name, estimate in steps[-1].parameters.items()}
         try:
-            model, calibration = bench.settled_model(effects, starts)
+            fit = simulations.settled_fit(effects, starts)
         except UndeterminedError as refusal:
             if effect:
                 raise
             effects, undetermined = (), refusal.problem
-    if not effects:
-        model = bench.model()
-        calibration = fit_model(model)
     campaign_path = scene_path = None
     if effects and output is not None:
         campaign_path = Path(output)
         averaged = diagnosed.diagnosis.light_yield_averaged
-        mended = model.campaign
-        scene_path = _write(bench.campaign, mended, calibration, campaign_path, averaged)
+        scene_path = _write(simulations.campaign, fit, campaign_path, averaged)
     return Repaired(
-        diagnosed,
-        effects,
-        calibration,
-        campaign_path,
-        scene_path,
-        bench.provenance(),
-        bench,
-        model,
-        undetermined,
+        diagnosed=diagnosed,
+        effects=effects,
+        fit=fit,
+        campaign_path=campaign_path,
+        scene_path=scene_path,
+        provenance=simulations.provenance(),
+        simulations=simulations,
+        undetermined=undetermined,
     )
 
 
 def _write(
-    campaign: Campaign,
-    mended: Campaign,
-    calibration: Calibration,
-    target: Path,
-    averaged: AveragedYield | None,
+    campaign: Campaign, fit: Calibration, target: Path, averaged: AveragedYield | None
 ) -> Path:
     """Write scene and campaign; returns the scene's path."""
     scene_path = target.with_suffix(".xml")
     if scene_path.resolve() == campaign.scene.path.resolve():
         problem = f"the mended scene would replace {campaign.scene.path}"
         raise InputError(problem, "give -o another name", path=target)
-    scene, text = mended_files(campaign, mended, calibration, target, averaged)
+    scene, text = mended_files(campaign, fit, target, averaged)
     # the campaign first: it tells that it was made here, if its scene is missing
     texts = {target: text, scene_path: _text_in(scene, target.parent)}
     refuse_to_replace(texts)
@@ -155,21 +143,20 @@ def refuse_others_work(target: Path) -> None:
 
 def mended_files(
     campaign: Campaign,
-    mended: Campaign,
-    calibration: Calibration,
+    fit: Calibration,
     target: Path,
     averaged: AveragedYield | None = None,
 ) -> tuple[SceneFile, str]:
     """The mended scene and the text of the mended campaign; nothing is written.
 
-    `mended` is the same with more effects switched on, as the fitted model has it, and the values
-    of its calibration are put into both, to six digits. The campaign is meant to go to `target`,
-    its scene beside it under the same name. A comment tells the light yield `averaged` over all
-    that the readings allow.
+    The fit is of the campaign with more effects switched on, and its values are put into both, to
+    six digits. The campaign is meant to go to `target`, its scene beside it under the same name. A
+    comment tells the light yield `averaged` over all that the readings allow.
     """
-    fitted = rounded({name: known.value for name, known in calibration.parameters.items()})
+    mended = fit.model.campaign
+    fitted = rounded({name: estimate.value for name, estimate in fit.parameters.items()})
     effects = mended.effects[len(campaign.effects) :]
-    starts = {name: fitted[name] for name in calibration.names if name in fitted}
+    starts = {name: fitted[name] for name in fit.names if name in fitted}
     text = campaign_with_effects(mended, target, target.with_suffix(".xml"), starts)
     return mended_scene(campaign, effects, fitted), _remark(effects, averaged) + text
 

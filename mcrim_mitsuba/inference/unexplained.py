@@ -34,9 +34,10 @@ from mcrim_mitsuba.inference.compare import (
     likely_swaps,
     suspected,
 )
+from mcrim_mitsuba.inference.drivers import Minimum, settle
 from mcrim_mitsuba.inference.evidence import Hypothesis, evidence_of
 from mcrim_mitsuba.inference.explanations import Explanations
-from mcrim_mitsuba.inference.least_squares import Fit, LeastSquaresProblem, settle
+from mcrim_mitsuba.inference.statistic import Statistic
 
 #: What something without a name is called beside effects.
 UNKNOWN = "unknown"
@@ -82,7 +83,7 @@ def unnamed(explanations: Explanations, singles: Sequence[tuple[str, ...]]) -> l
     fits = {effects: explanations.fit(effects) for effects in singles}
     lowest = min((fit.deviance for fit in fits.values()), default=0.0)
     near = [effects for effects, fit in fits.items() if fit.deviance < lowest + _BESIDE]
-    correlation = _correlation(explanations.baseline.problem)
+    correlation = _correlation(explanations.baseline.statistic)
     found = []
     # twice the size is half as likely
     whole = sum(1.0 / each for each in _AMPLITUDES)
@@ -91,7 +92,7 @@ def unnamed(explanations: Explanations, singles: Sequence[tuple[str, ...]]) -> l
         of_effects = explanations.log_odds(effects)
         odds = _BESIDE_ODDS if effects else _UNKNOWN_ODDS
         for amplitude in _AMPLITUDES:
-            own = explanations.problem(effects).with_unexplained(amplitude**2 * correlation)
+            own = explanations.statistic(effects).with_unexplained(amplitude**2 * correlation)
             fit = settle(own, explanations.fit(effects).theta)
             evidence = evidence_of(fit, priors, hopeless=True)
             log_odds = of_effects + math.log(odds / (amplitude * whole))
@@ -116,14 +117,14 @@ def unnamed_at(
     knows nothing of it.
     """
     fit = explanations.fit(hypothesis.effects)
-    problem = fit.problem
-    used, count = len(problem.signal), len(thetas)
-    covariance = hypothesis.amplitude**2 * _correlation(problem, configurations)
-    signal = fit.signal[problem.used]
-    errors = fit.errors.total / np.outer(signal, signal)
-    predicted = problem.model.predict_many(thetas)[:, problem.used]
+    statistic = fit.statistic
+    used, count = len(statistic.signal), len(thetas)
+    covariance = hypothesis.amplitude**2 * _correlation(statistic, configurations)
+    signal = fit.signal[statistic.used]
+    errors = fit.weights.covariance / np.outer(signal, signal)
+    predicted = statistic.model.predict_many(thetas)[:, statistic.used]
     gain = np.linalg.solve(covariance[:used, :used] + errors, covariance[:used, used:])
-    mean = (problem.signal / predicted - 1.0) @ gain
+    mean = (statistic.signal / predicted - 1.0) @ gain
     left = covariance[used:, used:] - covariance[used:, :used] @ gain
     values, vectors = np.linalg.eigh(left)
     spread = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -131,16 +132,14 @@ def unnamed_at(
     return np.asarray(mean + drawn @ spread.T, float)
 
 
-def _correlation(
-    problem: LeastSquaresProblem, further: Sequence[Mapping[str, Value]] = ()
-) -> Array:
+def _correlation(statistic: Statistic, further: Sequence[Mapping[str, Value]] = ()) -> Array:
     """(used + further,) squared correlation of something without a name; none with a beam.
 
     Every parameter that differs between readings is taken in parts of their range, lengths in
     their logarithms. `further` are configurations by what they differ from the scene.
     """
-    readings = [r for r in problem.model.readings if r.use]
-    values = problem.model.campaign.values
+    readings = [r for r in statistic.model.readings if r.use]
+    values = statistic.model.campaign.values
     rows = [
         *((r.parameters, r.of_beam) for r in readings),
         *((each, each.get(KIND, LIGHT) != LIGHT) for each in further),
@@ -177,19 +176,19 @@ def of_instrument(explanations: Explanations) -> list[tuple[Hypothesis, Suspect]
 
     The campaign is as it is otherwise.
     """
-    problem = explanations.baseline.problem
+    statistic = explanations.baseline.statistic
     found = [_bad(explanations, places) for places in _worst(explanations)]
-    log_odds = math.log(_SWAPPED_ODDS / max(math.comb(len(problem.signal), 2), 1))
+    log_odds = math.log(_SWAPPED_ODDS / max(math.comb(len(statistic.signal), 2), 1))
     for places in likely_swaps(explanations.baseline, _FITTED):
-        order = np.arange(len(problem.signal), dtype=np.int64)
+        order = np.arange(len(statistic.signal), dtype=np.int64)
         order[list(places)] = places[::-1]
-        fit = settle(problem.exchanged(order), explanations.baseline.theta)
+        fit = settle(statistic.exchanged(order), explanations.baseline.theta)
         found.append(_named(explanations, SWAPPED_ROWS, places, fit, log_odds))
     return sorted(found, key=lambda each: -each[0].log_weight)
 
 
 def _named(
-    explanations: Explanations, kind: str, places: Sequence[int], fit: Fit, log_odds: float
+    explanations: Explanations, kind: str, places: Sequence[int], fit: Minimum, log_odds: float
 ) -> tuple[Hypothesis, Suspect]:
     """What a fit without trust in some readings says, and of which it is."""
     evidence = evidence_of(fit, explanations.priors(()), hopeless=True)
@@ -204,12 +203,12 @@ def _named(
 
 def _bad(explanations: Explanations, places: tuple[int, ...]) -> tuple[Hypothesis, Suspect]:
     """Wrong readings, averaged over how wrong they are."""
-    problem, made = explanations.baseline.problem, []
-    log_odds = len(places) * math.log(_BAD_ODDS / len(problem.signal))
+    statistic, made = explanations.baseline.statistic, []
+    log_odds = len(places) * math.log(_BAD_ODDS / len(statistic.signal))
     for size in _BAD_SIZES:
-        further = np.zeros(len(problem.signal))
+        further = np.zeros(len(statistic.signal))
         further[list(places)] = size**2
-        fit = settle(problem.with_unexplained(np.diag(further)), explanations.baseline.theta)
+        fit = settle(statistic.with_unexplained(np.diag(further)), explanations.baseline.theta)
         made.append(_named(explanations, BAD_READING, places, fit, log_odds))
     best, suspect = max(made, key=lambda each: each[0].evidence.log)
     # what the other sizes say of the parameters is much the same
@@ -222,11 +221,11 @@ def _worst(explanations: Explanations) -> list[tuple[int, ...]]:
 
     With a further variance t of the readings B the logarithm of the evidence rises to first order
     by (v^T (1/t + P_B)^-1 v - log det(1 + t P_B)) / 2, P the inverse covariance of readings whose
-    parameters are unknown, and v = (C^-1 r)_B of the residuals r (`Fit.weighted_residuals`).
+    parameters are unknown, and v = (C^-1 r)_B of the residuals r (`Minimum.weighted_residuals`).
     """
     baseline = explanations.baseline
     precision, weighted = baseline.precision, baseline.weighted_residuals
-    signal = np.abs(baseline.signal[baseline.problem.used])
+    signal = np.abs(baseline.signal[baseline.statistic.used])
     found = []
     for count in range(1, min(MOST_BAD, max(baseline.ndf - 1, 0)) + 1):
         best: list[tuple[float, tuple[int, ...]]] = []

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -19,15 +18,13 @@ from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, unit_of
 from mcrim_mitsuba.core.run import Provenance
 from mcrim_mitsuba.inference.budget import Budget
-from mcrim_mitsuba.inference.calibrate import CampaignResult, Spent
+from mcrim_mitsuba.inference.calibrate import CampaignResult
 from mcrim_mitsuba.inference.compare import Compared, Comparison
 from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.hypotheses import HypothesesCompared, SideBySide
-from mcrim_mitsuba.inference.model import CampaignModel, ResponseModel
 from mcrim_mitsuba.inference.plan import ExpectedError, Plan, Planning
-from mcrim_mitsuba.inference.profiles import Profile, profiles_of
 from mcrim_mitsuba.inference.repair import Repaired
 from mcrim_mitsuba.output import sentences
 from mcrim_mitsuba.output.registry import Document, Result, fields_of
@@ -149,31 +146,20 @@ class FittedResult(CampaignShown):
 class FitResult(FittedResult, Calibration):
     """A fitted campaign: parameters with all their errors, readings beside predictions."""
 
-    #: The one that was fitted.
-    model: CampaignModel | ResponseModel
-    #: Per configuration, the first look left out; none of a campaign with effects.
-    spent: tuple[Spent, ...]
     #: Wall time.
     seconds: float
 
     @classmethod
     def of(cls, calibrated: CampaignResult, campaign: Campaign, seconds: float) -> Self:
         """The result of a calibration."""
-        fit, provenance = fields_of(calibrated.calibration), calibrated.provenance
+        fit, provenance = fields_of(calibrated.fit), calibrated.provenance
         return cls(
             **fit | {"notes": (*fit["notes"], *provenance.notes)},
             title=campaign.title,
             unit=campaign.unit,
             provenance=provenance,
-            model=calibrated.model,
-            spent=calibrated.spent,
             seconds=seconds,
         )
-
-    @cached_property
-    def profiles(self) -> tuple[Profile, ...]:
-        """How chi2 rises along every free parameter and the light yield."""
-        return profiles_of(self.model, self)
 
     def numbers(self) -> dict[str, Any]:
         """As `Calibration.numbers`, with the ends of the 95 % intervals."""
@@ -206,8 +192,8 @@ class ComparisonResult(FittedResult, CheckedFit):
         provenance = compared.provenance
         return cls.joined(
             compared.comparison,
-            compared.calibration,
-            notes=(*compared.calibration.notes, *provenance.notes),
+            compared.fit,
+            notes=(*compared.fit.notes, *provenance.notes),
             title=campaign.title,
             unit=campaign.unit,
             provenance=provenance,
@@ -279,8 +265,6 @@ class RepairResult(FittedResult, Diagnosis):
     calibration: Calibration
     #: Those of `calibration`.
     parameters: Mapping[str, ParameterEstimate]
-    #: The one that `calibration` is the fit of.
-    model: ResponseModel
     #: What was written; None where nothing was added.
     campaign_path: Path | None
     scene_path: Path | None
@@ -290,12 +274,13 @@ class RepairResult(FittedResult, Diagnosis):
     @classmethod
     def of(cls, repaired: Repaired, campaign: Campaign, **further: Any) -> Self:
         """The result of a repair; `further` are fields of a subclass, and such as differ."""
-        fit = repaired.calibration
-        names = "effects calibration model campaign_path scene_path undetermined provenance"
+        fit = repaired.fit
+        names = "effects campaign_path scene_path undetermined provenance"
         return cls(
             **_diagnosis_fields(repaired.diagnosed)
             | attributes(repaired, names)
             | {
+                "calibration": fit,
                 "parameters": fit.parameters,
                 "title": campaign.title,
                 "unit": campaign.unit,
@@ -347,7 +332,7 @@ class ReportResult(RepairResult):
     def of_report(cls, reported: Reported) -> Self:
         """The result of a report."""
         repaired = reported.sections.repaired
-        notes = (*repaired.calibration.notes, *reported.provenance.notes)
+        notes = (*repaired.fit.notes, *reported.provenance.notes)
         return cls.of(
             repaired,
             reported.sections.campaign,
@@ -369,7 +354,7 @@ class BudgetResult(CampaignShown, Budget):
             **fields_of(budget),
             title=campaign.title,
             unit=campaign.unit,
-            notes=(*budget.calibration.notes, *budget.provenance.notes),
+            notes=(*budget.fit.notes, *budget.provenance.notes),
         )
 
 

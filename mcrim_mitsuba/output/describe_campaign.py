@@ -23,8 +23,6 @@ from mcrim_mitsuba.core.rounding import (
     probability,
 )
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
-from mcrim_mitsuba.inference.next_measurements import configuration_words
-from mcrim_mitsuba.inference.profiles import profiles_of
 from mcrim_mitsuba.output import sentences
 from mcrim_mitsuba.output.description import (
     Cell,
@@ -114,33 +112,16 @@ def of_fit(fit: FitResult) -> Description:
             ),
         ),
     ]
-    parts += _photons_spent(fit)
     chance = (
         "no p-value without degrees of freedom" if fit.p_value is None else p_equals(fit.p_value)
     )
-    words = (
-        f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {fit.photons:,} photons in "
-        f"{len(fit.rows)} readings, seed {fit.seed}, {fit.seconds:.1f} s"
-    )
-    return Description("fit of a campaign", (*parts, Sentence(words)), notes=fit.notes)
-
-
-def _photons_spent(fit: FitResult) -> Iterator[Table]:
-    """What each configuration took; nothing of a campaign with effects."""
-    if fit.spent:
-        declared = fit.model.campaign.scene.defaults.items()
-        comments = {name: default.comment or "" for name, default in declared}
-        rows = (
-            (
-                configuration_words(spent.parameters, comments) or "the scene's own",
-                shown(spent.photons, ","),
-                shown(spent.cached_photons, ","),
-                Cell(f"{100 * spent.eta_relative_sigma:.2g} %", spent.eta_relative_sigma),
-            )
-            for spent in fit.spent
+    parts.append(
+        Sentence(
+            f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {fit.photons:,} photons in "
+            f"{len(fit.rows)} readings, seed {fit.seed}, {fit.seconds:.1f} s"
         )
-        columns = ("configuration", "photons", "of the cache", "eta to")
-        yield table("photons spent", columns, rows)
+    )
+    return Description("fit of a campaign", tuple(parts), notes=fit.notes)
 
 
 def _light_yield(fit: Calibration, light: ParameterEstimate) -> str:
@@ -524,7 +505,7 @@ def of_repair(diagnosis: RepairResult, *, with_steps: bool = True) -> Descriptio
         together = f"With {diagnosis.added} simulated together: "
         quality = f"chi2 = {number(fit.chi2)} (ndf {fit.ndf}, {p_equals(fit.p_value)})"
         parts += [Sentence(together + quality), *_parameters(fit.parameters)]
-        parts += _shapes(profiles_of(diagnosis.model, fit))
+        parts += _shapes(fit.profiles)
         if sentences.fails(fit):
             parts += _strong("The mended campaign still does not describe its readings.")
     else:
@@ -743,7 +724,7 @@ def _totals(errors: Budget) -> Iterator[Part]:
 
 def _corrections(errors: Budget) -> Iterator[Part]:
     """What the absolute light yield is with each of the corrections that need no simulation."""
-    light = errors.calibration.parameters.get(LIGHT_YIELD)
+    light = errors.fit.parameters.get(LIGHT_YIELD)
     if light is None or not errors.corrections:
         return
     rows = []

@@ -153,7 +153,7 @@ PRESENTERS = {
             "profiles": lambda fit: fit_figures.draw_profiles(fit.profiles),
             "budget": lambda fit: budget_figures.draw_budget(fit),
         },
-        names="**numbers seconds photons spent seed scene_hash versions",
+        names="**numbers seconds photons seed scene_hash versions",
     ),
     "ComparisonResult": Presenter(
         kind="comparison",

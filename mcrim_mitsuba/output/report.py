@@ -184,14 +184,14 @@ def report(
 
     sections = gather(
         repaired,
-        command=_command(repaired.bench.campaign.path, output, run),
+        command=_command(repaired.simulations.campaign.path, output, run),
         made=datetime.now(UTC),
         chosen_by_hand=effects is not None,
         stage=stage,
     )
     stage("figures")
     write_text(output, render(sections))
-    return Reported(Path(output), sections, repaired.bench.provenance())
+    return Reported(Path(output), sections, repaired.simulations.provenance())
 
 
 def refuse_output(output: str | Path, inputs: Sequence[str | Path]) -> None:
@@ -213,7 +213,7 @@ def refuse_output(output: str | Path, inputs: Sequence[str | Path]) -> None:
 
 def _mended_with(repaired: Repaired, effects: tuple[str, ...]) -> Repaired:
     """The same campaign mended with other effects."""
-    bench, diagnosis = repaired.bench, repaired.diagnosed.diagnosis
+    simulations, diagnosis = repaired.simulations, repaired.diagnosed.diagnosis
     tried = (*leading_candidates(diagnosis), *diagnosis.candidates, *diagnosis.pairs)
     starts = next(
         (
@@ -223,16 +223,10 @@ def _mended_with(repaired: Repaired, effects: tuple[str, ...]) -> Repaired:
         ),
         None,
     )
-    everything = tuple(dict.fromkeys((*bench.candidates, *effects)))
-    bench.simulate(everything, look=set(everything) - {*effects})
-    model, calibration = bench.settled_model(effects, starts)
-    return replace(
-        repaired,
-        effects=effects,
-        calibration=calibration,
-        model=model,
-        provenance=bench.provenance(),
-    )
+    everything = tuple(dict.fromkeys((*diagnosis.titles, *effects)))
+    simulations.simulate(everything, look=set(everything) - {*effects})
+    fit = simulations.settled_fit(effects, starts)
+    return replace(repaired, effects=effects, fit=fit, provenance=simulations.provenance())
 
 
 def _command(campaign: Path, output: str | Path, run: Run) -> str:

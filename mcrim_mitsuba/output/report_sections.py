@@ -25,8 +25,7 @@ from mcrim_mitsuba.effects.effect import modules_of
 from mcrim_mitsuba.efficiency.lighting import Light, follow_light
 from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.fit import Calibration
-from mcrim_mitsuba.inference.model import ResponseModel
-from mcrim_mitsuba.inference.profiles import Profile, profiles_of
+from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
 from mcrim_mitsuba.output import photographer
 from mcrim_mitsuba.output.sentences import errors_apart, plain_headline
@@ -76,7 +75,7 @@ class Sections:
     @property
     def campaign(self) -> Campaign:
         """As it came."""
-        return self.repaired.bench.campaign
+        return self.repaired.simulations.campaign
 
     @property
     def diagnosis(self) -> Diagnosis:
@@ -86,7 +85,7 @@ class Sections:
     @property
     def calibration(self) -> Calibration:
         """The fit that is quoted."""
-        return self.repaired.calibration
+        return self.repaired.fit
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -132,11 +131,11 @@ def gather(
     InputError
         If a file cannot be read any more, or the scene with the effects is not sound.
     """
-    calibration = repaired.calibration
-    campaign, run = repaired.bench.campaign, repaired.bench.run
+    calibration = repaired.fit
+    campaign, run = repaired.simulations.campaign, repaired.simulations.run
     scene = scene_of_the_result(campaign, repaired.effects, calibration)
     stage("profile likelihoods")
-    profiles = profiles_of(repaired.model, calibration)
+    profiles = calibration.profiles
     stage("picture of the bench")
     couplings = _couplings(campaign)
     sources = sources_of(campaign)
@@ -147,9 +146,9 @@ def gather(
     bench = describe(shown, scene, couplings[-1], run, draw=drawn is None)
     return Sections(
         repaired=repaired,
-        efficiencies=efficiencies(repaired.model, calibration),
+        efficiencies=efficiencies(calibration),
         profiles=profiles,
-        ratio=ratio_curve(repaired.model, calibration),
+        ratio=ratio_curve(calibration),
         bench=bench,
         album=album,
         drawn=drawn,
@@ -166,11 +165,11 @@ def _behind_pictures(
     repaired: Repaired, sources: Sequence[SourceFile], chosen_by_hand: bool
 ) -> dict[str, object]:
     """All that the pictures depend on, as a cache's key."""
-    run = repaired.bench.run
+    run = repaired.simulations.run
     numbers = {
         # how long it took is in no picture
         "diagnosis": asdict(replace(repaired.diagnosed.diagnosis, seconds=0.0)),
-        "calibration": repaired.calibration.numbers(),
+        "calibration": repaired.fit.numbers(),
     }
     return {
         "what": "pictures of a report",
@@ -180,7 +179,7 @@ def _behind_pictures(
         "light_photons": LIGHT_PHOTONS,
         "seed": run.seed,
         "versions": record_versions(run.variant, __name__),
-        "code": code_hash(modules_of(repaired.bench.campaign.catalogue.values())),
+        "code": code_hash(modules_of(repaired.simulations.campaign.catalogue.values())),
     }
 
 
@@ -227,9 +226,7 @@ def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
         return ()
     target = campaign.path.with_name(f"{campaign.path.stem}_mended.toml")
     averaged = repaired.diagnosed.diagnosis.light_yield_averaged
-    scene, text = mended_files(
-        campaign, repaired.model.campaign, repaired.calibration, target, averaged
-    )
+    scene, text = mended_files(campaign, repaired.fit, target, averaged)
     before = read_bytes(campaign.path, _LIMIT_MB).decode("utf-8-sig", errors="replace")
     return (
         changed("campaign", campaign.path.name, before, target.name, text),
@@ -268,15 +265,16 @@ class RatioOfSignals:
     solution_per_cm: float
 
 
-def ratio_curve(model: ResponseModel, calibration: Calibration) -> RatioOfSignals | None:
+def ratio_curve(fit: Calibration) -> RatioOfSignals | None:
     """The curve of a fit; None where alpha_scat is not fitted or only one coupling was measured."""
+    model = fit.model
     pair = _pair(model.campaign)
-    if pair is None or ALPHA_SCAT not in calibration.names:
+    if pair is None or ALPHA_SCAT not in fit.names:
         return None
     readings = model.campaign.measurements.readings
     rows = [readings.index(reading) for reading in pair]
-    index = calibration.names.index(ALPHA_SCAT)
-    theta = calibration.theta
+    index = fit.names.index(ALPHA_SCAT)
+    theta = fit.theta.copy()
     solution, free = float(theta[index]), model.free[index]
     low, high = max(solution / _REACH, free.minimum), min(solution * _REACH, free.maximum)
     if not 0 < low < high:
@@ -335,12 +333,13 @@ class Efficiency:
     sigma: float
 
 
-def efficiencies(model: ResponseModel, calibration: Calibration) -> tuple[Efficiency, ...]:
+def efficiencies(fit: Calibration) -> tuple[Efficiency, ...]:
     """The efficiency of every reading, its error propagated from the fit."""
-    slopes = model.predict(calibration.theta).eta_slopes
-    fitted = np.einsum("ri,ij,rj->r", slopes, calibration.covariance, slopes)
+    model = fit.model
+    slopes = model.predict(fit.theta).eta_slopes
+    fitted = np.einsum("ri,ij,rj->r", slopes, fit.covariance, slopes)
     values = []
-    for row, reading, variance in zip(calibration.rows, model.readings, fitted, strict=True):
+    for row, reading, variance in zip(fit.rows, model.readings, fitted, strict=True):
         sigma = math.sqrt(max(variance, 0.0) + row.eta_sigma**2)
         values.append(Efficiency(row.label, dict(reading.parameters), row.eta, sigma))
     return tuple(values)

@@ -23,15 +23,15 @@ from mcrim_mitsuba.core.rounding import (
     probability,
     short_text,
 )
-from mcrim_mitsuba.inference.diagnose import (
+from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
+from mcrim_mitsuba.inference.judgement import (
     ADEQUATE,
     AMBIGUOUS,
     MISSING_EFFECT,
     TOO_FEW_READINGS,
     UNEXPLAINED,
 )
-from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, LIGHT_YIELD, ParameterEstimate
-from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.plan import (
     EFFICIENCY,
     EVENTS_ORIGIN,

@@ -42,7 +42,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.files import plain, write_text
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.efficiency.bench import FILLED_ABOVE, NOT_IN_A_BEAM, Bench
-from mcrim_mitsuba.inference.diagnose import UNEXPLAINED
+from mcrim_mitsuba.inference.judgement import UNEXPLAINED
 from mcrim_mitsuba.reference.tracer import trace
 from trials.hidden_histories import (
     COLUMNS,

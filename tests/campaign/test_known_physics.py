@@ -9,7 +9,7 @@ from mcrim_mitsuba.campaign.known_physics import KnownCrystal
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.budget import budget
 from mcrim_mitsuba.inference.calibrate import calibrate
-from mcrim_mitsuba.inference.workbench import Workbench
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.optics.gammas import attenuation_length_mm
 from mcrim_mitsuba.output.report_sections import sources_of
 from mcrim_mitsuba.scene.scene_file import read_scene
@@ -51,7 +51,7 @@ def test_polarisation_and_depth_are_in_the_scene_and_said(campaign_of, three):
     for words in ("CaMoO4", "source_depth_mm = 1.026", "59.5 keV", "polarisation"):
         assert words in note
     # no hypotheses any more, nor is what they exclude
-    bench = Workbench(campaign, Run(1024))
+    bench = CampaignSimulations(campaign, Run(1024))
     assert not {"source_depth", "polarization", "side_source"} & set(bench.possible())
     assert "crystal_index" in bench.possible() and bench.notes == []
     # a report has the file as it is
@@ -171,7 +171,7 @@ def test_the_articles_three_numbers_count_once(scenes):
     With the prior from the transmittance it was 8.4 to 9.0 (p = 0.003). The Monte Carlo error of
     chi2 is 0.3 here.
     """
-    fit = calibrate(scenes / "camoo4_three.toml", run=Run(seed=1)).calibration
+    fit = calibrate(scenes / "camoo4_three.toml", run=Run(seed=1)).fit
     of_readings = sum(((row.measured - row.model) / row.sigma) ** 2 for row in fit.rows)
     assert fit.ndf == 1 and fit.chi2 == pytest.approx(of_readings, rel=0.02)
     assert fit.chi2 == pytest.approx(4.3, abs=1.0)

@@ -256,7 +256,7 @@ def test_a_parameter_at_its_bound_gets_no_error(mcrim, monkeypatch, tmp_path):
     result = campaigns.calibrate(campaign, run=Run(300_000))
     monkeypatch.setattr(campaigns, "calibrate", lambda *_, **__: result)
     out = mcrim.shown("calibrate", campaign)
-    estimate = result.calibration.parameters["alpha_scat_per_cm"]
+    estimate = result.fit.parameters["alpha_scat_per_cm"]
     assert estimate.at_bound == "max"
     values, budget = (
         [cell.strip() for cell in line.split("│")[1:-1]]

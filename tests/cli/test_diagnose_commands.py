@@ -19,6 +19,7 @@ from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR
 from mcrim_mitsuba.inference import compare as comparing
 from mcrim_mitsuba.inference import diagnose as diagnosing
+from mcrim_mitsuba.inference import fit as fitting
 from mcrim_mitsuba.inference import repair as repairing
 from mcrim_mitsuba.inference.compare import Compared
 from mcrim_mitsuba.inference.diagnose import Diagnosed
@@ -69,14 +70,13 @@ def found(monkeypatch):
         "diagnose": Diagnosed(by.calibration(), by.diagnosis("missing_effect"), by.PROVENANCE),
     }
     results["repair"] = Repaired(
-        results["diagnose"],
-        (by.FIRST,),
-        by.calibration(by.MENDED, 0.3, 12.0),
-        Path("new.toml"),
-        Path("new.xml"),
-        by.PROVENANCE,
-        None,
-        None,
+        diagnosed=results["diagnose"],
+        effects=(by.FIRST,),
+        fit=by.calibration(by.MENDED, 0.3, 12.0),
+        campaign_path=Path("new.toml"),
+        scene_path=Path("new.xml"),
+        provenance=by.PROVENANCE,
+        simulations=None,
     )
 
     def repaired(*_, on_step, **__):
@@ -88,7 +88,7 @@ def found(monkeypatch):
     monkeypatch.setattr(diagnosing, "diagnose", lambda *_, **__: results["diagnose"])
     monkeypatch.setattr(repairing, "repair", repaired)
     # findings made by hand have no model
-    monkeypatch.setattr(describe_campaign, "profiles_of", lambda *_: ())
+    monkeypatch.setattr(fitting, "profiles_of", lambda *_: ())
     return results
 
 
@@ -276,14 +276,13 @@ def test_an_unusual_size_is_told_and_not_added(mcrim, campaign, found):
     lines = mcrim.shown("diagnose", campaign).splitlines()
     assert told in lines and "--effect gap_bubble -o" in lines[-1]
     found["repair"] = Repaired(
-        found["diagnose"],
-        (),
-        by.calibration(),
-        None,
-        None,
-        by.PROVENANCE,
-        None,
-        None,
+        diagnosed=found["diagnose"],
+        effects=(),
+        fit=by.calibration(),
+        campaign_path=None,
+        scene_path=None,
+        provenance=by.PROVENANCE,
+        simulations=None,
     )
     lines = mcrim.shown("repair", campaign, "-o", "new.toml").splitlines()
     assert told in lines and "Nothing was added, and no file written." in lines
@@ -428,7 +427,12 @@ def test_a_profile_that_is_no_parabola_is_said():
     values = np.linspace(0.0, 0.6, 61)
     rise = ((values - 0.3) / 0.03) ** 2
     even = Profile(
-        "even", values, rise, 2 * (values - 0.3) / 0.03**2, 0.3, 0.03, None, None, (None, None)
+        name="even",
+        values=values,
+        delta_chi2=rise,
+        slopes=2 * (values - 0.3) / 0.03**2,
+        value=0.3,
+        sigma=0.03,
     )
     assert sentences.shapes([even]) == []
     # a shelf below the best value
@@ -448,14 +452,15 @@ def test_a_profile_that_is_no_parabola_is_said():
 
 def test_repair_says_where_nothing_was_added(mcrim, campaign, found):
     found["repair"] = Repaired(
-        replace(found["diagnose"], diagnosis=by.diagnosis("adequate", repair=by.STEPS[:1])),
-        (),
-        by.calibration(),
-        None,
-        None,
-        by.PROVENANCE,
-        None,
-        None,
+        diagnosed=replace(
+            found["diagnose"], diagnosis=by.diagnosis("adequate", repair=by.STEPS[:1])
+        ),
+        effects=(),
+        fit=by.calibration(),
+        campaign_path=None,
+        scene_path=None,
+        provenance=by.PROVENANCE,
+        simulations=None,
     )
     out = mcrim.shown("repair", campaign, "-o", "new.toml")
     assert "Nothing was added, and no file written." in out.splitlines()

@@ -22,7 +22,7 @@ from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR, ResponseMaker
 from mcrim_mitsuba.inference.calibrate import calibrate
 from mcrim_mitsuba.inference.model import ResponseModel
 from mcrim_mitsuba.inference.repair import mended_files, repair
-from mcrim_mitsuba.inference.workbench import Workbench
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
 from mcrim_mitsuba.transport.launch_plan import LANES
 from mcrim_mitsuba.transport.simulation import Simulation
@@ -160,17 +160,17 @@ def test_what_plain_photons_are_off_by_is_taken_away():
 def test_sizes_that_the_readings_leave_open_get_what_is_plausible(tmp_path):
     """Three readings and one prior for four parameters: once nothing was written."""
     three = read_campaign(SCENES / "camoo4_three.toml")
-    bench = Workbench(three, Run(LANES, check=False))
+    bench = CampaignSimulations(three, Run(LANES, check=False))
     bench.simulate(("top_roughness",))
-    model, fit = bench.settled_model(("top_roughness",))
+    fit = bench.settled_fit(("top_roughness",))
     # 95 % of what is plausible, up to 0.05
-    assert model.campaign.priors["top_roughness_alpha"] == (
+    assert fit.model.campaign.priors["top_roughness_alpha"] == (
         0.0,
         pytest.approx(0.05 / 1.96, rel=1e-4),
     )
     assert fit.ndf == 1 and fit.chi2 < 3.0
     assert any("top_roughness_alpha 0 ± 0.0255" in note for note in fit.notes)
-    scene, text = mended_files(three, model.campaign, fit, tmp_path / "mended.toml")
+    scene, text = mended_files(three, fit, tmp_path / "mended.toml")
     written = tomllib.loads(text)["parameters"]["top_roughness_alpha"]
     assert (written["prior"], written["prior_sigma"]) == (0.0, 0.0255122)
     assert scene.parameters["top_roughness_alpha"] == written["start"]
@@ -178,9 +178,9 @@ def test_sizes_that_the_readings_leave_open_get_what_is_plausible(tmp_path):
 
 def test_a_beam_that_an_effect_darkens_is_faint():
     """No photon arrives behind ground faces: the diagnosis of all effects was refused for it."""
-    bench = Workbench(read_campaign(SCENES / "camoo4_three.toml"), Run(LANES, seed=1, check=False))
-    bench.simulate(["ground"])
-    model = bench.model(["ground"])
+    three = read_campaign(SCENES / "camoo4_three.toml")
+    models = CampaignSimulations(three, Run(LANES, seed=1, check=False)).simulate(["ground"])
+    model = models.model(["ground"])
     values = {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0.01, "scale": 48.0}
     signals = model.predict(
         np.array([(values | {"ground_alpha": 0.6})[p.name] for p in model.free])
@@ -220,7 +220,7 @@ def test_few_photons_are_not_the_usual_number(campaign):
     reflected = campaign.with_effects(["top_reflector"])
     runs = (
         Run(2, check=False),
-        Run(3 * PLAIN_FACTOR * LANES, check=False),
+        Run(LANES, check=False),
         Run(precision=1.5, check=False),
     )
     least, *others = (calibrate(reflected, run=run).provenance.photons for run in runs)
@@ -304,7 +304,7 @@ def test_rows_know_when_they_were_read_and_of_which_crystal(campaign, tmp_path):
     )
     assert both / plain == pytest.approx([0.95, 1.0, 1.2, 1.05, 1.2 * 1.05])
     # where no row in use is of another crystal there is nothing to try
-    tried = Workbench(read_campaign(tmp_path / "rows.toml"), Run(LANES)).possible()
+    tried = CampaignSimulations(read_campaign(tmp_path / "rows.toml"), Run(LANES)).possible()
     assert "gain_drift" in tried and "sample_scale" not in tried
 
 
@@ -340,13 +340,13 @@ def test_a_mended_campaign_says_the_same_by_every_command(campaign, tmp_path, mo
     own = replace(own, catalogue={name: own.catalogue[name] for name in tried})
     mended = repair(own, tmp_path / "new.toml", run=Run(4 * LANES, seed=1))
     assert "surface_absorption" in mended.effects
-    assert mended.diagnosed.baseline.p_value < 1e-3 < mended.calibration.p_value
+    assert mended.diagnosed.baseline.p_value < 1e-3 < mended.fit.p_value
     again = calibrate(tmp_path / "new.toml", run=Run(4 * LANES * 7 * len(configurations), seed=1))
-    for name, known in mended.calibration.parameters.items():
-        other = again.calibration.parameters[name]
+    for name, known in mended.fit.parameters.items():
+        other = again.fit.parameters[name]
         assert abs(known.value - other.value) < 0.5 * known.sigma, name
     scene = read_campaign(tmp_path / "new.toml").scene
-    for row, (n, radius, height) in zip(mended.calibration.rows, configurations, strict=True):
+    for row, (n, radius, height) in zip(mended.fit.rows, configurations, strict=True):
         own = {"n_gap": n, "aperture_radius_mm": radius, "crystal_height_mm": height}
         found = Simulation(scene.with_overrides(own), check=False).collect(300_000, seed=99)
         assert abs(found.eta - row.eta) < 4.5 * math.hypot(found.eta_sigma, row.eta_sigma)

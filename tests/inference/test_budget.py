@@ -171,7 +171,7 @@ def test_the_articles_band_is_assumed_and_said_so():
 
 def test_contributions_add_up_to_the_fits_errors(found):
     for name in (LIGHT_YIELD, ALPHA_SCAT, ALPHA_ABS):
-        known, parts = found.calibration.parameters[name], found.contributions[name]
+        known, parts = found.fit.parameters[name], found.contributions[name]
         assert parts.total * known.value == pytest.approx(known.sigma, rel=1e-3)
         monte_carlo = sum(p.relative for p in parts.contributions if p.name == "monte_carlo")
         of_fit = known.contributions["monte_carlo"] / known.value
@@ -193,7 +193,7 @@ def test_what_the_absolute_light_yield_is_multiplied_with(campaign, found, scene
     # 2.2 % of the events without 17.6 keV and a little (K beta) of 59.5
     assert escape.relative == pytest.approx(0.022 * 17.8 / 59.5, rel=0.02) and not escape.applied
     shown = " ".join(text(of_budget(BudgetResult.of(found, campaign))).split())
-    yield_now = found.calibration.parameters[LIGHT_YIELD].value
+    yield_now = found.fit.parameters[LIGHT_YIELD].value
     assert f"{yield_now * (1 - (0.52 / 2.52) ** 2):.2f} ±" in shown
     # the table that docs/theory.md has too
     table = of_budget(BudgetResult.of(found, campaign)).parts[-1]
@@ -212,7 +212,7 @@ def test_the_collection_has_a_row_of_its_own(campaign):
     assert light["collection_efficiency"].relative == pytest.approx(0.05)
     assert light["detector_efficiency"].relative == pytest.approx(0.1)
     total = with_it.contributions[LIGHT_YIELD].total
-    fit = with_it.calibration.parameters[LIGHT_YIELD]
+    fit = with_it.fit.parameters[LIGHT_YIELD]
     assert total == pytest.approx(fit.sigma / fit.value, rel=1e-3)
     (collection,) = (c for c in with_it.corrections if c.name.startswith("collection"))
     assert collection.applied and collection.relative == pytest.approx(1 / 0.9 - 1)
@@ -323,7 +323,7 @@ def test_what_is_in_the_model_is_not_put_in_again(campaign):
     assert found.pieces == found.neglected
     origins = {row.name for row in found.contributions[LIGHT_YIELD].contributions}
     assert {"source depth", "absorption"} <= origins
-    known, total = found.calibration.parameters[LIGHT_YIELD], found.contributions[LIGHT_YIELD].total
+    known, total = found.fit.parameters[LIGHT_YIELD], found.contributions[LIGHT_YIELD].total
     assert total * known.value == pytest.approx(known.sigma, rel=1e-3)
 
 

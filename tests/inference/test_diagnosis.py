@@ -14,25 +14,18 @@ from scipy import stats
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.files import plain
 from mcrim_mitsuba.inference import explanations as explanations_module
-from mcrim_mitsuba.inference import workbench
+from mcrim_mitsuba.inference import simulations
 from mcrim_mitsuba.inference.candidates import upper_limits
 from mcrim_mitsuba.inference.compare import comparison_of, find_trends
-from mcrim_mitsuba.inference.diagnose import Judgement, diagnose_models
+from mcrim_mitsuba.inference.diagnose import diagnose_models
+from mcrim_mitsuba.inference.drivers import find_minima, newton, settle
 from mcrim_mitsuba.inference.estimates import left_out, left_out_error
-from mcrim_mitsuba.inference.explanations import (
-    Explanations,
-    NullDistribution,
-    Ranking,
-)
-from mcrim_mitsuba.inference.least_squares import (
-    LeastSquaresProblem,
-    descend,
-    fit_from_scratch,
-    settle,
-)
-from mcrim_mitsuba.inference.likelihood import Likelihood, find_minima
-from mcrim_mitsuba.inference.race import contenders
-from mcrim_mitsuba.inference.workbench import MeasurementProposals
+from mcrim_mitsuba.inference.explanations import NullDistribution, Ranking
+from mcrim_mitsuba.inference.fit import fit_model
+from mcrim_mitsuba.inference.judgement import Judgement
+from mcrim_mitsuba.inference.screening import promising_effects
+from mcrim_mitsuba.inference.simulations import MeasurementProposals
+from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.output.sentences import limit_text
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
@@ -65,6 +58,12 @@ def campaign(seed, values=None, effects=(), change=lambda signal: signal, light=
     return lambda added: bench.Model(rows, tuple(added), noise, prior, light)
 
 
+def promising(models):
+    """Effects of some that deserve more photons."""
+    baseline = bench.explanations_of(models, {}).baseline
+    return promising_effects(models, SOME, baseline)
+
+
 def diagnosed(*args, **kwargs):
     return diagnose_models(campaign(*args, **kwargs), SOME)
 
@@ -73,26 +72,26 @@ def test_solver_finds_what_minuit_finds():
     models = campaign(1, {"bubble_fraction": 0.1}, ("gap_bubble",))
     for added in ((), ("gap_bubble",), ("detector_angle",), ("gap_bubble", "scattering_gradient")):
         model = models(added)
-        theirs = find_minima(Likelihood(model))[0]
-        explanations = Explanations(models, bench.EFFECTS)
+        theirs = find_minima(Statistic(model))[0]
+        explanations = bench.explanations_of(models, bench.EFFECTS)
         ours = explanations.fit(added)
         assert ours.chi2 < theirs.chi2 + 0.002
         if ours.chi2 > theirs.chi2 - 0.01:
-            sigma = np.sqrt(np.diag(ours.parameter_covariance))
+            sigma = np.sqrt(np.diag(ours.covariance))
             free = np.array([side is None for side in ours.at_bound])
             assert (np.abs(ours.theta - theirs.theta) / sigma)[free].max() < 0.05
 
 
 def test_left_out_errors_are_those_of_fits_without_the_reading():
     models = campaign(2)
-    fit = fit_from_scratch(LeastSquaresProblem(models(())))
+    fit = find_minima(Statistic(models(())))[0]
     errors, pulls = left_out(fit)
     for i in (0, 5, 15):
         rows = models(()).readings
         model = bench.Model(rows[:i] + rows[i + 1 :], (), bench.simulation_noise(2))
         model.prior = models(()).prior
         model.__post_init__()
-        without = settle(LeastSquaresProblem(model), fit.theta)
+        without = settle(Statistic(model), fit.theta)
         predicted = models(()).predict(without.theta).signal[i]
         assert rows[i].signal - predicted == pytest.approx(errors[i], abs=0.1 * rows[i].sigma)
         assert fit.chi2 - without.chi2 == pytest.approx(pulls[i] ** 2, abs=0.1)
@@ -105,7 +104,7 @@ def under_the_null():
     effects = {name: bench.EFFECTS[name] for name in names}
     found = []
     for seed in range(45):
-        explanations = Explanations(campaign(1000 + seed), effects)
+        explanations = bench.explanations_of(campaign(1000 + seed), effects)
         if seed % 15 == 0:
             # the null distribution hardly depends on the data: drawn anew now and then
             null = NullDistribution(explanations, names, seed)
@@ -151,23 +150,24 @@ def test_nothing_hidden_is_adequate_with_limits():
     gap = found.upper_limits["gap_index"]
     assert gap.lower < 0.0 < gap.upper
     # chi2 has risen by what the confidence says
-    explanations = Explanations(campaign(3), bench.EFFECTS)
+    explanations = bench.explanations_of(campaign(3), bench.EFFECTS)
     fit = explanations.fit(("gap_bubble",))
-    place = fit.problem.index("bubble_fraction")
-    at = fit.problem.theta({**fit.values, "bubble_fraction": bubble.upper})
-    _, there, _ = descend(fit.problem, at, fit.weights, held=[place])
+    place = fit.statistic.index("bubble_fraction")
+    at = fit.statistic.theta({**fit.values, "bubble_fraction": bubble.upper})
+    _, there, _ = newton(fit.statistic, at, fit.weights, held=[place])
     assert there - fit.chi2 == pytest.approx(2.706, abs=0.1)
 
 
 def test_limits_do_not_begin_at_a_worse_minimum():
     """Where a fit ended above the bench as it is, its limits were that value, twice."""
-    explanations = Explanations(campaign(3), {"gap_thickness": bench.EFFECTS["gap_thickness"]})
+    effects = {"gap_thickness": bench.EFFECTS["gap_thickness"]}
+    explanations = bench.explanations_of(campaign(3), effects)
     right = upper_limits(explanations)["gap_thickness"]
     key = ("gap_thickness",)
     fit = explanations.fit(key)
-    place = fit.problem.index("gap_offset_mm")
-    at = fit.problem.theta({**fit.values, "gap_offset_mm": 0.4})
-    theta, chi2, _ = descend(fit.problem, at, fit.weights, held=[place])
+    place = fit.statistic.index("gap_offset_mm")
+    at = fit.statistic.theta({**fit.values, "gap_offset_mm": 0.4})
+    theta, chi2, _ = newton(fit.statistic, at, fit.weights, held=[place])
     assert chi2 > explanations.baseline.chi2 + 3.841
     explanations._fits[key] = replace(fit, theta=theta, chi2=chi2)
     found = upper_limits(explanations)["gap_thickness"]
@@ -178,7 +178,7 @@ def test_limits_do_not_begin_at_a_worse_minimum():
 
 def test_what_cannot_be_absent_is_excluded_not_limited():
     film = {"photocathode_film": bench.EFFECTS["photocathode_film"]}
-    explanations = Explanations(campaign(3), film)
+    explanations = bench.explanations_of(campaign(3), film)
     fit = explanations.fit(tuple(film))
     explanations._fits[tuple(film)] = replace(fit, chi2=explanations.baseline.chi2 + 20.0)
     (limit,) = upper_limits(explanations).values()
@@ -218,9 +218,9 @@ def test_a_race_keeps_what_may_explain_the_readings():
         ("detector_radius", 0.4),
     ):
         (name,) = (parameter.name for parameter in SOME[hidden].parameters)
-        going_on = contenders(campaign(7, {name: size}, (hidden,)), SOME)
+        going_on = promising(campaign(7, {name: size}, (hidden,)))
         assert hidden in going_on and len(going_on) <= 3
-    kept = [len(contenders(campaign(seed), SOME)) for seed in range(12)]
+    kept = [len(promising(campaign(seed))) for seed in range(12)]
     # nine effects, each of which gains 6 with a probability of about 1 %
     assert stats.binom.sf(sum(kept) - 1, 12 * len(SOME), 0.02) > FALSE_ALARM
 
@@ -251,7 +251,7 @@ def test_swapped_rows_are_named_before_physics():
         order[[3, 8]] = 8, 3
         return signal[order]
 
-    found = comparison_of(fit_from_scratch(LeastSquaresProblem(campaign(7, change=change)(()))))
+    found = comparison_of(fit_model(campaign(7, change=change)(())))
     assert found.suspects[0].kind == "swapped_rows"
     assert found.suspects[0].labels == ("row4", "row9")
     assert found.p_value < 1e-6 and found.suspects[0].p_value > 0.001
@@ -319,13 +319,14 @@ def test_effects_that_do_not_add_up_are_told(monkeypatch, together, told):
     """chi2 = 10.3 by responses; the note is one of the fit, for terminal, JSON and report."""
     heights = iter([10.3, together, together])
     fitted = lambda *_, **__: Fitted(next(heights))  # noqa: E731
-    monkeypatch.setattr(workbench, "fit_model", fitted)
-    monkeypatch.setattr(workbench.Workbench, "_model", lambda *_: None)
-    monkeypatch.setattr(workbench.Workbench, "_anchored", lambda *_: None)
-    own = object.__new__(workbench.Workbench)
-    own.own_maker = SimpleNamespace(is_exact=lambda effects: False)
+    monkeypatch.setattr(simulations, "fit_model", fitted)
+    monkeypatch.setattr(simulations.CampaignSimulations, "anchored_model", lambda *_: None)
+    models = SimpleNamespace(model_of=lambda campaign: None)
+    monkeypatch.setattr(simulations.CampaignSimulations, "models", models)
+    own = object.__new__(simulations.CampaignSimulations)
+    own._maker = SimpleNamespace(is_exact=lambda effects: False)
     effects = SimpleNamespace(switched_on=(), effects=("one", "other"))
-    _, found = own._settled(effects)
+    found = own._settled(effects)
     assert bool(found.notes) is told
     assert not told or "one and other simulated together chi2 is 103, not 10.3" in found.notes[0]
 
@@ -333,7 +334,7 @@ def test_effects_that_do_not_add_up_are_told(monkeypatch, together, told):
 def test_a_trend_is_that_of_the_bench_parameter():
     deep = np.array([row["crystal_height_mm"] < 3.0 for row in bench.ROWS])
     model = campaign(9, change=lambda s: s * np.where(deep, 1.04, 1.0))(())
-    found = comparison_of(fit_from_scratch(LeastSquaresProblem(model)))
+    found = comparison_of(fit_model(model))
     assert found.trends[0].parameter == "crystal_height_mm" and found.trends[0].p_value < 0.01
 
 
@@ -381,7 +382,7 @@ def test_json_has_the_fields_of_the_interface(one_hidden):
 
 
 def test_left_out_error_sees_what_a_useless_parameter_costs():
-    explanations = Explanations(campaign(10), bench.EFFECTS)
+    explanations = bench.explanations_of(campaign(10), bench.EFFECTS)
     fit = explanations.fit(("anisotropic_scattering",))
     assert fit.chi2 <= explanations.baseline.chi2 + 0.01
     assert left_out_error(fit) > left_out_error(explanations.baseline)

@@ -18,7 +18,6 @@ from mcrim_mitsuba.inference.evidence import (
     size,
     weigh,
 )
-from mcrim_mitsuba.inference.explanations import Explanations
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 
@@ -29,7 +28,9 @@ def explanations(sigma):
     signal = bench.signals({**TRUTH, "bubble_fraction": 0.04})
     signal = signal * (1.0 + sigma * rng.standard_normal(len(signal)))
     rows, noise = bench.readings(signal, sigma), bench.simulation_noise(7)
-    return Explanations(lambda added: bench.Model(rows, tuple(added), noise), bench.EFFECTS)
+    return bench.explanations_of(
+        lambda added: bench.Model(rows, tuple(added), noise), bench.EFFECTS
+    )
 
 
 def log_likelihood(fit, priors):
@@ -37,8 +38,9 @@ def log_likelihood(fit, priors):
 
     def of_normals(z):
         columns = [priors[name].value(z[:, i]) for i, name in enumerate(fit.names)]
-        predicted = fit.problem.model.predict_many(np.stack(columns, axis=1))[:, fit.problem.used]
-        residuals = (fit.problem.signal - predicted) @ fit.weights.whitener.T
+        statistic = fit.statistic
+        predicted = statistic.model.predict_many(np.stack(columns, axis=1))[:, statistic.used]
+        residuals = fit.weights.whiten(statistic.signal - predicted)
         return -0.5 * ((residuals**2).sum(1) + fit.weights.log_determinant)
 
     return of_normals

@@ -8,7 +8,6 @@ import dataclasses
 import json
 import math
 import tracemalloc
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,18 +17,16 @@ from refusals import refusal
 from scipy import stats
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
-from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface, choose_proposals
 from mcrim_mitsuba.efficiency.surface import InterpolatedSurface, axes_for
-from mcrim_mitsuba.inference import likelihood as search
+from mcrim_mitsuba.inference.drivers import find_minima, minuit
 from mcrim_mitsuba.inference.fit import fit_model
-from mcrim_mitsuba.inference.least_squares import LeastSquaresProblem, fit_from_scratch
 from mcrim_mitsuba.inference.model import CampaignModel
-from mcrim_mitsuba.inference.profiles import profiles_of
 from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
+from mcrim_mitsuba.inference.statistic import ErrorMatrices, Statistic, Weights
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords
 
@@ -567,7 +564,7 @@ def test_many_readings_need_no_matrix_of_them(campaign):
     try:
         model = CampaignModel(many, couplings())
         found = fit_model(model)
-        profiles_of(model, found)
+        assert len(found.profiles) == 3
         most = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -579,7 +576,7 @@ def test_factors_of_a_covariance_weigh_as_its_matrix_does():
     rng = np.random.default_rng(6)
     for sources, mountings in ((0, 1), (5, 1), (5, 9), (90, 20)):
         simulated = rng.normal(size=(60, sources)) * (rng.random((60, sources)) < 0.3)
-        errors = search.ErrorMatrices(
+        errors = ErrorMatrices(
             rng.uniform(0.1, 2, 60),
             rng.normal(size=60) * (mountings > 1),
             rng.integers(0, mountings, 60),
@@ -591,7 +588,7 @@ def test_factors_of_a_covariance_weigh_as_its_matrix_does():
         assert errors.statistical_variances(some) == pytest.approx(of_readings)
         explained = dataclasses.replace(errors, unexplained=None)
         inverse = np.linalg.inv(explained.total)
-        whitener = search.Whitener(explained)
+        whitener = Weights(explained)
         assert whitener.weigh(some) == pytest.approx(some @ inverse)
         white = whitener.whiten(some)
         assert white @ white.T == pytest.approx(some @ inverse @ some.T)
@@ -670,9 +667,9 @@ def test_of_bounds_that_touch_that_one_stops_to_which_the_readings_push(campaign
     text = text.replace("start = 0.5", f"start = {low}")
     notes = fit_campaign(campaign(text), couplings(), profile=False).notes
     assert f"alpha_scat_per_cm ended at its bound {says} scattering" in " | ".join(notes)
-    problem = LeastSquaresProblem(CampaignModel(campaign(text), couplings()))
-    fit = fit_from_scratch(problem)
-    assert fit.at_bound[problem.index(ALPHA_SCAT)] == says[:3]
+    statistic = Statistic(CampaignModel(campaign(text), couplings()))
+    fit = find_minima(statistic)[0]
+    assert fit.at_bound[statistic.index(ALPHA_SCAT)] == says[:3]
 
 
 def test_swapped_rows_are_told(campaign):
@@ -700,7 +697,7 @@ def test_profiles_where_a_parameter_sits_at_its_bound(campaign):
     model = CampaignModel(campaign(ALPHA, TWO.replace("14.3", "24.5")), couplings())
     result = fit_model(model)
     assert result.parameters[ALPHA_SCAT].at_bound == "max"
-    profile = profiles_of(model, result)[0]
+    profile = result.profiles[0]
     assert np.all(np.diff(profile.values) > 0) and profile.values[-1] == 10.0
     assert profile.ends[1] == "max" and profile.crossings(1.0)[1] is None
 
@@ -937,29 +934,28 @@ def test_ratio_leaves_out_what_the_simulation_does_not_know():
 class Kinked:
     """chi2 with its minimum where a response has a kink, as those of an air bubble have."""
 
-    free = tuple(
-        CampaignParameter(name, start, 0.0, 1.0, None, None, fixed=False)
-        for name, start in (("bubble_fraction", 0.3), ("surface_loss", 0.4))
-    )
-    likelihood = SimpleNamespace(free=free)
+    names = ("bubble_fraction", "surface_loss")
+    low, high = np.zeros(2), np.ones(2)
+    logarithmic, prior_weight = np.zeros(2, bool), np.zeros(2)
 
-    def chi2(self, theta):
-        beyond = theta[0] - 0.21
-        height = 28 * beyond if beyond > 0 else -1.1 * beyond
-        return 9.7 + height + 300 * (theta[1] - 0.5 - 0.3 * beyond) ** 2
+    def internal(self, theta):
+        return np.array(theta)
 
-    def gradient(self, theta):
+    def external(self, x):
+        return np.clip(x, self.low, self.high)
+
+    def evaluate(self, theta, weights):
+        """Residuals whose squares are 9.7, the height of the kink, and a valley."""
         beyond = theta[0] - 0.21
-        slope = 600 * (theta[1] - 0.5 - 0.3 * beyond)
-        return np.array([(28 if beyond > 0 else -1.1) - 0.3 * slope, slope])
+        height, slope = (28 * beyond, 28) if beyond > 0 else (-1.1 * beyond, -1.1)
+        root = math.sqrt(9.7 + height)
+        along = math.sqrt(300) * (theta[1] - 0.5 - 0.3 * beyond)
+        slopes = [[slope / (2 * root), 0.0], [-0.3 * math.sqrt(300), math.sqrt(300)]]
+        return np.array([root, along]), np.array(slopes)
 
 
 def test_a_minimum_on_a_kink_is_one():
     """MIGRAD alone waits there for slopes that vanish, and users were told of wrong numbers."""
-    statistic, start = Kinked(), np.array([0.3, 0.4])
-    alone = search._minuit(statistic, start)
-    alone.migrad()
-    assert not alone.valid
-    theta, chi2, converged = search._minimise(statistic, start)
-    assert converged and chi2 == pytest.approx(9.7, abs=1e-4)
+    theta, chi2, content = minuit(Kinked(), np.array([0.3, 0.4]), None)
+    assert content and chi2 == pytest.approx(9.7, abs=1e-4)
     assert theta == pytest.approx([0.21, 0.5], abs=1e-3)

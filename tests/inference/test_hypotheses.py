@@ -13,7 +13,6 @@ from places import SCENES
 from refusals import refusal
 
 import mcrim_mitsuba as mcrim
-from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.hypotheses import refuse_unlike, side_by_side
 from mcrim_mitsuba.output.codec import read_results
 
@@ -34,7 +33,9 @@ def explained(model, **effects):
     made = {}
     for name, own in effects.items():
         scales = next((each.scales for each in made.values()), {})
-        made[name] = Explanations(model, {each: bench.EFFECTS[each] for each in own}, scales)
+        made[name] = bench.explanations_of(
+            model, {each: bench.EFFECTS[each] for each in own}, scales
+        )
     return made
 
 
@@ -46,7 +47,7 @@ def with_a_bubble():
 def test_evidences_are_those_of_a_diagnosis_and_the_right_one_is_preferred(with_a_bubble):
     made = explained(with_a_bubble, A=(), B=("gap_bubble",), C=("edge_chamfer", "background"))
     found = side_by_side(made)
-    whole = Explanations(with_a_bubble, bench.EFFECTS)
+    whole = bench.explanations_of(with_a_bubble, bench.EFFECTS)
     logs = {n: whole.evidence(one.effects).log for n, one in found.named.items()}
     for name, one in found.named.items():
         assert one.log_evidence == pytest.approx(logs[name] - logs["B"], abs=1e-6)
@@ -85,7 +86,7 @@ def test_a_hypothesis_may_ask_for_sizes_that_are_not_usual(with_a_bubble):
             )
             return made
 
-        explanations = Explanations(model, {"gap_bubble": bench.EFFECTS["gap_bubble"]})
+        explanations = bench.explanations_of(model, {"gap_bubble": bench.EFFECTS["gap_bubble"]})
         prior = explanations.priors(("gap_bubble",))["bubble_fraction"]
         return explanations.plausible(("gap_bubble",))["bubble_fraction"], prior
 

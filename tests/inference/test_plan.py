@@ -12,7 +12,6 @@ from scipy import stats
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
-from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import percent
@@ -25,12 +24,11 @@ from mcrim_mitsuba.inference.plan import (
     EFFICIENCY,
     Conditions,
     Expectation,
-    PlanCandidate,
     event_sigma,
     measured_conditions,
     plan,
 )
-from mcrim_mitsuba.inference.workbench import Workbench
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 from mcrim_mitsuba.output.sentences import verdict
@@ -56,8 +54,9 @@ def formulas(parameters):
 
 @pytest.mark.parametrize("chi2, told", [(11.0, True), (9.0, False)])
 def test_a_campaign_whose_fit_fails_says_so(chi2, told):
-    """Two degrees of freedom: candidates, which are readings of no weight, would hide it."""
-    notes = list(measuring._doubt(SimpleNamespace(ndf=5, chi2=chi2), without=3))
+    """Two degrees of freedom."""
+    fit = SimpleNamespace(chi2=chi2, p_value=stats.chi2(2).sf(chi2))
+    notes = list(measuring._doubt(fit))
     assert bool(notes) is told
     assert not told or "chi2 = 11, p = 0.0041: the doubt about the model is not in" in notes[0]
 
@@ -69,16 +68,25 @@ def article(scenes):
 
 @pytest.fixture
 def without_photons(monkeypatch):
-    """Calibrations by given surfaces instead of simulations."""
+    """Models by given surfaces instead of simulations."""
 
     def use(surfaces):
-        def calibrate(campaign, **_):
-            model = CampaignModel(campaign, surfaces)
-            found = fit_model(model, profile=False)
-            spent = SimpleNamespace(notes=())
-            return SimpleNamespace(calibration=found, model=model, provenance=spent)
+        def simulations(campaign, run):
+            def further(configurations):
+                readings = [
+                    Reading(f"{i}", 1.0, 1.0, dict(values), True, None, None, 2)
+                    for i, values in enumerate(configurations)
+                ]
+                measured = replace(campaign.measurements, readings=tuple(readings))
+                return CampaignModel(replace(campaign, measurements=measured), surfaces)
 
-        monkeypatch.setattr(measuring, "calibrate", calibrate)
+            return SimpleNamespace(
+                fit=lambda: fit_model(CampaignModel(campaign, surfaces), profile=False),
+                further=further,
+                provenance=lambda: SimpleNamespace(notes=()),
+            )
+
+        monkeypatch.setattr(measuring, "CampaignSimulations", simulations)
 
     return use
 
@@ -326,7 +334,7 @@ def test_the_scatter_of_a_raw_campaign_is_its_own(article):
 
 def test_transmittances_that_were_not_measured_are_proposed(scenes):
     def proposed(campaign):
-        found = Workbench(campaign, Run()).proposals()
+        found = CampaignSimulations(campaign, Run()).proposals()
         beams = [each for each in found.configurations if each.get("kind") == "transmittance"]
         return beams, np.asarray(found.relative_sigma)[-len(beams) :]
 
@@ -344,13 +352,13 @@ def test_transmittances_that_were_not_measured_are_proposed(scenes):
     ]
     assert sigmas == pytest.approx(0.012 / 0.76)
     only = replace(three, next_measurements={"n_gap": [1.0, 1.333]})
-    assert Workbench(only, Run()).proposals().configurations == [{"n_gap": 1.333}]
+    assert CampaignSimulations(only, Run()).proposals().configurations == [{"n_gap": 1.333}]
     angles = replace(three, next_measurements={"acceptance_deg": [2.0, 5.0]})
-    assert Workbench(angles, Run()).proposals().configurations == [
+    assert CampaignSimulations(angles, Run()).proposals().configurations == [
         {"kind": "transmittance", "acceptance_deg": 2.0}
     ]
     literal = replace(light, scene=light.scene.edited(nameless(light.scene)))
-    found = Workbench(literal, Run()).proposals().configurations
+    found = CampaignSimulations(literal, Run()).proposals().configurations
     assert not any("kind" in each for each in found)
 
 
@@ -364,26 +372,26 @@ def test_a_measured_transmittance_goes_on_into_a_plan(scenes, without_photons):
     three = read_campaign(scenes / "camoo4_three.toml")
     light = [reading for reading in three.measurements.readings if not reading.of_beam]
     (beam,) = (reading for reading in three.measurements.readings if reading.of_beam)
-    names = ["alpha_scat_per_cm", "scale"]
-    model = SimpleNamespace(
-        free=[CampaignParameter(name, 1.0, 0.0, 100.0) for name in names],
-        readings=(*light, beam),
-        campaign=three,
-    )
-    slopes = np.array([[8.0, 0.29], [3.0, 0.52], [-0.7, 0.0], [8.0, 0.29], [3.0, 0.52]])
-    prediction = SimpleNamespace(
-        signal=np.array([14.0, 25.0, 0.76, 14.0, 25.0]), signal_slopes=slopes
-    )
-    candidates = [PlanCandidate({"n_gap": n}, s, 5.0) for n, s in ((1.0, 14.0), (1.46, 25.0))]
-    theta = np.array([0.1, 48.0])
-    found = Expectation(model, theta, prediction, candidates, Conditions())
-    without = Expectation(
-        SimpleNamespace(free=model.free, readings=tuple(light), campaign=three),
-        theta,
-        prediction,
-        candidates,
-        Conditions(),
-    )
+    slopes = np.array([[8.0, 0.29], [3.0, 0.52], [-0.7, 0.0]])
+
+    def expected(readings):
+        """Of a fit to these readings, two of light and perhaps a beam."""
+        statistic = SimpleNamespace(
+            prior_weight=np.zeros(2),
+            variance=np.array([reading.sigma for reading in readings]) ** 2,
+            labels=[reading.label for reading in readings],
+        )
+        fit = SimpleNamespace(
+            theta=np.array([0.1, 48.0]),
+            names=("alpha_scat_per_cm", "scale"),
+            model=SimpleNamespace(readings=readings, campaign=three),
+            minimum=SimpleNamespace(statistic=statistic, slopes=slopes[: len(readings)]),
+        )
+        prediction = SimpleNamespace(signal=np.array([14.0, 25.0]), signal_slopes=slopes[:2])
+        further = SimpleNamespace(predict=lambda theta, check: prediction)
+        return Expectation(fit, further, [{"n_gap": 1.0}, {"n_gap": 1.46}], Conditions())
+
+    found, without = expected([*light, beam]), expected(light)
     assert found.determined([0]) and not without.determined([0])
     told, less = (each.errors([0, 1], 4, 1e4)[0] for each in (found, without))
     assert told.of_plan < less.of_plan

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from places import SCENES
 from scipy.stats import chi2
+from synthetic_bench import explanations_of
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.inference.calibrate import calibrate
-from mcrim_mitsuba.inference.explanations import Explanations
-from mcrim_mitsuba.inference.workbench import Workbench
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.reference.tracer import trace
 
 PHOTONS = 40_000
@@ -57,7 +57,7 @@ def test_two_thicknesses_of_a_boule_beside_another_crystal(tmp_path):
             rows.append(f"{number} {n_gap},{sample},{signal!r},{sigma!r},{n_gap},{height}")
     (tmp_path / "rows.csv").write_text("\n".join(rows))
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
-    found = calibrate(tmp_path / "campaign.toml", run=Run(seed=1)).calibration
+    found = calibrate(tmp_path / "campaign.toml", run=Run(seed=1)).fit
     assert set(found.names) == set(TRUTH) and found.converged
     away = np.array([found.values[name] - TRUTH[name] for name in found.names])
     distance = away @ np.linalg.solve(found.covariance, away)
@@ -78,9 +78,7 @@ def bench(tmp_path_factory):
     text = "\n".join(x for x in text.split("\n") if not x.startswith("light_yield_ph"))
     path = tmp_path_factory.mktemp("samples") / "campaign.toml"
     path.write_text(text.replace("shared_efficiency_sigma", "# ") + SCALE_PRIOR)
-    made = Workbench(read_campaign(path), Run())
-    made.simulate()
-    return made
+    return CampaignSimulations(read_campaign(path), Run()).simulate()
 
 
 SCALE_PRIOR = """
@@ -113,9 +111,8 @@ def test_slopes_by_own_and_shared_parameters(bench):
 
 
 def test_a_factor_on_all_efficiencies_is_one_for_all_samples():
-    bench = Workbench(read_campaign(SCENES / "camoo4_cawo4.toml"), Run())
-    bench.simulate()
-    model = bench.model()
+    bench = CampaignSimulations(read_campaign(SCENES / "camoo4_cawo4.toml"), Run())
+    model = bench.simulate().model()
     theta = np.array([57.0 if p.name == "scale" else p.start for p in model.free])
     place = [p.name for p in model.free].index("efficiency_factor")
     assert theta[place] == 1.0
@@ -127,7 +124,7 @@ def test_a_factor_on_all_efficiencies_is_one_for_all_samples():
 
 
 def test_evidence_of_a_campaign_whose_samples_have_own_scales(bench):
-    explanations = Explanations(bench.model, {})
+    explanations = explanations_of(bench.model, {})
     assert set(explanations.scales) == {"scale", "scale_cawo4"}
     found = explanations.evidence(())
     assert np.isfinite(found.log) and found.effective_points > 100

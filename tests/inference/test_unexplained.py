@@ -13,10 +13,10 @@ import synthetic_bench as bench
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.inference.compare import find_suspects, likely_swaps
 from mcrim_mitsuba.inference.diagnose import diagnose_models
+from mcrim_mitsuba.inference.drivers import settle
 from mcrim_mitsuba.inference.evidence import Hypothesis
-from mcrim_mitsuba.inference.explanations import Explanations
-from mcrim_mitsuba.inference.least_squares import settle
 from mcrim_mitsuba.inference.next_measurements import _most_kept, next_measurements
+from mcrim_mitsuba.inference.simulations import MeasurementProposals
 from mcrim_mitsuba.inference.unexplained import (
     UNKNOWN,
     _bad,
@@ -25,7 +25,6 @@ from mcrim_mitsuba.inference.unexplained import (
     unnamed,
     unnamed_at,
 )
-from mcrim_mitsuba.inference.workbench import MeasurementProposals
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 LIGHT = LightYieldInput(50.0, 0.1, 0.0)  # a scale of 5 is 1 ph/keV
@@ -75,7 +74,7 @@ def test_first_order_finds_the_worst_readings_of_all_sets():
     """The evidence that it predicts for a set is that of its fit."""
     factors = np.ones(len(bench.ROWS))
     factors[[3, 12]] = 1.09, 0.93
-    explanations = Explanations(models(4, change=lambda signal: signal * factors), {})
+    explanations = bench.explanations_of(models(4, change=lambda signal: signal * factors), {})
     best, suspect = of_instrument(explanations)[0]
     assert suspect.labels == ("row4", "row13") and suspect.explains
     without = explanations.evidence(())
@@ -95,7 +94,9 @@ def test_first_order_ranks_single_readings_as_fits_do_where_a_prior_pulls(seed):
     signal *= 1.0 + bench.SIGMA * np.random.default_rng(seed).standard_normal(len(signal))
     rows, noise = bench.readings(signal), bench.simulation_noise(seed)
     prior = TRUTH["alpha_abs_per_cm"] + 5.0 * bench.PRIOR_SIGMA
-    explanations = Explanations(lambda added: bench.Model(rows, tuple(added), noise, prior), {})
+    explanations = bench.explanations_of(
+        lambda added: bench.Model(rows, tuple(added), noise, prior), {}
+    )
     fitted = [_bad(explanations, (place,))[0].evidence.log for place in range(len(rows))]
     singles = [places for places in _worst(explanations) if len(places) == 1]
     assert singles == [(place,) for place in np.argsort(fitted)[:-4:-1]]
@@ -128,7 +129,7 @@ def test_many_readings_are_searched_in_little_memory():
     ]
     for place, other in ((20, rows[41]), (41, rows[20])):
         rows[place] = replace(rows[place], signal=other.signal, sigma=other.sigma)
-    explanations = Explanations(
+    explanations = bench.explanations_of(
         lambda added: bench.Model(tuple(rows), added, noise, TRUTH["alpha_abs_per_cm"]), {}
     )
     fit = explanations.baseline
@@ -142,7 +143,7 @@ def test_many_readings_are_searched_in_little_memory():
     def chi2(pair):
         order = np.arange(len(rows))
         order[list(pair)] = pair[::-1]
-        return settle(fit.problem.exchanged(order), fit.theta).chi2
+        return settle(fit.statistic.exchanged(order), fit.theta).chi2
 
     best = likely_swaps(fit, 5)
     assert sorted(best, key=chi2) == best
@@ -181,7 +182,7 @@ def test_something_without_a_name_grows_with_the_misfit():
     pattern = np.sin(np.arange(len(bench.ROWS)))
     for drawn in (0.0, 0.03, 0.12):
         own = models(9, change=lambda signal, a=drawn: signal * np.exp(a * pattern))
-        explanations = Explanations(own, {})
+        explanations = bench.explanations_of(own, {})
         found = unnamed(explanations, ())
         best = max(found, key=lambda each: each.evidence.log)
         assert all(each.name == UNKNOWN for each in found)
@@ -195,7 +196,9 @@ def test_a_proposed_reading_buys_what_it_then_does():
     rows = bench.readings(signal)
 
     def explained(taken):
-        return Explanations(lambda added: bench.Model(taken, tuple(added), light_yield=LIGHT), {})
+        return bench.explanations_of(
+            lambda added: bench.Model(taken, tuple(added), light_yield=LIGHT), {}
+        )
 
     def predict(effects, thetas):
         return bench.Model(rows, effects).predict_many(thetas)
@@ -220,13 +223,13 @@ def test_a_proposed_reading_buys_what_it_then_does():
 def test_what_has_no_name_is_likely_to_go_on_where_it_was_measured():
     """Drawn at the readings themselves it is their residual; far from all it is only as large."""
     change = np.where([row["n_gap"] > 1.4 for row in bench.ROWS], 0.94, 1.0)
-    explanations = Explanations(models(5, change=lambda signal: signal * change), {})
+    explanations = bench.explanations_of(models(5, change=lambda signal: signal * change), {})
     largest = max(unnamed(explanations, ()), key=lambda each: each.log_weight)
     fit = explanations.baseline
     thetas = np.repeat(fit.theta[None], 400, axis=0)
     far = {**bench.ROWS[0], "n_gap": 9.0}
     drawn = unnamed_at(explanations, largest, thetas, [*bench.ROWS, far])
-    residual = fit.problem.signal / fit.signal - 1.0
+    residual = fit.statistic.signal / fit.signal - 1.0
     assert np.abs(drawn.mean(axis=0)[:-1] - residual).max() < 0.02
     assert drawn[:, :-1].std(axis=0).max() < 0.02
     assert drawn[:, -1].std() == pytest.approx(largest.amplitude, rel=0.15)

@@ -20,7 +20,7 @@ from mcrim_mitsuba.inference.diagnose import RepairStep
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.model import CampaignModel
-from mcrim_mitsuba.inference.profiles import Profile, profiles_of
+from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.peak import fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
@@ -56,8 +56,8 @@ def test_a_quadratic_statistic_has_a_parabola(scenes, tmp_path):
     def hold(text):
         return text.split("[parameters")[0] + "[light_yield]" + text.split("[light_yield]")[1]
 
-    model, found = fitted(scenes, tmp_path, hold)
-    scale, light = profiles_of(model, found)
+    _, found = fitted(scenes, tmp_path, hold)
+    scale, light = found.profiles
     assert (scale.name, light.name) == ("scale", "light_yield_ph_per_keV")
     parabola = ((scale.values - scale.value) / scale.sigma) ** 2
     assert scale.delta_chi2 == pytest.approx(parabola, abs=1e-4)
@@ -74,8 +74,8 @@ def test_a_quadratic_statistic_has_a_parabola(scenes, tmp_path):
 
 
 def test_profiles_cross_where_the_intervals_end(scenes, tmp_path):
-    model, found = fitted(scenes, tmp_path)
-    for profile in profiles_of(model, found):
+    _, found = fitted(scenes, tmp_path)
+    for profile in found.profiles:
         known = found.parameters[profile.name]
         # a lopsided one, followed by MINOS: 1e-3 of an error
         off = 0.05 if profile.name == "light_yield_ph_per_keV" else 1e-3
@@ -86,12 +86,12 @@ def test_profiles_cross_where_the_intervals_end(scenes, tmp_path):
 
 
 def test_a_profile_ends_at_its_bound(scenes, tmp_path):
-    model, found = fitted(
+    _, found = fitted(
         scenes,
         tmp_path,
         lambda text: text.replace("max = 10.0", "max = 0.3").replace("start = 0.5", "start = 0.2"),
     )
-    profile = profiles_of(model, found)[0]
+    profile = found.profiles[0]
     known = found.parameters[ALPHA_SCAT]
     assert known.at_bound == "max" and profile.ends == (None, "max")
     assert profile.values[-1] == 0.3 and profile.crossings(1)[1] is None
@@ -118,8 +118,8 @@ def test_the_budget_adds_up_to_the_error(scenes, tmp_path):
 
 
 def test_numbers_are_what_is_drawn(scenes, tmp_path):
-    model, found = fitted(scenes, tmp_path)
-    made = profiles_of(model, found)
+    _, found = fitted(scenes, tmp_path)
+    made = found.profiles
     for drawing in (profiles.draw_profiles(made), budget.draw_budget(found)):
         figure, table = drawing.save(tmp_path / "figure.pdf")
         assert figure.read_bytes().startswith(b"%PDF") and b"/Type3" not in figure.read_bytes()
@@ -137,8 +137,8 @@ def test_numbers_are_what_is_drawn(scenes, tmp_path):
 
 
 def test_calibrate_refuses_places_of_its_three_figures(scenes, here, monkeypatch, mcrim):
-    model, found = fitted(scenes, here)
-    result = campaigns.CampaignResult(found, model, (), Provenance(0, 2, 0, "hash", {}, 0.0, ()))
+    _, found = fitted(scenes, here)
+    result = campaigns.CampaignResult(found, Provenance(0, 2, 0, "hash", {}, 0.0, ()))
     monkeypatch.setattr(campaigns, "calibrate", lambda *_, **__: result)
     before = {path: path.read_bytes() for path in here.iterdir()}
     drawn = ["calibrate", "camoo4_campaign.toml", "--figure"]
@@ -170,7 +170,7 @@ def suspicious(found, label):
 
 
 def test_hostile_labels_break_no_figure(scenes, tmp_path):
-    model, found = fitted(scenes, tmp_path)
+    _, found = fitted(scenes, tmp_path)
     hostile = replace(
         found,
         rows=rows(HOSTILE),
@@ -181,7 +181,7 @@ def test_hostile_labels_break_no_figure(scenes, tmp_path):
         RepairStep(i, name, HOSTILE[:i], 9.0, 3, 0.1, 1.0, 1.0, 0.0, found.parameters, None)
         for i, name in enumerate((None, *HOSTILE))
     ]
-    one = profiles_of(model, found)[0]
+    one = found.profiles[0]
     curves = [replace(one, name=name) for name in HOSTILE]
     spectrum = PhotonSpectrum(14.3)
     histogram = Histogram(Path("air"), (), spectrum.photons(), spectrum.sample(1))
@@ -245,8 +245,8 @@ def test_nothing_to_draw_is_said(scenes, tmp_path):
             + "\n[parameters.scale]\nstart = 57.0\nfixed = true\n"
         )
 
-    model, found = fitted(scenes, tmp_path, hold_all)
-    assert profiles_of(model, found) == ()
+    _, found = fitted(scenes, tmp_path, hold_all)
+    assert found.profiles == ()
     for figure in (profiles.draw_profiles(()).figure, budget.draw_budget(found).figure):
         figure.draw_without_rendering()
         assert "nothing was fitted" in figure.texts[0].get_text()
@@ -258,7 +258,13 @@ def test_nothing_to_draw_is_said(scenes, tmp_path):
 def test_profile_crossings_are_none_where_the_curve_ends():
     values = np.array([1.0, 2.0, 3.0])
     profile = Profile(
-        "x", values, (values - 2) ** 2 * 4, 8 * (values - 2), 2.0, 0.5, None, None, ("min", None)
+        name="x",
+        values=values,
+        delta_chi2=(values - 2) ** 2 * 4,
+        slopes=8 * (values - 2),
+        value=2.0,
+        sigma=0.5,
+        ends=("min", None),
     )
     assert profile.crossings(1) == pytest.approx((1.5, 2.5))
     assert profile.crossings(5) == (None, None)

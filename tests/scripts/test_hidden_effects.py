@@ -14,7 +14,7 @@ from trials import hidden_trials as trials
 from mcrim_mitsuba.campaign.campaign import as_campaign
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.efficiency.bench import Bench
-from mcrim_mitsuba.inference.workbench import USUAL_LIQUIDS
+from mcrim_mitsuba.inference.simulations import USUAL_LIQUIDS
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 

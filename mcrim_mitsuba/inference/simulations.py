@@ -1,7 +1,8 @@
-"""A campaign with the responses of its readings, from which models are made."""
+"""What is simulated of a campaign, and the models that are made of it."""
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,11 +21,14 @@ from mcrim_mitsuba.core.rounding import number
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, ResponseMaker
-from mcrim_mitsuba.efficiency.responses import Responses
+from mcrim_mitsuba.efficiency.eta_grid import Grid
+from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR, ResponseMaker
+from mcrim_mitsuba.efficiency.responses import Anchor, Responses
+from mcrim_mitsuba.inference.drivers import Minimum, find_minima
 from mcrim_mitsuba.inference.explanations import plausible_priors
-from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model
+from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model, result_of
 from mcrim_mitsuba.inference.model import ResponseModel, acts_on, held
+from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.scene.spectrophotometer import (
     ACCEPTANCE,
     BEAM_AXIS,
@@ -35,27 +39,41 @@ from mcrim_mitsuba.scene.spectrophotometer import (
 
 #: What may be proposed where a campaign does not say: liquids and apertures with each other, and
 #: other gaps and crystals with each of two liquids.
-USUAL_LIQUIDS, USUAL_APERTURES_MM = (1.0, 1.333, 1.46, 1.515, 1.74), (14.0, 7.0, 4.0)
+USUAL_LIQUIDS = (1.0, 1.333, 1.46, 1.515, 1.74)
+USUAL_APERTURES_MM = (14.0, 7.0, 4.0)
 USUAL_FURTHER = {"gap_mm": (0.5,), "crystal_height_mm": (20.0, 2.0)}
-
 #: Transmittances, where there is one already: within other angles, and through a long crystal.
-USUAL_ACCEPTANCES_DEG, _LONG = (1.0, 30.0), ("crystal_height_mm", 20.0)
-#: Part of the photons that simulations of proposed measurements get: they decide nothing.
-PROPOSED_PART = 0.25
-#: How far, in its standard errors, a parameter may move when the effects are simulated together
-#: before they are simulated once more where it went; and how often.
-SETTLED, MOST_ANCHORS = 0.5, 2
-#: Standard errors of what is plausible from which the readings leave a size open.
-OPEN = 2.0
-#: Most configurations that are simulated to see what they would tell.
-MOST_PROPOSALS = 40
-#: How much worse than by responses chi2 may be where effects are simulated together before a note
-#: tells: by this factor and by this much.
-NOT_ADDING_UP, _WORSE = 2.0, 10.0
-#: Time that a mounting takes.
-MINUTES_PER_MOUNTING = 30.0
-#: Relative error of a proposed reading, where the campaign's readings do not say.
-_USUAL_SIGMA = 0.01
+USUAL_ACCEPTANCES_DEG = (1.0, 30.0)
+_LONG = ("crystal_height_mm", 20.0)
+
+
+@dataclass(frozen=True)
+class _Extent:
+    """How much is simulated."""
+
+    #: Photons times precision squared of a usual eta (a quarter), weights included.
+    photons_per_precision: float = 4.0
+    #: How far, in its standard errors, a parameter may move when the effects are simulated
+    #: together before they are simulated once more where it went; and how often.
+    settled: float = 0.5
+    most_anchors: int = 2
+    #: Standard errors of what is plausible from which the readings leave a size open.
+    open: float = 2.0
+    #: How much worse than by responses chi2 may be where effects are simulated together before a
+    #: note tells: by this factor and by this much.
+    not_adding_up: float = 2.0
+    worse: float = 10.0
+    #: Part of the photons that simulations of proposed measurements get: they decide nothing; and
+    #: most configurations that are simulated to see what they would tell.
+    proposed_part: float = 0.25
+    most_proposals: int = 40
+    #: Time that a mounting takes.
+    minutes_per_mounting: float = 30.0
+    #: Relative error of a proposed reading, where the campaign's readings do not say.
+    usual_sigma: float = 0.01
+
+
+EXTENT = _Extent()
 
 
 @dataclass(frozen=True)
@@ -85,84 +103,121 @@ class MeasurementProposals:
         further = sum(
             self.minutes.get(name, 0.0) for name, value in changes if self.own.get(name) != value
         )
-        return (MINUTES_PER_MOUNTING * len(places) + further) / 60.0
+        return (EXTENT.minutes_per_mounting * len(places) + further) / 60.0
 
 
-class Workbench:
-    """A campaign with the responses of its readings, from which models are made.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CampaignModels:
+    """What was simulated of a campaign, and the models that it makes; values that never change."""
 
-    The photons of `run` are those of every simulation with an effect; configurations as they are
-    get several times as many. Its precision does not matter.
-    """
-
-    def __init__(self, campaign: Campaign, run: Run) -> None:
-        self.campaign = campaign
-        self.run = run
-        self._start = time.perf_counter()
-        self._makers: list[ResponseMaker] = []
-        self.notes: list[str] = []
-        #: Effects that could be missing; those that a diagnosis tries.
-        self.candidates: dict[str, Effect] = {}
-        #: What was simulated; `simulate` comes first.
-        self.responses: Responses
-        #: Effects whose simulations had all photons.
-        self.precise: set[str] = set()
-
-    def simulate(self, effects: Sequence[str] = (), look: Collection[str] = ()) -> None:
-        """Make the responses, with those of some effects besides the campaign's own.
-
-        What was simulated before is not simulated again. Effects named by `look` get a first look
-        with a part of the photons, if they had no more before.
-        """
-        catalogue = self.campaign.catalogue
-        made = [catalogue[name] for name in (*self.campaign.effects, *effects)]
-        self.precise |= {
-            each.name for each in made if each.name not in look or each.reading is not None
-        }
-        self.responses = self.own_maker.make(made, set(look) - self.precise)
+    campaign: Campaign
+    responses: Responses
+    #: All of the campaign's own effects at once, where its own fit ends; None where their responses
+    #: add up exactly.
+    anchor: Anchor | None
+    #: Effects whose simulations had all photons.
+    precise: frozenset[str]
 
     @property
     def simulated(self) -> frozenset[str]:
         """Effects that models can have, besides the campaign's own: those of the readings too."""
-        known, catalogue = self.responses.effects, self.campaign.catalogue
-        return frozenset(n for n, e in catalogue.items() if n in known or e.reading is not None)
-
-    @cached_property
-    def own_maker(self) -> ResponseMaker:
-        """What makes the responses of the campaign's own readings."""
-        return self.maker(self.campaign, "simulation")
+        responses, catalogue = self.responses.effects, self.campaign.catalogue
+        return frozenset(n for n, e in catalogue.items() if n in responses or e.reading is not None)
 
     def model(
         self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
     ) -> ResponseModel:
         """The campaign's model with more effects than its own switched on."""
-        return self._model(self.campaign.with_effects(effects).with_starts(starts or {}))
+        return self.model_of(self.campaign.with_effects(effects).with_starts(starts or {}))
 
     def reduced_model(self, effects: Sequence[str]) -> ResponseModel:
         """The campaign's model with these of its own effects alone."""
-        return self._model(self.campaign.with_only(effects))
-
-    def _model(self, campaign: Campaign) -> ResponseModel:
-        return ResponseModel(campaign, self.responses, campaign.switched_on)
-
-    def anchored_model(self, effects: Sequence[str], values: Mapping[str, float]) -> ResponseModel:
-        """The same, corrected by a simulation of all effects at once at some values.
-
-        Fits begin there.
-        """
-        return self._anchored(self.campaign.with_effects(effects), values)
-
-    def _anchored(self, campaign: Campaign, values: Mapping[str, float]) -> ResponseModel:
-        campaign = campaign.with_starts(values)
-        maker = self.maker(campaign, f"simulation with {' and '.join(campaign.effects)}")
-        # sizes of effects that are held are in the scene, too
-        anchor = maker.anchor(campaign.switched_on, {**held(campaign), **values})
+        campaign = self.campaign.with_only(effects)
+        anchor = self.anchor if campaign.effects == self.campaign.effects else None
         return ResponseModel(campaign, self.responses, campaign.switched_on, anchor)
 
-    def settled_model(
+    def model_of(self, campaign: Campaign, anchor: Anchor | None = None) -> ResponseModel:
+        """The model of a campaign with the same configurations, anchored here or elsewhere."""
+        anchor = self.anchor if anchor is None else anchor
+        return ResponseModel(campaign, self.responses, campaign.switched_on, anchor)
+
+
+class CampaignSimulations:
+    """Simulates what models of a campaign rest on, and keeps the account of it.
+
+    The photons of `run` are those of every simulation with an effect; configurations as they are
+    get several times as many. With a precision eta of these is simulated to it, as far as it can.
+    All that is asked of one campaign, run and version rests on the same simulations, so that its
+    own fit is the same whatever else is asked.
+    """
+
+    def __init__(self, campaign: Campaign, run: Run) -> None:
+        self.campaign = campaign
+        photons, precision = run.photons, run.precision
+        if precision is not None:
+            enough = round(EXTENT.photons_per_precision / precision**2 / PLAIN_FACTOR)
+            photons = max(enough if photons is None else min(enough, photons), 1)
+        self.run = replace(run, photons=photons)
+        self._start = time.perf_counter()
+        self._makers: list[ResponseMaker] = []
+        self._models: CampaignModels | None = None
+        # of the campaign's own effects; whether one is needed is known once there are models
+        self._anchor: Anchor | None = None
+        self._fit: Calibration | None = None
+        self.notes: list[str] = []
+
+    def of(self, campaign: Campaign) -> CampaignSimulations:
+        """Those of a campaign with the same configurations, which go on from here."""
+        other = copy.copy(self)
+        other.campaign, other._fit = campaign, None
+        if self._models is not None:
+            other._models = replace(self._models, campaign=campaign)
+        if campaign.effects != self.campaign.effects:
+            other._anchor = None
+        return other
+
+    @property
+    def models(self) -> CampaignModels:
+        """What was simulated so far; of the bench as it is, if nothing was."""
+        return self._models or self.simulate()
+
+    def simulate(self, effects: Sequence[str] = (), look: Collection[str] = ()) -> CampaignModels:
+        """What models rest on, with some effects besides the campaign's own.
+
+        What was simulated before is not simulated again. Effects named by `look` get a first look
+        with a part of the photons, if they had no more before.
+        """
+        catalogue = self.campaign.catalogue
+        wanted = [catalogue[name] for name in (*self.campaign.effects, *effects)]
+        precise = frozenset[str]() if self._models is None else self._models.precise
+        precise |= {e.name for e in wanted if e.name not in look or e.reading is not None}
+        self._models = CampaignModels(
+            campaign=self.campaign,
+            responses=self._maker.make(wanted, set(look) - precise),
+            anchor=self._anchor,
+            precise=precise,
+        )
+        if self._anchor is None and not self._maker.is_exact(self.campaign.switched_on):
+            fit = self._anchored(self.campaign, profile=False)
+            assert isinstance(fit.model, ResponseModel)
+            self._anchor = fit.model.anchor
+            self._models = replace(self._models, anchor=self._anchor)
+        return self._models
+
+    def fit(self, minima: list[Minimum] | None = None) -> Calibration:
+        """The campaign's own fit, the one that every verb shows; errors as `fit_model`.
+
+        Its `minima` need not be found again where they are known.
+        """
+        if self._fit is None:
+            minima = minima or find_minima(Statistic(self.models.model()))
+            self._fit = result_of(minima, profile=True)
+        return self._fit
+
+    def settled_fit(
         self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
-    ) -> tuple[ResponseModel, Calibration]:
-        """The model that was simulated where its own fit ends, and that fit.
+    ) -> Calibration:
+        """The fit with more effects, of the model that was simulated where that fit ends.
 
         Responses add up what effects do one by one, between nodes; where that is not exact, all
         effects are simulated together where the fit ended, and it is repeated from there.
@@ -174,45 +229,83 @@ class Workbench:
         """
         campaign = self.campaign.with_effects(effects).with_starts(starts or {})
         added = [self.campaign.catalogue[name] for name in effects]
-        known = plausible_priors(added, self.model())
+        plausible = plausible_priors(added, self.models.model())
         try:
-            model, found = self._settled(campaign)
-            open_sizes = [n for n, (_, s) in known.items() if found.parameters[n].sigma > OPEN * s]
+            fit = self._settled(campaign)
+            open_sizes = [
+                n for n, (_, s) in plausible.items() if fit.parameters[n].sigma > EXTENT.open * s
+            ]
         except UndeterminedError:
-            if not known:
+            if not plausible:
                 raise
-            open_sizes = list(known)
+            open_sizes = list(plausible)
         if not open_sizes:
-            return model, found
-        priors = {name: known[name] for name in open_sizes}
-        model, found = self._settled(campaign.with_priors(priors))
-        said = "; ".join(f"{name} {number(at)} ± {number(s)}" for name, (at, s) in priors.items())
-        note = f"the readings leave sizes open, and what is plausible is their prior: {said}"
-        return model, replace(found, notes=(*found.notes, note))
+            return fit
+        priors = {name: plausible[name] for name in open_sizes}
+        fit = self._settled(campaign.with_priors(priors))
+        sizes = "; ".join(f"{name} {number(at)} ± {number(s)}" for name, (at, s) in priors.items())
+        note = f"the readings leave sizes open, and what is plausible is their prior: {sizes}"
+        return replace(fit, notes=(*fit.notes, note))
 
-    def _settled(self, campaign: Campaign) -> tuple[ResponseModel, Calibration]:
-        """A campaign's model, simulated where its fit ends, and that fit."""
-        model = self._model(campaign)
-        if self.own_maker.is_exact(campaign.switched_on):
-            return model, fit_model(model)
-        found = fit_model(model, profile=False)
-        by_responses = found.chi2
-        for _ in range(MOST_ANCHORS):
-            model = self._anchored(campaign, found.values)
-            before, found = found, fit_model(model, profile=False)
-            sigmas = np.array([found.parameters[name].sigma for name in found.names])
-            if np.all(np.abs(found.theta - before.theta) / np.maximum(sigmas, 1e-300) < SETTLED):
+    def _settled(self, campaign: Campaign) -> Calibration:
+        if self._maker.is_exact(campaign.switched_on):
+            return fit_model(self.models.model_of(campaign))
+        return self._anchored(campaign, profile=True)
+
+    def _anchored(self, campaign: Campaign, *, profile: bool) -> Calibration:
+        """The fit of a campaign's model, all effects simulated together where it ends."""
+        fit = fit_model(self.models.model_of(campaign), profile=False)
+        by_responses = fit.chi2
+        for last in reversed(range(EXTENT.most_anchors)):
+            model = self.anchored_model(campaign, fit.values)
+            before, fit = fit, fit_model(model, profile=False)
+            sigmas = np.array([fit.parameters[name].sigma for name in fit.names])
+            moved = np.abs(fit.theta - before.theta) / np.maximum(sigmas, 1e-300)
+            if np.all(moved < EXTENT.settled) or not last:
                 break
-        found = fit_model(model)
-        if found.chi2 < max(NOT_ADDING_UP * by_responses, by_responses + _WORSE):
-            return model, found
+        if profile:
+            fit = fit_model(model)
+        if fit.chi2 < max(EXTENT.not_adding_up * by_responses, by_responses + EXTENT.worse):
+            return fit
         names = " and ".join(campaign.effects)
         note = (
-            f"with {names} simulated together chi2 is {number(found.chi2)}, not "
+            f"with {names} simulated together chi2 is {number(fit.chi2)}, not "
             f"{number(by_responses)} as their responses, simulated one by one, had it: the effects "
             "do not add up, or an effect's file acts otherwise alone than beside others"
         )
-        return model, replace(found, notes=(*found.notes, note))
+        return replace(fit, notes=(*fit.notes, note))
+
+    def anchored_model(self, campaign: Campaign, values: Mapping[str, float]) -> ResponseModel:
+        """A campaign's model, corrected by a simulation of all its effects at once at some values.
+
+        Fits begin there.
+        """
+        campaign = campaign.with_starts(values)
+        maker = self._maker_of(campaign, f"simulation with {' and '.join(campaign.effects)}")
+        # sizes of effects that are held are in the scene, too
+        anchor = maker.anchor(campaign.switched_on, {**held(campaign), **values})
+        return self.models.model_of(campaign, anchor)
+
+    def is_exact(self, effects: Sequence[Effect]) -> bool:
+        """Whether responses tell what effects do together without a joint simulation."""
+        return self._maker.is_exact(effects)
+
+    @property
+    def grid(self) -> Grid:
+        """The coefficients that are simulated."""
+        return self._maker.grid
+
+    @cached_property
+    def _maker(self) -> ResponseMaker:
+        """What makes the responses of the campaign's own readings."""
+        return self._maker_of(self.campaign, "simulation")
+
+    def _maker_of(self, campaign: Campaign, what: str, part: float = 1.0) -> ResponseMaker:
+        """What makes responses of a campaign, its progress shown under a name."""
+        photons = max(round(part * self.run.photons_or(EFFECT_PHOTONS)), 1)
+        maker = ResponseMaker(campaign, replace(self.run, photons=photons), what)
+        self._makers.append(maker)
+        return maker
 
     def proposals(self) -> MeasurementProposals:
         """What could be measured next; it is simulated when it is asked for."""
@@ -247,10 +340,16 @@ class Workbench:
             return float(given)
         rows = self.campaign.measurements.in_use
         used = [r.sigma / r.signal for r in rows if r.of_beam == of_beam]
-        return float(np.median(used)) if used else _USUAL_SIGMA
+        return float(np.median(used)) if used else EXTENT.usual_sigma
+
+    def further(self, configurations: Sequence[Mapping[str, Value]]) -> ResponseModel:
+        """The campaign's model of configurations of light that were not measured."""
+        return self._proposed(configurations, 1.0)(())
 
     def _proposed(
-        self, configurations: Sequence[Mapping[str, Value]]
+        self,
+        configurations: Sequence[Mapping[str, Value]],
+        part: float = EXTENT.proposed_part,
     ) -> Callable[[tuple[str, ...]], ResponseModel]:
         """The model with some effects of configurations of one kind, taken for readings."""
         readings = tuple(
@@ -271,7 +370,7 @@ class Workbench:
 
         @cache
         def maker() -> ResponseMaker:
-            return self.maker(proposed, "proposed measurements", PROPOSED_PART)
+            return self._maker_of(proposed, "proposed measurements", part)
 
         @cache  # what is predicted with some effects has its noise asked for next
         def model(effects: tuple[str, ...]) -> ResponseModel:
@@ -300,19 +399,21 @@ class Workbench:
             )
 
         found = [p for p in _buildable(campaign) if new(p)]
-        if len(found) > MOST_PROPOSALS:
+        if len(found) > EXTENT.most_proposals:
             self.notes.append(
-                f"of {len(found)} configurations that could be measured next, {MOST_PROPOSALS} "
-                "were looked at: restrict [next_measurements]"
+                f"of {len(found)} configurations that could be measured next, "
+                f"{EXTENT.most_proposals} were looked at: restrict [next_measurements]"
             )
-        return found[:MOST_PROPOSALS], [p for p in _beams(campaign) if new(p)][:MOST_PROPOSALS]
+        return found[: EXTENT.most_proposals], [p for p in _beams(campaign) if new(p)][
+            : EXTENT.most_proposals
+        ]
 
     def provenance(self) -> Provenance:
         """What was spent so far."""
         from mcrim_mitsuba.transport.variants import versions
 
         of_caches = [note for maker in self._makers for note in maker.notes]
-        of_caches += self.own_maker.said
+        of_caches += self._maker.said
         return Provenance(
             seed=self.run.seed,
             photons=sum(maker.photons for maker in self._makers),
@@ -322,13 +423,6 @@ class Workbench:
             seconds=time.perf_counter() - self._start,
             notes=tuple(dict.fromkeys((*self.notes, *of_caches))),
         )
-
-    def maker(self, campaign: Campaign, what: str, part: float = 1.0) -> ResponseMaker:
-        """What makes responses of a campaign, its progress shown under a name."""
-        photons = max(round(part * self.run.photons_or(EFFECT_PHOTONS)), 1)
-        maker = ResponseMaker(campaign, replace(self.run, photons=photons), what)
-        self._makers.append(maker)
-        return maker
 
     def possible(self) -> dict[str, Effect]:
         """Effects of the catalogue that the scene can take and does not have."""

@@ -11,9 +11,10 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict
 
 from mcrim_mitsuba.effects.effect import Effect, modules_of
+from mcrim_mitsuba.inference.drivers import Minimum
 from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, error_of_difference
 from mcrim_mitsuba.inference.explanations import Explanations, Models
-from mcrim_mitsuba.inference.workbench import Workbench
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.runs.cache import RecordCache, code_hash, record_versions
 from mcrim_mitsuba.runs.executors import current_executor, number_of
 
@@ -21,17 +22,17 @@ from mcrim_mitsuba.runs.executors import current_executor, number_of
 #: a first look has few nodes. What it must gain over the bench as it is, if this describes the
 #: readings. Standard errors of the simulation are added to both.
 BEHIND, PART_BEHIND, LEAST_GAIN, ERRORS = 20.0, 0.1, 6.0, 1.0
-#: Pairs whose members are contenders where no effect alone explains the readings.
+#: Pairs whose members are promising_effects where no effect alone explains the readings.
 MOST_PAIRS = 4
 
 
-def contenders(models: Models, effects: Mapping[str, Effect]) -> set[str]:
+def promising_effects(models: Models, effects: Mapping[str, Effect], baseline: Minimum) -> set[str]:
     """Effects that may explain the readings, after a first look at all of them.
 
     Parameters and errors as for `diagnose.diagnose_models`.
     """
-    explanations = Explanations(models, effects)
-    fits, baseline = explanations.singles(), explanations.baseline
+    explanations = Explanations(models, effects, baseline)
+    fits = explanations.singles()
     if baseline.ndf <= 0 or not fits:
         return set()
     best = min(fits.values(), key=lambda fit: fit.chi2)
@@ -53,11 +54,11 @@ def contenders(models: Models, effects: Mapping[str, Effect]) -> set[str]:
     return found
 
 
-class Memory:
+class ScreeningCache:
     """What a race ended with, kept where simulations are kept: to run it again takes seconds."""
 
-    def __init__(self, bench: Workbench, tried: Iterable[str]) -> None:
-        campaign, run = bench.campaign, bench.run
+    def __init__(self, simulations: CampaignSimulations, tried: Iterable[str]) -> None:
+        campaign, run = simulations.campaign, simulations.run
         self._cache: RecordCache = current_executor().cache(
             {
                 "what": "race",

@@ -1,0 +1,324 @@
+"""Two ways down a statistic, and the minima that they lead to.
+
+`newton` is for the thousands of fits of a diagnosis, which mostly start close to the answer.
+`minuit` is for a campaign's own fit: it says whether it is content, and its simplex gets along with
+kinks. F. James and M. Roos, Comput. Phys. Commun. 10 (1975) 343.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from iminuit import Minuit
+
+from mcrim_mitsuba.core.descent import Array, minimise
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.inference.statistic import Statistic, Weights, inverse, p_value
+
+
+@dataclass(frozen=True)
+class _Search:
+    """How minima are searched."""
+
+    #: Points of the scan in alpha_scat that finds starts, and how many of its minima to follow.
+    scan_points: int = 31
+    most_starts: int = 3
+    #: Rise of chi2 over the whole scan from which the readings know of alpha_scat.
+    flat: float = 1e-6
+    #: Longest step in the logarithm of a scattering coefficient.
+    longest_log_step: float = 1.5
+    #: Updates of the covariance, and the shift (in standard errors, squared) that ends them.
+    most_updates: int = 6
+    settled: float = 1e-4
+    #: Squared distance, in standard errors, of minima that count as two.
+    apart: float = 0.01
+    #: Fall of chi2, still to be expected, that ends a minimum that MINUIT goes on from.
+    newton_precision: float = 1e-8
+    #: MINUIT stops at an expected distance to the minimum of 0.002 times this.
+    minuit_tolerance: float = 1e-4
+
+
+SEARCH = _Search()
+
+
+def newton(
+    statistic: Statistic,
+    theta: Array,
+    weights: Weights,
+    *,
+    held: Sequence[int] = (),
+    steps: int = 40,
+    precision: float = 1e-5,
+) -> tuple[Array, float, bool]:
+    """Parameters, chi2 and whether it converged, downhill from a start with the weights held.
+
+    `held` are the places of parameters that stay; the rest is as for `core.descent.minimise`.
+    """
+
+    def height_at(x: Array) -> tuple[float, Array, Array]:
+        residuals, slopes = statistic.evaluate(statistic.external(x), weights)
+        return float(residuals @ residuals), slopes.T @ residuals, slopes.T @ slopes
+
+    x, chi2, converged = minimise(
+        height_at,
+        statistic.internal(theta),
+        statistic.low,
+        statistic.high,
+        held=held,
+        longest=np.where(statistic.logarithmic, SEARCH.longest_log_step, np.inf),
+        steps=steps,
+        precision=precision,
+    )
+    return statistic.external(x), chi2, converged
+
+
+def minuit(statistic: Statistic, theta: Array, weights: Weights) -> tuple[Array, float, bool]:
+    """Parameters, chi2 and whether MINUIT is content, from a start with the weights held."""
+    if not len(theta):
+        return theta, statistic.chi2(theta, weights), True
+    latest: dict[bytes, tuple[float, Array]] = {}
+
+    def evaluated(x: Array) -> tuple[float, Array]:
+        # MINUIT asks for chi2 and slopes of one point in turn
+        key = x.tobytes()
+        if key not in latest:
+            residuals, slopes = statistic.evaluate(statistic.external(x), weights)
+            latest.clear()
+            latest[key] = float(residuals @ residuals), 2.0 * residuals @ slopes
+        return latest[key]
+
+    x = statistic.internal(theta)
+    inside, first_steps = [], []
+    limits = list(zip(statistic.low.tolist(), statistic.high.tolist(), strict=True))
+    for place, (low, high) in enumerate(limits):
+        # clear of the bounds, on which MINUIT's transformation has no slope
+        margin = 1e-6 * (high - low if math.isfinite(high - low) else max(abs(x[place]), 1e-6))
+        inside.append(min(max(x[place], low + margin), high - margin))
+        prior_weight = float(statistic.prior_weight[place])
+        step = 0.05 * abs(inside[-1]) or 0.01
+        if statistic.logarithmic[place]:
+            step = 0.1
+        elif prior_weight:
+            step = prior_weight**-0.5
+        first_steps.append(step)
+    search = Minuit(
+        lambda x: evaluated(x)[0],
+        np.array(inside),
+        grad=lambda x: evaluated(x)[1],
+        name=statistic.names,
+    )
+    search.errordef = Minuit.LEAST_SQUARES
+    search.tol = SEARCH.minuit_tolerance
+    search.limits = limits
+    search.errors = first_steps
+    search.migrad()
+    content = search.valid
+    if not content:
+        # at a node of a response with kinks, slopes do not vanish: SIMPLEX needs none
+        before = search.fval
+        search.simplex()
+        content = search.valid and before - search.fval < SEARCH.settled
+    return statistic.external(np.array(search.values)), float(search.fval), bool(content)
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """A minimum of the statistic, with what the linear theory around it needs."""
+
+    statistic: Statistic
+    #: (free,) float64
+    theta: Array
+    #: With `weights`, which the minimum itself predicts.
+    chi2: float
+    weights: Weights
+    #: (readings,) float64: Predicted, for all readings.
+    signal: Array
+    #: (used, free) float64: d predicted signal / d parameter.
+    slopes: Array
+    converged: bool
+    #: Per parameter, the bound that stopped it.
+    at_bound: tuple[str | None, ...]
+
+    @classmethod
+    def at(
+        cls, statistic: Statistic, theta: Array, chi2: float, weights: Weights, converged: bool
+    ) -> Minimum:
+        """The minimum where a descent ended."""
+        prediction = statistic.model.predict(theta)
+        slopes = prediction.signal_slopes[statistic.used]
+        whitened = weights.whiten(slopes.T)
+        curvatures = (whitened**2).sum(axis=1) + statistic.prior_weight
+        rise = (theta - statistic.prior) * statistic.prior_weight
+        rise -= whitened @ weights.whiten(statistic.residuals(prediction))
+        sides = tuple(map(statistic.side, range(len(theta)), theta, curvatures, rise))
+        return cls(statistic, theta, chi2, weights, prediction.signal, slopes, converged, sides)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The free parameters."""
+        return self.statistic.names
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters by name."""
+        return self.statistic.values(self.theta)
+
+    @property
+    def ndf(self) -> int:
+        """Readings in use + priors - free parameters."""
+        return self.statistic.ndf
+
+    @property
+    def p_value(self) -> float | None:
+        """Probability of a larger chi2 if the model is right; None without degrees of freedom."""
+        return p_value(self.chi2, self.ndf)
+
+    @property
+    def deviance(self) -> float:
+        """-2 log(likelihood) up to a constant, by which minima compare.
+
+        chi2 alone would prefer the minimum with the largest Monte Carlo errors.
+        """
+        return self.chi2 + self.weights.log_determinant
+
+    @property
+    def residuals(self) -> Array:
+        """(used,) reading minus prediction."""
+        return self.statistic.signal - self.signal[self.statistic.used]
+
+    @cached_property
+    def weighted_residuals(self) -> Array:
+        """(used,) C^-1 r at the minimum; P r of `precision` has what priors pull besides."""
+        return self.weights.weigh(self.residuals)
+
+    @cached_property
+    def information(self) -> Array:
+        """(free, free) Fisher information, priors included."""
+        whitened = self.weights.whiten(self.slopes.T)
+        return whitened @ whitened.T + np.diag(self.statistic.prior_weight)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(free, free) inverse of the information; what no reading tells has a huge variance."""
+        return inverse(self.information)
+
+    @cached_property
+    def response(self) -> Array:
+        """(free, used) d parameter / d reading, to first order."""
+        return self.covariance @ self.weights.weigh(self.slopes.T)
+
+    @cached_property
+    def movable(self) -> Array:
+        """Indices of the parameters that no bound stops."""
+        return np.array([i for i, side in enumerate(self.at_bound) if side is None], int)
+
+    @cached_property
+    def precision(self) -> Array:
+        """(used, used) inverse covariance of readings whose parameters are unknown.
+
+        P = C^-1 - C^-1 J (J^T C^-1 J + prior weights)^-1 J^T C^-1: what the parameters can
+        follow weighs nothing. Parameters at a bound do not follow.
+        """
+        at = self.movable
+        followed = self.weights.weigh(self.slopes[:, at].T)
+        within = inverse(self.information[np.ix_(at, at)])
+        return self.weights.inverse - followed.T @ within @ followed
+
+    def distance(self, theta: Array) -> float:
+        """Squared distance of (free,) parameters from here, in standard errors."""
+        away = theta - self.theta
+        return float(away @ self.information @ away)
+
+
+def settle(statistic: Statistic, theta: Array, *, precision: float = 1e-5) -> Minimum:
+    """The minimum that a start leads to, its covariance updated until it agrees with it."""
+    for _ in range(SEARCH.most_updates):
+        start, weights = theta, Weights(statistic.errors_at(theta))
+        theta, chi2, converged = newton(statistic, theta, weights, precision=precision)
+        minimum = Minimum.at(statistic, theta, chi2, weights, converged)
+        if minimum.distance(start) < SEARCH.settled:
+            break
+    return minimum
+
+
+def best_of(
+    statistic: Statistic, starts: Iterable[Array], weights: Weights, *, follow: int = 2
+) -> Minimum:
+    """The lowest minimum that some (free,) starts lead to.
+
+    The weights are held while the starts are followed; the lowest few, `follow`, then get their
+    own.
+    """
+    ends: list[tuple[float, Array]] = []
+    for start in starts:
+        theta, chi2, _ = newton(statistic, start, weights)
+        if all(abs(chi2 - other) > 1e-3 * (1.0 + other) for other, _ in ends):
+            ends.append((chi2, theta))
+    ends.sort(key=lambda end: end[0])
+    minima = [settle(statistic, theta) for _, theta in ends[:follow]]
+    return min(minima, key=lambda minimum: minimum.deviance)
+
+
+def find_minima(statistic: Statistic) -> list[Minimum]:
+    """Minima of a campaign about which nothing is known, the lowest first.
+
+    More than one where the model is ambiguous. alpha_scat is scanned; every minimum of the scan is
+    followed by Newton's method, and ended by MINUIT.
+    """
+    weights = Weights(statistic.errors_before_any_fit())
+    minima: list[Minimum] = []
+    for start in _starts(statistic, weights):
+        theta, _, _ = newton(statistic, start, weights)
+        rough = settle(statistic, theta, precision=SEARCH.newton_precision)
+        theta, chi2, content = minuit(statistic, rough.theta, rough.weights)
+        # MINUIT begins clear of the bounds, and may end a little above where it was
+        if chi2 > rough.chi2:
+            theta, chi2 = rough.theta, rough.chi2
+        minimum = Minimum.at(statistic, theta, chi2, rough.weights, content)
+        if all(minimum.distance(other.theta) > SEARCH.apart for other in minima):
+            minima.append(minimum)
+    return sorted(minima, key=lambda minimum: minimum.deviance)
+
+
+def _starts(statistic: Statistic, weights: Weights) -> list[Array]:
+    """Local minima of a scan in alpha_scat, each with its best scale; all else at its start."""
+    theta = statistic.theta({})
+    scales = [statistic.index(name) for name in statistic.scales]
+    theta[scales] = np.where(theta[scales] > 0.0, theta[scales], 1.0)
+    others = [place for place in range(len(theta)) if place not in scales]
+
+    def with_best_scale(start: Array) -> tuple[Array, float]:
+        for name, rows in statistic.scales.items():
+            place = statistic.index(name)
+            predicted = statistic.model.predict(start).signal[statistic.used]
+            # the statistic is nearly quadratic in the scale: the descent mends what is left
+            start[place] *= float(np.median((statistic.signal / predicted)[rows]))
+        start = np.clip(start, *statistic.bounds)
+        end, height, _ = newton(statistic, start, weights, held=others, steps=3, precision=0.01)
+        return end, height
+
+    own_start = [with_best_scale(theta.copy())[0]]
+    if ALPHA_SCAT not in statistic.names:
+        return own_start
+    place = statistic.index(ALPHA_SCAT)
+    bounds = statistic.free[place]
+    scan = []
+    for value in np.geomspace(bounds.minimum, bounds.maximum, SEARCH.scan_points):
+        start = theta.copy()
+        start[place] = value
+        scan.append(with_best_scale(start))
+    heights = [height for _, height in scan]
+    if np.ptp(heights) < SEARCH.flat:
+        return own_start
+    return [scan[i][0] for i in local_minima(heights)[: SEARCH.most_starts]]
+
+
+def local_minima(heights: Sequence[float]) -> list[int]:
+    """Places lower than both neighbours, the lowest first."""
+    walls = np.concatenate([[np.inf], heights, [np.inf]])
+    places = np.flatnonzero((walls[1:-1] <= walls[:-2]) & (walls[1:-1] <= walls[2:]))
+    return places[np.argsort(walls[1:-1][places], kind="stable")].tolist()

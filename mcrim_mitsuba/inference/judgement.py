@@ -1,0 +1,285 @@
+"""What the fits of a campaign's explanations say: the verdict, and what it rests on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from scipy.special import chdtrc, logsumexp
+
+from mcrim_mitsuba.core.rounding import p_equals
+from mcrim_mitsuba.inference.compare import Suspect
+from mcrim_mitsuba.inference.drivers import Minimum
+from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, corrected, left_out_error
+from mcrim_mitsuba.inference.evidence import Hypothesis
+from mcrim_mitsuba.inference.explanations import Explanations, NullDistribution, Ranking
+from mcrim_mitsuba.inference.unexplained import COMMON_TO_PAIRS, UNKNOWN
+
+#: The verdicts of a diagnosis.
+TOO_FEW_READINGS = "too_few_readings"
+ADEQUATE = "adequate"
+MISSING_EFFECT = "missing_effect"
+AMBIGUOUS = "ambiguous"
+UNEXPLAINED = "unexplained"
+
+# A campaign is adequate where neither its own p-value is below `ACCEPTABLE_P` nor that of the best
+# effect's gain: together they refuse 2 % of campaigns with nothing hidden.
+
+# A pair must fit no worse: after it nothing else is tried, so it is given more room.
+_PAIR_EXPLAINS = 0.003
+# An effect alone that fits no better than 0.01, but no worse than this, still explains the readings
+# where no pair is significantly better: with the right effect one campaign in a hundred is such.
+_BARELY_EXPLAINS = 1e-4
+# A further effect must gain what chance gives the best of all effects this rarely.
+_SIGNIFICANT = 0.01
+# Logarithm of the odds from which one explanation is no rival of another.
+_RIVAL = 3.0
+# The same of what has no name beside the only effect that leads: it has been there where a relative
+# of what was missing fitted well, at a usual size (trials with effects left out of the catalogue).
+_DOUBT = 2.7
+# Explanations that a sentence names.
+_MOST_SAID = 4
+# Effects added at most.
+_MOST_EFFECTS = 4
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the fits say of a campaign."""
+
+    word: str
+    #: In a sentence.
+    reason: str
+    #: Sets of effects that the data cannot tell apart, the best first.
+    leading: tuple[tuple[str, ...], ...] = ()
+    #: Readings that explain the misfit as well as the leading effects, or better.
+    suspects: tuple[Suspect, ...] = ()
+    #: Sets among the leading ones that only the simulation's error keeps there.
+    unsettled: tuple[tuple[str, ...], ...] = ()
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a verdict rests on."""
+
+    explanations: Explanations
+    #: Of the effects alone.
+    singles: Ranking
+    null: NullDistribution
+    #: What else may explain the readings: wrong ones, the likeliest first, with whose they are.
+    instrument: Sequence[tuple[Hypothesis, Suspect]] = ()
+    #: What has no name.
+    unnamed: Sequence[Hypothesis] = ()
+
+    @property
+    def baseline(self) -> Minimum:
+        """The campaign as it is."""
+        return self.explanations.baseline
+
+    @property
+    def p_of_best_gain(self) -> float:
+        """Probability that chance alone gains as much as the effect that gains most."""
+        chi2 = [self.explanations.fit(effects).chi2 for effects in self.singles.order]
+        return self.null.p_global(self.baseline.chi2 - min(chi2)) if chi2 else 1.0
+
+    @property
+    def is_adequate(self) -> bool:
+        """Whether neither the readings nor the best effect's gain refuse the campaign as it is."""
+        p = self.baseline.p_value
+        return p is not None and p >= ACCEPTABLE_P and self.p_of_best_gain >= ACCEPTABLE_P
+
+    def hypotheses(self, pairs: Ranking | None) -> list[Hypothesis]:
+        """All that may explain the readings."""
+        of_effects = [(), *self.singles.order, *(pairs.order if pairs is not None else ())]
+        return [
+            *map(self._of_effects, of_effects),
+            *(hypothesis for hypothesis, _ in self.instrument),
+            *self.unnamed,
+        ]
+
+    def _of_effects(self, effects: tuple[str, ...]) -> Hypothesis:
+        explanations = self.explanations
+        common = COMMON_TO_PAIRS if len(effects) > 1 else 0.0
+        return Hypothesis(
+            explanations.evidence(effects), explanations.log_odds(effects), effects, common=common
+        )
+
+    @property
+    def suspects(self) -> tuple[Suspect, ...]:
+        """Readings that explain the misfit about as well as those that do best."""
+        if not self.instrument:
+            return ()
+        best = self.instrument[0][0].log_weight
+        return tuple(
+            suspect
+            for hypothesis, suspect in self.instrument
+            if suspect.p_value is not None
+            and suspect.p_value >= _BARELY_EXPLAINS
+            and hypothesis.log_weight > best - _RIVAL
+        )
+
+    @property
+    def single_explains(self) -> bool:
+        """Whether an effect alone explains the readings, and no worse than what has no name."""
+        order = self.singles.order
+        return bool(order) and self._names(order[0]) and explains(self.singles.best, ACCEPTABLE_P)
+
+    def _names(self, effects: tuple[str, ...]) -> bool:
+        """Whether effects are likelier than anything that has no name."""
+        weights = [each.log_weight for each in self.unnamed]
+        return not weights or self._of_effects(effects).log_weight >= float(logsumexp(weights))
+
+    def verdict(self, pairs: Ranking | None) -> Verdict:
+        """What is said of the campaign; pairs are given where they were looked at."""
+        baseline, suspects = self.baseline, self.suspects
+        if self.is_adequate:
+            return Verdict(
+                ADEQUATE,
+                f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom ("
+                f"{p_equals(baseline.p_value)}), and no effect gains more than chance would ("
+                f"{p_equals(self.p_of_best_gain)})",
+            )
+        leading, best = self._leading(pairs)
+        if suspects:
+            others = [h for h in self.hypotheses(pairs) if h.effects or h.besides == UNKNOWN]
+            rivals = float(logsumexp([each.log_weight for each in others]))
+            lead = self.instrument[0][0].log_weight - rivals
+            if lead > _RIVAL or (lead > 0.0 and not leading):
+                return _of_suspects(suspects)
+            if lead > -_RIVAL and leading:
+                return Verdict(
+                    AMBIGUOUS,
+                    f"{self._titles(leading)} and {suspects[0].words} explain the misfit about "
+                    "equally well: check the reading first",
+                    leading,
+                    suspects,
+                )
+        if leading:
+            return self._of_leading(leading, best, pairs)
+        return Verdict(
+            UNEXPLAINED,
+            f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom, and something that "
+            "is in no catalogue is likelier than any effect, or two together: of these "
+            f"{best.chi2:.3g} for {best.ndf} at best",
+        )
+
+    def _of_leading(
+        self, leading: tuple[tuple[str, ...], ...], best: Minimum, pairs: Ranking | None
+    ) -> Verdict:
+        p = best.p_value
+        quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
+        quality += f" ({p_equals(p)})" if p is not None else ""
+        if len(leading) == 1:
+            reason = f"{self._titles(leading)} explains the misfit: {quality}"
+            unknown, others = (
+                [h.log_weight for h in self.hypotheses(pairs) if (h.besides == UNKNOWN) is of_none]
+                for of_none in (True, False)
+            )
+            if unknown and logsumexp(unknown) - logsumexp(others) > -_DOUBT:
+                reason += "; but so may something that is in no catalogue"
+                return Verdict(AMBIGUOUS, reason, leading)
+            return Verdict(MISSING_EFFECT, reason, leading)
+        ranking = self.singles if pairs is None or leading[0] in self.singles.order else pairs
+        unsettled = ranking.unsettled()
+        near = tuple(each for each in leading if each not in unsettled)
+        if len(near) > 1:
+            reason = (
+                f"the readings cannot tell apart {self._titles(near)}: {quality} with the first"
+            )
+        else:
+            reason = f"{self._titles(near)} explains the misfit: {quality}"
+        if unsettled:
+            reason += f"; more photons would tell whether {self._titles(unsettled)} may as well"
+        return Verdict(AMBIGUOUS, reason, leading, unsettled=unsettled)
+
+    def _titles(self, leading: tuple[tuple[str, ...], ...]) -> str:
+        """What leads, in words; of many the likeliest: the ranking has them all."""
+        *first, last = map(self.explanations.title, leading)
+        if len(leading) > _MOST_SAID:
+            first, last = first[:_MOST_SAID], f"{len(leading) - _MOST_SAID} others"
+        return f"{', '.join(first)} and {last}" if first else last
+
+    def _leading(self, pairs: Ranking | None) -> tuple[tuple[tuple[str, ...], ...], Minimum]:
+        """Effects that explain the readings, and of all effects the fit that does best."""
+        singles, found = self.singles, self.baseline
+        significant = self.p_of_best_gain < ACCEPTABLE_P
+        if singles.order:
+            found = singles.best
+            alone = pairs is None or not self.needs(pairs)
+            level = _BARELY_EXPLAINS if pairs is not None else ACCEPTABLE_P
+            if alone and significant and self._names(singles.order[0]) and explains(found, level):
+                return singles.leading(), found
+        if pairs is not None and pairs.order:
+            found = pairs.best
+            if (
+                self.needs(pairs)
+                and self._names(pairs.order[0])
+                and explains(found, _PAIR_EXPLAINS)
+            ):
+                return pairs.leading(), found
+        return (), found
+
+    def needs(self, pairs: Ranking) -> bool:
+        """Whether two effects explain the readings significantly better than the best one alone.
+
+        Asked where that one leaves a p-value below 0.01. The gain is corrected for the number of
+        partners, or of all pairs where the best does without the best single effect.
+        """
+        if not pairs.order:
+            return False
+        alone, best = self.singles.best, pairs.best
+        if not explains(alone, _BARELY_EXPLAINS):
+            return True
+        order = self.singles.order
+        tries = len(order) if order[0][0] in pairs.order[0] else math.comb(len(order), 2)
+        further = max(len(best.names) - len(alone.names), 1)
+        gain = max(alone.chi2 - best.chi2, 0.0)
+        return corrected(float(chdtrc(further, gain)), tries) < ACCEPTABLE_P
+
+    def chain(self, pairs: Ranking | None) -> tuple[str, ...]:
+        """Effects that together explain the readings where no two do; empty if none do.
+
+        One after the other, from the best pair on, while its gain is significant, and it explains
+        what was not explained or the error on readings left out falls.
+        """
+        explanations, null = self.explanations, self.null
+        chosen = pairs.order[0] if pairs is not None and pairs.order else self.singles.order[0]
+        while len(chosen) < _MOST_EFFECTS:
+            ranked = explanations.ranked_further(chosen)
+            if not ranked:
+                break
+            now, best = explanations.fit(chosen), explanations.fit(ranked[0])
+            further = ranked[0][-1]
+            significant = null.p_of_best(further, now.chi2 - best.chi2) < _SIGNIFICANT
+            if not (significant and _justified(now, best)):
+                break
+            chosen = (*chosen, further)
+        return chosen if explains(explanations.fit(chosen), _PAIR_EXPLAINS) else ()
+
+
+def explains(fit: Minimum, level: float) -> bool:
+    """Whether a fit leaves nothing to explain, as far as its readings can tell."""
+    p = fit.p_value
+    return fit.chi2 < 1.0 if p is None else p >= level
+
+
+def _of_suspects(suspects: tuple[Suspect, ...]) -> Verdict:
+    others = f", or {suspects[1].words}" if len(suspects) > 1 else ""
+    return Verdict(
+        UNEXPLAINED,
+        f"{suspects[0].words}{others} explains the misfit better than any effect: check that "
+        "before physics is blamed",
+        suspects=suspects,
+    )
+
+
+def _justified(now: Minimum, more: Minimum) -> bool:
+    """Whether a fit with more effects is worth them.
+
+    It is where it explains what was not explained; else the error on readings left out must fall.
+    A reading that alone holds a new parameter has a large one, however right the effect.
+    """
+    if explains(more, ACCEPTABLE_P) and not explains(now, ACCEPTABLE_P):
+        return True
+    return left_out_error(more) < left_out_error(now)

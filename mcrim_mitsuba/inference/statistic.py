@@ -1,0 +1,396 @@
+"""The statistic of a campaign: readings and priors against a model.
+
+    chi2 = r^T C^-1 r + sum of ((theta - prior) / prior_sigma)^2
+
+with r = signal - predicted signal and C from the readings' errors, the relative errors that
+mountings share, and the Monte Carlo errors of eta. C scales with the predicted signal. Left free,
+that would let a fit buy a smaller chi2 with larger errors, unless the logarithm of its determinant
+were added; so C is held as `Weights` during a descent and updated between descents. This gives the
+same estimate as iteratively reweighted least squares, without that bias and without R. W. Peelle's
+(which comes from scaling errors with the readings).
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.special import chdtrc
+
+from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.inference.model import Model, Prediction
+
+# Smallest eigenvalue of the Fisher information (of parameters scaled to unit diagonal) that
+# still tells the parameters apart: below it is rounding.
+_LEAST_INFORMATION = 1e-10
+# Distance from a bound, in standard errors, that counts as being there.
+_AT_BOUND = 0.02
+# Readings up to which a matrix of all of them weighs faster than their few common sources.
+_FEW_READINGS = 200
+
+
+def p_value(chi2: float, ndf: int) -> float | None:
+    """Probability of a larger chi2 if the model is right; None without degrees of freedom."""
+    return float(chdtrc(ndf, chi2)) if ndf > 0 else None
+
+
+def undetermined(information: Array, names: Sequence[str]) -> list[str]:
+    """Parameters that some combination of can change without changing a reading.
+
+    `information` is Fisher's, (names, names), priors included.
+    """
+    diagonal = np.diag(information)
+    without = [name for name, size in zip(names, diagonal, strict=True) if not size > 0]
+    if without or not names:
+        return without
+    values, vectors = np.linalg.eigh(information / np.sqrt(np.outer(diagonal, diagonal)))
+    weights = np.abs(vectors[:, 0]) if values[0] < _LEAST_INFORMATION else np.zeros(len(names))
+    return [name for name, weight in zip(names, weights, strict=True) if weight > 0.1]
+
+
+def inverse(matrix: Array) -> Array:
+    """Inverse of a (k, k) information matrix; where it says nothing, the variance is huge."""
+    if not len(matrix):
+        return matrix
+    diagonal = np.diag(matrix)
+    size = np.sqrt(np.where(diagonal > 0, diagonal, 1e-12))
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    values = np.maximum(values, 1e-13)
+    return (vectors / values) @ vectors.T / np.outer(size, size)
+
+
+@dataclass(frozen=True)
+class ErrorMatrices:
+    """Covariance of the readings in use, by origin.
+
+    It is held by what makes it: campaigns have up to 10,000 readings, whose matrices, (used, used)
+    float64, are made only for who asks for them.
+    """
+
+    #: (used,) float64: Squares of the readings' own errors.
+    variance: Array
+    #: (used,) float64: The error that a reading shares with all of its mounting: group_sigma times
+    #: the predicted signal.
+    shared: Array
+    #: (used,) int64: Number of the mounting.
+    mountings: NDArray[np.int64]
+    #: (used, sources) float64: Errors of the predictions by independent sources.
+    simulated: Array
+    #: (used, used) float64: Covariance of what no parameter explains, if it is to be weighed.
+    unexplained: Array | None = None
+
+    @property
+    def readings(self) -> Array:
+        """Their own errors, what mountings share and what no parameter explains."""
+        matrix = np.diag(self.variance)
+        if self.shared.any():
+            same = self.mountings[:, None] == self.mountings
+            matrix = matrix + same * np.outer(self.shared, self.shared)
+        return matrix if self.unexplained is None else matrix + self.unexplained
+
+    @property
+    def total(self) -> Array:
+        """Covariance of reading minus prediction."""
+        return self.readings + self.simulated @ self.simulated.T
+
+    def of(self, rows: NDArray[np.bool_]) -> ErrorMatrices:
+        """Those of some readings, of which nothing is unexplained."""
+        return ErrorMatrices(
+            self.variance[rows], self.shared[rows], self.mountings[rows], self.simulated[rows]
+        )
+
+    def statistical_variances(self, response: Array) -> Array:
+        """(k,) variances, by `readings`, of numbers that move by (k, used) with the readings."""
+        shared = [np.bincount(self.mountings, moved) for moved in response * self.shared]
+        variances = response**2 @ self.variance + np.square(shared).sum(axis=-1)
+        if self.unexplained is not None:
+            variances += ((response @ self.unexplained) * response).sum(axis=1)
+        return variances
+
+
+class Weights:
+    """Weighs readings by the inverse of their covariance.
+
+    The covariance is diagonal but for what few sources add, S of them: u u^T each. Where these are
+    orthogonal, 1 / sqrt(1 + u u^T) takes from a vector a part of what it has along them, and no
+    matrix is needed. Few readings are weighed by a matrix all the same: it is faster.
+    """
+
+    def __init__(self, errors: ErrorMatrices) -> None:
+        self.errors = errors
+        self._matrix: Array | None = None
+        if errors.unexplained is not None or len(errors.variance) <= _FEW_READINGS:
+            factor = np.linalg.cholesky(self.covariance)
+            self._matrix = np.linalg.inv(factor)
+            #: Of the covariance: what two minima with different ones differ by besides chi2.
+            self.log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
+            return
+        # what no two readings share belongs to their own errors
+        lone = np.count_nonzero(errors.simulated, axis=0) < 2
+        variance = errors.variance + np.square(errors.simulated[:, lone]).sum(axis=1)
+        self._root = 1.0 / np.sqrt(variance)
+        shared = errors.shared * self._root
+        squares = np.bincount(errors.mountings, shared**2)
+        roots = np.sqrt(1.0 + squares)
+        mountings = csr_array((shared, (errors.mountings, np.arange(len(shared)))))
+        # (sources, used) directions and what is taken along them
+        self._sources: list[tuple[Any, Array]] = []
+        if shared.any():
+            self._sources = [(mountings, -1.0 / (roots * (1.0 + roots)))]
+        rest = self._taken(self._root * errors.simulated[:, ~lone].T, self._sources)
+        _, sizes, directions = np.linalg.svd(rest, full_matrices=False)
+        self._sources.append((directions, 1.0 / np.sqrt(1.0 + sizes**2) - 1.0))
+        self.log_determinant = float(
+            np.log(variance).sum() + np.log1p(squares).sum() + np.log1p(sizes**2).sum()
+        )
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(used, used) covariance of reading minus prediction."""
+        return self.errors.total
+
+    @cached_property
+    def inverse(self) -> Array:
+        """(used, used) inverse covariance."""
+        if self._matrix is not None:
+            return self._matrix.T @ self._matrix
+        return self.weigh(np.eye(len(self.errors.variance)))
+
+    def whiten(self, x: Array) -> Array:
+        """W x of (..., used) vectors, W^T W the inverse covariance."""
+        if self._matrix is not None:
+            return (self._matrix @ x.T).T
+        return self._taken(self._root * x, self._sources)
+
+    def weigh(self, x: Array) -> Array:
+        """The inverse covariance times (..., used) vectors."""
+        if self._matrix is not None:
+            return x @ self.inverse
+        return self._root * self._taken(self.whiten(x), self._sources[::-1])
+
+    @staticmethod
+    def _taken(x: Array, sources: list[tuple[Any, Array]]) -> Array:
+        for directions, parts in sources:
+            x = x + (x @ directions.T * parts) @ directions
+        return x
+
+
+class Statistic:
+    """Readings and priors against a model, in the coordinates in which minima are searched.
+
+    alpha_scat is searched in its logarithm, since eta changes with it over decades; the parameters
+    of effects in the coordinate that the effect names, ``log`` or ``reciprocal``; all others in
+    themselves.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        #: The free parameters, in the model's order.
+        self.free: tuple[CampaignParameter, ...] = tuple(model.free)
+        self.names = tuple(p.name for p in self.free)
+        #: (free,) Where the campaign lets searches begin; 0 where it does not say.
+        self.start = np.array([0.0 if math.isnan(p.start) else p.start for p in self.free])
+        #: (readings,) Which of the model's readings the statistic uses.
+        self.used = np.array([reading.use for reading in model.readings])
+        used = [reading for reading in model.readings if reading.use]
+        self.labels = tuple(reading.label for reading in used)
+        scale_of = np.array([model.campaign.parameter_of(reading, SCALE) for reading in used])
+        #: The free scales, the campaign's and those of samples, by the (used,) readings' masks.
+        self.scales = {
+            n: scale_of == n for n in dict.fromkeys(scale_of.tolist()) if n in self.names
+        }
+        #: (used,) The readings, and the squares of their own errors.
+        self.signal = np.array([reading.signal for reading in used])
+        self.variance = np.array([reading.sigma for reading in used]) ** 2
+        self._shared = np.array([reading.group_sigma or 0.0 for reading in used])
+        groups = [reading.group or "" for reading in used]
+        self._mountings = np.unique(groups, return_inverse=True)[1]
+        # relative covariance of what no parameter explains
+        self._unexplained: Array | None = None
+        #: (free,) The weight is 1 / sigma^2; both are 0 without a prior.
+        self.prior = np.array([0.0 if p.prior is None else p.prior for p in self.free])
+        self.prior_weight = np.array(
+            [0.0 if p.prior_sigma is None else p.prior_sigma**-2 for p in self.free]
+        )
+        self._priors = np.flatnonzero(self.prior_weight)
+        self._prior_rows = np.zeros((len(self._priors), len(self.free)))
+        self._prior_rows[np.arange(len(self._priors)), self._priors] = -np.sqrt(
+            self.prior_weight[self._priors]
+        )
+        of_effects = {
+            p.name: p.coordinate for effect in model.campaign.switched_on for p in effect.parameters
+        }
+        kinds = ["log" if p.logarithmic else of_effects.get(p.name, "linear") for p in self.free]
+        #: (free,) Which parameters are searched in their logarithm.
+        self.logarithmic = np.array([kind == "log" for kind in kinds], bool)
+        self._reciprocal = np.array([kind == "reciprocal" for kind in kinds], bool)
+        self._curved = bool((self.logarithmic | self._reciprocal).any())
+        self.bounds = tuple(np.array([(p.minimum, p.maximum) for p in self.free]).reshape(-1, 2).T)
+        #: (free,) Minimum and maximum in the searched coordinates; and the same, the lower first.
+        self.walls = self.internal(self.bounds[0]), self.internal(self.bounds[1])
+        self.low, self.high = np.minimum(*self.walls), np.maximum(*self.walls)
+
+    # ---- the same model against other readings ----
+
+    def against(self, signal: Array, prior: Array | None = None) -> Statistic:
+        """With other (used,) readings and (free,) centres of the priors."""
+        other = copy.copy(self)
+        other.signal = signal
+        if prior is not None:
+            other.prior = prior
+        return other
+
+    def with_unexplained(self, covariance: Array) -> Statistic:
+        """With a (used, used) relative covariance of what the model does not explain."""
+        other = copy.copy(self)
+        other._unexplained = covariance
+        return other
+
+    def exchanged(self, order: NDArray[np.int64]) -> Statistic:
+        """With the (used,) readings, and their own errors, in another order."""
+        other = copy.copy(self)
+        other.signal, other.variance = self.signal[order], self.variance[order]
+        return other
+
+    # ---- parameters ----
+
+    def index(self, name: str) -> int:
+        """Place of a free parameter."""
+        return self.names.index(name)
+
+    def parameter(self, name: str) -> CampaignParameter:
+        """A free parameter with its bounds."""
+        return self.free[self.index(name)]
+
+    def theta(self, values: Mapping[str, float]) -> Array:
+        """(free,) parameters from values by name; the others at their start."""
+        return np.array([values.get(n, s) for n, s in zip(self.names, self.start, strict=True)])
+
+    def values(self, theta: Array) -> dict[str, float]:
+        """Parameters by name."""
+        return dict(zip(self.names, theta.tolist(), strict=True))
+
+    def internal(self, theta: Array) -> Array:
+        """(free,) coordinates that are searched."""
+        x = np.array(theta, float)
+        if self._curved:
+            x[self.logarithmic] = np.log(x[self.logarithmic])
+            with np.errstate(divide="ignore"):
+                x[self._reciprocal] = 1.0 / x[self._reciprocal]
+        return x
+
+    def external(self, x: Array) -> Array:
+        """(free,) parameters of searched coordinates, within their bounds.
+
+        Raises InputError where arithmetic ended on the way: readings that no arithmetic holds.
+        """
+        if not np.isfinite(x).all():
+            raise self._beyond_arithmetic()
+        theta = x.copy()
+        if self._curved:
+            theta[self.logarithmic] = np.exp(theta[self.logarithmic])
+            with np.errstate(divide="ignore"):
+                theta[self._reciprocal] = 1.0 / theta[self._reciprocal]
+        # the logarithm of a bound may come back as a number beyond it
+        return np.clip(theta, *self.bounds)
+
+    def slopes_of_external(self, theta: Array) -> Array:
+        """(free,) d parameter / d searched coordinate."""
+        chain = np.ones(len(theta))
+        chain[self.logarithmic] = theta[self.logarithmic]
+        chain[self._reciprocal] = -(theta[self._reciprocal] ** 2)
+        return chain
+
+    def _beyond_arithmetic(self) -> InputError:
+        measured = self.model.campaign.measurements
+        low, high = (side(measured.in_use, key=lambda r: r.signal / r.sigma) for side in (min, max))
+        return InputError(
+            "the readings cannot be fitted together: they are from "
+            f"{low.signal:g} ± {low.sigma:g} ({low.label}) to {high.signal:g} ± {high.sigma:g} "
+            f"({high.label})",
+            "check their units and errors",
+            path=measured.path,
+        )
+
+    def side(self, place: int, value: float, curvature: float, slope: float) -> str | None:
+        """The bound that a parameter has reached, if any.
+
+        The curvature is 1 / sigma^2; of two bounds within reach it is the one that the slope of
+        chi2 leads to.
+        """
+        close = _AT_BOUND / math.sqrt(curvature) if curvature > 0 else 0.0
+        at_minimum = value - self.free[place].minimum <= close
+        at_maximum = self.free[place].maximum - value <= close
+        if at_minimum and at_maximum:
+            return "max" if slope < 0 else "min"
+        return "min" if at_minimum else "max" if at_maximum else None
+
+    # ---- the statistic ----
+
+    @property
+    def knowns(self) -> int:
+        """Readings in use + priors."""
+        return len(self.signal) + len(self._priors)
+
+    @property
+    def ndf(self) -> int:
+        """Readings in use + priors - free parameters."""
+        return self.knowns - len(self.free)
+
+    def errors_at(self, theta: Array) -> ErrorMatrices:
+        """Covariance of the readings in use as a point in parameter space predicts it."""
+        prediction = self.model.predict(theta, covariance=True)
+        assert prediction.eta_errors is not None  # asked for
+        signal, per_eta = prediction.signal[self.used], prediction.signal_per_eta[self.used]
+        return ErrorMatrices(
+            self.variance,
+            self._shared * signal,
+            self._mountings,
+            per_eta[:, None] * prediction.eta_errors[self.used],
+            None if self._unexplained is None else self._unexplained * np.outer(signal, signal),
+        )
+
+    def errors_before_any_fit(self) -> ErrorMatrices:
+        """Covariance without a model: shared errors from the readings, no Monte Carlo error."""
+        none = np.zeros((len(self.signal), 0))
+        return ErrorMatrices(self.variance, self._shared * self.signal, self._mountings, none)
+
+    def residuals(self, prediction: Prediction) -> Array:
+        """(used,) reading minus predicted signal."""
+        return self.signal - prediction.signal[self.used]
+
+    def prior_pulls(self, theta: Array) -> Array:
+        """(free,) distance from the prior in its sigmas; 0 without a prior."""
+        return (theta - self.prior) * np.sqrt(self.prior_weight)
+
+    def evaluate(self, theta: Array, weights: Weights) -> tuple[Array, Array]:
+        """Whitened residuals (used + priors,), and their slopes in the searched coordinates.
+
+        chi2 is their sum of squares.
+        """
+        prediction = self.model.predict(theta)
+        of_readings = weights.whiten(self.residuals(prediction))
+        slopes = -weights.whiten(prediction.signal_slopes[self.used].T).T
+        if len(self._priors):
+            at = self._priors
+            of_priors = (self.prior[at] - theta[at]) * np.sqrt(self.prior_weight[at])
+            of_readings = np.concatenate([of_readings, of_priors])
+            slopes = np.vstack([slopes, self._prior_rows])
+        if self._curved:
+            slopes = slopes * self.slopes_of_external(theta)
+        return of_readings, slopes
+
+    def chi2(self, theta: Array, weights: Weights) -> float:
+        """Readings' chi2 plus the priors'."""
+        residuals = weights.whiten(self.residuals(self.model.predict(theta)))
+        pulls = self.prior_pulls(theta)
+        return float(residuals @ residuals + pulls @ pulls)
