@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+import operator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from mcrim_mitsuba.optics.thin_film import ThinFilm
 from mcrim_mitsuba.transport import dielectric
 from mcrim_mitsuba.transport.conversion import opaque
-from mcrim_mitsuba.transport.scene_model import DETECTOR, DIELECTRIC, DIFFUSE
+from mcrim_mitsuba.transport.scene_model import DETECTOR, DIELECTRIC, DIFFUSE, Surface
 
 # Fates of a photon at a surface or in flight; absorption in volumes is counted apart.
 ALIVE, DETECTED, APERTURE, REFLECTOR, SURFACE, ESCAPED, TRUNCATED, LOST, VOLUME = range(9)
@@ -21,6 +24,43 @@ ALIVE, DETECTED, APERTURE, REFLECTOR, SURFACE, ESCAPED, TRUNCATED, LOST, VOLUME 
 STRAIGHT_ACROSS = 1e-6
 #: Radius of the hole, in mm, where there is no mask.
 NO_MASK = 1e18
+
+
+#: Optional columns of the tables: of which surfaces they matter, and what `SurfaceRow` calls them.
+_COLUMNS: tuple[tuple[Callable[[Surface], Any], dict[str, Callable[[Surface], float]]], ...] = (
+    (
+        lambda s: s.aperture_radius_mm < math.inf,
+        {"radius": lambda s: min(s.aperture_radius_mm, NO_MASK)},
+    ),
+    (
+        lambda s: s.axis_mm != (0.0, 0.0),
+        {"x": lambda s: s.axis_mm[0], "y": lambda s: s.axis_mm[1]},
+    ),
+    (
+        lambda s: s.kind == DIFFUSE or (s.kind == DETECTOR and s.reflectance),
+        {
+            "reflectance": lambda s: s.reflectance,
+            "two_sided": lambda s: s.two_sided or s.kind == DETECTOR,
+        },
+    ),
+    (
+        lambda s: s.angular_falloff or s.radial_falloff_per_mm2,
+        {
+            "angular_falloff": lambda s: s.angular_falloff,
+            "radial_falloff": lambda s: s.radial_falloff_per_mm2,
+        },
+    ),
+    (lambda s: s.least_cosine > STRAIGHT_ACROSS, {"least_cosine": lambda s: s.least_cosine}),
+    (
+        lambda s: s.roughness,
+        {"roughness": lambda s: -s.roughness if s.beckmann else s.roughness},
+    ),
+    *(
+        (attribute, {name: attribute})
+        for name in ("surface_loss", "haze", "specular", "mask_reflectance")
+        for attribute in (operator.attrgetter(name),)
+    ),
+)
 
 
 class SurfaceTables:
@@ -44,74 +84,49 @@ class SurfaceTables:
     """
 
     def __init__(self, surfaces, normals) -> None:
-        self._has_masks = any(s.aperture_radius_mm < float("inf") for s in surfaces)
-        self._off_axis = any(s.axis_mm != (0.0, 0.0) for s in surfaces)
-        self._rough = any(s.roughness for s in surfaces)
+        columns = {
+            name: value
+            for matters, values in _COLUMNS
+            if any(map(matters, surfaces))
+            for name, value in values.items()
+        }
+        self._names = tuple(columns)
         self._beckmann = any(s.roughness and s.beckmann for s in surfaces)
-        self._lossy = any(s.surface_loss for s in surfaces)
-        self._choosy = any(s.angular_falloff or s.radial_falloff_per_mm2 for s in surfaces)
-        self._hazy = any(s.haze for s in surfaces)
-        self._selective = any(s.least_cosine > STRAIGHT_ACROSS for s in surfaces)
-        self._mirrors = any(s.specular for s in surfaces)
-        self._masks_reflect = any(s.mask_reflectance for s in surfaces)
         # all detectors are alike
         self._film = next((FilmTerms.of(s.film) for s in surfaces if s.film is not None), None)
-        self.may_absorb = self._lossy or self._choosy or self._selective or self._film is not None
-        self._diffuse = any(
-            s.kind == DIFFUSE or (s.kind == DETECTOR and s.reflectance) for s in surfaces
-        )
-        self.may_scatter = self._diffuse or self._masks_reflect
+        losses = {"surface_loss", "angular_falloff", "least_cosine"}
+        self.may_absorb = self._film is not None or not losses.isdisjoint(columns)
+        self.may_scatter = "reflectance" in columns or "mask_reflectance" in columns
         # small integers are exact in single precision
-        self._shape, self._sides, self._special, self._quality, self._further = (
-            opaque([float(value) for row in rows for value in row])
-            for rows in (
-                [(*n, s.eta) for n, s in zip(normals, surfaces, strict=True)],
-                [(s.kind, *s.sides, min(s.aperture_radius_mm, NO_MASK)) for s in surfaces],
-                [(*s.axis_mm, s.reflectance, s.two_sided or s.kind == DETECTOR) for s in surfaces],
-                [
-                    (
-                        -s.roughness if s.beckmann else s.roughness,
-                        s.surface_loss,
-                        s.angular_falloff,
-                        s.radial_falloff_per_mm2,
-                    )
-                    for s in surfaces
-                ],
-                [(s.haze, s.least_cosine, s.specular, s.mask_reflectance) for s in surfaces],
-            )
+        rows = np.array(
+            [
+                (*normal, s.eta, s.kind, *s.sides, *(value(s) for value in columns.values()))
+                for normal, s in zip(normals, surfaces, strict=True)
+            ],
+            dtype=float,
         )
+        rows = np.pad(rows, ((0, 0), (0, -rows.shape[1] % 4)))
+        self._tables = [opaque(table.ravel()) for table in np.split(rows, rows.shape[1] // 4, 1)]
 
     def at(self, number, active) -> SurfaceRow:
         """Properties at the gathered rows."""
-        *normal, eta = dr.gather(mi.Vector4f, self._shape, number, active)
-        kind, interior, exterior, radius = dr.gather(mi.Vector4f, self._sides, number, active)
+        x, y, z, eta, kind, interior, exterior, *values = (
+            value
+            for table in self._tables
+            for value in dr.gather(mi.Vector4f, table, number, active)
+        )
         row = SurfaceRow(
             kind=mi.UInt32(kind),
             eta=eta,
             interior=mi.UInt32(interior),
             exterior=mi.UInt32(exterior),
-            normal=mi.Vector3f(*normal),
+            normal=mi.Vector3f(x, y, z),
             film=self._film,
             beckmann=self._beckmann,
+            **dict(zip(self._names, values, strict=False)),
         )
-        if self._has_masks:
-            row.radius = radius
-        if self._diffuse or self._off_axis:
-            row.x, row.y, *returns = dr.gather(mi.Vector4f, self._special, number, active)
-            if self._diffuse:
-                row.reflectance, row.two_sided = returns[0], returns[1] > 0.5
-        if self._hazy or self._selective or self._mirrors or self._masks_reflect:
-            further = dr.gather(mi.Vector4f, self._further, number, active)
-            row.haze = further[0] if self._hazy else None
-            row.least_cosine = further[1] if self._selective else None
-            row.specular = further[2] if self._mirrors else None
-            row.mask_reflectance = further[3] if self._masks_reflect else None
-        if self._rough or self._lossy or self._choosy:
-            roughness, loss, *falloffs = dr.gather(mi.Vector4f, self._quality, number, active)
-            row.roughness = roughness if self._rough else None
-            row.surface_loss = loss if self._lossy else None
-            if self._choosy:
-                row.angular_falloff, row.radial_falloff = falloffs
+        if row.two_sided is not None:
+            row.two_sided = row.two_sided > 0.5
         return row
 
 
