@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError
@@ -79,43 +79,14 @@ CATHODE_WAVELENGTHS_NM = (380.0, 680.0)
 #: Axes that a beam may fly along.
 BEAM_AXES = ("x", "y", "z")
 
-_MAY_BE_INFINITE = ("source_depth_mm", "side_depth_mm")
-# lowest value of lengths and of coefficients; all others are indices
-_LOWEST_BY_UNIT = {"mm": math.ulp(0.0), "cm": 0.0}
-# lowest and highest value of what the name does not tell
-_RANGES = {
-    "wrap_reflectance": (0.0, 1.0),
-    "scattering_g": (-0.99, 0.99),
-    "scattering_gradient": (-1.0, 1.0),
-    "scattering_exponent": (0.0, 4.0),
-    "bandwidth_nm": (0.0, 1e4),
-    "source_depth_mm": (math.ulp(0.0), math.inf),
-    "side_depth_mm": (math.ulp(0.0), math.inf),
-    "roughness_alpha": (0.0, 1.0),
-    "top_roughness_alpha": (0.0, 1.0),
-    "side_roughness_alpha": (0.0, 1.0),
-    "bottom_roughness_alpha": (0.0, 1.0),
-    "rms_roughness_nm": (0.0, 200.0),
-    "wavelength_nm": (100.0, 1e4),
-    "acceptance_deg": (0.0, 90.0),
-    "surface_loss": (0.0, 1.0),
-    "chamfer_mm": (0.0, math.inf),
-    "top_reflectance": (0.0, 1.0),
-    "gap_offset_mm": (-math.inf, math.inf),
-    "gap_index_offset": (-math.inf, math.inf),
-    "bubble_fraction": (0.0, 0.99),
-    "bubble_area_fraction": (0.0, 0.78),
-    "collar_mm": (0.0, math.inf),
-    "detector_reflectance": (0.0, 1.0),
-    "cathode_nm": (0.0, 200.0),
-    "detector_specular": (0.0, 1.0),
-    "angular_falloff": (-1.0, 1.0),
-    "radial_falloff": (0.0, 1.0),
-    "mask_offset_mm": (-math.inf, math.inf),
-    "housing_reflectance": (0.0, 1.0),
-    "narrow_collar_mm": (0.0, math.inf),
-    "black_spot_mm": (0.0, math.inf),
-}
+
+def _between(default: Any, lowest: float, highest: float) -> Any:
+    """A field whose value is a number from `lowest` to `highest`, or its default."""
+    return field(default=default, metadata={"range": (lowest, highest)})
+
+
+#: The least number above 0.
+_ABOVE_0 = math.ulp(0.0)
 
 
 @dataclass(frozen=True)
@@ -155,89 +126,89 @@ class Bench:
     #: Reflectance, 0 to 1, of a Lambertian wrap behind an air film around the
     #: top and the four sides; None for a bare crystal. The wrap is a box open
     #: at z = 0, and its outside absorbs.
-    wrap_reflectance: float | None = None
+    wrap_reflectance: float | None = _between(None, 0.0, 1.0)
     #: Thickness of that air film; without meaning for a bare crystal.
     film_mm: float = 0.01
     #: What follows is what the plain bench leaves out; by default it is absent.
     #: Mean cosine of Henyey and Greenstein's phase function.
-    scattering_g: float = 0.0
+    scattering_g: float = _between(0.0, -0.99, 0.99)
     #: Scatter by Rayleigh's phase function.
     rayleigh_scattering: bool = False
     #: q, from -1 to 1: the scattering coefficient is that given, times
     #: 1 + q (2 z / height - 1).
-    scattering_gradient: float = 0.0
+    scattering_gradient: float = _between(0.0, -1.0, 1.0)
     #: p, from 0 to 4: the scattering coefficient is that given, at ``wavelength_nm``, times
     #: (wavelength_nm / wavelength)^p; and the full width at half maximum of the light's Gaussian
     #: band about wavelength_nm, cut off at 1.5 widths.
-    scattering_exponent: float = 0.0
-    bandwidth_nm: float = 150.0
+    scattering_exponent: float = _between(0.0, 0.0, 4.0)
+    bandwidth_nm: float = _between(150.0, 0.0, 1e4)
     #: Emission falls off below the top face as exp(-depth / source_depth_mm), or from the face at
     #: x = -width/2 as exp(-distance / side_depth_mm); infinity for uniform emission.
-    source_depth_mm: float = math.inf
-    side_depth_mm: float = math.inf
+    source_depth_mm: float = _between(math.inf, _ABOVE_0, math.inf)
+    side_depth_mm: float = _between(math.inf, _ABOVE_0, math.inf)
     #: GGX parameter of the crystal's faces, chamfers included, from 0
     #: (polished) to 1.
-    roughness_alpha: float = 0.0
+    roughness_alpha: float = _between(0.0, 0.0, 1.0)
     #: The same of the top face, of the four sides or of the bottom alone.
-    top_roughness_alpha: float = 0.0
-    side_roughness_alpha: float = 0.0
-    bottom_roughness_alpha: float = 0.0
+    top_roughness_alpha: float = _between(0.0, 0.0, 1.0)
+    side_roughness_alpha: float = _between(0.0, 0.0, 1.0)
+    bottom_roughness_alpha: float = _between(0.0, 0.0, 1.0)
     #: Slopes of rough faces are Beckmann's, Gaussian, with this alpha in place of GGX's.
     beckmann: bool = False
     #: Rms height of a fine roughness of the crystal's faces, chamfers included, which scatters part
     #: of what they reflect and refract; and the light's wavelength in vacuum.
-    rms_roughness_nm: float = 0.0
-    wavelength_nm: float = 540.0
+    rms_roughness_nm: float = _between(0.0, 0.0, 200.0)
+    wavelength_nm: float = _between(540.0, 100.0, 1e4)
     #: Fraction lost at every reflection at a crystal face back into the crystal.
-    surface_loss: float = 0.0
+    surface_loss: float = _between(0.0, 0.0, 1.0)
     #: Leg of the 45 degree chamfers of the crystal's twelve edges. The gap
     #: keeps its footprint, and its uncovered rim borders air.
-    chamfer_mm: float = 0.0
+    chamfer_mm: float = _between(0.0, 0.0, math.inf)
     #: Reflectance, 0 to 1, of a Lambertian sheet of the crystal's width,
     #: `TOP_FILM_MM` above its top face; its sides are open to the air. 0 or
     #: None for no sheet.
-    top_reflectance: float | None = None
+    top_reflectance: float | None = _between(None, 0.0, 1.0)
     #: Added to ``gap_mm``.
-    gap_offset_mm: float = 0.0
+    gap_offset_mm: float = _between(0.0, -math.inf, math.inf)
     #: Only where the gap is filled, ``n_gap`` > `FILLED_ABOVE`: added to the
     #: gap's index; the gap's absorption; the fraction of the footprint's
     #: width, from x = -width/2 on, in which the gap is open to the air.
-    gap_index_offset: float = 0.0
+    gap_index_offset: float = _between(0.0, -math.inf, math.inf)
     gap_absorption_per_cm: float = 0.0
-    bubble_fraction: float = 0.0
+    bubble_fraction: float = _between(0.0, 0.0, 0.99)
     #: Only where the gap is filled: the part of the footprint's area that a disc of air in its
     #: middle takes.
-    bubble_area_fraction: float = 0.0
+    bubble_area_fraction: float = _between(0.0, 0.0, 0.78)
     #: Only where the gap is filled: up to this height the four side faces border the liquid, in
     #: which light that leaves there goes straight on, to the plate's entrance face or away. Light
     #: from the air finds them dry.
-    collar_mm: float = 0.0
+    collar_mm: float = _between(0.0, 0.0, math.inf)
     #: The mask lies on the plate's back face instead.
     aperture_at_detector: bool = False
     #: Probability that the detector sends light back into the plate, by the
     #: cosine law.
-    detector_reflectance: float = 0.0
+    detector_reflectance: float = _between(0.0, 0.0, 1.0)
     #: Of other light the probability of a mirror's reflection, as by a metal.
-    detector_specular: float = 0.0
+    detector_specular: float = _between(0.0, 0.0, 1.0)
     #: Thickness of the photocathode, a film of K-Cs-Sb between the plate and vacuum, that the
     #: detector is: other light is reflected, absorbed, which is detected, or lost beyond it. 0 or
     #: None for a plain detector.
-    cathode_nm: float | None = None
+    cathode_nm: float | None = _between(None, 0.0, 200.0)
     #: Other light is detected with probability 1 - angular (1 - cos theta), over 1 - angular if
     #: that is negative, times 1 - radial (r / 14 mm)^2, else absorbed.
-    angular_falloff: float = 0.0
-    radial_falloff: float = 0.0
+    angular_falloff: float = _between(0.0, -1.0, 1.0)
+    radial_falloff: float = _between(0.0, 0.0, 1.0)
     #: Shift along x of the axis that r and the mask's hole are about.
-    mask_offset_mm: float = 0.0
+    mask_offset_mm: float = _between(0.0, -math.inf, math.inf)
     #: Reflectance of the mask's upper side, by the cosine law.
-    housing_reflectance: float = 0.0
+    housing_reflectance: float = _between(0.0, 0.0, 1.0)
     #: With a diameter, the crystal is not on the bench but alone in air, in a beam of parallel
     #: light from outside, through its middle, along +``beam_axis``. Behind the face where the beam
     #: leaves a black plate of the face's size, `PLATE_DISTANCE_MM` away, detects light within an
     #: angle to the axis. What else the bench has beside the crystal is not there.
     beam_diameter_mm: float | None = None
     beam_axis: str = "x"
-    acceptance_deg: float = 90.0
+    acceptance_deg: float = _between(90.0, 0.0, 90.0)
     #: With a diameter, the crystal is a cylinder in place of a box, and ``crystal_width_mm`` is
     #: without meaning: it stands on z = 0, the gap as round as it is.
     crystal_diameter_mm: float | None = None
@@ -249,22 +220,23 @@ class Bench:
     #: What follows has no place in the catalogue of effects: diagnoses are tried on it.
     #: Where the gap is filled, its liquid stands up to this height around the crystal's four
     #: sides, with an outer wall and a top towards air: a collar `NARROW_COLLAR_WIDTH_MM` wide.
-    narrow_collar_mm: float = 0.0
+    narrow_collar_mm: float = _between(0.0, 0.0, math.inf)
     #: Width of a black square on the middle of the top face; it absorbs what hits it.
-    black_spot_mm: float = 0.0
+    black_spot_mm: float = _between(0.0, 0.0, math.inf)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            name, value = field.name, getattr(self, field.name)
-            if isinstance(field.default, bool):
+        for attribute in fields(self):
+            name, value = attribute.name, getattr(self, attribute.name)
+            if isinstance(attribute.default, bool):
                 _require(isinstance(value, bool), name, value, "true or false")
-            elif isinstance(field.default, str):
+            elif isinstance(attribute.default, str):
                 _require(value in BEAM_AXES, name, value, " or ".join(BEAM_AXES))
-            elif value is None and field.default is None:
+            elif value is None and attribute.default is None:
                 continue
             else:
-                unit = name.rpartition("_")[2]
-                limits = _RANGES.get(name, (_LOWEST_BY_UNIT.get(unit, 1.0), math.inf))
+                # an index, a length or a coefficient
+                lowest = {"mm": _ABOVE_0, "cm": 0.0}.get(name.rpartition("_")[2], 1.0)
+                limits = attribute.metadata.get("range", (lowest, math.inf))
                 object.__setattr__(self, name, _number(name, value, *limits))
         self._require_compatible()
 
@@ -448,7 +420,7 @@ class Bench:
             For a name that is not an attribute: silently leaving a parameter
             out would make the comparison meaningless.
         """
-        names = {field.name for field in fields(cls)}
+        names = {attribute.name for attribute in fields(cls)}
         parameters = {_GROUND.get(name, name): value for name, value in parameters.items()}
         unknown = sorted(set(parameters) - names)
         if unknown:
@@ -465,7 +437,7 @@ _GROUND = {
 
 def _number(name: str, value: Any, lowest: float, highest: float) -> float:
     """A number in its range as a plain float (NumPy scalars and ints come in)."""
-    infinite = name in _MAY_BE_INFINITE
+    infinite = name in ("source_depth_mm", "side_depth_mm")
     expected = _range_in_words(lowest, highest, infinite)
     _require(not isinstance(value, (bool, str)), name, value, expected)
     try:

@@ -34,8 +34,9 @@ this on the wrong side of a plane is lost, which the tracer counts and never for
 _PARALLEL = 1e-300
 """Stands for a speed of zero towards a plane, so that no division yields a NaN."""
 
-# faces of `Box`, in the order of its half-spaces
-BOTTOM, TOP = 4, 5
+# Faces of `Box`, in the order of its half-spaces.
+BOTTOM = 4
+TOP = 5
 #: Of an upright `Cylinder`, beside these.
 WALL = 0
 # the face towards lower x, y and z; the opposite one has the next number

@@ -23,12 +23,16 @@ from mcrim_mitsuba.runs.executors import Content, HandingExecutor, Job, Track, W
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-#: Seconds within which a scheduler must answer, and after which its workers are counted again.
-ANSWER_S, LOOK_S = 10.0, 1.0
+#: Seconds within which a scheduler must answer.
+ANSWER_S = 10.0
+#: Seconds after which its workers are counted again.
+LOOK_S = 1.0
 #: How often a scheduler is asked: Dask's client may fail by itself while the machine is busy.
 CONNECT_TRIES = 3
-#: Units that are handed out ahead, per thread of the workers, and at least.
-AHEAD, LEAST_AHEAD = 3, 8
+#: Units that are handed out ahead, per thread of the workers.
+AHEAD = 3
+#: How many these are at least.
+LEAST_AHEAD = 8
 _FILE = "name the one that dask scheduler writes"
 _START = "start one with `dask scheduler`, and give its address, such as tcp://host:8786"
 _LARGEST_MB = 1

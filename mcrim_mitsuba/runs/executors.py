@@ -311,10 +311,14 @@ def use_executor(executor: Executor) -> Iterator[Executor]:
 
 #: Units that are handed out ahead, per process.
 AHEAD = 4
-#: From how much processor time on, in several units, it is worth while to start processes.
-LEAST_S, FEWEST_UNITS = 5.0, 8
-#: Seconds that processes wait for more units, and after which one is looked after.
-IDLE_S, LOOK_S = 60.0, 1.0
+#: From how much processor time on it is worth while to start processes.
+LEAST_S = 5.0
+#: From how many units on.
+FEWEST_UNITS = 8
+#: Seconds that processes wait for more units.
+IDLE_S = 60.0
+#: Seconds after which a unit is looked after.
+LOOK_S = 1.0
 
 
 def many_units_executor(threads: int | None) -> Executor:

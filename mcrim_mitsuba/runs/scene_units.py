@@ -180,9 +180,12 @@ class LaunchBlock(SceneUnit):
         return (number_of(self.first, self.launches),)
 
 
-#: Launches of a unit, a few seconds of work; after so many units larger ones, so that long runs
-#: leave few files.
-SHORT, SHORT_BLOCKS, LONG = 4, 16, 32
+#: Launches of a unit, a few seconds of work.
+SHORT = 4
+#: Units after which larger ones follow, so that long runs leave few files.
+SHORT_BLOCKS = 16
+#: Launches of these.
+LONG = 32
 
 
 def blocks(launches: Sequence[int]) -> Iterator[tuple[int, ...]]:

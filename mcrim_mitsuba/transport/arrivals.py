@@ -17,8 +17,10 @@ from mcrim_mitsuba.transport.simulation import Simulation
 
 #: How far detecting faces may lie off one plane, over the scene's size.
 _FLAT = 1e-4
-#: Points around and radii per ring at which it is looked whether a ring lies on the detector.
-_AROUND, _RADII = 720, 8
+#: Points around at which it is looked whether a ring lies on the detector.
+_AROUND = 720
+#: Radii per ring, or places along a cell, at which it is looked.
+_RADII = 8
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,10 +39,14 @@ if TYPE_CHECKING:
 #: Mitsuba's own intersection loses at edges by rounding (about one in 5e7 reflections).
 MOST_LOST = 1e-4
 #: Photons per lane and launch; fixed, because results must not depend on the machine's speed.
-PER_LANE_FLAT, PER_LANE_GENERAL = 256, 128
+PER_LANE_FLAT = 256
+#: The same where Mitsuba intersects.
+PER_LANE_GENERAL = 128
 #: Light of photon records that may be cut off at the depth limit: less than any error that is
-#: asked for; and photons that may be in any case: in a short run they are within the error.
-MOST_TRUNCATED, FEW_TRUNCATED = 1e-5, 3.0
+#: asked for.
+MOST_TRUNCATED = 1e-5
+#: Photons that may be in any case: in a short run they are within the error.
+FEW_TRUNCATED = 3.0
 
 Progress = Callable[[int, int, float, float], None]
 

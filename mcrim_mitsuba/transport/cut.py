@@ -198,8 +198,10 @@ _COLOURS = (
     (0.40, 0.28, 0.55),
     (0.26, 0.52, 0.50),
 )
-#: Width and depth of the block over its height.
-WIDE, DEEP = 2.2, 0.5
+#: Width of the block over its height.
+WIDE = 2.2
+#: Depth of the block over its height.
+DEEP = 0.5
 #: The thinnest layer's part of the block's height.
 _SHARE = 0.3
 #: Thickness of masks, detectors and reflectors over the block's height.

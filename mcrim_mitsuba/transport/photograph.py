@@ -116,8 +116,10 @@ MOST_LANES = 2_000_000
 _KEY = (-0.64, -0.48, 0.6)
 #: Radiance that an empty floor sends to all sides: the mean of the lighting sky over the cosine.
 _FLOOR_RADIANCE = FLOOR * (1.0 + 0.5 * _KEY[2] * 2.0 / 3.0)
-#: Pixels between the taps of the smoothing, and their weights: a cubic spline.
-_STEPS, _SPLINE = (1, 2, 4), (0.375, 0.25, 0.0625)
+#: Pixels between the taps of the smoothing.
+_STEPS = (1, 2, 4)
+#: Weights of the taps: a cubic spline.
+_SPLINE = (0.375, 0.25, 0.0625)
 #: Squares of differences that count as noise, over the noise of the two pixels.
 _TOLERANCE = 6.0
 #: Ratios of indices closer to 1 than this do not refract.

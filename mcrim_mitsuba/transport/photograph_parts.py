@@ -17,7 +17,10 @@ from mcrim_mitsuba.transport.scene_model import DETECTOR, DIELECTRIC, DIFFUSE, S
 Colour = tuple[float, float, float]
 
 #: Kinds of `Finish`.
-GLASS, MATTE, GLOSSY, METAL = "glass", "matte", "glossy", "metal"
+GLASS = "glass"
+MATTE = "matte"
+GLOSSY = "glossy"
+METAL = "metal"
 #: Cosine between the normals of two faces that meet in a sharp edge: 25 degrees.
 _SHARP = 0.906
 
@@ -195,8 +198,12 @@ TINTS: tuple[Colour, ...] = (
     (0.80, 0.93, 0.91),
 )
 CLEAR = (1.0, 1.0, 1.0)
-#: Of a detector, of a mask, and of what is neither glass nor matte.
-RED, BLACK, STEEL = (0.50, 0.035, 0.025), (0.012, 0.012, 0.013), (0.6, 0.6, 0.62)
+#: Of a detector.
+RED = (0.50, 0.035, 0.025)
+#: Of a mask.
+BLACK = (0.012, 0.012, 0.013)
+#: Of what is neither glass nor matte.
+STEEL = (0.6, 0.6, 0.62)
 #: Of the lines along the edges of what is white.
 GREY = (0.25, 0.25, 0.26)
 #: Radius of the lines along the edges of glass, over its size.

@@ -233,8 +233,10 @@ class CollimatedBeamEmitter(ScintillationEmitter):
 mi.register_emitter("collimated_beam", CollimatedBeamEmitter)
 
 
-#: Free flights after which photons are given up in crystals that scatter, and in clear ones.
-MAX_DEPTH_SCATTERING, MAX_DEPTH_CLEAR = 200_000, 2_000
+#: Free flights after which photons are given up in crystals that scatter.
+MAX_DEPTH_SCATTERING = 200_000
+#: The same in clear crystals.
+MAX_DEPTH_CLEAR = 2_000
 
 
 class LightCollectionIntegrator(mi.CppADIntegrator):
