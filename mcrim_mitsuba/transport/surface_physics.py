@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -55,11 +54,10 @@ _COLUMNS: tuple[tuple[Callable[[Surface], Any], dict[str, Callable[[Surface], fl
         lambda s: s.roughness,
         {"roughness": lambda s: -s.roughness if s.beckmann else s.roughness},
     ),
-    *(
-        (attribute, {name: attribute})
-        for name in ("surface_loss", "haze", "specular", "mask_reflectance")
-        for attribute in (operator.attrgetter(name),)
-    ),
+    (lambda s: s.surface_loss, {"surface_loss": lambda s: s.surface_loss}),
+    (lambda s: s.haze, {"haze": lambda s: s.haze}),
+    (lambda s: s.specular, {"specular": lambda s: s.specular}),
+    (lambda s: s.mask_reflectance, {"mask_reflectance": lambda s: s.mask_reflectance}),
 )
 
 
