@@ -36,7 +36,9 @@ LABELS = [MARKUP, QUOTES, SCRIPT] + [
 PULLS = [6.0, -3.0, 1.0, *[0.5, -0.5] * 6, 2.0]
 OFF, FIRST, SECOND = "polarization", "surface_absorption", "gap_bubble"
 TITLES = {name: effect.title for name, effect in catalogue().items()}
-PROVENANCE = Provenance(3, 4_000_000, 1_000_000, "hash", {"mitsuba": "3.9"}, 1.5, ("from afar",))
+PROVENANCE = Provenance(
+    3, 4_000_000, 1_000_000, "hash", versions={"mitsuba": "3.9"}, seconds=1.5, notes=("from afar",)
+)
 
 
 def estimate(value: float, sigma: float, at_bound: str | None = None) -> ParameterEstimate:

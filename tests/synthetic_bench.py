@@ -113,7 +113,7 @@ def signals(values: Mapping[str, float], effects: tuple[str, ...] = ()) -> np.nd
 def readings(signal: np.ndarray, sigma: float = SIGMA) -> tuple[Reading, ...]:
     """The standard campaign's rows with these signals."""
     return tuple(
-        Reading(f"row{i + 1}", float(s), sigma * float(s), dict(row), True, None, None, i + 2)
+        Reading(f"row{i + 1}", float(s), sigma * float(s), dict(row), line=i + 2)
         for i, (row, s) in enumerate(zip(ROWS, signal, strict=True))
     )
 
@@ -130,15 +130,22 @@ class Model:
 
     def __post_init__(self) -> None:
         free = [
-            CampaignParameter("alpha_scat_per_cm", 0.5, 0.02, 10.0, None, None, False),
-            CampaignParameter("alpha_abs_per_cm", 0.039, 0.0, 0.3, self.prior, PRIOR_SIGMA, False),
+            CampaignParameter("alpha_scat_per_cm", 0.5, 0.02, 10.0),
+            CampaignParameter(
+                "alpha_abs_per_cm",
+                0.039,
+                0.0,
+                0.3,
+                prior=self.prior,
+                prior_sigma=PRIOR_SIGMA,
+            ),
         ]
         for effect in self.effects:
             for p in EFFECTS[effect].parameters:
                 base = SCENE[p.nominal] if p.nominal else 0.0
                 start, low, high = base + p.start, base + p.minimum, base + p.maximum
-                free.append(CampaignParameter(p.name, start, low, high, None, None, False))
-        free.append(CampaignParameter("scale", np.nan, 0.0, np.inf, None, None, False))
+                free.append(CampaignParameter(p.name, start, low, high))
+        free.append(CampaignParameter("scale", np.nan, 0.0, np.inf))
         self.free = tuple(free)
         self._at = np.array([r.line - 2 for r in self.readings])
         self._error = self.noise.mean(axis=0)[self._at]

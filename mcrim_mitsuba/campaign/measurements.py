@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -65,6 +65,7 @@ class Reading:
     #: Scene parameters of this configuration, by name; what is not here stays at the
     #: scene's value.
     parameters: dict[str, Value]
+    _: KW_ONLY
     #: False leaves it out of the fit but keeps it in sight.
     use: bool = True
     #: Mounting that it shares with other rows.
@@ -328,14 +329,14 @@ class _Cells(dict[str, str]):
             signal,
             sigma,
             parameters,
-            use == "1",
-            group,
-            group_sigma,
-            self.line,
-            histogram,
-            window,
-            kind,
-            self.get(SAMPLE, ""),
+            use=use == "1",
+            group=group,
+            group_sigma=group_sigma,
+            line=self.line,
+            histogram=histogram,
+            window=window,
+            kind=kind,
+            sample=self.get(SAMPLE, ""),
         )
 
     def write_points(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
 
 from mcrim_mitsuba.campaign import entries as schema
@@ -35,6 +35,7 @@ class CampaignParameter:
     start: float
     minimum: float
     maximum: float
+    _: KW_ONLY
     #: Gaussian knowledge from elsewhere, added to the statistic; both or none.
     prior: float | None = None
     prior_sigma: float | None = None
@@ -125,8 +126,9 @@ def read_parameter(
     if bounds is None:
         problem = f"no range of {name} is known"
         raise table.refusal("", problem, "give min and max, or fixed = true")
+    prior, prior_sigma = given["prior"], given["prior_sigma"]
     parameter = CampaignParameter(
-        name, float(start), *bounds, given["prior"], given["prior_sigma"], fixed
+        name, float(start), *bounds, prior=prior, prior_sigma=prior_sigma, fixed=fixed
     )
     _refuse_what_lies_outside(table, parameter)
     return parameter
@@ -223,6 +225,7 @@ class LightYieldInput:
     #: That error by its origins, which add up in quadrature; empty where the campaign gives
     #: the efficiency as a number.
     efficiency_parts: dict[str, float] = field(default_factory=dict)
+    _: KW_ONLY
     #: What the crystal is made of, as the catalogue of materials names it; None: not said.
     material: str | None = None
     #: How that efficiency came of the one that the campaign gives.
@@ -280,6 +283,7 @@ class DetectorTerms:
     #: Part of the photoelectrons that are collected at the first dynode and pass the threshold,
     #: None where the campaign does not say it: 1; and its standard error.
     collection: float | None
+    _: KW_ONLY
     collection_sigma: float
 
     @property
@@ -351,7 +355,9 @@ def read_detector(
     )
     reflected = float(reflectance(1.0, 1.0, _window_index(document, scene, measurements)))
     in_air = (given or usual) == schema.IN_AIR
-    return DetectorTerms(reflected, in_air, given is not None, collection, sigma or 0.0)
+    return DetectorTerms(
+        reflected, in_air, given is not None, collection, collection_sigma=sigma or 0.0
+    )
 
 
 def _window_index(document: TomlDocument, scene: SceneFile, measurements: Measurements) -> float:

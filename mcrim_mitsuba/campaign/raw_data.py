@@ -6,7 +6,7 @@ import copy
 import functools
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ class TransmittanceEntry:
     #: of the points are columns of the files).
     transmittance_sigma: float
     thickness_mm: float
+    _: KW_ONLY
     thickness_sigma_mm: float
     #: A material, or an index; None: the scene's ``n_crystal``.
     n: str | float | None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -120,6 +120,7 @@ class ReducedAbsorption:
     light: Spectrum | None
     #: The crystal's index, or a function of the wavelength in nm.
     n: Index
+    _: KW_ONLY
     found: Absorption
 
 
@@ -133,6 +134,7 @@ class RawData:
     absorption: ReducedAbsorption | None
     #: How deep the source's gammas get.
     source_depth: AttenuationLength | None
+    _: KW_ONLY
     #: What stands in the place of raw entries, by its dotted name in the campaign, such as
     #: ``parameters.alpha_abs_per_cm.prior``.
     numbers: dict[str, float]
@@ -207,7 +209,7 @@ def _reduce_transmittance(
             "the spectra",
         )
     absorption = replace(absorption, notes=(*absorption.notes, *notes))
-    return ReducedAbsorption(entry, spectra, light, n, absorption)
+    return ReducedAbsorption(entry, spectra, light, n, found=absorption)
 
 
 def _index(
@@ -359,7 +361,7 @@ def reduce_raw_data(
             source_depth = attenuation_length_mm(
                 gammas.formula, gammas.energy_keV, gammas.density_g_per_cm3
             )
-    raw = RawData(reduced, efficiency, absorption, source_depth, {}, ())
+    raw = RawData(reduced, efficiency, absorption, source_depth, numbers={}, files=())
     raw = replace(raw, numbers=_numbers(document, raw), files=tuple(_files(raw)))
     return with_numbers(document, raw.numbers), measurements, raw
 

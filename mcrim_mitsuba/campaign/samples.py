@@ -227,7 +227,7 @@ def without_shared(
 
 def efficiency_factor(shared: float) -> CampaignParameter:
     """The factor on all efficiencies, known to a relative error."""
-    return CampaignParameter(EFFICIENCY_FACTOR, 1.0, *_FACTOR_RANGE, 1.0, shared)
+    return CampaignParameter(EFFICIENCY_FACTOR, 1.0, *_FACTOR_RANGE, prior=1.0, prior_sigma=shared)
 
 
 def _refuse_clashes(

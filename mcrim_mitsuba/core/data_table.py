@@ -18,7 +18,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -74,6 +74,7 @@ class DataTable:
     names: tuple[str, ...] | None
     #: Their units, see `table_text.name_and_unit`.
     units: tuple[str | None, ...]
+    _: KW_ONLY
     #: (rows, columns) float64
     values: NDArray[np.float64]
     #: (rows,) int64: Line of each row in the file, from 1.
@@ -137,7 +138,13 @@ def read_data_table(
         if line.kind in (COMMENTED, TEXT) and line.number not in header
     )
     return DataTable(
-        path, comments, names, units, values, np.array([row.number for row in rows]), roles
+        path,
+        comments,
+        names,
+        units,
+        values=values,
+        lines=np.array([row.number for row in rows]),
+        roles=roles,
     )
 
 

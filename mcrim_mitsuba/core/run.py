@@ -7,7 +7,7 @@ import functools
 import signal
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -60,6 +60,7 @@ class Run:
     seed: int = 0
     #: Processor threads; all when None.
     threads: int | None = None
+    _: KW_ONLY
     #: Of Mitsuba.
     variant: str = DEFAULT_VARIANT
     #: Told of the progress, if anybody is.
@@ -109,6 +110,7 @@ class Provenance:
     cached_photons: int
     #: SHA-256 of the scene after substitution.
     scene_hash: str
+    _: KW_ONLY
     #: Of all software that the result depends on, by name.
     versions: dict[str, str]
     #: Wall time.

@@ -83,7 +83,7 @@ class Model(Protocol):
 
 
 #: What a campaign that says nothing of the scale means: free, above 0, no prior.
-UNKNOWN_SCALE = CampaignParameter(SCALE, math.nan, 0.0, math.inf, None, None, fixed=False)
+UNKNOWN_SCALE = CampaignParameter(SCALE, math.nan, 0.0, math.inf, fixed=False)
 
 
 def _named(campaign: Campaign) -> dict[str, CampaignParameter]:

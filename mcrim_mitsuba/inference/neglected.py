@@ -283,7 +283,7 @@ class NeglectWork:
         if switched_on is not None:
             effect, name, value = switched_on
             campaign = campaign.with_effects([effect])
-            held = CampaignParameter(name, value, value, value, None, None, fixed=True)
+            held = CampaignParameter(name, value, value, value, fixed=True)
             campaign = replace(campaign, parameters={**campaign.parameters, name: held})
         if mixed is not None:
             # a response that is to no effect of the catalogue

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -99,6 +99,7 @@ class CommonValue:
     chi2: float | None
     #: Values less one.
     ndf: int
+    _: KW_ONLY
     #: Probability of a larger chi2 if all measure the same; None where `chi2` is.
     p_value: float | None
 
@@ -185,7 +186,9 @@ def common_value(values: Sequence[Uncertain]) -> CommonValue:
         )
     )
     p_value = None if chi2 is None else float(chdtrc(ndf, chi2))
-    return CommonValue(Uncertain(mean, statistical, systematic), weights, chi2, ndf, p_value)
+    return CommonValue(
+        Uncertain(mean, statistical, systematic), weights, chi2, ndf, p_value=p_value
+    )
 
 
 def _for_weights(errors: Array) -> Array:
@@ -270,6 +273,7 @@ class Contribution:
     #: ``statistical`` or ``systematic``.
     kind: Kind
     reducible: bool
+    _: KW_ONLY
     #: As in `Advice`.
     by: str
 
@@ -335,7 +339,7 @@ def contribution(origin: str, relative: float, kind: Kind | None = None) -> Cont
     advice = ADVICE.get(origin.partition(",")[0])
     if advice is None:
         raise ValueError(f"no advice for the error {origin!r}: known are {', '.join(ADVICE)}")
-    return Contribution(origin, relative, kind or advice.kind, advice.reducible, advice.by)
+    return Contribution(origin, relative, kind or advice.kind, advice.reducible, by=advice.by)
 
 
 def budget_of(number: Uncertain) -> ErrorBudget:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +38,7 @@ class Found:
     centroid: float
     width: float
     background: float
+    _: KW_ONLY
     #: The valleys below and above; high is infinite where no other peak lies above.
     low: float
     high: float
@@ -82,10 +83,10 @@ def main_peak(values: Array, counts: Array) -> Found | None:
         float(values[top]),
         float(width),
         float(base),
-        float(values[low]),
-        float(values[high]) if high > top else math.inf,
-        float((smooth[low] - base) / height) if low > 0 else 0.0,
-        float((smooth[high] - base) / height) if high > top else 0.0,
+        low=float(values[low]),
+        high=float(values[high]) if high > top else math.inf,
+        low_level=float((smooth[low] - base) / height) if low > 0 else 0.0,
+        high_level=float((smooth[high] - base) / height) if high > top else 0.0,
     )
 
 
@@ -115,7 +116,7 @@ def peak_inside(values: Array, counts: Array) -> Found | None:
         return None
     width = max(np.ptp(values[near]) / FWHM, values[1] - values[0])
     centroid = float(np.average(values[near], weights=smooth[near]))
-    return Found(height, centroid, float(width), background, -math.inf, math.inf)
+    return Found(height, centroid, float(width), background, low=-math.inf, high=math.inf)
 
 
 # Bins for a list of events, narrow enough for its main peak.
@@ -136,6 +137,7 @@ class _Binning:
     narrower: int = 200
     #: How many bins there may be.
     most: int = 100_000
+    _: KW_ONLY
     #: Empty bins beside the events, where a peak is searched.
     margin: int = 8
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +56,7 @@ class DetectorEfficiency:
     sigma: float
     #: Standard deviation of the quantum efficiency over the emission; no error of the mean.
     spread: float
+    _: KW_ONLY
     #: With the derivatives by every point.
     mean: WeightedMean
     #: What the reader must know before using the number.
@@ -298,6 +299,7 @@ class RelativeMeasurement:
     reference: dict[str, tuple[float, float]]
     #: Light yield of the reference and its standard error, photons per keV.
     reference_yield: tuple[float, float]
+    _: KW_ONLY
     #: Relative standard errors, by quantity, that move both crystals alike: parts of the
     #: errors above.
     shared: dict[str, float]
@@ -318,7 +320,7 @@ def read_comparison(path: str | Path) -> RelativeMeasurement:
     reference = _crystal(document, REFERENCE, (*QUANTITIES, _YIELD))
     reference_yield = reference.pop(_YIELD)
     shared = _shared(document, {SAMPLE: sample, REFERENCE: reference})
-    return RelativeMeasurement(document.path, sample, reference, reference_yield, shared)
+    return RelativeMeasurement(document.path, sample, reference, reference_yield, shared=shared)
 
 
 def _crystal(

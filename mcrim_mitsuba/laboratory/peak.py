@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -311,6 +311,7 @@ class Repeated:
     scatter_sigma: float | None
     #: From the errors of the values.
     internal_sigma: float
+    _: KW_ONLY
     #: Of the values about their weighted mean, with their own errors.
     chi2: float
     ndf: int
@@ -339,7 +340,18 @@ def combine(values: Sequence[float], sigmas: Sequence[float]) -> Repeated:
             raise InputError(f"{value:g} ± {error:g} cannot be averaged", "give an error above 0")
     mean, internal = float(x.mean()), float(np.linalg.norm(errors)) / len(x)
     if len(x) == 1:
-        return Repeated(mean, internal, None, internal, 0.0, 0, None, True, (), ())
+        return Repeated(
+            mean,
+            internal,
+            None,
+            internal,
+            chi2=0.0,
+            ndf=0,
+            p_value=None,
+            consistent=True,
+            outliers=(),
+            warnings=(),
+        )
     spread = float(x.std(ddof=1))
     scatter = spread / math.sqrt(len(x))
     weighted = float(np.average(x, weights=errors**-2.0))
@@ -367,12 +379,12 @@ def combine(values: Sequence[float], sigmas: Sequence[float]) -> Repeated:
         max(scatter, internal),
         scatter,
         internal,
-        chi2,
-        ndf,
-        p_value,
-        consistent,
-        outliers,
-        tuple(warnings),
+        chi2=chi2,
+        ndf=ndf,
+        p_value=p_value,
+        consistent=consistent,
+        outliers=outliers,
+        warnings=tuple(warnings),
     )
 
 

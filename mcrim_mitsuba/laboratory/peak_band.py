@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 from scipy.special import chdtrc
@@ -76,6 +76,7 @@ class Peak:
     #: Standard deviation of the band, in the unit of the bins; "counting": the square root of
     #: the mean and the variance of the mean.
     width: float
+    _: KW_ONLY
     width_sigma: float
     #: Of the band, beyond the window too.
     events: float
@@ -205,6 +206,7 @@ class WidthParts:
     counting: Width
     #: By where gammas stop.
     place: Width
+    _: KW_ONLY
     #: What is left; 0 where the others make more than the whole.
     rest: Width
     #: By how many standard errors the others' variance exceeds the whole; 0 where it does not.
@@ -234,8 +236,8 @@ def width_parts(peak: Peak, source: str, rms: float, rms_sigma: float) -> WidthP
         _width(total, math.hypot(by_width, by_centroid)),
         _width(1.0 / n, of_count),
         Width(FWHM * rms, FWHM * rms_sigma),
-        _width(max(rest, 0.0), sigma),
-        max(-rest, 0.0) / sigma,
+        rest=_width(max(rest, 0.0), sigma),
+        excess=max(-rest, 0.0) / sigma,
     )
 
 

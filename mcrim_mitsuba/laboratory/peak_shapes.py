@@ -11,7 +11,7 @@ a fit finds. Where the dark counts of a gate were measured, subtract them from t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import KW_ONLY, dataclass, fields
 
 import numpy as np
 from scipy.special import gammaln, xlogy
@@ -117,6 +117,7 @@ class PhotonSpectrum:
     intrinsic_spread: float = 0.10
     #: Events whose numbers of photons n follow exp(-n / pedestal_photons).
     pedestal_events: float = PEDESTAL * 20_000.0
+    _: KW_ONLY
     pedestal_photons: float = 1.2
     #: The same for the continuum.
     continuum_events: float = CONTINUUM * 20_000.0

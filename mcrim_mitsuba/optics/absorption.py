@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
@@ -37,6 +37,7 @@ class _SlabReading:
     by_n: float
     #: The reading that is highest above, or nearest to, that of a clear slab, in words.
     highest: str
+    _: KW_ONLY
     #: Where it comes from.
     name: str = ""
     #: Apparent coefficient over wavelength, if a spectrum was measured.
@@ -189,6 +190,7 @@ class Absorption:
     contributions: dict[str, float]
     #: The coefficient before it was held at 0.
     apparent_per_cm: float
+    _: KW_ONLY
     #: exp(-alpha d) of the sample, and its standard error.
     internal_transmittance: float
     internal_transmittance_sigma: float

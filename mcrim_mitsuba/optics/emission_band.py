@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class IndexOverBand:
     #: mean.
     spread: float
     ordinary_mean: float
+    _: KW_ONLY
     #: None where there is no birefringence.
     extraordinary_mean: float | None
     #: Weighted mean of the wavelength.

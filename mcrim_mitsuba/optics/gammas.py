@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,6 +54,7 @@ class AttenuationLength:
     density_g_per_cm3: float
     #: Its parts: photoelectric absorption, Compton and Rayleigh scattering.
     photoelectric_per_cm: float
+    _: KW_ONLY
     incoherent_per_cm: float
     coherent_per_cm: float
     #: Part of the gammas whose K X-ray escapes through the face that they came in by, and the mean
@@ -148,8 +149,14 @@ def attenuation_length_mm(
         )
         return density * sum(per_element) / sum(masses.values())
 
-    parts = (per_cm(kind) for kind in ("photo", "incoh", "coh"))
-    length = AttenuationLength(formula, float(energy_keV), float(density), *parts)
+    length = AttenuationLength(
+        formula,
+        float(energy_keV),
+        float(density),
+        photoelectric_per_cm=per_cm("photo"),
+        incoherent_per_cm=per_cm("incoh"),
+        coherent_per_cm=per_cm("coh"),
+    )
     escaping, lost = _escaping(length, masses, per_cm)
     return replace(length, escaping=escaping, escaping_keV=lost / escaping if escaping else 0.0)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ class Material:
     source: str
     #: The ordinary ray's; the only one where there is no birefringence.
     ordinary: Dispersion
+    _: KW_ONLY
     extraordinary: Dispersion | None = None
     #: Standard error of the index, estimated: of the formula, and of one sample against another.
     sigma: float = 0.0

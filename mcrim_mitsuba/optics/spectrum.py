@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -90,6 +90,7 @@ class Spectrum:
     sigmas: Array | None = None
     #: Where it comes from, such as its file, for messages.
     name: str = ""
+    _: KW_ONLY
     #: What the reader must know before using it.
     notes: tuple[str, ...] = ()
 
@@ -174,6 +175,7 @@ class WeightedMean:
     #: each point independent; None where these are not known.
     quantity_sigma: float | None
     emission_sigma: float | None
+    _: KW_ONLY
     #: (points of the curve,) float64: Change of the mean with each of the curve's values.
     quantity_derivatives: Array
     #: (points of the emission,) float64: Change of the mean with each of the emission's values.

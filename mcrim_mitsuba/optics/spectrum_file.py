@@ -282,7 +282,7 @@ def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
     )
     values = table.values[axis.rows, value] * scale
     sigmas = None if sigmas is None else sigmas[axis.rows] * scale
-    return Spectrum(axis.wavelength_nm, values, sigmas, str(table.path), notes)
+    return Spectrum(axis.wavelength_nm, values, sigmas, str(table.path), notes=notes)
 
 
 def _columns(table: DataTable) -> tuple[int, int, int | None]:

@@ -513,9 +513,13 @@ _CALLED = {
     "monte_carlo": "the simulation",
 }
 _WHICH = Contribution(
-    "which explanation is right", 0.0, "systematic", True, "a further reading that tells them apart"
+    "which explanation is right",
+    0.0,
+    "systematic",
+    True,
+    by="a further reading that tells them apart",
 )
-_NO_EFFECT = Contribution("what is in no catalogue", 0.0, "systematic", False, "")
+_NO_EFFECT = Contribution("what is in no catalogue", 0.0, "systematic", False, by="")
 
 
 def parameter_label(name: str) -> str:

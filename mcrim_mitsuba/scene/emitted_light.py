@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +53,7 @@ class EmittedLight:
     efficiency: Array
     #: Scene parameters that vary.
     parameters: Mapping[str, Array]
+    _: KW_ONLY
     #: Whether the efficiency was given.
     detected: bool
     #: The file.
@@ -153,7 +154,9 @@ def read_light(
     }
     varying |= {n: np.interp(grid, emission.wavelength_nm, v) for n, v in columns.items()}
     varying = {name: values for name, values in varying.items() if np.ptp(values) > 0.0}
-    emitted = EmittedLight(grid, light, np.ones_like(grid), varying, False, Path(path))
+    emitted = EmittedLight(
+        grid, light, np.ones_like(grid), varying, detected=False, path=Path(path)
+    )
     if seen is not None:
         return emitted.seen_by(Spectrum(emission.wavelength_nm, seen))
     if quantum_efficiency is not None:

@@ -12,7 +12,7 @@ import functools
 import hashlib
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +56,7 @@ class DefaultParameter:
     comment: str
     #: Unit that the name ends in.
     unit: str | None
+    _: KW_ONLY
     #: File that holds it (an included one, perhaps).
     path: Path
     #: Line in that file.

@@ -6,7 +6,7 @@ An index may be given by a material's name: ``BK7@540nm``, ``CaMoO4@band.csv``.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,7 @@ class MaterialIndex:
     value: float
     material: Material
     wavelength_nm: float | None
+    _: KW_ONLY
     #: Spectrum over which the index was averaged; one of the two is given.
     emission: Path | None
     #: What must be known of the average.
@@ -114,7 +115,7 @@ def read_index(what: str, text: str, folder: Path | None = None, **place: Any) -
         return _over_emission(what, text, medium, home / where, place)
     with placed(what.rstrip(","), **place):
         value = round(float(medium.index(where)), _INDEX_DECIMALS)
-    return MaterialIndex(text.strip(), value, medium, where, None)
+    return MaterialIndex(text.strip(), value, medium, where, emission=None)
 
 
 def material_at(what: str, text: str, **place: Any) -> tuple[Material, float | str]:
@@ -152,7 +153,9 @@ def _over_emission(
     with placed(what.rstrip(","), **place):
         band = index_over(medium.name, emission)
     value = round(band.mean, _INDEX_DECIMALS)
-    return MaterialIndex(text.strip(), value, medium, None, path, (*emission.notes, *band.notes))
+    return MaterialIndex(
+        text.strip(), value, medium, None, emission=path, notes=(*emission.notes, *band.notes)
+    )
 
 
 def parse_material(

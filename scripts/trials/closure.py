@@ -277,19 +277,17 @@ def as_campaign(configurations: Sequence[Configuration], drawn: DrawnCampaign) -
             float(signal),
             READING_SIGMA * float(signal),
             dict(zip(COLUMNS, configuration, strict=True)),
-            True,
-            None,
-            None,
             line=number,
         )
         for number, (configuration, signal) in enumerate(
             zip(configurations, drawn.signals, strict=True), start=2
         )
     )
-    prior = drawn.prior_per_cm, PRIOR_SIGMA_PER_CM
     parameters = (
-        CampaignParameter(ALPHA_SCAT, 0.5, 1e-3, 10.0, None, None, fixed=False),
-        CampaignParameter(ALPHA_ABS, 0.039, 0.0, 1.0, *prior, fixed=False),
+        CampaignParameter(ALPHA_SCAT, 0.5, 1e-3, 10.0, fixed=False),
+        CampaignParameter(
+            ALPHA_ABS, 0.039, 0.0, 1.0, prior=drawn.prior_per_cm, prior_sigma=PRIOR_SIGMA_PER_CM
+        ),
     )
     return Campaign(
         path=Path("closure.toml"),

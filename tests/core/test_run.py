@@ -71,5 +71,5 @@ def test_a_signal_waits_for_the_end():
 
 
 def test_a_result_says_how_it_was_done():
-    done = Provenance(1, 10, 5, "hash", {"numpy": "2"}, 0.5, ())
+    done = Provenance(1, 10, 5, "hash", versions={"numpy": "2"}, seconds=0.5, notes=())
     assert done.photons - done.cached_photons == 5

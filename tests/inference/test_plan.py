@@ -99,9 +99,7 @@ def measured(campaign, planned, chosen, signals, mountings, events, prior=None):
         counted = each.event_sigma / math.sqrt(events * mountings)
         scatter = planned.conditions.mounting_scatter * each.signal / math.sqrt(mountings)
         sigma = math.hypot(counted, scatter)
-        readings.append(
-            Reading(f"{i}", float(signal), sigma, dict(each.parameters), True, None, None, 2)
-        )
+        readings.append(Reading(f"{i}", float(signal), sigma, dict(each.parameters), line=2))
     made = replace(campaign, measurements=replace(campaign.measurements, readings=tuple(readings)))
     if prior is None:
         return made

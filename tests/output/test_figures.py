@@ -138,7 +138,9 @@ def test_numbers_are_what_is_drawn(scenes, tmp_path):
 
 def test_calibrate_refuses_places_of_its_three_figures(scenes, here, monkeypatch, mcrim):
     _, found = fitted(scenes, here)
-    result = campaigns.CampaignResult(found, Provenance(0, 2, 0, "hash", {}, 0.0, ()))
+    result = campaigns.CampaignResult(
+        found, Provenance(0, 2, 0, "hash", versions={}, seconds=0.0, notes=())
+    )
     monkeypatch.setattr(campaigns, "calibrate", lambda *_, **__: result)
     before = {path: path.read_bytes() for path in here.iterdir()}
     drawn = ["calibrate", "camoo4_campaign.toml", "--figure"]

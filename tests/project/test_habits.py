@@ -27,6 +27,9 @@ MOST_TOO_LONG = 11
 MAY_BE_LONG = {"transport/loop.py:step"}
 #: Constants of modules that stand in one statement with others: ``A, B = 1, 2``.
 MOST_PACKED = 237
+#: Fields that a class may take by position, and classes that take more.
+BY_POSITION = 4
+MOST_BY_POSITION = 200
 #: Lines of the tests that the formatter leaves alone.
 MOST_SKIPPED_IN_TESTS = 10
 
@@ -75,6 +78,24 @@ def packed_constants() -> collections.Counter[str]:
     return count
 
 
+def taken_by_position() -> list[str]:
+    """Dataclasses that take more fields by position than they should."""
+    classes = []
+    for path, tree in modules():
+        for node in ast.walk(tree):
+            decorators = map(ast.unparse, getattr(node, "decorator_list", ()))
+            if isinstance(node, ast.ClassDef) and (
+                how := [d for d in decorators if "dataclass" in d]
+            ):
+                kinds = [
+                    ast.unparse(n.annotation) for n in node.body if isinstance(n, ast.AnnAssign)
+                ]
+                fields = kinds.index("KW_ONLY") if "KW_ONLY" in kinds else len(kinds)
+                if fields > BY_POSITION and "kw_only" not in how[0]:
+                    classes.append(f"{path}:{node.name}")
+    return classes
+
+
 def skipped_lines(folder: Path) -> list[str]:
     """Places that ask the formatter to leave them alone."""
     mark = re.compile(r"#\s*fmt:\s*" + "(skip|off)")
@@ -100,6 +121,11 @@ def test_functions_are_short(lines, most):
 def test_every_constant_has_a_line():
     count = packed_constants()
     assert count.total() <= MOST_PACKED, count.most_common()
+
+
+def test_few_fields_are_taken_by_position():
+    classes = taken_by_position()
+    assert len(classes) <= MOST_BY_POSITION, classes
 
 
 def test_the_formatter_lays_out_everything():
@@ -131,5 +157,6 @@ if __name__ == "__main__":
     for name, size in long_functions(LONG).items():
         print(f"{size:4d} {name}")
     print("packed constants:", dict(packed_constants().most_common(20)))
+    print("taken by position:", *taken_by_position())
     print(*skipped_lines(ROOT), sep="\n")
     sys.exit()

@@ -86,16 +86,17 @@ def test_a_measurement_file_is_read_as_it_was_written(campaign, folder, rows):
             float(f"{signal:.6g}"),
             float(f"{sigma:.6g}"),
             {"n_gap": n},
-            use,
-            None,
-            None,
-            line,
+            use=use,
+            line=line,
         )
         for line, (label, signal, sigma, use, n) in enumerate(rows)
     )
-    readings = (*readings, Reading("in use, surely", 1.0, 0.1, {"n_gap": 1.5}, True, None, None, 0))
+    readings = (
+        *readings,
+        Reading("in use, surely", 1.0, 0.1, {"n_gap": 1.5}),
+    )
     written = Measurements(folder / "old.csv", (), ("n_gap",), readings)
-    raw = RawData({}, None, None, None, {}, ())
+    raw = RawData({}, None, None, None, numbers={}, files=())
     before = dataclasses.replace(campaign, measurements=written, raw=raw)
     _, text = plain_texts(before, folder / "new.toml", folder / "new.csv")
     (folder / "new.csv").write_bytes(text.encode())
