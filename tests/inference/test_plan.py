@@ -74,7 +74,7 @@ def without_photons(monkeypatch):
         def simulations(campaign, run):
             def further(configurations):
                 readings = [
-                    Reading(f"{i}", 1.0, 1.0, dict(values), True, None, None, 2)
+                    Reading(f"{i}", 1.0, 1.0, dict(values), line=2)
                     for i, values in enumerate(configurations)
                 ]
                 measured = replace(campaign.measurements, readings=tuple(readings))
