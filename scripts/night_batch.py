@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import click
+from convert_results import read_results
 from shared import one_after_another, refuse_foreign, status_of
 
 import mcrim_mitsuba as mcrim
@@ -22,7 +23,7 @@ from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.files import make_folder, refuse_outputs, resolved, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
-from mcrim_mitsuba.output.codec import csv_lines, read_results
+from mcrim_mitsuba.output.codec import csv_lines
 
 _QUALITY = ("chi2", "ndf", "p_value")
 _COLUMNS = (

@@ -1,17 +1,16 @@
-"""Documents of results read again, and tables of them: CSV, NetCDF (xarray) or LaTeX.
+"""Documents of results read again: as tables, and these as datasets.
 
-`registry.document_of` makes what ``--json`` writes of a result; its ``kind`` says here how it is
-read. A result becomes rows of numbers, an error beside each (`ResultTable`).
+`registry.encoded` makes what ``--json`` writes of a result; its ``kind`` says here how it is read.
+A result becomes rows of numbers, an error beside each (`ResultTable`), and these a dataset of
+xarray, or NetCDF. ``scripts/convert_results.py`` reads files, and writes LaTeX and CSV too.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,21 +19,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcrim_mitsuba import __version__
-from mcrim_mitsuba.core.errors import InputError, visible
-from mcrim_mitsuba.core.files import json_text, read_text, resolved, write_bytes
-from mcrim_mitsuba.core.numbers import parse_number, unit_of
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import json_text
+from mcrim_mitsuba.core.numbers import unit_of
 from mcrim_mitsuba.core.rounding import pdg
-from mcrim_mitsuba.core.table_text import csv_cells
 from mcrim_mitsuba.efficiency.table import COLUMNS
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 
 if TYPE_CHECKING:
     import xarray
 
-_LIMIT_MB = 200
 #: Whole numbers beyond are nobody's result, and no float can hold the largest that JSON may have.
 _LARGEST_WHOLE = 2**63
-_MEND = "give what --json of calibrate, compare, diagnose, report, simulate or table wrote"
+MEND = "give what --json of calibrate, compare, diagnose, report, simulate or table wrote"
 # a column's name: what NetCDF and CSV can hold
 _NAME = re.compile(r"[^\W\d][^\x00-\x1f/\"]*")
 
@@ -51,7 +48,7 @@ SIGMA = "_sigma"
 LOWER = "_lower"
 UPPER = "_upper"
 AT_BOUND = "_at_bound"
-_ENDINGS = {
+ENDINGS = {
     SIGMA: "standard error",
     LOWER: "lower end of the 68.3 % interval",
     UPPER: "upper end of the 68.3 % interval",
@@ -165,35 +162,10 @@ class JsonObject:
 
     def refusal(self, name: str, problem: str) -> InputError:
         """The error that says what is wrong with the entry `name`."""
-        return InputError(f"{self._at(name)}: {problem}", _MEND, path=self.path)
+        return InputError(f"{self._at(name)}: {problem}", MEND, path=self.path)
 
     def _at(self, name: str) -> str:
         return f"{self._place}.{name}" if self._place else name
-
-
-def read_json(path: Path) -> JsonObject:
-    """Read a file that holds one JSON object.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, is no JSON, or holds something else.
-    """
-    text = read_text(path, _LIMIT_MB)
-    try:
-        content = json.loads(text)
-        json.dumps(content, ensure_ascii=False).encode()
-    except json.JSONDecodeError as error:
-        problem = f"not JSON ({error.msg})"
-        raise InputError(problem, _MEND, path=path, line=error.lineno, column=error.colno) from None
-    except UnicodeEncodeError:
-        problem = "JSON with half a character (\\ud800 or the like)"
-        raise InputError(problem, _MEND, path=path) from None
-    except (RecursionError, ValueError):
-        raise InputError("JSON that is nested too deeply or too long", _MEND, path=path) from None
-    if not isinstance(content, dict):
-        raise InputError("JSON, but not of a result", _MEND, path=path)
-    return JsonObject(path, content)
 
 
 def _kind_of(document: JsonObject) -> str:
@@ -206,7 +178,7 @@ def _kind_of(document: JsonObject) -> str:
 
 def _not_a_result(path: Path) -> InputError:
     """JSON of another program, or of a command without a result in numbers."""
-    return InputError("JSON, but no result of mcrim that can be converted", _MEND, path=path)
+    return InputError("JSON, but no result of mcrim that can be converted", MEND, path=path)
 
 
 def _kind_by_keys(content: Mapping[str, Any]) -> str:
@@ -239,42 +211,11 @@ def table_of_document(document: dict[str, Any], name: str) -> ResultTable:
     InputError
         If it is no result of calibrate, compare, diagnose, report, simulate or table.
     """
-    kind, part = _read_document(JsonObject(Path(name), document))
-    return _joined(kind, {name: part})
+    kind, part = read_document(JsonObject(Path(name), document))
+    return joined(kind, {name: part})
 
 
-def read_results(paths: Sequence[str | Path]) -> ResultTable:
-    """Read results of one kind.
-
-    Parameters
-    ----------
-    paths : sequence of str or Path
-        ``.json`` of calibrate, compare, diagnose, report, simulate or table, or the ``.csv`` that
-        table writes. A report counts as the calibration that it ends with.
-
-    Raises
-    ------
-    InputError
-        If a file is none of these, is there twice, or is of another kind than the first.
-    """
-    files = [Path(path) for path in paths]
-    if not files:
-        raise InputError("no result is named", "name one file at least")
-    for path, count in Counter(map(resolved, files)).items():
-        if count > 1:
-            raise InputError("named twice", "name it once", path=path)
-    parts: dict[str, Part] = {}
-    first = ""
-    for path, name in zip(files, _short_names(files), strict=True):
-        kind, parts[name] = _read(path)
-        first = first or kind
-        if kind != first:
-            problem = f"this is of the kind {kind}, but {files[0]} of the kind {first}"
-            raise InputError(problem, "convert results of one kind at a time", path=path)
-    return _joined(first, parts)
-
-
-def _joined(kind: str, parts: Mapping[str, Part]) -> ResultTable:
+def joined(kind: str, parts: Mapping[str, Part]) -> ResultTable:
     """Results of one kind, by name."""
     return ResultTable(
         kind,
@@ -284,25 +225,7 @@ def _joined(kind: str, parts: Mapping[str, Part]) -> ResultTable:
     )
 
 
-def _short_names(files: Sequence[Path]) -> list[str]:
-    """Short names, unlike each other: without folder and suffix where that suffices."""
-    for short in (lambda p: p.stem, lambda p: p.name, lambda p: f"{p.parent.name}/{p.name}", str):
-        names = [short(file) for file in files]
-        if len(set(names)) == len(names):
-            return names
-    return [str(resolved(file)) for file in files]
-
-
-def _read(path: Path) -> tuple[str, Part]:
-    if path.suffix.lower() == ".csv":
-        return ETA_TABLE, _table_of_csv(path)
-    if path.suffix.lower() != ".json":
-        problem = f"a result ends in .json or .csv, not in {path.suffix or 'nothing'}"
-        raise InputError(problem, "give the file that --json or table -o wrote", path=path)
-    return _read_document(read_json(path))
-
-
-def _read_document(document: JsonObject) -> tuple[str, Part]:
+def read_document(document: JsonObject) -> tuple[str, Part]:
     """What its table is of, and its rows, readings and provenance."""
     kind, read = _READERS[_kind_of(document)]
     rows, readings = read(document)
@@ -420,39 +343,10 @@ def _table_of_json(document: JsonObject) -> Rows:
     rows = [point.row(*COLUMNS) for point in document.objects("rows")]
     if any(None in row.values() for row in rows):
         raise _not_a_result(document.path)
-    return _without_repeated(rows, document.path), []
+    return without_repeated(rows, document.path), []
 
 
-def _table_of_csv(path: Path) -> Part:
-    """Lines that begin with # and hold ``name: value`` are provenance."""
-    provenance: dict[str, Any] = {}
-    lines = []
-    for number, text in enumerate(read_text(path, _LIMIT_MB).split("\n"), start=1):
-        if text.startswith("#"):
-            name, colon, value = text.lstrip("# ").partition(": ")
-            if colon and name.isidentifier():
-                provenance[name] = value
-        elif text.strip():
-            lines.append((number, text))
-    if not lines or tuple(csv_cells(lines[0][1], path, lines[0][0])) != COLUMNS:
-        mend = f"its header is {','.join(COLUMNS)}, as mcrim table writes it"
-        raise InputError("no table of eta", mend, path=path, line=lines[0][0] if lines else None)
-    rows: list[Row] = []
-    for number, text in lines[1:]:
-        cells = csv_cells(text, path, number)
-        if len(cells) != len(COLUMNS):
-            problem = f"{len(cells)} cells under {len(COLUMNS)} columns"
-            raise InputError(problem, "give each column one cell", path=path, line=number)
-        rows.append(
-            {
-                name: parse_number(name, cell, path=path, line=number, column=name)
-                for name, cell in zip(COLUMNS, cells, strict=True)
-            }
-        )
-    return _without_repeated(rows, path), [], provenance
-
-
-def _without_repeated(rows: list[Row], path: Path) -> list[Row]:
+def without_repeated(rows: list[Row], path: Path) -> list[Row]:
     """Rows without those that say the same again."""
     points: dict[tuple, Row] = {}
     for row in rows:
@@ -477,117 +371,6 @@ _READERS: dict[str, tuple[str, Callable[[JsonObject], Rows]]] = {
     "hypotheses": (HYPOTHESES, _hypotheses),
     "diagnosis": (DIAGNOSIS, _diagnosis),
 }
-
-
-# ---------------------------------------------------------------- LaTeX
-# (booktabs), rounded as the Particle Data Group does
-
-_HEADINGS = {
-    LIGHT_YIELD: r"light yield (ph\,keV$^{-1}$)",
-    "alpha_scat_per_cm": r"$\alpha_{\mathrm{scat}}$ (cm$^{-1}$)",
-    "alpha_abs_per_cm": r"$\alpha_{\mathrm{abs}}$ (cm$^{-1}$)",
-    "n_gap": r"$n_{\mathrm{gap}}$",
-    "n_crystal": r"$n_{\mathrm{crystal}}$",
-    "eta": r"$\eta$",
-    "chi2": r"$\chi^2$",
-    "delta_chi2": r"$\Delta\chi^2$",
-    "p_value": "$p$",
-}
-_LEFT_OUT = {
-    DIAGNOSIS: ("p_global", "left_out_error", "aicc", "plausible", "verdict"),
-    SIMULATION: ("photons",),
-}
-_SPECIAL = str.maketrans(
-    {character: f"\\{character}" for character in "{}$&#%_"}
-    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
-    | {"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}"}
-    | {"±": r"$\pm$", "\u2212": "$-$"}
-)
-_POWER = re.compile(r"\((.*)\)e([+-]?\d+)")
-
-
-def latex_text(table: ResultTable) -> str:
-    """A ``tabular``; its document needs the package booktabs.
-
-    Values get the places that their errors deserve; what makes the results reproducible is in
-    the JSON and in NetCDF, not here.
-    """
-    columns = _columns_to_read(table)
-    texts = {n for row in table.rows for n, cell in row.items() if isinstance(cell, str | bool)}
-    headings = [_HEADINGS.get(name) or escaped(name.replace("_", " ")) for name in columns]
-    names = ", ".join(visible(" ".join(name.split())) for name in table.provenance)
-    lines = [
-        rf"% needs \usepackage{{booktabs}}; made by mcrim_mitsuba from {names}",
-        r"\begin{tabular}{" + "".join("l" if name in texts else "r" for name in columns) + "}",
-        r"\toprule",
-        _latex_line(headings),
-        r"\midrule",
-        *(_latex_line([_latex_cell(row, name) for name in columns]) for row in table.rows),
-        r"\bottomrule",
-        r"\end{tabular}",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _latex_line(cells: Sequence[str]) -> str:
-    return " & ".join(cells) + r" \\"
-
-
-def escaped(text: str) -> str:
-    """A text that LaTeX shows as it is."""
-    return visible(" ".join(text.split())).translate(_SPECIAL)
-
-
-def _columns_to_read(table: ResultTable) -> list[str]:
-    """Columns of a table that is read: errors stand beside values, what is alike is left out."""
-    names = columns_of(table.rows)
-    columns = []
-    for name in names:
-        cells = [row.get(name) for row in table.rows]
-        beside = any(name.endswith(end) and name.removesuffix(end) in names for end in _ENDINGS)
-        if beside or name in _LEFT_OUT.get(table.kind, ()) or all(c in (None, "") for c in cells):
-            continue
-        several_rows = table.kind in (ETA_TABLE, DIAGNOSIS, HYPOTHESES)
-        if name == RESULT and several_rows and len(table.provenance) == 1:
-            continue
-        # parameters of scenes, and fates that no light met
-        if table.kind == SIMULATION and name not in (RESULT, "eta"):
-            alike = name + SIGMA not in names and all(cell == cells[0] for cell in cells)
-            if alike or all(cell == 0 for cell in cells):
-                continue
-        columns.append(name)
-    return columns
-
-
-def _latex_cell(row: Row, name: str) -> str:
-    value = row.get(name)
-    if value is None or value == "":
-        return "--"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, str):
-        return escaped(value)
-    if row.get(name + AT_BOUND):
-        return f"{_latex_number(value)} (at its bound)"
-    sigma = row.get(name + SIGMA)
-    if sigma is not None and float(sigma) > 0:
-        return _latex_rounded(pdg(float(value), float(sigma)))
-    return _latex_number(value)
-
-
-def _latex_rounded(text: str) -> str:
-    r"""``7.5 ± 1.2`` as ``$7.5 \pm 1.2$``."""
-    power = _POWER.fullmatch(text)
-    body = (power[1] if power else text).replace("±", r"\pm")
-    return rf"$({body}) \times 10^{{{power[2]}}}$" if power else f"${body}$"
-
-
-def _latex_number(value: float | int) -> str:
-    """A number without an error: an integer as it is, others in four digits."""
-    if isinstance(value, int):
-        return f"${value}$"
-    mantissa, _, power = f"{value:.4g}".partition("e")
-    return rf"${mantissa} \times 10^{{{int(power)}}}$" if power else f"${mantissa}$"
 
 
 # ---------------------------------------------------------------- xarray, NetCDF 3
@@ -695,8 +478,8 @@ def _array(cells: Sequence[Cell]) -> np.ndarray:
 def _attributes(name: str) -> dict[str, str]:
     """Unit and meaning of a variable."""
     name = name.removeprefix("reading_")
-    ending = next((end for end in _ENDINGS if name.endswith(end)), "")
-    quantity, what = name.removesuffix(ending), _ENDINGS.get(ending, "")
+    ending = next((end for end in ENDINGS if name.endswith(end)), "")
+    quantity, what = name.removesuffix(ending), ENDINGS.get(ending, "")
     meaning = _MEANINGS.get(quantity, quantity if what else "")
     unit = "1/keV" if quantity == LIGHT_YIELD else unit_of(quantity)
     unit = unit or ("1" if quantity in _MEANINGS else None)
@@ -707,40 +490,6 @@ def _attributes(name: str) -> dict[str, str]:
     return {attribute: text for attribute, text in attributes.items() if text}
 
 
-# ---------------------------------------------------------------- files
-
-
-def write_table(table: ResultTable, path: str | Path) -> None:
-    """Write results whole or not at all.
-
-    Parameters
-    ----------
-    path : str or Path
-        Ends in ``.csv``, ``.nc`` or ``.tex``.
-
-    Raises
-    ------
-    InputError
-        If the suffix is another one, or the file cannot be written.
-    """
-    write = _WRITERS.get(Path(path).suffix.lower())
-    if write is None:
-        problem = "results are written as .csv, .nc or .tex"
-        raise InputError(problem, "let the name end in one of these", path=path)
-    write_bytes(path, write(table))
-
-
-def csv_text(table: ResultTable) -> str:
-    """A row per row; what is not known is an empty cell.
-
-    One eta table has the columns of ``mcrim table``, which reads like one again.
-    """
-    columns = columns_of(table.rows)
-    if table.kind == ETA_TABLE and len(table.provenance) == 1:
-        columns.remove(RESULT)
-    return csv_lines(columns, ([row.get(name) for name in columns] for row in table.rows))
-
-
 def csv_lines(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
     """CSV with all digits; None is an empty cell, true is 1."""
     text = io.StringIO()
@@ -748,12 +497,3 @@ def csv_lines(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
     writer.writerow(columns)
     writer.writerows([int(c) if isinstance(c, bool) else c for c in row] for row in rows)
     return text.getvalue()
-
-
-_WRITERS: dict[str, Callable[[ResultTable], bytes]] = {
-    ".csv": lambda table: csv_text(table).encode(),
-    ".nc": lambda table: netcdf_bytes(dataset(table)),
-    ".tex": lambda table: latex_text(table).encode(),
-}
-#: Suffixes of the files that `write_table` writes.
-SUFFIXES = tuple(_WRITERS)

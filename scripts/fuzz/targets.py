@@ -21,6 +21,7 @@ from typing import NamedTuple
 import click
 import convert_results
 import numpy as np
+from convert_results import csv_text, dataset, latex_text, netcdf_bytes, read_results
 from shared import SCENES
 
 from fuzz.mutation import SEPARATOR
@@ -41,7 +42,6 @@ from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.light_yield import read_comparison, relative_yield
 from mcrim_mitsuba.optics.gammas import attenuation_length_mm
 from mcrim_mitsuba.optics.spectrum_file import read_spectrum
-from mcrim_mitsuba.output.codec import csv_text, dataset, latex_text, netcdf_bytes, read_results
 from mcrim_mitsuba.runs import cache_files as chunk_file
 from mcrim_mitsuba.runs.cache import RecordCache
 from mcrim_mitsuba.scene import check_text

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic_bench as bench
+from convert_results import read_results
 from places import SCENES
 from refusals import refusal
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.inference.hypotheses import refuse_unlike, side_by_side
-from mcrim_mitsuba.output.codec import read_results
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 

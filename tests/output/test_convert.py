@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 import xarray
+from convert_results import dataset, escaped, latex_text, read_results, write_table
 from places import SCENES, cases_of
 from refusals import refusal
 
 import mcrim_mitsuba as mcrim
-from mcrim_mitsuba.output.codec import dataset, escaped, latex_text, read_results, write_table
 
 cases = cases_of(__file__)
 

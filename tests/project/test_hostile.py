@@ -9,6 +9,7 @@ import shutil
 import numpy as np
 import pytest
 import tomlkit
+from convert_results import read_results, write_table
 from fuzz import __main__ as fuzz
 from fuzz.mutation import mutate
 from fuzz.targets import TARGETS, Target, attempt, place_of, workplace
@@ -27,7 +28,6 @@ from mcrim_mitsuba.core.files import refuse_outputs, write_text
 from mcrim_mitsuba.core.toml_document import read_toml
 from mcrim_mitsuba.laboratory.error_budget import Uncertain
 from mcrim_mitsuba.laboratory.light_yield import light_yield_ph_per_keV
-from mcrim_mitsuba.output.codec import read_results, write_table
 from mcrim_mitsuba.runs import cache_files as chunk_file
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.values import parse_list, parse_value

@@ -7,11 +7,11 @@ import convert_results
 import eta_tables
 import night_batch
 import pytest
+from convert_results import read_results
 from places import cases_of
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli.terminal import run
-from mcrim_mitsuba.output.codec import read_results
 from mcrim_mitsuba.transport import loop as transport
 
 cases = cases_of(__file__)
