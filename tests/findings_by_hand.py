@@ -21,7 +21,7 @@ from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
 from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.next_measurements import NextMeasurement
-from mcrim_mitsuba.output import photographer
+from mcrim_mitsuba.output import photograph
 from mcrim_mitsuba.output import report as reporting
 from mcrim_mitsuba.output import report_sections as sections
 
@@ -231,6 +231,6 @@ def quick_report(by_hand: Diagnosis) -> Iterator[pytest.MonkeyPatch]:
     blank = SimpleNamespace(picture=np.zeros((920, 1440, 3), np.uint8), trouble="")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reporting, "repair", repair)
-        patch.setattr(photographer, "photograph", lambda *_: blank)
+        patch.setattr(photograph, "begin_photograph", lambda *_: blank)
         patch.setattr(sections, "LIGHT_PHOTONS", 4000)
         yield patch

@@ -1,8 +1,9 @@
-"""Verbs on campaigns, in the order of their use: ``mcrim reduce`` to ``mcrim budget``."""
+"""Verbs on campaigns, in the order of their use: ``reduce`` to ``budget``, and ``app``."""
 
 from __future__ import annotations
 
 import sys
+import webbrowser
 from pathlib import Path
 
 import click
@@ -10,6 +11,7 @@ from rich.console import Group
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
+from mcrim_mitsuba.cli.terminal import console
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_to_replace
 
@@ -316,3 +318,45 @@ def budget(campaign, figure, json_file, work, map_file, **crystal) -> None:
     with work.begin() as run:
         errors = mcrim.budget(read, run=run, eta_map=map_file, **crystal)
     showing.answer(errors, json_file, figure)
+
+
+#: How long the job that is under way may take to notice that the page is closed.
+_PATIENCE_SECONDS = 5.0
+
+
+@click.command(short_help="Open a campaign in the browser, with sliders and switches.")
+@options.campaign
+@click.option(
+    "--port",
+    type=options.Whole(1, 65535),
+    metavar="NUMBER",
+    help="Where the page is (default: one that is free).",
+)
+@click.option("--no-browser", is_flag=True, help="Only print the page's address.")
+@options.effect_photons
+@options.run
+def app(campaign, port, no_browser, run) -> None:
+    """Open CAMPAIGN (TOML) as a page in the browser, with sliders and switches.
+
+    Every change redraws predictions, pulls, chi2 and the light yield. The page is reached from
+    this machine alone, by the address that is printed; Ctrl-C ends it.
+    """
+    from mcrim_mitsuba.app.access import new_key, serve
+    from mcrim_mitsuba.app.exchange import page_folder
+    from mcrim_mitsuba.app.page import make_page
+    from mcrim_mitsuba.app.session import Session
+
+    read, key, screen = showing.read_campaign(campaign, None), new_key(), console()
+
+    def ready(address: str) -> None:
+        screen.line(f"the page is at {address}")
+        screen.line("Ctrl-C ends it")
+        if not no_browser:
+            webbrowser.open(address)
+
+    with page_folder() as folder:
+        session = Session(read, run, folder)
+        try:
+            serve(make_page(session, f"/{key}/"), port=port, key=key, on_ready=ready)
+        finally:
+            session.jobs.close(_PATIENCE_SECONDS)

@@ -13,12 +13,10 @@ from mcrim_mitsuba.core.errors import InputError, closest
 
 #: Verbs by the module of this folder that has them.
 _VERBS = {
-    "add": ("add",),
-    "app": ("app",),
     "lab": ("lab",),
-    "merge": ("merge",),
-    "paper": ("paper",),
+    "other_verbs": ("add", "merge", "paper"),
     "campaign_verbs": (
+        "app",
         "budget",
         "calibrate",
         "compare",
@@ -27,7 +25,15 @@ _VERBS = {
         "repair",
         "report",
     ),
-    "scene_verbs": ("check", "crosscheck", "render", "scenes", "schema", "simulate", "table"),
+    "scene_verbs": (
+        "check",
+        "crosscheck",
+        "render",
+        "scenes",
+        "schema",
+        "simulate",
+        "table",
+    ),
 }
 _HOME_OF = {verb: module for module, verbs in _VERBS.items() for verb in verbs}
 

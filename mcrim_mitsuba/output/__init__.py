@@ -7,6 +7,5 @@
 what ``--json`` wrote and converts it (CSV, NetCDF, LaTeX). Figures come with the numbers behind
 them (`figure_style.Drawing`) from `fit_figures`, `diagnosis_figures`, `budget_figures`,
 `light_figures` and `laboratory_figures`; `report` writes the page, `cross_section` and
-`photograph` draw a bench. Whatever begins with ``report_``, and `photographer`, is the report's
-own.
+`photograph` draw a bench. Whatever begins with ``report_`` is the report's own.
 """

@@ -27,7 +27,7 @@ from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
-from mcrim_mitsuba.output import photographer
+from mcrim_mitsuba.output import photograph
 from mcrim_mitsuba.output.sentences import errors_apart, plain_headline
 from mcrim_mitsuba.runs.cache import RecordCache, code_hash, record_versions
 from mcrim_mitsuba.runs.cache_files import Chunk
@@ -438,7 +438,7 @@ class BenchDescription:
     reading: str
     #: Of this configuration; None where they were drawn before.
     cross_section: Figure | None
-    photograph: photographer.Photograph | None
+    photograph: photograph.Photograph | None
 
 
 def describe(
@@ -476,7 +476,7 @@ def describe(
         for name, parameter in campaign.parameters.items()
     }
     # drawn in another process while what follows is made
-    photograph = photographer.photograph(drawn, run, PICTURE_SCALE) if draw else None
+    picture = photograph.begin_photograph(drawn, run, PICTURE_SCALE) if draw else None
     return BenchDescription(
         report=report,
         parameters=tuple(
@@ -485,5 +485,5 @@ def describe(
         ),
         reading=reading.label,
         cross_section=cross_section_figure(simulation, report.interfaces) if draw else None,
-        photograph=photograph,
+        photograph=picture,
     )

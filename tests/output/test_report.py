@@ -19,7 +19,7 @@ from refusals import refusal
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.rounding import pdg_parts
-from mcrim_mitsuba.output import photographer, report_sections
+from mcrim_mitsuba.output import photograph, report_sections
 from mcrim_mitsuba.output import report as reporting
 from mcrim_mitsuba.output.report import in_full, said, visible
 from mcrim_mitsuba.output.report_sections import changed
@@ -265,7 +265,7 @@ def test_a_report_does_without_a_picture_that_cannot_be_drawn():
         process = subprocess.Popen(
             [sys.executable, "-c", f"import sys; {code}"], stdout=-1, stderr=-1
         )
-        drawn = photographer.Photograph(process)
+        drawn = photograph.Photograph(process)
         assert (drawn.picture, drawn.trouble) == (None, trouble)
 
 
@@ -276,7 +276,7 @@ def test_pictures_are_drawn_once(made, parsed, by_hand, monkeypatch):
     again = page.with_name("again.html")
     # it takes another time, and could draw nothing
     with quick_report(replace(by_hand, seconds=by_hand.seconds + 1.0)) as patch:
-        patch.setattr(photographer, "photograph", None)
+        patch.setattr(photograph, "begin_photograph", None)
         patch.setattr(report_sections, "_lights", None)
         reporting.report(campaign, again)
     pictures = [[e.get("src") for e in t.iter("img")] for t in (parsed, html.parse(again))]

@@ -16,7 +16,7 @@ from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.output.photographer import photograph
+from mcrim_mitsuba.output.photograph import begin_photograph
 from mcrim_mitsuba.scene.scene_file import read_scene
 
 #: Room for one of the units below, which leave 0.4 MB each, but not for two.
@@ -165,7 +165,7 @@ def test_a_full_temporary_folder_is_named(scenes, disk, monkeypatch):
     fill(disk)
     monkeypatch.setattr(tempfile, "tempdir", str(disk))
     with pytest.raises(OSError, match=f"No space left on device: '{disk}'"):
-        photograph(read_scene(scenes / "camoo4.xml"), Run(), 0.1)
+        begin_photograph(read_scene(scenes / "camoo4.xml"), Run(), 0.1)
     campaign = read_campaign(scenes / "camoo4_campaign.toml")
     line = refusal(with_readings, campaign, "mine.csv", b"label,signal,sigma\n", disk)
     assert "cannot be written (No space left on device); free some space" in line

@@ -17,7 +17,7 @@ from places import SCENES
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.rounding import pdg
-from mcrim_mitsuba.output.photographer import Photograph
+from mcrim_mitsuba.output.photograph import Photograph
 from mcrim_mitsuba.transport.variants import ENVIRONMENT_VARIABLE, selected_llvm
 
 BENCH = SCENES / "camoo4.xml"

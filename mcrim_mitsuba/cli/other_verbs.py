@@ -1,0 +1,211 @@
+"""Verbs that stand alone: ``mcrim merge``, ``mcrim paper`` and ``mcrim add``."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from pathlib import Path
+
+import click
+from rich.text import Text
+
+from mcrim_mitsuba import effects
+from mcrim_mitsuba.cli import options, showing, terminal
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.files import STDOUT, make_folder, refuse_to_replace, write_text
+from mcrim_mitsuba.core.rounding import capital
+from mcrim_mitsuba.effects.trust import execute_allowed
+from mcrim_mitsuba.output.registry import VerbResult
+from mcrim_mitsuba.runs.array_job import DEFAULT_FOLDER, MergingExecutor, UnitFolder
+from mcrim_mitsuba.runs.cache import other_version
+from mcrim_mitsuba.runs.executors import use_executor
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+
+_MOST_NAMED = 12
+
+
+@click.command(short_help="Put the parts of an array job together.")
+@click.argument("folder", default=DEFAULT_FOLDER)
+@click.pass_context
+def merge(context, folder) -> int:
+    """Put the parts of an array job together: the command that was run with --unit K/N.
+
+    It is run once more with the units of FOLDER; what depends on all parts, such as the simulation
+    of a fit's end, is simulated now. Its outputs are written where it says, from the folder that
+    it was given in.
+    """
+    units = UnitFolder(Path(folder).absolute())
+    command = units.command()
+    mcrim = context.find_root().command
+    _refuse_other_verbs(units, command, mcrim, context)
+    _refuse_missing(units, command)
+    _refuse_other_versions(units, command)
+    try:
+        os.chdir(command["folder"])
+    except OSError as error:
+        raise InputError(
+            f"the parts were run in {command['folder']}, where one cannot go ({error.strerror})",
+            "merge on a machine that has this folder",
+            path=units.path,
+        ) from None
+    with use_executor(MergingExecutor(units)):
+        return mcrim.main(command["arguments"], prog_name="mcrim", standalone_mode=False)
+
+
+def _refuse_other_verbs(
+    units: UnitFolder, command: dict, mcrim: click.Group, context: click.Context
+) -> None:
+    """Refuse what takes no ``--unit``: nobody has run parts of it."""
+    verb: click.Command | None = mcrim
+    words = iter(command["arguments"])
+    while isinstance(verb, click.Group):
+        verb = verb.get_command(context, next(words, ""))
+    if verb is None or all(option.name != "unit" for option in verb.params):
+        problem = "the folder holds a command that has no parts"
+        raise InputError(problem, "remove it and run the parts again", path=units.path)
+
+
+def _refuse_missing(units: UnitFolder, command: dict) -> None:
+    missing = units.missing()
+    if missing:
+        named = ", ".join(map(str, missing[:_MOST_NAMED]))
+        named += ", ..." if len(missing) > _MOST_NAMED else ""
+        words = " ".join(command["arguments"])
+        raise InputError(
+            f"{len(missing)} of {command['parts']} parts are not done: {named}",
+            f"run them first: mcrim {words} --unit {missing[0]}/{command['parts']} "
+            f"--units {units.path}",
+            path=units.path,
+        )
+
+
+def _refuse_other_versions(units: UnitFolder, command: dict) -> None:
+    versions = command["versions"]
+    wrong = other_version(versions)
+    if wrong is not None:
+        problem = f"the parts were made with {wrong[0]} {wrong[1]}, here is {wrong[2]}"
+        mend = "merge with the same versions, or run the parts again"
+        raise InputError(problem, mend, path=units.path)
+
+
+@click.command(short_help="Reproduce the article: its numbers beside ours.")
+@click.option(
+    "-o",
+    "--output",
+    "folder",
+    default="mcrim_paper",
+    show_default=True,
+    type=options.Folder(),
+    metavar="FOLDER",
+    help="Where the figures go: PNG, PDF and CSV.",
+)
+@click.option(
+    "--photons",
+    type=options.PhotonCount(),
+    help="Photons of each of four efficiency surfaces (default: 8e6); "
+    "single configurations get a tenth.",
+)
+@options.work
+def paper(folder, json_file, work) -> None:
+    """Reproduce the article behind the method: its numbers beside ours, and its figures.
+
+    That is V. Alenkov et al., JINST 8 (2013) P06002, with Figs. 3 and 4, and Fig. 2 from
+    synthetic histograms. Units are the article's: mm, 1/cm, %, keV, photons per keV.
+    """
+    from mcrim_mitsuba.article.reproduce import described, document_of, reproduce_article
+
+    # before a minute of simulation, not after it
+    make_folder(folder)
+    showing.refuse_places(json_file, [])
+    with work.begin() as run:
+        result = reproduce_article(run=run)
+    document = document_of(result, result.draw(folder))
+    shown = described(result, folder)
+    showing.answer(VerbResult(kind="article", shown=shown, numbers=document), json_file)
+
+
+_COLOURS = {"+": "green", "-": "red", "@": "cyan"}
+
+
+def _range(parameter) -> str:
+    limits = f"{parameter.minimum:g}..{parameter.maximum:g}"
+    words = (parameter.name, "off by" if parameter.nominal else "", limits, parameter.unit)
+    return " ".join(filter(None, words))
+
+
+def _listing() -> str:
+    """The catalogue, one line each."""
+    catalogue = effects.catalogue().values()
+    wide = max(len(effect.name) for effect in catalogue)
+    lines = []
+    for effect in catalogue:
+        values = "; ".join(map(_range, effect.parameters))
+        where = "for campaigns only" if effect.edit is None else values or "on or off"
+        lines.append(f"  {effect.name:{wide}}  {capital(effect.title)} ({where})")
+    return "\b\nThe catalogue:\n" + "\n".join(lines)
+
+
+@click.command(short_help="Write a scene with an effect in it as a new scene.", epilog=_listing())
+@click.argument("effect", shell_complete=options.complete_effects)
+@options.scene
+@options.output("NEW.xml", "The new scene; - for the screen. Never replaces a file.", required=True)
+@click.option(
+    "-D",
+    "values",
+    multiple=True,
+    metavar="NAME=VALUE",
+    callback=options.read_defines,
+    help="A value of the effect (may be repeated); mm, 1/cm.",
+)
+@click.option(
+    "--effects-folder",
+    "folder",
+    type=options.Folder(),
+    metavar="DIR",
+    help="Folder of effects of your own (*.py, which are executed).",
+)
+@options.trust_effects("--effects-folder")
+def add(effect, scene, path, values, folder) -> None:
+    """Write SCENE with EFFECT in it as a new scene, and show what changed.
+
+    Values that -D does not give are those where a fit begins.
+    """
+    suffixes = () if path in STDOUT else (".xml",)
+    old = read_scene(scene)
+    sources = [] if folder is None else Path(folder).glob("*.py")
+    showing.refuse_places(None, [old, *sources], written={"--output": (path, suffixes)})
+    screen = terminal.console(path)
+
+    def added(trusted: bool) -> str:
+        execute_allowed(folder, trusted=trusted)
+        return effects.add(effect, old, values, folder)
+
+    text = showing.when_trusted(added, "Effects of somebody else are programs of theirs.")
+    new = old.edited(text)
+    if path not in STDOUT:
+        refuse_to_replace({Path(path): text})
+        _refuse_place(new, Path(path))
+    write_text(path, text)
+    if path not in STDOUT:
+        read_scene(path)
+    before = old.source(old.path).decode()
+    for line in difflib.unified_diff(
+        before.splitlines(), text.splitlines(), scene, path, lineterm="", n=2
+    ):
+        screen.print(Text(line, style=_COLOURS.get(line[0], "")), soft_wrap=True)
+    for included in dict.fromkeys(old.included):
+        if included not in new.included:
+            screen.say(f"note: {included.name}, which the scene included, is now part of it")
+    screen.line(f"written to {path}; now let  mcrim check {path}  look at it")
+
+
+def _refuse_place(scene: SceneFile, path: Path) -> None:
+    """Refuse a folder from which the scene's files are not found."""
+    if path.resolve().parent == scene.path.resolve().parent:
+        return
+    named = [str(e.get("filename") or e.get("value")) for e, _ in scene.naming()]
+    named += [file.name for file in scene.included]
+    for name in named:
+        if not Path(name).is_absolute():
+            problem = f"the scene names {name}, which is not found from another folder"
+            raise InputError(problem, f"write the new scene into {scene.path.parent}", path=path)
