@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import io
 import itertools
+import json
 import re
 import shlex
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
 
 import jinja2
+import numpy as np
 from markupsafe import Markup, escape
+from matplotlib import rc_context
+from numpy.typing import NDArray
+from PIL import Image
 
 from mcrim_mitsuba import __version__
 from mcrim_mitsuba.campaign.campaign import Campaign
@@ -34,11 +41,250 @@ from mcrim_mitsuba.core.rounding import (
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.repair import Repaired, repair
+from mcrim_mitsuba.output import figure_style as style
 from mcrim_mitsuba.output import sentences
+from mcrim_mitsuba.output.budget_figures import draw_budget
+from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
 from mcrim_mitsuba.output.figure_style import shortened
-from mcrim_mitsuba.output.report_pictures import album_of, data_uri, efficiencies_csv
-from mcrim_mitsuba.output.report_sections import Sections, gather
-from mcrim_mitsuba.output.sentences import leading_candidates
+from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_profiles
+from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
+from mcrim_mitsuba.output.light_figures import Lights, draw_arrival, draw_fates
+from mcrim_mitsuba.output.photograph import BENCH_PANEL
+from mcrim_mitsuba.output.report_sections import PICTURE_SCALE, RatioOfSignals, Sections, gather
+from mcrim_mitsuba.output.sentences import in_words, leading_candidates
+
+# matplotlib writes texts into comments and a date into the metadata; a page needs neither
+_COMMENTS = re.compile(r"<!--.*?-->\n?|<metadata>.*?</metadata>\n?|<!DOCTYPE.*?>\n?", re.DOTALL)
+# a hundredth of a point is not seen
+_PATHS = re.compile(r' d="[^"]*"')
+_FURTHER_DIGITS = re.compile(r"(\.\d\d)\d+")
+_NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_PIXELS_PER_INCH = 96
+_COLOURS = 256
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure of the report."""
+
+    #: Of the file that its numbers are saved as.
+    name: str
+    #: What it shows, for those who do not see it.
+    alt: str
+    #: ``data:`` URI.
+    source: str
+    #: Natural size, pixels.
+    width: int
+    height: int
+    #: Of every CSV with what is behind it: what it holds, its name, and its ``data:`` URI.
+    numbers: tuple[tuple[str, str, str], ...] = ()
+
+
+def of_drawing(name: str, drawing: style.Drawing, alt: str, **further: style.Numbers) -> Picture:
+    """A figure as vector graphics, its texts as outlines: it looks the same everywhere.
+
+    Parameters
+    ----------
+    further : Numbers
+        Tables behind it besides the drawing's own, by what they hold.
+    """
+    stream = io.StringIO()
+    if (layout := drawing.figure.get_layout_engine()) is not None:
+        # once, by metrics that are quicker than those of outlines
+        layout.execute(drawing.figure)
+        drawing.figure.set_layout_engine("none")
+    with rc_context({"svg.fonttype": "path", "svg.hashsalt": name}), warnings.catch_warnings():
+        # a label in a script that the font lacks shows boxes; tables and CSV have it
+        warnings.filterwarnings("ignore", message="Glyph .* missing")
+        drawing.figure.savefig(stream, format="svg", metadata={"Date": None})
+    text = _NOT_XML.sub("", _COMMENTS.sub("", stream.getvalue()))
+    text = _PATHS.sub(lambda path: _FURTHER_DIGITS.sub(r"\1", path[0]), text)
+    wide, high = (round(side * _PIXELS_PER_INCH) for side in drawing.figure.get_size_inches())
+    tables = {"numbers": (drawing.columns, drawing.rows)} if drawing.columns else {}
+    numbers = []
+    for what, table in (tables | further).items():
+        source = data_uri(style.numbers_text(*table).encode(), "text/csv")
+        numbers.append((what, f"{name}-{what}" if further else name, source))
+    return Picture(name, alt, data_uri(text.encode(), "image/svg+xml"), wide, high, tuple(numbers))
+
+
+def of_pixels(name: str, pixels: NDArray[np.uint8], alt: str) -> Picture:
+    """A photograph, in so few colours that it is easy to mail."""
+    stream = io.BytesIO()
+    few = Image.fromarray(pixels).quantize(_COLOURS, dither=Image.Dither.NONE)
+    few.save(stream, format="png", optimize=True)
+    height, width = pixels.shape[:2]
+    return Picture(name, alt, data_uri(stream.getvalue(), "image/png"), width, height)
+
+
+def data_uri(data: bytes, kind: str = "text/plain") -> str:
+    """An address that is the data itself; of text, in UTF-8."""
+    charset = ";charset=utf-8" if kind.startswith("text/") else ""
+    return f"data:{kind}{charset};base64,{base64.b64encode(data).decode()}"
+
+
+def efficiencies_csv(sections: Sections) -> bytes:
+    """The light collection efficiency of every reading, with its configuration."""
+    varied = sections.campaign.varied
+    rows = [
+        (
+            efficiency.label,
+            *map(efficiency.parameters.get, varied),
+            efficiency.eta,
+            efficiency.sigma,
+            row.pull,
+        )
+        for efficiency, row in zip(sections.efficiencies, sections.calibration.rows, strict=True)
+    ]
+    columns = ("label", *varied, "eta", "eta_sigma", "pull")
+    return style.numbers_text(columns, rows).encode()
+
+
+# The report's own: how a ratio of readings gives the scattering, and the bench for its beginning.
+
+
+@style.styled
+def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
+    """Efficiencies of two configurations against scattering, and the ratio of their signals."""
+    figure = style.canvas(8.4, 3.9)
+    left, right = figure.subplots(1, 2)
+    names = [style.shortened(label, 24) for label in curve.labels]
+    for eta, name, colour, line in zip(
+        curve.eta.T, names, (style.WARM, style.DARK), ("--", "-"), strict=True
+    ):
+        left.plot(curve.alpha_scat_per_cm, eta, color=colour, ls=line, lw=2, label=name)
+    left.set(ylabel="light collection efficiency η", ylim=(0, None))
+    style.legend(left)
+    right.axhspan(
+        curve.measured - curve.measured_sigma,
+        curve.measured + curve.measured_sigma,
+        color="#f2cdb9",
+        lw=0,
+        label="measured, ± 1 standard error",
+    )
+    right.axhline(curve.measured, color=style.WARM, lw=1.2)
+    right.plot(curve.alpha_scat_per_cm, curve.ratio, color=style.DARK, lw=2, label="simulated")
+    right.set_ylabel("ratio of the two signals")
+    style.legend(right)
+    for axes in (left, right):
+        axes.axvline(curve.solution_per_cm, color=style.GREY, lw=1.2, ls=":")
+        axes.set(xscale="log", xlabel=r"$α_\mathrm{scat}$ (1/cm); dotted: fitted")
+        style.open_axes(axes)
+    columns = (
+        "alpha_scat_per_cm",
+        "eta_first",
+        "eta_second",
+        "ratio",
+        "measured_ratio",
+        "measured_ratio_sigma",
+    )
+    rows = [
+        (*point, curve.measured, curve.measured_sigma)
+        for point in zip(curve.alpha_scat_per_cm, *curve.eta.T, curve.ratio, strict=True)
+    ]
+    return style.Drawing(figure, columns, rows)
+
+
+# All pictures of a report; those that a campaign has no use for are left out.
+
+_SHOWN = {
+    "cross-section": "vertical cut through the bench, to scale",
+    "comparison": "readings beside what the model predicts, and the differences in standard errors",
+    "histograms": "histograms of photons per event with their peaks",
+    "detector-efficiency": "emission and quantum efficiency",
+    "transmittance": "transmittance and absorption coefficient",
+    "ranking": "effects by how much of the misfit each would explain",
+    "staircase": "how the misfit falls as effects are added",
+    "before-and-after": "readings beside the model before and after the effects were added",
+    "ratio": "the ratio of two signals against scattering, simulated and measured",
+    "profiles": "how the misfit rises as each parameter leaves its best value",
+    "error-budget": "parts of each parameter's error by origin",
+    "fates": "what becomes of the light in each coupling",
+    "arrival": "where and under which angle light reaches the detector",
+    "bench": "picture of the bench, whole, taken apart and cut open",
+    "view": "the bench as it stands",
+}
+
+
+def album_of(sections: Sections) -> dict[str, Picture]:
+    """The pictures by name; they are kept, so that they are drawn once."""
+    if sections.drawn is not None:
+        kept = json.loads(sections.drawn.arrays["pictures"].tobytes())
+        return {name: Picture(**fields) for name, fields in kept.items()}
+    pictures = _drawn(sections)
+    if "bench" in pictures:
+        content = json.dumps({name: asdict(picture) for name, picture in pictures.items()}).encode()
+        sections.album.write(0, {"pictures": np.frombuffer(content, np.uint8)}, {})
+    return pictures
+
+
+def _drawn(sections: Sections) -> dict[str, Picture]:
+    drawings = _drawings(sections)
+    pictures = {name: of_drawing(name, drawn, _SHOWN[name]) for name, drawn in drawings.items()}
+    if sections.lights:
+        arrival = draw_arrival(sections.lights)
+        # light along radius and angle; the map's cells, a row each, would make the page heavy
+        part = arrival.columns.index("part")
+        arrival = replace(arrival, rows=[row for row in arrival.rows if row[part] != "map"])
+        of_map = _map(sections.lights)
+        pictures["arrival"] = of_drawing("arrival", arrival, _SHOWN["arrival"], map=of_map)
+    # last: it may have to be waited for
+    photograph = sections.bench.photograph
+    if photograph is not None and (sheet := photograph.picture) is not None:
+        left, top, wide, high = (round(PICTURE_SCALE * side) for side in BENCH_PANEL)
+        view = sheet[top : top + high, left : left + wide]
+        for name, pixels in (("bench", sheet), ("view", view)):
+            pictures[name] = of_pixels(name, pixels, _SHOWN[name])
+    return pictures
+
+
+def _drawings(sections: Sections) -> dict[str, style.Drawing]:
+    """By name, as in `_SHOWN`."""
+    diagnosis, fit, baseline = sections.diagnosis, sections.calibration, sections.diagnosis.baseline
+    unit = sections.campaign.unit
+    drawings = {
+        "comparison": draw_comparison(baseline, unit=unit),
+    }
+    if sections.bench.cross_section is not None:
+        drawings["cross-section"] = style.Drawing(sections.bench.cross_section, (), ())
+    if sections.campaign.raw is not None:
+        for kind in sections.campaign.raw.kinds:
+            drawing = draw_raw_data(sections.campaign.raw, kind)
+            drawings["detector-efficiency" if kind == "spectra" else kind] = drawing
+    if diagnosis.candidates:
+        drawings["ranking"] = draw_ranking(diagnosis, brief=True)
+    if sections.effects:
+        if not sections.chosen_by_hand:
+            drawings["staircase"] = draw_staircase(diagnosis.repair, fit)
+        added = in_words(diagnosis, sections.effects)
+        drawings["before-and-after"] = draw_comparison(baseline, fit, added=added, unit=unit)
+    if sections.ratio is not None:
+        drawings["ratio"] = _draw_ratio(sections.ratio)
+    if sections.profiles:
+        drawings["profiles"] = draw_profiles(sections.profiles)
+    if fit.parameters:
+        drawings["error-budget"] = draw_budget(fit)
+    if sections.lights:
+        drawings["fates"] = draw_fates(sections.lights)
+    return drawings
+
+
+def _map(lights: Lights) -> style.Numbers:
+    """Light per mm2 and emitted photon on the detector: a line of a map a row, x along it."""
+    rows: list[tuple[object, ...]] = []
+    for name, light in lights:
+        x, y = (
+            [float(f"{middle:.5g}") for middle in (edges[1:] + edges[:-1]) / 2]
+            for edges in (light.x_edges_mm, light.y_edges_mm)
+        )
+        rows.append((name, "x (mm)", *x))
+        rows += [
+            (name, at, *(float(f"{cell:.4g}") for cell in line))
+            for at, line in zip(y, light.map.density, strict=True)
+        ]
+    widest = max((len(row) for row in rows), default=2) - 2
+    return ("configuration", "y (mm)", *(f"light_per_mm2_{i + 1}" for i in range(widest))), rows
+
 
 #: Characters of a text in a table or a sentence; files are shown in full.
 MOST_IN_A_TABLE = 80

@@ -20,8 +20,8 @@ from mcrim_mitsuba.campaign.editor import campaign_with_effects, write_plain
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.model import CampaignModel
-from mcrim_mitsuba.output import report_pictures as album
-from mcrim_mitsuba.output.report_pictures import Picture, of_drawing
+from mcrim_mitsuba.output import report as album
+from mcrim_mitsuba.output.report import Picture, of_drawing
 
 cases = cases_of(__file__)
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import click
 
 from mcrim_mitsuba.cli.lab.counting import histogram, peak
-from mcrim_mitsuba.cli.lab.light_yield import light_yield, relative
+from mcrim_mitsuba.cli.lab.light_yield import light_yield, plan, relative
 from mcrim_mitsuba.cli.lab.material import absorption, efficiency, gammas, index
-from mcrim_mitsuba.cli.lab.plan import plan
 
 
 @click.group(
