@@ -38,13 +38,13 @@ def campaign_with_effects(
     target: Path,
     scene: Path,
     starts: Mapping[str, float],
-    known: Iterable[CampaignParameter] = (),
+    fixed_or_known: Iterable[CampaignParameter] = (),
 ) -> str:
     """The text of a campaign file with another scene, and with all effects of the campaign.
 
     `scene` has these effects. At `starts` fitted parameters begin; those without a table of their
-    own get one, with what the campaign knows of them beforehand. Of `known` it is written that they
-    are held, or their prior, in place of what the file says.
+    own get one, with what the campaign knows of them beforehand. Of `fixed_or_known` it is written
+    that they are held, or their prior, in place of what the file says.
     """
     document = _document(campaign, target, scene, campaign.measurements.path)
     # a key that is new goes before the first table, or it would belong to the last one
@@ -52,9 +52,9 @@ def campaign_with_effects(
     parameters = document.setdefault("parameters", tomlkit.table(is_super_table=True))
     # what samples have of their own stands in their tables, with what is known of it
     keys = {
-        known.name: f"samples.{sample.name}.parameters.{of}"
+        parameter.name: f"samples.{sample.name}.parameters.{of}"
         for sample in campaign.samples.values()
-        for of, known in sample.own.items()
+        for of, parameter in sample.own.items()
     }
     for name, start in starts.items():
         value = float(f"{start:.6g}")
@@ -73,7 +73,7 @@ def campaign_with_effects(
                 table.add(entry, float(f"{number:.6g}"))
         table.add(tomlkit.nl())
         parameters[name] = table
-    for parameter in known:
+    for parameter in fixed_or_known:
         within: Any = document
         key = keys.get(parameter.name, f"parameters.{parameter.name}")
         for part in key.split("."):

@@ -115,7 +115,7 @@ class KnownCrystal:
         return scene
 
     def left_out_of(self, campaign: Campaign) -> KnownCrystal:
-        """The same, with what the campaign has already or cannot take among the `refused`."""
+        """What is known, with what the campaign has already or cannot take among the `refused`."""
         reasons = {name: self._reason_against(name, campaign) for name in self.effects}
         refused = {name: reason for name, reason in reasons.items() if reason is not None}
         return replace(self, refused=self.refused | refused)

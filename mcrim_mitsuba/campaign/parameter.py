@@ -292,7 +292,10 @@ class DetectorTerms:
         return self.collection_sigma / (self.collection or 1.0)
 
     def applied(self, light_yield: LightYieldInput, sigma: float) -> LightYieldInput:
-        """With the efficiency inside the window after collection, with relative error `sigma`."""
+        """What a campaign says, with the efficiency inside the window after collection.
+
+        `sigma` is the relative standard error of the collection that counts here.
+        """
         factor = (self.collection or 1.0) / (1.0 - self.window_reflectance * self.in_air)
         efficiency = factor * light_yield.detector_efficiency
         sigma_of_efficiency = factor * light_yield.detector_efficiency_sigma

@@ -392,7 +392,7 @@ def _is_mixed(line: _Line, columns: _Columns) -> bool:
 
 
 def _spoilt(line: _Line, columns: _Columns) -> InputError:
-    """Of the first cell that is no number."""
+    """The refusal of a line's first cell that is no number."""
     cells = line.cells + [""] * (columns.number - len(line.cells))
     column = next(i for i, cell in enumerate(cells) if not is_number(cell))
     return columns.refusal(*what_is_wrong(cells[column]), line.number, column)

@@ -505,7 +505,7 @@ def attributes(result: object, names: str = "", **renamed: str) -> dict[str, Any
 
 
 def plain(value: Any) -> Any:
-    """The same in types that JSON has; numbers that are not finite become None.
+    """A value in types that JSON has; numbers that are not finite become None.
 
     Dataclasses and mappings become dicts, sequences and arrays lists, paths text.
 

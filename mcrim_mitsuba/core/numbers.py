@@ -135,7 +135,7 @@ def number_of(what: str, value: object, mend: str) -> float:
 
 
 def whole_of(what: str, value: object, mend: str, least: int, most: float = math.inf) -> int:
-    """The same, where only whole numbers within limits can be meant."""
+    """A whole number within limits, of any kind that `number_of` takes; what it refuses, too."""
     number = number_of(what, value, mend)
     if not (least <= number <= most and abs(number - round(number)) <= 1e-9 * abs(number)):
         raise InputError(f"{what} is {value}", mend)

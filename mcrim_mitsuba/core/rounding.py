@@ -98,7 +98,7 @@ def p_text(p_value: float | None) -> str:
 
 
 def p_equals(p_value: float | None) -> str:
-    """The same in a sentence: ``p = 0.33``, ``p < 1e-99``, ``no p-value``."""
+    """A p-value in a sentence: ``p = 0.33``, ``p < 1e-99``, ``no p-value``."""
     if p_value is None:
         return "no p-value"
     text = p_text(p_value)

@@ -252,7 +252,7 @@ def separator_of(lines: Sequence[str]) -> str:
 
 
 def _likely_separator(lines: Sequence[str]) -> str:
-    """Of a table without one sound row: what a line that begins with a digit holds."""
+    """The separator in a table without one sound row: one that a line with a digit first holds."""
     for text in lines:
         if _SPOILT.match(text.strip(' "\t')):
             return next((sign for sign in _SEPARATORS[:-1] if sign in text), BLANKS)

@@ -460,7 +460,7 @@ def _matrix(transform: etree._Element) -> np.ndarray | None:
 
 
 def _step(tag: str, attributes: Mapping[str, str]) -> np.ndarray:
-    """Of one of them; ValueError if it is another one or its numbers are none."""
+    """Matrix of one step of a transform; ValueError if it is of another kind or has no numbers."""
 
     def numbers(default: str) -> list[float]:
         return [parse_number(axis, attributes.get(axis, default)) for axis in "xyz"]

@@ -78,7 +78,7 @@ class Uncertain:
         return math.hypot(self.statistical_sigma, self.systematic_sigma)
 
     def own(self, whose: str) -> Uncertain:
-        """The same number with none of its errors shared: origins become ``ORIGIN, WHOSE``."""
+        """This number with none of its errors shared: origins become ``ORIGIN, WHOSE``."""
         statistical, systematic = (
             {f"{origin}, {whose}": sigma for origin, sigma in errors.items()}
             for errors in (self.statistical, self.systematic)

@@ -186,7 +186,7 @@ def _resolving(events: Array, width: float, step: float) -> float:
 
 
 def _step(events: Array) -> float:
-    """Of numbers that electronics give in steps; 0 for others."""
+    """The step of numbers that electronics give in steps; 0 for others."""
     different = np.unique(events)
     step = float(np.diff(different).min(initial=math.inf))
     steps = (different - different[0]) / step

@@ -261,7 +261,7 @@ def _doubts_of_bins(values: Array, peak: Peak) -> Iterator[str]:
 
 
 def _doubts_of_shape(peak: Peak, other: Peak | None) -> list[str]:
-    """Where whole numbers are not photons, or another shape describes them better."""
+    """Doubts where whole numbers are not photons, or another shape describes them better."""
     if peak.shape == GAUSSIAN:
         return [
             f"the peak is narrower, {peak.width:.3g}, than counted photons can be (the square root "

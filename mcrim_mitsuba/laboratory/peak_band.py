@@ -242,6 +242,6 @@ def width_parts(peak: Peak, source: str, rms: float, rms_sigma: float) -> WidthP
 
 
 def _width(variance: float, sigma: float) -> Width:
-    """Of a relative variance and its error; near zero the error is that of the square."""
+    """The width of a relative variance and its error; near zero that of the square."""
     root = math.sqrt(variance)
     return Width(FWHM * root, FWHM * sigma / max(2.0 * root, math.sqrt(sigma)))

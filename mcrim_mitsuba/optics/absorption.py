@@ -69,7 +69,7 @@ def _slab_of_number(transmittance: float, n: float, thickness_mm: float) -> _Sla
 def _slab_at(
     transmittance: Spectrum, n: Index, thickness_mm: float, wavelength_nm: float
 ) -> _SlabReading:
-    """From a spectrum, at one wavelength."""
+    """Absorption of a slab from a spectrum, at one wavelength."""
     measured = float(transmittance.at(wavelength_nm))
     curve, _, _ = _curve(transmittance, n, thickness_mm, wavelength_nm)
     slab = _slab_of_number(measured, _index_of(n, None, wavelength_nm), thickness_mm)
@@ -86,7 +86,7 @@ def _slab_at(
 def _slab_over(
     transmittance: Spectrum, n: Index, thickness_mm: float, emission: Spectrum
 ) -> _SlabReading:
-    """From a spectrum, mean over the emission."""
+    """Absorption of a slab from a spectrum, mean over the emission."""
     peak_nm = float(emission.wavelength_nm[np.argmax(emission.values)])
     curve, measured, indices = _curve(transmittance, n, thickness_mm, peak_nm, emission)
     mean = weighted_mean(emission, curve, "the transmittance")

@@ -93,7 +93,7 @@ class Material:
 
 
 def _formula(entries: dict[str, Any]) -> Formula:
-    """The one that has these parameters."""
+    """The dispersion formula that has these parameters."""
     given: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value for name, value in entries.items()
     }
@@ -115,12 +115,12 @@ def _read_materials() -> Iterator[Material]:
 
 MATERIALS = tuple(_read_materials())
 _BY_NAME = {
-    each.name.lower(): each
-    for known in MATERIALS
-    for each in (known, *((known.ray("o"), known.ray("e")) if known.extraordinary else ()))
+    medium.name.lower(): medium
+    for mean in MATERIALS
+    for medium in (mean, *((mean.ray("o"), mean.ray("e")) if mean.extraordinary else ()))
 }
 #: Names of all materials, rays of birefringent crystals included.
-NAMES = tuple(each.name for each in _BY_NAME.values())
+NAMES = tuple(medium.name for medium in _BY_NAME.values())
 
 
 def is_known(name: str) -> bool:

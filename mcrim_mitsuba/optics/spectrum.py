@@ -40,7 +40,7 @@ class _Interpolation:
 
 
 def _integral(grid: Array, values: Array) -> float:
-    """Of the line through values on a grid."""
+    """Integral of the line through values on a grid."""
     return float(_product_weights(grid, np.ones_like(grid)) @ values)
 
 

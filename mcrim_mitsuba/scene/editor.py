@@ -65,7 +65,7 @@ class Node:
 
     @property
     def label(self) -> str:
-        """Its id, or what it is."""
+        """The element's id, or what it is."""
         return self.attributes.get("id") or f"the <{self.tag}> of type {self.type}"
 
     @property
@@ -76,7 +76,7 @@ class Node:
         return around[place], around[place + 2]
 
     def walk(self) -> Iterator[Node]:
-        """It and all elements below it, in document order."""
+        """The element itself and all below it, in document order."""
         yield self
         for child in self.elements:
             yield from child.walk()
@@ -243,7 +243,7 @@ class SceneEditor:
 
     def before(self, detector: Node) -> set[Node]:
         """The media before a detector; none where that is air."""
-        faces = [shape for shape in self.shapes if detector in self._worn_by(shape)]
+        faces = [shape for shape in self.shapes if detector in self.worn_by(shape)]
         return {medium for face in faces for medium in self.media(face) if medium is not None}
 
     def index_before(self, detector: Node) -> str:
@@ -251,17 +251,17 @@ class SceneEditor:
         media = self.before(detector)
         for shape in self.shapes:
             for index, medium in zip(INDICES, self.media(shape), strict=True):
-                for bsdf in self._worn_by(shape) if medium in media else ():
+                for bsdf in self.worn_by(shape) if medium in media else ():
                     number = bsdf.named(index) if bsdf.type in INTERFACES else None
                     if number is not None:
                         return number.attributes["value"]
         problem = "no interface says the index of what is before the detector"
         raise self.refusal(problem, "name the window's medium on its faces", detector)
 
-    def _worn_by(self, node: Node) -> list[Node]:
+    def worn_by(self, node: Node) -> list[Node]:
         """The bsdfs that a shape, or a bsdf, wears, those within them too."""
         worn = self.targets(node, "bsdf")
-        return [bsdf for outer in worn for bsdf in (outer, *self._worn_by(outer))]
+        return [bsdf for outer in worn for bsdf in (outer, *self.worn_by(outer))]
 
     @functools.cached_property
     def masks(self) -> list[Node]:
@@ -282,7 +282,7 @@ class SceneEditor:
                 raise self.refusal(problem, "only faces of plain polish can be changed", face)
             interfaces[inner] = None
         for shape in self.shapes:
-            for bsdf in set(self._worn_by(shape)) & set(interfaces):
+            for bsdf in set(self.worn_by(shape)) & set(interfaces):
                 if shape not in self.crystal_faces:
                     raise self.refusal(
                         f"{bsdf.label} is worn by {shape.label} too, which is no face of the "

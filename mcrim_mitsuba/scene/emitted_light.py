@@ -61,7 +61,7 @@ class EmittedLight:
 
     @property
     def weights(self) -> Array:
-        """Of wavelengths in integrals over the emission, by trapezoids; their sum is 1."""
+        """Weights of wavelengths in integrals over the emission, by trapezoids; their sum is 1."""
         step = np.diff(self.wavelength_nm)
         weights = self.emission * (np.append(step, 0.0) + np.insert(step, 0, 0.0)) / 2.0
         return np.asarray(weights / weights.sum(), float)
@@ -73,7 +73,7 @@ class EmittedLight:
         return float(seen @ self.wavelength_nm / seen.sum())
 
     def seen_by(self, efficiency: Spectrum) -> EmittedLight:
-        """The same light before a detector of another efficiency, 0 beyond its points."""
+        """This light before a detector of another efficiency, 0 beyond its points."""
         at, curve = self.wavelength_nm, efficiency
         seen = np.interp(at, curve.wavelength_nm, curve.values, left=0.0, right=0.0)
         return replace(self, efficiency=seen, detected=True)

@@ -111,7 +111,10 @@ class SceneFile:
         return {**self.overrides, **named}
 
     def with_overrides(self, overrides: Mapping[str, Value]) -> SceneFile:
-        """The same files as read before, with more parameters changed; errors as `read_scene`."""
+        """The scene of the files as read before, with more parameters changed.
+
+        Errors are those of `read_scene`.
+        """
         all_of_them = {**self.overrides, **overrides}
         return _assemble(self.path, all_of_them, self._sources, self._indices, self._unwritten)
 
@@ -240,12 +243,12 @@ class ScenePlan:
 
     @property
     def path(self) -> Path:
-        """Of the file that was read."""
+        """Path of the file that was read."""
         return self.base.path
 
     @property
     def content_hash(self) -> str:
-        """Of the scene."""
+        """`SceneFile.content_hash` of the scene."""
         return self.file.content_hash
 
     def __reduce__(self) -> tuple[Callable[..., SceneFile], tuple[Any, ...]]:

@@ -107,7 +107,8 @@ def spectrophotometer_of(bench: SceneFile) -> SceneFile:
                 named = face.named(side)
                 assert named is not None
                 editor.remove(named)
-    kept = {crystal, editor.emitter, *faces, *_worn(editor, faces)}
+    worn = (bsdf for face in faces for bsdf in editor.worn_by(face))
+    kept = {crystal, editor.emitter, *faces, *worn}
     others = [node for node in editor.root.elements if node.tag in ("bsdf", "medium", "shape")]
     others = [node for node in others if node not in kept]
     remaining = _walk(editor.root, [*others, editor.emitter])
@@ -138,16 +139,6 @@ def _walk(node: Node, without: list[Node]) -> Iterator[Node]:
 def _names_in(node: Node) -> set[str]:
     """Parameters that an element names."""
     return {name for text in node.attributes.values() for name in _PARAMETER.findall(text)}
-
-
-def _worn(editor: SceneEditor, faces: list[Node]) -> set[Node]:
-    """The bsdfs that faces wear, those within them too."""
-    worn: set[Node] = set()
-    new = set(faces)
-    while new:
-        new = {bsdf for node in new for bsdf in editor.targets(node, "bsdf")} - worn
-        worn |= new
-    return worn
 
 
 def _refuse_liquids(derived: SceneFile, editor: SceneEditor) -> None:

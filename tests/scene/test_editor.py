@@ -48,6 +48,7 @@ def test_parts_of_the_bench_are_found_by_what_they_are(editor):
     assert editor.medium(editor.by_id["crystal_top"], "exterior") is None
     assert editor.bsdf(bottom) is editor.by_id["crystal_to_gap"]
     assert editor.targets(editor.emitter, "medium") == [editor.crystal]
+    assert editor.worn_by(bottom) == [editor.by_id["crystal_to_gap"]]
     assert {p.label for p in editor.crystal_polish} == {"crystal_to_gap", "crystal_to_air"}
     [detector] = editor.detectors
     assert editor.before(detector) == {editor.window}
