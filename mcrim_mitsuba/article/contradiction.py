@@ -28,8 +28,8 @@ from mcrim_mitsuba.inference.compare import Comparison
 from mcrim_mitsuba.inference.diagnose import Diagnosis, diagnose
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.rival_causes import UNKNOWN
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
-from mcrim_mitsuba.inference.unexplained import UNKNOWN
 from mcrim_mitsuba.optics.slab_transmittance import (
     absorption_coefficient,
     internal_transmittance,

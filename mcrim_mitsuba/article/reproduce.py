@@ -26,7 +26,7 @@ from mcrim_mitsuba.article.yield_rows import LightYields, agreement_sentences, l
 from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.inference.neglected import Neglected
+from mcrim_mitsuba.inference.corrections import Neglected
 from mcrim_mitsuba.output.description import Description, Part, Sentence, table
 
 SAYS = "What the article's own transmittance says"

@@ -21,7 +21,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
+from mcrim_mitsuba.efficiency.recording import EtaRequest, record_surfaces
 from mcrim_mitsuba.efficiency.simulate import collect
 from mcrim_mitsuba.efficiency.surface import Coefficients, EfficiencySurface, EtaPoint
 from mcrim_mitsuba.scene.scene_file import read_scene
@@ -167,7 +167,7 @@ def _couplings(run: Run) -> dict[tuple[str, bool], Coupling]:
     absorptions = [line.alpha_abs_per_cm.value for line in p.TABLE_1]
     points = [(scattering, absorption) for absorption in absorptions for scattering in scanned]
     wishes = {
-        (name, polarised): SurfaceWish(
+        (name, polarised): EtaRequest(
             f"{name}, {'polarised' if polarised else 'unpolarised'}",
             file.with_overrides({"n_gap": n_gap, "polarization": polarised}),
             points,

@@ -29,10 +29,10 @@ from mcrim_mitsuba.campaign.known_physics import KnownCrystal
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.surface import EtaPoint
+from mcrim_mitsuba.inference.corrections import Neglected, NeglectWork
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import CampaignModel
-from mcrim_mitsuba.inference.neglected import Neglected, NeglectWork
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
 from mcrim_mitsuba.optics.fresnel import reflectance
 from mcrim_mitsuba.scene.shipped import scene_path

@@ -143,7 +143,7 @@ def difference(changed: EtaGrid, plain: EtaGrid, known: EtaGrid) -> EtaGrid:
     )
 
 
-class Gathering:
+class GridReweighter:
     """Records of one launch, prepared for being summed on a grid with several weights.
 
     Photons that are `kept`, (detected,) bool, count; all when it is not given.
@@ -347,7 +347,7 @@ class TableUnit(SceneUnit):
         kept = None
         if first.radius_mm is not None and not first.of_beam:
             kept = records.further[first.mask] <= first.radius_mm
-        gathering = Gathering(records, self.grids[first.coarse], kept)
+        gathering = GridReweighter(records, self.grids[first.coarse], kept)
         columns = {name: column[gathering.order] for name, column in records.further.items()}
         made: list[tuple[int, Content]] = []
         for request in group:

@@ -23,7 +23,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, as_attributes
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
+from mcrim_mitsuba.efficiency.recording import EtaRequest, record_surfaces
 from mcrim_mitsuba.efficiency.surface import Coefficients, Lagrange, chebyshev_nodes
 from mcrim_mitsuba.scene.emitted_light import EFFICIENCY, EMISSION, EmittedLight
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -208,7 +208,7 @@ def _by_photons(plan: _Plan, run: Run) -> _Batches:
         run = replace(run, photons=PHOTONS)
     records = record_surfaces(
         [
-            SurfaceWish(f"{nm:.0f} nm", bench, plan.points, run)
+            EtaRequest(f"{nm:.0f} nm", bench, plan.points, run)
             for nm, bench in zip(plan.nodes_nm, plan.benches, strict=True)
         ]
     )

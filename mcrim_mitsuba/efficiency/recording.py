@@ -178,7 +178,7 @@ def surfaces_answer(scene: SceneFile) -> bool:
 
 
 @dataclass(frozen=True)
-class SurfaceWish:
+class EtaRequest:
     """A configuration and what is to be known of it."""
 
     #: Its name in progress.
@@ -204,24 +204,24 @@ def record_surface(
     Parameters
     ----------
     scene, points, run, alpha_scat_range_per_cm
-        See `SurfaceWish`.
+        See `EtaRequest`.
 
     Raises
     ------
     InputError
         As `RecordRun.extend`, and where `surfaces_answer` says no.
     """
-    return record_surfaces(
-        [SurfaceWish("simulation", scene, points, run, alpha_scat_range_per_cm)]
-    )[0]
+    return record_surfaces([EtaRequest("simulation", scene, points, run, alpha_scat_range_per_cm)])[
+        0
+    ]
 
 
-def record_surfaces(wishes: Sequence[SurfaceWish]) -> list[tuple[EtaSurface, RecordRun]]:
+def record_surfaces(wishes: Sequence[EtaRequest]) -> list[tuple[EtaSurface, RecordRun]]:
     """One simulation per configuration, all of them at once; see `record_surface`.
 
     Threads and progress are those of the first.
     """
-    looks = [_Look(wish) for wish in wishes]
+    looks = [AdaptiveRun(wish) for wish in wishes]
     _extend([(look, min(FIRST_LOOK, look.most)) for look in looks], by_all=True)
     for look in looks:
         look.share_out()
@@ -234,10 +234,10 @@ def record_surfaces(wishes: Sequence[SurfaceWish]) -> list[tuple[EtaSurface, Rec
     return [(look.seen, look) for look in looks]
 
 
-class _Look(RecordRun):
+class AdaptiveRun(RecordRun):
     """The run that shall fulfil a wish."""
 
-    def __init__(self, wish: SurfaceWish) -> None:
+    def __init__(self, wish: EtaRequest) -> None:
         if not surfaces_answer(wish.scene):
             problem = "one surface cannot answer for scattering that is uneven"
             raise InputError(problem, "simulate each point on its own", path=wish.scene.path)
@@ -281,7 +281,7 @@ class _Look(RecordRun):
         return min(self.most, int(self.photons * lacking * margin))
 
 
-def _extend(goals: Sequence[tuple[_Look, int]], *, by_all: bool = False) -> None:
+def _extend(goals: Sequence[tuple[AdaptiveRun, int]], *, by_all: bool = False) -> None:
     """Have more photons of some configurations, and see what they tell."""
     if not goals:
         return

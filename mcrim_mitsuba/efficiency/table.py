@@ -26,8 +26,8 @@ from mcrim_mitsuba.core.numbers import (
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import (
     MOST_PHOTONS,
+    EtaRequest,
     RecordRun,
-    SurfaceWish,
     record_surfaces,
     surfaces_answer,
 )
@@ -234,7 +234,7 @@ def _answer_all(file: SceneFile, grid: TableGrid, run: Run) -> dict[tuple[Value,
     }
     scattering = [point for point in points if point[0] > 0.0]
     wishes = {
-        key: SurfaceWish(configuration.name, configuration.file, scattering, run)
+        key: EtaRequest(configuration.name, configuration.file, scattering, run)
         for key, configuration in configurations.items()
         if scattering and surfaces_answer(configuration.file)
     }

@@ -2,21 +2,24 @@
 
 The path of a campaign, a module per step:
 
-- `model`: its readings as functions of the free parameters (`CampaignModel`, `ResponseModel`);
-- `likelihood`: the statistic, its minima and intervals by MINUIT; `least_squares`: the same
-  statistic for the hundreds of fits of a diagnosis, by `core.descent`;
-- `estimates`: what a fit says (`ParameterEstimate`, `FittedRow`, `LIGHT_YIELD`), and statistics of
-  it; `fit`: the fit of a model with all its errors (`Calibration`, `fit_model`); `profiles` of its
-  chi2;
+- `simulations`: a campaign with what was simulated of its readings, from which models are made;
+- `model`: its readings as functions of the free parameters (`ResponseModel`, `CampaignModel`);
+- `statistic`: chi2 of a model's parameters; `drivers`: two ways to its minimum, MINUIT and the
+  fast descent; `profiles` of it, from which intervals and limits are read;
+- `fit`: the fit of a model with all its errors (`Calibration`, `fit_model`); `estimates`: what a
+  minimum says (`ParameterEstimate`, `FittedRow`, `LIGHT_YIELD`), and statistics of it;
 - `calibrate`: simulate, then fit (`calibrate`, `CampaignResult`);
-- `workbench`: a campaign with the responses of its readings, from which models are made;
 - `compare`: where a model fails (`compare`, `Comparison`, `find_suspects`, `find_trends`);
+- `screening`: which effects deserve more photons;
 - `explanations`: fits with effects added, and what chance gains; `candidates`: every
-  effect as an explanation, limits, what to measure next;
-- `diagnose`: what all this says, and the steps in their order (`diagnose`, `Judgement`);
+  effect as an explanation, and limits; `evidence`: how likely each is; `rival_causes`: wrong
+  readings, and something that is in no catalogue;
+- `judgement`: what all this says; `next_measurements`: what to measure next; `diagnose`: the steps
+  in their order;
 - `hypotheses`: campaigns of the same readings side by side (`compare_hypotheses`, `SideBySide`);
 - `repair`: the mended campaign and scene, written.
 
-Besides: `budget` (where errors come from, with what is `neglected`), `plan` (what to measure), and
-`ratio` (the article's own method).
+Besides: `budget` (where errors come from, with what the model leaves out: `corrections`, and
+`deposit_shift` for the places where gammas stop), `plan` (what to measure), and `ratio` (the
+article's own method).
 """

@@ -16,15 +16,15 @@ from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.known_physics import DEPTH_MM, KnownCrystal
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.run import Provenance, Run
-from mcrim_mitsuba.inference.fit import Calibration
-from mcrim_mitsuba.inference.neglected import (
+from mcrim_mitsuba.inference.corrections import (
     Neglected,
     NeglectWork,
     Quantities,
     Refit,
     fitted,
 )
-from mcrim_mitsuba.inference.places import USUAL_DEPTH_MM, Places, places_of
+from mcrim_mitsuba.inference.deposit_shift import USUAL_DEPTH_MM, Places, places_of
+from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.simulations import CampaignSimulations, spent_together
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, contribution
 from mcrim_mitsuba.optics.gammas import AttenuationLength
@@ -157,7 +157,7 @@ DEFAULT_PHOTONS, FEWEST_PHOTONS = 1_572_864, 196_608
 class Budget:
     """Where the errors of a campaign's results come from.
 
-    Quantities have the names of `inference.neglected.Quantities`: the light yield (the scale
+    Quantities have the names of `inference.corrections.Quantities`: the light yield (the scale
     without one), fitted parameters, efficiencies, and the ratio of two of them.
     """
 
@@ -245,7 +245,7 @@ def budget(
     wavelength_nm : float, optional
         Maximum of that band.
     eta_map, depth_mm, deposits : optional
-        See `places.places_of`.
+        See `deposit_shift.places_of`.
     run : Run
         Its photons are those of every configuration's simulation with another index; those with
         the scene's own get four times as many. Its seed is the same for all of them: what they

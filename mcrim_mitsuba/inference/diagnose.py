@@ -49,9 +49,9 @@ from mcrim_mitsuba.inference.judgement import (
     Verdict,
 )
 from mcrim_mitsuba.inference.next_measurements import NextMeasurement, next_measurements
+from mcrim_mitsuba.inference.rival_causes import UNKNOWN, bad_readings, unknown_cause
 from mcrim_mitsuba.inference.screening import ScreeningCache, promising_effects
 from mcrim_mitsuba.inference.simulations import CampaignSimulations, MeasurementProposals
-from mcrim_mitsuba.inference.unexplained import UNKNOWN, of_instrument, unnamed
 
 #: Probability from which an effect counts as one that a diagnosis rests on.
 _LIKELY = 0.01
@@ -402,13 +402,13 @@ def _weighed(explanations: Explanations, seed: int, progress: Callable[[str], No
     pairs: tuple[Candidate, ...] = ()
     ranked_pairs = None
     if judgement.is_adequate:
-        judgement = replace(judgement, unnamed=unnamed(explanations, ()))
+        judgement = replace(judgement, unknown_causes=unknown_cause(explanations, ()))
     else:
         progress("looking for what is no effect")
         judgement = replace(
             judgement,
-            instrument=of_instrument(explanations),
-            unnamed=unnamed(explanations, singles.order),
+            instrument=bad_readings(explanations),
+            unknown_causes=unknown_cause(explanations, singles.order),
         )
         if not judgement.single_explains:
             progress("fitting pairs of effects")

@@ -14,7 +14,7 @@ from mcrim_mitsuba.inference.drivers import Minimum
 from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, corrected, left_out_error
 from mcrim_mitsuba.inference.evidence import Hypothesis
 from mcrim_mitsuba.inference.explanations import Explanations, NullDistribution, Ranking
-from mcrim_mitsuba.inference.unexplained import COMMON_TO_PAIRS, UNKNOWN
+from mcrim_mitsuba.inference.rival_causes import COMMON_TO_PAIRS, UNKNOWN
 
 #: The verdicts of a diagnosis.
 TOO_FEW_READINGS = "too_few_readings"
@@ -70,7 +70,7 @@ class Judgement:
     #: What else may explain the readings: wrong ones, the likeliest first, with whose they are.
     instrument: Sequence[tuple[Hypothesis, Suspect]] = ()
     #: What has no name.
-    unnamed: Sequence[Hypothesis] = ()
+    unknown_causes: Sequence[Hypothesis] = ()
 
     @property
     def baseline(self) -> Minimum:
@@ -95,7 +95,7 @@ class Judgement:
         return [
             *map(self._of_effects, of_effects),
             *(hypothesis for hypothesis, _ in self.instrument),
-            *self.unnamed,
+            *self.unknown_causes,
         ]
 
     def _of_effects(self, effects: tuple[str, ...]) -> Hypothesis:
@@ -127,7 +127,7 @@ class Judgement:
 
     def _names(self, effects: tuple[str, ...]) -> bool:
         """Whether effects are likelier than anything that has no name."""
-        weights = [each.log_weight for each in self.unnamed]
+        weights = [each.log_weight for each in self.unknown_causes]
         return not weights or self._of_effects(effects).log_weight >= float(logsumexp(weights))
 
     def verdict(self, pairs: Ranking | None) -> Verdict:

@@ -379,23 +379,23 @@ class ResponseModel:
         self._alike: dict[tuple[str | float, ...], list[int]] = {}
         for row, own in enumerate(self._own):
             self._alike.setdefault(own, []).append(row)
-        self._latest: _Place | None = None
+        self._latest: PredictionPoint | None = None
         self._shift: Array | None = None
         if anchor is not None:
             values = {**self._held, **anchor.values}
-            self._shift = anchor.log_eta - _Place(self, values, anchor.effects).log_eta
+            self._shift = anchor.log_eta - PredictionPoint(self, values, anchor.effects).log_eta
 
     def _values(self, theta: Array) -> dict[str, float]:
         """All parameters that the campaign names, free and held."""
         free = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
         return {**self._held, **free}
 
-    def _at(self, values: Mapping[str, float]) -> _Place:
+    def _at(self, values: Mapping[str, float]) -> PredictionPoint:
         """What the responses say at these values; who asks next often asks for another scale."""
         values = {name: value for name, value in values.items() if name not in self._of_signal}
         latest = self._latest  # other threads may replace it meanwhile
         if latest is None or latest.values != values:
-            latest = self._latest = _Place(self, values)
+            latest = self._latest = PredictionPoint(self, values)
         return latest
 
     def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
@@ -500,7 +500,7 @@ class ResponseModel:
         return {own: np.where(rows, slopes, 0.0) for own, rows in self._rows_of[name].items()}
 
 
-class _Place:
+class PredictionPoint:
     """What a model's responses say where its parameters, but for the scale, have some values."""
 
     def __init__(

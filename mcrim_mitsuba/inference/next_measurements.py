@@ -27,8 +27,8 @@ from mcrim_mitsuba.core.numbers import Value, unit_of
 from mcrim_mitsuba.core.rounding import short_text
 from mcrim_mitsuba.inference.evidence import QUANTILES, WIDTH, Hypothesis
 from mcrim_mitsuba.inference.explanations import Explanations
+from mcrim_mitsuba.inference.rival_causes import unknown_cause_at
 from mcrim_mitsuba.inference.simulations import MeasurementProposals
-from mcrim_mitsuba.inference.unexplained import unnamed_at
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE, BEAM_AXIS, GAP_INDEX
 
@@ -305,7 +305,7 @@ def _cloud(
             variance += share * proposals.noise(effects, np.median(points, axis=0)) ** 2
         if each.amplitude:
             predicted = predicted * np.exp(
-                unnamed_at(explanations, each, points, proposals.configurations)
+                unknown_cause_at(explanations, each, points, proposals.configurations)
             )
         of.append(np.full(len(points), names.index(each.name)))
         weights.append(np.full(len(points), share / len(points)))

@@ -21,7 +21,7 @@ from mcrim_mitsuba.output.sentences import estimate_text
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.inference.budget import Budget
-    from mcrim_mitsuba.inference.neglected import Neglected
+    from mcrim_mitsuba.inference.corrections import Neglected
 
 
 #: Kinds of contributions.

@@ -42,11 +42,11 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.budget import Budget
     from mcrim_mitsuba.inference.candidates import Candidate
     from mcrim_mitsuba.inference.compare import Suspect
+    from mcrim_mitsuba.inference.corrections import Shift
     from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
     from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
     from mcrim_mitsuba.inference.fit import Calibration
     from mcrim_mitsuba.inference.hypotheses import FittedHypothesis
-    from mcrim_mitsuba.inference.neglected import Shift
     from mcrim_mitsuba.inference.plan import Planning
     from mcrim_mitsuba.inference.profiles import Profile
     from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget

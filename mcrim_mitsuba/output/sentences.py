@@ -42,7 +42,7 @@ from mcrim_mitsuba.inference.plan import (
     Plan,
     Planning,
 )
-from mcrim_mitsuba.inference.unexplained import UNKNOWN
+from mcrim_mitsuba.inference.rival_causes import UNKNOWN
 from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget, contribution
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.eta_spectrum import eta_over
 from mcrim_mitsuba.efficiency.noise_free import solve_benches
-from mcrim_mitsuba.efficiency.recording import SurfaceWish, record_surfaces
+from mcrim_mitsuba.efficiency.recording import EtaRequest, record_surfaces
 from mcrim_mitsuba.optics.materials import material
 from mcrim_mitsuba.scene.emitted_light import read_light
 from mcrim_mitsuba.scene.scene_file import read_scene
@@ -61,7 +61,7 @@ def test_weights_give_what_simulations_of_each_wavelength_give(tenfold):
     every = [light.at(nm) for nm in (*light.wavelength_nm.tolist(), light.mean_nm)]
     wish = [(own["alpha_scat_per_cm"], own["alpha_abs_per_cm"]) for own in every]
     ((surface, _),) = record_surfaces(
-        [SurfaceWish("", file, wish, Run(precision=precision, seed=1))]
+        [EtaRequest("", file, wish, Run(precision=precision, seed=1))]
     )
     assert found.eta == pytest.approx([surface.answer(point).eta for point in wish[:-1]], rel=1e-9)
     solved = eta_over(file, light, solver=solve_benches)

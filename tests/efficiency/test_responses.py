@@ -7,7 +7,7 @@ in 10 000.
 import numpy as np
 import pytest
 
-from mcrim_mitsuba.efficiency.eta_grid import BATCHES, Gathering, Grid
+from mcrim_mitsuba.efficiency.eta_grid import BATCHES, Grid, GridReweighter
 from mcrim_mitsuba.efficiency.responses import Point, errors_of, stack
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.efficiency.surface import Cubics, Lagrange, chebyshev_nodes
@@ -71,7 +71,7 @@ def toy_records(seed=1, photons=65_536):
 
 def test_table_answers_as_the_surface_of_the_same_photons():
     records = toy_records()
-    surface, table = EtaSurface.of(records), Gathering(records, GRID).table()
+    surface, table = EtaSurface.of(records), GridReweighter(records, GRID).table()
     for a_s, a_a in ((0.07, 0.01), (0.2, 0.039), (0.61, 0.1), (2.0, 0.02)):
         point = Point.of(GRID, [a_s], [a_a])
         known = surface.evaluate(a_s, a_a)
@@ -87,7 +87,7 @@ def test_a_weight_and_a_mask_act_photon_by_photon():
     records = toy_records()
     rng = np.random.default_rng(2)
     weight, kept = rng.random(len(records.k)), rng.random(len(records.k)) < 0.4
-    gathering = Gathering(records, GRID, kept)
+    gathering = GridReweighter(records, GRID, kept)
     table = gathering.table(weight[gathering.order])
     changed = PhotonRecords(
         records.k,
@@ -99,13 +99,13 @@ def test_a_weight_and_a_mask_act_photon_by_photon():
         records.alpha_scat_proposals_per_cm,
         0.004,
     )
-    direct = Gathering(changed, GRID).table()
+    direct = GridReweighter(changed, GRID).table()
     assert table.log_eta == pytest.approx(direct.log_eta, abs=2e-6)
     assert table.deviations == pytest.approx(direct.deviations, abs=1e-4)
 
 
 def test_slopes_of_a_point_are_those_of_its_values():
-    table = Gathering(toy_records(), GRID).table().log_eta[None]
+    table = GridReweighter(toy_records(), GRID).table().log_eta[None]
     a_s, a_a, step = 0.4, 0.05, 1e-5
     _, by_scat, by_abs = Point.of(GRID, [a_s], [a_a]).value_and_slopes(table)
 
@@ -127,7 +127,7 @@ def test_errors_of_a_table_are_honest():
     exact = np.sum(a_s**k / 3.0 / (1 / 3.0 + a_s + a_a) ** (k + 1))
     pulls = []
     for seed in range(60):
-        log_eta, deviations = stack([Gathering(toy_records(seed, 4096), GRID).table()])
+        log_eta, deviations = stack([GridReweighter(toy_records(seed, 4096), GRID).table()])
         point = Point.of(GRID, [a_s], [a_a])
         sigma = np.linalg.norm(errors_of(point.values(deviations))[0])
         pulls.append((point.value(log_eta)[0] - np.log(exact)) / sigma)

@@ -20,9 +20,9 @@ from mcrim_mitsuba.efficiency.eta_grid import BATCHES
 from mcrim_mitsuba.efficiency.response_maker import ResponseMaker
 from mcrim_mitsuba.efficiency.responses import Axis, EffectResponse, mixture
 from mcrim_mitsuba.inference import budget as budgeting
+from mcrim_mitsuba.inference.corrections import NeglectWork, Quantities, at, refuse_far, shifts
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, spread
 from mcrim_mitsuba.inference.model import ResponseModel
-from mcrim_mitsuba.inference.neglected import NeglectWork, Quantities, at, refuse_far, shifts
 from mcrim_mitsuba.optics.dispersion import extraordinary_index, indices_of_light, orientation_sigma
 from mcrim_mitsuba.optics.emission_band import indices_over_band
 from mcrim_mitsuba.optics.spectrum import Spectrum

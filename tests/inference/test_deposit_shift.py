@@ -6,7 +6,7 @@ import pytest
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.efficiency.lighting import EtaMap
-from mcrim_mitsuba.inference.places import places_of
+from mcrim_mitsuba.inference.deposit_shift import places_of
 from mcrim_mitsuba.output.codec import netcdf_bytes
 
 

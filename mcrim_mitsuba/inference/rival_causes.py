@@ -75,7 +75,9 @@ _FITTED = 3
 _SETS_AT_ONCE = 20_000
 
 
-def unnamed(explanations: Explanations, singles: Sequence[tuple[str, ...]]) -> list[Hypothesis]:
+def unknown_cause(
+    explanations: Explanations, singles: Sequence[tuple[str, ...]]
+) -> list[Hypothesis]:
     """Something without a name, alone and besides each of the best effects.
 
     `singles` are fitted effects, the likeliest first.
@@ -104,7 +106,7 @@ def unnamed(explanations: Explanations, singles: Sequence[tuple[str, ...]]) -> l
     return found
 
 
-def unnamed_at(
+def unknown_cause_at(
     explanations: Explanations,
     hypothesis: Hypothesis,
     thetas: Array,
@@ -112,9 +114,9 @@ def unnamed_at(
 ) -> Array:
     """(points, configurations) what has no name, of log(reading), drawn given the readings.
 
-    The hypothesis is of `unnamed`, `thetas` are (points, free) parameters of its effects' model.
-    Configurations are told by what they differ from the scene; a transmittance has a ``kind``, and
-    knows nothing of it.
+    The hypothesis is one of `unknown_cause`; `thetas` are (points, free) parameters of the model
+    with its effects. Configurations are given by what they differ from the scene; a transmittance
+    has a ``kind``, and feels nothing of an unknown cause.
     """
     fit = explanations.fit(hypothesis.effects)
     statistic = fit.statistic
@@ -171,7 +173,7 @@ def _places(name: str, cells: Sequence[Value | None], known: int) -> Array:
     return (at - low) / span if span > 0.0 else np.zeros(len(at))
 
 
-def of_instrument(explanations: Explanations) -> list[tuple[Hypothesis, Suspect]]:
+def bad_readings(explanations: Explanations) -> list[tuple[Hypothesis, Suspect]]:
     """Wrong readings and exchanged rows that explain the readings, the likeliest first.
 
     The campaign is as it is otherwise.

@@ -16,15 +16,15 @@ from mcrim_mitsuba.inference.diagnose import diagnose_models
 from mcrim_mitsuba.inference.drivers import settle
 from mcrim_mitsuba.inference.evidence import Hypothesis
 from mcrim_mitsuba.inference.next_measurements import _most_kept, next_measurements
-from mcrim_mitsuba.inference.simulations import MeasurementProposals
-from mcrim_mitsuba.inference.unexplained import (
+from mcrim_mitsuba.inference.rival_causes import (
     UNKNOWN,
     _bad,
     _worst,
-    of_instrument,
-    unnamed,
-    unnamed_at,
+    bad_readings,
+    unknown_cause,
+    unknown_cause_at,
 )
+from mcrim_mitsuba.inference.simulations import MeasurementProposals
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 LIGHT = LightYieldInput(50.0, 0.1, 0.0)  # a scale of 5 is 1 ph/keV
@@ -75,7 +75,7 @@ def test_first_order_finds_the_worst_readings_of_all_sets():
     factors = np.ones(len(bench.ROWS))
     factors[[3, 12]] = 1.09, 0.93
     explanations = bench.explanations_of(models(4, change=lambda signal: signal * factors), {})
-    best, suspect = of_instrument(explanations)[0]
+    best, suspect = bad_readings(explanations)[0]
     assert suspect.labels == ("row4", "row13") and suspect.explains
     without = explanations.evidence(())
     # two readings of 0.7 % that are 9 and 7 % off: about half of chi2, less what the sizes cost
@@ -134,7 +134,7 @@ def test_many_readings_are_searched_in_little_memory():
     )
     fit = explanations.baseline
     tracemalloc.start()
-    found, (_, instrument) = find_suspects(fit), of_instrument(explanations)[0]
+    found, (_, instrument) = find_suspects(fit), bad_readings(explanations)[0]
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert found[0].labels == instrument.labels == ("row5 1", "row10 2")
@@ -183,7 +183,7 @@ def test_something_without_a_name_grows_with_the_misfit():
     for drawn in (0.0, 0.03, 0.12):
         own = models(9, change=lambda signal, a=drawn: signal * np.exp(a * pattern))
         explanations = bench.explanations_of(own, {})
-        found = unnamed(explanations, ())
+        found = unknown_cause(explanations, ())
         best = max(found, key=lambda each: each.evidence.log)
         assert all(each.name == UNKNOWN for each in found)
         size = best.amplitude
@@ -224,11 +224,11 @@ def test_what_has_no_name_is_likely_to_go_on_where_it_was_measured():
     """Drawn at the readings themselves it is their residual; far from all it is only as large."""
     change = np.where([row["n_gap"] > 1.4 for row in bench.ROWS], 0.94, 1.0)
     explanations = bench.explanations_of(models(5, change=lambda signal: signal * change), {})
-    largest = max(unnamed(explanations, ()), key=lambda each: each.log_weight)
+    largest = max(unknown_cause(explanations, ()), key=lambda each: each.log_weight)
     fit = explanations.baseline
     thetas = np.repeat(fit.theta[None], 400, axis=0)
     far = {**bench.ROWS[0], "n_gap": 9.0}
-    drawn = unnamed_at(explanations, largest, thetas, [*bench.ROWS, far])
+    drawn = unknown_cause_at(explanations, largest, thetas, [*bench.ROWS, far])
     residual = fit.statistic.signal / fit.signal - 1.0
     assert np.abs(drawn.mean(axis=0)[:-1] - residual).max() < 0.02
     assert drawn[:, :-1].std(axis=0).max() < 0.02
