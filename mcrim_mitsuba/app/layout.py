@@ -145,7 +145,7 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
         return document
     settings = now.settings
     document |= {
-        "settings": {**settings.to_json(), "known": session.model.bench.known(settings)},
+        "settings": {**settings.to_json(), "known": session.model.live.controls.known(settings)},
         "readings": [
             {
                 "label": r.label,
@@ -201,7 +201,7 @@ def predictions(session: Session, settings: Settings) -> dict[str, Any]:
     beside = session.model.shown_beside()
     pending = ""
     if shown and shown.pending:
-        titles = [session.model.bench.effects[name][0].title for name in shown.pending]
+        titles = [session.model.live.controls.effects[name][0].title for name in shown.pending]
         pending = f"These numbers are without {sentences.together(titles)}: not simulated yet."
     texts = {**_merit_texts(shown, session), "pending": pending}
     return plain(

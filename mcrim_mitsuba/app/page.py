@@ -90,7 +90,7 @@ def make_page(session: Session, prefix: str) -> flask.Flask:
 
 def _read(session: Session) -> tuple[_Asked, Settings]:
     """What a page asks for, and the settings that hold; what no page sends is answered by 400."""
-    effects = session.model.bench.effects
+    effects = session.model.live.controls.effects
     try:
         asked = _LEFT_OUT | flask.request.get_json()
         is_ours = all(type(asked[name]) is type(usual) for name, usual in _LEFT_OUT.items())

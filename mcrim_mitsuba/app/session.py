@@ -11,7 +11,7 @@ from typing import Any
 
 from mcrim_mitsuba.app import exchange
 from mcrim_mitsuba.app.jobs import Jobs, PageJob
-from mcrim_mitsuba.app.simulated_bench import SimulatedBench
+from mcrim_mitsuba.app.live_model import LiveModel
 from mcrim_mitsuba.app.state import (
     FREE,
     PRIOR,
@@ -55,51 +55,51 @@ class ReadingsModel:
     def __init__(self, campaign: Campaign, history: History, run: Run, progress: Progress) -> None:
         self._history, self._progress = history, progress
         self._run = replace(run, progress=self._report)
-        self.bench = SimulatedBench(campaign, self._run)
+        self.live = LiveModel(campaign, self._run)
         # that of changed readings, while it is simulated
-        self._following: SimulatedBench | None = None
+        self._following: LiveModel | None = None
         self._shown_beside: tuple[Any, Campaign, Shown | None] | None = None
 
     @property
     def starts(self) -> dict[str, float]:
         """Values at which the controls begin."""
-        return {control.name: control.start for control in self.bench.all_controls}
+        return {control.name: control.start for control in self.live.controls.all}
 
     @property
     def is_simulated(self) -> bool:
-        """Whether the bench is that of the readings in the table."""
-        return self.bench.fits(self._history.state.campaign)
+        """Whether what is simulated is that of the readings in the table."""
+        return self.live.fits(self._history.state.campaign)
 
     def is_ready(self, effects: Sequence[str]) -> bool:
         """Whether nothing has to be simulated before these effects are shown."""
-        ready = self.bench.ready
+        ready = self.live.ready
         return ready is not None and ready.issuperset(effects) and self.is_simulated
 
     def make_ready(self, effects: Sequence[str] = ()) -> None:
         """Simulate what is not simulated yet: the readings' bench as it is, and effects."""
         while not self.is_simulated:
             self._follow(effects)
-        self.bench.simulate(effects)
+        self.live.simulate(effects)
         self._history.change()
 
     def _follow(self, effects: Sequence[str]) -> None:
         """Simulate readings of other configurations, unless they change meanwhile."""
         history = self._history
         state = history.state
-        bench = SimulatedBench(state.campaign, self._run)
+        live = LiveModel(state.campaign, self._run)
         wanted = {*effects, *state.settings.effects, *state.beside.settings.effects}
-        self._following = bench
+        self._following = live
         try:
-            bench.simulate(wanted & bench.effects.keys())
+            live.simulate(wanted & live.controls.effects.keys())
         except _OutdatedError:
             return
         finally:
             self._following = None
         with history.lock:
-            if bench.fits(history.state.campaign):
-                if not bench.moves_as(self.bench):
+            if live.fits(history.state.campaign):
+                if live.controls != self.live.controls:
                     history.bench_number += 1
-                self.bench = bench
+                self.live = live
                 settings = history.state.settings
                 values = {**self.starts, **settings.values}
                 history.change(settings=replace(settings, values=values))
@@ -114,11 +114,11 @@ class ReadingsModel:
 
         Their chi2 counts what the last fit with the same effects took as known of their sizes.
         """
-        free = {n for n, k in self.bench.known(settings).items() if k.how == FREE}
+        free = {n for n, k in self.live.controls.known(settings).items() if k.how == FREE}
         priors = self.priors_of_fit(settings)
         of_fit = {n: Known(PRIOR, *priors[n]) for n in free & priors.keys()}
         settings = replace(settings, known={**settings.known, **of_fit})
-        return self.bench.show(self._history.state.campaign, settings)
+        return self.live.show(self._history.state.campaign, settings)
 
     def shown_beside(self) -> tuple[FitStep, Shown] | None:
         """The fit beside which the model is shown, and what it predicts for today's readings.
@@ -129,7 +129,7 @@ class ReadingsModel:
         if not state.steps:
             return None
         step = state.beside
-        key = (step.number, id(state.campaign), id(self.bench), self.bench.version)
+        key = (step.number, id(state.campaign), id(self.live), self.live.version)
         if self._shown_beside is None or self._shown_beside[0] != key:
             # with what its key is the identity of
             self._shown_beside = (key, state.campaign, self.show(step.settings))
@@ -140,7 +140,8 @@ class ReadingsModel:
         """What the last fit with these effects took as known of sizes that are left free."""
         for step in reversed(self._history.state.steps):
             if set(step.settings.effects) == set(settings.effects):
-                free = {n for n, k in self.bench.known(step.settings).items() if k.how == FREE}
+                knowledge = self.live.controls.known(step.settings)
+                free = {n for n, k in knowledge.items() if k.how == FREE}
                 return {n: prior for n, prior in step.priors.items() if n in free}
         return {}
 
@@ -199,9 +200,9 @@ class Session:
         """Simulate what is not simulated yet; the first time the campaign is fitted as it came."""
         if not self.state.steps:
             before, campaign = self.state.settings, self._opened
-            self.model.bench.simulate()
+            self.model.live.simulate()
             self.history.change()
-            fit = self.model.bench.simulations_of(campaign).fit()
+            fit = self.model.live.simulations_of(campaign).fit()
             self._take_fit(fit, Settings(values=before.values), before, campaign)
         self.model.make_ready(effects)
 
@@ -214,7 +215,7 @@ class Session:
             self.history.set_controls(replace(settings, effects=kept))
 
         if not self.model.is_ready([effect]):
-            words = f"simulating {self.model.bench.effects[effect][0].title}"
+            words = f"simulating {self.model.live.controls.effects[effect][0].title}"
             work = functools.partial(self._make_ready, [effect])
             self.jobs.start(PageJob(f"effect {effect}", words, work, undo=undo))
 
@@ -236,17 +237,17 @@ class Session:
                     sizes = {n: estimate.value for n, estimate in candidate.parameters.items()}
                     break
         more = replace(settings, effects=wanted, values={**settings.values, **sizes})
-        offered = self.model.bench.effects
+        offered = self.model.live.controls.effects
         titles = ", ".join(offered[name][0].title for name in effects if name in offered)
         work = functools.partial(self._fit, more, settings)
         self.jobs.start(PageJob(f"add {' '.join(effects)}", f"adding {titles}", work))
 
     def _fit(self, wanted: Settings, pressed: Settings) -> None:
         self._make_ready(wanted.effects)
-        bench, campaign = self.model.bench, self.state.campaign
-        fitted, rest = bench.fitted_campaign(campaign, wanted)
-        fit = bench.simulations_of(fitted).settled_fit(rest, wanted.values)
-        bench.keep_anchor(wanted.effects, fit.model)
+        live, campaign = self.model.live, self.state.campaign
+        fitted, rest = live.controls.campaign_at(campaign, wanted)
+        fit = live.simulations_of(fitted).settled_fit(rest, wanted.values)
+        live.keep_anchor(wanted.effects, fit.model)
         self.history.keep()
         self._take_fit(fit, wanted, pressed, campaign)
 
@@ -258,10 +259,9 @@ class Session:
         campaign: Campaign,
     ) -> None:
         """Take over a fit of what was wanted; what was switched on since it was asked for stays."""
-        now, bench = self.state.settings, self.model.bench
+        now, controls = self.state.settings, self.model.live.controls
         values = {**now.values, **{n: fit.parameters[n].value for n in fit.names}}
         fitted = replace(wanted, values=values, fit_scale=SCALE in fit.names)
-        controls = [*bench.controls, *(c for n in wanted.effects for c in bench.effects[n][1])]
         step = FitStep(
             number=next(self._numbers),
             asked=wanted,
@@ -269,7 +269,13 @@ class Session:
             campaign=campaign,
             calibration=fit,
             priors=fit.model.campaign.priors,
-            words=difference(self._opened, campaign, wanted, bench.known(wanted), controls),
+            words=difference(
+                self._opened,
+                campaign,
+                wanted,
+                controls.known(wanted),
+                controls.with_effects(wanted.effects),
+            ),
         )
         since = (name for name in now.effects if name not in pressed.effects)
         effects = tuple(dict.fromkeys((*wanted.effects, *since)))
@@ -282,11 +288,11 @@ class Session:
 
         def work() -> None:
             self._make_ready()
-            bench, campaign = self.model.bench, self.state.campaign
-            fitted, _ = bench.fitted_campaign(campaign, replace(settings, effects=()))
-            simulations = bench.simulations_of(fitted)
+            live, campaign = self.model.live, self.state.campaign
+            fitted, _ = live.controls.campaign_at(campaign, replace(settings, effects=()))
+            simulations = live.simulations_of(fitted)
             diagnosed = diagnose_on(simulations)
-            bench.take(simulations)
+            live.take(simulations)
             with self.history.lock:
                 if self.state.campaign is campaign:
                     self.history.keep()
@@ -404,7 +410,7 @@ class Session:
             return exchange.with_table(self._opened, readings, self._folder)
 
         def settings(asked: Mapping[str, Any]) -> Settings:
-            return settings_of(asked, self.state.settings.values, self.model.bench.effects)
+            return settings_of(asked, self.state.settings.values, self.model.live.controls.effects)
 
         # the first is that of the campaign as it came
         self._make_ready()
@@ -445,13 +451,13 @@ class Session:
         if what == "report":
             return exchange.report_file(self.state.campaign, effects, self._run, self._folder)
         self._make_ready(effects)
-        campaign, bench = self.state.campaign, self.model.bench
-        values = bench.settle_at(campaign, settings)
+        campaign, controls = self.state.campaign, self.model.live.controls
+        values = self.model.live.settle_at(campaign, settings)
         if what == "scene":
             return exchange.scene_file(campaign, effects, values)
-        fitted, _ = bench.fitted_campaign(campaign, settings)
-        parameters, known_now = {**fitted.parameters, SCALE: fitted.scale}, bench.known(settings)
-        named = (parameters.get(c.name) for c in bench.all_controls if known_now[c.name] != c.known)
+        fitted, _ = controls.campaign_at(campaign, settings)
+        parameters, known_now = {**fitted.parameters, SCALE: fitted.scale}, controls.known(settings)
+        named = (parameters.get(c.name) for c in controls.all if known_now[c.name] != c.known)
         chosen = [parameter for parameter in named if parameter is not None]
         priors = self.model.priors_of_fit(settings)
         return exchange.campaign_archive(campaign, effects, values, priors, chosen)

@@ -10,15 +10,16 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 from mcrim_mitsuba.campaign.campaign import Campaign
-from mcrim_mitsuba.campaign.parameter import CampaignParameter
+from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.samples import of_sample
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, said, unit_of, without_unit
-from mcrim_mitsuba.effects.effect import EffectParameter
+from mcrim_mitsuba.effects.effect import Effect, EffectParameter
 from mcrim_mitsuba.inference.diagnose import Diagnosed
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.model import UNKNOWN_SCALE
 from mcrim_mitsuba.output.sentences import quantity
 
 #: Smallest value of a slider that runs along a logarithm, as part of the largest.
@@ -164,9 +165,6 @@ def effect_control(
     )
 
 
-# What the session holds and shows.
-
-
 @dataclass(frozen=True)
 class Settings:
     """What the page's controls say."""
@@ -183,6 +181,62 @@ class Settings:
     def to_json(self) -> dict[str, Any]:
         """What `settings_of` reads."""
         return attributes(self, "effects values fit_scale known")
+
+
+@dataclass(frozen=True)
+class Controls:
+    """All that the page's controls move."""
+
+    #: Of the campaign's own parameters; the scale comes last.
+    parameters: tuple[Control, ...]
+    #: Effects that can be switched on, with their controls.
+    effects: Mapping[str, tuple[Effect, tuple[Control, ...]]]
+    #: Why some effects cannot be switched on.
+    refused: tuple[str, ...]
+
+    @property
+    def all(self) -> tuple[Control, ...]:
+        """Controls of the campaign's own parameters and of all effects."""
+        return self.with_effects(self.effects)
+
+    def with_effects(self, names: Iterable[str]) -> tuple[Control, ...]:
+        """Controls of the campaign's own parameters and of some effects."""
+        return (*self.parameters, *(control for name in names for control in self.effects[name][1]))
+
+    def known(self, settings: Settings) -> dict[str, Known]:
+        """What is known of every parameter."""
+        return {c.name: settings.known.get(c.name, c.known) for c in self.all}
+
+    def campaign_at(
+        self, campaign: Campaign, settings: Settings
+    ) -> tuple[Campaign, tuple[str, ...]]:
+        """A campaign with what is known at some settings, and the effects that it lacks still.
+
+        It has those effects whose parameters the user knows something of.
+        """
+        knowledge = self.known(settings)
+        changed = {c.name for c in self.all if knowledge[c.name] != c.known}
+        effects = [
+            name
+            for name in settings.effects
+            if any(control.name in changed for control in self.effects[name][1])
+        ]
+        campaign = campaign.with_effects(effects)
+        named = {c.name for c in self.with_effects(effects)} - {SCALE}
+        parameters = {
+            name: knowledge[name].of(parameter, settings.values[name])
+            if name in named
+            else parameter
+            for name, parameter in campaign.parameters.items()
+        }
+        scale = campaign.scale
+        if scale is not None or knowledge[SCALE] != Known():
+            scale = knowledge[SCALE].of(scale or UNKNOWN_SCALE, settings.values[SCALE])
+        rest = tuple(sorted(set(settings.effects) - set(effects)))
+        return replace(campaign, parameters=parameters, scale=scale), rest
+
+
+# What the session holds and shows.
 
 
 #: What reading a document raises that has another form than it should.

@@ -122,10 +122,10 @@ def test_readings_are_edited_in_the_table(files):
     folder, text = files
     with opened(folder / "bench.toml", folder) as session:
         place = 15  # gel hole 4, which the bench explains worst
-        before = session.model.bench
+        before = session.model.live
         session.edit(exchange.with_cell, place, "use", "0")
         session.edit(exchange.with_cell, 0, "signal", "13.5")
-        assert session.jobs.status.job is None and session.model.bench is before
+        assert session.jobs.status.job is None and session.model.live is before
         found = fitted(session)
         assert session.state.steps[-1].words == "air 13.5 ± 0.0924, without gel hole 4"
         for column, cell, said in (
@@ -190,7 +190,7 @@ def test_samples_are_fitted_and_shown_side_by_side(files, scenes):
     folder, _ = files
     with opened(scenes / "camoo4_cawo4.toml", folder) as session:
         asked, found = session.state.settings, session.state.steps[0].calibration
-        titles = [control.title for control in session.model.bench.controls]
+        titles = [control.title for control in session.model.live.controls.parameters]
         assert titles == [
             "scattering",
             "absorption",
@@ -199,7 +199,7 @@ def test_samples_are_fitted_and_shown_side_by_side(files, scenes):
             "scale of cawo4",
             "scale",
         ]
-        assert asked.known == {} and session.model.bench.controls[2].known.how == HELD
+        assert asked.known == {} and session.model.live.controls.parameters[2].known.how == HELD
         shown = session.model.show(asked)
         assert (shown.chi2, shown.ndf) == (pytest.approx(found.chi2, rel=1e-4), found.ndf)
         light = found.parameters["light_yield_ph_per_keV"]
@@ -239,14 +239,14 @@ def test_other_configurations_are_simulated(files):
     (folder / "four.csv").write_text("\n".join(rows) + "\n")
     (folder / "bench.toml").write_text(text.replace("camoo4_misfit.csv", "four.csv"))
     with opened(folder / "bench.toml", folder) as session:
-        asked, first = session.state.settings, session.model.bench
+        asked, first = session.state.settings, session.model.live
         with session.history.lock:  # nothing is shown of readings that are not simulated yet
             session.edit(exchange.with_cell, 3, "aperture_radius_mm", "3")
             assert session.model.show(asked) is None
             # nor is the former waited for
             session.edit(exchange.with_cell, 3, "aperture_radius_mm", "5.5")
         wait(session)
-        assert session.model.bench is not first and session.history.bench_number == 1
+        assert session.model.live is not first and session.history.bench_number == 1
         eta = session.model.show(asked).rows[3].eta
         session.edit(exchange.with_copy, 3)
         wait(session)
@@ -325,7 +325,7 @@ def test_a_size_that_is_held_is_simulated_where_it_is_held(files):
             known={"bubble_fraction": Known(HELD)},
         )
         assert found.fixed == {"bubble_fraction": 0.4} and "surface_loss" in found.names
-        [anchor] = session.model.bench._anchors.values()
+        [anchor] = session.model.live._anchors.values()
         assert anchor.values["bubble_fraction"] == 0.4
         settings = session.state.settings
         shown = session.model.show(settings)

@@ -1,0 +1,273 @@
+"""The model of some readings on the page: what was simulated of it, and what it says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from mcrim_mitsuba.app.state import (
+    HELD,
+    PRIOR,
+    Control,
+    Controls,
+    Known,
+    Settings,
+    Shown,
+    effect_control,
+    known_of,
+    parameter_control,
+)
+from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
+from mcrim_mitsuba.core.run import Run, one_thread
+from mcrim_mitsuba.efficiency.response_maker import configurations
+from mcrim_mitsuba.efficiency.responses import Anchor
+from mcrim_mitsuba.inference.drivers import newton
+from mcrim_mitsuba.inference.estimates import fitted_rows
+from mcrim_mitsuba.inference.model import UNKNOWN_SCALE, Model, ResponseModel
+from mcrim_mitsuba.inference.simulations import CampaignModels, CampaignSimulations
+from mcrim_mitsuba.inference.statistic import Statistic, Weights, p_value
+from mcrim_mitsuba.output.sentences import parameter_words
+
+#: Updates of the covariance while the scale is fitted.
+_SCALE_STEPS = 2
+#: Models that are kept ready.
+_MOST_MODELS = 30
+
+
+class LiveModel:
+    """The model of the configurations of some readings, with what was simulated of them.
+
+    It serves every campaign whose readings have these configurations, whatever they read (`fits`).
+    Only jobs simulate; what it says is asked for from any thread.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    run : Run
+        See `inference.simulations.CampaignSimulations`.
+    """
+
+    def __init__(self, campaign: Campaign, run: Run) -> None:
+        self._simulations = CampaignSimulations(campaign, run)
+        self._simulated: CampaignModels | None = None
+        self._shape = _shape(campaign)
+        #: What can be moved.
+        self.controls = _controls(campaign, self._simulations)
+        #: Rises whenever the model says something else than before.
+        self.version = 0
+        # joint simulations where fits ended, by the effects switched on
+        self._anchors: dict[tuple[str, ...], Anchor] = {}
+        self._models: dict[Any, tuple[Campaign, ResponseModel]] = {}
+
+    def fits(self, campaign: Campaign) -> bool:
+        """Whether the readings of a campaign have these configurations."""
+        return _shape(campaign) == self._shape
+
+    # ---- simulation --------------------------------------------------------------------------
+
+    @property
+    def ready(self) -> frozenset[str] | None:
+        """Effects that were simulated; None before the bench as it is was."""
+        return None if self._simulated is None else self._simulated.simulated
+
+    def simulate(self, effects: Collection[str] = ()) -> None:
+        """Simulate what is not simulated yet: the bench as it is, and effects."""
+        before, precise = frozenset[str](), frozenset[str]()
+        if self._simulated is not None:
+            before, precise = self._simulated.simulated, self._simulated.precise
+            if before & precise >= set(effects):
+                return
+        self._simulations.simulate(sorted({*before, *effects}), look=before - {*effects})
+        self.take(self._simulations)
+
+    def take(self, simulations: CampaignSimulations) -> None:
+        """Go on with what was simulated, here or for other knowledge of the same bench."""
+        self._simulations = simulations.of(self._simulations.campaign)
+        self._simulated = simulations.models
+        self.version += 1
+
+    def simulations_of(self, campaign: Campaign) -> CampaignSimulations:
+        """The simulations with other knowledge or readings: what there is serves them too."""
+        return self._simulations.of(campaign)
+
+    def keep_anchor(self, effects: tuple[str, ...], model: Model) -> None:
+        """Models with these effects are corrected as this one from now on."""
+        if isinstance(model, ResponseModel) and model.anchor is not None:
+            self._anchors[tuple(sorted(effects))] = model.anchor
+            self.version += 1
+
+    def settle_at(self, campaign: Campaign, settings: Settings) -> dict[str, float]:
+        """Simulate all that is switched on together, where the controls are.
+
+        So that the page shows what a simulation of the downloaded scene gives. Returns the values.
+        """
+        names = tuple(sorted(settings.effects))
+        switched_on = [campaign.catalogue[n] for n in (*campaign.effects, *names)]
+        # sizes of other effects may be the scene's own parameters: those stay as they are
+        used = {*campaign.parameters, *(p.name for e in switched_on for p in e.parameters)}
+        values = {name: value for name, value in settings.values.items() if name in used}
+        if not self._simulations.is_exact(switched_on):
+            free = self._model(campaign, names, self.controls.known(settings)).free
+            here = {p.name: values.get(p.name, p.start) for p in free if p.name != SCALE}
+            with_effects = campaign.with_effects(names)
+            self.keep_anchor(names, self._simulations.anchored_model(with_effects, here))
+        return values
+
+    # ---- what the model says -----------------------------------------------------------------
+
+    @one_thread()
+    def show(self, campaign: Campaign, settings: Settings) -> Shown | None:
+        """Predictions at some settings; None before the campaign's readings were simulated.
+
+        Takes about a millisecond.
+        """
+        ready = self.ready
+        if ready is None or not self.fits(campaign):
+            return None
+        effects = tuple(name for name in settings.effects if name in ready)
+        knowledge = self.controls.known(settings)
+        statistic = Statistic(self._model(campaign, effects, knowledge))
+        theta, sigma = _theta(statistic, settings), 0.0
+        if settings.fit_scale:
+            theta, sigma = _fit_scale(statistic, theta)
+        prediction = statistic.model.predict(theta, check=True)
+        assert prediction.eta_sigma is not None  # checked
+        assert prediction.interpolation_error is not None
+        errors = list(map(math.hypot, prediction.eta_sigma, prediction.interpolation_error))
+        chi2 = statistic.chi2(theta, Weights(statistic.errors_at(theta)))
+        ndf = statistic.ndf + sum(
+            n in knowledge and knowledge[n].how == HELD for n in statistic.names
+        )
+        return Shown(
+            rows=fitted_rows(statistic.model.readings, prediction, errors),
+            chi2=chi2,
+            ndf=ndf,
+            p_value=p_value(chi2, ndf),
+            scale=prediction.scale,
+            light_yield=_light_yield(campaign, prediction.scale, sigma),
+            pending=tuple(name for name in settings.effects if name not in effects),
+        )
+
+    def _model(
+        self, campaign: Campaign, effects: tuple[str, ...], knowledge: Mapping[str, Known]
+    ) -> ResponseModel:
+        """What is held is free in it: it stands at its value, and moves when that is moved."""
+        names = tuple(sorted(effects))
+        priors = {n: k.gaussian for n, k in knowledge.items() if k.gaussian is not None}
+        # while nothing new was simulated a model stays what it is
+        key = (names, tuple(priors.items()), id(campaign), self.version)
+        if key not in self._models:
+            assert self._simulated is not None  # only then is anything shown
+            if len(self._models) >= _MOST_MODELS:
+                self._models = {}
+            movable = _movable(campaign.with_effects(names), knowledge)
+            model = self._simulated.model_of(movable, self._anchors.get(names))
+            # with what its key is the identity of
+            self._models[key] = (campaign, model)
+        return self._models[key][1]
+
+
+def _movable(campaign: Campaign, knowledge: Mapping[str, Known]) -> Campaign:
+    """A campaign with priors where they are known, and nothing held."""
+
+    def freed(name: str, parameter: CampaignParameter) -> CampaignParameter:
+        return Known(PRIOR, *(knowledge[name].gaussian or (None, None))).of(parameter, math.nan)
+
+    parameters = {
+        name: freed(name, parameter) if name in knowledge else parameter
+        for name, parameter in campaign.parameters.items()
+    }
+    scale = freed(SCALE, campaign.scale or UNKNOWN_SCALE)
+    return replace(campaign, parameters=parameters, scale=scale)
+
+
+def _controls(campaign: Campaign, simulations: CampaignSimulations) -> Controls:
+    """What can be moved of a campaign's model."""
+    readings = campaign.measurements.readings
+    largest_signal = max(abs(reading.signal) for reading in readings)
+    # sliders are the bench's, not those of a beam
+    benches = [
+        campaign.values | values
+        for values, reading in zip(configurations(campaign), readings, strict=True)
+        if not reading.of_beam
+    ]
+    scope = (campaign.values, benches or [campaign.values], largest_signal)
+    effects = {
+        name: (effect, tuple(effect_control(parameter, *scope) for parameter in effect.parameters))
+        for name, effect in simulations.possible().items()
+    }
+    covered = {
+        ALPHA_SCAT: simulations.grid.alpha_scat_range_per_cm,
+        ALPHA_ABS: simulations.grid.alpha_abs_range_per_cm,
+    }
+    parameters = [
+        parameter_control(parameter, parameter_words(campaign, name)[0], covered.get(of))
+        for name, parameter in campaign.parameters.items()
+        # what else is held was not simulated; the factor of all samples is known beforehand
+        if (of := campaign.stands_for(name)) in covered
+        or not (parameter.fixed or name == EFFICIENCY_FACTOR)
+    ]
+    # a quarter of the light is a usual part
+    usual, start = 4.0 * largest_signal, (campaign.scale or UNKNOWN_SCALE).start
+    start = usual if math.isnan(start) else start
+    scale = Control(
+        name=SCALE,
+        title="scale",
+        unit="signal at η = 1",
+        minimum=0.0,
+        maximum=3.0 * max(usual, start),
+        start=start,
+        meaning=parameter_words(campaign, SCALE)[0],
+        known=known_of(campaign.scale),
+    )
+    refused = tuple(dict.fromkeys(simulations.notes))
+    return Controls(parameters=(*parameters, scale), effects=effects, refused=refused)
+
+
+def _shape(campaign: Campaign) -> list[tuple[str, dict[str, Value]]]:
+    """What tells benches apart."""
+    return [(r.kind, r.parameters) for r in campaign.measurements.readings]
+
+
+def _theta(statistic: Statistic, settings: Settings) -> Array:
+    """Where the controls are: (free,) values, within their ranges but for the scale."""
+    values = {p.name: settings.values.get(p.name, p.start) for p in statistic.free}
+    return np.array(
+        [
+            values[p.name] if p.name == SCALE else min(max(values[p.name], p.minimum), p.maximum)
+            for p in statistic.free
+        ]
+    )
+
+
+def _light_yield(
+    campaign: Campaign, scale: float, sigma: float
+) -> tuple[float, float, float] | None:
+    """Photons per keV with their errors, as `Shown` has them; `sigma` is the scale's."""
+    entry = campaign.light_yield
+    if entry is None or SCALE not in campaign.free:
+        return None
+    relative = entry.detector_efficiency_sigma / entry.detector_efficiency
+    if (shared := campaign.parameters.get(EFFICIENCY_FACTOR)) is not None:
+        relative = math.hypot(relative, shared.prior_sigma or 0.0)
+    light_yield = scale * entry.per_scale
+    return light_yield, sigma * entry.per_scale, light_yield * relative
+
+
+def _fit_scale(statistic: Statistic, theta: Array) -> tuple[Array, float]:
+    """Parameters with the scale that follows the readings, and its error; all else is held."""
+    place = statistic.index(SCALE)
+    held = [i for i in range(len(theta)) if i != place]
+    for _ in range(_SCALE_STEPS):
+        weights = Weights(statistic.errors_at(theta))
+        theta, _, _ = newton(statistic, theta, weights, held=held)
+    slopes = statistic.evaluate(theta, weights)[1][:, place]
+    return theta, float(slopes @ slopes) ** -0.5
