@@ -201,21 +201,11 @@ def serve(
 ) -> None:
     """Serve a page until Ctrl-C, in the main thread.
 
-    Parameters
-    ----------
-    application : flask.Flask
-        The page, all of it below ``/<key>/``.
-    port : int or None
-        Where to listen on this machine; None takes any free port.
-    key : str
-        The secret first part of every path, see `new_key`.
-    on_ready : callable
-        Called once, with the page's address, when browsers can open it.
+    All of the page lies below ``/<key>/``, `key` being a secret as `new_key` makes them. The `port`
+    is one of this machine; None takes any free one. `on_ready` is called once, with the page's
+    address, when browsers can open it.
 
-    Raises
-    ------
-    InputError
-        If the port is taken, or cannot be one.
+    Raises InputError if the port is taken, or cannot be one.
     """
     server, address = listen(application, port=port, key=key)
     try:

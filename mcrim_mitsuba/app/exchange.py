@@ -67,19 +67,9 @@ def _locked(folder: Path) -> Iterator[None]:
 def with_readings(campaign: Campaign, name: str, content: bytes, folder: Path) -> Campaign:
     """The campaign with other readings, read as if its file named them.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    name : str
-        What the user calls the file; used in what is said of it.
-    content : bytes
-    folder : Path
-        Where the two files are written.
+    The user calls their file `name`, which messages use; both files are written to `folder`.
 
-    Raises
-    ------
-    InputError
-        If the readings cannot be used; it names the user's file.
+    Raises InputError, naming the user's file, if the readings cannot be used.
     """
     place = Path(tempfile.mkdtemp(dir=folder))
     readings, target = place / safe_name(name, ".csv"), place / safe_name(campaign.path.name, "")
@@ -112,19 +102,9 @@ def with_table(campaign: Campaign, table: str, folder: Path) -> Campaign:
 def with_cell(campaign: Campaign, folder: Path, place: int, column: str, text: str) -> Campaign:
     """The campaign with other text in a cell of a reading, read as if its file had it.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the two files are written.
-    place : int
-        Of the reading.
-    column, text : str
-        As files have them.
+    `place` is the reading's; column and text are as files have them, which are written to `folder`.
 
-    Raises
-    ------
-    InputError
-        If they cannot be used.
+    Raises InputError if they cannot be used.
     """
     cells = _cells(campaign)
     if column not in cells:

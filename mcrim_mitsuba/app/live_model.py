@@ -46,13 +46,8 @@ class LiveModel:
     """The model of the configurations of some readings, with what was simulated of them.
 
     It serves every campaign whose readings have these configurations, whatever they read (`fits`).
-    Only jobs simulate; what it says is asked for from any thread.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    run : Run
-        See `inference.simulations.CampaignSimulations`.
+    Only jobs simulate, as `inference.simulations.CampaignSimulations` says of a run; what the model
+    says is asked for from any thread.
     """
 
     def __init__(self, campaign: Campaign, run: Run) -> None:

@@ -39,17 +39,9 @@ class _OutdatedError(Exception):
 class ReadingsModel:
     """The model of the readings in the table: it is simulated where they change, and shown.
 
-    Only jobs simulate; what the model says is asked for from any thread.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    history : History
-        Its campaign has the readings; it is told what was simulated.
-    run : Run
-        See `inference.simulations.CampaignSimulations`.
-    progress : callable
-        As `Run.progress`; it may raise an exception to end a simulation.
+    The readings are those of the history's campaign. Only jobs simulate: `progress`, as
+    `Run.progress`, is told and may raise an exception to end it. What the model says is asked for
+    from any thread.
     """
 
     def __init__(self, campaign: Campaign, history: History, run: Run, progress: Progress) -> None:
@@ -149,17 +141,10 @@ class ReadingsModel:
 class Session:
     """One user's work on one campaign, shared by all the pages that show it.
 
-    Its methods are what buttons do. What takes longer runs in `jobs`, one after the other. The
-    `history` holds how things are; its campaign is the one that the session was opened with, or
-    that with other readings, whose `model` it is.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    run : Run
-        See `inference.simulations.CampaignSimulations`; its progress is shown on the page.
-    folder : Path
-        For uploads and for files to be downloaded.
+    Its methods are what buttons do. What takes longer runs in `jobs`, one after the other, with
+    what `run` says but its progress. The `history` holds how things are; its campaign is the one
+    that the session was opened with, or that with other readings, whose `model` it is. Uploads, and
+    files to be downloaded, lie in `folder`.
     """
 
     def __init__(self, campaign: Campaign, run: Run, folder: Path) -> None:

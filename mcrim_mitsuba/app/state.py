@@ -89,15 +89,7 @@ class Control:
 def parameter_control(
     parameter: CampaignParameter, meaning: str, covered: tuple[float, float] | None = None
 ) -> Control:
-    """The control of a parameter that the campaign names.
-
-    Parameters
-    ----------
-    parameter : CampaignParameter
-    meaning : str
-    covered : tuple of float, optional
-        What simulations cover.
-    """
+    """The control of a parameter that the campaign names, over what simulations have `covered`."""
     low, high = parameter.minimum, parameter.maximum
     if covered is not None:
         low, high = max(low, covered[0]), min(high, covered[1])
@@ -132,15 +124,8 @@ def effect_control(
 ) -> Control:
     """The control of an effect's parameter.
 
-    Parameters
-    ----------
-    parameter : EffectParameter
-    scene : mapping of str to value
-        Parameters of the scene.
-    configurations : sequence of mapping of str to value
-        The same of every reading.
-    largest_signal : float
-        Ends the slider of what has no range.
+    `scene` has the parameters of the scene, `configurations` those of every reading; the largest
+    signal ends the slider of what has no range.
     """
     start, low, high = parameter.range_in(scene)
     if parameter.limits is not None:
@@ -246,16 +231,9 @@ MALFORMED = (LookupError, TypeError, ValueError, AttributeError, RecursionError)
 def settings_of(
     asked: Mapping[str, Any], values: Mapping[str, float], possible: Container[str]
 ) -> Settings:
-    """What a page, or a file, says.
+    """Settings that a page, or a file, asks for: a document as `Settings.to_json` makes it.
 
-    Parameters
-    ----------
-    asked : mapping
-        See `Settings.to_json`.
-    values : mapping of str to float
-        Of every parameter; it stays where it is not asked for.
-    possible : container of str
-        Effects that there are.
+    `values` has every parameter's, which stays where it is not asked for; `possible` the effects.
     """
 
     def is_number(value: object) -> bool:

@@ -169,27 +169,16 @@ def follow_times(
     detected: int = DETECTED,
     run: Run = Run(),
 ) -> ArrivalTimes:
-    """Follow photons and their times.
+    """Follow photons of a checked simulation and their times.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Checked.
-    group_index : mapping of str to (float or str), optional
-        Group indices by medium, in place of what the scene's materials say: numbers, or materials
-        (``CaMoO4@540nm``).
-    decay_ns : float, optional
-        Decay time of the scintillation; without it all light is emitted at once.
-    detected : int
-        Photons of an event that are detected.
-    run : Run
-        Of `DEFAULT_PHOTONS` where it says nothing, and `MOST_PHOTONS` at most. Its precision does
-        not matter, its variant and threads are the simulation's.
+    Group indices by medium, numbers or materials (``CaMoO4@540nm``), replace what the scene's
+    materials say. Without a decay time, `decay_ns`, all light is emitted at once. `detected`
+    photons of an event are detected. The run has `DEFAULT_PHOTONS` where it says nothing, and
+    `MOST_PHOTONS` at most; its precision does not matter, its variant and threads are the
+    simulation's.
 
-    Raises
-    ------
-    InputError
-        If the scene leaks or no light is detected, or a group index is not known or wrong.
+    Raises InputError if the scene leaks or no light is detected, or a group index is not known or
+    wrong.
     """
     bench = TimedBench.of(simulation, group_index or {})
     decay_ps = (decay_ns or 0.0) * _PS_PER_NS

@@ -108,24 +108,14 @@ Solver = Callable[[Sequence[SceneFile], Array, Array, Run], list[tuple[Array, Ar
 def eta_over(
     scene: SceneFile, light: EmittedLight, *, solver: Solver | None = None, run: Run = Run()
 ) -> EtaSpectrum:
-    """Efficiency at every wavelength.
+    """Efficiency at every wavelength of light.
 
-    Parameters
-    ----------
-    scene : SceneFile
-    light : EmittedLight
-    solver : Solver, optional
-        What answers in place of photons; its own errors, taken to change evenly over the band,
-        stand for Monte Carlo's.
-    run : Run
-        `PHOTONS` of each simulation where it says nothing; with a precision, as many as it takes
-        for every wavelength.
+    A `solver` answers in place of photons; its own errors, taken to change evenly over the band,
+    stand for Monte Carlo's. A run has `PHOTONS` for each simulation where it says nothing; with a
+    precision, as many as it takes for every wavelength.
 
-    Raises
-    ------
-    InputError
-        If the scene is not sound or lacks coefficients, photons cannot answer a wavelength, a value
-        is out of range, or the solver does not know such a bench.
+    Raises InputError if the scene is not sound or lacks coefficients, photons cannot answer a
+    wavelength, a value is out of range, or the solver does not know such a bench.
     """
     plan = _Plan.of(scene, light)
     answer = _by_photons(plan, run) if solver is None else _by_solver(plan, solver, run)

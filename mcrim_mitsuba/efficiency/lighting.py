@@ -139,20 +139,12 @@ class Light:
 
 
 def follow_light(simulation: Simulation, *, run: Run = Run()) -> Light:
-    """Follow a configuration's light.
+    """Follow the light of a checked simulation to its detector.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Checked.
-    run : Run
-        Of a million photons where it says nothing. Its precision does not matter, its variant and
-        threads are the simulation's.
+    A run has `DEFAULT_PHOTONS` where it says nothing. Its precision does not matter, its variant
+    and threads are the simulation's.
 
-    Raises
-    ------
-    InputError
-        If the scene leaks, or its detector is not flat.
+    Raises InputError if the scene leaks, or its detector is not flat.
     """
     from mcrim_mitsuba.transport import arrivals
     from mcrim_mitsuba.transport.check import interfaces_of
@@ -344,22 +336,12 @@ class EtaMap:
 
 
 def map_eta(simulation: Simulation, cells: Sequence[int] = CELLS, *, run: Run = Run()) -> EtaMap:
-    """Follow photons of all places.
+    """Follow photons that are born in all cells of the box around a checked simulation's crystal.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Checked.
-    cells : sequence of int
-        Along x, y and z of the crystal's bounding box.
-    run : Run
-        `PHOTONS_PER_CELL` of each cell where it says nothing. Its precision does not matter, its
-        variant and threads are the simulation's.
+    `cells` are their numbers along x, y and z. A run has `PHOTONS_PER_CELL` for each where it says
+    nothing. Its precision does not matter, its variant and threads are the simulation's.
 
-    Raises
-    ------
-    InputError
-        If the scene leaks, light is born outside the crystal, or photons are too few.
+    Raises InputError if the scene leaks, light is born outside the crystal, or photons are too few.
     """
     from mcrim_mitsuba.transport import arrivals
 

@@ -57,24 +57,13 @@ def collect(
     what: str = "simulating",
     max_depth: int | None = None,
 ) -> SimulationResult:
-    """Light collection efficiency and the fates of all photons.
+    """Light collection efficiency of a checked simulation, and the fates of all photons.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Checked.
-    run : Run
-        Of 2 million photons, with a precision as many as it takes. Its variant is the
-        simulation's, its progress is told eta.
-    what : str
-        Its name in progress.
-    max_depth : int, optional
-        Free flights after which a photon is given up; the scene's when not given.
+    A run has 2 million photons where it says nothing, with a precision as many as it takes. Its
+    variant is the simulation's; its progress is called `what` and told eta. After `max_depth` free
+    flights, the scene's number where it is not given, a photon is given up.
 
-    Raises
-    ------
-    InputError
-        As `Simulation.collect`.
+    Errors are those of `Simulation.collect`.
     """
     photons = run.photons_or(MOST_PHOTONS if run.precision else DEFAULT_PHOTONS)
     max_depth = max_depth or simulation.depth_limit

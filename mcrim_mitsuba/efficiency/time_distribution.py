@@ -64,12 +64,8 @@ def cell_edges(begin_ps: float, end_ps: float, decay_ps: float) -> Array:
 class TimeCells:
     """Weights of light in cells of time.
 
-    Parameters
-    ----------
-    edges_ps : (n + 1,) float64
-        As `cell_edges` makes them.
-    slices : int
-        Kinds of light that are told apart: where it was born.
+    Their (n + 1,) borders are as `cell_edges` makes them; `slices` are kinds of light that are told
+    apart: where it was born.
     """
 
     def __init__(self, edges_ps: Array, slices: int) -> None:
@@ -117,11 +113,7 @@ class TimeCells:
 def jackknife(number: Callable[[Array], Array], light: Array) -> tuple[Array, Array]:
     """A number, or several, of all light, and their standard errors.
 
-    Parameters
-    ----------
-    number : callable
-        From light of the shape (...), of any unit.
-    light : (groups, ...) float64
+    `number` makes it of light of the shape (...), of any unit; `light` is (groups, ...) float64.
     """
     whole = light.sum(axis=0)
     without = np.array([number(whole - group) for group in light])
@@ -163,12 +155,8 @@ def _depletion(edges_ps: Array, light: Array) -> tuple[Array, Array]:
 def decayed(edges_ps: Array, times_ps: Array, light: Array, decay_ps: float) -> Array:
     """Light, (..., cells), that is emitted with a decay of exp(-t / `decay_ps`), by its arrival.
 
-    Parameters
-    ----------
-    edges_ps, times_ps : (cells + 1,) and (cells,) float64
-        Of the cells, and of the light in them.
-    light : (..., cells) float64
-        By its arrival if all were emitted at once.
+    The cells have (cells + 1,) edges, and the light in them (cells,) times; `light`, (..., cells)
+    float64, would arrive there if all were emitted at once.
     """
     widths = np.diff(edges_ps)
     kept = np.exp(-widths / decay_ps)
@@ -227,10 +215,8 @@ def first_of_event(
 ) -> tuple[FirstPhotons, ...]:
     """First photons of an event of so many detected ones: born everywhere, and at one depth.
 
-    Parameters
-    ----------
-    births : (slices,) float64
-        Part of the events at each depth; without several depths there is the first answer alone.
+    `births`, (slices,) float64, is the part of the events at each depth; without several depths
+    there is the first answer alone.
     """
     light, times = cells.emitted(cells.light, decay_ps), cells.times_ps
     if decay_ps:
