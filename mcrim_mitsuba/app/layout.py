@@ -117,7 +117,7 @@ def _light_title(session: Session) -> str:
 
 
 def state(session: Session, shown_number: int) -> dict[str, Any]:
-    """What the browser asks again and again; only numbers where it shows the state of this number."""
+    """What the browser asks again and again: only numbers, where it shows the state of this one."""
     status, now, history = session.jobs.status, session.state, session.history
     document: dict[str, Any] = {
         "number": history.number,
