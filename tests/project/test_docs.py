@@ -185,7 +185,8 @@ def test_the_architecture_names_what_there_is():
     # `room/module.py` (`Class.method`, `function`)
     named = re.findall(r"`([\w/]+/[a-z_0-9]+\.py)`(?:\s\((`[\w.`,\s]+`)\))?", text)
     for path, insides in named:
-        file = ROOT / (path if path.startswith("tests/") else f"mcrim_mitsuba/{path}")
+        outside = path.startswith(("tests/", "scripts/"))
+        file = ROOT / (path if outside else f"mcrim_mitsuba/{path}")
         assert file.is_file(), path
         for name in re.findall(r"`([\w.]+)`", insides):
             for part in name.split("."):
