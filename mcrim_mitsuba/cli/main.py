@@ -15,25 +15,8 @@ from mcrim_mitsuba.core.errors import InputError, closest
 _VERBS = {
     "lab": ("lab",),
     "other_verbs": ("add", "merge", "paper"),
-    "campaign_verbs": (
-        "app",
-        "budget",
-        "calibrate",
-        "compare",
-        "diagnose",
-        "reduce",
-        "repair",
-        "report",
-    ),
-    "scene_verbs": (
-        "check",
-        "crosscheck",
-        "render",
-        "scenes",
-        "schema",
-        "simulate",
-        "table",
-    ),
+    "campaign_verbs": tuple("app budget calibrate compare diagnose reduce repair report".split()),
+    "scene_verbs": tuple("check crosscheck render scenes schema simulate table".split()),
 }
 _HOME_OF = {verb: module for module, verbs in _VERBS.items() for verb in verbs}
 

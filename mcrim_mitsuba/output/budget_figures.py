@@ -191,16 +191,9 @@ def _neglected_numbers(budget: Budget) -> style.Numbers:
                 )
             )
     columns = (
-        "quantity",
-        "value",
-        "origin",
-        "kind",
-        "percent_of_value",
-        "shift_percent",
-        "shift_monte_carlo_percent",
-        "shift_size_percent",
-        "by_what",
-    )
+        "quantity value origin kind percent_of_value shift_percent "
+        "shift_monte_carlo_percent shift_size_percent by_what"
+    ).split()
     return columns, rows
 
 
@@ -372,13 +365,8 @@ def _plan_numbers(planning: Planning) -> style.Numbers:
         for plan in planning.plans
     ]
     columns = (
-        "couplings",
-        "mountings",
-        "events",
-        "hours",
-        "light_yield_statistical_percent",
-        "light_yield_systematic_percent",
-        "light_yield_total_percent",
-        "alpha_scat_total_percent",
-    )
+        "couplings mountings events hours light_yield_statistical_percent "
+        "light_yield_systematic_percent light_yield_total_percent "
+        "alpha_scat_total_percent"
+    ).split()
     return columns, rows

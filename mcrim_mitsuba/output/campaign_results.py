@@ -5,7 +5,7 @@ Each is what a function of `inference` found, with what is needed to show it; `o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -69,30 +69,15 @@ class CampaignShown(Result):
         """Of its figures."""
         return self.title
 
-    @property
-    def photons(self) -> int:
-        """That the result rests on."""
-        return self.provenance.photons
 
-    @property
-    def cached_photons(self) -> int:
-        """Those of them that the cache had."""
-        return self.provenance.cached_photons
-
-    @property
-    def seed(self) -> int:
-        """Of the random numbers."""
-        return self.provenance.seed
-
-    @property
-    def scene_hash(self) -> str:
-        """SHA-256 of the scene after substitution."""
-        return self.provenance.scene_hash
-
-    @property
-    def versions(self) -> dict[str, str]:
-        """Of all software that the result depends on, by name."""
-        return self.provenance.versions
+def _shown(campaign: Campaign, provenance: Provenance, notes: Iterable[str] = ()) -> dict[str, Any]:
+    """Fields of a `CampaignShown`; `notes` are those besides the simulations'."""
+    return {
+        "title": campaign.title,
+        "unit": campaign.unit,
+        "provenance": provenance,
+        "notes": (*notes, *provenance.notes),
+    }
 
 
 _PARAMETERS = (LIGHT_YIELD, ALPHA_SCAT, ALPHA_ABS, SCALE)
@@ -152,14 +137,9 @@ class FitResult(FittedResult, Calibration):
     @classmethod
     def of(cls, calibrated: CampaignResult, campaign: Campaign, seconds: float) -> Self:
         """The result of a calibration."""
-        fit, provenance = fields_of(calibrated.fit), calibrated.provenance
-        return cls(
-            **fit | {"notes": (*fit["notes"], *provenance.notes)},
-            title=campaign.title,
-            unit=campaign.unit,
-            provenance=provenance,
-            seconds=seconds,
-        )
+        fit = calibrated.fit
+        shown = _shown(campaign, calibrated.provenance, fit.notes)
+        return cls(**fields_of(fit) | shown, seconds=seconds)
 
     def numbers(self) -> dict[str, Any]:
         """As `Calibration.numbers`, with the ends of the 95 % intervals."""
@@ -189,15 +169,8 @@ class ComparisonResult(FittedResult, CheckedFit):
     @classmethod
     def of(cls, compared: Compared, campaign: Campaign) -> Self:
         """The result of a comparison."""
-        provenance = compared.provenance
-        return cls.joined(
-            compared.comparison,
-            compared.fit,
-            notes=(*compared.fit.notes, *provenance.notes),
-            title=campaign.title,
-            unit=campaign.unit,
-            provenance=provenance,
-        )
+        shown = _shown(campaign, compared.provenance, compared.fit.notes)
+        return cls.joined(compared.comparison, compared.fit, **shown)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -210,14 +183,8 @@ class HypothesesResult(CampaignShown, SideBySide):
     @classmethod
     def of(cls, compared: HypothesesCompared, campaign: Campaign) -> Self:
         """The result of a comparison of several campaigns, the first of which gives the title."""
-        return cls(
-            **fields_of(compared.comparison),
-            title=campaign.title,
-            unit=campaign.unit,
-            provenance=compared.provenance,
-            scenes=compared.scenes,
-            notes=compared.provenance.notes,
-        )
+        shown = _shown(campaign, compared.provenance)
+        return cls(**fields_of(compared.comparison), **shown, scenes=compared.scenes)
 
     @property
     def hypotheses_with_scenes(self) -> list[dict[str, Any]]:
@@ -238,13 +205,8 @@ class DiagnosisResult(CampaignShown, Diagnosis):
     @classmethod
     def of(cls, diagnosed: Diagnosed, campaign: Campaign) -> Self:
         """The result of a diagnosis."""
-        return cls(
-            **_diagnosis_fields(diagnosed),
-            title=campaign.title,
-            unit=campaign.unit,
-            provenance=diagnosed.provenance,
-            notes=(*diagnosed.baseline.notes, *diagnosed.provenance.notes),
-        )
+        shown = _shown(campaign, diagnosed.provenance, diagnosed.baseline.notes)
+        return cls(**_diagnosis_fields(diagnosed), **shown)
 
 
 def _diagnosis_fields(diagnosed: Diagnosed) -> dict[str, Any]:
@@ -275,19 +237,10 @@ class RepairResult(FittedResult, Diagnosis):
     def of(cls, repaired: Repaired, campaign: Campaign, **further: Any) -> Self:
         """The result of a repair; `further` are fields of a subclass, and such as differ."""
         fit = repaired.fit
-        names = "effects campaign_path scene_path undetermined provenance"
-        return cls(
-            **_diagnosis_fields(repaired.diagnosed)
-            | attributes(repaired, names)
-            | {
-                "calibration": fit,
-                "parameters": fit.parameters,
-                "title": campaign.title,
-                "unit": campaign.unit,
-                "notes": (*fit.notes, *repaired.provenance.notes),
-            }
-            | further
-        )
+        fields = _diagnosis_fields(repaired.diagnosed)
+        fields |= attributes(repaired, "effects campaign_path scene_path undetermined")
+        fields |= {"calibration": fit, "parameters": fit.parameters}
+        return cls(**fields | _shown(campaign, repaired.provenance, fit.notes) | further)
 
     @property
     def mended_fit(self) -> Calibration | None:
@@ -331,16 +284,10 @@ class ReportResult(RepairResult):
     @classmethod
     def of_report(cls, reported: Reported) -> Self:
         """The result of a report."""
-        repaired = reported.sections.repaired
-        notes = (*repaired.fit.notes, *reported.provenance.notes)
-        return cls.of(
-            repaired,
-            reported.sections.campaign,
-            path=reported.path,
-            sections=reported.sections,
-            provenance=reported.provenance,
-            notes=tuple(dict.fromkeys(notes)),
-        )
+        sections, provenance = reported.sections, reported.provenance
+        notes = dict.fromkeys((*sections.repaired.fit.notes, *provenance.notes))
+        further = {"path": reported.path, "sections": sections, "provenance": provenance}
+        return cls.of(sections.repaired, sections.campaign, **further, notes=tuple(notes))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -350,12 +297,7 @@ class BudgetResult(CampaignShown, Budget):
     @classmethod
     def of(cls, budget: Budget, campaign: Campaign) -> Self:
         """The result of a budget."""
-        return cls(
-            **fields_of(budget),
-            title=campaign.title,
-            unit=campaign.unit,
-            notes=(*budget.fit.notes, *budget.provenance.notes),
-        )
+        return cls(**fields_of(budget) | _shown(campaign, budget.provenance, budget.fit.notes))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

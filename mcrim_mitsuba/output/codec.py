@@ -235,18 +235,11 @@ def read_document(document: JsonObject) -> tuple[str, Part]:
     return kind, (rows, readings, provenance)
 
 
-_PROVENANCE = (
-    "seed",
-    "photons",
-    "cached_photons",
-    "scene_hash",
-    "versions",
-    "parameters",
-    "command",
-    "notes",
-    "polarization",
-    "transport",
-    "batch",
+_PROVENANCE = tuple(
+    (
+        "seed photons cached_photons scene_hash versions parameters command notes "
+        "polarization transport batch"
+    ).split()
 )
 _QUALITY = ("chi2", "ndf", "p_value")
 _OF_READING = ("label", "measured", "sigma", "model", "model_sigma", "pull", "eta", "eta_sigma")

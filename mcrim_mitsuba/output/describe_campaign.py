@@ -117,8 +117,8 @@ def of_fit(fit: FitResult) -> Description:
     )
     parts.append(
         Sentence(
-            f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {fit.photons:,} photons in "
-            f"{len(fit.rows)} readings, seed {fit.seed}, {fit.seconds:.1f} s"
+            f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {fit.provenance.photons:,} photons "
+            f"in {len(fit.rows)} readings, seed {fit.provenance.seed}, {fit.seconds:.1f} s"
         )
     )
     return Description("fit of a campaign", tuple(parts), notes=fit.notes)
@@ -183,9 +183,10 @@ def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[Table]:
 
 def _described(title: str, parts: Iterable[Part], result: CampaignShown) -> Description:
     """What a result shows, what it rests on, and what the reader must know."""
+    provenance = result.provenance
     spent = (
-        f"{result.photons:,} photons ({result.cached_photons:,} of the cache), seed "
-        f"{result.seed}, {result.provenance.seconds:.1f} s"
+        f"{provenance.photons:,} photons ({provenance.cached_photons:,} of the cache), seed "
+        f"{provenance.seed}, {provenance.seconds:.1f} s"
     )
     return Description(title, tuple(parts), spent, result.notes)
 

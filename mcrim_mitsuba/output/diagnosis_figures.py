@@ -57,17 +57,10 @@ _LEAST_PROBABILITY = 1e-3
 _LEAST_GAIN = 4.0
 #: For losses it reaches so much of that.
 _LOSSES = 0.6
-_STATISTICS = (
-    "delta_chi2",
-    "delta_chi2_sigma",
-    "chi2",
-    "ndf",
-    "p_value",
-    "p_gain",
-    "p_global",
-    "behind",
-    "aicc",
-    "left_out_error",
+_STATISTICS = tuple(
+    (
+        "delta_chi2 delta_chi2_sigma chi2 ndf p_value p_gain p_global behind aicc left_out_error"
+    ).split()
 )
 
 
@@ -432,22 +425,10 @@ def _staircase_numbers(stairs: Sequence[RepairStep | _Final]) -> style.Numbers:
             )
         )
     columns = (
-        "step",
-        "added",
-        "final_simulation",
-        "chi2",
-        "ndf",
-        "delta_chi2_sigma",
-        "p_value",
-        "rms_pull",
-        "left_out_error",
-        "light_yield_ph_per_keV",
-        "light_yield_sigma",
-        "scale",
-        "scale_sigma",
-        "alpha_scat_per_cm",
-        "alpha_scat_sigma",
-    )
+        "step added final_simulation chi2 ndf delta_chi2_sigma p_value rms_pull "
+        "left_out_error light_yield_ph_per_keV light_yield_sigma scale scale_sigma "
+        "alpha_scat_per_cm alpha_scat_sigma"
+    ).split()
     return columns, rows
 
 

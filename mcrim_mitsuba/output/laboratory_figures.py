@@ -76,18 +76,9 @@ def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> style.Numbers:
         bins = zip(histogram.photons, histogram.counts.astype(int), *curves, strict=True)
         rows += [(name, *of_bin, *of_peak) for of_bin in bins]
     columns = (
-        "histogram",
-        "photons_per_event",
-        "events",
-        "fitted",
-        "fitted_background",
-        "shape",
-        "centroid",
-        "centroid_sigma",
-        "width",
-        "chi2",
-        "ndf",
-    )
+        "histogram photons_per_event events fitted fitted_background shape centroid "
+        "centroid_sigma width chi2 ndf"
+    ).split()
     return columns, rows
 
 
@@ -227,15 +218,9 @@ def _efficiency_numbers(
             )
         )
     columns = (
-        "wavelength_nm",
-        "emission",
-        "emission_sigma",
-        "quantum_efficiency",
-        "quantum_efficiency_sigma",
-        "product",
-        "weighted_mean",
-        "weighted_mean_sigma",
-    )
+        "wavelength_nm emission emission_sigma quantum_efficiency "
+        "quantum_efficiency_sigma product weighted_mean weighted_mean_sigma"
+    ).split()
     return columns, rows
 
 
@@ -305,16 +290,9 @@ def _absorption_numbers(
                 )
             )
     columns = (
-        "spectrum",
-        "wavelength_nm",
-        "transmittance",
-        "transmittance_sigma",
-        "clear_limit",
-        "alpha_per_cm",
-        "alpha_sigma_per_cm",
-        "alpha_abs_per_cm",
-        "alpha_abs_sigma_per_cm",
-    )
+        "spectrum wavelength_nm transmittance transmittance_sigma clear_limit "
+        "alpha_per_cm alpha_sigma_per_cm alpha_abs_per_cm alpha_abs_sigma_per_cm"
+    ).split()
     return columns, rows
 
 

@@ -45,24 +45,10 @@ _UNIT = 1e3
 def _arrival_numbers(lights: Lights) -> style.Numbers:
     """Light is a fraction of what is emitted."""
     columns = (
-        "configuration",
-        "part",
-        "x_low_mm",
-        "x_high_mm",
-        "y_low_mm",
-        "y_high_mm",
-        "radius_low_mm",
-        "radius_high_mm",
-        "angle_low_deg",
-        "angle_high_deg",
-        "light",
-        "light_sigma",
-        "area_mm2",
-        "light_per_mm2",
-        "light_per_mm2_sigma",
-        "light_per_degree",
-        "light_per_degree_sigma",
-    )
+        "configuration part x_low_mm x_high_mm y_low_mm y_high_mm radius_low_mm "
+        "radius_high_mm angle_low_deg angle_high_deg light light_sigma area_mm2 "
+        "light_per_mm2 light_per_mm2_sigma light_per_degree light_per_degree_sigma"
+    ).split()
     rows = []
     for name, light in lights:
         map_edges = {"y_{}_mm": light.y_edges_mm, "x_{}_mm": light.x_edges_mm}

@@ -29,7 +29,10 @@ if TYPE_CHECKING:
 
 Document = dict[str, Any]
 
-_PROVENANCE = "seed photons cached_photons scene_hash versions"
+_PROVENANCE = (
+    "seed=provenance.seed photons=provenance.photons cached_photons=provenance.cached_photons "
+    "scene_hash=provenance.scene_hash versions=provenance.versions"
+)
 _DIAGNOSIS = (
     "verdict reason baseline candidates pairs leading leading_sets upper_limits suspect_readings "
     "repair next_measurements not_tried probabilities light_yield_averaged "
@@ -153,7 +156,8 @@ PRESENTERS = {
             "profiles": lambda fit: fit_figures.draw_profiles(fit.profiles),
             "budget": lambda fit: budget_figures.draw_budget(fit),
         },
-        names="**numbers seconds photons seed scene_hash versions",
+        names="**numbers seconds photons=provenance.photons seed=provenance.seed "
+        "scene_hash=provenance.scene_hash versions=provenance.versions",
     ),
     "ComparisonResult": Presenter(
         kind="comparison",
@@ -169,8 +173,8 @@ PRESENTERS = {
         kind="hypotheses",
         describe=lambda hypotheses: describe_campaign.of_hypotheses(hypotheses),
         figures={"pulls": lambda hypotheses: fit_figures.draw_hypotheses(hypotheses)},
-        names="verdict reason leading hypotheses=hypotheses_with_scenes apart seed photons "
-        "cached_photons scene_hash=scenes versions seconds=provenance.seconds notes",
+        names="verdict reason leading hypotheses=hypotheses_with_scenes apart "
+        f"{_PROVENANCE} scene_hash=scenes seconds=provenance.seconds notes",
     ),
     "DiagnosisResult": Presenter(
         kind="diagnosis",

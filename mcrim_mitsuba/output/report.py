@@ -171,12 +171,7 @@ def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
         axes.set(xscale="log", xlabel=r"$α_\mathrm{scat}$ (1/cm); dotted: fitted")
         style.open_axes(axes)
     columns = (
-        "alpha_scat_per_cm",
-        "eta_first",
-        "eta_second",
-        "ratio",
-        "measured_ratio",
-        "measured_ratio_sigma",
+        "alpha_scat_per_cm eta_first eta_second ratio measured_ratio measured_ratio_sigma".split()
     )
     rows = [
         (*point, curve.measured, curve.measured_sigma)
