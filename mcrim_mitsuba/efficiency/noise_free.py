@@ -98,7 +98,7 @@ def solve_simulation(simulation: Simulation, run: Run = Run()) -> SimulationResu
 def noise_free_table(
     scene: str | Path | SceneFile, axes: Mapping[str, Sequence[Value]], *, run: Run = Run()
 ) -> EtaTable:
-    """As `efficiency.table.eta_table`, without photons.
+    """Table of eta over the axes of `efficiency.table.eta_table`, without photons.
 
     Raises
     ------

@@ -99,8 +99,7 @@ def crosscheck(
     from mcrim_mitsuba.transport.simulation import Simulation
 
     simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)
-    bench = bench_of(simulation)
-    photons = run.photons_or(1_000_000)
+    bench, photons = bench_of(simulation), run.photons_or(1_000_000)
     ours = simulation.collect(
         mitsuba_photons or 4 * photons,
         seed=run.seed,
@@ -117,11 +116,7 @@ def crosscheck(
         progress=lambda done: run.tell("NumPy", done, photons),
     )
     solved = _solved(bench)
-    fates = [
-        name
-        for name in {**ours.budget, **reference.budget}
-        if name != "detected" and (ours.budget.get(name, 0.0) or reference.counts.get(name, 0))
-    ]
+    fates = _fates_met(ours, reference)
     rows = tuple(_row(quantity, ours, reference, solved) for quantity in ("eta", *fates))
     scores = [abs(z) for row in rows for z in (row.z, row.modes_z) if z is not None]
     return Crosscheck(
@@ -130,6 +125,13 @@ def crosscheck(
         mitsuba_photons=ours.photons,
         numpy_photons=reference.photons,
     )
+
+
+def _fates_met(ours: SimulationResult, reference: TracerResult) -> list[str]:
+    """Fates but ``detected`` that photons of either program met."""
+    fates = {**ours.budget, **reference.budget}
+    del fates["detected"]
+    return [f for f in fates if ours.budget.get(f, 0.0) or reference.counts.get(f, 0)]
 
 
 def _solved(bench: Bench) -> BoxEfficiency | None:

@@ -151,7 +151,7 @@ class Box(HalfSpaceBody):
         self._planes = corners.T.ravel() + 0.0
 
     def exit(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
-        """As `HalfSpaceBody.exit`; a direction along a plane never reaches it."""
+        # a direction along a plane never reaches it
         ahead = ~np.signbit(direction)
         times = np.where(ahead, self._high, self._low)
         times -= position
@@ -167,7 +167,6 @@ class Box(HalfSpaceBody):
         return distance, face, strayed
 
     def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
-        """As `HalfSpaceBody.entry`."""
         with np.errstate(divide="ignore", invalid="ignore"):
             to_low = (self._low - position) / direction
             to_high = (self._high - position) / direction
@@ -183,7 +182,6 @@ class Box(HalfSpaceBody):
         return distance, face, ~self._beyond(position, -TOLERANCE_MM)
 
     def snap(self, position: Floats, face: Indices) -> tuple[Floats, Floats]:
-        """As `HalfSpaceBody.snap`: the coordinate becomes exact."""
         snapped = position.copy()
         snapped[face >> 1, np.arange(face.size)] = self._planes[face]
         return snapped, self.normals.T.take(face, axis=1)
@@ -242,7 +240,6 @@ class Cylinder(HalfSpaceBody):
         self._low_end = 2 * axis
 
     def exit(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
-        """As `HalfSpaceBody.exit`."""
         _, to_wall, _ = self._wall_crossings(position, direction)
         speed = direction[self._axis]
         ahead = np.where(speed > 0.0, *self._levels[::-1, None])
@@ -254,7 +251,6 @@ class Cylinder(HalfSpaceBody):
         return distance, face, ~self._holds(position, TOLERANCE_MM)
 
     def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
-        """As `HalfSpaceBody.entry`."""
         wall_in, wall_out, misses = self._wall_crossings(position, direction)
         along, speed = position[self._axis], direction[self._axis]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -271,7 +267,6 @@ class Cylinder(HalfSpaceBody):
         return distance, face, self._holds(position, -TOLERANCE_MM)
 
     def snap(self, position: Floats, face: Indices) -> tuple[Floats, Floats]:
-        """As `HalfSpaceBody.snap`."""
         snapped, normal = position.copy(), np.zeros_like(position)
         wall, end = np.flatnonzero(face == self.wall), np.flatnonzero(face != self.wall)
         away = position[np.ix_(self._across, wall)] - self._centre
@@ -284,7 +279,6 @@ class Cylinder(HalfSpaceBody):
         return snapped, normal
 
     def contains(self, position: Floats) -> Flags:
-        """As `HalfSpaceBody.contains`."""
         return self._holds(position, 0.0)
 
     def _wall_crossings(self, position: Floats, direction: Floats) -> tuple[Floats, Floats, Flags]:
@@ -324,7 +318,6 @@ class BelowCylinder(Box):
         self._crystal = crystal
 
     def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
-        """As `HalfSpaceBody.entry`."""
         distance, face, strayed = super().entry(position, direction)
         far = np.isinf(distance)
         arrival = position + np.where(far, 0.0, distance) * direction

@@ -143,10 +143,8 @@ def cross(
         Unit vectors of flight.
     normal : (3, n) float64
         Unit normals that point ahead: ``direction . normal`` is positive.
-    n_in : float, or (n,) float64
-        Index of the medium that the photons are in.
-    n_out : (n,) float64
-        Index of the medium behind the interface.
+    n_in, n_out : float, or (n,) float64
+        Indices of the medium that the photons are in, and of that behind the interface.
     field : (3, n) complex128, optional
         Polarisation states; without them the photons are taken as unpolarised.
     rms_per_wavelength : float, or (n,) float64
@@ -170,18 +168,16 @@ def cross(
         reflectance = _square(reflected_s) + _square(reflected_p)
     # the second condition is for rounding: |r| of a total reflection may be 1 - 1e-16
     transmitted = (rng.random(cos_in.shape) >= reflectance) & (cos_out > 0.0)
-
     outgoing = direction - (2.0 * cos_in) * normal
     through = np.flatnonzero(transmitted)
     if through.size:
-        incoming, ahead = direction[:, through], normal[:, through]
-        cosines, ratio = (cos_in[through], cos_out[through]), (n_in / n_out)[through]
-        outgoing[:, through] = _refracted(incoming, ahead, *cosines, ratio)
+        vectors = direction[:, through], normal[:, through]
+        numbers = cos_in[through], cos_out[through], (n_in / n_out)[through]
+        outgoing[:, through] = _refracted(*vectors, *numbers)
     if field is not None:
         out_s = np.where(transmitted, coefficients.transmitted_s * field_s, reflected_s)
         out_p = np.where(transmitted, coefficients.transmitted_p * field_p, reflected_p)
-        out = out_s * s + out_p * _cross_product(s, outgoing)
-        field = out / np.sqrt(_square(out_s) + _square(out_p))
+        field = _field_of(out_s, out_p, s, outgoing)
     if np.any(rms_per_wavelength):
         who, scattered = scatter_by_haze(
             rng, normal, cos_in, n_in, n_out, transmitted, rms_per_wavelength
@@ -190,6 +186,12 @@ def cross(
         if field is not None:
             field[:, who] = random_polarisation(rng, scattered)
     return outgoing, transmitted, field
+
+
+def _field_of(field_s: Complexes, field_p: Complexes, s: Floats, direction: Floats) -> Complexes:
+    """Unit fields of s and p components, by unit vectors across the planes of incidence."""
+    field = field_s * s + field_p * _cross_product(s, direction)
+    return field / np.sqrt(_square(field_s) + _square(field_p))
 
 
 def _refracted(

@@ -152,11 +152,24 @@ def trace(
     batch = whole_number("batch", batch, 1)
 
     flights = Flights(bench, np.random.Generator(np.random.PCG64(seed)), histories)
+    counts, detected = _follow(flights, photons, max_depth, batch, progress)
+    fates = {name: int(counts[place]) for place, name in FATES.items()}
+    return TracerResult(
+        photons, seed, fates, _histories(detected) if histories else None, head_on=head_on(bench)
+    )
+
+
+def _follow(
+    flights: Flights,
+    photons: int,
+    max_depth: int,
+    batch: int,
+    progress: Callable[[int], None] | None,
+) -> tuple[NDArray[np.int64], list[Floats]]:
+    """How many photons met each fate (`Place`); and of the detected `Record`, cosine, radius."""
     counts = np.zeros(len(Place), dtype=np.int64)
-    # six rows: `PhotonArrays.record`, cosine and radius of arrival
     detected: list[Floats] = [np.zeros((len(Record) + 2, 0))]
-    waiting = _Waiting()
-    emitted = 0
+    waiting, emitted = _Waiting(), 0
     while emitted < photons or waiting.count:
         # newborn photons keep the arrays long: short ones cost NumPy as much
         if emitted < photons and waiting.count <= batch // 2:
@@ -173,16 +186,13 @@ def trace(
         for region in REGIONS:
             if here[region]:
                 waiting.add(region, flock.take(np.flatnonzero(place == region)))
-        if histories and here[Place.DETECTED]:
+        if flock.record is not None and here[Place.DETECTED]:
             arrived = flock.take(np.flatnonzero(place == Place.DETECTED))
-            assert arrived.record is not None  # asked for
+            assert arrived.record is not None  # as of all
             detected.append(np.vstack((arrived.record, flights.arrivals(arrived))))
     if progress is not None:
         progress(photons)
-    fates = {name: int(counts[place]) for place, name in FATES.items()}
-    return TracerResult(
-        photons, seed, fates, _histories(detected) if histories else None, head_on=head_on(bench)
-    )
+    return counts, detected
 
 
 class _Waiting:

@@ -72,7 +72,7 @@ class WorkItem(Protocol):
         """Refuse, by an InputError, what no unit should be made of; before it is made."""
 
     def portable(self) -> WorkItem:
-        """The same unit as it is sent to another machine: without a need of files here."""
+        """This unit as it is sent to another machine: without a need of files here."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -151,7 +151,7 @@ class SceneUnit:
             self.loaded(threads, check=True)
 
     def portable(self) -> Self:
-        """The same unit without a need of files on this machine."""
+        """This unit without a need of files on this machine."""
         return replace(self, scene=PortableScene.of(self.own_scene))
 
 

@@ -186,7 +186,10 @@ def arrivals(
 def births(
     simulation: Simulation, photons: int, *, seed: int = 0
 ) -> Iterator[tuple[Launch, FateTally, np.ndarray]]:
-    """The same, with where the detected photons were born: float64, shape (detected, 3), mm."""
+    """Follow the photons of `Simulation.collect`, as `arrivals`, with where they were born.
+
+    Of the detected ones, float64, shape (detected, 3), mm.
+    """
     crystal = simulation.crystal
     corner = np.array([*crystal.lower[:2], crystal.upper[2]])
     for launch, tally in launches(simulation, photons, seed, BIRTH_PLACE):

@@ -280,7 +280,7 @@ class CrystalVolume:
         return self._searched(mi.PCG32(initstate=start, initseq=stream), dr.width(start))[0]
 
     def _searched(self, rng, count: int):
-        """As `sample`, with the rounds it took (UInt32); `MOST_ROUNDS` where nothing was found."""
+        """Births (Point3f, mm) and the rounds they took (UInt32), `MOST_ROUNDS` where in vain."""
         lower, extent = opaque_vector(self.lower), opaque_vector(self.upper - self.lower)
         inside = self._sees_itself() if self._solid is None else self._solid.test()
 
@@ -435,7 +435,7 @@ def read_crystal(scene) -> CrystalVolume:
 
 
 def _along(axis: int, frame):
-    """The same parallelepiped with its one edge that is not across an axis last.
+    """A parallelepiped with its one edge that is not across an axis last.
 
     ``None`` where there is more than one such edge.
     """

@@ -52,12 +52,12 @@ class Triangles:
     normals: np.ndarray | None = None
 
     def reversed(self) -> Triangles:
-        """The same surface with its two sides exchanged."""
+        """This surface with its two sides exchanged."""
         turned = None if self.normals is None else -self.normals[:, ::-1]
         return Triangles(self.corners[:, ::-1], turned)
 
     def moved(self, offset: ArrayLike) -> Triangles:
-        """The same surface elsewhere; `offset` in mm, shape (3,)."""
+        """This surface elsewhere; `offset` in mm, shape (3,)."""
         return Triangles(self.corners + np.asarray(offset), self.normals)
 
 

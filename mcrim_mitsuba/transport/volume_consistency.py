@@ -191,7 +191,7 @@ class Sides:
         return wrong
 
     def exchanged(self, where: np.ndarray) -> Sides:
-        """The same with near and far exchanged at some crossings."""
+        """These sides with near and far exchanged at some crossings."""
         turned = {"near": "far", "far": "near", "n_near": "n_far", "n_far": "n_near"}
         values = {a: np.where(where, getattr(self, b), getattr(self, a)) for a, b in turned.items()}
         return Sides(valid=self.valid, **values)

@@ -146,7 +146,7 @@ class ScintillationEmitter(mi.Emitter):
         return CrystalVolume(model, number, self.source_depth_mm, self.side_depth_mm)
 
     def _among_all_shapes(self) -> CrystalVolume:
-        """The same without a scene, from those of all living shapes that border the medium.
+        """The crystal's volume, from those of all living shapes that border the medium.
 
         Mitsuba does not tell Python's emitters their scene. Dr.Jit has a list of the shapes, which
         a call to one that is not known before compiles code for.
