@@ -128,7 +128,7 @@ class _Modes:
 
     @property
     def _upwards(self) -> tuple[_Array, _Array, _Array]:
-        """Wave numbers per mm upwards, the cosines' signs at the top, and their numbers of terms."""
+        """Wave numbers per mm upwards, the cosines' signs at the top, their terms."""
         r = np.arange(self.shape[2])
         kz = math.pi / self.bench.crystal_height_mm * r
         return kz, np.where(r % 2, -1.0, 1.0), np.where(r > 0, 2.0, 1.0)
