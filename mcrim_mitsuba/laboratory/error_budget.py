@@ -14,9 +14,6 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.optimize import nnls
-from scipy.special import chdtrc
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
@@ -156,6 +153,11 @@ def common_value(values: Sequence[Uncertain]) -> CommonValue:
     Raises InputError if a value is not above 0; ValueError if there are none, or an origin is of
     two kinds.
     """
+    # which take longer to import than commands that show a budget take for all else
+    from scipy.linalg import solve_triangular
+    from scipy.optimize import nnls
+    from scipy.special import chdtrc
+
     if not values:
         raise ValueError("no values")
     for number in values:
