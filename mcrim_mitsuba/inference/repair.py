@@ -95,7 +95,7 @@ def repair(
     if effects and output is not None:
         campaign_path = Path(output)
         averaged = diagnosed.diagnosis.light_yield_averaged
-        scene_path = _write(simulations.campaign, fit, campaign_path, averaged)
+        scene_path = write_mended(simulations.campaign, fit, campaign_path, averaged)
     return Repaired(
         diagnosed=diagnosed,
         effects=effects,
@@ -108,7 +108,7 @@ def repair(
     )
 
 
-def _write(
+def write_mended(
     campaign: Campaign, fit: Calibration, target: Path, averaged: AveragedYield | None
 ) -> Path:
     """Write scene and campaign; returns the scene's path."""
@@ -118,7 +118,7 @@ def _write(
         raise InputError(problem, "give -o another name", path=target)
     scene, text = mended_files(campaign, fit, target, averaged)
     # the campaign first: it tells that it was made here, if its scene is missing
-    texts = {target: text, scene_path: _text_in(scene, target.parent)}
+    texts = {target: text, scene_path: text_for_folder(scene, target.parent)}
     refuse_to_replace(texts)
     for path, content in texts.items():
         write_text(path, content)
@@ -199,7 +199,7 @@ def scene_text(scene: SceneFile) -> str:
     return scene.unwritten_text or scene.source(scene.path).decode()
 
 
-def _text_in(scene: SceneFile, folder: Path) -> str:
+def text_for_folder(scene: SceneFile, folder: Path) -> str:
     """The text of a scene in a folder, from which the spectra of its indices are found."""
     spectra = {
         name: (known.material.name, known.emission)

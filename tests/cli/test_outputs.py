@@ -235,11 +235,15 @@ def test_what_was_killed_between_its_files_goes_on(here, scenes, files):
     """With the same line; what somebody has changed meanwhile is refused and stays."""
     campaign = read_campaign(scenes / "camoo4_misfit.toml")
     raw = read_campaign(scenes / "camoo4_raw/campaign.toml")
-    fitted = SimpleNamespace(parameters={"bubble_fraction": SimpleNamespace(value=0.1)}, names=())
+    fitted = SimpleNamespace(
+        parameters={"bubble_fraction": SimpleNamespace(value=0.1)},
+        names=(),
+        model=SimpleNamespace(campaign=campaign.with_effects(["gap_bubble"])),
+    )
 
     def mend(target):
         refuse_others_work(target)
-        repair._write(campaign, campaign.with_effects(["gap_bubble"]), fitted, target, None)
+        repair.write_mended(campaign, fitted, target, None)
 
     def reduced(target):
         target = target.with_suffix(".toml")

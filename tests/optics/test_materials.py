@@ -12,7 +12,7 @@ from refusals import refusal
 from scipy.integrate import trapezoid
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
-from mcrim_mitsuba.inference.repair import _text_in, mended_scene, scene_text
+from mcrim_mitsuba.inference.repair import mended_scene, scene_text, text_for_folder
 from mcrim_mitsuba.optics.dispersion import Cauchy, Dispersion
 from mcrim_mitsuba.optics.emission_band import index_over
 from mcrim_mitsuba.optics.gammas import attenuation_length_mm
@@ -390,10 +390,10 @@ def test_a_scene_written_elsewhere_finds_its_spectrum(bench, tmp_path, spectrum_
     scene = read_scene(bench(n_crystal="CaMoO4@emission.csv"))
     (tmp_path / "new").mkdir()
     moved = tmp_path / "new" / "bench.xml"
-    moved.write_text(_text_in(scene, moved.parent), encoding="utf-8")
+    moved.write_text(text_for_folder(scene, moved.parent), encoding="utf-8")
     assert 'value="CaMoO4@../emission.csv"' in moved.read_text(encoding="utf-8")
     assert read_scene(moved).content_hash == scene.content_hash
-    assert _text_in(scene, tmp_path) == scene_text(scene)
+    assert text_for_folder(scene, tmp_path) == scene_text(scene)
 
 
 def test_check_says_where_an_index_comes_from(bench, mcrim):
