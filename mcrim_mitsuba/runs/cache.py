@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import functools
-import hashlib
 import importlib.metadata
 import importlib.util
 import itertools
@@ -83,12 +82,16 @@ def other_version(versions: Mapping[str, str]) -> tuple[str, str, str] | None:
 
 def source_hash(files: Iterable[Path]) -> str:
     """SHA-256 (hexadecimal) of files; of Python ones no comments, docstrings and empty lines."""
-    digest = hashlib.sha256()
-    for file in sorted(files):
-        text = file.read_text(encoding="utf-8")
-        code = _without_comments(text) if file.suffix == ".py" else text
-        digest.update(f"{file.name}\n{code}\n".encode())
-    return digest.hexdigest()
+    texts = ((file, file.read_text(encoding="utf-8")) for file in sorted(files))
+    return _hash_of(
+        (file.name, _without_comments(text) if file.suffix == ".py" else text)
+        for file, text in texts
+    )
+
+
+def _hash_of(codes: Iterable[tuple[str, str]]) -> str:
+    """SHA-256 (hexadecimal) of code by the name of its file or module."""
+    return sha256("\n".join(part for code in codes for part in code).encode())
 
 
 @functools.cache
@@ -170,10 +173,8 @@ def _closure(starts: tuple[tuple[str, bytes], ...]) -> tuple[str, frozenset[str]
             codes[name], names = _code_and_imports(files[name], package, contents.get(name, b""))
             imports |= names
         todo = _on_the_way(imports) - reached
-    digest = hashlib.sha256()
-    for name in sorted(codes):
-        digest.update(f"{Path(name).name}\n{codes[name]}".encode())
-    return digest.hexdigest(), _LIBRARIES & reached
+    code_by_name = ((Path(name).name, codes[name]) for name in sorted(codes))
+    return _hash_of(code_by_name), _LIBRARIES & reached
 
 
 def _on_the_way(names: Iterable[str]) -> set[str]:

@@ -277,15 +277,12 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
         position=position,
         from_axis2_mm2=dr.square(position.x - row.x) + dr.square(position.y - row.y),
     )
-    for stage in (
-        _reflect_diffusely,
-        _reflect_off_detector,
-        _refuse_by_angle_and_place,
-        _refuse_slanted,
-        _mask,
-        _lose_at_detector,
-    ):
+    for stage in (_reflect_diffusely, _reflect_off_detector, _refuse, _mask):
         stage(light, outcome)
+    outcome.weight = mi.Float(1.0)
+    if light.detected_part is not None:
+        # what a photocathode absorbs
+        outcome.weight = dr.select(outcome.fate == DETECTED, light.detected_part, 1.0)
     if row.surface_loss is not None:
         inwards = outcome.polished & reflected & leaving & (outcome.fate == ALIVE)
         outcome.weight = dr.select(inwards, 1.0 - row.surface_loss, outcome.weight)
@@ -343,10 +340,9 @@ def _reflect_off_detector(light: Encounter, outcome: Outcome) -> None:
     row = light.row
     if row.film is None and row.specular is None:
         return
-    mirror = _mirror_of(light)
+    reflectance, light.detected_part, (across, waves) = _mirror_of(light)
     returned = 0.0 if light.returned_part is None else light.returned_part
-    light.returned_part = dr.lerp(returned, 1.0, mirror.reflectance)
-    light.detected_part = mirror.detected_part
+    light.returned_part = dr.lerp(returned, 1.0, reflectance)
     mirrored = (outcome.fate == DETECTED) & (light.choice < light.returned_part)
     outcome.fate = dr.select(mirrored, mi.UInt32(ALIVE), outcome.fate)
     if outcome.from_detector is None:
@@ -356,30 +352,25 @@ def _reflect_off_detector(light: Encounter, outcome: Outcome) -> None:
     direction = dr.normalize(dr.fma(light.facing, 2.0 * light.cosine, light.direction))
     field = None
     if light.field is not None:
-        field = dielectric.field_of(mirror.waves, mirror.across, direction)
+        field = dielectric.field_of(waves, across, direction)
     outcome.send(mirrored, light, direction, field)
 
 
-def _refuse_by_angle_and_place(light: Encounter, outcome: Outcome) -> None:
+def _refuse(light: Encounter, outcome: Outcome) -> None:
     """Let a detector take less of the light that is slanted, or far from its axis."""
     row = light.row
-    if row.angular_falloff is None:
-        return
-    # negative: over the largest that it may be
-    accepted = dr.clip(dr.fma(-row.angular_falloff, 1.0 - light.cosine, 1.0), 0.0, 2.0)
-    accepted /= 1.0 - dr.minimum(row.angular_falloff, 0.0)
-    accepted *= dr.clip(dr.fma(-row.radial_falloff, outcome.from_axis2_mm2, 1.0), 0.0, 1.0)
-    if light.returned_part is not None:
-        # of the choices that are left when some have sent light back
-        accepted = dr.lerp(light.returned_part, 1.0, accepted)
-    refused = (outcome.fate == DETECTED) & (light.choice >= accepted)
-    outcome.fate = dr.select(refused, mi.UInt32(SURFACE), outcome.fate)
-
-
-def _refuse_slanted(light: Encounter, outcome: Outcome) -> None:
-    """Let a detector take no light beyond its angle of acceptance."""
-    if light.row.least_cosine is not None:
-        slanted = (outcome.fate == DETECTED) & (light.cosine < light.row.least_cosine)
+    if row.angular_falloff is not None:
+        # negative: over the largest that it may be
+        accepted = dr.clip(dr.fma(-row.angular_falloff, 1.0 - light.cosine, 1.0), 0.0, 2.0)
+        accepted /= 1.0 - dr.minimum(row.angular_falloff, 0.0)
+        accepted *= dr.clip(dr.fma(-row.radial_falloff, outcome.from_axis2_mm2, 1.0), 0.0, 1.0)
+        if light.returned_part is not None:
+            # of the choices that are left when some have sent light back
+            accepted = dr.lerp(light.returned_part, 1.0, accepted)
+        refused = (outcome.fate == DETECTED) & (light.choice >= accepted)
+        outcome.fate = dr.select(refused, mi.UInt32(SURFACE), outcome.fate)
+    if row.least_cosine is not None:
+        slanted = (outcome.fate == DETECTED) & (light.cosine < row.least_cosine)
         outcome.fate = dr.select(slanted, mi.UInt32(SURFACE), outcome.fate)
 
 
@@ -402,13 +393,6 @@ def _mask(light: Encounter, outcome: Outcome) -> None:
     if outcome.from_reflector is not None:
         outcome.from_reflector = outcome.from_reflector & ~back
         outcome.from_detector = outcome.from_detector & ~back
-
-
-def _lose_at_detector(light: Encounter, outcome: Outcome) -> None:
-    """Weigh detected light by what a photocathode absorbs of it."""
-    outcome.weight = mi.Float(1.0)
-    if light.detected_part is not None:
-        outcome.weight = dr.select(outcome.fate == DETECTED, light.detected_part, 1.0)
 
 
 def volume_after(row, crossed, leaving):
@@ -463,38 +447,27 @@ class FilmTerms:
         return reflected, transmitted
 
 
-@dataclass
-class Mirror:
-    """What a mirror does to light that meets it."""
+def _mirror_of(light: Encounter):
+    """The photocathode, or the mirror that a detector is with some probability.
 
-    #: Float: Probability of reflection.
-    reflectance: Any
-    #: Float: What is detected of light that is not reflected; ``None`` for all.
-    detected_part: Any = None
-    #: Vector3f across the plane of incidence and reflected amplitudes, where fields are followed.
-    across: Any = None
-    waves: Any = None
-
-
-def _mirror_of(light: Encounter) -> Mirror:
-    """The photocathode, or the mirror that a detector is with some probability."""
+    That of reflection; what is detected of light that is not reflected, ``None`` for all; and of
+    fields the vector across the plane of incidence with the reflected amplitudes.
+    """
     row, field = light.row, light.field
-    share = mi.Float(0.0) if row.specular is None else row.specular
-    if row.film is None:
-        if field is None:
-            return Mirror(share)
-        # of a perfect metal
+    s: Any = None
+    if field is not None:
         s, e_s, e_p = dielectric.components(light.direction, field, light.facing)
-        return Mirror(share, across=s, waves=(-e_s, e_p))
+    if row.film is None:
+        # a perfect metal
+        return row.specular, None, (s, None if field is None else (-e_s, e_p))
     (r_s, r_p), (through_s, through_p) = row.film.amplitudes(light.cosine)
-    across = waves = None
+    waves = None
     if field is None:
         reflected = 0.5 * (dr.squared_norm(r_s) + dr.squared_norm(r_p))
         through = 0.5 * (through_s + through_p)
     else:
-        across, e_s, e_p = dielectric.components(light.direction, field, light.facing)
         waves = r_s * e_s, r_p * e_p
         reflected = dr.squared_norm(waves[0]) + dr.squared_norm(waves[1])
         through = through_s * dr.squared_norm(e_s) + through_p * dr.squared_norm(e_p)
     left = dr.maximum(1.0 - reflected, 1e-6)
-    return Mirror(reflected, dr.clip(1.0 - through / left, 0.0, 1.0), across, waves)
+    return reflected, dr.clip(1.0 - through / left, 0.0, 1.0), (s, waves)
