@@ -59,7 +59,12 @@ _COMMENT = re.compile(
 _MOST_JOINED = 4
 _MOST_SHOWN = 40
 EXPORT = "export the table with semicolons between columns, or with decimal points"
-BLANK, COMMENTED, TEXT, SPOILT, ROW = range(5)
+#: Kinds of lines.
+BLANK = 0
+COMMENTED = 1
+TEXT = 2
+SPOILT = 3
+ROW = 4
 
 
 @dataclass(frozen=True, eq=False)

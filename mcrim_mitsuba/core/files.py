@@ -81,8 +81,10 @@ def resolved(path: Path) -> Path:
         return path.absolute()
 
 
-#: Paths of what `read_bytes` reads and `write_bytes` writes, while somebody collects them.
-READS, WRITES = (ContextVar[list[Path] | None](name, default=None) for name in ("reads", "writes"))
+#: Paths of what `read_bytes` reads, while somebody collects them.
+READS = ContextVar[list[Path] | None]("reads", default=None)
+#: Paths of what `write_bytes` writes, while somebody collects them.
+WRITES = ContextVar[list[Path] | None]("writes", default=None)
 
 
 @contextlib.contextmanager

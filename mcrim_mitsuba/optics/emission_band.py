@@ -128,8 +128,9 @@ def _beyond_the_end(medium: Material, wavelength_nm: Array) -> Array:
 USUAL_BANDS_NM = {"CaMoO4": (540.0, 150.0)}
 #: Width of a band of which only the maximum is given: self-trapped excitons in oxides.
 _USUAL_WIDTH_NM = 150.0
-#: The maximum and the width of light of which nothing else is said.
-USUAL_NM, USUAL_WIDTH_NM = USUAL_BANDS_NM["CaMoO4"]
+#: The maximum of light of which nothing else is said, and its width.
+USUAL_NM = USUAL_BANDS_NM["CaMoO4"][0]
+USUAL_WIDTH_NM = USUAL_BANDS_NM["CaMoO4"][1]
 #: How far a Gaussian band is followed, in widths.
 WIDTHS = 1.5
 #: Step of all integrals.
