@@ -16,7 +16,6 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.noise_free import bench_of
 from mcrim_mitsuba.efficiency.polished_box import BoxEfficiency, solve_box
-from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
 if TYPE_CHECKING:
@@ -96,6 +95,7 @@ def crosscheck(
         If the scene cannot be read or is not sound, has parameters that the tracer does not know,
         or is another bench than these parameters describe.
     """
+    from mcrim_mitsuba.reference.tracer import trace
     from mcrim_mitsuba.transport.simulation import Simulation
 
     simulation = Simulation(scene, overrides, variant=run.variant, threads=run.threads)

@@ -12,7 +12,7 @@ from scipy.stats import kstest, norm
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.reference import crosscheck as module
+from mcrim_mitsuba.reference import tracer as module
 from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL, crosscheck
 
 TABLES = tables_of(__file__)
