@@ -24,7 +24,7 @@ from mcrim_mitsuba.effects import (
     readings,
     surroundings,
 )
-from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.effects.effect import Effect, function_of
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
@@ -256,7 +256,8 @@ def add(
 def _broken(effect: Effect, problem: str, error: Exception | None = None) -> BrokenEffectError:
     """The refusal of an effect whose own code is wrong, with its file and line."""
     assert effect.edit is not None
-    file, line = effect.edit.__code__.co_filename, effect.edit.__code__.co_firstlineno
+    code = function_of(effect.edit).__code__
+    file, line = code.co_filename, code.co_firstlineno
     if error is not None:
         line = _line_within(file, error) or line
     problem = f"the effect {effect.name} cannot be written into the scene: {problem}"

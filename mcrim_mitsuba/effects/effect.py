@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -299,10 +300,16 @@ def weight_of_reflections(
     return (1.0 - reflectance) / (1.0 - simulated_at) * ratio if then_absorbed else ratio
 
 
+def function_of(act: Callable[..., Any]) -> Callable[..., Any]:
+    """The function behind what an effect does, which may have some of its arguments already."""
+    function = inspect.unwrap(act)
+    return getattr(function, "func", function)
+
+
 def modules_of(effects: Iterable[Effect]) -> set[str]:
     """Where effects are written: the modules of their functions, or a user's own files."""
     acts = [act for e in effects for act in (e.edit, e.weight, e.colours, e.reading) if act]
-    functions = [getattr(function, "func", function) for function in map(inspect.unwrap, acts)]
+    functions = list(map(function_of, acts))
     # several folders may have files of one name
     files = {f.__globals__["__file__"] for f in functions if f.__module__.startswith(OWN_MODULES)}
     return files | {f.__module__ for f in functions if not f.__module__.startswith(OWN_MODULES)}

@@ -1,6 +1,7 @@
 """The catalogue of effects, and what each makes of a scene's text."""
 
 import difflib
+import functools
 import itertools
 import math
 import pickle
@@ -13,7 +14,13 @@ from places import SCENES, cases_of, tables_of
 from refusals import refusal
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.effects.catalogue import BUILT_IN, add, catalogue, entry_points_there_are
+from mcrim_mitsuba.effects.catalogue import (
+    BUILT_IN,
+    BrokenEffectError,
+    add,
+    catalogue,
+    entry_points_there_are,
+)
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter, Rows
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.simulation import Simulation
@@ -521,6 +528,17 @@ def test_what_is_wrong_in_a_user_s_effect_is_said_of_its_file(tmp_path, wrong, s
     effect = catalogue(tmp_path)["black_spot"]
     with pytest.raises(InputError, match=says):
         add(effect, read_scene(SCENES / "camoo4.xml"))
+
+
+def test_what_is_wrong_in_an_edit_with_arguments_is_said_of_its_file(bench):
+    def edit(editor, name):
+        editor.by_id[name]
+
+    effect = Effect("x", "x", "x", "x", edit=functools.partial(edit, name="cristal"))
+    with pytest.raises(
+        BrokenEffectError, match=r"test_effects\.py, line \d+: .*KeyError: 'cristal'"
+    ):
+        add(effect, bench)
 
 
 @pytest.fixture
