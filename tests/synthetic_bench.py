@@ -120,7 +120,7 @@ def readings(signal: np.ndarray, sigma: float = SIGMA) -> tuple[Reading, ...]:
 
 @dataclass(eq=False)
 class Model:
-    """With the interface of `inference.model.CampaignModel`."""
+    """With the interface of `inference.model.Model`."""
 
     readings: tuple[Reading, ...]
     effects: tuple[str, ...] = ()

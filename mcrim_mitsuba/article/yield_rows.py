@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.arithmetic import (
@@ -26,13 +29,15 @@ from mcrim_mitsuba.article.published import AGREEMENT_SIGMAS, ArticleRow, compar
 from mcrim_mitsuba.article.simulated import DEFAULT_PHOTONS, DEFAULT_WRAP_REFLECTANCE, Simulated
 from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.campaign.known_physics import KnownCrystal
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, COEFFICIENTS
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.surface import EtaPoint
+from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
 from mcrim_mitsuba.inference.corrections import Neglected, NeglectWork
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
-from mcrim_mitsuba.inference.model import CampaignModel
+from mcrim_mitsuba.inference.model import Prediction, free_parameters
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
 from mcrim_mitsuba.optics.fresnel import reflectance
 from mcrim_mitsuba.scene.shipped import scene_path
@@ -245,13 +250,58 @@ def article_campaign(alpha_abs_per_cm: float, sigma_per_cm: float | None) -> Cam
     return replace(campaign, parameters={**campaign.parameters, ALPHA_ABS: absorption})
 
 
+class CouplingsModel:
+    """The article's two readings from its surfaces; a model as `inference.model.Model` has it."""
+
+    def __init__(self, campaign: Campaign, surfaces: Sequence[EfficiencySurface]) -> None:
+        self.campaign, self._surfaces = campaign, surfaces
+        self.readings = campaign.measurements.readings
+        lows, highs = zip(*(s.alpha_scat_bounds_per_cm for s in surfaces), strict=True)
+        self.free = free_parameters(
+            campaign,
+            {ALPHA_SCAT: (max(lows), min(highs))},
+            "the simulated photons tell about {:g}..{:g} only",
+            "simulate scattering coefficients within min and max",
+        )
+
+    def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
+        values = {f.name: float(v) for f, v in zip(self.free, theta, strict=True)}
+        scale = values.pop(SCALE)
+        coefficients = {n: values.get(n, self.campaign.parameters[n].start) for n in COEFFICIENTS}
+        points = [
+            surface.evaluate(**coefficients, check=check, errors=check or covariance)
+            for surface in self._surfaces
+        ]
+        eta, sigma = np.array([(point.eta, point.sigma) for point in points]).T
+        # the scale is in no surface's gradient
+        names = [parameter.name for parameter in self.free]
+        slopes = np.array([[point.gradient.get(name, 0.0) for name in names] for point in points])
+        is_scale = np.array([float(name == SCALE) for name in names])
+        return Prediction(
+            scale=scale,
+            eta=eta,
+            eta_slopes=slopes,
+            signal=scale * eta,
+            signal_slopes=scale * slopes + np.outer(eta, is_scale),
+            signal_per_eta=np.full(len(eta), scale),
+            eta_sigma=sigma,
+            interpolation_error=np.zeros(len(eta)),
+            # the couplings have photons of their own
+            eta_errors=np.diag(sigma) if covariance else None,
+        )
+
+    def predict_many(self, thetas: Array) -> Array:
+        return np.array([self.predict(theta).signal for theta in thetas])
+
+
 def fit_article(
     simulated: Simulated, alpha_abs_per_cm: float, sigma_per_cm: float | None = None
 ) -> Calibration:
     """Fit the article's campaign to its simulations, polarisation followed."""
-    surfaces = {coupling.n_gap: coupling.surface for coupling in simulated.pair(True)}
     campaign = article_campaign(alpha_abs_per_cm, sigma_per_cm)
-    model = CampaignModel(campaign, lambda parameters: surfaces[float(parameters["n_gap"])])
+    surfaces = {coupling.n_gap: coupling.surface for coupling in simulated.pair(True)}
+    media = (float(reading.parameters["n_gap"]) for reading in campaign.measurements.readings)
+    model = CouplingsModel(campaign, [surfaces[n_gap] for n_gap in media])
     return fit_model(model, profile=False)
 
 

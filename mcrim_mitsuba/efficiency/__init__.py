@@ -8,7 +8,7 @@ reading and value of an effect (`response_maker`, `eta_grid`, `responses`). Othe
 - `simulate` (`collect`), `table` (`eta_table`), `lighting` (`follow_light`, `map_eta`: where light
   arrives and is born);
 - `recording` (`record_surface`, `record_surfaces`, `EtaRequest`), `reweighting` (`EtaSurface`),
-  `surface` (what all surfaces can be asked; `InterpolatedSurface`);
+  `surface` (what all surfaces can be asked);
 - `response_maker` (`ResponseMaker`), `responses` (`Responses`, `Anchor`);
 - `noise_free` (the method ``modes``: scenes solved without photons, by `polished_box.solve_box`;
   `bench_of`: the bench that a loaded scene is), `bench` (`Bench`: a bench told by its parameters).

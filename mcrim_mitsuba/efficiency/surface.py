@@ -1,4 +1,4 @@
-"""What every surface of eta offers the fit, and surfaces interpolated between simulations.
+"""What every surface of eta can be asked, and interpolation between simulations.
 
 Interpolation on a line: weights that turn values at nodes into values between them.
 
@@ -9,20 +9,14 @@ Approximation Theory and Approximation Practice, chapters 2 and 8).
 
 from __future__ import annotations
 
-import itertools
-import math
 from abc import ABC, abstractmethod
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
-
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 
 
 class Lagrange:
@@ -185,188 +179,3 @@ class EfficiencySurface(ABC):
     @abstractmethod
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
         """Monte Carlo covariance of eta at two points, each a value for every parameter."""
-
-
-# Nodes per parameter, by the number of parameters: 5 simulations for one, 9 for two.
-_NODES = {1: 5, 2: 3}
-
-
-@dataclass(frozen=True)
-class InterpolationAxis:
-    """One scene parameter and its Chebyshev nodes."""
-
-    name: str
-    #: Range, in the unit of the name.
-    minimum: float
-    maximum: float
-    #: Number of nodes.
-    count: int
-
-    @property
-    def nodes(self) -> NDArray[np.float64]:
-        """(count,) zeros of the Chebyshev polynomial, falling, strictly inside the range.
-
-        The kind that leaves the ends out, because there a scene may not exist (a gap of
-        0 mm) or be another one (n_gap = 1 is not filled).
-        """
-        middle, half = (self.minimum + self.maximum) / 2, (self.maximum - self.minimum) / 2
-        return middle + half * np.cos(np.pi * (np.arange(self.count) + 0.5) / self.count)
-
-    def weights(self, value: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lagrange's basis polynomials and their derivatives at a value, (count,) each.
-
-        Raises InputError if the value is outside the range.
-        """
-        slack = 1e-9 * (self.maximum - self.minimum)
-        if not self.minimum - slack <= value <= self.maximum + slack:
-            raise InputError(
-                f"{self.name} = {value:g} is outside {self.minimum:g}..{self.maximum:g}, "
-                "the range that was simulated",
-                "give it other min and max",
-            )
-        return self._lagrange.weights(value)
-
-    @cached_property
-    def _lagrange(self) -> Lagrange:
-        return Lagrange(self.nodes)
-
-
-def axes_for(ranges: Mapping[str, tuple[float, float]]) -> tuple[InterpolationAxis, ...]:
-    """Axes for one or two scene parameters with their ranges.
-
-    Raises InputError for more than two parameters, and for a range that is not finite.
-    """
-    if len(ranges) not in _NODES:
-        raise InputError(
-            f"{', '.join(ranges)}: {len(ranges)} scene parameters to fit besides alpha_scat and "
-            "alpha_abs",
-            "fit at most two and hold the others with fixed = true: three would take 27 or more "
-            "simulations per reading, and few readings tell so many unknowns apart",
-        )
-    for name, (low, high) in ranges.items():
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            mend = "give a finite min and a larger finite max: it is simulated between them"
-            raise InputError(f"{name} has the range {low:g}..{high:g}", mend)
-    count = _NODES[len(ranges)]
-    return tuple(InterpolationAxis(name, low, high, count) for name, (low, high) in ranges.items())
-
-
-class InterpolatedSurface(EfficiencySurface):
-    """The light collection efficiency with one or two further scene parameters.
-
-    The Monte Carlo error is that of the nodes' independent
-    simulations, carried through the interpolation.
-
-    Parameters
-    ----------
-    axes : sequence of InterpolationAxis
-    at_node : callable
-        ``at_node({name: value, ...})`` returns the surface simulated there. Called once per
-        node.
-    """
-
-    def __init__(
-        self,
-        axes: Sequence[InterpolationAxis],
-        at_node: Callable[[dict[str, float]], EfficiencySurface],
-    ) -> None:
-        self._axes = tuple(axes)
-        names = [axis.name for axis in axes]
-        self._nodes = [
-            at_node(dict(zip(names, map(float, values), strict=True)))
-            for values in itertools.product(*(axis.nodes for axis in axes))
-        ]
-
-    @property
-    def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
-        lows, highs = zip(*(node.alpha_scat_bounds_per_cm for node in self._nodes), strict=True)
-        return max(lows), min(highs)
-
-    def _point(
-        self, target: Coefficients, check: bool, errors: bool, **scene_parameters: float
-    ) -> EtaPoint:
-        points = self._at_nodes(*target, check, errors)
-        eta_nodes = np.array([point.eta for point in points])
-        log_eta = np.log(eta_nodes)
-        weights, slopes = self._weights(scene_parameters)
-        eta = math.exp(weights @ log_eta)
-        relative = weights * [point.sigma for point in points] / eta_nodes
-        relative_slope = {
-            name: weights @ (np.array([point.gradient[name] for point in points]) / eta_nodes)
-            for name in (ALPHA_SCAT, ALPHA_ABS)
-        }
-        relative_slope |= {name: slope @ log_eta for name, slope in slopes.items()}
-        return EtaPoint(
-            eta=eta,
-            sigma=eta * float(np.linalg.norm(relative)),
-            gradient={name: eta * float(slope) for name, slope in relative_slope.items()},
-            effective_sample_size=min(point.effective_sample_size for point in points),
-            interpolation_error=eta * self._relative_error(log_eta),
-        )
-
-    def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
-        sides, etas = [], []
-        for point in (first, second):
-            nodes = self._at_nodes(point[ALPHA_SCAT], point[ALPHA_ABS], False, False)
-            eta_nodes = np.array([node.eta for node in nodes])
-            weights, _ = self._weights({axis.name: point[axis.name] for axis in self._axes})
-            sides.append(weights / eta_nodes)
-            etas.append(math.exp(weights @ np.log(eta_nodes)))
-        relative = sum(
-            one * other * node.covariance(first, second)
-            for node, one, other in zip(self._nodes, *sides, strict=True)
-        )
-        return etas[0] * etas[1] * float(relative)
-
-    def _at_nodes(
-        self, alpha_scat: float, alpha_abs: float, check: bool, errors: bool
-    ) -> list[EtaPoint]:
-        """The nodes' surfaces at one pair of coefficients."""
-        points = [
-            node.evaluate(alpha_scat, alpha_abs, check=check, errors=errors) for node in self._nodes
-        ]
-        if min(point.eta for point in points) <= 0:
-            names = ", ".join(axis.name for axis in self._axes)
-            problem = f"in part of the range of {names} no light is detected"
-            raise InputError(problem, "give narrower min and max")
-        return points
-
-    def _weights(
-        self, values: Mapping[str, float]
-    ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
-        """Weights of the nodes, (nodes,), and their derivatives along every axis."""
-        each = {axis.name: axis.weights(values[axis.name]) for axis in self._axes}
-        weights = _product(basis for basis, _ in each.values())
-        slopes = {
-            name: _product(pair[1] if other == name else pair[0] for other, pair in each.items())
-            for name in each
-        }
-        return weights, slopes
-
-    def _relative_error(self, log_eta: NDArray[np.float64]) -> float:
-        """Size of the first term left out, from the decay of the Chebyshev coefficients.
-
-        They fall geometrically for a smooth function, so the next one is about the last one
-        times the ratio of the last two; never taken above the last one. The Monte Carlo noise
-        of the nodes enters, so the estimate is seldom below it.
-        """
-        values = log_eta.reshape([axis.count for axis in self._axes])
-        left_out = 0.0
-        for number, axis in enumerate(self._axes):
-            # from values at the nodes to Chebyshev coefficients
-            order = np.arange(axis.count)
-            angle = np.pi * (order + 0.5) / axis.count
-            transform = 2.0 / axis.count * np.cos(np.outer(order, angle))
-            transform[0] /= 2.0
-            along = np.moveaxis(values, number, 0).reshape(axis.count, -1)
-            before, last = np.abs(transform @ along)[-2:].max(axis=1)
-            left_out += last * min(1.0, last / before if before > 0 else 1.0)
-        return float(left_out)
-
-
-def _product(factors: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Outer product of one-dimensional weights, flattened in the order of the nodes."""
-    result = np.ones(1)
-    for factor in factors:
-        result = np.outer(result, factor).ravel()
-    return result

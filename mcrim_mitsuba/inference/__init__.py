@@ -3,7 +3,7 @@
 The path of a campaign, a module per step:
 
 - `simulations`: a campaign with what was simulated of its readings, from which models are made;
-- `model`: its readings as functions of the free parameters (`ResponseModel`, `CampaignModel`);
+- `model`: its readings as functions of the free parameters (`Model`, `ResponseModel`);
 - `statistic`: chi2 of a model's parameters; `drivers`: two ways to its minimum, MINUIT and the
   fast descent; `profiles` of it, from which intervals and limits are read;
 - `fit`: the fit of a model with all its errors (`Calibration`, `fit_model`); `estimates`: what a

@@ -315,7 +315,7 @@ def diagnose_models(
     """`diagnose` of models, however they were made.
 
     ``models(added)`` gives the model of the campaign with the effects `added` (a sorted tuple of
-    names) besides its own; with the interface of `model.CampaignModel`, and if it has
+    names) besides its own; with the interface of `model.Model`, and if it has
     ``eta_batches(theta)``, the (batches, readings) deviations of log(eta) in batches of the
     simulation that are common to all models, gains have an error. It may raise `InputError` where
     the scene cannot take an effect.

@@ -1,14 +1,13 @@
 """A campaign's readings as functions of its free parameters.
 
-`CampaignModel` reads surfaces of photon records, one per configuration; `ResponseModel` responses
-of the readings to the coefficients and to effects.
+`Model` is what fits ask for; `ResponseModel` answers from responses of the readings to the
+coefficients and to effects.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -20,16 +19,10 @@ from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.core.errors import InputError, placed
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.effects.effect import Effect, Rows
 from mcrim_mitsuba.efficiency.responses import Anchor, EffectResponse, Point, Responses, errors_of
-from mcrim_mitsuba.efficiency.surface import (
-    EfficiencySurface,
-    InterpolatedSurface,
-    InterpolationAxis,
-    axes_for,
-)
 
 
 @dataclass(frozen=True)
@@ -106,7 +99,7 @@ def refuse_unnamed_coefficients(
             raise InputError(problem, mend.format(name), path=campaign.scene.path)
 
 
-def _free(
+def free_parameters(
     campaign: Campaign, ranges: Mapping[str, tuple[float, float]], known: str, mend: str
 ) -> tuple[CampaignParameter, ...]:
     """The free parameters, their bounds cut down to the ranges that were simulated."""
@@ -128,155 +121,7 @@ def _free(
     return tuple(found)
 
 
-# ---- from surfaces ----
-
-#: Gives the surface of one configuration: every scene parameter with its value, alpha_scat
-#: and alpha_abs left out.
-SurfaceMaker = Callable[[dict[str, Value]], EfficiencySurface]
-
-
-def configurations(campaign: Campaign) -> list[dict[str, Value]]:
-    """What a model of the campaign asks surfaces for, each configuration once, in this order."""
-    rows, axes = _configurations(campaign)
-    names, nodes = [axis.name for axis in axes], [axis.nodes.tolist() for axis in axes]
-    distinct = {key: values for key, values, _ in rows}
-    return [
-        {**values, **dict(zip(names, node, strict=True))}
-        for values in distinct.values()
-        for node in itertools.product(*nodes)
-    ]
-
-
-def _configurations(
-    campaign: Campaign,
-) -> tuple[
-    list[tuple[tuple[tuple[str, Value], ...], dict[str, Value], dict[str, float]]],
-    tuple[InterpolationAxis, ...],
-]:
-    """Per reading what tells its configuration apart, its parameters and its coefficients; and
-    the axes between whose nodes surfaces are interpolated."""
-    named = campaign.parameters
-    fixed = {name: known.start for name, known in named.items() if known.fixed}
-    further = {
-        name: (known.minimum, known.maximum)
-        for name, known in named.items()
-        if not known.fixed and name not in (ALPHA_SCAT, ALPHA_ABS)
-    }
-    with placed(path=campaign.path):
-        axes = axes_for(further) if further else ()
-    rows = []
-    for reading in campaign.measurements.readings:
-        values = {**campaign.scene.parameters, **fixed, **reading.parameters}
-        coefficients = {name: float(values.pop(name)) for name in (ALPHA_SCAT, ALPHA_ABS)}
-        configuration = {name: v for name, v in values.items() if name not in further}
-        rows.append((tuple(sorted(configuration.items())), values, coefficients))
-    return rows, axes
-
-
-class CampaignModel:
-    """Predicts a campaign's readings, for any values of its free parameters; see `Model`.
-
-    `surfaces` is called once per distinct configuration, and where further scene parameters are
-    free, once per node of the interpolation (5 nodes for one parameter, 9 for two).
-
-    Raises InputError if the scene does not name alpha_scat and alpha_abs, if the surfaces do not
-    cover alpha_scat's range, or as `axes_for`.
-    """
-
-    def __init__(self, campaign: Campaign, surfaces: SurfaceMaker) -> None:
-        self.campaign = campaign
-        self.readings = campaign.measurements.readings
-        refuse_unnamed_coefficients(campaign)
-        self._fixed_scale = campaign.scale.start if campaign.scale is not None else math.nan
-        made: dict[tuple, EfficiencySurface] = {}
-        asked, axes = _configurations(campaign)
-        for key, values, _ in asked:
-            if key not in made:
-                made[key] = _surface(axes, surfaces, values)
-        # surfaces, with coefficients that are not fitted and whether a reading in use asks, and
-        # every reading's place among them: most readings ask what others do
-        places: dict[tuple, int] = {}
-        self._asked: list[tuple[EfficiencySurface, dict[str, float], bool]] = []
-        self._place_of = np.empty(len(asked), int)
-        for row, (reading, (key, _, coefficients)) in enumerate(
-            zip(self.readings, asked, strict=True)
-        ):
-            held = {n: v for n, v in coefficients.items() if n not in campaign.free}
-            own = (key, *held.items(), reading.use)
-            if own not in places:
-                places[own] = len(places)
-                self._asked.append((made[key], held, reading.use))
-            self._place_of[row] = places[own]
-        bounds = (surface.alpha_scat_bounds_per_cm for surface in made.values())
-        lows, highs = zip(*bounds, strict=True)
-        self.free = _free(
-            campaign,
-            {ALPHA_SCAT: (max(lows), min(highs))},
-            "the simulated photons tell about {:g}..{:g} only",
-            "simulate scattering coefficients within min and max",
-        )
-
-    def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
-        values = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
-        scale = values.pop(SCALE, self._fixed_scale)
-        points = [
-            surface.evaluate(**values, **known, check=check and used, errors=check or covariance)
-            for surface, known, used in self._asked
-        ]
-        # the scale is in no surface's gradient
-        slopes = [[point.gradient.get(p.name, 0.0) for p in self.free] for point in points]
-        eta = np.array([point.eta for point in points])[self._place_of]
-        eta_slopes = np.array(slopes).reshape(len(points), len(self.free))[self._place_of]
-        is_scale = np.array([float(p.name == SCALE) for p in self.free])
-        sigmas = np.array([point.sigma for point in points])
-        interpolation_errors = np.array([point.interpolation_error for point in points])
-        return Prediction(
-            scale=scale,
-            eta=eta,
-            eta_slopes=eta_slopes,
-            signal=scale * eta,
-            signal_slopes=scale * eta_slopes + np.outer(eta, is_scale),
-            signal_per_eta=np.full(len(eta), scale),
-            eta_sigma=sigmas[self._place_of],
-            interpolation_error=interpolation_errors[self._place_of],
-            eta_errors=self._errors(sigmas, values)[self._place_of] if covariance else None,
-        )
-
-    def predict_many(self, thetas: Array) -> Array:
-        return np.array([self.predict(theta).signal for theta in thetas])
-
-    def _errors(self, sigmas: Array, values: Mapping[str, float]) -> Array:
-        """(asked, asked) Monte Carlo errors of eta by independent sources: those of a surface."""
-        errors = np.diag(sigmas)
-        of_surfaces: dict[int, list[int]] = {}
-        for place, (surface, _, _) in enumerate(self._asked):
-            of_surfaces.setdefault(id(surface), []).append(place)
-        for places in of_surfaces.values():
-            if len(places) > 1:
-                covariance = np.diag(sigmas[places] ** 2)
-                for i, j in itertools.combinations(range(len(places)), 2):
-                    surface, first, _ = self._asked[places[i]]
-                    second = self._asked[places[j]][1]
-                    covariance[i, j] = covariance[j, i] = (
-                        sigmas[places[j]] ** 2
-                        if first == second
-                        else surface.covariance({**values, **second}, {**values, **first})
-                    )
-                sizes, directions = np.linalg.eigh(covariance)
-                errors[np.ix_(places, places)] = directions * np.sqrt(np.maximum(sizes, 0.0))
-        return errors
-
-
-def _surface(
-    axes: tuple[InterpolationAxis, ...], surfaces: SurfaceMaker, values: dict[str, Value]
-) -> EfficiencySurface:
-    """The surface of a configuration, interpolated in further scene parameters."""
-    if not axes:
-        return surfaces(values)
-    return InterpolatedSurface(axes, lambda node: surfaces({**values, **node}))
-
-
-# ---- with effects, from responses ----
+# ---- from responses ----
 
 
 #: Scene parameters that tell crystals apart.
@@ -354,7 +199,7 @@ class ResponseModel:
             ends = [axis.nominal + value for value in axis.values if math.isfinite(value)]
             high = math.inf if any(map(math.isinf, axis.values)) else max(ends)
             ranges[axis.name] = (min(ends), high)
-        self.free = _free(
+        self.free = free_parameters(
             campaign,
             ranges,
             "only {:g}..{:g} is simulated",

@@ -42,12 +42,12 @@ from mcrim_mitsuba.efficiency.recording import record_surface
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.inference.calibrate import DEFAULT_PHOTONS, REACH
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
-from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.output.description import table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from trials import truth as common
 from trials.executor import Trial, TrialExecutor, Trials, executor_options
+from trials.surface_model import CampaignModel
 from trials.truth import PRIOR_SIGMA_PER_CM, TRUE_ALPHA_ABS_PER_CM, TRUE_ALPHA_SCAT_PER_CM
 
 NAMES = (ALPHA_SCAT, ALPHA_ABS, SCALE)

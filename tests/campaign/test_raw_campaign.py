@@ -13,13 +13,13 @@ from formula_surfaces import couplings
 from lxml import html
 from places import cases_of, raw_copy
 from refusals import refusal
+from trials.surface_model import CampaignModel
 
 from mcrim_mitsuba.app.exchange import campaign_archive, with_readings
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects, write_plain
 from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.inference.fit import fit_model
-from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.output import report as album
 from mcrim_mitsuba.output.report import Picture, of_drawing
 

@@ -15,16 +15,15 @@ from formula_surfaces import FormulaSurface, air, couplings, gel, of_index
 from places import cases_of
 from refusals import refusal
 from scipy import stats
+from trials.surface_model import CampaignModel, InterpolatedSurface, axes_for
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface, choose_proposals
-from mcrim_mitsuba.efficiency.surface import InterpolatedSurface, axes_for
 from mcrim_mitsuba.inference.drivers import find_minima, minuit
 from mcrim_mitsuba.inference.fit import fit_model
-from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
 from mcrim_mitsuba.inference.statistic import ErrorMatrices, Statistic, Weights
 from mcrim_mitsuba.reference.tracer import trace

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from formula_surfaces import FormulaSurface
 from scipy import stats
+from trials.surface_model import CampaignModel
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
@@ -19,7 +20,6 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import record_surface
 from mcrim_mitsuba.inference import plan as measuring
 from mcrim_mitsuba.inference.fit import fit_model
-from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.inference.plan import (
     EFFICIENCY,
     Conditions,

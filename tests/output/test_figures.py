@@ -10,6 +10,7 @@ import pytest
 from formula_surfaces import couplings
 from matplotlib.figure import Figure
 from places import CAMPAIGN_FILES
+from trials.surface_model import CampaignModel
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
@@ -19,7 +20,6 @@ from mcrim_mitsuba.inference.compare import Comparison, Suspect
 from mcrim_mitsuba.inference.diagnose import RepairStep
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import fit_model
-from mcrim_mitsuba.inference.model import CampaignModel
 from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.laboratory.histogram import Histogram
 from mcrim_mitsuba.laboratory.peak import fit_peak
