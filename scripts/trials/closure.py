@@ -40,7 +40,6 @@ from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.recording import record_surface
 from mcrim_mitsuba.efficiency.reweighting import EtaSurface
-from mcrim_mitsuba.inference.calibrate import DEFAULT_PHOTONS, REACH
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.output.description import table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
@@ -61,6 +60,10 @@ READING_SIGMA = 0.01
 SIMULATED_ALPHA_ABS_PER_CM = 0.0039
 #: Photons per configuration of the truth.
 TRUTH_PHOTONS = 24_000_000
+#: Photons of all configurations of the usual effort.
+DEFAULT_PHOTONS = 27_000_000
+#: A simulation covers the true scattering times and over this.
+REACH = 3.0
 #: Photons per configuration of the effort with few.
 FEW_PHOTONS = 100_000
 FEWEST_CAMPAIGNS, FEWEST_REALISATIONS = 20, 20
@@ -101,8 +104,7 @@ class Realisation(NamedTuple):
     """One simulation of all configurations, and the campaigns that are fitted with it.
 
     Configurations are per reading, seeds per distinct one, which is simulated once. The truth of
-    alpha_scat is that of all its campaigns; as in a campaign's second look, the simulation covers
-    this times and over `campaigns.REACH`.
+    alpha_scat is that of all its campaigns; the simulation covers this times and over `REACH`.
     """
 
     number: int
