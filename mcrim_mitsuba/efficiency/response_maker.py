@@ -72,6 +72,10 @@ _RANGE_PER_CM = (0.05, 5.0)
 _BEAM_RANGE_PER_CM, _BEAM_COUNTS = (0.002, 5.0), ((23, 6), (11, 4))
 _BEAM_PROPOSALS_PER_CM = (0.003, 0.012, 0.04, 0.12, 0.3, 0.6, 1.3, 3.5)
 _BEAM_SHARES = (2, 2, 2, 2, 3, 2, 2, 1)
+#: The same where a fit goes beyond these: as far as eta is ever worked out.
+_WIDE_RANGE_PER_CM = (0.0005, 10.0)
+_WIDE_COUNTS = ((29, 6), (13, 4))
+_WIDE_PROPOSALS_PER_CM = (0.001, 0.004, 0.016, 0.06, 0.2, 0.6, 1.7, 5.0)
 #: Part of `_RANGE_PER_CM` where a campaign's start may lie.
 _STARTS_PER_CM = (0.15, 1.7)
 _ABSORPTION_PER_CM = (0.003, 0.15)
@@ -181,17 +185,19 @@ class ResponseMaker:
 
     The photons of `run` are those of a simulation with an effect in the scene; those as the bench
     is get `PLAIN_FACTOR` times as many. Its precision does not matter. `what` is its name in
-    progress.
+    progress. A `wide` range of alpha_scat is for fits that go beyond the usual one.
     """
 
-    def __init__(self, campaign: Campaign, run: Run, what: str = "simulation") -> None:
+    def __init__(
+        self, campaign: Campaign, run: Run, what: str = "simulation", *, wide: bool = False
+    ) -> None:
         self.campaign, self._what = campaign, what
         units = min(max(round(run.photons_or(EFFECT_PHOTONS) / LANES), 1), _MOST_PHOTONS // LANES)
         self._effect_photons = units * LANES
         self._look_photons = max(round(LOOK_PART * units), 1) * LANES
         self._plain_photons = min(PLAIN_FACTOR * units * LANES, _MOST_PHOTONS)
         self._run = run
-        self.grid, self.coarse, self._proposals = _coverage(campaign)
+        self.grid, self.coarse, self._proposals = _coverage(campaign, wide)
         self._open_mask = _has_open_mask(campaign.scene)
         light = campaign.spectrum
         self._colours = None if light is None else light.colours(_MOST_COLOURS)
@@ -715,7 +721,7 @@ def _acceptance_as_effect(campaign: Campaign) -> Effect:
     return replace(FORWARD_BEAM, name=ACCEPTANCE, parameters=(by_angle,))
 
 
-def _coverage(campaign: Campaign) -> tuple[Grid, Grid, ScatteringProposals]:
+def _coverage(campaign: Campaign, wide: bool) -> tuple[Grid, Grid, ScatteringProposals]:
     """Grids and proposals that cover what a campaign may ask for.
 
     Most campaigns get the same, so that the cache serves them all.
@@ -736,6 +742,9 @@ def _coverage(campaign: Campaign) -> tuple[Grid, Grid, ScatteringProposals]:
         scattering, (fine, coarse) = _BEAM_RANGE_PER_CM, _BEAM_COUNTS
         factor, drawn, shares = 1.0, _BEAM_PROPOSALS_PER_CM, _BEAM_SHARES
         low = _LEAST_ABSORPTION_PER_CM
+    if wide:
+        scattering, (fine, coarse) = _WIDE_RANGE_PER_CM, _WIDE_COUNTS
+        factor, drawn, shares = 1.0, _WIDE_PROPOSALS_PER_CM, _BEAM_SHARES
     of_all = _of_all(campaign, ALPHA_ABS)
     own = [known.start for known in of_all]
     if ALPHA_ABS not in campaign.parameters:

@@ -116,6 +116,14 @@ def minuit(statistic: Statistic, theta: Array, weights: Weights) -> tuple[Array,
     search.limits = limits
     search.errors = first_steps
     search.migrad()
+    # MINUIT's transformation has no slope at a bound, and it creeps there
+    for place, walls in enumerate(limits):
+        at_wall = np.array(search.values)
+        at_wall[place] = min(walls, key=lambda wall: abs(wall - search.values[place]))
+        if np.isfinite(at_wall[place]) and evaluated(at_wall)[0] < search.fval:
+            search.values[place], search.fixed[place] = at_wall[place], True
+    if any(search.fixed) and not all(search.fixed):
+        search.migrad()
     content = search.valid
     if not content:
         # at a node of a response with kinks, slopes do not vanish: SIMPLEX needs none

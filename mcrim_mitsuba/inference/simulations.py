@@ -16,7 +16,7 @@ from mcrim_mitsuba.campaign.entries import NEXT_MINUTES, NEXT_SIGMA
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE, Reading
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.rounding import number
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
@@ -24,9 +24,9 @@ from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.eta_grid import Grid
 from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR, ResponseMaker
 from mcrim_mitsuba.efficiency.responses import Anchor, Responses
-from mcrim_mitsuba.inference.drivers import Minimum, find_minima
+from mcrim_mitsuba.inference.drivers import find_minima
 from mcrim_mitsuba.inference.explanations import plausible_priors
-from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model, result_of
+from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel, acts_on, held
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.scene.spectrophotometer import (
@@ -163,6 +163,7 @@ class CampaignSimulations:
         self._models: CampaignModels | None = None
         # of the campaign's own effects; whether one is needed is known once there are models
         self._anchor: Anchor | None = None
+        self._is_wide = False
         self._fit: Calibration | None = None
         self.notes: list[str] = []
 
@@ -187,6 +188,8 @@ class CampaignSimulations:
         What was simulated before is not simulated again. Effects named by `look` get a first look
         with a part of the photons, if they had no more before.
         """
+        if self._models is None and effects:
+            self.simulate()
         catalogue = self.campaign.catalogue
         wanted = [catalogue[name] for name in (*self.campaign.effects, *effects)]
         precise = frozenset[str]() if self._models is None else self._models.precise
@@ -197,6 +200,10 @@ class CampaignSimulations:
             anchor=self._anchor,
             precise=precise,
         )
+        if not self._is_wide and self._goes_beyond(self._models.model()):
+            self._is_wide, self._models = True, None
+            del self._maker
+            return self.simulate(effects, look)
         if self._anchor is None and not self._maker.is_exact(self.campaign.switched_on):
             fit = self._anchored(self.campaign, profile=False)
             assert isinstance(fit.model, ResponseModel)
@@ -204,14 +211,27 @@ class CampaignSimulations:
             self._models = replace(self._models, anchor=self._anchor)
         return self._models
 
-    def fit(self, minima: list[Minimum] | None = None) -> Calibration:
-        """The campaign's own fit, the one that every verb shows; errors as `fit_model`.
+    def _goes_beyond(self, model: ResponseModel) -> bool:
+        """Whether the readings ask for scattering that the simulations do not cover.
 
-        Its `minima` need not be found again where they are known.
+        They do where the fit ends there, or less than its standard error away, and the campaign
+        allows more.
         """
+        minimum = find_minima(Statistic(model))[0]
+        sigmas = np.sqrt(np.diag(minimum.covariance))
+        for bounds, value, sigma in zip(model.free, minimum.theta, sigmas, strict=True):
+            if self.campaign.stands_for(bounds.name) == ALPHA_SCAT:
+                allowed = self.campaign.parameters[bounds.name]
+                if value - sigma < bounds.minimum > allowed.minimum:
+                    return True
+                if value + sigma > bounds.maximum < allowed.maximum:
+                    return True
+        return False
+
+    def fit(self) -> Calibration:
+        """The campaign's own fit, the one that every verb shows; errors as `fit_model`."""
         if self._fit is None:
-            minima = minima or find_minima(Statistic(self.models.model()))
-            self._fit = result_of(minima, profile=True)
+            self._fit = fit_model(self.models.model())
         return self._fit
 
     def settled_fit(
@@ -303,7 +323,9 @@ class CampaignSimulations:
     def _maker_of(self, campaign: Campaign, what: str, part: float = 1.0) -> ResponseMaker:
         """What makes responses of a campaign, its progress shown under a name."""
         photons = max(round(part * self.run.photons_or(EFFECT_PHOTONS)), 1)
-        maker = ResponseMaker(campaign, replace(self.run, photons=photons), what)
+        maker = ResponseMaker(
+            campaign, replace(self.run, photons=photons), what, wide=self._is_wide
+        )
         self._makers.append(maker)
         return maker
 
