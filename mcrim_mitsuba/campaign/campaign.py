@@ -353,7 +353,7 @@ def _detected(
         parts = dict(raw.efficiency.found.contributions)
         light_yield = replace(light_yield, efficiency_parts=parts)
     if (shared := shared_efficiency(document)) is not None:
-        table = document.table(schema.LIGHT_YIELD)
+        table = document.table(schema.YIELD_TABLE)
         if not own_scales:
             problem = "no sample has a scale of its own, and shares the efficiency's error"
             mend = "remove it: it is a part of detector_efficiency_sigma"

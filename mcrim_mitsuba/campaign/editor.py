@@ -80,7 +80,7 @@ def campaign_with_effects(
             within = within.setdefault(part, tomlkit.table())
         if key in keys.values() and key.endswith(f".{SCALE}"):
             # in place of a light yield that says the same of it
-            given = _table(document, key.replace(f"parameters.{SCALE}", schema.LIGHT_YIELD)) or {}
+            given = _table(document, key.replace(f"parameters.{SCALE}", schema.YIELD_TABLE)) or {}
             for entry in (schema.KNOWN_YIELD, schema.KNOWN_YIELD_SIGMA):
                 given.pop(entry, None)
         for entry in ("prior", "prior_sigma", "fixed"):
@@ -206,7 +206,7 @@ def plain_texts(campaign: Campaign, target: Path, measurements: Path) -> tuple[s
         if (table := _table(document, key)) is not None:  # the raw entry stood there
             table[entry] = value
     # raw entries named the material, and the spectrum that its index was averaged over
-    if campaign.known_physics and (table := _table(document, schema.LIGHT_YIELD)) is not None:
+    if campaign.known_physics and (table := _table(document, schema.YIELD_TABLE)) is not None:
         table["material"] = material_of(campaign)
     if CRYSTAL_INDEX in campaign.known_physics:
         held = {"start": campaign.scene.parameters[INDEX], "fixed": True}

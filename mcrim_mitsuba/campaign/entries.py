@@ -29,7 +29,7 @@ SPECTRUM = "spectrum"
 #: Alenkov et al., JINST 8 (2013) P06002.
 CONVENTION = "convention"
 ARTICLE = "article"
-LIGHT_YIELD = "light_yield"
+YIELD_TABLE = "light_yield"
 HISTOGRAMS = "histograms"
 NEXT = "next_measurements"
 BEAM_TABLE = "beam"
@@ -166,7 +166,7 @@ SAMPLE: Entries = {
         "What it does not share with the campaign's own crystal",
         {name: _table("Its own", PARAMETER) for name in (SCATTERING, ABSORPTION, SCALE)},
     ),
-    LIGHT_YIELD: _table("What turns its own scale into photons per keV", YIELD, KNOWN),
+    YIELD_TABLE: _table("What turns its own scale into photons per keV", YIELD, KNOWN),
 }
 #: Of ``[beam]``.
 BEAM: Entries = {
@@ -208,7 +208,7 @@ CAMPAIGN: Entries = {
     },
     "effects_folder": _file("A folder with effects of your own, which are executed"),
     "parameters": {"type": "object", "description": "What is known of fitted parameters"},
-    LIGHT_YIELD: {"description": "What turns the fitted scale into photons per keV"},
+    YIELD_TABLE: {"description": "What turns the fitted scale into photons per keV"},
     SAMPLES: {"type": "object", "description": "Other crystals among the readings, by name"},
     NEXT: {
         "type": "object",
@@ -224,13 +224,13 @@ CAMPAIGN: Entries = {
 RAW_TABLES = (
     (f"parameters.{ABSORPTION}", TRANSMITTANCE),
     (f"parameters.{SOURCE_DEPTH}", GAMMAS),
-    (LIGHT_YIELD, EFFICIENCY),
+    (YIELD_TABLE, EFFICIENCY),
 )
 #: Entries that name files, by table.
 FILE_ENTRIES = (
     (f"parameters.{ABSORPTION}", "transmittance"),
-    (LIGHT_YIELD, "emission"),
-    (LIGHT_YIELD, "quantum_efficiency"),
+    (YIELD_TABLE, "emission"),
+    (YIELD_TABLE, "quantum_efficiency"),
 )
 
 
@@ -316,8 +316,8 @@ def json_schema() -> dict[str, Any]:
             "properties": parameters,
             "additionalProperties": _table("A scene parameter, in its name's unit", PARAMETER),
         },
-        LIGHT_YIELD: _table(
-            CAMPAIGN[LIGHT_YIELD]["description"], YIELD, CRYSTAL, EFFICIENCY, DETECTOR, SHARED
+        YIELD_TABLE: _table(
+            CAMPAIGN[YIELD_TABLE]["description"], YIELD, CRYSTAL, EFFICIENCY, DETECTOR, SHARED
         ),
         SAMPLES: {"additionalProperties": _table("A crystal and what it does not share", SAMPLE)},
         HISTOGRAMS: _table(CAMPAIGN[HISTOGRAMS]["description"], PEAKS),

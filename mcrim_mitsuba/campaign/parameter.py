@@ -238,7 +238,7 @@ class LightYieldInput:
 
 
 def read_light_yield(
-    document: TomlDocument, key: str = schema.LIGHT_YIELD, further: schema.Entries | None = None
+    document: TomlDocument, key: str = schema.YIELD_TABLE, further: schema.Entries | None = None
 ) -> LightYieldInput | None:
     """``[light_yield]``, or another table of that kind; None without one.
 
@@ -247,14 +247,14 @@ def read_light_yield(
     Raises InputError with the line, if an entry is unknown, missing or impossible.
     """
     # raw entries are numbers by now; here they only serve the hint about a slip
-    raw = dict(schema.RAW_TABLES)[schema.LIGHT_YIELD]
+    raw = dict(schema.RAW_TABLES)[schema.YIELD_TABLE]
     more = (
         {**raw, **schema.CRYSTAL, **schema.DETECTOR, **schema.SHARED}
         if further is None
         else further
     )
     table = document.table(key, (*schema.YIELD, *more))
-    if schema.LIGHT_YIELD not in document.table(key.removesuffix(schema.LIGHT_YIELD).rstrip(".")):
+    if schema.YIELD_TABLE not in document.table(key.removesuffix(schema.YIELD_TABLE).rstrip(".")):
         return None
     energy, efficiency, sigma = map(table.number, schema.YIELD)
     if energy is None or efficiency is None:
@@ -340,7 +340,7 @@ def read_detector(
 
     Raises InputError with the line, if an entry is impossible.
     """
-    table = document.table(schema.LIGHT_YIELD)
+    table = document.table(schema.YIELD_TABLE)
     collection, sigma = (
         number_within(table, n, schema.DETECTOR)
         for n in (schema.COLLECTION, schema.COLLECTION_SIGMA)

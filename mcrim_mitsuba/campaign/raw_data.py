@@ -98,9 +98,9 @@ def read_raw_entries(document: TomlDocument) -> RawEntries:
         shape=choice(document.table(schema.HISTOGRAMS, schema.PEAKS), "shape", schema.PEAKS)
         or SHAPES[0],
         transmittance=_read_transmittance(document.table(f"parameters.{schema.ABSORPTION}")),
-        efficiency=_read_efficiency(document.table(schema.LIGHT_YIELD)),
+        efficiency=_read_efficiency(document.table(schema.YIELD_TABLE)),
         gammas=_read_gammas(
-            document.table(f"parameters.{schema.SOURCE_DEPTH}"), document.table(schema.LIGHT_YIELD)
+            document.table(f"parameters.{schema.SOURCE_DEPTH}"), document.table(schema.YIELD_TABLE)
         ),
     )
 

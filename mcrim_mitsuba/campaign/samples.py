@@ -135,9 +135,9 @@ def _read_sample(
             problem = f"{of} cannot be a sample's own"
             raise parameters.refusal(of, problem, did_you_mean(of, _OWN))
         own[of] = _read_own(document, name, of, scene, measurements)
-    light_yield = read_light_yield(document, f"{key}.{schema.LIGHT_YIELD}", schema.KNOWN)
+    light_yield = read_light_yield(document, f"{key}.{schema.YIELD_TABLE}", schema.KNOWN)
     if light_yield is not None:
-        table = document.table(f"{key}.{schema.LIGHT_YIELD}")
+        table = document.table(f"{key}.{schema.YIELD_TABLE}")
         if (shared := shared_efficiency(document)) is not None:
             light_yield = without_shared(table, light_yield, shared)
         # the collection's error is one that samples share
@@ -207,7 +207,7 @@ def _read_scene(document: TomlDocument, key: str, scene: SceneFile) -> dict[str,
 
 def shared_efficiency(document: TomlDocument) -> float | None:
     """The relative error of the efficiency that all samples share; None where none is named."""
-    return number_within(document.table(schema.LIGHT_YIELD), schema.SHARED_SIGMA, schema.SHARED)
+    return number_within(document.table(schema.YIELD_TABLE), schema.SHARED_SIGMA, schema.SHARED)
 
 
 def without_shared(

@@ -88,17 +88,17 @@ CONTINUUM = 0.15
 # Beyond the mean of the band, in its standard deviations: where a histogram may end.
 _LAST = 8.0
 _MOST_EVENTS = 1e12
-_MOST_PHOTONS = 10_000.0
+_LARGEST_MEAN = 10_000.0
 #: Of each number: whether it must be above 0, and its largest value.
 RANGES = {
-    "mean_photons": (True, _MOST_PHOTONS),
+    "mean_photons": (True, _LARGEST_MEAN),
     "peak_events": (False, _MOST_EVENTS),
     "intrinsic_spread": (False, 0.3),
     "pedestal_events": (False, _MOST_EVENTS),
-    "pedestal_photons": (True, _MOST_PHOTONS),
+    "pedestal_photons": (True, _LARGEST_MEAN),
     "continuum_events": (False, _MOST_EVENTS),
-    "continuum_photons": (True, _MOST_PHOTONS),
-    "dark_photons": (False, _MOST_PHOTONS),
+    "continuum_photons": (True, _LARGEST_MEAN),
+    "dark_photons": (False, _LARGEST_MEAN),
 }
 
 
