@@ -414,7 +414,7 @@ _OF_RUN = ("photons", "precision", "seed", "threads", "variant")
 _NO_LOGS = (".xml", ".toml", ".csv", ".json")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Work:
     """What the options say."""
 
@@ -501,7 +501,9 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
         if part is not None and run.precision is not None:
             problem = "--precision with --unit: nobody knows beforehand how many units it takes"
             raise InputError(problem, "give --photons")
-        return function(work=Work(cluster, part, units, log, run), **given)
+        return function(
+            work=Work(cluster=cluster, part=part, units=units, log=log, run=run), **given
+        )
 
     command: Callable[..., Any] = with_work
     for decorate in (

@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
@@ -37,6 +37,7 @@ class Column:
     title: str
     #: As a data frame has it; the error of NAME is NAME_sigma. Empty: as the title.
     name: str = ""
+    _: KW_ONLY
     left: bool = False
     #: In small print: what has to be typed, such as an id.
     small: bool = False

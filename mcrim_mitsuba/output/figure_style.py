@@ -257,7 +257,7 @@ def signal_title(unit: str, line_end: str = " ") -> str:
 # Fates of light: in one order, each with its colour, hatch and marker.
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FateStyle:
     """One fate's look; hatches, markers and lines tell fates apart where colours do not."""
 
@@ -290,14 +290,21 @@ _LOOKS: dict[str, tuple[Any, ...]] = {
     "truncated": ("#3d3d3d", "#9a9a9a", "--", "*", ":"),
     "lost": ("#3d3d3d", "white", "**", "v", ":"),
 }
-_KNOWN_FATES = {fate: FateStyle(fate_words(fate), *look) for fate, look in _LOOKS.items()}
+_OF_LOOK = ("line", "fill", "hatch", "marker", "dashes", "edge", "text")
+
+
+def _style_of(fate: str, look: tuple[Any, ...]) -> FateStyle:
+    return FateStyle(words=fate_words(fate), **dict(zip(_OF_LOOK, look, strict=False)))
+
+
+_KNOWN_FATES = {fate: _style_of(fate, look) for fate, look in _LOOKS.items()}
 
 
 def fate_style(fate: str) -> FateStyle:
     """That of a fate as in `results.SimulationResult.budget`; of any medium's absorption too."""
     if fate in _KNOWN_FATES:
         return _KNOWN_FATES[fate]
-    return FateStyle(fate_words(fate), "#004a7c", "#9cc7e0", "||", "d", _DASHED)
+    return _style_of(fate, ("#004a7c", "#9cc7e0", "||", "d", _DASHED))
 
 
 def ordered(fates: Iterable[str]) -> list[str]:

@@ -321,7 +321,7 @@ _MARGINS = (0.09, 0.1, 0.06, 0.06)
 _SPACINGS = (0.6, 0.5, 0.42, 0.36, 0.3, 0.26)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Rendering:
     """A picture of a bench."""
 
@@ -435,14 +435,14 @@ def render(
     label_sheets(sheet, panels[1], block)
     label_parts(sheet, panels[2], parts, lifts)
     return Rendering(
-        sheet.finished(),
-        tuple(sheet.labels),
-        tuple(part.name for part in parts),
-        samples,
-        run.seed,
-        dict(file.parameters),
-        file.content_hash,
-        versions(run.variant),
+        pixels=sheet.finished(),
+        labels=tuple(sheet.labels),
+        parts=tuple(part.name for part in parts),
+        samples=samples,
+        seed=run.seed,
+        parameters=dict(file.parameters),
+        scene_hash=file.content_hash,
+        versions=versions(run.variant),
     )
 
 

@@ -63,7 +63,7 @@ _PIXELS_PER_INCH = 96
 _COLOURS = 256
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Picture:
     """A figure of the report."""
 
@@ -105,7 +105,10 @@ def of_drawing(name: str, drawing: style.Drawing, alt: str, **further: style.Num
     for what, table in (tables | further).items():
         source = data_uri(style.numbers_text(*table).encode(), "text/csv")
         numbers.append((what, f"{name}-{what}" if further else name, source))
-    return Picture(name, alt, data_uri(text.encode(), "image/svg+xml"), wide, high, tuple(numbers))
+    source = data_uri(text.encode(), "image/svg+xml")
+    return Picture(
+        name=name, alt=alt, source=source, width=wide, height=high, numbers=tuple(numbers)
+    )
 
 
 def of_pixels(name: str, pixels: NDArray[np.uint8], alt: str) -> Picture:
@@ -114,7 +117,8 @@ def of_pixels(name: str, pixels: NDArray[np.uint8], alt: str) -> Picture:
     few = Image.fromarray(pixels).quantize(_COLOURS, dither=Image.Dither.NONE)
     few.save(stream, format="png", optimize=True)
     height, width = pixels.shape[:2]
-    return Picture(name, alt, data_uri(stream.getvalue(), "image/png"), width, height)
+    source = data_uri(stream.getvalue(), "image/png")
+    return Picture(name=name, alt=alt, source=source, width=width, height=height)
 
 
 def data_uri(data: bytes, kind: str = "text/plain") -> str:

@@ -43,7 +43,7 @@ _COUPLING = "n_gap"
 Stage = Callable[[str], None]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Sections:
     """A campaign from its readings to its result."""
 
@@ -247,7 +247,7 @@ _POINTS = 120
 _REACH = 30.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class RatioOfSignals:
     """Two configurations that differ in their coupling only, against scattering."""
 
@@ -358,7 +358,7 @@ _AROUND = 1
 _LIMIT_MB = 10
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SourceFile:
     """One file."""
 
@@ -405,7 +405,14 @@ def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
         kept = data if len(data) <= room else None
         room -= 0 if kept is None else len(data)
         sources.append(
-            SourceFile(role, path, sha256(data), kept, text[:most], max(len(text) - most, 0))
+            SourceFile(
+                role=role,
+                path=path,
+                sha256=sha256(data),
+                data=kept,
+                text=text[:most],
+                left_out=max(len(text) - most, 0),
+            )
         )
     return tuple(sources)
 
@@ -416,7 +423,13 @@ def changed(role: str, name: str, before: str, new_name: str, after: str) -> Sou
         before.splitlines(), after.splitlines(), name, new_name, n=_AROUND, lineterm=""
     )
     data = after.encode()
-    return SourceFile(f"mended {role}", Path(new_name), sha256(data), data, "\n".join(lines))
+    return SourceFile(
+        role=f"mended {role}",
+        path=Path(new_name),
+        sha256=sha256(data),
+        data=data,
+        text="\n".join(lines),
+    )
 
 
 # The bench: what it is made of, its parameters, its cross-section and picture.
@@ -425,7 +438,7 @@ def changed(role: str, name: str, before: str, new_name: str, after: str) -> Sou
 PICTURE_SCALE = 0.8
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class BenchDescription:
     """The bench that the result belongs to."""
 

@@ -312,7 +312,7 @@ def page(tmp_path_factory, scenes):
         # the other pictures are those of every report
         if name in RAW_PICTURES:
             return of_drawing(name, drawing, alt, **further)
-        return Picture(name, alt, "data:,", 8, 8)
+        return Picture(name=name, alt=alt, source="data:,", width=8, height=8)
 
     with quick_report(diagnosis("adequate")) as patch:
         patch.setattr(album, "of_drawing", only_raw)
