@@ -61,13 +61,24 @@ class Waves:
     begins: NDArray[np.int64]
     folded: NDArray[np.int64]
 
-    @classmethod
-    def up_to(cls, order: int) -> Waves:
-        """All with p and q up to an order."""
-        return _waves(order)
-
     #: (groups,) float64: how many waves have these, of either sign.
     of_each_fold: Floats
+
+    @classmethod
+    @lru_cache
+    def up_to(cls, order: int) -> Waves:
+        """All with p and q up to an order."""
+        pairs = [
+            (p, q)
+            for p in range(order + 1)
+            for size in range(order + 1)
+            for q in ((size,) if 0 in (p, size) else (size, -size))
+        ]
+        signed = np.array(pairs)
+        folded, begins = np.unique(np.abs(signed), axis=0, return_index=True)
+        stands_for = np.where(signed.any(axis=1), 2.0, 1.0)
+        of_each_fold = np.add.reduceat(stands_for, begins)
+        return cls(signed, stands_for, begins, folded, of_each_fold)
 
     def places(self, across: int) -> NDArray[np.int64]:
         """Where the groups are among all p and q below a number, (groups,)."""
@@ -81,20 +92,6 @@ class Waves:
         """Means over each group and the opposite waves, whose values are alike; axis 1."""
         sums = self.sums(waves * self.stands_for[:, None, None], axis=1)
         return sums / self.of_each_fold[:, None, None]
-
-
-@lru_cache
-def _waves(order: int) -> Waves:
-    pairs = [
-        (p, q)
-        for p in range(order + 1)
-        for size in range(order + 1)
-        for q in ((size,) if 0 in (p, size) else (size, -size))
-    ]
-    signed = np.array(pairs)
-    folded, begins = np.unique(np.abs(signed), axis=0, return_index=True)
-    stands_for = np.where(signed.any(axis=1), 2.0, 1.0)
-    return Waves(signed, stands_for, begins, folded, np.add.reduceat(stands_for, begins))
 
 
 def with_opposite(x: _Array) -> _Array:
@@ -534,7 +531,8 @@ def end_transfer(bench: Bench, rules: Rules) -> EndFaceTransfer:
     shuttle = _first_shuttle(bench, rules, first, sine, over, light)
     through = _through_small_hole if covers_corners(bench) else _through_wide_hole
     coupling, arrived, survive = through(bench, light, shuttle)
-    shuttle.clear_arrived(arrived)
+    for rule, beyond in shuttle.beyond:
+        arrived[rule, beyond[: shuttle.m]] = 0.0
     coupling *= (enters**2)[:, None, None]
 
     # the same for every wave, of which the gap shifts the phase
@@ -612,11 +610,6 @@ class _FirstShuttle:
         for rule, waves in self.beyond:
             coupling[rule, :, waves] = 0.0
             coupling[rule, waves[: self.m]] = 0.0
-
-    def clear_arrived(self, arrived: _Array) -> None:
-        """Take away what arrives of waves that a rule does not couple."""
-        for rule, waves in self.beyond:
-            arrived[rule, waves[: self.m]] = 0.0
 
 
 def _first_shuttle(
