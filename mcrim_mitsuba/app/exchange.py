@@ -243,8 +243,10 @@ def report_file(
     return name, target.read_bytes()
 
 
-#: What a file of a session says that it is, and the most fits that it may have.
-_SESSION, _MOST_FITS = "mcrim app session 2", 200
+#: What a file of a session says that it is.
+_SESSION = "mcrim app session 2"
+#: The most fits that it may have.
+_MOST_FITS = 200
 
 
 def session_file(state: State) -> tuple[str, bytes]:
@@ -282,13 +284,13 @@ def read_session(name: str, content: bytes, scene: SceneFile) -> dict[str, Any]:
     try:
         document = json.loads(content)
         fits = document["fits"]
-        tables = [document["table"], *(one["readings"] for one in (document, *fits))]
+        tables = [document["table"], *(state["readings"] for state in (document, *fits))]
         is_ours = document["format"] == _SESSION and len(fits) <= _MOST_FITS
         texts = [*tables, document["measurements"], document["scene"]]
         is_ours &= all(isinstance(text, str) for text in texts)
         is_ours &= document["compared"] >= 0 and document["diagnosed"] in (True, False)
-        for one in (document, *fits):
-            settings_of(one["settings"], {}, ())
+        for state in (document, *fits):
+            settings_of(state["settings"], {}, ())
     except MALFORMED:
         is_ours = False
     if not is_ours:
