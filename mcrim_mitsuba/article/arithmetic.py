@@ -263,6 +263,7 @@ def relative_rows() -> list[ArticleRow]:
     cawo4_eta = with_eta_error(p.CAWO4_ETA.value / 100)
     stated = relative_yield(with_eta_error(p.RELATIVE_ETA.value), cawo4_eta)
     of_table_1 = relative_yield(with_eta_error(p.NOMINAL.eta_air_percent.value / 100), cawo4_eta)
+    # Eq. 7 once more, of the printed digits; _w is CaWO4, h a detector's efficiency
     printed = from_printed(
         lambda n, eta, h, n_w, eta_w, h_w, y_w: n * h_w * eta_w / 100 / (n_w * h * eta) * y_w,
         p.SIGNAL_AIR,
