@@ -59,15 +59,14 @@ def reduce(campaign, path, figure, json_file) -> None:
     "readings with their pulls (and NAME_profiles, the profile likelihoods, and "
     "NAME_budget, the error budget)"
 )
-@options.photons("2.7e7 for all configurations together", at_most=True)
+@options.effect_photons
 @options.precision
 @options.work
 def calibrate(campaign, figure, json_file, work) -> None:
     """Fit CAMPAIGN (TOML): scattering coefficient (1/cm), light yield (photons per keV).
 
-    A short first look of 262,144 photons per configuration is added to --photons: it shows
-    where in alpha_scat, and on which configurations, to spend them. --precision is that of the
-    light collection efficiency of every configuration.
+    --precision is that of the light collection efficiency of every configuration, where the fit
+    ends.
     """
     read = showing.read_campaign(campaign, json_file, figure, "profiles", "budget")
     with work.begin() as run:

@@ -633,8 +633,9 @@ def calibrate(
     Parameters
     ----------
     run, photons, precision, seed, threads, variant, progress, check
-        How it is simulated, see `Run`: 27 million photons for all configurations together; with
-        a precision, at most.
+        How it is simulated, see `Run`; the photons (260,000) are those of a simulation with an
+        effect, configurations as they are get four times as many. The precision is that of eta in
+        every configuration.
 
     Returns
     -------
