@@ -108,7 +108,7 @@ def trace_geant4(
         "threads": threads,
         "depolarize": depolarize,
     }
-    found = _run(job, progress)
+    found = run_job(job, progress)
     counts = {fate: found["ended"][volume] for volume, fate in FATES.items()}
     return Geant4Result(
         photons=photons,
@@ -157,7 +157,7 @@ def refuse_bench(bench: Bench) -> None:
         raise InputError(problem, mend)
 
 
-def _run(job: dict, progress: Callable[[int], None] | None) -> dict:
+def run_job(job: dict, progress: Callable[[int], None] | None) -> dict:
     """Do a job in a new process and return what it reports last."""
     with tempfile.TemporaryDirectory(prefix="mcrim-geant4-") as folder:
         # Optical photons need none of Geant4's data, but without this file it does not start.

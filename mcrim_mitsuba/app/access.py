@@ -226,7 +226,7 @@ def listen(application: Flask, *, port: int | None, key: str) -> tuple[BaseWSGIS
     # The port is bound before anything is told of it: nobody can take it in between.
     with _bound(port) as bound:
         number = bound.getsockname()[1]
-        application.register_error_handler(Exception, _one_line)
+        application.register_error_handler(Exception, in_one_line)
         # Flask's own way to stand before it
         application.wsgi_app = Guard(application.wsgi_app, number, key)  # type: ignore[method-assign]
         server = make_server(
@@ -271,7 +271,7 @@ def _bound(port: int | None) -> socket.socket:
     return bound
 
 
-def _one_line(error: Exception) -> Response:
+def in_one_line(error: Exception) -> Response:
     """What a failed request is answered; ours are told in full where `mcrim` was started."""
     if isinstance(error, HTTPException):
         return Response(f"mcrim app: {error.name}\n", error.code, mimetype="text/plain")

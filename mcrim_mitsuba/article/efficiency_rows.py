@@ -30,7 +30,7 @@ _BOUNDS_PER_CM = (0.1, 2.0)
 
 #: Points, 1/cm, and degree of the polynomial in log(alpha_scat) that finds the gel curve's
 #: maximum. The curve is skew: a parabola is 0.003 off, this cubic 0.0003 (zero of the gradient).
-_PEAK_POINTS_PER_CM = (0.2, 0.253, 0.32, 0.405, 0.513, 0.65)
+PEAK_POINTS_PER_CM = (0.2, 0.253, 0.32, 0.405, 0.513, 0.65)
 _PEAK_DEGREE = 3
 
 
@@ -188,9 +188,9 @@ def position_of_maximum(surface: EfficiencySurface, alpha_abs_per_cm: float) -> 
 
     Raises ValueError if the cubic has no maximum between the outermost points.
     """
-    x = np.log(_PEAK_POINTS_PER_CM)
-    points = [{ALPHA_SCAT: a, ALPHA_ABS: alpha_abs_per_cm} for a in _PEAK_POINTS_PER_CM]
-    eta = np.array([surface.evaluate(a, alpha_abs_per_cm).eta for a in _PEAK_POINTS_PER_CM])
+    x = np.log(PEAK_POINTS_PER_CM)
+    points = [{ALPHA_SCAT: a, ALPHA_ABS: alpha_abs_per_cm} for a in PEAK_POINTS_PER_CM]
+    eta = np.array([surface.evaluate(a, alpha_abs_per_cm).eta for a in PEAK_POINTS_PER_CM])
     covariance = np.empty((len(x), len(x)))
     for i, first in enumerate(points):
         for j, second in enumerate(points[: i + 1]):

@@ -42,7 +42,7 @@ class TallyBlock(LaunchBlock):
 
 
 #: Launches up to which a run of this process is made at once: again is as quick as kept.
-_AT_ONCE = 16
+AT_ONCE = 16
 #: Part of the photons that a precision asks for, to be spent before looking again.
 _FIRST_STEP = 0.8
 _LAYOUT = 1
@@ -76,7 +76,7 @@ def collect(
 
     if (
         type(current_executor()) is Executor
-        and _lacking(simulation, photons, run, max_depth) <= _AT_ONCE * simulation.launcher().size
+        and _lacking(simulation, photons, run, max_depth) <= AT_ONCE * simulation.launcher().size
     ):
         return simulation.collect(
             photons,
@@ -128,7 +128,7 @@ class _UnitTally:
         if precision is None:
             return wanted
         wanted = min(wanted, tally.lacking(precision) if tally.photons else FIRST_LAUNCH)
-        return int(_FIRST_STEP * wanted) if wanted > _AT_ONCE * size else wanted
+        return int(_FIRST_STEP * wanted) if wanted > AT_ONCE * size else wanted
 
 
 def _collect_in_units(

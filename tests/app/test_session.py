@@ -412,7 +412,7 @@ def post(scenes, tmp_path):
     session = Session(read_campaign(scenes / "camoo4_misfit.toml"), Run(), tmp_path)
     session.jobs.close(60)
     page = make_page(session, "/key/")
-    page.register_error_handler(Exception, access._one_line)
+    page.register_error_handler(Exception, access.in_one_line)
     sent = {"settings": session.state.settings.to_json(), "settings_number": 1}
 
     def send(address, body, **more):

@@ -332,7 +332,7 @@ class Hill(EfficiencySurface):
 
     def _point(self, target, check, errors):
         x = math.log(target[0] / 0.35)
-        place = table1._PEAK_POINTS_PER_CM.index(target[0])
+        place = table1.PEAK_POINTS_PER_CM.index(target[0])
         eta = 0.43 - 0.015 * x**2 - 0.004 * x**3 + self.noise[place]
         return EtaPoint(eta, self.sigma_value, {}, 1e5)
 
@@ -343,7 +343,7 @@ class Hill(EfficiencySurface):
 
 
 def test_error_of_the_maximum_is_the_spread_of_repetitions():
-    sigma, points = 1e-4, len(table1._PEAK_POINTS_PER_CM)
+    sigma, points = 1e-4, len(table1.PEAK_POINTS_PER_CM)
     exact, claimed = position_of_maximum(Hill(np.zeros(points), sigma), 0.039)
     assert exact == pytest.approx(0.35, rel=1e-9)
     rng = np.random.default_rng(5)

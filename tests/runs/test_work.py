@@ -583,7 +583,7 @@ def test_a_damaged_unit_is_made_again_and_said(scenes, tmp_path, whole, monkeypa
 def test_a_long_simulation_is_kept_in_units(scenes, tmp_path, monkeypatch):
     monkeypatch.setenv("MCRIM_CACHE", str(tmp_path))
     monkeypatch.setattr("mcrim_mitsuba.transport.collection.PER_LANE_FLAT", 8)
-    monkeypatch.setattr(simulating, "_AT_ONCE", 2)
+    monkeypatch.setattr(simulating, "AT_ONCE", 2)
     simulation = Simulation(scenes / "camoo4.xml", check=False)
     photons = 13 * 8 * LANES
     at_once = simulation.collect(photons, seed=3)
@@ -607,7 +607,7 @@ def test_a_long_simulation_is_kept_in_units(scenes, tmp_path, monkeypatch):
 
 def test_an_interrupted_long_simulation_tells_what_it_has(scenes, tmp_path, monkeypatch):
     monkeypatch.setattr("mcrim_mitsuba.transport.collection.PER_LANE_FLAT", 8)
-    monkeypatch.setattr(simulating, "_AT_ONCE", 2)
+    monkeypatch.setattr(simulating, "AT_ONCE", 2)
     simulation = Simulation(scenes / "camoo4.xml", check=False)
 
     def interrupt(what, done, total, note=""):

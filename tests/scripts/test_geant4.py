@@ -62,7 +62,7 @@ def test_a_failure_of_the_process_is_one_line():
         "depolarize": False,
     }
     with pytest.raises(Geant4Error, match=r"^Geant4 ended with status 1: .*n_crystal.*$"):
-        geant4_trace._run(job, None)
+        geant4_trace.run_job(job, None)
 
 
 @needs_geant4
