@@ -26,6 +26,7 @@ from mcrim_mitsuba.inference.estimates import (
     FittedRow,
     ParameterEstimate,
     error_of_difference,
+    estimates,
     left_out_error,
 )
 from mcrim_mitsuba.inference.evidence import Hypothesis, weigh
@@ -213,7 +214,7 @@ def side_by_side(explained: Mapping[str, Explanations]) -> SideBySide:
                 evidences[name].log_sigma, evidences[best].log_sigma, 0.5 * noise[name]
             ),
             probability=weighed.probabilities[name],
-            parameters=results[name].parameters,
+            parameters=estimates(fit),
             rows=results[name].rows,
             titles=tuple(each.title for each in explained[name].effects.values()),
         )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -25,6 +25,9 @@ from mcrim_mitsuba.inference.statistic import Statistic, Weights, inverse
 ONE_SIGMA, TWO_SIGMA, END = 1.0, 4.0, 9.0
 #: That which holds 95 %.
 RISE_95 = 3.841
+# Part of a rise that a crossing may miss, and how often it is looked for between more points.
+_MISS = 0.001
+_MOST_REFINEMENTS = 8
 # Rise of chi2 from point to point that its slopes do not account for.
 _JUMP = 0.05
 
@@ -168,7 +171,10 @@ class ProfileWalk:
         self._chi2 = chi2
         self.theta, self.place = theta, statistic.index(name)
         residuals, slopes = statistic.evaluate(theta, weights)
-        start = float(statistic.internal(theta)[self.place])
+        solution = statistic.internal(theta)
+        start = float(solution[self.place])
+        # where the others were best, by this one's coordinate
+        self._followed = {start: solution}
         curvature = float(inverse(slopes.T @ slopes)[self.place, self.place]) ** -1
         sides = [
             self._side(start, wall, curvature)
@@ -178,19 +184,32 @@ class ProfileWalk:
         #: (points, 3) float64: Coordinates, ascending, rises of chi2 and their slopes.
         self.points = np.array([*sides[0][::-1], middle, *sides[1]])
 
-    @cached_property
+    @property
     def values(self) -> Array:
         """(points,) of the parameter; a bound that was reached is there to the last digit."""
         return np.array([self._value(x) for x in self.points[:, 0]])
 
     def crossings(self, rise: float) -> tuple[float | None, float | None]:
-        """Values of the parameter below and above the solution; None where chi2 stays lower."""
-        x, rises, slopes = self.points.T
-        ends = [
-            None if end is None else self._value(end) for end in crossings(x, rises, slopes, rise)
-        ]
+        """Values of the parameter below and above the solution; None where chi2 stays lower.
+
+        Where the cubic through the points misses the profile, it gets more points.
+        """
+        for _ in range(_MOST_REFINEMENTS):
+            x, rises, slopes = self.points.T
+            ends = crossings(x, rises, slopes, rise)
+            further = [
+                (end, *self._height(end))
+                for end in ends
+                if end is not None and end not in self._followed
+            ]
+            if all(abs(height - rise) < _MISS * rise for _, height, _ in further):
+                break
+            rows = np.array([*self.points, *further])
+            self.points = rows[np.argsort(rows[:, 0])]
+        low, high = (None if end is None else self._value(end) for end in ends)
         # in a reciprocal coordinate above is below
-        return (ends[0], ends[1]) if self.values[0] <= self.values[-1] else (ends[1], ends[0])
+        first, last = (self._value(x) for x in self.points[[0, -1], 0])
+        return (low, high) if first <= last else (high, low)
 
     def _value(self, x: float) -> float:
         statistic, place = self._statistic, self.place
@@ -201,39 +220,42 @@ class ProfileWalk:
         coordinates[place] = x
         return float(statistic.external(coordinates)[place])
 
+    def _height(self, x: float, start: float | None = None) -> tuple[float, float]:
+        """Rise and slope at a coordinate; the others begin where they were best nearest to it.
+
+        Or where they were best at `start`.
+        """
+        statistic, place = self._statistic, self.place
+        others = np.arange(len(self.theta)) != place
+        if start is None:
+            start = min(self._followed, key=lambda known: abs(known - x))
+        coordinates = self._followed[start]
+        _, slopes = statistic.evaluate(statistic.external(coordinates), self._weights)
+        information, ahead = slopes.T @ slopes, coordinates.copy()
+        # they begin where they are best to first order
+        ahead[others] -= inverse(information[np.ix_(others, others)]) @ (
+            information[others, place] * (x - coordinates[place])
+        )
+        ahead[place] = x
+        theta = statistic.external(np.clip(ahead, statistic.low, statistic.high))
+        theta, chi2, _ = newton(
+            statistic, theta, self._weights, held=[place], precision=self._pace.precision
+        )
+        residuals, slopes = statistic.evaluate(theta, self._weights)
+        self._followed[x] = statistic.internal(theta)
+        # others at their best do not add to the slope
+        return chi2 - self._chi2, 2.0 * float(slopes[:, place] @ residuals)
+
     def _side(self, start: float, wall: float, curvature: float) -> _Points:
         """(coordinate, rise, slope) of the points from the solution to one side."""
-        statistic, place, pace = self._statistic, self.place, self._pace
-        others = np.arange(len(self.theta)) != place
-        coordinates = statistic.internal(self.theta)
-
-        def height(x: float) -> tuple[float, float]:
-            nonlocal coordinates
-            _, slopes = statistic.evaluate(statistic.external(coordinates), self._weights)
-            information, ahead = slopes.T @ slopes, coordinates.copy()
-            # the others begin where they are best to first order
-            ahead[others] -= inverse(information[np.ix_(others, others)]) @ (
-                information[others, place] * (x - coordinates[place])
-            )
-            ahead[place] = x
-            theta = statistic.external(np.clip(ahead, statistic.low, statistic.high))
-            theta, chi2, _ = newton(
-                statistic, theta, self._weights, held=[place], precision=pace.precision
-            )
-            residuals, slopes = statistic.evaluate(theta, self._weights)
-            coordinates = statistic.internal(theta)
-            # others at their best do not add to the slope
-            return chi2 - self._chi2, 2.0 * float(slopes[:, place] @ residuals)
-
-        points = _walk(height, start, wall, curvature, pace)
+        points = _walk(self._height, start, wall, curvature, self._pace)
         if not _jumps(points):
             return points
         # where the others jump to another minimum, that may have been the lower one before
-        back = [height(x) for x, _, _ in points[::-1]]
-        return [
-            (x, *min((rise, slope), there))
-            for (x, rise, slope), there in zip(points, back[::-1], strict=True)
-        ]
+        lowest = [points[-1]]
+        for (x, rise, slope), (outer, *_) in zip(points[-2::-1], points[:0:-1], strict=True):
+            lowest.append((x, *min((rise, slope), self._height(x, outer))))
+        return lowest[::-1]
 
 
 _Points = list[tuple[float, float, float]]
