@@ -242,13 +242,7 @@ def plan(
     """
     campaign = as_campaign(campaign)
     configurations = _couplings(campaign, n_gap)
-    if campaign.samples:
-        problem = "the campaign has several samples, and a plan is of one crystal"
-        mend = "plan with a campaign that leaves [samples] and their rows out"
-        raise InputError(problem, mend, path=campaign.path)
-    if SCALE not in campaign.free:
-        problem = "the scale is held, so that there is no light yield to plan for"
-        raise InputError(problem, "plan with a campaign that fits it", path=campaign.path)
+    _refuse_unplannable(campaign)
     conditions = conditions or measured_conditions(campaign)
     simulations = CampaignSimulations(campaign, run)
     fit = simulations.fit()
@@ -278,23 +272,33 @@ def plan(
         undetermined=tuple(without),
         notes=(
             *_doubt(fit),
-            *(
-                f"the campaign's own fit ended with {name} at its bound: the plans start from there"
-                for name, estimate in fit.parameters.items()
-                if estimate.at_bound is not None
-            ),
             *simulations.provenance().notes,
         ),
     )
 
 
+def _refuse_unplannable(campaign: Campaign) -> None:
+    """Refuse campaigns of which there is nothing to plan."""
+    if campaign.samples:
+        problem = "the campaign has several samples, and a plan is of one crystal"
+        mend = "plan with a campaign that leaves [samples] and their rows out"
+        raise InputError(problem, mend, path=campaign.path)
+    if SCALE not in campaign.free:
+        problem = "the scale is held, so that there is no light yield to plan for"
+        raise InputError(problem, "plan with a campaign that fits it", path=campaign.path)
+
+
 def _doubt(fit: Calibration) -> Iterator[str]:
-    """Whether the campaign's own fit fails."""
+    """Whether the campaign's own fit fails, or ended at a bound."""
     if fit.p_value is not None and fit.p_value < ACCEPTABLE_P:
         yield (
             f"the model does not describe the readings: chi2 = {fit.chi2:.3g}, "
             f"{p_equals(fit.p_value)}: the doubt about the model is not in these plans"
         )
+    for name, estimate in fit.parameters.items():
+        if estimate.at_bound is not None:
+            at_bound = f"the campaign's own fit ended with {name} at its bound"
+            yield f"{at_bound}: the plans start from there"
 
 
 def _couplings(campaign: Campaign, n_gap: Sequence[float]) -> list[dict[str, float]]:

@@ -228,7 +228,7 @@ class ProfileWalk:
         statistic, place = self._statistic, self.place
         others = np.arange(len(self.theta)) != place
         if start is None:
-            start = min(self._followed, key=lambda known: abs(known - x))
+            start = min(self._followed, key=lambda coordinate: abs(coordinate - x))
         coordinates = self._followed[start]
         _, slopes = statistic.evaluate(statistic.external(coordinates), self._weights)
         information, ahead = slopes.T @ slopes, coordinates.copy()

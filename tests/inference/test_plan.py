@@ -55,7 +55,7 @@ def formulas(parameters):
 @pytest.mark.parametrize("chi2, told", [(11.0, True), (9.0, False)])
 def test_a_campaign_whose_fit_fails_says_so(chi2, told):
     """Two degrees of freedom."""
-    fit = SimpleNamespace(chi2=chi2, p_value=stats.chi2(2).sf(chi2))
+    fit = SimpleNamespace(chi2=chi2, p_value=stats.chi2(2).sf(chi2), parameters={})
     notes = list(measuring._doubt(fit))
     assert bool(notes) is told
     assert not told or "chi2 = 11, p = 0.0041: the doubt about the model is not in" in notes[0]
