@@ -59,7 +59,7 @@ def reduce(campaign, path, figure, json_file) -> None:
     "readings with their pulls (and NAME_profiles, the profile likelihoods, and "
     "NAME_budget, the error budget)"
 )
-@options.effect_photons
+@options.photons(options.PHOTONS, at_most=True, further=options.FURTHER_PHOTONS)
 @options.precision
 @options.work
 def calibrate(campaign, figure, json_file, work) -> None:

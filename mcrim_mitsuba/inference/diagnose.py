@@ -1,7 +1,8 @@
 """Which effects of a catalogue explain a campaign's misfit.
 
-The stages: screen (a first look at all effects), fit, weigh, judge, repair, advise. Each gives a
-small record to the next.
+The stages: `diagnose_on` screens (a first look at all effects) and repeats what follows until all
+that it rests on was simulated in full; `diagnose_models` fits, weighs and judges (`_weighed`),
+repairs and advises. Each gives a small record to the next.
 """
 
 from __future__ import annotations
@@ -239,7 +240,7 @@ def diagnose_on(
         )
         if models.precise >= (named := _rests_on(diagnosis, names)):
             break
-        # where chance favours one first look after the other, none is hopeless
+        # what the diagnosis names gets all photons; if that names others again, all effects do
         precise |= named if precise <= first else set(names)
     screened.write(precise)
     if campaign.next_measurements and diagnosis.verdict not in (AMBIGUOUS, UNEXPLAINED):

@@ -20,7 +20,7 @@ from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.inference.statistic import Statistic, Weights, inverse, p_value
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Search:
     """How minima are searched."""
 

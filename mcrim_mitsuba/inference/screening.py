@@ -8,7 +8,7 @@ simulated in full before anything is said of it.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 
 from mcrim_mitsuba.effects.effect import Effect, modules_of
 from mcrim_mitsuba.inference.drivers import Minimum
@@ -18,12 +18,24 @@ from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.runs.cache import RecordCache, code_hash, record_versions
 from mcrim_mitsuba.runs.executors import current_executor, number_of
 
-#: How far behind the best in chi2 a contender may be, absolute and in parts of what the best gains:
-#: a first look has few nodes. What it must gain over the bench as it is, if this describes the
-#: readings. Standard errors of the simulation are added to both.
-BEHIND, PART_BEHIND, LEAST_GAIN, ERRORS = 20.0, 0.1, 6.0, 1.0
-#: Pairs whose members are promising_effects where no effect alone explains the readings.
-MOST_PAIRS = 4
+
+@dataclass(frozen=True, kw_only=True)
+class _Screening:
+    """When an effect deserves more photons than a first look."""
+
+    #: How far behind the best in chi2 it may be: this, and this part of what the best gains. A
+    #: first look has few nodes.
+    behind: float = 20.0
+    part_behind: float = 0.1
+    #: What it must gain where the campaign as it is describes the readings.
+    least_gain: float = 6.0
+    #: Standard errors of the simulation by which both are eased.
+    errors: float = 1.0
+    #: Pairs whose effects deserve more, where no effect alone explains the readings.
+    most_pairs: int = 4
+
+
+SCREENING = _Screening()
 
 
 def promising_effects(models: Models, effects: Mapping[str, Effect], baseline: Minimum) -> set[str]:
@@ -36,32 +48,34 @@ def promising_effects(models: Models, effects: Mapping[str, Effect], baseline: M
     if baseline.ndf <= 0 or not fits:
         return set()
     best = min(fits.values(), key=lambda fit: fit.chi2)
-    highest = best.chi2 + BEHIND + PART_BEHIND * (baseline.chi2 - best.chi2)
-    found = {
+    highest = best.chi2 + SCREENING.behind + SCREENING.part_behind * (baseline.chi2 - best.chi2)
+    promising = {
         name
         for name, fit in fits.items()
-        if fit.chi2 - ERRORS * error_of_difference(fit, best) < highest
+        if fit.chi2 - SCREENING.errors * error_of_difference(fit, best) < highest
     }
     if baseline.p_value is None or baseline.p_value >= ACCEPTABLE_P:
-        found = {
+        promising = {
             name
-            for name in found
+            for name in promising
             if baseline.chi2 - fits[name].chi2
-            > LEAST_GAIN - ERRORS * error_of_difference(fits[name], baseline)
+            > SCREENING.least_gain - SCREENING.errors * error_of_difference(fits[name], baseline)
         }
     if best.p_value is not None and best.p_value < ACCEPTABLE_P:
-        found |= {name for pair in explanations.ranked_pairs()[:MOST_PAIRS] for name in pair}
-    return found
+        promising |= {
+            name for pair in explanations.ranked_pairs()[: SCREENING.most_pairs] for name in pair
+        }
+    return promising
 
 
 class ScreeningCache:
-    """What a race ended with, kept where simulations are kept: to run it again takes seconds."""
+    """What a screening ended with, kept where simulations are: to screen again takes seconds."""
 
     def __init__(self, simulations: CampaignSimulations, tried: Iterable[str]) -> None:
         campaign, run = simulations.campaign, simulations.run
         self._cache: RecordCache = current_executor().cache(
             {
-                "what": "race",
+                "what": "screening",
                 "versions": record_versions(run.variant, __name__),
                 "effects": code_hash(modules_of(campaign.catalogue.values())),
             }
@@ -79,7 +93,7 @@ class ScreeningCache:
         )
 
     def read(self) -> set[str] | None:
-        """Effects that were simulated in full; None where the race was never run."""
+        """Effects that were simulated in full; None where nothing was screened yet."""
         kept = self._cache.read(self._number)
         return None if kept is None else set(map(str, kept.metadata["precise"]))
 

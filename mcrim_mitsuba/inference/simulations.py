@@ -47,7 +47,7 @@ USUAL_ACCEPTANCES_DEG = (1.0, 30.0)
 _LONG = ("crystal_height_mm", 20.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Extent:
     """How much is simulated."""
 
@@ -147,8 +147,8 @@ class CampaignSimulations:
 
     The photons of `run` are those of every simulation with an effect; configurations as they are
     get several times as many. With a precision eta of these is simulated to it, as far as it can.
-    All that is asked of one campaign, run and version rests on the same simulations, so that its
-    own fit is the same whatever else is asked.
+    The same campaign, run and version give the same simulations, so that every verb shows the same
+    fit of the campaign as it is.
     """
 
     def __init__(self, campaign: Campaign, run: Run) -> None:
