@@ -462,21 +462,22 @@ def _repair(
 def _families(
     hypotheses: Sequence[Hypothesis], weighed: Weighing, explanations: Explanations
 ) -> tuple[FamilyProbability, ...]:
-    """Probabilities by family."""
+    """Probabilities by family, the likeliest first: relatives among effects, or readings."""
     members: dict[str, list[tuple[float, str]]] = {}
-    for name, each in {each.name: each for each in hypotheses}.items():
+    # hypotheses of one name, such as sizes of an unknown cause, are weighed together
+    for name, hypothesis in {hypothesis.name: hypothesis for hypothesis in hypotheses}.items():
         family = NOTHING_MISSING
-        if each.besides:
-            family = UNKNOWN if each.besides == UNKNOWN else INSTRUMENT
-        elif each.effects:
-            family = explanations.family(each.effects)
+        if hypothesis.besides:
+            family = UNKNOWN if hypothesis.besides == UNKNOWN else INSTRUMENT
+        elif hypothesis.effects:
+            family = explanations.family(hypothesis.effects)
         members.setdefault(family, []).append((weighed.probabilities[name], name))
-    found = (
+    families = (
         FamilyProbability(
             family,
-            sum(p for p, _ in each),
-            tuple(name for _, name in sorted(each, reverse=True) if name != NOTHING_MISSING),
+            sum(p for p, _ in weighed_names),
+            tuple(n for _, n in sorted(weighed_names, reverse=True) if n != NOTHING_MISSING),
         )
-        for family, each in members.items()
+        for family, weighed_names in members.items()
     )
-    return tuple(sorted(found, key=lambda one: -one.probability))
+    return tuple(sorted(families, key=lambda family: -family.probability))

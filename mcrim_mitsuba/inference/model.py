@@ -42,7 +42,8 @@ class Prediction:
     #: (readings,) float64: d signal / d eta.
     signal_per_eta: Array
     #: (readings,) float64: Monte Carlo standard error of `eta`, and estimated size of its
-    #: interpolation error; both only where a check was asked for.
+    #: interpolation error; None unless asked for, the first by a check or the covariance, the
+    #: second by a check.
     eta_sigma: Array | None = None
     interpolation_error: Array | None = None
     #: (readings, sources) float64 or None: Monte Carlo errors of `eta` by independent sources, E of

@@ -292,7 +292,7 @@ def scatter_by_haze(way, haze, hazy, field, facing, ratio, cos_i, rng):
         Where this happens at all.
     """
     direction, smooth_field, reflected = way
-    # the numbers of a photon stay those that it would have at smooth faces
+    # a photon's random numbers stay those that it would have at smooth faces
     low, high = mi.UInt32(rng.state), mi.UInt32(rng.state >> 32)
     first, second = mi.sample_tea_32(low, high, _HAZE_ROUNDS)
     _, part = _scattered_part(reflected, haze, ratio, cos_i, dr.dot(direction, facing))
@@ -300,9 +300,9 @@ def scatter_by_haze(way, haze, hazy, field, facing, ratio, cos_i, rng):
     frame = mi.Frame3f(dr.select(reflected, facing, -facing))
     back_ratio = dr.select(reflected, ratio, dr.rcp(ratio))
     back_haze = dr.select(reflected, haze, haze / ratio)
-    # light at the critical angle is the most refracted of all that is scattered
-    critical = dr.safe_sqrt(dr.maximum(1.0 - dr.rcp(dr.square(back_ratio)), dr.square(ratio) - 1.0))
-    _, most = _scattered_part(reflected, back_haze, back_ratio, critical, 0.0)
+    # a refracted wave's phase, and with it S, is largest where one of the two cosines is 0
+    largest = dr.safe_sqrt(dr.maximum(1.0 - dr.rcp(dr.square(back_ratio)), dr.square(ratio) - 1.0))
+    _, most = _scattered_part(reflected, back_haze, back_ratio, largest, 0.0)
 
     def try_direction(searching, tries, state, scattered):
         numbers = _resumed(rng, state)
@@ -314,6 +314,7 @@ def scatter_by_haze(way, haze, hazy, field, facing, ratio, cos_i, rng):
         normal = mi.Vector3f(0.0, 0.0, 1.0)
         beyond, _, returned = split(-scattered, None, normal, back_ratio, cosine, choice)
         phase, part = _scattered_part(reflected, back_haze, back_ratio, cosine, beyond.z)
+        # S <= phase^2, of which the third power has the cosine's square
         highest = dr.select(reflected, dr.square(phase), most)
         taken = (returned == reflected) & (again * highest < part)
         tries += 1
