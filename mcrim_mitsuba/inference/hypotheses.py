@@ -153,8 +153,9 @@ def compare_hypotheses(
         models = simulations.models.reduced_model
         baseline = find_minima(Statistic(models(())))[0]
         explained[name] = Explanations(models, switched_on, baseline, scales)
-    notes = [f"{name}: {note}" for name, fit in fits_of(explained).items() for note in fit.notes]
-    found = side_by_side(explained)
+    fits = fits_of(explained)
+    notes = [f"{name}: {note}" for name, fit in fits.items() for note in fit.notes]
+    found = side_by_side(explained, fits)
     spent = [bench.provenance() for bench in benches.values()]
     scenes = {name: each.scene_hash for name, each in zip(benches, spent, strict=True)}
     return HypothesesCompared(found, spent_together(spent, notes), scenes)
@@ -182,14 +183,15 @@ def fits_of(explained: Mapping[str, Explanations]) -> dict[str, Calibration]:
     }
 
 
-def side_by_side(explained: Mapping[str, Explanations]) -> SideBySide:
+def side_by_side(
+    explained: Mapping[str, Explanations], results: Mapping[str, Calibration]
+) -> SideBySide:
     """Hypotheses by name, each with all effects that its explanations know, of the same readings.
 
     Those whose evidence is as close to the best as explanations are that lead a diagnosis together
     cannot be told from it.
     """
     effects = {name: tuple(own.effects) for name, own in explained.items()}
-    results = fits_of(explained)
     fits = {name: fit.minimum for name, fit in results.items()}
     evidences = {name: own.evidence(effects[name]) for name, own in explained.items()}
     order = sorted(explained, key=lambda name: -evidences[name].log)

@@ -24,9 +24,9 @@ from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.eta_grid import Grid
 from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR, ResponseMaker
 from mcrim_mitsuba.efficiency.responses import Anchor, Responses
-from mcrim_mitsuba.inference.drivers import find_minima
+from mcrim_mitsuba.inference.drivers import Minimum, find_minima
 from mcrim_mitsuba.inference.explanations import plausible_priors
-from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model
+from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model, result_of
 from mcrim_mitsuba.inference.model import ResponseModel, acts_on, held
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.scene.spectrophotometer import (
@@ -163,6 +163,8 @@ class CampaignSimulations:
         self._models: CampaignModels | None = None
         # of the campaign's own effects; whether one is needed is known once there are models
         self._anchor: Anchor | None = None
+        # of the campaign as it is by its responses, found to see whether its grid is wide enough
+        self._minima: list[Minimum] = []
         self._is_wide = False
         self._fit: Calibration | None = None
         self.notes: list[str] = []
@@ -170,7 +172,7 @@ class CampaignSimulations:
     def of(self, campaign: Campaign) -> CampaignSimulations:
         """Those of a campaign with the same configurations, which go on from here."""
         other = copy.copy(self)
-        other.campaign, other._fit = campaign, None
+        other.campaign, other._fit, other._minima = campaign, None, []
         if self._models is not None:
             other._models = replace(self._models, campaign=campaign)
         if campaign.effects != self.campaign.effects:
@@ -200,10 +202,12 @@ class CampaignSimulations:
             anchor=self._anchor,
             precise=precise,
         )
-        if not self._is_wide and self._goes_beyond(self._models.model()):
-            self._is_wide, self._models = True, None
-            del self._maker
-            return self.simulate(effects, look)
+        if not self._is_wide and not self._minima:
+            self._minima = find_minima(Statistic(self._models.model()))
+            if self._goes_beyond(self._minima[0]):
+                self._is_wide, self._models, self._minima = True, None, []
+                del self._maker
+                return self.simulate(effects, look)
         if self._anchor is None and not self._maker.is_exact(self.campaign.switched_on):
             fit = self._anchored(self.campaign, profile=False)
             assert isinstance(fit.model, ResponseModel)
@@ -211,15 +215,14 @@ class CampaignSimulations:
             self._models = replace(self._models, anchor=self._anchor)
         return self._models
 
-    def _goes_beyond(self, model: ResponseModel) -> bool:
+    def _goes_beyond(self, minimum: Minimum) -> bool:
         """Whether the readings ask for scattering that the simulations do not cover.
 
         They do where the fit ends there, or less than its standard error away, and the campaign
         allows more.
         """
-        minimum = find_minima(Statistic(model))[0]
         sigmas = np.sqrt(np.diag(minimum.covariance))
-        for bounds, value, sigma in zip(model.free, minimum.theta, sigmas, strict=True):
+        for bounds, value, sigma in zip(minimum.statistic.free, minimum.theta, sigmas, strict=True):
             if self.campaign.stands_for(bounds.name) == ALPHA_SCAT:
                 allowed = self.campaign.parameters[bounds.name]
                 if value - sigma < bounds.minimum > allowed.minimum:
@@ -231,7 +234,10 @@ class CampaignSimulations:
     def fit(self) -> Calibration:
         """The campaign's own fit, the one that every verb shows; errors as `fit_model`."""
         if self._fit is None:
-            self._fit = fit_model(self.models.model())
+            models = self.models
+            # what joint simulations correct has other minima
+            minima = self._minima if self._anchor is None else []
+            self._fit = result_of(minima or find_minima(Statistic(models.model())), profile=True)
         return self._fit
 
     def settled_fit(
@@ -276,12 +282,12 @@ class CampaignSimulations:
         """The fit of a campaign's model, all effects simulated together where it ends."""
         fit = fit_model(self.models.model_of(campaign), profile=False)
         by_responses = fit.chi2
-        for last in reversed(range(EXTENT.most_anchors)):
+        for _ in range(EXTENT.most_anchors):
             model = self.anchored_model(campaign, fit.values)
             before, fit = fit, fit_model(model, profile=False)
             sigmas = np.array([fit.parameters[name].sigma for name in fit.names])
             moved = np.abs(fit.theta - before.theta) / np.maximum(sigmas, 1e-300)
-            if np.all(moved < EXTENT.settled) or not last:
+            if np.all(moved < EXTENT.settled):
                 break
         if profile:
             fit = fit_model(model)

@@ -14,7 +14,7 @@ from places import SCENES
 from refusals import refusal
 
 import mcrim_mitsuba as mcrim
-from mcrim_mitsuba.inference.hypotheses import refuse_unlike, side_by_side
+from mcrim_mitsuba.inference.hypotheses import fits_of, refuse_unlike, side_by_side
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 
@@ -39,6 +39,10 @@ def explained(model, **effects):
     return made
 
 
+def compared(explanations):
+    return side_by_side(explanations, fits_of(explanations))
+
+
 @pytest.fixture(scope="module")
 def with_a_bubble():
     return drawn({"bubble_fraction": 0.25}, ("gap_bubble",))
@@ -46,7 +50,7 @@ def with_a_bubble():
 
 def test_evidences_are_those_of_a_diagnosis_and_the_right_one_is_preferred(with_a_bubble):
     made = explained(with_a_bubble, A=(), B=("gap_bubble",), C=("edge_chamfer", "background"))
-    found = side_by_side(made)
+    found = compared(made)
     whole = bench.explanations_of(with_a_bubble, bench.EFFECTS)
     logs = {n: whole.evidence(one.effects).log for n, one in found.named.items()}
     for name, one in found.named.items():
@@ -64,11 +68,11 @@ def test_evidences_are_those_of_a_diagnosis_and_the_right_one_is_preferred(with_
 
 
 def test_what_readings_cannot_tell_and_what_describes_none_of_them(with_a_bubble):
-    found = side_by_side(explained(with_a_bubble, A=("gap_bubble",), B=("gap_bubble",), C=()))
+    found = compared(explained(with_a_bubble, A=("gap_bubble",), B=("gap_bubble",), C=()))
     assert found.verdict == "ambiguous" and {*found.leading} == {"A", "B"}
     assert [one.probability for one in found.hypotheses] == pytest.approx([0.5, 0.5, 0.0])
     assert found.reason.startswith("the readings cannot tell apart ")
-    found = side_by_side(explained(with_a_bubble, A=(), B=("polarization",)))
+    found = compared(explained(with_a_bubble, A=(), B=("polarization",)))
     assert found.verdict == "unexplained" and "does not describe the readings" in found.reason
 
 
