@@ -23,14 +23,13 @@ from mcrim_mitsuba.inference.corrections import (
     Refit,
     fitted,
 )
-from mcrim_mitsuba.inference.deposit_shift import USUAL_DEPTH_MM, Places, places_of
+from mcrim_mitsuba.inference.deposit_shift import Places, places_of
 from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.settings import BUDGETING
 from mcrim_mitsuba.inference.simulations import CampaignSimulations, spent_together
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, contribution
 from mcrim_mitsuba.optics.gammas import AttenuationLength
 
-#: Parts of an error smaller than this, relative to the largest, are rounding.
-_ROUNDING = 1e-6
 #: Priors that have advice of their own.
 _PRIORS = {ALPHA_ABS: "absorption", DEPTH_MM: "source depth"}
 
@@ -64,7 +63,7 @@ def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, Erro
                 for origin, sigma in own.items()
             }
         if value:
-            least = _ROUNDING * max(errors.values())
+            least = BUDGETING.rounding * max(errors.values())
             budgets[name] = ErrorBudget(
                 tuple(contribution(o, e / abs(value)) for o, e in errors.items() if e > least)
             )
@@ -147,10 +146,6 @@ def yield_corrections(
 
 
 # ---- the whole ----
-
-#: Photons of a simulation with another index, shared out among the configurations, and the fewest
-#: of each. Simulations with one index get `responses.PLAIN_FACTOR` times as many.
-DEFAULT_PHOTONS, FEWEST_PHOTONS = 1_572_864, 196_608
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,10 +257,10 @@ def budget(
     known = KnownCrystal.of(campaign, material, emission, wavelength_nm)
     places = None
     if eta_map is not None:
-        depth = known.depth.length_mm if known.depth is not None else USUAL_DEPTH_MM
+        depth = known.depth.length_mm if known.depth is not None else BUDGETING.usual_depth_mm
         places = places_of(campaign, eta_map, depth if depth_mm is None else depth_mm, deposits)
     configurations = {tuple(r.parameters.items()) for r in campaign.measurements.readings}
-    each = run.photons_or(max(DEFAULT_PHOTONS // len(configurations), FEWEST_PHOTONS))
+    each = run.photons_or(max(BUDGETING.photons // len(configurations), BUDGETING.fewest_photons))
     work = NeglectWork(campaign, known, replace(run, photons=each))
     simulations = CampaignSimulations(campaign, run)
     fit = simulations.fit()

@@ -20,13 +20,19 @@ from mcrim_mitsuba.inference.estimates import (
 )
 from mcrim_mitsuba.inference.evidence import Evidence
 from mcrim_mitsuba.inference.explanations import (
-    LEADING,
     Curve,
     Explanations,
     NullDistribution,
     Ranking,
 )
-from mcrim_mitsuba.inference.profiles import RISE_95, Pace, ProfileWalk
+from mcrim_mitsuba.inference.profiles import ProfileWalk
+from mcrim_mitsuba.inference.settings import (
+    CANDIDATES,
+    EXPLAINING,
+    ONE_SIDED_95,
+    RISE_95,
+    TO_LIMITS,
+)
 
 
 @dataclass(frozen=True)
@@ -75,15 +81,6 @@ class Candidate:
     look: str = ""
 
 
-# How far behind the best a candidate's mimics are found by fits, the others' to first order; and
-# the first-order separation up to which a fit is worth its time.
-_WITHIN_REACH, _WORTH_A_FIT = 30.0, 80.0
-# Standard errors of plausible sizes beyond which that of a fit says that nothing determines it.
-_UNDETERMINED = 5.0
-# Directions that are alike, for effects too small to be separated from anything.
-_ALIKE = 0.9
-
-
 class CandidateMaker:
     """Turns fits with effects into candidates."""
 
@@ -101,7 +98,7 @@ class CandidateMaker:
                     candidate,
                     p_gain=self._null.p_gain(effect, candidate.delta_chi2),
                     p_global=self._null.p_global(candidate.delta_chi2),
-                    mimics=self._mimics(effect, exact=candidate.behind < _WITHIN_REACH),
+                    mimics=self._mimics(effect, exact=candidate.behind < CANDIDATES.within_reach),
                 )
             )
         return tuple(made)
@@ -176,16 +173,16 @@ class CandidateMaker:
         for other, curve in self._null.curves.items():
             if other == effect:
                 continue
-            if float(point @ point) < LEADING:
+            if float(point @ point) < EXPLAINING.leading:
                 # too small to be told from anything: say what is alike
                 likeness = _likeness(self._null.curves[effect], curve)
-                if likeness > _ALIKE:
+                if likeness > CANDIDATES.alike:
                     found.append((1.0 - likeness, other))
                 continue
             separation = curve.separation(point)
-            if exact and separation < _WORTH_A_FIT:
+            if exact and separation < CANDIDATES.worth_a_fit:
                 separation = self._separation(fit, other)
-            if separation < LEADING:
+            if separation < EXPLAINING.leading:
                 found.append((separation, other))
         return tuple(other for _, other in sorted(found))
 
@@ -204,7 +201,7 @@ def determined_estimates(fit: Minimum, evidence: Evidence) -> dict[str, Paramete
     parameters = estimates(fit)
     for name in fit.names:
         own, sigma = parameters[name], evidence.sigma[name]
-        if own.sigma > _UNDETERMINED * sigma:
+        if own.sigma > CANDIDATES.undetermined * sigma:
             parameters[name] = replace(
                 own,
                 sigma=sigma,
@@ -226,11 +223,6 @@ def _likeness(one: Curve, other: Curve) -> float:
 
 
 # ---- how large an effect may be where the data are adequate without it ----
-
-# Rise of chi2 at 95 % confidence where the effect is absent at a bound.
-_ONE_SIDED = 2.706
-# Limits need one height of a profile only, and go as far as the range does.
-_TO_LIMITS = Pace(end=1.3 * RISE_95, points=5, most_points=40, least_curvature=1e-9, precision=1e-4)
 
 
 @dataclass(frozen=True)
@@ -277,7 +269,7 @@ def _limit(explanations: Explanations, effect: str, name: str) -> Limit:
     # not nested where the range ends before the effect is absent
     nested = bounds.minimum <= absent <= bounds.maximum
     rise = (0.0 if nested else min(baseline.chi2 - least, 0.0)) + (
-        RISE_95 if below and above else _ONE_SIDED
+        RISE_95 if below and above else ONE_SIDED_95
     )
     always = all(p.absent is None for p in explanations.effects[effect].parameters)
     excluded = always and rise <= 0.0
@@ -285,7 +277,7 @@ def _limit(explanations: Explanations, effect: str, name: str) -> Limit:
     value = float(theta[fit.statistic.index(name)])
     ends: tuple[float | None, float | None] = (value, value)
     if rise > 0.0:
-        walk = ProfileWalk(fit.statistic, fit.weights, theta, least, name, _TO_LIMITS)
+        walk = ProfileWalk(fit.statistic, fit.weights, theta, least, name, TO_LIMITS)
         ends = walk.crossings(rise)
     lower, upper = ends
     return Limit(

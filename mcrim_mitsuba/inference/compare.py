@@ -16,7 +16,6 @@ from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.drivers import Minimum, newton
 from mcrim_mitsuba.inference.estimates import (
-    ACCEPTABLE_P,
     FittedRow,
     ParameterEstimate,
     corrected,
@@ -27,6 +26,7 @@ from mcrim_mitsuba.inference.estimates import (
 )
 from mcrim_mitsuba.inference.explanations import plausible_ranges
 from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, SUSPICION
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.inference.statistic import Weights, p_value
 
@@ -180,13 +180,6 @@ def comparison_of(fit: Calibration) -> Comparison:
 
 # ---- readings that may be wrong ----
 
-# Suspects of each kind that are fitted exactly, after all were judged to first order.
-_TO_THE_END = 6
-# By this much a reading's variance grows when it is left out.
-_OUT = 1e8
-# Suspects as good as the best, within this in chi2.
-_RIVAL = 4.0
-
 
 def find_suspects(fit: Minimum) -> list[Suspect]:
     """Single readings and pairs of rows that account for a campaign's misfit, the likeliest first.
@@ -200,16 +193,18 @@ def find_suspects(fit: Minimum) -> list[Suspect]:
     found = [one for one in (*_bad_readings(fit), *_swapped_rows(fit)) if one.explains]
     found = [one for one in found if one.p_gain < ACCEPTABLE_P]
     found.sort(key=lambda one: one.score(readings))
-    return [one for one in found if one.score(readings) < found[0].score(readings) + _RIVAL]
+    return [
+        one for one in found if one.score(readings) < found[0].score(readings) + SUSPICION.rival
+    ]
 
 
 def _bad_readings(fit: Minimum) -> list[Suspect]:
     """Single readings, each with an offset of its own."""
     _, pulls = left_out(fit)
     found = []
-    for i in np.argsort(-np.abs(pulls))[:_TO_THE_END]:
+    for i in np.argsort(-np.abs(pulls))[: SUSPICION.to_the_end]:
         variance = fit.weights.errors.variance.copy()
-        variance[i] += _OUT * fit.weights.covariance[i, i]
+        variance[i] += SUSPICION.left_out * fit.weights.covariance[i, i]
         weights = Weights(replace(fit.weights.errors, variance=variance))
         _, chi2, _ = newton(fit.statistic, fit.theta, weights)
         gain = max(fit.chi2 - chi2, 0.0)
@@ -222,7 +217,7 @@ def _bad_readings(fit: Minimum) -> list[Suspect]:
 def _swapped_rows(fit: Minimum) -> list[Suspect]:
     """Pairs of rows, with their signals and errors exchanged."""
     followed = []
-    for pair in likely_swaps(fit, 2 * _TO_THE_END):
+    for pair in likely_swaps(fit, 2 * SUSPICION.to_the_end):
         order = np.arange(len(fit.statistic.signal))
         order[list(pair)] = pair[::-1]
         statistic = fit.statistic.against(fit.statistic.signal[order])
@@ -232,7 +227,8 @@ def _swapped_rows(fit: Minimum) -> list[Suspect]:
         _, chi2, _ = newton(statistic, fit.theta, weights)
         followed.append((chi2, pair))
     return [
-        suspected(fit, SWAPPED_ROWS, pair, chi2) for chi2, pair in sorted(followed)[:_TO_THE_END]
+        suspected(fit, SWAPPED_ROWS, pair, chi2)
+        for chi2, pair in sorted(followed)[: SUSPICION.to_the_end]
     ]
 
 
@@ -303,9 +299,6 @@ def _chance(fit: Minimum, i: int, j: int, gain: float) -> float:
 
 # ---- along which bench parameter the pulls run ----
 
-# Factors of levels that the free parameters follow but for this part are absorbed.
-_ABSORBED = 1e-6
-
 
 def find_trends(fit: Minimum) -> tuple[Trend, ...]:
     """Bench parameters by how clearly the pulls differ between their values, the clearest first.
@@ -353,17 +346,12 @@ def _fall(fit: Minimum, factors: Array) -> tuple[float, int]:
     seen = factors.T @ fit.precision @ factors
     whole = np.sqrt(np.einsum("ij,ij->j", factors, fit.weights.inverse @ factors))
     values, vectors = np.linalg.eigh(seen / np.outer(whole, whole))
-    kept = values > _ABSORBED
+    kept = values > SUSPICION.absorbed
     along = vectors[:, kept].T @ (factors.T @ fit.weighted_residuals / whole)
     return float((along**2 / values[kept]).sum()), int(kept.sum())
 
 
 # ---- parameters that took up a misfit ----
-
-# A prior counts as pulled from here, in its standard errors.
-_PULLED = 2.0
-# Part of alpha_scat's range, in its logarithm, next to an end that is suspicious.
-_EDGE = 0.05
 
 
 def find_absorbed(
@@ -375,14 +363,14 @@ def find_absorbed(
         name, value, signs = parameter.name, float(at), []
         if parameter.prior is not None and parameter.prior_sigma is not None:
             pull = (value - parameter.prior) / parameter.prior_sigma
-            if abs(pull) > _PULLED:
+            if abs(pull) > SUSPICION.pulled:
                 signs.append(
                     ("prior_pulled", f" = {value:.3g} is {pull:+.1f} sigma from its prior")
                 )
         if side is not None:
             signs.append(("bound_reached", f" ended at its {side} {value:.3g}"))
         elif name == ALPHA_SCAT:
-            edge = (parameter.maximum / parameter.minimum) ** _EDGE
+            edge = (parameter.maximum / parameter.minimum) ** SUSPICION.edge
             if not parameter.minimum * edge < value < parameter.maximum / edge:
                 signs.append(("implausible", f" = {value:.3g} is close to an end of its range"))
         low, high = plausible.get(name, (value, value))

@@ -19,9 +19,6 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.efficiency.lighting import EtaMap, Spread, all_spreads, read_map
 
-#: 1/e depth of gammas where nothing tells it.
-USUAL_DEPTH_MM = 1.0
-
 
 @dataclass(frozen=True)
 class PlaceShift:

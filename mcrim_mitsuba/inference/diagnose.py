@@ -52,10 +52,9 @@ from mcrim_mitsuba.inference.judgement import (
 from mcrim_mitsuba.inference.next_measurements import NextMeasurement, next_measurements
 from mcrim_mitsuba.inference.rival_causes import UNKNOWN, bad_readings, unknown_cause
 from mcrim_mitsuba.inference.screening import ScreeningCache, promising_effects
+from mcrim_mitsuba.inference.settings import JUDGING
 from mcrim_mitsuba.inference.simulations import CampaignSimulations, MeasurementProposals
 
-#: Probability from which an effect counts as one that a diagnosis rests on.
-_LIKELY = 0.01
 #: The family of wrong readings.
 INSTRUMENT = "instrument"
 
@@ -297,7 +296,7 @@ def _rests_on(found: Diagnosis, tried: Collection[str]) -> set[str]:
     """Effects that a diagnosis names or counts with."""
     if found.verdict == ADEQUATE:
         return set()
-    likely = {key for key, p in found.probabilities.items() if p > _LIKELY}
+    likely = {key for key, p in found.probabilities.items() if p > JUDGING.likely}
     counted = {name for key in likely for name in key.split(" + ")} & set(tried)
     added = {name for step in found.repair for name in step.effects}
     return {*found.leading, *found.set_aside, *counted, *added}

@@ -17,32 +17,8 @@ from iminuit import Minuit
 
 from mcrim_mitsuba.core.descent import Array, minimise
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.inference.settings import SEARCH
 from mcrim_mitsuba.inference.statistic import Statistic, Weights, inverse, p_value
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Search:
-    """How minima are searched."""
-
-    #: Points of the scan in alpha_scat that finds starts, and how many of its minima to follow.
-    scan_points: int = 31
-    most_starts: int = 3
-    #: Rise of chi2 over the whole scan from which the readings know of alpha_scat.
-    flat: float = 1e-6
-    #: Longest step in the logarithm of a scattering coefficient.
-    longest_log_step: float = 1.5
-    #: Updates of the covariance, and the shift (in standard errors, squared) that ends them.
-    most_updates: int = 6
-    settled: float = 1e-4
-    #: Squared distance, in standard errors, of minima that count as two.
-    apart: float = 0.01
-    #: Fall of chi2, still to be expected, that ends a minimum that MINUIT goes on from.
-    newton_precision: float = 1e-8
-    #: MINUIT stops at an expected distance to the minimum of 0.002 times this.
-    minuit_tolerance: float = 1e-4
-
-
-SEARCH = _Search()
 
 
 def newton(
@@ -264,7 +240,7 @@ def best_of(
     ends: list[tuple[float, Array]] = []
     for start in starts:
         theta, chi2, _ = newton(statistic, start, weights)
-        if all(abs(chi2 - other) > 1e-3 * (1.0 + other) for other, _ in ends):
+        if all(abs(chi2 - other) > SEARCH.same_height * (1.0 + other) for other, _ in ends):
             ends.append((chi2, theta))
     ends.sort(key=lambda end: end[0])
     minima = [settle(statistic, theta) for _, theta in ends[:follow]]

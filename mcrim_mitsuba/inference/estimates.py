@@ -13,14 +13,9 @@ from mcrim_mitsuba.campaign.measurements import LIGHT, TRANSMITTANCE, Reading
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.drivers import Minimum
 from mcrim_mitsuba.inference.model import Prediction
+from mcrim_mitsuba.inference.settings import LINEAR
 
 LIGHT_YIELD = "light_yield_ph_per_keV"
-#: A fit with a lower p-value does not describe the readings.
-ACCEPTABLE_P = 0.01
-
-
-# Parts of an error smaller than this, relative to it, are rounding.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -100,7 +95,7 @@ def estimates(minimum: Minimum) -> dict[str, ParameterEstimate]:
             at_bound=minimum.at_bound[i],
             contributions={
                 # what only rounding makes is none
-                origin: math.sqrt(part[i]) if part[i] > _ROUNDING**2 * whole else 0.0
+                origin: math.sqrt(part[i]) if part[i] > LINEAR.rounding**2 * whole else 0.0
                 for origin, part in variances.items()
             },
         )
@@ -174,13 +169,6 @@ def fitted_rows(
 
 # ---- statistics of a fit, by linear error propagation ----
 
-# Part of a reading's weight that must be left once the parameters have followed it, for the other
-# readings to predict it at all.
-_LEAST_LEVERAGE = 1e-9
-
-# Error on left out readings, in their standard errors, from which the others do not tell them.
-_LARGEST_ERROR = 1e3
-
 
 def corrected(p: float, tries: float) -> float:
     """The p-value of the smallest of some independent ones (Z. Sidak, JASA 62 (1967) 626)."""
@@ -207,7 +195,7 @@ def left_out(fit: Minimum) -> tuple[Array, Array]:
     """
     weighted = fit.weighted_residuals
     weight = np.diag(fit.precision).copy()
-    seen = weight > _LEAST_LEVERAGE * np.diag(fit.weights.inverse)
+    seen = weight > LINEAR.least_leverage * np.diag(fit.weights.inverse)
     errors, pulls = np.full(len(weight), np.inf), np.zeros(len(weight))
     errors[seen] = weighted[seen] / weight[seen]
     pulls[seen] = weighted[seen] / np.sqrt(weight[seen])
@@ -221,7 +209,7 @@ def left_out_error(fit: Minimum) -> float:
     """
     errors, _ = left_out(fit)
     error = float(np.sqrt(np.mean(errors**2 / np.diag(fit.weights.errors.readings))))
-    return error if error < _LARGEST_ERROR else math.inf
+    return error if error < LINEAR.largest_error else math.inf
 
 
 def pulls(fit: Minimum) -> Array:

@@ -23,33 +23,11 @@ from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter, LightYiel
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.rounding import number, pdg
 from mcrim_mitsuba.inference.drivers import Minimum
+from mcrim_mitsuba.inference.settings import EVIDENCE
 from mcrim_mitsuba.inference.statistic import Statistic
 
 #: The name of the model without further effects.
 NOTHING_MISSING = "none"
-#: Points that an evidence is averaged over; its error is then a few hundredths of its logarithm.
-#: A hopeless model's is known well enough by few.
-_POINTS, _FEW_POINTS = 4096, 512
-#: Points that are kept of them.
-_DRAWS = 256
-#: Degrees of freedom of a size's density: tails that let data speak for unusual sizes.
-_TAILS = 3.0
-#: Part of the density inside the plausible range.
-_PLAUSIBLE_PART = 0.95
-#: Degrees of freedom of the sampled densities, and how much wider than the maximum they are.
-_SAMPLED_TAILS, _WIDER = 5.0, 1.3
-#: Rounds of sampling; each shows the next one where the weight lies.
-_ROUNDS = 4
-#: Distance of maxima that count as two, and the narrowest that is sampled, in standard normals.
-_APART, _NARROWEST = 0.05, 0.003
-#: Part of the points that are drawn from the prior.
-_FROM_PRIOR = 0.15
-#: The scale's prior covers this factor either way, evenly in its logarithm.
-_SCALE_FACTOR = 30.0
-#: Beyond which a standard normal number is not followed.
-_FARTHEST = 8.0
-#: max / min of a range from which it is taken evenly in the logarithm.
-_WIDE = 15.0
 
 
 @dataclass(frozen=True)
@@ -61,11 +39,11 @@ class PriorDensity:
 
     def value(self, z: Array) -> Array:
         """Values of the parameter for standard normal numbers."""
-        return self.quantile(ndtr(np.clip(z, -_FARTHEST, _FARTHEST)))
+        return self.quantile(ndtr(np.clip(z, -EVIDENCE.farthest, EVIDENCE.farthest)))
 
     def z_of(self, value: float) -> float:
         """The standard normal number of a value, by sections; drawn into the range."""
-        low, high = -_FARTHEST, _FARTHEST
+        low, high = -EVIDENCE.farthest, EVIDENCE.farthest
         for _ in range(7):  # 16 / 256^7 is a number's own precision
             z = np.linspace(low, high, 257)
             above = min(max(int(np.searchsorted(self.value(z), value)), 1), 256)
@@ -75,7 +53,7 @@ class PriorDensity:
 
 def even(low: float, high: float) -> PriorDensity:
     """Evenly between two values; in the logarithm where the range is wide."""
-    if low > 0 and high > _WIDE * low:
+    if low > 0 and high > EVIDENCE.wide * low:
         return PriorDensity(lambda u: low * (high / low) ** u)
     return PriorDensity(lambda u: low + (high - low) * u)
 
@@ -92,12 +70,12 @@ def size(absent: float, plausible: tuple[float, float], low: float, high: float)
     Where the plausible range is on one side of `absent` only, all is there. From `low` to `high`
     the effect is defined, or a campaign allows it: without the absence too.
     """
-    end = float(stdtrit(_TAILS, 0.5 + 0.5 * _PLAUSIBLE_PART))
+    end = float(stdtrit(EVIDENCE.tails, 0.5 + 0.5 * EVIDENCE.plausible_part))
     widths = [max(absent - plausible[0], 0.0) / end, max(plausible[1] - absent, 0.0) / end]
     # cut off at the range, each side by itself: where it begins and where it ends
     (begin_below, end_below), (begin_above, end_above) = (
         [
-            2.0 * float(stdtr(_TAILS, max(at, 0.0) / width if width > 0 else 0.0)) - 1.0
+            2.0 * float(stdtr(EVIDENCE.tails, max(at, 0.0) / width if width > 0 else 0.0)) - 1.0
             for at in ends
         ]
         for width, ends in zip(
@@ -114,7 +92,7 @@ def size(absent: float, plausible: tuple[float, float], low: float, high: float)
         )
         begin = np.where(below, begin_below, begin_above)
         reach = np.where(below, end_below, end_above) - begin
-        away = stdtrit(_TAILS, np.minimum(0.5 + 0.5 * (begin + reach * part), 1.0 - 1e-16))
+        away = stdtrit(EVIDENCE.tails, np.minimum(0.5 + 0.5 * (begin + reach * part), 1.0 - 1e-16))
         return absent + np.where(below, -widths[0] * away, widths[1] * away)
 
     return PriorDensity(quantile)
@@ -131,7 +109,7 @@ def of_parameter(parameter: CampaignParameter) -> PriorDensity:
 
 def around(value: float) -> PriorDensity:
     """Of a scale of which nothing is known, the same for all models of a campaign."""
-    return even(value / _SCALE_FACTOR, value * _SCALE_FACTOR)
+    return even(value / EVIDENCE.scale_factor, value * EVIDENCE.scale_factor)
 
 
 @dataclass(frozen=True)
@@ -147,7 +125,7 @@ class Evidence:
     sigma: dict[str, float]
     #: Points that the averages are as good as.
     effective_points: float
-    #: (`_DRAWS`, free) float64: Parameters that are equally likely.
+    #: (`EVIDENCE.draws`, free) float64: Parameters that are equally likely.
     draws: Array
 
 
@@ -162,13 +140,13 @@ def evidence_of(
     sampled = _Sampled(fit, [priors[name] for name in fit.names])
     if not fit.names:  # all is held: the likelihood itself
         log = float(sampled.log_likelihood(np.empty((1, 0)))[0])
-        return Evidence(log, 0.0, {}, {}, math.inf, np.empty((_DRAWS, 0)))
+        return Evidence(log, 0.0, {}, {}, math.inf, np.empty((EVIDENCE.draws, 0)))
     modes = [sampled.maximum(fit.theta)]
     # models are compared: the same points for all
     rng = np.random.default_rng(0)
-    points = _FEW_POINTS if hopeless else _POINTS
-    for remaining in reversed(range(1 if hopeless else _ROUNDS)):
-        z, log_density = _drawn(modes, points // _ROUNDS if remaining else points, rng)
+    points = EVIDENCE.few_points if hopeless else EVIDENCE.points
+    for remaining in reversed(range(1 if hopeless else EVIDENCE.rounds)):
+        z, log_density = _drawn(modes, points // EVIDENCE.rounds if remaining else points, rng)
         theta = sampled.values(z)
         log_weight = sampled.log_likelihood(theta) - 0.5 * (z**2).sum(1)
         log_weight -= 0.5 * z.shape[1] * math.log(2.0 * math.pi) + log_density
@@ -177,12 +155,12 @@ def evidence_of(
         if remaining:
             modes.append(_gathered(z, share))
             best = sampled.maximum(theta[int(share.argmax())])
-            if all(np.linalg.norm(best[0] - other) > _APART for other, _ in modes):
+            if all(np.linalg.norm(best[0] - other) > EVIDENCE.apart for other, _ in modes):
                 modes.append(best)
     mean = share @ theta
     spread = np.sqrt(np.maximum(share @ (theta - mean) ** 2, 0.0))
     effective = 1.0 / float((share**2).sum())
-    at = np.searchsorted(np.cumsum(share), (np.arange(_DRAWS) + 0.5) / _DRAWS)
+    at = np.searchsorted(np.cumsum(share), (np.arange(EVIDENCE.draws) + 0.5) / EVIDENCE.draws)
     return Evidence(
         log=log,
         log_sigma=math.sqrt(max(1.0 / effective - 1.0 / points, 0.0)),
@@ -224,7 +202,7 @@ class _Sampled:
         z = np.array([p.z_of(value) for p, value in zip(self._priors, theta, strict=True)])
         residuals, slopes = self._linear(z)
         height = float(residuals @ residuals + z @ z)
-        for _ in range(self._DESCENTS):
+        for _ in range(EVIDENCE.descents):
             hessian = slopes.T @ slopes + np.eye(len(z))
             step = -np.linalg.solve(hessian, slopes.T @ residuals + z)
             step *= min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-12))
@@ -245,9 +223,9 @@ class _Sampled:
 
     def _linear(self, z: Array) -> tuple[Array, Array]:
         """(used,) whitened residuals and their (used, free) slopes."""
-        steps = self._STEP * np.eye(len(z))
+        steps = EVIDENCE.step * np.eye(len(z))
         around = self._residuals(self.values(np.vstack([z, z + steps, z - steps])))
-        slopes = (around[1 : 1 + len(z)] - around[1 + len(z) :]) / (2.0 * self._STEP)
+        slopes = (around[1 : 1 + len(z)] - around[1 + len(z) :]) / (2.0 * EVIDENCE.step)
         return around[0], slopes.T
 
 
@@ -256,7 +234,7 @@ def _gathered(z: Array, share: Array) -> tuple[Array, Array]:
     mean = share @ z
     away = z - mean
     covariance = (share * away.T) @ away
-    return mean, covariance + _NARROWEST**2 * np.eye(z.shape[1])
+    return mean, covariance + EVIDENCE.narrowest**2 * np.eye(z.shape[1])
 
 
 def _drawn(
@@ -264,20 +242,20 @@ def _drawn(
 ) -> tuple[Array, Array]:
     """(points, free) numbers around maxima and of the prior, and the logarithm of their density."""
     dimensions = len(modes[0][0])
-    shares = [_FROM_PRIOR] + [(1.0 - _FROM_PRIOR) / len(modes)] * len(modes)
+    shares = [EVIDENCE.from_prior] + [(1.0 - EVIDENCE.from_prior) / len(modes)] * len(modes)
     counts = [round(share * points) for share in shares]
     counts[0] += points - sum(counts)
     z = [rng.standard_normal((counts[0], dimensions))]
     factors = []
     for (centre, covariance), count in zip(modes, counts[1:], strict=True):
-        factor = _WIDER * np.linalg.cholesky(covariance)
+        factor = EVIDENCE.wider * np.linalg.cholesky(covariance)
         factors.append((centre, factor))
-        chi = np.sqrt(_SAMPLED_TAILS / rng.chisquare(_SAMPLED_TAILS, count))
+        chi = np.sqrt(EVIDENCE.sampled_tails / rng.chisquare(EVIDENCE.sampled_tails, count))
         z.append(centre + (rng.standard_normal((count, dimensions)) @ factor.T) * chi[:, None])
     all_z = np.concatenate(z)
     normal = -0.5 * (all_z**2).sum(1) - 0.5 * dimensions * math.log(2.0 * math.pi)
     logs = [math.log(shares[0]) + normal]
-    n, k = _SAMPLED_TAILS, dimensions
+    n, k = EVIDENCE.sampled_tails, dimensions
     constant = math.lgamma((n + k) / 2) - math.lgamma(n / 2) - 0.5 * k * math.log(n * math.pi)
     for (centre, factor), share in zip(factors, shares[1:], strict=True):
         away = np.linalg.solve(factor, (all_z - centre).T)
@@ -290,11 +268,9 @@ def _drawn(
 
 # ---- models side by side ----
 
-#: Part of a distribution whose width counts as its error.
-_INTERVAL = 0.85
 #: Where it begins, the median and where it ends, as parts below; how wide it is in standard
 #: deviations of a Gaussian.
-QUANTILES = 0.5 - 0.5 * _INTERVAL, 0.5, 0.5 + 0.5 * _INTERVAL
+QUANTILES = 0.5 - 0.5 * EVIDENCE.interval, 0.5, 0.5 + 0.5 * EVIDENCE.interval
 WIDTH = float(2.0 * ndtri(QUANTILES[-1]))
 
 

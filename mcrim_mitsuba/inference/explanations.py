@@ -42,21 +42,11 @@ from mcrim_mitsuba.inference.evidence import (
     size,
 )
 from mcrim_mitsuba.inference.model import Model
-from mcrim_mitsuba.inference.profiles import RISE_95
+from mcrim_mitsuba.inference.settings import CHANCE, EXPLAINING, RISE_95
 from mcrim_mitsuba.inference.statistic import Statistic, inverse
 
 #: Gives the model of the campaign with these effects, besides its own.
 Models = Callable[[tuple[str, ...]], Model]
-
-# Most nodes of a single effect's profile; of more than one parameter, a coarser product.
-_MOST_NODES = 27
-# Nodes in standard errors, where the catalogue has none.
-_SIZES = np.array([-60.0, -20.0, -6.0, -2.0, 2.0, 6.0, 20.0, 60.0])
-
-# Pairs that are fitted to the end after all were followed for a few steps.
-_PAIRS_TO_THE_END = 12
-# The same of effects added to those that are there.
-_FURTHER_TO_THE_END = 3
 
 
 class Explanations:
@@ -236,7 +226,7 @@ class Explanations:
             bounds = self.statistic(added).parameter(name)
             values = np.unique(np.clip(values, bounds.minimum, bounds.maximum)).tolist()
             axes.append([v for v in values if not math.isclose(v, absent[name], abs_tol=1e-12)])
-        while math.prod(len(axis) for axis in axes) > _MOST_NODES:
+        while math.prod(len(axis) for axis in axes) > EXPLAINING.most_nodes:
             axes = [axis[:: max(1, len(axis) // 3)] for axis in axes]
         return [dict(zip(names, values, strict=True)) for values in product(*axes)]
 
@@ -250,7 +240,7 @@ class Explanations:
             information = whitened.T @ whitened + np.diag(statistic.prior_weight)
             place = statistic.index(name)
             sigma = math.sqrt(inverse(information)[place, place])
-            self._by_size[name] = theta[place] + sigma * _SIZES
+            self._by_size[name] = theta[place] + sigma * np.array(EXPLAINING.sizes)
         return self._by_size[name]
 
     def profile(
@@ -299,12 +289,12 @@ class Explanations:
 
     def ranked_pairs(self) -> list[tuple[str, ...]]:
         """The best fitting pairs of all effects, the best first, fitted to the end."""
-        return self._ranked(combinations(self.singles(), 2), _PAIRS_TO_THE_END)
+        return self._ranked(combinations(self.singles(), 2), EXPLAINING.pairs_to_the_end)
 
     def ranked_further(self, chosen: tuple[str, ...]) -> list[tuple[str, ...]]:
         """The same of fitted effects with one more, which is the last."""
         others = [name for name in self.singles() if name not in chosen]
-        return self._ranked([(*chosen, name) for name in others], _FURTHER_TO_THE_END)
+        return self._ranked([(*chosen, name) for name in others], EXPLAINING.further_to_the_end)
 
     def _ranked(self, sets: Iterable[tuple[str, ...]], to_the_end: int) -> list[tuple[str, ...]]:
         """The best of many sets of effects.
@@ -392,13 +382,6 @@ def plausible_priors(effects: Iterable[Effect], model: Model) -> dict[str, tuple
 
 # ---- explanations in order, and which of them the data cannot tell apart ----
 
-#: Explanations this close to the best in twice the logarithm of their evidence lead together with
-#: it; twice the simulation's error of their difference in chi2 is added.
-LEADING = 6.0
-#: Deviance above that of the best from which an explanation has no share in anything: what the best
-#: loses by its prior is less.
-_HOPELESS = 50.0
-
 
 class Ranking:
     """Explanations, sets of as many effects, by evidence: `order` has the likeliest first."""
@@ -407,7 +390,8 @@ class Ranking:
         self._fits = {key: explanations.fit(key) for key in sets}
         best = min((fit.deviance for fit in self._fits.values()), default=0.0)
         self._scores = {
-            key: -2.0 * explanations.evidence(key, hopeless=fit.deviance > best + _HOPELESS).log
+            key: -2.0
+            * explanations.evidence(key, hopeless=fit.deviance > best + EXPLAINING.hopeless).log
             for key, fit in self._fits.items()
         }
         self.order = tuple(sorted(self._scores, key=lambda key: self._scores[key]))
@@ -424,19 +408,16 @@ class Ranking:
     def leading(self) -> tuple[tuple[str, ...], ...]:
         """Explanations that the data cannot tell from the best, the best first."""
         errors = {key: error_of_difference(self._fits[key], self.best) for key in self.order}
-        return tuple(k for k in self.order if self.behind(k) <= LEADING + 2.0 * errors[k])
+        return tuple(
+            k for k in self.order if self.behind(k) <= EXPLAINING.leading + 2.0 * errors[k]
+        )
 
     def unsettled(self) -> tuple[tuple[str, ...], ...]:
         """Those that only the simulation's error lets lead, as they stand far behind the best."""
-        return tuple(key for key in self.leading() if self.behind(key) > LEADING)
+        return tuple(key for key in self.leading() if self.behind(key) > EXPLAINING.leading)
 
 
 # ---- what chance gains ----
-
-# Campaigns drawn under the null hypothesis.
-_DRAWS = 4000
-# Beyond the draws' own reach: the quantile from which the tail of chi-squared goes on.
-_TAIL = 0.02
 
 
 class BaselineFrame:
@@ -555,18 +536,18 @@ class NullDistribution:
         #: By effect.
         self.curves = {name: curve_of(explanations, name, self.frame) for name in effects}
         dimensions = self.frame.dimensions
-        drawn = np.random.default_rng(seed).standard_normal((_DRAWS, dimensions))
+        drawn = np.random.default_rng(seed).standard_normal((CHANCE.draws, dimensions))
         gains = [curve.gains(drawn) for curve in self.curves.values()]
-        self.largest = np.sort(np.max(gains, axis=0)) if gains else np.zeros(_DRAWS)
+        self.largest = np.sort(np.max(gains, axis=0)) if gains else np.zeros(CHANCE.draws)
 
     def p_global(self, gain: float) -> float:
         """Probability that the best of all effects gains as much by chance."""
-        above = _DRAWS - int(np.searchsorted(self.largest, gain))
-        if above > _TAIL * _DRAWS or gain <= 0:
-            return (1.0 + above) / (1.0 + _DRAWS)
+        above = CHANCE.draws - int(np.searchsorted(self.largest, gain))
+        if above > CHANCE.tail * CHANCE.draws or gain <= 0:
+            return (1.0 + above) / (1.0 + CHANCE.draws)
         # few or no draws are that high: the tail of chi-squared, joined where there are enough
-        joint = float(np.quantile(self.largest, 1.0 - _TAIL))
-        return _TAIL * float(chdtrc(1, gain) / chdtrc(1, joint)) if joint > 0 else 0.0
+        joint = float(np.quantile(self.largest, 1.0 - CHANCE.tail))
+        return CHANCE.tail * float(chdtrc(1, gain) / chdtrc(1, joint)) if joint > 0 else 0.0
 
     def p_gain(self, effect: str, gain: float) -> float:
         """Probability that this effect, named beforehand, gains as much by chance.

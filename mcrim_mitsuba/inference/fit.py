@@ -18,15 +18,10 @@ from mcrim_mitsuba.core.files import attributes, plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.inference.drivers import Minimum, find_minima
-from mcrim_mitsuba.inference.estimates import (
-    ACCEPTABLE_P,
-    FittedRow,
-    ParameterEstimate,
-    estimates,
-    fitted_rows,
-)
+from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate, estimates, fitted_rows
 from mcrim_mitsuba.inference.model import Model, Prediction, held
-from mcrim_mitsuba.inference.profiles import ONE_SIGMA, Profile, profiles_of
+from mcrim_mitsuba.inference.profiles import Profile, profiles_of
+from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, FIT_NOTES, ONE_SIGMA
 from mcrim_mitsuba.inference.statistic import Statistic, undetermined
 
 
@@ -100,21 +95,6 @@ class Calibration:
 
 # The effect with which strong scattering leaves a beam as it was.
 _FORWARD = "anisotropic_scattering"
-# A second minimum this close in chi2 (2 standard errors) is a second answer.
-_RIVAL = 4.0
-# Interpolation error, in units of a reading's sigma, from which the reader is told.
-_NOTABLE_INTERPOLATION = 0.3
-# Part of a parameter's error that the Monte Carlo may make before the reader is told. At a third
-# of it, 1000 synthetic campaigns had pulls 5 % too wide (`scripts/trials closure`).
-_NOTABLE_MONTE_CARLO = 0.25
-# Where there is no p-value, a chi2 above the square of this says that the model does not describe
-# the readings; a prior that is pulled less is not named.
-_LARGEST_PULL = 3.0
-# Times that a reading is off what the others ask for from which it is no effect, but a slip of
-# writing; and the same of each of two readings, from their middle.
-_FAR_OFF, _TWO_APART = 5.0, 1.8
-# Part of alpha_scat's range, in its logarithm, next to an end that counts as being there.
-_EDGE = 0.03
 # What may be wrong where readings ask for more than the bounds allow.
 _SWAPPED = "check that no rows are swapped"
 
@@ -283,7 +263,7 @@ def _wish(best: Minimum) -> str:
         return ""
     place = statistic.index(ALPHA_SCAT)
     value, side, bounds = best.theta[place], best.at_bound[place], statistic.free[place]
-    edge = (bounds.maximum / bounds.minimum) ** _EDGE
+    edge = (bounds.maximum / bounds.minimum) ** FIT_NOTES.edge
     if side is None and bounds.minimum * edge <= value <= bounds.maximum / edge:
         return ""
     more = side == "max" or (side is None and value > bounds.maximum / edge)
@@ -313,7 +293,7 @@ def _notes_of_search(minima: list[Minimum]) -> Iterator[str]:
             yield f"{parameter.name} ended at its bound {_bound(model, parameter, side)}{reason}"
     for other in others:
         higher = other.deviance - best.deviance
-        if higher < _RIVAL:
+        if higher < FIT_NOTES.rival:
             where = ", ".join(f"{name} = {value:.4g}" for name, value in other.values.items())
             yield f"a second solution, chi2 {higher:.2f} higher: {where}"
 
@@ -322,10 +302,12 @@ def _notes_of_disagreement(fit: Calibration, prediction: Prediction) -> Iterator
     """Whether the model describes the readings at all."""
     p, statistic = fit.p_value, fit.minimum.statistic
     # priors count as well as readings
-    if fit.chi2 > _LARGEST_PULL**2 if p is None else p < ACCEPTABLE_P:
+    if fit.chi2 > FIT_NOTES.largest_pull**2 if p is None else p < ACCEPTABLE_P:
         pulls = [(row.label, row.pull) for row in fit.rows if row.use]
         priors = zip(fit.names, statistic.prior_pulls(fit.theta), strict=True)
-        pulls += [(f"the prior of {n}", pull) for n, pull in priors if abs(pull) > _LARGEST_PULL]
+        pulls += [
+            (f"the prior of {n}", pull) for n, pull in priors if abs(pull) > FIT_NOTES.largest_pull
+        ]
         worst, pull = max(pulls, key=lambda item: abs(item[1]))
         chance = f"ndf = {statistic.ndf}" if p is None else p_equals(p)
         yield (
@@ -343,7 +325,9 @@ def _lost_point(model: Model, prediction: Prediction) -> str:
         return ""
     scales = np.log([r.signal / prediction.signal[i] for i, r in light])
     # of two nobody knows which one it is
-    off = abs(scales - np.median(scales)) > np.log(_FAR_OFF if len(light) > 2 else _TWO_APART)
+    off = abs(scales - np.median(scales)) > np.log(
+        FIT_NOTES.far_off if len(light) > 2 else FIT_NOTES.two_apart
+    )
     if not off.any() or (len(light) > 2 and 2 * off.sum() >= len(light)):
         return ""
     far = [reading for (_, reading), is_off in zip(light, off, strict=True) if is_off]
@@ -372,7 +356,7 @@ def _notes_of_simulation(parameters: dict[str, ParameterEstimate]) -> Iterator[s
         if estimate.sigma > 0
     }
     worst = max(parts, key=parts.__getitem__, default="")
-    if worst and parts[worst] >= _NOTABLE_MONTE_CARLO:
+    if worst and parts[worst] >= FIT_NOTES.monte_carlo:
         yield (
             f"the simulation's own error is {parts[worst]:.2g} of that of {worst}: with more "
             "photons it falls, and the intervals, some per cent too short by noise in the model, "
@@ -386,7 +370,7 @@ def _notes_of_interpolation(statistic: Statistic, prediction: Prediction) -> Ite
     sigmas = np.array([reading.sigma for reading in statistic.model.readings])
     errors = np.abs(prediction.signal_per_eta) * prediction.interpolation_error / sigmas
     worst = errors[statistic.used].max()
-    if worst >= _NOTABLE_INTERPOLATION:
+    if worst >= FIT_NOTES.interpolation:
         yield (
             f"interpolation between simulations may be off by {worst:.1f} of a reading's sigma: "
             "give narrower min and max"

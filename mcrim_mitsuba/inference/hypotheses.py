@@ -22,7 +22,6 @@ from mcrim_mitsuba.core.rounding import counted, p_equals, probability
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.drivers import find_minima
 from mcrim_mitsuba.inference.estimates import (
-    ACCEPTABLE_P,
     FittedRow,
     ParameterEstimate,
     error_of_difference,
@@ -30,10 +29,11 @@ from mcrim_mitsuba.inference.estimates import (
     left_out_error,
 )
 from mcrim_mitsuba.inference.evidence import Hypothesis, weigh
-from mcrim_mitsuba.inference.explanations import LEADING, Explanations
+from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.fit import Calibration, result_of
 from mcrim_mitsuba.inference.judgement import AMBIGUOUS, UNEXPLAINED, explains
 from mcrim_mitsuba.inference.model import UNKNOWN_SCALE
+from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, EXPLAINING
 from mcrim_mitsuba.inference.simulations import CampaignSimulations, spent_together
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.runs.array_job import PartDoneError
@@ -223,7 +223,9 @@ def side_by_side(
         for name, fit in fits.items()
     )
     named = {one.name: one for one in hypotheses}
-    leading = tuple(n for n in order if -2.0 * named[n].log_evidence <= LEADING + 2.0 * noise[n])
+    leading = tuple(
+        n for n in order if -2.0 * named[n].log_evidence <= EXPLAINING.leading + 2.0 * noise[n]
+    )
     verdict, reason = _verdict([named[name] for name in leading], results[best])
     readings = fits[best].statistic.model.readings
     predicted = np.ptp([fit.signal for fit in fits.values()], axis=0)

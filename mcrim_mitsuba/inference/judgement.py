@@ -11,10 +11,11 @@ from scipy.special import chdtrc, logsumexp
 from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.inference.compare import Suspect
 from mcrim_mitsuba.inference.drivers import Minimum
-from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, corrected, left_out_error
+from mcrim_mitsuba.inference.estimates import corrected, left_out_error
 from mcrim_mitsuba.inference.evidence import Hypothesis
 from mcrim_mitsuba.inference.explanations import Explanations, NullDistribution, Ranking
-from mcrim_mitsuba.inference.rival_causes import COMMON_TO_PAIRS, UNKNOWN
+from mcrim_mitsuba.inference.rival_causes import UNKNOWN
+from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, JUDGING, RIVALS
 
 #: The verdicts of a diagnosis.
 TOO_FEW_READINGS = "too_few_readings"
@@ -22,26 +23,6 @@ ADEQUATE = "adequate"
 MISSING_EFFECT = "missing_effect"
 AMBIGUOUS = "ambiguous"
 UNEXPLAINED = "unexplained"
-
-# A campaign is adequate where neither its own p-value is below `ACCEPTABLE_P` nor that of the best
-# effect's gain: together they refuse 2 % of campaigns with nothing hidden.
-
-# A pair must fit no worse: after it nothing else is tried, so it is given more room.
-_PAIR_EXPLAINS = 0.003
-# An effect alone that fits no better than 0.01, but no worse than this, still explains the readings
-# where no pair is significantly better: with the right effect one campaign in a hundred is such.
-_BARELY_EXPLAINS = 1e-4
-# A further effect must gain what chance gives the best of all effects this rarely.
-_SIGNIFICANT = 0.01
-# Logarithm of the odds from which one explanation is no rival of another.
-_RIVAL = 3.0
-# The same of what has no name beside the only effect that leads: it has been there where a relative
-# of what was missing fitted well, at a usual size (trials with effects left out of the catalogue).
-_DOUBT = 2.7
-# Explanations that a sentence names.
-_MOST_SAID = 4
-# Effects added at most.
-_MOST_EFFECTS = 4
 
 
 @dataclass(frozen=True)
@@ -100,7 +81,7 @@ class Judgement:
 
     def _of_effects(self, effects: tuple[str, ...]) -> Hypothesis:
         explanations = self.explanations
-        common = COMMON_TO_PAIRS if len(effects) > 1 else 0.0
+        common = RIVALS.common_to_pairs if len(effects) > 1 else 0.0
         return Hypothesis(
             explanations.evidence(effects), explanations.log_odds(effects), effects, common=common
         )
@@ -115,8 +96,8 @@ class Judgement:
             suspect
             for hypothesis, suspect in self.instrument
             if suspect.p_value is not None
-            and suspect.p_value >= _BARELY_EXPLAINS
-            and hypothesis.log_weight > best - _RIVAL
+            and suspect.p_value >= JUDGING.barely_explains
+            and hypothesis.log_weight > best - JUDGING.rival
         )
 
     @property
@@ -145,9 +126,9 @@ class Judgement:
             others = [h for h in self.hypotheses(pairs) if h.effects or h.besides == UNKNOWN]
             rivals = float(logsumexp([each.log_weight for each in others]))
             lead = self.instrument[0][0].log_weight - rivals
-            if lead > _RIVAL or (lead > 0.0 and not leading):
+            if lead > JUDGING.rival or (lead > 0.0 and not leading):
                 return _of_suspects(suspects)
-            if lead > -_RIVAL and leading:
+            if lead > -JUDGING.rival and leading:
                 return Verdict(
                     AMBIGUOUS,
                     f"{self._titles(leading)} and {suspects[0].words} explain the misfit about "
@@ -176,7 +157,7 @@ class Judgement:
                 [h.log_weight for h in self.hypotheses(pairs) if (h.besides == UNKNOWN) is of_none]
                 for of_none in (True, False)
             )
-            if unknown and logsumexp(unknown) - logsumexp(others) > -_DOUBT:
+            if unknown and logsumexp(unknown) - logsumexp(others) > -JUDGING.doubt:
                 reason += "; but so may something that is in no catalogue"
                 return Verdict(AMBIGUOUS, reason, leading)
             return Verdict(MISSING_EFFECT, reason, leading)
@@ -196,8 +177,8 @@ class Judgement:
     def _titles(self, leading: tuple[tuple[str, ...], ...]) -> str:
         """What leads, in words; of many the likeliest: the ranking has them all."""
         *first, last = map(self.explanations.title, leading)
-        if len(leading) > _MOST_SAID:
-            first, last = first[:_MOST_SAID], f"{len(leading) - _MOST_SAID} others"
+        if len(leading) > JUDGING.most_named:
+            first, last = first[: JUDGING.most_named], f"{len(leading) - JUDGING.most_named} others"
         return f"{', '.join(first)} and {last}" if first else last
 
     def _leading(self, pairs: Ranking | None) -> tuple[tuple[tuple[str, ...], ...], Minimum]:
@@ -207,7 +188,7 @@ class Judgement:
         if singles.order:
             found = singles.best
             alone = pairs is None or not self.needs(pairs)
-            level = _BARELY_EXPLAINS if pairs is not None else ACCEPTABLE_P
+            level = JUDGING.barely_explains if pairs is not None else ACCEPTABLE_P
             if alone and significant and self._names(singles.order[0]) and explains(found, level):
                 return singles.leading(), found
         if pairs is not None and pairs.order:
@@ -215,7 +196,7 @@ class Judgement:
             if (
                 self.needs(pairs)
                 and self._names(pairs.order[0])
-                and explains(found, _PAIR_EXPLAINS)
+                and explains(found, JUDGING.pair_explains)
             ):
                 return pairs.leading(), found
         return (), found
@@ -229,7 +210,7 @@ class Judgement:
         if not pairs.order:
             return False
         alone, best = self.singles.best, pairs.best
-        if not explains(alone, _BARELY_EXPLAINS):
+        if not explains(alone, JUDGING.barely_explains):
             return True
         order = self.singles.order
         tries = len(order) if order[0][0] in pairs.order[0] else math.comb(len(order), 2)
@@ -245,17 +226,17 @@ class Judgement:
         """
         explanations, null = self.explanations, self.null
         chosen = pairs.order[0] if pairs is not None and pairs.order else self.singles.order[0]
-        while len(chosen) < _MOST_EFFECTS:
+        while len(chosen) < JUDGING.most_effects:
             ranked = explanations.ranked_further(chosen)
             if not ranked:
                 break
             now, best = explanations.fit(chosen), explanations.fit(ranked[0])
             further = ranked[0][-1]
-            significant = null.p_of_best(further, now.chi2 - best.chi2) < _SIGNIFICANT
+            significant = null.p_of_best(further, now.chi2 - best.chi2) < JUDGING.significant
             if not (significant and _justified(now, best)):
                 break
             chosen = (*chosen, further)
-        return chosen if explains(explanations.fit(chosen), _PAIR_EXPLAINS) else ()
+        return chosen if explains(explanations.fit(chosen), JUDGING.pair_explains) else ()
 
 
 def explains(fit: Minimum, level: float) -> bool:

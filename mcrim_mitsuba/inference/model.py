@@ -124,7 +124,6 @@ def free_parameters(
 
 # ---- from responses ----
 
-
 #: Scene parameters that tell crystals apart.
 _CRYSTAL_SIZES = ("crystal_width_mm", "crystal_height_mm")
 

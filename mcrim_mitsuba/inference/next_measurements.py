@@ -28,24 +28,10 @@ from mcrim_mitsuba.core.rounding import short_text
 from mcrim_mitsuba.inference.evidence import QUANTILES, WIDTH, Hypothesis
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.rival_causes import unknown_cause_at
+from mcrim_mitsuba.inference.settings import ADVICE
 from mcrim_mitsuba.inference.simulations import MeasurementProposals
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE, BEAM_AXIS, GAP_INDEX
-
-# An expected difference in chi2 from which two explanations count as separated.
-_SEPARATED = 6.0
-# Configurations handed back, two together counting as one.
-_MOST = 10
-# Readings that are looked at together with each other: the best ones alone.
-_TOGETHER = 12
-# Leading explanations that are told apart, sets of effects that are simulated for it besides, and
-# the probability from which one is.
-_MOST_RIVALS, _MOST_SETS, _LIKELY = 3, 5, 0.01
-# Points that further readings are made at.
-_OUTCOMES = 128
-# An error that is promised counts as kept within this part of it. What a reading buys counts by the
-# part of the outcomes that keep it, to this power: what may buy nearly all or nothing is no advice.
-_KEPT, _DISCOUNT = 0.3, 2
 
 
 @dataclass(frozen=True)
@@ -139,7 +125,7 @@ def next_measurements(
     known = explanations.baseline.statistic.model.campaign.light_yield
     efficiency = known.detector_efficiency_sigma / known.detector_efficiency if known else 0.0
     cloud = _cloud(explanations, leading, hypotheses, proposals)
-    rises, pairs = cloud.rises(leading[:_MOST_RIVALS])
+    rises, pairs = cloud.rises(leading[: ADVICE.most_rivals])
     readings = cloud.outcomes()
     before, _, sure = cloud.left(np.zeros((1, len(cloud.weights))), efficiency)
 
@@ -149,18 +135,18 @@ def next_measurements(
         fallen = 1.0 - error / before if cloud.yields is not None else 0.0
         doubt = (probability - sure) / max(1.0 - sure, 1e-9)
         worth = 0.5 * (fallen + doubt) / proposals.hours(*places)
-        return worth * kept**_DISCOUNT, error, probability
+        return worth * kept**ADVICE.discount, error, probability
 
     each: dict[tuple[int, ...], tuple[float, float, float]] = {
         (i,): bought((i,)) for i in range(len(configurations))
     }
     best = sorted(each, key=lambda places: -each[places][0])
-    pairs_of_best = combinations([i for places in best[:_TOGETHER] for i in places], 2)
+    pairs_of_best = combinations([i for places in best[: ADVICE.together] for i in places], 2)
     together = {(i, j): bought((i, j)) for i, j in pairs_of_best}
     if together:
         both = max(together, key=lambda places: together[places][0])
         each[both] = together[both]
-    order = sorted(each, key=lambda places: -each[places][0])[:_MOST]
+    order = sorted(each, key=lambda places: -each[places][0])[: ADVICE.most]
     names = [" + ".join(effects) for effects in leading]
     found = []
     for places in order:
@@ -173,7 +159,7 @@ def next_measurements(
                 separates=tuple(
                     (names[a], names[b])
                     for (a, b), rise in zip(pairs, risen, strict=True)
-                    if rise >= _SEPARATED
+                    if rise >= ADVICE.separated
                 ),
                 expected_delta_chi2=float(risen.mean()) if len(risen) else 0.0,
                 also=second[0] if second else None,
@@ -206,9 +192,9 @@ class _Cloud:
     def outcomes(self) -> Array:
         """(outcomes, m) further readings, made at some of the points."""
         rng = np.random.default_rng(0)
-        at = (np.arange(_OUTCOMES) + 0.5) / _OUTCOMES
+        at = (np.arange(ADVICE.outcomes) + 0.5) / ADVICE.outcomes
         true = np.minimum(np.searchsorted(np.cumsum(self.weights), at), len(self.weights) - 1)
-        noise = rng.standard_normal((_OUTCOMES, self.signals.shape[1]))
+        noise = rng.standard_normal((ADVICE.outcomes, self.signals.shape[1]))
         return self.signals[true] * (1.0 + self.relative_sigma * noise)
 
     def log_likelihood(self, readings: Array, place: int) -> Array:
@@ -261,15 +247,15 @@ class _Cloud:
 def _most_kept(errors: Array) -> tuple[float, float]:
     """An error that most of (outcomes,) errors are near, and the part of them that are.
 
-    The median of as many as lie within `_KEPT` of one value: of outcomes that go either way the
-    median of all may lie where hardly any are.
+    The median of as many as lie within `ADVICE.kept` of one value: of outcomes that go either way
+    the median of all may lie where hardly any are.
     """
     errors = np.sort(np.maximum(errors, 1e-12))
     # of those that begin with each one, in rising order
-    ends = np.searchsorted(errors, errors * (1.0 + _KEPT) / (1.0 - _KEPT), side="right")
+    ends = np.searchsorted(errors, errors * (1.0 + ADVICE.kept) / (1.0 - ADVICE.kept), side="right")
     first = int(np.argmax(ends - np.arange(len(errors))))
     promised = float(np.median(errors[first : ends[first]]))
-    return promised, float(np.mean(np.abs(errors / promised - 1.0) < _KEPT))
+    return promised, float(np.mean(np.abs(errors / promised - 1.0) < ADVICE.kept))
 
 
 def _cloud(
@@ -281,14 +267,16 @@ def _cloud(
     """Points of the leading explanations and of all others that are likely."""
     logs = np.array([each.log_weight for each in hypotheses])
     shares = np.exp(logs - logsumexp(logs))
-    rivals = {tuple(sorted(effects)) for effects in leading[:_MOST_RIVALS]}
+    rivals = {tuple(sorted(effects)) for effects in leading[: ADVICE.most_rivals]}
     sets: dict[tuple[str, ...], None] = dict.fromkeys([(), *rivals])
     taken = []
     for i in np.argsort(-shares, kind="stable"):
         each = hypotheses[i]
         effects = tuple(sorted(each.effects))
         leads = not each.besides and effects in rivals
-        if not leads and (shares[i] < _LIKELY or (effects not in sets and len(sets) > _MOST_SETS)):
+        if not leads and (
+            shares[i] < ADVICE.likely or (effects not in sets and len(sets) > ADVICE.most_sets)
+        ):
             continue
         sets[effects] = None
         taken.append((each, effects, float(shares[i])))

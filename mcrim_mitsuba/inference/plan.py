@@ -24,35 +24,19 @@ from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge, said
 from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, ParameterEstimate
+from mcrim_mitsuba.inference.estimates import ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.model import Model
+from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, PLANNING
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.inference.statistic import undetermined
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 
-#: Couplings: air, water, the article's gel, a usual immersion oil.
-N_GAP = (1.0, 1.333, 1.46, 1.515)
-EVENTS = (1e3, 1e4, 1e5, 1e6)
-MOUNTINGS = (1, 2, 4, 8, 16)
-
-#: Configurations among which sets are chosen: 2^8 sets take seconds.
-MOST_CONFIGURATIONS = 8
-#: Of the article's four mountings: 0.2 of 14.3 photons is the error of their mean.
-MOUNTING_SCATTER = 0.2 / 14.3 * math.sqrt(4)
-
-#: Relative standard deviation of an event's light, besides the counting of its photons.
-INTRINSIC_SPREAD = 0.10
 #: Origins of the light yield's error; that of a prior goes on with its parameter.
 PRIOR = "prior of "
 EVENTS_ORIGIN, MOUNTINGS_ORIGIN, EFFICIENCY = "events", "mountings", "detector efficiency"
 STATISTICAL = (EVENTS_ORIGIN, MOUNTINGS_ORIGIN)
-
-# A plan is more precise than another if its error is less than this part of the other's.
-_BETTER = 0.98
-# Relative error of readings that counts as none, and keeps the information's inverse exact.
-_PERFECT = 1e-5
 
 
 @dataclass(frozen=True)
@@ -64,9 +48,9 @@ class Conditions:
     #: To mount the crystal, besides the counting of events.
     minutes_per_mounting: float = 30.0
     #: Relative standard deviation of the signal from one mounting to the next.
-    mounting_scatter: float = MOUNTING_SCATTER
+    mounting_scatter: float = PLANNING.mounting_scatter
     #: Relative standard deviation of an event's light, besides the counting of its photons.
-    intrinsic_spread: float = INTRINSIC_SPREAD
+    intrinsic_spread: float = PLANNING.intrinsic_spread
 
     def hours(self, configurations: int, mountings: int, events: float) -> float:
         """Time that a plan takes."""
@@ -186,7 +170,7 @@ class Planning:
         found: list[Plan] = []
         for plan in self.plans:
             of_plan = plan.light_yield.of_plan
-            if not found or of_plan < _BETTER * found[-1].light_yield.of_plan:
+            if not found or of_plan < PLANNING.better * found[-1].light_yield.of_plan:
                 found.append(plan)
         return tuple(found)
 
@@ -209,9 +193,9 @@ def plan(
     campaign: str | Path | Campaign,
     wanted: float,
     *,
-    n_gap: Sequence[float] = N_GAP,
-    mountings: Sequence[int] = MOUNTINGS,
-    events: Sequence[float] = EVENTS,
+    n_gap: Sequence[float] = PLANNING.n_gap,
+    mountings: Sequence[int] = PLANNING.mountings,
+    events: Sequence[float] = PLANNING.events,
     conditions: Conditions | None = None,
     run: Run = Run(),
 ) -> Planning:
@@ -310,9 +294,9 @@ def _couplings(campaign: Campaign, n_gap: Sequence[float]) -> list[dict[str, flo
         problem = "n_gap is fitted: a measurement cannot set it"
         raise InputError(problem, "hold it with fixed = true", path=campaign.path)
     values = list(dict.fromkeys(float(value) for value in n_gap))
-    if len(values) > MOST_CONFIGURATIONS:
+    if len(values) > PLANNING.most_configurations:
         problem = f"{len(values)} couplings have too many combinations"
-        raise InputError(problem, f"give {MOST_CONFIGURATIONS} at most")
+        raise InputError(problem, f"give {PLANNING.most_configurations} at most")
     for value in values:
         if (wrong := judge("n_gap", value)) is not None:
             raise InputError(f"n_gap = {value:g}: {wrong[1]}", wrong[2])
@@ -402,13 +386,13 @@ class Expectation:
 
     def determined(self, chosen: Sequence[int]) -> bool:
         """Whether these configurations, and the priors, determine all parameters."""
-        _, information = self._information(chosen, np.full(len(chosen), _PERFECT))
+        _, information = self._information(chosen, np.full(len(chosen), PLANNING.perfect))
         return not undetermined(information, self._fit.names)
 
     def floor(self, chosen: Sequence[int]) -> ExpectedError:
         """The light yield's error with readings of no error."""
         nothing = np.zeros(len(chosen))
-        error = self._parts(SCALE, chosen, nothing + _PERFECT, nothing)
+        error = self._parts(SCALE, chosen, nothing + PLANNING.perfect, nothing)
         return ExpectedError(error.parts | dict.fromkeys(STATISTICAL, 0.0))
 
     def errors(

@@ -19,36 +19,8 @@ from scipy.optimize import brentq, minimize_scalar
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.drivers import Minimum, newton
+from mcrim_mitsuba.inference.settings import CURVE, RISE_95, Pace
 from mcrim_mitsuba.inference.statistic import Statistic, Weights, inverse
-
-#: Rises of chi2 that hold 68.3 % and 95.4 % of a Gaussian likelihood, and where curves end.
-ONE_SIGMA, TWO_SIGMA, END = 1.0, 4.0, 9.0
-#: That which holds 95 %.
-RISE_95 = 3.841
-# Part of a rise that a crossing may miss, and how often it is looked for between more points.
-_MISS = 0.001
-_MOST_REFINEMENTS = 8
-# Rise of chi2 from point to point that its slopes do not account for.
-_JUMP = 0.05
-
-
-@dataclass(frozen=True, kw_only=True)
-class Pace:
-    """How far and how closely a profile is followed."""
-
-    #: Rise of chi2 where it ends.
-    end: float = END
-    #: Points on either side of the solution, of a parabola; and of whatever else at most.
-    points: int = 12
-    most_points: int = 36
-    #: Least curvature that is believed, of that at the solution: it limits the steps on a plain.
-    least_curvature: float = 1e-3
-    #: Fall of chi2, still to be expected, that ends the fit of the other parameters.
-    precision: float = 1e-12
-
-
-#: For curves that are drawn.
-CURVE = Pace()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -194,7 +166,7 @@ class ProfileWalk:
 
         Where the cubic through the points misses the profile, it gets more points.
         """
-        for _ in range(_MOST_REFINEMENTS):
+        for _ in range(self._pace.most_refinements):
             x, rises, slopes = self.points.T
             ends = crossings(x, rises, slopes, rise)
             further = [
@@ -202,7 +174,7 @@ class ProfileWalk:
                 for end in ends
                 if end is not None and end not in self._followed
             ]
-            if all(abs(height - rise) < _MISS * rise for _, height, _ in further):
+            if all(abs(height - rise) < self._pace.miss * rise for _, height, _ in further):
                 break
             rows = np.array([*self.points, *further])
             self.points = rows[np.argsort(rows[:, 0])]
@@ -298,7 +270,7 @@ def _jumps(points: _Points) -> bool:
     """Whether the rises are not those of their slopes."""
     x, rise, slope = np.array(points or [(0.0, 0.0, 0.0)]).T
     by_slopes = np.diff(x) * (slope[1:] + slope[:-1]) / 2
-    return bool(np.any(np.abs(np.diff(rise) - by_slopes) > _JUMP))
+    return bool(np.any(np.abs(np.diff(rise) - by_slopes) > CURVE.jump))
 
 
 def _distance(rise: float, slope: float, curvature: float) -> float:

@@ -37,42 +37,11 @@ from mcrim_mitsuba.inference.compare import (
 from mcrim_mitsuba.inference.drivers import Minimum, settle
 from mcrim_mitsuba.inference.evidence import Hypothesis, evidence_of
 from mcrim_mitsuba.inference.explanations import Explanations
+from mcrim_mitsuba.inference.settings import RIVALS
 from mcrim_mitsuba.inference.statistic import Statistic
 
 #: What something without a name is called beside effects.
 UNKNOWN = "unknown"
-
-#: Odds, before the readings, that something without a name is there, alone and besides an effect.
-#: These and what follows are calibrated by 400 campaigns of as many designs with their effect left
-#: out of the catalogue: what was found, and what other settings would give, is in docs/trials.md.
-_UNKNOWN_ODDS, _BESIDE_ODDS = 1.0, 0.025
-#: Relative sizes that it may have, the larger the rarer.
-_AMPLITUDES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
-#: Ranges of the configurations over which it changes.
-_LENGTH = 1.0
-#: What it does to all readings alike, and so to the light yield, over what it does to each.
-COMMON_TO_ALL = 4.0
-#: What the light yield may be off by where two effects explain the readings: of so many pairs one
-#: may fit that has nothing to do with what is missing.
-COMMON_TO_PAIRS = 0.05
-#: Deviance above the best effect's up to which something may be there besides one, and how many.
-_BESIDE, _MOST_BESIDE = 30.0, 4
-#: Fall of the logarithm of the evidence that ends the search over sizes.
-_FALLEN = 8.0
-
-#: Odds that some reading is wrong, each as likely as the next, and that two rows are exchanged.
-_BAD_ODDS, _SWAPPED_ODDS = 0.1, 0.1
-#: What the light yield may be off by where readings are called wrong: they may have seen most of an
-#: effect that is in no catalogue.
-_BAD_COMMON = 0.08
-#: Readings that are wrong at the same time, at most.
-MOST_BAD = 3
-#: Relative errors of a wrong reading, each as likely as the next.
-_BAD_SIZES = (0.04, 0.15)
-#: Hypotheses of each kind that are fitted, after all were judged to first order.
-_FITTED = 3
-#: Sets of readings that are judged at the same time.
-_SETS_AT_ONCE = 20_000
 
 
 def unknown_cause(
@@ -84,24 +53,24 @@ def unknown_cause(
     """
     fits = {effects: explanations.fit(effects) for effects in singles}
     lowest = min((fit.deviance for fit in fits.values()), default=0.0)
-    near = [effects for effects, fit in fits.items() if fit.deviance < lowest + _BESIDE]
+    near = [effects for effects, fit in fits.items() if fit.deviance < lowest + RIVALS.beside]
     correlation = _correlation(explanations.baseline.statistic)
     found = []
     # twice the size is half as likely
-    whole = sum(1.0 / each for each in _AMPLITUDES)
-    for effects in [(), *near[:_MOST_BESIDE]]:
+    whole = sum(1.0 / each for each in RIVALS.amplitudes)
+    for effects in [(), *near[: RIVALS.most_beside]]:
         best, priors = -math.inf, explanations.priors(effects)
         of_effects = explanations.log_odds(effects)
-        odds = _BESIDE_ODDS if effects else _UNKNOWN_ODDS
-        for amplitude in _AMPLITUDES:
+        odds = RIVALS.beside_odds if effects else RIVALS.unknown_odds
+        for amplitude in RIVALS.amplitudes:
             own = explanations.statistic(effects).with_unexplained(amplitude**2 * correlation)
             fit = settle(own, explanations.fit(effects).theta)
             evidence = evidence_of(fit, priors, hopeless=True)
             log_odds = of_effects + math.log(odds / (amplitude * whole))
-            common = COMMON_TO_ALL * amplitude
+            common = RIVALS.common_to_all * amplitude
             found.append(Hypothesis(evidence, log_odds, effects, UNKNOWN, common, amplitude))
             best = max(best, evidence.log)
-            if evidence.log < best - _FALLEN:
+            if evidence.log < best - RIVALS.fallen:
                 break
     return found
 
@@ -155,7 +124,7 @@ def _correlation(statistic: Statistic, further: Sequence[Mapping[str, Value]] = 
         places = _places(name, cells, known)
         distance += np.subtract.outer(places, places) ** 2
     found = np.zeros((len(rows), len(rows)))
-    found[np.ix_(light, light)] = np.exp(-0.5 * distance / _LENGTH**2)
+    found[np.ix_(light, light)] = np.exp(-0.5 * distance / RIVALS.length**2)
     return found
 
 
@@ -180,8 +149,8 @@ def bad_readings(explanations: Explanations) -> list[tuple[Hypothesis, Suspect]]
     """
     statistic = explanations.baseline.statistic
     found = [_bad(explanations, places) for places in _worst(explanations)]
-    log_odds = math.log(_SWAPPED_ODDS / max(math.comb(len(statistic.signal), 2), 1))
-    for places in likely_swaps(explanations.baseline, _FITTED):
+    log_odds = math.log(RIVALS.swapped_odds / max(math.comb(len(statistic.signal), 2), 1))
+    for places in likely_swaps(explanations.baseline, RIVALS.fitted):
         order = np.arange(len(statistic.signal), dtype=np.int64)
         order[list(places)] = places[::-1]
         fit = settle(statistic.exchanged(order), explanations.baseline.theta)
@@ -200,14 +169,14 @@ def _named(
         away = float(baseline.weighted_residuals[places[0]])
         pull = math.copysign(math.sqrt(max(baseline.chi2 - fit.chi2, 0.0)), away)
     suspect = suspected(baseline, kind, places, fit.chi2, pull)
-    return Hypothesis(evidence, log_odds, besides=suspect.words, common=_BAD_COMMON), suspect
+    return Hypothesis(evidence, log_odds, besides=suspect.words, common=RIVALS.bad_common), suspect
 
 
 def _bad(explanations: Explanations, places: tuple[int, ...]) -> tuple[Hypothesis, Suspect]:
     """Wrong readings, averaged over how wrong they are."""
     statistic, made = explanations.baseline.statistic, []
-    log_odds = len(places) * math.log(_BAD_ODDS / len(statistic.signal))
-    for size in _BAD_SIZES:
+    log_odds = len(places) * math.log(RIVALS.bad_odds / len(statistic.signal))
+    for size in RIVALS.bad_sizes:
         further = np.zeros(len(statistic.signal))
         further[list(places)] = size**2
         fit = settle(statistic.with_unexplained(np.diag(further)), explanations.baseline.theta)
@@ -229,22 +198,22 @@ def _worst(explanations: Explanations) -> list[tuple[int, ...]]:
     precision, weighted = baseline.precision, baseline.weighted_residuals
     signal = np.abs(baseline.signal[baseline.statistic.used])
     found = []
-    for count in range(1, min(MOST_BAD, max(baseline.ndf - 1, 0)) + 1):
+    for count in range(1, min(RIVALS.most_bad, max(baseline.ndf - 1, 0)) + 1):
         best: list[tuple[float, tuple[int, ...]]] = []
         every = combinations(range(len(signal)), count)
         # of hundreds of readings there are millions
-        while some := list(islice(every, _SETS_AT_ONCE)):
+        while some := list(islice(every, RIVALS.sets_at_once)):
             sets = np.array(some)
             within = precision[sets[:, :, None], sets[:, None, :]]
             pulled, gains = weighted[sets], np.full(len(sets), -np.inf)
-            for size in _BAD_SIZES:
+            for size in RIVALS.bad_sizes:
                 t = (size * signal[sets]) ** 2
                 inner = within + np.eye(count) / t[:, None, :]
                 follow = np.linalg.solve(inner, pulled[..., None])[..., 0]
                 log_det = np.linalg.slogdet(inner)[1] + np.log(t).sum(axis=1)
                 gains = np.maximum(gains, 0.5 * ((pulled * follow).sum(axis=1) - log_det))
-            highest = np.argsort(-gains, kind="stable")[:_FITTED]
+            highest = np.argsort(-gains, kind="stable")[: RIVALS.fitted]
             best += [(gains[i], some[i]) for i in highest]
-            best = sorted(best, key=lambda each: -each[0])[:_FITTED]
+            best = sorted(best, key=lambda each: -each[0])[: RIVALS.fitted]
         found += [places for _, places in best]
     return found

@@ -8,34 +8,16 @@ simulated in full before anything is said of it.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
 from mcrim_mitsuba.effects.effect import Effect, modules_of
 from mcrim_mitsuba.inference.drivers import Minimum
-from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, error_of_difference
+from mcrim_mitsuba.inference.estimates import error_of_difference
 from mcrim_mitsuba.inference.explanations import Explanations, Models
+from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, SCREENING
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.runs.cache import RecordCache, code_hash, record_versions
 from mcrim_mitsuba.runs.executors import current_executor, number_of
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Screening:
-    """When an effect deserves more photons than a first look."""
-
-    #: How far behind the best in chi2 it may be: this, and this part of what the best gains. A
-    #: first look has few nodes.
-    behind: float = 20.0
-    part_behind: float = 0.1
-    #: What it must gain where the campaign as it is describes the readings.
-    least_gain: float = 6.0
-    #: Standard errors of the simulation by which both are eased.
-    errors: float = 1.0
-    #: Pairs whose effects deserve more, where no effect alone explains the readings.
-    most_pairs: int = 4
-
-
-SCREENING = _Screening()
 
 
 def promising_effects(models: Models, effects: Mapping[str, Effect], baseline: Minimum) -> set[str]:

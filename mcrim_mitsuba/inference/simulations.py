@@ -28,6 +28,7 @@ from mcrim_mitsuba.inference.drivers import Minimum, find_minima
 from mcrim_mitsuba.inference.explanations import plausible_priors
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model, result_of
 from mcrim_mitsuba.inference.model import ResponseModel, acts_on, held
+from mcrim_mitsuba.inference.settings import EXTENT, USUAL
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.scene.spectrophotometer import (
     ACCEPTANCE,
@@ -36,44 +37,6 @@ from mcrim_mitsuba.scene.spectrophotometer import (
     spectrophotometer_of,
     too_wide,
 )
-
-#: What may be proposed where a campaign does not say: liquids and apertures with each other, and
-#: other gaps and crystals with each of two liquids.
-USUAL_LIQUIDS = (1.0, 1.333, 1.46, 1.515, 1.74)
-USUAL_APERTURES_MM = (14.0, 7.0, 4.0)
-USUAL_FURTHER = {"gap_mm": (0.5,), "crystal_height_mm": (20.0, 2.0)}
-#: Transmittances, where there is one already: within other angles, and through a long crystal.
-USUAL_ACCEPTANCES_DEG = (1.0, 30.0)
-_LONG = ("crystal_height_mm", 20.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Extent:
-    """How much is simulated."""
-
-    #: Photons times precision squared of a usual eta (a quarter), weights included.
-    photons_per_precision: float = 4.0
-    #: How far, in its standard errors, a parameter may move when the effects are simulated
-    #: together before they are simulated once more where it went; and how often.
-    settled: float = 0.5
-    most_anchors: int = 2
-    #: Standard errors of what is plausible from which the readings leave a size open.
-    open: float = 2.0
-    #: How much worse than by responses chi2 may be where effects are simulated together before a
-    #: note tells: by this factor and by this much.
-    not_adding_up: float = 2.0
-    worse: float = 10.0
-    #: Part of the photons that simulations of proposed measurements get: they decide nothing; and
-    #: most configurations that are simulated to see what they would tell.
-    proposed_part: float = 0.25
-    most_proposals: int = 40
-    #: Time that a mounting takes.
-    minutes_per_mounting: float = 30.0
-    #: Relative error of a proposed reading, where the campaign's readings do not say.
-    usual_sigma: float = 0.01
-
-
-EXTENT = _Extent()
 
 
 @dataclass(frozen=True)
@@ -499,9 +462,10 @@ def _buildable(campaign: Campaign) -> list[dict[str, Value]]:
         return [dict(zip(given, values, strict=True)) for values in product(*given.values())]
     found: list[dict[str, Value]] = []
     if "n_gap" in scene and "aperture_radius_mm" in scene:
-        each = product(USUAL_LIQUIDS, USUAL_APERTURES_MM)
+        each = product(USUAL.liquids, USUAL.apertures_mm)
         found = [{"n_gap": n, "aperture_radius_mm": radius} for n, radius in each]
-    for name, values in USUAL_FURTHER.items():
+    further = {"gap_mm": USUAL.gaps_mm, "crystal_height_mm": USUAL.crystal_heights_mm}
+    for name, values in further.items():
         if name in scene and "n_gap" in scene:
             found += [{"n_gap": n, name: v} for n in (1.0, 1.46) for v in values]
     return found
@@ -524,10 +488,13 @@ def _beams(campaign: Campaign) -> list[dict[str, Value]]:
     elif not campaign.beam:
         found = [{ACCEPTANCE: own[ACCEPTANCE]}]
     else:
-        found = [{ACCEPTANCE: angle} for angle in USUAL_ACCEPTANCES_DEG]
+        found = [{ACCEPTANCE: angle} for angle in USUAL.acceptances_deg]
         other = "x" if own[BEAM_AXIS] == "z" else "z"
         same = {ACCEPTANCE: own[ACCEPTANCE]}
-        found += [{**same, BEAM_AXIS: other}, {**same, BEAM_AXIS: "z", _LONG[0]: _LONG[1]}]
+        found += [
+            {**same, BEAM_AXIS: other},
+            {**same, BEAM_AXIS: "z", "crystal_height_mm": USUAL.long_crystal_mm},
+        ]
     return [
         {KIND: TRANSMITTANCE, **each}
         for each in found

@@ -28,14 +28,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.inference.model import Model, Prediction
-
-# Smallest eigenvalue of the Fisher information (of parameters scaled to unit diagonal) that
-# still tells the parameters apart: below it is rounding.
-_LEAST_INFORMATION = 1e-10
-# Distance from a bound, in standard errors, that counts as being there.
-_AT_BOUND = 0.02
-# Readings up to which a matrix of all of them weighs faster than their few common sources.
-_FEW_READINGS = 200
+from mcrim_mitsuba.inference.settings import LINEAR
 
 
 def p_value(chi2: float, ndf: int) -> float | None:
@@ -53,7 +46,9 @@ def undetermined(information: Array, names: Sequence[str]) -> list[str]:
     if without or not names:
         return without
     values, vectors = np.linalg.eigh(information / np.sqrt(np.outer(diagonal, diagonal)))
-    weights = np.abs(vectors[:, 0]) if values[0] < _LEAST_INFORMATION else np.zeros(len(names))
+    weights = (
+        np.abs(vectors[:, 0]) if values[0] < LINEAR.least_information else np.zeros(len(names))
+    )
     return [name for name, weight in zip(names, weights, strict=True) if weight > 0.1]
 
 
@@ -128,7 +123,7 @@ class Weights:
     def __init__(self, errors: ErrorMatrices) -> None:
         self.errors = errors
         self._matrix: Array | None = None
-        if errors.unexplained is not None or len(errors.variance) <= _FEW_READINGS:
+        if errors.unexplained is not None or len(errors.variance) <= LINEAR.few_readings:
             factor = np.linalg.cholesky(self.covariance)
             self._matrix = np.linalg.inv(factor)
             #: Of the covariance: what two minima with different ones differ by besides chi2.
@@ -327,7 +322,7 @@ class Statistic:
         The curvature is 1 / sigma^2; of two bounds within reach it is the one that the slope of
         chi2 leads to.
         """
-        close = _AT_BOUND / math.sqrt(curvature) if curvature > 0 else 0.0
+        close = LINEAR.at_bound / math.sqrt(curvature) if curvature > 0 else 0.0
         at_minimum = value - self.free[place].minimum <= close
         at_maximum = self.free[place].maximum - value <= close
         if at_minimum and at_maximum:

@@ -20,7 +20,8 @@ from mcrim_mitsuba.inference.compare import Comparison, Suspect
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.hypotheses import FittedHypothesis, SideBySide
-from mcrim_mitsuba.inference.profiles import END, ONE_SIGMA, TWO_SIGMA, Profile
+from mcrim_mitsuba.inference.profiles import Profile
+from mcrim_mitsuba.inference.settings import CURVE, ONE_SIGMA, TWO_SIGMA
 from mcrim_mitsuba.output import figure_style as style
 
 _AS_IT_IS: dict[str, Any] = {
@@ -311,7 +312,7 @@ _BOUND: dict[str, Any] = dict(facecolor=style.PALE, edgecolor=style.GREY, hatch=
 #: Inches of a panel.
 _WIDE = 4.0
 _HIGH = 3.3
-_TOP = END + 0.6
+_TOP = CURVE.end + 0.6
 
 
 def _profiles_numbers(profiles: Sequence[Profile]) -> style.Numbers:

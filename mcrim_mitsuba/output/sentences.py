@@ -23,7 +23,7 @@ from mcrim_mitsuba.core.rounding import (
     probability,
     short_text,
 )
-from mcrim_mitsuba.inference.estimates import ACCEPTABLE_P, LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.judgement import (
     ADEQUATE,
@@ -43,6 +43,7 @@ from mcrim_mitsuba.inference.plan import (
     Planning,
 )
 from mcrim_mitsuba.inference.rival_causes import UNKNOWN
+from mcrim_mitsuba.inference.settings import ACCEPTABLE_P
 from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget, contribution
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from trials import hidden_trials as trials
 from mcrim_mitsuba.campaign.campaign import as_campaign
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.efficiency.bench import Bench
-from mcrim_mitsuba.inference.simulations import USUAL_LIQUIDS
+from mcrim_mitsuba.inference.settings import USUAL
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
 
@@ -209,10 +209,10 @@ def test_whatever_may_be_proposed_can_be_measured(monkeypatch):
         trial = trials.Trial(
             "advice", 0, 1, ((effect, size),), (), "", truth, 50.0, design, signal, 0.007 * signal
         )
-        proposed = [{"n_gap": n} for n in USUAL_LIQUIDS] + [{"kind": "transmittance"}]
+        proposed = [{"n_gap": n} for n in USUAL.liquids] + [{"kind": "transmittance"}]
         rows, signals, _ = trials.measured(trial, proposed)
-        assert len(rows) == 2 + len(USUAL_LIQUIDS) and 0.2 < signals[-1] < 0.7
-        assert len(set(trials.labels(rows[2:]))) == len(USUAL_LIQUIDS)
+        assert len(rows) == 2 + len(USUAL.liquids) and 0.2 < signals[-1] < 0.7
+        assert len(set(trials.labels(rows[2:]))) == len(USUAL.liquids)
 
 
 def test_two_effects_are_both_found(run):
