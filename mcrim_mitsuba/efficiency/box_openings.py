@@ -5,6 +5,11 @@ mirror symmetry of box and bench a direction is given by its three positive cosi
 a face by its periodic coordinate, which grows along the flight from 0 at one wall to the crystal's
 width at the other. Functions of it have Fourier components, of wave numbers 2 pi p / width.
 
+In the gap, light that enters at the place X = (x, y) of the crystal's bottom moves by
+s = `shift_mm` with each crossing: it lands on the window at X + s, is back at the crystal at
+X + 2 s, and so on. All components are over the place where it entered: of a function g they are the
+mean of g(X) exp(-i kappa X) over the crystal's bottom, written <g exp(-i kappa X)> below.
+
 Two rules of quadrature go side by side, so that what the second and coarser gives tells the error
 of the first at the cost of its nodes alone: nodes of both are in one array, the first rule's first.
 """
@@ -133,7 +138,7 @@ class EndFaceTransfer(Openings):
     #: All up to the modes' highest.
     waves: Waves
     #: (waves, n) complex: what arrives at the bottom as exp(i kappa X) leaves it as this times the
-    #: same, the gap's shuttles included.
+    #: same, all shuttles in the gap included.
     unturned: _Array
     #: Those that the place at the bottom couples, m, and where they are among `waves`.
     coupled: Waves
@@ -368,13 +373,13 @@ class _GapLight:
 
 
 def _crossings(bench: Bench, order: int, light: _GapLight) -> tuple[_Array, _Array]:
-    """What one crossing brings through the hole to the detector, and two to the crystal again.
+    """Light that crosses the gap into the mask's hole, and light that is back at the crystal then.
 
-    Fourier components over the places where it lands in the mask's hole, of orders up to
-    +-``order`` along x and y: (n, 2 order + 1, 2 order + 1) complex each. Light gets out of the
-    gap's sides, and of the plate's edges, only from nearer to a wall than it goes: what is kept is
-    a product of steps along x and along y, and a hole under the crystal is integrated chord by
-    chord between all that has a kink.
+    <P exp(-i kappa X)>, of all kappa up to +-``order`` along x and y: twice (n, 2 order + 1,
+    2 order + 1) complex. P(X) is 0 where light lands outside the hole, and else the share that one
+    crossing, or two, keep in the gap. Light gets out of the gap's sides, and of the plate's edges,
+    only from nearer to a wall than it goes: P is a product of steps along x and along y, and a hole
+    under the crystal is integrated chord by chord between all that has a kink.
     """
     half = bench.crystal_width_mm / 2.0
     walls = light.shift_mm // (2.0 * half)
@@ -388,19 +393,24 @@ def _crossings(bench: Bench, order: int, light: _GapLight) -> tuple[_Array, _Arr
         everywhere = np.full((len(light.lands), 1), half)
         along_x, along_y = (along.kept(axis, everywhere) for axis in (0, 1))
         in_hole = [x.swapaxes(1, 2) * y for x, y in zip(along_x, along_y, strict=True)]
-    # coordinates count from the wall, the hole is in the middle
-    sign = (-1.0) ** np.abs(np.arange(-order, order + 1)) / (2.0 * half)
+    # integrated over where light lands, from the middle of the hole: means over where it entered,
+    # one crossing before, from the wall
+    entered = np.exp(1j * math.pi / half * (light.shift_mm - half))
+    of_x, of_y = _powers(entered, order) / (2.0 * half)
     once, twice = (
         np.prod((1.0 - light.out) ** (number * walls), axis=0)[:, None, None]
-        * (components * sign[:, None] * sign)
-        for number, components in enumerate(in_hole, start=1)
+        * (integrals * of_x[:, :, None] * of_y[:, None, :])
+        for number, integrals in enumerate(in_hole, start=1)
     )
     return once, twice
 
 
 @dataclass(frozen=True, eq=False)
 class _Chords:
-    """Light that is kept along chords of the hole, which are symmetric about its middle."""
+    """Light that is kept along chords of the hole, which are symmetric about its middle.
+
+    Places here are those where light lands, from the middle of the hole.
+    """
 
     #: Half the crystal's width, and the highest order of the components.
     half_mm: float
@@ -413,7 +423,11 @@ class _Chords:
     ends: tuple[tuple[Floats, Floats], ...]
 
     def kept(self, axis: int, chord: Floats) -> list[_Array]:
-        """Components after one and after two crossings: (n, chords, 2 order + 1) each."""
+        """Integrals over (n, chords) half chords of what one and what two crossings keep.
+
+        Of P exp(-i k x), (n, chords, 2 order + 1) each. On the way down P = 1 - out left of
+        `down_mm`, and 1 right of it; on the way on it is less by the share `lost` right of `far`.
+        """
         between = self._between
         start = np.clip(self.down_mm[axis][:, None], -chord, chord)
         out = self.out[axis][:, None, None]
@@ -426,7 +440,7 @@ class _Chords:
         return components
 
     def _between(self, low: Floats, high: Floats) -> _Array:
-        """Components of what is 1 between two places, and 0 elsewhere."""
+        """Integrals of exp(-i k x) between two places, for all orders."""
         k = math.pi / self.half_mm * np.arange(-self.order, self.order + 1)
         first, last = (self.waves(x) for x in (low, high))
         safe = np.where(k == 0.0, 1.0, -1j * k)
@@ -438,28 +452,36 @@ class _Chords:
 
 
 def _in_small_hole(bench: Bench, along: _Chords, *, kinks_at_edge: bool) -> list[_Array]:
-    """Components over a hole under the crystal, after one and after two crossings."""
+    """Integrals over a hole under the crystal of what one and what two crossings keep.
+
+    Of P_x exp(-i k x) P_y exp(-i k' y) over the hole's chords along x, whose half lengths are
+    sqrt(radius^2 - y^2), or half the crystal's width: over x in closed form, over y by Gauss's
+    nodes. The function of y has kinks where a step of P_y lies, where a chord's end passes a step
+    of P_x, and where chords begin to end at the crystal's outline; nodes lie between two of these.
+    """
     half, radius, down = along.half_mm, bench.aperture_radius_mm, along.down_mm
-    reach, full = min(radius, half), math.sqrt(max(radius**2 - half**2, 0.0))
+    highest = min(radius, half)
+    outline = math.sqrt(max(radius**2 - half**2, 0.0))
     steps = [down, *([along.ends[0][0]] if kinks_at_edge else [])]
     kinks = [
         *(np.stack((y, np.sqrt(np.maximum(radius**2 - x**2, 0.0)))) for x, y in steps),
-        np.broadcast_to([[full], [reach]], down.shape),
+        np.broadcast_to([[outline], [highest]], down.shape),
     ]
     cuts = np.concatenate([*kinks, *(-kink for kink in kinks)]).T
-    cuts = np.sort(np.arcsin(np.clip(cuts, -reach, reach) / radius), axis=1)
+    # y = radius sin(angle): a chord's length has its roots at the ends taken out
+    cuts = np.sort(np.arcsin(np.clip(cuts, -highest, highest) / radius), axis=1)
     nodes = gauss(_ON_CHORDS + along.order, cuts[:, :-1], cuts[:, 1:])
     angle, weight = (x.reshape(len(cuts), -1) for x in nodes)
     y, chord = radius * np.sin(angle), np.minimum(radius * np.cos(angle), half)
-    along_x = along.kept(0, chord)
     weight = weight * radius * np.cos(angle)
-    before = 1.0 - along.out[1][:, None] * (y < down[1][:, None])
-    along_y = [
-        weight * before * (1.0 - out[1][:, None] * (y > far[1][:, None])) for far, out in along.ends
+    entered = 1.0 - along.out[1][:, None] * (y < down[1][:, None])
+    kept_along_y = [
+        entered * (1.0 - lost[1][:, None] * (y > far[1][:, None])) for far, lost in along.ends
     ]
-    phase = along.waves(y)
+    waves = along.waves(y)
     return [
-        x.swapaxes(1, 2) @ (y[..., None] * phase) for x, y in zip(along_x, along_y, strict=True)
+        over_x.swapaxes(1, 2) @ ((weight * kept)[..., None] * waves)
+        for over_x, kept in zip(along.kept(0, chord), kept_along_y, strict=True)
     ]
 
 
@@ -478,10 +500,10 @@ def _powers(phase: _Array, order: int) -> _Array:
 def _returns(bench: Bench, order: int, light: _GapLight) -> Iterator[tuple[_Array, _Array, _Array]]:
     """What lands in the hole under the crystal and what comes back to it, shuttle by shuttle.
 
-    Which of the directions, and of these as `_crossings`, but over the places where the light
-    entered the gap, after 1, 3, 5, ... and after 2, 4, 6, ... crossings of which each landing was
-    in the hole. Light in the hole is likely to be in it again: the overlap of all these holes has
-    no closed form, and is a sum over a lattice of places.
+    Which of the directions, (those,); and of these, as `_crossings`, <P exp(-i kappa X)> after 1,
+    3, 5, ... and after 2, 4, 6, ... crossings, P being 0 unless every landing so far was in the
+    hole. Light in the hole is likely to be in it again: the overlap of all these holes has no
+    closed form, and is a sum over a lattice of places.
     """
     width, half = bench.crystal_width_mm, bench.crystal_width_mm / 2.0
     number = np.arange(_PLACES)
@@ -581,18 +603,23 @@ def _gap_light(bench: Bench, sine: Floats, cos: Floats, over: Floats) -> _GapLig
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _FirstShuttle:
-    """What becomes of light in its first two crossings of the gap, between the coupled waves."""
+    """What becomes of light in its first two crossings of the gap, between the coupled waves.
+
+    It enters at X, lands at X + s and is back at X + 2 s. P_1 and P_2 are what `_crossings` keep.
+    """
 
     #: Highest order of the coupled waves.
     order: int
-    #: (n, m) complex: what lands on the detector, and what of it has left the gap at its sides.
+    #: (n, m) complex: lands <P_1 exp(-i kappa X)> + leaked, what is detected of light on its way
+    #: down; and what of it has left the gap at its sides.
     landed: _Array
     leaked: _Array
-    #: (n,): what of evenly spread light is in the hole after two crossings.
+    #: (n,): <P_2>, what of evenly spread light is in the gap after landing in the hole.
     even: Floats
-    #: (n, m, 2 m - 1) complex: what has gone down, off the window and up again, from a wave to one.
+    #: (n, m, 2 m - 1) complex: r_window <P_2 exp(-i kappa X) exp(i kappa' (X + 2 s))>: a wave
+    #: kappa' over the places where light comes back is so much of kappa where it entered.
     returned: _Array
-    #: (n, 2 m - 1): by how much one crossing shifts the phase of every wave.
+    #: (n, 2 m - 1): kappa' s, by how much one crossing shifts the phase of every wave.
     phase: Floats
     #: Where components of a wave, and of the step between two waves, are among all of `_crossings`.
     at_wave: tuple[Any, Any]
@@ -615,6 +642,11 @@ class _FirstShuttle:
 def _first_shuttle(
     bench: Bench, rules: Rules, first: int, sine: Floats, over: Floats, light: _GapLight
 ) -> _FirstShuttle:
+    """The first shuttle between the waves that `rules` couple, without error.
+
+    Directions are as in `end_transfer`: n sin(theta), (n,), the cosine and sine of the azimuth,
+    (2, n), and light in the gap; `first` of them are of the first rule.
+    """
     order = rules[0].coupled
     signed = Waves.up_to(order).signed
     every = np.concatenate((signed, -signed[1:]))
@@ -623,17 +655,14 @@ def _first_shuttle(
     at_wave = signed[:, 0] + 2 * order, signed[:, 1] + 2 * order
     phase = 2.0 * math.pi / bench.crystal_width_mm * (light.shift_mm.T @ every.T)
     once, twice = _crossings(bench, 2 * order, light)
-    landed = once[:, *at_wave] * np.exp(1j * phase[:, : len(signed)])
-    leaked = _leaked(bench, rules, first, sine, over[0], over[1], signed)
-    both = phase[:, : len(signed), None] + phase[:, None]
-    returned = twice[:, *at_step] * np.exp(1j * both)
-    returned *= light.r_window[:, None, None]
+    leaked = _leaked(bench, rules, first, sine, over, signed)
     waves = [np.abs(every).max(axis=1) > rule.coupled for rule in rules]
     return _FirstShuttle(
         order=order,
-        landed=light.lands[:, None] * landed + leaked,
+        landed=light.lands[:, None] * once[:, *at_wave] + leaked,
         leaked=leaked,
-        returned=returned,
+        # exp(-i kappa X) exp(i kappa' (X + 2 s)) = exp(-i (kappa - kappa') X) exp(2 i kappa' s)
+        returned=light.r_window[:, None, None] * twice[:, *at_step] * np.exp(2j * phase[:, None]),
         phase=phase,
         even=twice[:, 2 * order, 2 * order].real,
         at_wave=at_wave,
@@ -648,32 +677,42 @@ _Through = tuple[_Array, _Array, Floats]
 
 
 def _through_small_hole(bench: Bench, light: _GapLight, shuttle: _FirstShuttle) -> _Through:
-    """All shuttles above a hole under the crystal.
+    """All shuttles above a hole under the crystal, through which light is detected.
 
-    A lattice of places knows how later shuttles compare with the first, which is known exactly.
+    Shuttle j = 0, 1, 2, ... begins with the share turns^j of the light, which its landings left in
+    the hole, P_2j; it is back at X + 2 (j + 1) s. So what arrives is the sum over j of
+    turns^j (lands <P_2j+1 exp(-i kappa X)> + leaked <P_2j>), and the coupling that of
+    r_window turns^j <P_2j+2 exp(-i kappa X) exp(i kappa' (X + 2 (j + 1) s))>. The first shuttle is
+    exact; a lattice of places tells how later ones compare with it, to which all its means are
+    scaled: `to_exact`.
     """
     order, turns = 2 * shuttle.order, light.turns
     survive = np.zeros((_SHUTTLES, len(turns)))
-    norm, arrived, coupling = shuttle.even, shuttle.landed.copy(), shuttle.returned
-    phase = shuttle.phase
-    for number, (those, landing, returned) in enumerate(_returns(bench, order, light)):
+    arrived, coupling = shuttle.landed.copy(), shuttle.returned
+    to_exact = np.ones(len(turns))
+    for j, (those, landing, returned) in enumerate(_returns(bench, order, light)):
         even = returned[:, order, order].real
-        if number == 0:
-            norm = norm / np.maximum(even, 1e-9)
-        survive[number, those] = norm[those] * even
-        if number == 0:
+        if j == 0:
+            to_exact = shuttle.even / np.maximum(even, 1e-9)
+        survive[j, those] = to_exact[those] * even
+        if j == 0:
             continue
-        again = landing[:, *shuttle.at_wave] * (light.lands * norm)[those, None]
-        again += shuttle.leaked[those] * survive[number - 1, those, None]
-        arrived[those] += (turns[those] ** number)[:, None] * again
-        later = returned[:, *shuttle.at_step] * np.exp(2j * (number + 1) * phase[those, None])
-        factor = norm * light.r_window * turns**number
+        again = landing[:, *shuttle.at_wave] * (light.lands * to_exact)[those, None]
+        again += shuttle.leaked[those] * survive[j - 1, those, None]
+        arrived[those] += (turns[those] ** j)[:, None] * again
+        later = returned[:, *shuttle.at_step] * np.exp(2j * (j + 1) * shuttle.phase[those, None])
+        factor = to_exact * light.r_window * turns**j
         coupling[those] += factor[those, None, None] * later
     return coupling, arrived, survive
 
 
 def _through_wide_hole(bench: Bench, light: _GapLight, shuttle: _FirstShuttle) -> _Through:
-    """All shuttles where the mask leaves the crystal free: a series that couples waves once."""
+    """All shuttles where the mask leaves the crystal free: a series that couples waves once.
+
+    One shuttle leaves a wave as it was but for its diagonal element c of `returned`: r_crystal c
+    multiplies it each time, and all times give 1 / (1 - r_crystal c). Evenly spread light, of which
+    the most arrives, is followed shuttle by shuttle, as what it keeps is no power of one shuttle.
+    """
     width, coupling, here = bench.crystal_width_mm, shuttle.returned, np.arange(shuttle.m)
     series = 1.0 / (1.0 - light.r_crystal[:, None] * coupling[:, here, here])
     coupling[:, here, here] = 0.0
@@ -761,11 +800,22 @@ def _leaked(
     rules: Rules,
     first: int,
     sine: Floats,
-    over_x: Floats,
-    over_y: Floats,
+    over: Floats,
     signed: NDArray[np.int64],
 ) -> _Array:
-    """Components of the light that leaves the gap at its sides, going down, and is detected."""
+    """Light that leaves the gap at its sides on its way down, and is detected: (n, waves) complex.
+
+    The share of light in the gap that does so, as components over the place where it entered,
+
+        <g exp(-i kappa X)> = out lands / w^2  int dy int a dt  P exp(-i kappa (w - a t, y - b t))
+
+    summed over the side that it has before it along x, and that along y. It gets out at the place y
+    along the side and the depth t below the crystal, so that it had entered a t before the side and
+    b t to one side of y (a, b: tan(theta) times the cosines of the azimuth). ``out`` is what the
+    side lets through, ``lands`` what is detected of the light that reaches the window; P is what
+    the other side has left, if the light met that before. t goes from where it would land beyond
+    the far end of the mask's hole to where it would land before the near end.
+    """
     width, gap, n_gap = bench.crystal_width_mm, bench.gap_thickness_mm, bench.gap_index
     half = width / 2.0
     chord = math.sqrt(max(bench.aperture_radius_mm**2 - half**2, 0.0))
@@ -774,41 +824,45 @@ def _leaked(
         return leaked
     cuts = np.array([-half, half] if chord >= half else [-half, -chord, chord, half])
     # the coarser rule has fewer nodes: the others of its directions weigh nothing
-    y, w_y = np.zeros((2, len(sine), rules[0].foot * (len(cuts) - 1)))
+    foot, w_foot = np.zeros((2, len(sine), rules[0].foot * (len(cuts) - 1)))
     for rule, those in zip(rules, _slices(first), strict=True):
         nodes = [x.ravel() for x in gauss(rule.foot, cuts[:-1], cuts[1:])]
-        y[those, : len(nodes[0])], w_y[those, : len(nodes[0])] = nodes
+        foot[those, : len(nodes[0])], w_foot[those, : len(nodes[0])] = nodes
+    y = foot + half
     cos_gap = _cosine(sine, n_gap)
+    tan_gap = sine / n_gap / cos_gap
     # outside, where the components along the side are n_gap times those in the gap
     cos_air = np.minimum(n_gap * cos_gap, 1.0)
     sine_air = np.sqrt(np.maximum(1.0 - cos_air**2, 1e-30))
+    cot_air = (cos_air / sine_air)[:, None]
     lands = 1.0 - fresnel(cos_air, 1.0, bench.n_window)
     lands = lands * _detected_below(bench, _cosine(sine_air, bench.n_window))
-    for ahead, aside, kappa in ((over_x, over_y, signed), (over_y, over_x, signed[:, ::-1])):
-        out, other = (1.0 - fresnel(sine / n_gap * over, n_gap, 1.0) for over in (ahead, aside))
-        turned = np.minimum(sine * aside / sine_air, 1.0)[:, None]
-        near, far = landing(bench, y, np.sqrt(1.0 - turned**2), turned)
-        # depths below the crystal at which it leaves; deeper than `met` it met the other side first
-        tan_gap = sine / n_gap / cos_gap
-        ahead, aside = (tan_gap * ahead)[:, None], (tan_gap * aside)[:, None]
-        slope = (cos_air / sine_air)[:, None]
-        highest = np.clip(gap - far * slope, 0.0, gap)
-        lowest = np.maximum(np.minimum(gap - near * slope, width / ahead), highest)
-        met = np.clip((y + half) / aside, highest, lowest)
-        k_ahead, k_aside = 2.0 * math.pi / width * kappa.T
-        turn = (ahead * k_ahead + aside * k_aside)[:, None, :]
-
-        def up_to(depth: Floats, turn: Floats = turn) -> _Array:
-            depth = depth[..., None]
-            if turn.shape[-1] == 1:  # without waves
-                return depth
-            safe = np.where(turn == 0.0, 1.0, 1j * turn)
-            return np.where(turn == 0.0, depth, np.exp(1j * turn * depth) / safe)
-
-        until_met = up_to(met)
-        shares = until_met - up_to(highest)
-        shares = shares + (1.0 - other)[:, None, None] * (up_to(lowest) - until_met)
-        start = np.exp(-1j * (y + half)[..., None] * k_aside)
-        shares = (shares * (start * w_y[..., None])).sum(axis=1)
-        leaked += (lands * out)[:, None] * ahead * shares / width**2
+    outs = 1.0 - fresnel(sine / n_gap * over, n_gap, 1.0)
+    for ahead, aside in ((0, 1), (1, 0)):
+        turned = np.minimum(sine * over[aside] / sine_air, 1.0)[:, None]
+        near, far = landing(bench, foot, np.sqrt(1.0 - turned**2), turned)
+        a, b = ((tan_gap * over[axis])[:, None] for axis in (ahead, aside))
+        least = np.clip(gap - far * cot_air, 0.0, gap)
+        # not deeper than light that entered at the opposite wall
+        most = np.maximum(np.minimum(gap - near * cot_air, width / a), least)
+        other_met = np.clip(y / b, least, most)
+        k_ahead, k_aside = 2.0 * math.pi / width * signed.T[[ahead, aside]]
+        # exp(-i kappa (w - a t, y - b t)) = exp(-i k_aside y) exp(i turn t)
+        turn = (a * k_ahead + b * k_aside)[:, None, :]
+        over_t = _integral_of_wave(turn, least, other_met)
+        left = (1.0 - outs[aside])[:, None, None]
+        over_t = over_t + left * _integral_of_wave(turn, other_met, most)
+        start = np.exp(-1j * y[..., None] * k_aside)
+        over_foot = (over_t * (start * w_foot[..., None])).sum(axis=1)
+        leaked += (lands * outs[ahead])[:, None] * a * over_foot / width**2
     return leaked
+
+
+def _integral_of_wave(turn: Floats, low: Floats, high: Floats) -> _Array:
+    """Integral of exp(i turn t) over t between two depths; ``turn`` has one more axis, of waves."""
+    low, high = low[..., None], high[..., None]
+    if turn.shape[-1] == 1:  # the even wave alone
+        return high - low
+    safe = np.where(turn == 0.0, 1.0, 1j * turn)
+    waves = (np.exp(1j * turn * high) - np.exp(1j * turn * low)) / safe
+    return np.where(turn == 0.0, high - low, waves)
