@@ -214,42 +214,43 @@ class Session:
 
     def add(self, effects: Sequence[str], settings: Settings) -> None:
         """Switch more effects on and fit, beginning with the sizes that the diagnosis found."""
-        wanted = tuple(dict.fromkeys((*settings.effects, *effects)))
+        together = tuple(dict.fromkeys((*settings.effects, *effects)))
         diagnosed, sizes = self.state.diagnosed, dict[str, float]()
         if diagnosed is not None:
             for candidate in (*diagnosed.diagnosis.candidates, *diagnosed.diagnosis.pairs):
-                if set(candidate.effects) == set(wanted):
+                if set(candidate.effects) == set(together):
                     sizes = {n: estimate.value for n, estimate in candidate.parameters.items()}
                     break
-        more = replace(settings, effects=wanted, values={**settings.values, **sizes})
+        more = replace(settings, effects=together, values={**settings.values, **sizes})
         offered = self.model.live.controls.effects
         titles = ", ".join(offered[name][0].title for name in effects if name in offered)
         work = functools.partial(self._fit, more, settings)
         self.jobs.start(PageJob(f"add {' '.join(effects)}", f"adding {titles}", work))
 
-    def _fit(self, wanted: Settings, pressed: Settings) -> None:
-        self._make_ready(wanted.effects)
+    def _fit(self, asked: Settings, on_page: Settings) -> None:
+        """Simulate and fit what is asked for, and show it; as in `_take_fit`."""
+        self._make_ready(asked.effects)
         live, campaign = self.model.live, self.state.campaign
-        fitted, rest = live.controls.campaign_at(campaign, wanted)
-        fit = live.simulations_of(fitted).settled_fit(rest, wanted.values)
-        live.keep_anchor(wanted.effects, fit.model)
+        fitted, rest = live.controls.campaign_at(campaign, asked)
+        fit = live.simulations_of(fitted).settled_fit(rest, asked.values)
+        live.keep_anchor(asked.effects, fit.model)
         self.history.keep()
-        self._take_fit(fit, wanted, pressed, campaign)
+        self._take_fit(fit, asked, on_page, campaign)
 
     def _take_fit(
-        self,
-        fit: Calibration,
-        wanted: Settings,
-        pressed: Settings,
-        campaign: Campaign,
+        self, fit: Calibration, asked: Settings, on_page: Settings, campaign: Campaign
     ) -> None:
-        """Take over a fit of what was wanted; what was switched on since it was asked for stays."""
+        """Set the controls to a fit, and make it a step of the history.
+
+        A fit takes a while: effects that were switched on meanwhile, on now and not in `on_page`,
+        the controls when it began, stay on.
+        """
         now, controls = self.state.settings, self.model.live.controls
         values = {**now.values, **{n: fit.parameters[n].value for n in fit.names}}
-        fitted = replace(wanted, values=values, fit_scale=SCALE in fit.names)
+        fitted = replace(asked, values=values, fit_scale=SCALE in fit.names)
         step = FitStep(
             number=next(self._numbers),
-            asked=wanted,
+            asked=asked,
             settings=fitted,
             campaign=campaign,
             calibration=fit,
@@ -257,13 +258,13 @@ class Session:
             words=difference(
                 self._opened,
                 campaign,
-                wanted,
-                controls.known(wanted),
-                controls.with_effects(wanted.effects),
+                asked,
+                controls.known(asked),
+                controls.with_effects(asked.effects),
             ),
         )
-        since = (name for name in now.effects if name not in pressed.effects)
-        effects = tuple(dict.fromkeys((*wanted.effects, *since)))
+        switched_on = (name for name in now.effects if name not in on_page.effects)
+        effects = tuple(dict.fromkeys((*asked.effects, *switched_on)))
         self.history.set_controls(
             replace(fitted, effects=effects, known=now.known), steps=(*self.state.steps, step)
         )
@@ -402,8 +403,8 @@ class Session:
         for fit in kept["fits"][1:]:
             self.history.change(campaign=campaign(fit["readings"]))
             self._make_ready()
-            wanted = settings(fit["settings"])
-            self._fit(wanted, wanted)
+            asked = settings(fit["settings"])
+            self._fit(asked, asked)
         self.history.change(campaign=campaign(kept["readings"]))
         self._make_ready()
         steps, last = self.state.steps, settings(kept["settings"])

@@ -185,7 +185,7 @@ def follow_times(
     timed = _follow(simulation, bench, decay_ps, run)
     parts = _parts(bench, timed)
     return ArrivalTimes(
-        **_numbers(timed.cells, decay_ps),
+        **_numbers_of(timed.cells, decay_ps),
         decay_ns=decay_ns,
         detected=detected,
         first=distribution.first_of_event(timed.cells, decay_ps, detected, bench.births),
@@ -319,8 +319,11 @@ def _parts(bench: TimedBench, timed: _TimedPhotons) -> tuple[Part, ...]:
     return tuple(sorted(parts, key=lambda part: (part.name != bench.crystal, part is surroundings)))
 
 
-def _numbers(cells: distribution.TimeCells, decay_ps: float) -> dict[str, Any]:
-    """The histogram, and what is said of all light."""
+def _numbers_of(cells: distribution.TimeCells, decay_ps: float) -> dict[str, Any]:
+    """The fields of `ArrivalTimes` on all light: mean, rms, begin and rise in ps, and a histogram.
+
+    Errors are by the jackknife over groups of photons; what the cells' width adds is in them.
+    """
     (mean, rms), (mean_sigma, rms_sigma) = distribution.jackknife(
         distribution.mean_and_rms, cells.moments
     )
@@ -329,31 +332,30 @@ def _numbers(cells: distribution.TimeCells, decay_ps: float) -> dict[str, Any]:
         both = math.hypot(rms, decay_ps)
         mean, rms, rms_sigma = mean + decay_ps, both, rms_sigma * rms / both
     light = cells.emitted(cells.light.sum(axis=1), decay_ps)
-    latest = float(
+    latest_ps = float(
         distribution.quantiles(cells.edges_ps, light.sum(axis=0), np.array(SETTINGS.shown_part))
     )
-    edges = _round_edges(latest)
+    edges = _round_edges(latest_ps)
 
-    def all_at_once(light: Array) -> Array:
+    def rise_and_histogram(light: Array) -> Array:
         begin, end = distribution.quantiles(cells.edges_ps, light, np.array(SETTINGS.rise))
         part = np.diff(distribution.arrived_at(cells.edges_ps, light, edges))
         return np.array([begin, end - begin, *part])
 
     (begin, rise, *part), (begin_sigma, rise_sigma, *part_sigma) = distribution.jackknife(
-        all_at_once, light
+        rise_and_histogram, light
     )
-    values = np.array([mean, rms, begin, rise])
+    values = {"mean_ps": mean, "rms_ps": rms, "begin_ps": begin, "rise_ps": rise}
     sigmas = cells.with_cell_errors(
-        values, np.array([mean_sigma, rms_sigma, begin_sigma, rise_sigma])
+        np.array(list(values.values())), np.array([mean_sigma, rms_sigma, begin_sigma, rise_sigma])
     )
-    numbers: dict[str, Any] = {
+    return {
         "edges_ps": edges,
         "part": np.array(part),
         "part_sigma": np.array(part_sigma),
+        **{name: float(value) for name, value in values.items()},
+        **{f"{name}_sigma": float(s) for name, s in zip(values, sigmas, strict=True)},
     }
-    for name, value, sigma in zip(("mean", "rms", "begin", "rise"), values, sigmas, strict=True):
-        numbers |= {f"{name}_ps": float(value), f"{name}_ps_sigma": float(sigma)}
-    return numbers
 
 
 def _round_edges(latest_ps: float) -> Array:

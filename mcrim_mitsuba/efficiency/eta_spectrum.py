@@ -222,28 +222,35 @@ def _by_photons(plan: _Plan, run: Run) -> _Batches:
 
 
 def _means(light: EmittedLight, batches: Array) -> dict[str, float]:
-    """Means over the light, from (batches, wavelengths + 1) efficiencies, the mean's at the end."""
-    emission, efficiency = light.weights, float((light.weights * light.efficiency).sum())
-    emitted, at_mean = batches[:, :-1] @ emission, batches[:, -1]
-    detected = batches[:, :-1] @ (emission * light.efficiency)
-    # relative to their means, as the errors of products and quotients add
-    of_emitted, of_detected, of_mean = (
-        values / values.mean() for values in (emitted, detected, at_mean)
-    )
-    numbers = {
-        "eta_emitted": (emitted.mean(), of_emitted),
-        "eta_detected": (detected.mean() / efficiency, of_detected),
-        "efficiency_arriving": (detected.mean() / emitted.mean(), of_detected - of_emitted),
+    """Means over the emission spectrum, and their errors, by the names of `SpectralEta`.
+
+    `batches`, (batches, wavelengths + 1), are efficiencies; the last column is at the mean
+    wavelength.
+    """
+    efficiency = float((light.weights * light.efficiency).sum())
+    # (batches,): eta over the emission, eta times detector efficiency over it, eta at the mean
+    eta = batches[:, :-1] @ light.weights
+    detected = batches[:, :-1] @ (light.weights * light.efficiency)
+    at_mean = batches[:, -1]
+    # relative to their means, for the errors of quotients are those of the differences
+    off_eta, off_detected, off_at_mean = (x / x.mean() for x in (eta, detected, at_mean))
+    #: by name: the mean, and its batches' relative deviations
+    means = {
+        "eta_emitted": (eta.mean(), off_eta),
+        "eta_detected": (detected.mean() / efficiency, off_detected),
+        "efficiency_arriving": (detected.mean() / eta.mean(), off_detected - off_eta),
         "one_wavelength_off": (
             at_mean.mean() * efficiency / detected.mean(),
-            of_mean - of_detected,
+            off_at_mean - off_detected,
         ),
-        "eta_at_mean": (at_mean.mean(), of_mean),
+        "eta_at_mean": (at_mean.mean(), off_at_mean),
     }
-    means = {name: float(value) for name, (value, _) in numbers.items()}
-    means |= {f"{name}_sigma": float(value * _error(of)) for name, (value, of) in numbers.items()}
-    means["one_wavelength_off"] -= 1.0
-    return means | {"efficiency_emitted": efficiency}
+    numbers = {"efficiency_emitted": efficiency}
+    for name, (mean, off) in means.items():
+        numbers[name], numbers[f"{name}_sigma"] = float(mean), float(mean * _error(off))
+    # a quotient so far; by how much it is off is its difference to 1
+    numbers["one_wavelength_off"] -= 1.0
+    return numbers
 
 
 def _coefficients(scene: SceneFile, light: EmittedLight, wavelength_nm: float) -> Coefficients:

@@ -104,7 +104,7 @@ _SCENE_NODES = 5
 
 #: Of a simulation: scene, what differs from it, photons.
 _Identity = tuple[str, str, int]
-#: What the bench as it is rests on; all effects at once where a fit ended follow it.
+#: Key of the simulations of the bench as it is; all effects at once have theirs behind it.
 _PLAIN = ""
 
 
@@ -269,11 +269,11 @@ class ResponseMaker:
     # ---- responses ---------------------------------------------------------------------------
 
     def make(self, effects: Sequence[Effect], look: Collection[str] = ()) -> Responses:
-        """Responses of the bench as it is and of effects, those of the readings left out.
+        """Simulated responses of the campaign's bench, as it is and with each of the effects.
 
-        Effects named by `look` get a part of the photons; those that weight photons of the bench
-        as it is get as many as other effects. Raises InputError if a scene is not sound, leaks, or
-        cannot take an effect.
+        Effects that change no light, but how readings are read, need no simulation and are left
+        out. Those named by `look` get a part of the photons, for a first look. Raises InputError if
+        a scene is not sound, leaks, or cannot take an effect.
         """
         scene = self.campaign.scene
         # one without parameters that the scene has already is in all its simulations
@@ -330,7 +330,7 @@ class ResponseMaker:
         readings = self.campaign.measurements.readings
         named, runs = [], []
         for reading, own in zip(readings, configurations(self.campaign), strict=True):
-            # where an effect does nothing its edit would do something: it does not ask where it is
+            # without a liquid such effects do nothing, but their edits would change the scene
             idle = [each for each in physical if each.filled_only and not filled(own)]
             scene = self.campaign.scene
             for effect in physical:

@@ -52,8 +52,9 @@ Models = Callable[[tuple[str, ...]], Model]
 class Explanations:
     """The campaign with whatever effects are asked for, each set built and fitted once.
 
-    Around `scales` the priors of the scale, and of those of samples, lie; where the baseline has
-    them by default. Evidences of several campaigns compare where they are the same for all.
+    `scales` are values, by name, of the scale and of samples' own scales, around which their priors
+    lie; by default those of the baseline. Give the same to all where evidences of several campaigns
+    are compared.
     """
 
     def __init__(
@@ -384,7 +385,10 @@ def plausible_priors(effects: Iterable[Effect], model: Model) -> dict[str, tuple
 
 
 class Ranking:
-    """Explanations, sets of as many effects, by evidence: `order` has the likeliest first."""
+    """Sets of effects in the order of their evidence: `order` has the likeliest first.
+
+    All have as many effects: one, two, or one more than some that are there.
+    """
 
     def __init__(self, explanations: Explanations, sets: Iterable[tuple[str, ...]]) -> None:
         self._fits = {key: explanations.fit(key) for key in sets}

@@ -244,31 +244,14 @@ class ResponseModel:
         return latest
 
     def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
-        values, column = self._values(theta), self._column
-        at, common = self._at(values), values.get(EFFICIENCY_FACTOR, 1.0)
+        values = self._values(theta)
+        at = self._at(values)
         eta = np.exp(at.log_eta if self._shift is None else at.log_eta + self._shift)
-        eta_slopes = np.zeros((len(eta), len(self.free)))
-        for name, slopes in at.slopes.items():
-            if name in column:
-                eta_slopes[:, column[name]] = eta * slopes
-        # a transmittance is the efficiency itself, and no photomultiplier read it
-        light = self._of_light
-        scales = np.array([values[name] for name in self._named[SCALE]])
-        per_eta = np.where(light, common * scales, 1.0)
-        signal = per_eta * eta
-        signal_slopes = per_eta[:, None] * eta_slopes
-        for name, rows in self._lit_by.items():
-            signal_slopes[rows, column[name]] = common * eta[rows]
-        if EFFICIENCY_FACTOR in column:
-            signal_slopes[light, column[EFFICIENCY_FACTOR]] = (scales * eta)[light]
-        for name, reading in self._of_readings:
-            read, by_signal, by_value = reading(signal, values[name], self._measured)
-            signal = np.where(light, read, signal)
-            by_signal = np.where(light, by_signal, 1.0)
-            per_eta = per_eta * by_signal
-            signal_slopes = signal_slopes * by_signal[:, None]
-            if name in column:
-                signal_slopes[:, column[name]] += np.where(light, by_value, 0.0)
+        eta_slopes = self._over_parameters(
+            {name: eta * slopes for name, slopes in at.slopes.items()}
+        )
+        sent = self._sent(values, eta, eta_slopes)
+        signal, signal_slopes, per_eta = self._read(values, *sent)
         eta_errors = eta_sigma = None
         if covariance or check:
             eta_errors = eta[:, None] * errors_of(at.deviations)
@@ -284,6 +267,46 @@ class ResponseModel:
             interpolation_error=at.interpolation_error() * eta if check else None,
             eta_errors=eta_errors if covariance else None,
         )
+
+    def _over_parameters(self, slopes: Mapping[str, Array]) -> Array:
+        """(readings, free parameters) slopes of (readings,) ones by name; others are 0."""
+        columns = np.zeros((len(self.readings), len(self.free)))
+        for name, column in self._column.items():
+            columns[:, column] = slopes.get(name, 0.0)
+        return columns
+
+    def _sent(
+        self, values: Mapping[str, float], eta: Array, eta_slopes: Array
+    ) -> tuple[Array, Array, Array]:
+        """Signals that light sends out, their slopes, and d signal / d eta.
+
+        Scale times efficiency factor times eta; a transmittance is the efficiency itself, and no
+        photomultiplier read it.
+        """
+        light, common = self._of_light, values.get(EFFICIENCY_FACTOR, 1.0)
+        scales = np.array([values[name] for name in self._named[SCALE]])
+        per_eta = np.where(light, common * scales, 1.0)
+        slopes = per_eta[:, None] * eta_slopes
+        for name, rows in self._lit_by.items():
+            slopes[rows, self._column[name]] = common * eta[rows]
+        if EFFICIENCY_FACTOR in self._column:
+            slopes[light, self._column[EFFICIENCY_FACTOR]] = (scales * eta)[light]
+        return per_eta * eta, slopes, per_eta
+
+    def _read(
+        self, values: Mapping[str, float], signal: Array, slopes: Array, per_eta: Array
+    ) -> tuple[Array, Array, Array]:
+        """The same as they are read, by the effects of the readings one after the other."""
+        light = self._of_light
+        for name, reading in self._of_readings:
+            read, by_signal, by_value = reading(signal, values[name], self._measured)
+            signal = np.where(light, read, signal)
+            by_signal = np.where(light, by_signal, 1.0)
+            per_eta = per_eta * by_signal
+            slopes = slopes * by_signal[:, None]
+            if name in self._column:
+                slopes[:, self._column[name]] += np.where(light, by_value, 0.0)
+        return signal, slopes, per_eta
 
     def predict_many(self, thetas: Array) -> Array:
         values: dict[str, Array] = {n: np.array([v]) for n, v in self._held.items()}

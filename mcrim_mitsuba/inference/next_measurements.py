@@ -16,6 +16,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp, ndtr
@@ -119,59 +120,78 @@ def next_measurements(
     tuple of NextMeasurement
         The best first, at most ten, with the best two together among them.
     """
-    configurations = proposals.configurations
-    if not configurations:
+    if not proposals.configurations:
         return ()
     known = explanations.baseline.statistic.model.campaign.light_yield
     efficiency = known.detector_efficiency_sigma / known.detector_efficiency if known else 0.0
     cloud = _cloud(explanations, leading, hypotheses, proposals)
-    rises, pairs = cloud.rises(leading[: ADVICE.most_rivals])
-    readings = cloud.outcomes()
+    outcomes = cloud.outcomes()
     before, _, sure = cloud.left(np.zeros((1, len(cloud.weights))), efficiency)
 
-    def bought(places: tuple[int, ...]) -> tuple[float, float, float]:
-        told = np.sum([cloud.log_likelihood(readings, i) for i in places], axis=0)
+    def bought_by(places: tuple[int, ...]) -> _Bought:
+        told = np.sum([cloud.log_likelihood(outcomes, i) for i in places], axis=0)
         error, kept, probability = cloud.left(told, efficiency)
         fallen = 1.0 - error / before if cloud.yields is not None else 0.0
         doubt = (probability - sure) / max(1.0 - sure, 1e-9)
         worth = 0.5 * (fallen + doubt) / proposals.hours(*places)
-        return worth * kept**ADVICE.discount, error, probability
+        has_yield = known is not None and cloud.yields is not None
+        return _Bought(worth * kept**ADVICE.discount, error if has_yield else None, probability)
 
-    each: dict[tuple[int, ...], tuple[float, float, float]] = {
-        (i,): bought((i,)) for i in range(len(configurations))
-    }
-    best = sorted(each, key=lambda places: -each[places][0])
-    pairs_of_best = combinations([i for places in best[: ADVICE.together] for i in places], 2)
-    together = {(i, j): bought((i, j)) for i, j in pairs_of_best}
-    if together:
-        both = max(together, key=lambda places: together[places][0])
-        each[both] = together[both]
-    order = sorted(each, key=lambda places: -each[places][0])[: ADVICE.most]
+    bought = {(i,): bought_by((i,)) for i in range(len(proposals.configurations))}
+    best = sorted(bought, key=lambda places: -bought[places].worth)
+    best_single = [i for places in best[: ADVICE.together] for i in places]
+    pairs = {places: bought_by(places) for places in combinations(best_single, 2)}
+    if pairs:
+        best_pair = max(pairs, key=lambda places: pairs[places].worth)
+        bought[best_pair] = pairs[best_pair]
+    order = sorted(bought, key=lambda places: -bought[places].worth)[: ADVICE.most]
+    rises, rivals = cloud.rises(leading[: ADVICE.most_rivals])
     names = [" + ".join(effects) for effects in leading]
-    found = []
-    for places in order:
-        _, error, probability = each[places]
-        risen = rises[:, list(places)].sum(axis=1)
-        first, *second = (dict(configurations[i]) for i in places)
-        found.append(
-            NextMeasurement(
-                parameters=first,
-                separates=tuple(
-                    (names[a], names[b])
-                    for (a, b), rise in zip(pairs, risen, strict=True)
-                    if rise >= ADVICE.separated
-                ),
-                expected_delta_chi2=float(risen.mean()) if len(risen) else 0.0,
-                also=second[0] if second else None,
-                light_yield_sigma=error if known is not None and cloud.yields is not None else None,
-                probability=probability,
-                hours=proposals.hours(*places),
-                words="; and ".join(
-                    configuration_words(each, proposals.comments) for each in (first, *second)
-                ),
-            )
-        )
-    return tuple(found)
+    rivals_named = [(names[a], names[b]) for a, b in rivals]
+    return tuple(
+        _proposed(places, bought[places], proposals, rises, rivals_named) for places in order
+    )
+
+
+class _Bought(NamedTuple):
+    """What readings in one or two configurations would buy."""
+
+    #: Half the sum of the parts by which error and doubt fall, per hour, discounted.
+    worth: float
+    #: Relative error of the light yield that most outcomes leave; None where no yield is known.
+    light_yield_sigma: float | None
+    #: Mean probability of the explanation that would then be the likeliest.
+    probability: float
+
+
+def _proposed(
+    places: tuple[int, ...],
+    bought: _Bought,
+    proposals: MeasurementProposals,
+    rises: Array,
+    rivals: Sequence[tuple[str, str]],
+) -> NextMeasurement:
+    """Readings at the configurations of these places, as a proposal.
+
+    `rises`, (rivals, configurations), is the difference in chi2 by which a reading would separate
+    two explanations that are rivals.
+    """
+    risen = rises[:, list(places)].sum(axis=1)
+    first, *second = (dict(proposals.configurations[i]) for i in places)
+    return NextMeasurement(
+        parameters=first,
+        separates=tuple(
+            pair for pair, rise in zip(rivals, risen, strict=True) if rise >= ADVICE.separated
+        ),
+        expected_delta_chi2=float(risen.mean()) if len(risen) else 0.0,
+        also=second[0] if second else None,
+        light_yield_sigma=bought.light_yield_sigma,
+        probability=bought.probability,
+        hours=proposals.hours(*places),
+        words="; and ".join(
+            configuration_words(parameters, proposals.comments) for parameters in (first, *second)
+        ),
+    )
 
 
 @dataclass(frozen=True)

@@ -1,16 +1,17 @@
-"""What no effect of the catalogue explains: readings that are wrong, and what has no name.
+"""Causes that are no effect of the catalogue: wrong readings, and something without a name.
 
-Where the truth is in no catalogue, the best of many wrong effects fits, with a small error. Two
-kinds of rivals keep it honest, weighed by evidence with all effects.
+If what a bench lacks is in no catalogue, the best of many wrong effects may fit all the same, with
+an error that is much too small. So these causes are rivals of all effects, weighed by evidence as
+they are.
 
-The instrument: one, two or three readings are wrong, or two rows were exchanged. A bad reading has
-a further error of its own. To first order its evidence is a closed form, so that all sets of three
-are looked at; the best few are fitted.
+Wrong readings: one, two or three readings are wrong, or two rows were exchanged. A wrong reading
+has a further error of its own. To first order its evidence is a closed form, so that all sets of
+three are looked at; the best few are fitted.
 
-What has no name: a smooth function g of the configuration multiplies the predictions by exp(g). It
-is a Gaussian process (C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for Machine
-Learning, MIT Press 2006; for what models lack: M. C. Kennedy and A. O'Hagan, J. R. Statist. Soc. B
-63 (2001) 425) over index, mask, height, gap and whatever else differs between readings; its
+Something without a name: a smooth function g of the configuration multiplies the predictions by
+exp(g). It is a Gaussian process (C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for
+Machine Learning, MIT Press 2006; for what models lack: M. C. Kennedy and A. O'Hagan, J. R. Statist.
+Soc. B 63 (2001) 425) over index, mask, height, gap and whatever else differs between readings; its
 amplitude is learned from the misfit. No reading tells what g has in common to all: that much the
 light yield may be off, in the proportion that trials with effects left out of the catalogue show.
 """

@@ -113,39 +113,52 @@ class ErrorMatrices:
 
 
 class Weights:
-    """Weighs readings by the inverse of their covariance.
+    """Weighs readings by the inverse of their covariance C = D + sum of u u^T over its sources.
 
-    The covariance is diagonal but for what few sources add, S of them: u u^T each. Where these are
-    orthogonal, 1 / sqrt(1 + u u^T) takes from a vector a part of what it has along them, and no
-    matrix is needed. Few readings are weighed by a matrix all the same: it is faster.
+    D is diagonal, the errors that readings have alone. A source adds errors that readings share:
+    u, (used,), is what a mounting does to its readings, or an independent part of the simulation's
+    error. In units of sqrt(D) and for orthogonal u,
+
+        W = C^(-1/2) = 1 - sum of u u^T / (r (1 + r)),  r = sqrt(1 + u^T u)
+
+    so that no matrix is needed. Mountings are orthogonal, as no reading is in two; what the
+    simulation adds is taken after the mountings' W, and made orthogonal by its singular values. A
+    few readings, or what no parameter explains, are weighed by a matrix all the same.
     """
 
     def __init__(self, errors: ErrorMatrices) -> None:
         self.errors = errors
         self._matrix: Array | None = None
+        #: Of the covariance: what two minima with different ones differ by besides chi2.
+        self.log_determinant: float
         if errors.unexplained is not None or len(errors.variance) <= LINEAR.few_readings:
-            factor = np.linalg.cholesky(self.covariance)
-            self._matrix = np.linalg.inv(factor)
-            #: Of the covariance: what two minima with different ones differ by besides chi2.
-            self.log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
-            return
+            self._use_matrix()
+        else:
+            self._use_sources()
+
+    def _use_matrix(self) -> None:
+        factor = np.linalg.cholesky(self.covariance)
+        self._matrix = np.linalg.inv(factor)
+        self.log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
+
+    def _use_sources(self) -> None:
+        errors = self.errors
         # what no two readings share belongs to their own errors
         lone = np.count_nonzero(errors.simulated, axis=0) < 2
         variance = errors.variance + np.square(errors.simulated[:, lone]).sum(axis=1)
         self._root = 1.0 / np.sqrt(variance)
         shared = errors.shared * self._root
-        squares = np.bincount(errors.mountings, shared**2)
-        roots = np.sqrt(1.0 + squares)
+        of_mountings = np.bincount(errors.mountings, shared**2)
         mountings = csr_array((shared, (errors.mountings, np.arange(len(shared)))))
-        # (sources, used) directions and what is taken along them
+        #: (sources, used) orthogonal u, and their (sources,) 1 / (r (1 + r)).
         self._sources: list[tuple[Any, Array]] = []
         if shared.any():
-            self._sources = [(mountings, -1.0 / (roots * (1.0 + roots)))]
+            self._sources = [(mountings, _taken_along(of_mountings))]
         rest = self._taken(self._root * errors.simulated[:, ~lone].T, self._sources)
         _, sizes, directions = np.linalg.svd(rest, full_matrices=False)
-        self._sources.append((directions, 1.0 / np.sqrt(1.0 + sizes**2) - 1.0))
+        self._sources.append((sizes[:, None] * directions, _taken_along(sizes**2)))
         self.log_determinant = float(
-            np.log(variance).sum() + np.log1p(squares).sum() + np.log1p(sizes**2).sum()
+            np.log(variance).sum() + np.log1p(of_mountings).sum() + np.log1p(sizes**2).sum()
         )
 
     @cached_property
@@ -174,9 +187,16 @@ class Weights:
 
     @staticmethod
     def _taken(x: Array, sources: list[tuple[Any, Array]]) -> Array:
-        for directions, parts in sources:
-            x = x + (x @ directions.T * parts) @ directions
+        """(..., used) vectors without what they have along sources."""
+        for vectors, parts in sources:
+            x = x - (x @ vectors.T * parts) @ vectors
         return x
+
+
+def _taken_along(squares: Array) -> Array:
+    """1 / (r (1 + r)) of sources with these squared lengths; r = sqrt(1 + square)."""
+    roots = np.sqrt(1.0 + squares)
+    return np.asarray(1.0 / (roots * (1.0 + roots)), float)
 
 
 class Statistic:

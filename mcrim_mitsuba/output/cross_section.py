@@ -20,6 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 from scipy.ndimage import binary_erosion
 
 from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
@@ -47,6 +48,30 @@ _OTHER = "#777777"
 _CELL = 3
 #: Pixels of the space beside and above a label.
 _CLEAR = np.array([8, 4])
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Placing:
+    """How a label's place is chosen; lengths and penalties in cells of the grid."""
+
+    #: Targets and places that are tried at most: more are thinned out.
+    most_targets: int = 40
+    most_places: int = 5000
+    #: A leader is best that long, and at least so high: long enough to be seen, rather steep.
+    leader: float = 14.0
+    height: float = 10.0
+    #: Points of a leader, from its beginning to this part of it, that are looked at, and what each
+    #: costs that lies on a line or in a volume that is not meant.
+    points: int = 9
+    looked_at: float = 0.8
+    on_something: float = 20.0
+    #: What each cell of a photon's path under the label costs.
+    on_path: float = 0.7
+    #: Half the side of the square around a leader's end that other labels leave free.
+    around_end: int = 5
+
+
+_PLACING = _Placing()
 
 
 class SectionAxes:
@@ -169,49 +194,69 @@ class SectionAxes:
 
         It lies in `volume`, or (`beside`) in air too, with a leader. False if there is no place.
         """
-        targets = targets[:: len(targets) // 40 + 1] + 0.5 if beside else targets.mean(axis=0)[None]
+        if not len(targets):
+            return False
+        few = targets[:: len(targets) // _PLACING.most_targets + 1] + 0.5
+        targets = few if beside else targets.mean(axis=0)[None]
         room = ~self.taken & ((self.owner == volume) | (beside & (self.owner == 0)))
-        for text in texts if len(targets) else ():
-            artist = self.ax.text(
-                0,
-                0,
-                text,
-                size=10.5,
-                va="bottom",
-                parse_math=False,
-                zorder=6,
-                bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 1.0},
-            )
+        for text in texts:
+            artist = self._text(text)
             w, h = size = (artist.get_window_extent().size + 2 * _CLEAR).astype(int) // _CELL + 1
+            # lower left corners of rectangles that are free, (places, 1, 2)
             low = np.argwhere(_within(room, w, h) == w * h)[:, None, ::-1]
             if not len(low):
                 artist.remove()
                 continue
-            low = low[:: len(low) // 5000 + 1] if beside else low
+            low = low[:: len(low) // _PLACING.most_places + 1] if beside else low
             # from the point of the text's rectangle that is next to the target, or its middle
             start = np.clip(targets, low, low + size - 1) if beside else low + size / 2
             cost = np.linalg.norm(start - targets, axis=2)
-            if beside and leader:  # long enough to be seen, rather steep, across nothing else
-                cost = np.abs(cost - 14) + np.maximum(10 - np.abs(start - targets)[..., 1], 0)
-                for share in np.linspace(0, 0.8, 9):
-                    at = (start + share * (targets - start)).astype(int)
-                    at = at[..., 1], at[..., 0]
-                    cost += 20 * (self.taken[at] | ~np.isin(self.owner[at], (0, volume)))
-            # rather further away than on a path
-            cost = cost + 0.7 * _within(self.crossed, w, h)[low[..., 1], low[..., 0]]
+            if beside and leader:
+                cost = self._cost_of_leader(start, targets, volume)
+            on_paths = _within(self.crossed, w, h)[low[..., 1], low[..., 0]]
+            cost = cost + _PLACING.on_path * on_paths
             spot, target = np.unravel_index(cost.argmin(), cost.shape)
             (column, row), corner = low[spot, 0], low[spot, 0] + _CLEAR / _CELL
             ends = np.array([corner, start[spot, target], targets[target]]) * _CELL + self.box.p0
             corner, *link = self.ax.transData.inverted().transform(ends)
             artist.set_position(corner)
             if beside and leader:
-                self.line(np.array(link), INK, 0.8)
-                self.ax.plot(*link[1], "o", color=INK, markersize=4, markeredgecolor="white")
-                x, z = targets[target].astype(int)
-                self.taken[max(z - 5, 0) : z + 6, max(x - 5, 0) : x + 6] = True
+                self._draw_leader(np.array(link), targets[target].astype(int))
             self.taken[row : row + h, column : column + w] = True
             return True
         return False
+
+    def _text(self, text: str) -> Text:
+        """A label, not yet at its place."""
+        return self.ax.text(
+            0,
+            0,
+            text,
+            size=10.5,
+            va="bottom",
+            parse_math=False,
+            zorder=6,
+            bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 1.0},
+        )
+
+    def _cost_of_leader(self, start: np.ndarray, targets: np.ndarray, volume: int) -> np.ndarray:
+        """What leaders from (places, targets, 2) to (targets, 2) cells cost: (places, targets)."""
+        length = np.linalg.norm(start - targets, axis=2)
+        height = np.abs(start - targets)[..., 1]
+        cost = np.abs(length - _PLACING.leader) + np.maximum(_PLACING.height - height, 0)
+        for share in np.linspace(0, _PLACING.looked_at, _PLACING.points):
+            at = (start + share * (targets - start)).astype(int)
+            at = at[..., 1], at[..., 0]
+            meets = self.taken[at] | ~np.isin(self.owner[at], (0, volume))
+            cost += _PLACING.on_something * meets
+        return cost
+
+    def _draw_leader(self, link: np.ndarray, end: np.ndarray) -> None:
+        """Draw a leader (mm, shape (2, 2)) and keep the cells around its end, (2,), free."""
+        self.line(link, INK, 0.8)
+        self.ax.plot(*link[1], "o", color=INK, markersize=4, markeredgecolor="white")
+        (x, z), near = end, _PLACING.around_end
+        self.taken[max(z - near, 0) : z + near + 1, max(x - near, 0) : x + near + 1] = True
 
 
 def _within(cells: np.ndarray, wide: int, tall: int) -> np.ndarray:
