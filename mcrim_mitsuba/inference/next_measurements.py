@@ -137,9 +137,10 @@ def next_measurements(
         has_yield = known is not None and cloud.yields is not None
         return _Bought(worth * kept**ADVICE.discount, error if has_yield else None, probability)
 
-    bought = {(i,): bought_by((i,)) for i in range(len(proposals.configurations))}
+    single: list[tuple[int, ...]] = [(i,) for i in range(len(proposals.configurations))]
+    bought = {places: bought_by(places) for places in single}
     best = sorted(bought, key=lambda places: -bought[places].worth)
-    best_single = [i for places in best[: ADVICE.together] for i in places]
+    best_single = [place for (place,) in best[: ADVICE.together]]
     pairs = {places: bought_by(places) for places in combinations(best_single, 2)}
     if pairs:
         best_pair = max(pairs, key=lambda places: pairs[places].worth)

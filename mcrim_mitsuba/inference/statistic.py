@@ -148,7 +148,7 @@ class Weights:
         variance = errors.variance + np.square(errors.simulated[:, lone]).sum(axis=1)
         self._root = 1.0 / np.sqrt(variance)
         shared = errors.shared * self._root
-        of_mountings = np.bincount(errors.mountings, shared**2)
+        of_mountings = np.bincount(errors.mountings, shared**2).astype(float)
         mountings = csr_array((shared, (errors.mountings, np.arange(len(shared)))))
         #: (sources, used) orthogonal u, and their (sources,) 1 / (r (1 + r)).
         self._sources: list[tuple[Any, Array]] = []
