@@ -90,18 +90,31 @@ def _run_of(run: Run | None, *fields: Any) -> Run:
     return dataclasses.replace(run or Run(), **given)
 
 
-def _explained(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
-    """The function, which refuses a misspelt keyword as any other wrong input."""
-    names = inspect.signature(function).parameters
+_RAISES = """
+
+Raises
+------
+InputError
+    If a file or a value is wrong, a scene is not sound or lacks what is asked of it, readings do
+    not determine what is fitted, or a file cannot be written. It says in one line what is wrong,
+    where, and how to mend it.
+"""
+
+
+def _public(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
+    """The function, which says what it raises, and refuses a misspelt keyword in the same way."""
+    signature = inspect.signature(function).parameters
+    open_ended = any(p.kind is p.VAR_KEYWORD for p in signature.values())
 
     @functools.wraps(function)
     def refusing(*args: _Parameters.args, **given: _Parameters.kwargs) -> _Result:
-        for name in given:
-            if name not in names:
-                mend = did_you_mean(name, sorted({*_FIELDS_OF_RUN, *names}))
+        for name in () if open_ended else given:
+            if name not in signature:
+                mend = did_you_mean(name, sorted({*_FIELDS_OF_RUN, *signature}))
                 raise InputError(f"{name} is no field of a run", mend)
         return function(*args, **given)
 
+    refusing.__doc__ = inspect.cleandoc(function.__doc__ or "") + _RAISES
     return refusing
 
 
@@ -146,6 +159,7 @@ def _names(given: str | Sequence[str]) -> tuple[str, ...]:
 # ---------------------------------------------------------------- of a scene
 
 
+@_public
 def simulate(
     scene: Scene,
     *,
@@ -177,11 +191,6 @@ def simulate(
     LightResult
         Pictures ``arrival`` and ``fates`` follow its photons again, the first 4 million of more
         (none of the method ``modes``).
-
-    Raises
-    ------
-    InputError
-        If the scene is not sound, a parameter is wrong, or the method does not know such a bench.
     """
     from mcrim_mitsuba.efficiency.noise_free import refuse_method, solve_simulation
     from mcrim_mitsuba.efficiency.simulate import collect
@@ -197,6 +206,7 @@ def simulate(
     return LightResult(**fields, scene=file, run=run, simulation=simulation)
 
 
+@_public
 def eta_map(
     scene: Scene,
     *,
@@ -232,12 +242,6 @@ def eta_map(
     -------
     MapResult
         Picture ``map``; `to_xarray` gives the map.
-
-    Raises
-    ------
-    InputError
-        If the scene is not sound, a parameter is wrong, photons are too few, or a deposit is
-        outside the crystal.
     """
     from mcrim_mitsuba.efficiency.lighting import CELLS, all_spreads, map_eta
     from mcrim_mitsuba.output.scene_results import MapResult
@@ -249,6 +253,7 @@ def eta_map(
     return MapResult(**fields_of(mapped), gamma_spreads=all_spreads(mapped, depth_mm, deposits))
 
 
+@_public
 def eta_spectrum(
     scene: Scene,
     spectrum: str | Path,
@@ -287,12 +292,6 @@ def eta_spectrum(
     -------
     SpectrumResult
         Picture ``spectrum``; `to_xarray`.
-
-    Raises
-    ------
-    InputError
-        If a file or the scene is not sound, a parameter is wrong, photons cannot answer a
-        wavelength, or the method does not know such a bench.
     """
     from mcrim_mitsuba.efficiency.eta_spectrum import eta_over
     from mcrim_mitsuba.efficiency.noise_free import refuse_method, solve_benches
@@ -307,6 +306,7 @@ def eta_spectrum(
     return SpectrumResult(**fields_of(eta_over(file, light, solver=solver, run=run)))
 
 
+@_public
 def arrival_times(
     scene: Scene,
     *,
@@ -344,12 +344,6 @@ def arrival_times(
     -------
     TimesResult
         Picture ``times``; `to_xarray` gives the histogram.
-
-    Raises
-    ------
-    InputError
-        If the scene is not sound, a parameter is wrong, no light is detected, or a group index is
-        not known.
     """
     from mcrim_mitsuba.efficiency.arrival_times import follow_times
     from mcrim_mitsuba.output.scene_results import TimesResult
@@ -365,6 +359,7 @@ def arrival_times(
     return TimesResult(**fields_of(times))
 
 
+@_public
 def table(
     scene: Scene,
     *,
@@ -399,12 +394,6 @@ def table(
     -------
     TableResult
         Picture ``eta``; `to_xarray` gives eta over the axes.
-
-    Raises
-    ------
-    InputError
-        If the scene is not sound or lacks one of the parameters, a value is out of range, or the
-        method does not know such a bench.
     """
     from mcrim_mitsuba.efficiency.noise_free import noise_free_table, refuse_method
     from mcrim_mitsuba.efficiency.table import eta_table
@@ -424,6 +413,7 @@ def table(
     return TableResult(**fields, seconds=time.perf_counter() - start)
 
 
+@_public
 def check(
     scene: Scene,
     *,
@@ -455,6 +445,7 @@ def check(
     return CheckResult(**fields_of(report), scene=scene, overrides=parameters, run=run)
 
 
+@_public
 def crosscheck(
     scene: Scene,
     *,
@@ -477,11 +468,6 @@ def crosscheck(
         Mitsuba.
     **parameters
         Scene parameters that differ from the file's.
-
-    Raises
-    ------
-    InputError
-        If the scene is not sound, or of a form that the tracer does not know.
     """
     from mcrim_mitsuba.output.scene_results import CrosscheckResult
     from mcrim_mitsuba.reference.crosscheck import crosscheck as compare_programs
@@ -491,6 +477,7 @@ def crosscheck(
     return CrosscheckResult(**fields_of(compared), seed=run.seed)
 
 
+@_public
 def render(
     scene: Scene,
     *,
@@ -520,11 +507,6 @@ def render(
     -------
     output.photograph.Rendering
         With ``save(path)``; a notebook shows it.
-
-    Raises
-    ------
-    InputError
-        If the scene is not sound.
     """
     from mcrim_mitsuba.output.photograph import render as photograph
 
@@ -534,6 +516,7 @@ def render(
     return photograph(scene, parameters, samples=samples, run=run)
 
 
+@_public
 def add(
     effect: str,
     scene: Scene,
@@ -559,12 +542,6 @@ def add(
         Execute it; without, only files that were allowed before.
     **values
         Of the effect's parameters; the catalogue's start where not given.
-
-    Raises
-    ------
-    InputError
-        If the effect is not known, is one of the readings, or cannot be put into this scene; if
-        nobody has allowed the folder's Python to be executed.
     """
     from mcrim_mitsuba.effects.catalogue import add as text_with_effect
     from mcrim_mitsuba.effects.trust import execute_allowed
@@ -581,7 +558,7 @@ def add(
 # ---------------------------------------------------------------- of a campaign
 
 
-@_explained
+@_public
 def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) -> ReductionResult:
     """Reduce a campaign's raw data, every step with its errors.
 
@@ -596,11 +573,6 @@ def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) ->
     ReductionResult
         With ``readings``, ``efficiency``, ...; pictures are its ``kinds``: ``histograms``,
         ``spectra``, ``transmittance``.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be used or written, or if the campaign has no raw data.
     """
     from mcrim_mitsuba.campaign.editor import reduce as reduce_campaign
     from mcrim_mitsuba.output.campaign_results import ReductionResult
@@ -615,7 +587,7 @@ def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) ->
     )
 
 
-@_explained
+@_public
 def calibrate(
     campaign: str | Path | Campaign,
     *,
@@ -642,11 +614,6 @@ def calibrate(
     FitResult
         Fitted parameters are fields, ``fit.light_yield_ph_per_keV``, and stand in
         ``fit.parameters``. Pictures ``readings``, ``profiles`` and ``budget``.
-
-    Raises
-    ------
-    InputError
-        If a file is wrong, a scene is not sound, or the readings do not determine the parameters.
     """
     from mcrim_mitsuba.inference.calibrate import calibrate as fit_campaign
     from mcrim_mitsuba.output.campaign_results import FitResult
@@ -691,7 +658,7 @@ def compare(
 ) -> HypothesesResult: ...
 
 
-@_explained
+@_public
 def compare(
     campaign: str | Path | Campaign,
     *others: str | Path | Campaign,
@@ -705,8 +672,6 @@ def compare(
     check: bool | None = None,
 ) -> ComparisonResult | HypothesesResult:
     """A campaign beside its model, or hypotheses on the same readings side by side.
-
-    Errors as for `calibrate`.
 
     Parameters
     ----------
@@ -735,7 +700,7 @@ def compare(
     return ComparisonResult.of(compare_campaign(campaign, run=run), campaign)
 
 
-@_explained
+@_public
 def diagnose(
     campaign: str | Path | Campaign,
     *,
@@ -751,8 +716,6 @@ def diagnose(
     check: bool | None = None,
 ) -> DiagnosisResult:
     """Which effects of the catalogue explain a campaign's misfit.
-
-    Errors as for `calibrate`.
 
     Parameters
     ----------
@@ -776,7 +739,7 @@ def diagnose(
     return DiagnosisResult.of(diagnosed, campaign)
 
 
-@_explained
+@_public
 def repair(
     campaign: str | Path | Campaign,
     output: str | Path | None = None,
@@ -811,11 +774,6 @@ def repair(
     RepairResult
         With ``effects`` (what was added), ``campaign_path``, ``scene_path``, the fitted
         parameters, and all of `diagnose`; pictures ``staircase`` and ``readings``.
-
-    Raises
-    ------
-    InputError
-        As for `diagnose`, or if the files cannot be written.
     """
     from mcrim_mitsuba.inference.repair import repair as repair_campaign
     from mcrim_mitsuba.output.campaign_results import RepairResult
@@ -826,7 +784,7 @@ def repair(
     return RepairResult.of(repaired, campaign)
 
 
-@_explained
+@_public
 def budget(
     campaign: str | Path | Campaign,
     *,
@@ -869,11 +827,6 @@ def budget(
     -------
     BudgetResult
         With ``contributions``, ``neglected``, ``totals``, ...; picture ``neglected``.
-
-    Raises
-    ------
-    InputError
-        As for `calibrate`, or if a material or a spectrum is wrong.
     """
     from mcrim_mitsuba.inference.budget import budget as budget_of
     from mcrim_mitsuba.output.campaign_results import BudgetResult
@@ -897,7 +850,7 @@ def budget(
     return BudgetResult.of(errors, campaign)
 
 
-@_explained
+@_public
 def plan(
     campaign: str | Path | Campaign,
     wanted: Number,
@@ -934,11 +887,6 @@ def plan(
     -------
     PlanResult
         With ``cheapest``, ``plans``, ...; picture ``plan``.
-
-    Raises
-    ------
-    InputError
-        As for `calibrate`.
     """
     from mcrim_mitsuba.inference.plan import plan as plan_measurement
     from mcrim_mitsuba.output.campaign_results import PlanResult
@@ -963,7 +911,7 @@ def plan(
     return PlanResult(**fields_of(planning), title=campaign.title, seed=run.seed)
 
 
-@_explained
+@_public
 def report(
     campaign: str | Path | Campaign,
     output: str | Path,
@@ -993,11 +941,6 @@ def report(
     -------
     ReportResult
         With ``path``, and what `repair` gives.
-
-    Raises
-    ------
-    InputError
-        As for `diagnose`, or if the file cannot be written.
     """
     from mcrim_mitsuba.output.campaign_results import ReportResult
     from mcrim_mitsuba.output.report import report as write_report
