@@ -115,6 +115,7 @@ def _line(line: Table1Line) -> tuple[float, float]:
 
 @styled
 def _efficiency_figure(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) -> Figure:
+    """Eta over the scattering coefficient, ours beside the points of the article's Table 1."""
     figure = canvas()
     axes = figure.add_subplot()
     for curve in curves:
@@ -175,6 +176,7 @@ def draw_ratio(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Dr
 
 @styled
 def _ratio_figure(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Figure:
+    """The ratio of the signals over the scattering coefficient, and the measured one as a band."""
     figure = canvas()
     axes = figure.add_subplot()
     ratio, error = p.RATIO.value, p.RATIO.stated_sigma
@@ -290,6 +292,7 @@ def _draw_explanations(axes: Axes, contradiction: Contradiction) -> None:
 
 
 def _legend(axes: Axes, place: str, unpolarised: str, *further: Line2D) -> None:
+    """A legend of what both figures have in common, and of `further` entries."""
     handles = [
         Line2D([], [], color=GREY, lw=2.2, label="Mitsuba, polarisation followed"),
         Patch(label="its Monte Carlo error, ±2σ", **_BAND),
@@ -355,6 +358,7 @@ def _name_curve(axes: Axes, line: Table1Line, height: float) -> None:
 
 
 def _scattering_axis(axes: Axes) -> None:
+    """The range of scattering coefficients that the article scans, as a logarithmic axis."""
     axes.set_xscale("log")
     axes.set_xlim(p.SCANNED_FROM.value * 0.95, p.SCANNED_TO.value * 1.05)
     axes.xaxis.set_major_locator(FixedLocator(_TICKS))

@@ -105,6 +105,7 @@ class Table1Line:
 
 
 def _table_1(transmittance: str, alpha_abs: str, alpha_scat: str, air: str, gel: str) -> Table1Line:
+    """A line of the article's Table 1, of its printed texts."""
     return Table1Line(
         transmittance_percent=printed(transmittance, "Table 1", "%"),
         alpha_abs_per_cm=printed(alpha_abs, "Table 1", "1/cm"),

@@ -216,6 +216,7 @@ def described(result: ArticleResult, folder: str) -> Description:
 
 
 def _tables(rows: tuple[ArticleRow, ...]) -> Iterator[Part]:
+    """A table for each section of the article, its remarks below it."""
     for section in dict.fromkeys(row.section for row in rows):
         shown = [row for row in rows if row.section == section]
         cells = (

@@ -384,6 +384,7 @@ def to_json(raw: RawData) -> dict[str, Any]:
 
 
 def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
+    """Where a reading comes from: every histogram with its peak, and their mean."""
     mountings = [
         {
             "file": mounting.file,
@@ -406,6 +407,7 @@ def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
 
 
 def _absorption_json(absorption: ReducedAbsorption) -> dict[str, Any]:
+    """Absorption by the transmittance, of every orientation and of all."""
     entry, value = absorption.entry, absorption.found
     return {
         **attributes(value, "alpha_abs_per_cm sigma contributions"),

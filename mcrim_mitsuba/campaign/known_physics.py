@@ -121,6 +121,7 @@ class KnownCrystal:
         return replace(self, refused=self.refused | refused)
 
     def _reason_against(self, name: str, campaign: Campaign) -> str | None:
+        """Why a piece of known physics is not put into the model; None where it can be."""
         has = name in (*campaign.effects, *campaign.known_physics)
         if has or campaign.catalogue[name].is_in(campaign.scene):
             return _IN_THE_MODEL

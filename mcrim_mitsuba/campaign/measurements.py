@@ -360,6 +360,7 @@ class _Cells(dict[str, str]):
         return InputError(problem, mend, **self.place(name))
 
     def _histogram(self) -> Path | None:
+        """The file of the histogram that gives the signal; None for a row with numbers."""
         name = self.get(_HISTOGRAM)
         if not name:
             if _HISTOGRAM in self and not self.get("signal"):
@@ -379,6 +380,7 @@ class _Cells(dict[str, str]):
         return path
 
     def _signal(self, kind: str) -> tuple[float, float]:
+        """Signal and standard error, both above 0."""
         signal, sigma = self.number("signal"), self.number("sigma")
         if signal <= 0:
             problem = f"signal = {signal:g}, but a {_SIGNALS[kind]} is above 0"
@@ -390,6 +392,7 @@ class _Cells(dict[str, str]):
         return signal, sigma
 
     def _window(self, histogram: Path | None) -> tuple[float, float] | None:
+        """The part of the histogram that a peak is fitted in; None where the row gives none."""
         given = [name for name in _WINDOW if self.get(name)]
         if not given:
             return None
@@ -405,6 +408,7 @@ class _Cells(dict[str, str]):
         return low, high
 
     def _group(self) -> tuple[str | None, float | None]:
+        """The mounting that is shared with other readings, and its relative error; or None of both."""
         group = self.get("group")
         if not group:
             if self.get("group_sigma"):
@@ -420,6 +424,7 @@ class _Cells(dict[str, str]):
     def _parameters(
         self, scene_parameters: Mapping[str, Value] | None, kind: str
     ) -> dict[str, Value]:
+        """Scene parameters of the row, without those of the bench that a beam has not."""
         parameters: dict[str, Value] = {}
         for name, cell in self.items():
             if name in _FORMAT:

@@ -129,6 +129,7 @@ def with_numbers(document: TomlDocument, numbers: Mapping[str, float]) -> TomlDo
 
 
 def _read_transmittance(table: TomlTable) -> TransmittanceEntry | None:
+    """What is measured of the transmittance; None where the table has no raw entries."""
     if not _has(table, "transmittance", schema.TRANSMITTANCE, _PRIOR):
         return None
     files, value, sigma = _measured(table)
@@ -182,6 +183,7 @@ def _measured(table: TomlTable) -> tuple[tuple[Path, ...], float | None, float]:
 
 
 def _read_efficiency(table: TomlTable) -> EfficiencyEntry | None:
+    """The spectra that give the detector's efficiency; None where the table names none."""
     emission, curve, scale = schema.EFFICIENCY
     for name, other in ((emission, curve), (curve, emission)):
         if name in table and other not in table:
@@ -198,6 +200,7 @@ def _read_efficiency(table: TomlTable) -> EfficiencyEntry | None:
 
 
 def _read_gammas(table: TomlTable, light_yield: TomlTable) -> GammasEntry | None:
+    """What tells how deep gammas go; None where the table names no crystal."""
     name, density = schema.GAMMAS
     if not _has(table, name, schema.GAMMAS, _PRIOR):
         return None
@@ -242,6 +245,7 @@ def file_in(table: TomlTable, name: str, given: Any) -> Path:
 
 
 def _above_zero(table: TomlTable, name: str, what: str) -> float:
+    """A number that must be there and above 0; `what` says it to the reader."""
     value = table.number(name)
     if value is None:
         # thickness_cm for thickness_mm

@@ -290,6 +290,7 @@ def _notes_on(reduced: ReducedReading) -> Iterator[str]:
 
 
 def _mounting(table: Measurements, row: Reading, file: Path, shape: str) -> Mounting:
+    """A histogram with the peak that was fitted in it."""
     histogram = read_histogram(file)
     try:
         peak = fit_peak(histogram.photons, histogram.counts, shape=shape, window=row.window)
@@ -388,6 +389,7 @@ def _numbers(document: TomlDocument, raw: RawData) -> dict[str, float]:
 
 
 def _files(raw: RawData) -> Iterator[RawFile]:
+    """All raw files with what they are and their SHA-256."""
     # spectra first: where a report has no room for all of them, histograms are cut
     named: list[tuple[str, Path]] = []
     if raw.efficiency is not None:

@@ -126,6 +126,7 @@ def _completed(reading: Reading, samples: Mapping[str, Sample], scene: SceneFile
 def _read_sample(
     document: TomlDocument, name: str, scene: SceneFile, measurements: Measurements
 ) -> Sample:
+    """One ``[samples.NAME]``: its scene parameters, its own parameters, its light yield."""
     key = f"{schema.SAMPLES}.{name}"
     document.table(key, schema.SAMPLE)
     parameters = document.table(f"{key}.parameters")

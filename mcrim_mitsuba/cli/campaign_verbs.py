@@ -76,6 +76,7 @@ def calibrate(campaign, figure, json_file, work) -> None:
 
 
 def _after_calibration(campaign: str, fit) -> str:
+    """What to do next, by whether the model describes the readings."""
     from mcrim_mitsuba.output.sentences import fails
 
     if fails(fit):
@@ -114,6 +115,7 @@ def compare(campaigns, figure, json_file, work) -> None:
 
 
 def _after_hypotheses(compared) -> str:
+    """What to do next, by the verdict on the hypotheses."""
     from mcrim_mitsuba.inference.judgement import AMBIGUOUS, UNEXPLAINED
     from mcrim_mitsuba.output.sentences import most_apart
 
@@ -127,6 +129,7 @@ def _after_hypotheses(compared) -> str:
 
 
 def _after_comparison(campaign: str, measurements: Path, comparison) -> str:
+    """What to do next, by what is suspected."""
     from mcrim_mitsuba.output.sentences import fails, together
 
     diagnose = showing.command("diagnose", campaign)
@@ -169,6 +172,7 @@ def diagnose(campaign, figure, json_file, work, without, only) -> None:
 
 
 def _after_diagnosis(campaign: str, diagnosis) -> str:
+    """What to do next, by the verdict and by what is proposed."""
     from mcrim_mitsuba.inference.judgement import ADEQUATE, AMBIGUOUS, MISSING_EFFECT
 
     path = Path(campaign)

@@ -459,6 +459,7 @@ class Work:
 
     @contextlib.contextmanager
     def _executor(self) -> Iterator[Executor]:
+        """Who does the units: a Dask cluster, a part of an array job, or this process."""
         if self.cluster is not None and self.part is not None:
             problem = "--cluster and --unit are two ways to share the work out"
             raise InputError(problem, "give one of them")

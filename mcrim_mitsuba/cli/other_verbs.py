@@ -66,6 +66,7 @@ def _refuse_other_verbs(
 
 
 def _refuse_missing(units: UnitFolder, command: dict) -> None:
+    """Refuse to merge an array job before all of its parts are done."""
     missing = units.missing()
     if missing:
         named = ", ".join(map(str, missing[:_MOST_NAMED]))

@@ -363,6 +363,7 @@ class _Stream(io.TextIOWrapper):
 
     @contextlib.contextmanager
     def _judged(self) -> Iterator[None]:
+        """Let errors of output pass as they are meant: a reader that left ends it in silence."""
         try:
             yield
         except OSError as error:

@@ -69,6 +69,7 @@ class Run:
     check: bool = True
 
     def __post_init__(self) -> None:
+        """Turn what was given into plain numbers, and refuse what no run can have."""
         photons, seed = arguments_of(1 if self.photons is None else self.photons, self.seed)
         taken: dict[str, float] = {"seed": seed}
         if self.photons is not None:

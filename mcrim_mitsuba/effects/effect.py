@@ -92,6 +92,7 @@ class EffectParameter:
     plausible_beside: Callable[[np.ndarray], tuple[float, float]] | None = None
 
     def __post_init__(self) -> None:
+        """Refuse (ValueError) what makes no sense in a catalogue, before anything is simulated."""
         if not _NAME.fullmatch(self.name):
             raise ValueError(f"the parameter's name {self.name!r} is not letters, digits and _")
         if "--" in self.meaning:
@@ -249,6 +250,7 @@ class Effect:
         return bool(names) and all(name in scene.parameters for name in names)
 
     def __post_init__(self) -> None:
+        """Refuse (ValueError) what makes no sense, and let a reading's function take three arguments."""
         if not _NAME.fullmatch(self.name):
             raise ValueError(f"the name {self.name!r} is not letters, digits and _")
         acts = (self.edit, self.weight, self.colours, self.reading)

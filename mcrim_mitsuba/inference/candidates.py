@@ -261,30 +261,33 @@ def upper_limits(explanations: Explanations) -> dict[str, Limit]:
 
 
 def _limit(explanations: Explanations, effect: str, name: str) -> Limit:
-    """What the profile of one parameter of an effect says of its size."""
+    """What the profile of one parameter of an effect says of its size.
+
+    The limit is where the profile is 95 % above the model without the effect, which is its value
+    where the effect is absent: at an end of the range (then the limit has one side), inside of it
+    (two), or beyond an end (then models are not nested, and the whole effect may be excluded).
+    """
     fit, baseline = explanations.fit((effect,)), explanations.baseline
     absent, bounds = explanations.absent(effect)[name], fit.statistic.parameter(name)
-    below, above = absent > bounds.minimum, absent < bounds.maximum
-    theta, least = _lowest(explanations, fit, explanations.absent(effect))
-    # not nested where the range ends before the effect is absent
+    may_be_less, may_be_more = absent > bounds.minimum, absent < bounds.maximum
     nested = bounds.minimum <= absent <= bounds.maximum
-    rise = (0.0 if nested else min(baseline.chi2 - least, 0.0)) + (
-        RISE_95 if below and above else ONE_SIDED_95
-    )
-    always = all(p.absent is None for p in explanations.effects[effect].parameters)
-    excluded = always and rise <= 0.0
-    # even the best value is refused where the range ends before the effect is absent
-    value = float(theta[fit.statistic.index(name)])
-    ends: tuple[float | None, float | None] = (value, value)
-    if rise > 0.0:
+    theta, least = _lowest(explanations, fit, explanations.absent(effect))
+    rise = RISE_95 if may_be_less and may_be_more else ONE_SIDED_95
+    if not nested:
+        rise += min(baseline.chi2 - least, 0.0)
+    never_absent = all(p.absent is None for p in explanations.effects[effect].parameters)
+    excluded = never_absent and rise <= 0.0
+    lower: float | None
+    upper: float | None
+    lower = upper = float(theta[fit.statistic.index(name)])
+    if rise > 0.0:  # else even the best value is refused
         walk = ProfileWalk(fit.statistic, fit.weights, theta, least, name, TO_LIMITS)
-        ends = walk.crossings(rise)
-    lower, upper = ends
+        lower, upper = walk.crossings(rise)
     return Limit(
         parameter=name,
         absent=absent,
-        lower=None if excluded or not below else -math.inf if lower is None else lower,
-        upper=None if excluded or not above else math.inf if upper is None else upper,
+        lower=None if excluded or not may_be_less else -math.inf if lower is None else lower,
+        upper=None if excluded or not may_be_more else math.inf if upper is None else upper,
         delta_chi2=baseline.chi2 - fit.chi2,
         excluded=excluded,
     )

@@ -326,6 +326,11 @@ def find_trends(fit: Minimum) -> tuple[Trend, ...]:
 
 
 def _trend(fit: Minimum, name: str, levels: tuple, which: np.ndarray, tried: int) -> Trend:
+    """How much chi2 falls if predictions have a factor for each level of one parameter.
+
+    `which`, (used,), is the level of every reading, -1 without one. Where levels are too many for
+    the degrees of freedom, the factor is linear in their number.
+    """
     predicted = fit.signal[fit.statistic.used]
     factors = predicted[:, None] * (which[:, None] == np.arange(len(levels)))
     if len(levels) - 1 > max(fit.ndf // 2, 1):

@@ -94,6 +94,7 @@ def places_of(
 
 
 def _same_bench(reading: dict[str, Value], mapped: Any, free: set[str]) -> bool:
+    """Whether a reading's bench is that of a map, `free` parameters left out."""
     for name in (reading.keys() & mapped.keys()) - free:
         one, other = reading[name], mapped[name]
         numbers = not any(isinstance(value, str | bool) for value in (one, other))

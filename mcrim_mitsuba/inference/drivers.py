@@ -135,10 +135,11 @@ class Minimum:
         prediction = statistic.model.predict(theta)
         slopes = prediction.signal_slopes[statistic.used]
         whitened = weights.whiten(slopes.T)
+        # half the first and second derivatives of chi2 along each parameter: which bound stopped it
+        half_slopes = (theta - statistic.prior) * statistic.prior_weight
+        half_slopes -= whitened @ weights.whiten(statistic.residuals(prediction))
         curvatures = (whitened**2).sum(axis=1) + statistic.prior_weight
-        rise = (theta - statistic.prior) * statistic.prior_weight
-        rise -= whitened @ weights.whiten(statistic.residuals(prediction))
-        sides = tuple(map(statistic.side, range(len(theta)), theta, curvatures, rise))
+        sides = tuple(map(statistic.side, range(len(theta)), theta, curvatures, half_slopes))
         return cls(statistic, theta, chi2, weights, prediction.signal, slopes, converged, sides)
 
     @property

@@ -488,7 +488,11 @@ class Curve:
 
 
 def curve_of(explanations: Explanations, effect: str, frame: BaselineFrame) -> Curve:
-    """An effect's curve around the baseline fit."""
+    """How an effect displaces the readings from the baseline fit, as its size grows.
+
+    Its profile is fitted to readings that the baseline predicts exactly, so that all that moves is
+    the effect, and what the other parameters do to follow it.
+    """
     added = (effect,)
     statistic = explanations.statistic(added)
     centre = frame.fit.values
@@ -497,7 +501,7 @@ def curve_of(explanations: Explanations, effect: str, frame: BaselineFrame) -> C
     own = [statistic.index(n) for n in explanations.free_parameters(added, effect)]
     prior[own] = statistic.prior[own]
     ideal = statistic.against(frame.statistic.signal, prior)
-    if not own:
+    if not own:  # on or off
         theta, _, _ = newton(ideal, statistic.theta(centre), frame.fit.weights, steps=4)
         point = frame.displacement(statistic, theta)
         return Curve(point[None], np.empty((0, 2), int), False, 0)

@@ -285,6 +285,7 @@ def _of_scale(campaign: Campaign) -> tuple[float | None, ...]:
 
 
 def _refuse_other_readings(first: Campaign, other: Campaign) -> None:
+    """Refuse campaigns that are not of the same readings, which cannot be compared."""
     ours, theirs = first.measurements, other.measurements
     mend = "let both campaigns name the same measurements"
     for one, another in zip_longest(ours.readings, theirs.readings):

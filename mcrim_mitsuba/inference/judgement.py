@@ -148,6 +148,7 @@ class Judgement:
     def _of_leading(
         self, leading: tuple[tuple[str, ...], ...], best: Minimum, pairs: Ranking | None
     ) -> Verdict:
+        """The verdict where explanations lead: one is missing, several cannot be told apart."""
         p = best.p_value
         quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
         quality += f" ({p_equals(p)})" if p is not None else ""
@@ -246,6 +247,7 @@ def explains(fit: Minimum, level: float) -> bool:
 
 
 def _of_suspects(suspects: tuple[Suspect, ...]) -> Verdict:
+    """The verdict where wrong readings explain the misfit better than physics."""
     others = f", or {suspects[1].words}" if len(suspects) > 1 else ""
     return Verdict(
         UNEXPLAINED,

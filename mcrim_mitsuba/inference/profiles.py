@@ -184,6 +184,7 @@ class ProfileWalk:
         return (low, high) if first <= last else (high, low)
 
     def _value(self, x: float) -> float:
+        """The parameter at a searched coordinate; at a wall the bound itself, without rounding."""
         statistic, place = self._statistic, self.place
         for bound, wall in zip(statistic.bounds, statistic.walls, strict=True):
             if x == wall[place]:

@@ -137,11 +137,13 @@ class Weights:
             self._use_sources()
 
     def _use_matrix(self) -> None:
+        """Weigh by the inverse of the covariance's factor, (used, used)."""
         factor = np.linalg.cholesky(self.covariance)
         self._matrix = np.linalg.inv(factor)
         self.log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
 
     def _use_sources(self) -> None:
+        """Weigh by the sources one after the other, without any matrix."""
         errors = self.errors
         # what no two readings share belongs to their own errors
         lone = np.count_nonzero(errors.simulated, axis=0) < 2
@@ -326,6 +328,7 @@ class Statistic:
         return chain
 
     def _beyond_arithmetic(self) -> InputError:
+        """The error of readings so unlike that no number can hold their chi2."""
         measured = self.model.campaign.measurements
         low, high = (side(measured.in_use, key=lambda r: r.signal / r.sigma) for side in (min, max))
         return InputError(

@@ -52,28 +52,18 @@ def main_peak(values: Array, counts: Array) -> Found | None:
 
     Bin centres ascend, all bins of one width.
     """
-    # these take half a second to import
-    from scipy.ndimage import gaussian_filter1d
-    from scipy.signal import find_peaks, peak_widths
-
-    # as smooth as needed for neighbours to agree within their errors
-    for smoothing in _SMOOTHINGS:
-        smooth = gaussian_filter1d(counts, smoothing, mode="nearest")
-        tops, properties = find_peaks(smooth, prominence=1e-9)
-        if not len(tops):
-            return None
-        widths, _, _, _ = peak_widths(smooth, tops, 0.5)
-        if smoothing >= 0.15 * widths[np.argmax(widths)] or smoothing == _SMOOTHINGS[-1]:
-            break
+    smooth, smoothing, tops, widths, prominences = _smoothed_peaks(counts)
+    # Poisson's, of counts that a Gaussian has smoothed
     noise = np.sqrt(np.maximum(smooth[tops], 1.0) / (2 * math.sqrt(math.pi) * smoothing))
-    clear = properties["prominences"] > _STANDS_OUT * noise
+    clear = prominences > _STANDS_OUT * noise
     if not clear.any():
         return None
-    tops, areas = tops[clear], (properties["prominences"] * widths)[clear]
+    tops, areas = tops[clear], (prominences * widths)[clear]
     main = np.flatnonzero(areas >= _LARGE * areas.max())[-1]
     top, bin_width = tops[main], values[1] - values[0]
     height, half_width = _half_width(smooth, top)
     width = max(2.0 * half_width / FWHM, 1.0) * bin_width
+    # the valleys: within four widths below, and on the way to the next peak above
     below = np.arange(max(0, top - math.ceil(4 * width / bin_width)), top + 1)
     low = below[np.argmin(smooth[below])]
     high = top + np.argmin(smooth[top : tops[main + 1]]) if main + 1 < len(tops) else top
@@ -88,6 +78,25 @@ def main_peak(values: Array, counts: Array) -> Found | None:
         low_level=float((smooth[low] - base) / height) if low > 0 else 0.0,
         high_level=float((smooth[high] - base) / height) if high > top else 0.0,
     )
+
+
+def _smoothed_peaks(counts: Array) -> tuple[Array, float, Array, Array, Array]:
+    """Counts, smoothed until neighbours agree within their errors, with their peaks.
+
+    Smoothed counts and the smoothing in bins, the first that is not small against the widest peak;
+    of all peaks the place and the full width at half height, in bins, and the prominence.
+    """
+    # these take half a second to import
+    from scipy.ndimage import gaussian_filter1d
+    from scipy.signal import find_peaks, peak_widths
+
+    for smoothing in _SMOOTHINGS:
+        smooth = gaussian_filter1d(counts, smoothing, mode="nearest")
+        tops, properties = find_peaks(smooth, prominence=1e-9)
+        widths = peak_widths(smooth, tops, 0.5)[0]
+        if smoothing >= 0.15 * widths.max(initial=0.0):
+            break
+    return smooth, smoothing, tops, widths, properties["prominences"]
 
 
 def _half_width(smooth: Array, top: int) -> tuple[float, int]:

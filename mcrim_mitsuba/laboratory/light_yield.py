@@ -335,6 +335,7 @@ def _crystal(
 
 
 def _with_error(table: TomlTable, name: str) -> tuple[float, float]:
+    """A quantity above 0 and its standard error, which must be there too."""
     sigma_name = f"{name}_sigma"
     value, sigma = table.number(name), table.number(sigma_name)
     if value is None:

@@ -102,6 +102,7 @@ def _likely(fits: dict[str, Peak | None]) -> str:
 
 
 def _check(values: Array, shape: str, window: tuple[float, float] | None, whole: bool) -> None:
+    """Refuse a shape that is not known or not for such bins, and a window beyond the histogram."""
     if shape not in SHAPES:
         raise InputError(f"'{shape}' is no shape of a peak", f"give one of {', '.join(SHAPES)}")
     if shape == COUNTING and not whole:

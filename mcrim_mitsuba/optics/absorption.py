@@ -374,6 +374,7 @@ def _refuse_numbers(
     n_sigma: float,
     thickness_sigma_mm: float,
 ) -> None:
+    """Refuse transmittances, a thickness or errors that no measurement can have."""
     for value in numbers:
         if not 0 < value <= 1:
             raise InputError(

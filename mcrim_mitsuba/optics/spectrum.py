@@ -95,6 +95,7 @@ class Spectrum:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        """Take the arrays as float64, and refuse those that are no curve."""
         arrays = []
         for name in ("wavelength_nm", "values", "sigmas"):
             if (given := getattr(self, name)) is not None:

@@ -317,6 +317,7 @@ def _columns(table: DataTable) -> tuple[int, int, int | None]:
 
 
 def _refuse_foreign(table: DataTable, value: int, kind: Kind) -> None:
+    """Refuse a column that its name, unit or a comment calls something else than is wanted."""
     name = table.names[value] if table.names else ""
     foreign = _FOREIGN[kind].search(name)
     wanted, mend = _WANTED[kind]

@@ -108,6 +108,7 @@ def contributions(estimate: ParameterEstimate) -> list[tuple[str, str, float]]:
 
 
 def _draw_contributions(axes: Axes, name: str, estimate: ParameterEstimate) -> None:
+    """A parameter's errors by origin as bars, in per cent where the value is above its error."""
     axes.set_title(style.parameter_title(name), loc="left", fontsize=11)
     if estimate.at_bound is not None:
         axes.text(0.02, 0.5, estimate_text(estimate), transform=axes.transAxes, color=style.GREY)

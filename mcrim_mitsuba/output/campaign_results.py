@@ -356,6 +356,7 @@ class PlanResult(Result, Planning):
         }
 
     def _plan(self, plan: Plan | None) -> Document | None:
+        """A plan with its configurations spelled out, as ``--json`` writes it."""
         if plan is None:
             return None
         return {

@@ -319,6 +319,7 @@ def _size(candidate: JsonObject) -> str:
 
 
 def _simulation(document: JsonObject) -> Rows:
+    """Eta, the fates with their errors, photons and the scene's parameters in one row."""
     row = document.row("eta", "eta_sigma")
     fates, sigmas = document.object("budget"), document.object("budget_sigma")
     for name in fates.content:
@@ -439,6 +440,7 @@ def netcdf_bytes(data: xarray.Dataset) -> bytes:
 
 
 def _grid(table: ResultTable) -> xarray.Dataset:
+    """Eta over the axes of the tables, NaN at points that a table does not have."""
     import pandas
 
     names = list(table.provenance)
@@ -459,6 +461,7 @@ def _variables(rows: Sequence[Row], dimension: str, prefix: str = "") -> dict[st
 
 
 def _array(cells: Sequence[Cell]) -> np.ndarray:
+    """Cells as an array of texts, flags, whole numbers or floats that NetCDF 3 can hold."""
     if any(isinstance(cell, str) for cell in cells):
         return np.array(["" if cell is None else str(cell) for cell in cells])
     if all(isinstance(cell, bool) for cell in cells):

@@ -447,6 +447,7 @@ def _end(fate: str, trapped: bool, points: np.ndarray | None = None) -> dict[str
 
 
 def _handles(paths: tuple[DrawnTrail, ...], shares: dict[str, float]) -> list[Line2D]:
+    """The legend's entries: birth, and every fate with its share of the light."""
     handles = [Line2D([], [], label="birth", **_BIRTH)] if paths else []
     for fate in ordered(shares):
         style, percent = fate_style(fate), 100 * shares[fate]

@@ -209,6 +209,7 @@ def wrapped(content: str, width: int) -> str:
 
 
 def _lines(content: str, width: int) -> Iterator[str]:
+    """A text in lines of at most `width` columns; those of a list are indented."""
     if width >= UNLIMITED or cell_len(content) <= width:
         yield content
         return
@@ -325,6 +326,8 @@ def _html_line(line: Sentence) -> Markup:
 
 
 def _html_table(given: Table) -> Markup:
+    """A table as HTML."""
+
     def line(tag: str, texts: Iterable[str], strong: bool = False) -> Markup:
         cells = (
             Markup('<{} style="text-align:{}{}{}">{}</{}>').format(

@@ -289,6 +289,7 @@ def _nothing_tried(diagnosis: Diagnosis) -> Figure:
 
 
 def _handles(leading: int, threshold: bool) -> list[Artist]:
+    """The legend's entries: what bars are that lead, and what the dashed line is."""
     handles: list[Artist] = []
     if leading:
         words = "leading: the data cannot tell these apart" if leading > 1 else "leading"

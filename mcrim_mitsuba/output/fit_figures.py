@@ -365,6 +365,7 @@ def draw_profiles(profiles: Sequence[Profile]) -> style.Drawing:
 
 
 def _draw(axes: Axes, profile: Profile) -> None:
+    """One profile with its parabola, its prior, its bounds and the levels of its intervals."""
     # the curve, and a little beyond a bound that cuts it off
     low, high = (float(value) for value in profile.values[[0, -1]])
     margin = 0.05 * (high - low) or profile.sigma

@@ -167,6 +167,7 @@ def _draw_steps(axes: Axes, histogram: Histogram, colour: str) -> None:
 
 
 def _label(name: str, peak: Peak | None) -> str:
+    """What a histogram is called, and its peak in numbers."""
     name = style.shortened(name, 40)
     if peak is None:
         return f"{name}: no peak stands out"

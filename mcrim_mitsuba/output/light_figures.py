@@ -178,6 +178,7 @@ def _end_of_light(light: Light) -> float:
 
 
 def _finish_angular(axes: Axes, lights: Lights) -> None:
+    """Axes and legend of light by its angle, with the largest angle after refraction."""
     axes.set_xlabel("angle to the detector's normal, in the window (°)")
     axes.set_ylabel("detected light\n(10⁻³ of the emitted light per degree)")
     axes.set(xlim=(0, 90), xticks=range(0, 91, 15), ylim=(0, None))
@@ -351,6 +352,7 @@ def draw_times(times: ArrivalTimes) -> style.Drawing:
 
 
 def _draw_histogram(axes: Axes, times: ArrivalTimes) -> None:
+    """Arrival times as a histogram, with their mean and rise."""
     unit, per = ("ns", 1000.0) if times.edges_ps[-1] > _LONG_PS else ("ps", 1.0)
     edges = times.edges_ps / per
     percent, sigma = 100.0 * times.part, 100.0 * times.part_sigma
@@ -381,6 +383,7 @@ def _draw_histogram(axes: Axes, times: ArrivalTimes) -> None:
 
 
 def _draw_first(axes: Axes, times: ArrivalTimes) -> None:
+    """When the first photons of an event arrive, by where its light is born."""
     number = np.arange(1, len(times.first[0].mean_ps) + 1)
     for photons, (colour, marker, shift) in zip(times.first, _OF_BIRTHS, strict=False):
         axes.errorbar(

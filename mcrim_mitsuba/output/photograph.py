@@ -503,6 +503,7 @@ def _panel(
     direction: tuple[float, float, float],
     margins: tuple[float, float, float, float],
 ) -> Photo:
+    """A photograph that shows all of `points`, at its place on the sheet."""
     left, top, width, height = (round(sheet.scale * value) for value in place)
     return Photo(framed(points, direction, _FIELD_DEG, width, height, margins), left, top)
 
@@ -540,6 +541,7 @@ class Photograph:
 
     @functools.cached_property
     def _developed(self) -> tuple[NDArray[np.uint8] | None, str]:
+        """The pixels that the process drew, and why there are none."""
         png, complaint = self._process.communicate()
         if self._process.returncode != 0:
             words = complaint.decode(errors="replace").strip() or "the process that draws it ended"

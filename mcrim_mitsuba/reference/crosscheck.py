@@ -146,6 +146,7 @@ def _solved(bench: Bench) -> BoxEfficiency | None:
 def _row(
     quantity: str, ours: SimulationResult, reference: TracerResult, solved: BoxEfficiency | None
 ) -> CrosscheckRow:
+    """Eta or a fate by both programs, with the difference in standard errors."""
     if quantity == "eta":
         a, sigma_a = ours.eta, ours.eta_sigma
         b, sigma_b = reference.eta, reference.eta_sigma

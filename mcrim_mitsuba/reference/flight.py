@@ -113,6 +113,7 @@ def birth_positions(
 
 
 def _in_box(bench: Bench, rng: np.random.Generator, count: int) -> Floats:
+    """(3, count) births in a crystal, mm: evenly, or near the top or a side."""
     width, height = bench.crystal_diameter_mm or bench.crystal_width_mm, bench.height_mm
     position = rng.random((3, count))
     if bench.side_depth_mm < math.inf:
@@ -488,7 +489,11 @@ class Flights:
     def _meet_from_air(
         self, flock: Flock, who: Indices, body: Place, face: Indices, arrival: Floats
     ) -> None:
-        """Let photons outside of a body, in air or in liquid without end, meet its face."""
+        """Let photons outside of a body, in air or in liquid without end, meet its face.
+
+        `who` are the indices of the (m,) photons, `face` the faces, `arrival`, (3, m) in mm, where
+        they get to them.
+        """
         position, normal = self._layout.bodies[body].snap(arrival, face)
         ahead = self._layout.within(body, face, position)
         self._meet(flock, who, body, face, position, -normal, ahead)

@@ -626,6 +626,7 @@ class Layout:
 
 
 def _bodies(bench: Bench) -> dict[Place, HalfSpaceBody]:
+    """The bench's bodies by their places; of a beam's bench the crystal alone."""
     crystal, gap = _crystal_and_gap(bench)
     if bench.beam_diameter_mm is not None:
         return {Place.CRYSTAL: crystal}
@@ -641,6 +642,7 @@ def _bodies(bench: Bench) -> dict[Place, HalfSpaceBody]:
 
 
 def _crystal_and_gap(bench: Bench) -> tuple[HalfSpaceBody, HalfSpaceBody]:
+    """The crystal in its form, standing or lying, and the gap below it with its collar."""
     half, height = bench.crystal_width_mm / 2.0, bench.height_mm
     entrance, collar = -bench.gap_thickness_mm, bench.narrow_collar_height_mm
     if bench.crystal_diameter_mm is not None:

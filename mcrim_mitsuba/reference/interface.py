@@ -482,6 +482,11 @@ class AbsorbingFilm(NamedTuple):
         return np.abs(reflected) ** 2, transmitted
 
     def _solved(self, cos_in: Floats) -> tuple[Complexes, Floats]:
+        """Reflected amplitudes and transmittances of s and p polarised light, (2, n) each.
+
+        By the film's characteristic matrix (F. Abelès), with admittances n cos of s polarised light
+        and n / cos of p polarised light.
+        """
         sine = self.n_window * np.sqrt(1.0 - np.square(cos_in))
         cosines = [np.sqrt(1.0 - (sine / n) ** 2 + 0j) for n in (self.film_index, 1.0)]
         delta = 2.0 * np.pi * self.wavelengths * self.film_index * cosines[0]

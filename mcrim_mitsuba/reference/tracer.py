@@ -221,6 +221,7 @@ class _Waiting:
 
 
 def _histories(detected: list[Floats]) -> DetectedHistories:
+    """What is recorded of all detected photons, of the arrays of every flight."""
     *record, cosine, radius = np.concatenate(detected, axis=1)
     return DetectedHistories(
         scatterings=record[Record.SCATTERINGS].astype(np.int32),

@@ -127,6 +127,7 @@ class ClusterExecutor(HandingExecutor):
         return max(LEAST_AHEAD, AHEAD * sum(worker["nthreads"] for worker in workers))
 
     def submit(self, unit: WorkItem) -> Future:
+        """Hand a unit out; see `Executor.submit`."""
         import distributed
 
         sent = pickled(unit.portable())
@@ -140,6 +141,7 @@ class ClusterExecutor(HandingExecutor):
     def finished(
         self, out: Mapping[Future, int], jobs: Sequence[Job], track: Track
     ) -> Iterable[Future]:
+        """Wait for `LOOK_S` seconds at most; a cluster that is gone is refused, see `_lost`."""
         import distributed
 
         try:
@@ -162,6 +164,7 @@ class ClusterExecutor(HandingExecutor):
             self._client.cancel(futures, force=True)
 
     def result(self, future: Future, job: Job) -> dict[int, Content]:
+        """What a worker sent; what went wrong there is said as it would be said here."""
         import dask
         import distributed
 

@@ -237,11 +237,14 @@ class HandingExecutor(Executor):
         raise NotImplementedError
 
     def finished(self, out: Mapping[Any, int], jobs: Sequence[Job], track: Track) -> Iterable[Any]:
-        """Wait for results; none where there is none for a while."""
+        """Wait until something is done: the futures that are, of `out`, or none after a while.
+
+        `out` has the place of each one's job among `jobs`; `track` is told why nothing comes.
+        """
         raise NotImplementedError
 
     def result(self, future: Any, job: Job) -> dict[int, Content]:
-        """What came back."""
+        """What a future that is done brought back; an error that a user can mend as InputError."""
         raise NotImplementedError
 
     def give_up(self, futures: Sequence[Any]) -> None:

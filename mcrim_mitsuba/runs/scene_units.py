@@ -62,6 +62,7 @@ class PortableScene:
 
 @functools.lru_cache(maxsize=4)
 def _unpacked(sent: PortableScene) -> SceneFile:
+    """A scene that was sent, written into a folder of this process and read again."""
     folder = Path(_scratch().name) / sent.content_hash
     for place, content in (("scene.xml", sent.text), *sent.files):
         (folder / place).parent.mkdir(parents=True, exist_ok=True)

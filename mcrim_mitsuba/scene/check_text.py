@@ -260,6 +260,7 @@ def _problems_of_faces(file: SceneFile) -> list[SceneProblem]:
 def _problems_of_dielectric(
     file: SceneFile, element: etree._Element, shape: str
 ) -> list[SceneProblem]:
+    """Indices of a dielectric that the scene does not write, or that no medium has."""
     written = {child.get("name"): child for child in element}
     who = f"bsdf {element.get('id')!r}" if element.get("id") else f"the bsdf of {shape}"
     problems = []

@@ -142,6 +142,7 @@ def _names_in(node: Node) -> set[str]:
 
 
 def _refuse_liquids(derived: SceneFile, editor: SceneEditor) -> None:
+    """Refuse a beam's scene in which a shape still touches a liquid."""
     for shape in shape_elements(derived):
         indices = indices_of(derived, shape)
         if indices is not None and is_filled(min(indices)):

@@ -195,6 +195,7 @@ def _refuse_duplicates(files: tuple[str, ...]) -> None:
 
 
 def _notes(combined, outliers: list[str]) -> list[str]:
+    """What the reader must know of the mean of several mountings."""
     notes = list(combined.warnings)
     if outliers:
         notes.append(f"outlier: {', '.join(outliers)}")

@@ -158,6 +158,7 @@ def _budget_json(budget: ErrorBudget) -> dict:
 
 
 def _yield_json(light) -> dict:
+    """A light yield and its errors, as ``--json`` writes them."""
     return attributes(
         light,
         light_yield_ph_per_keV="value",

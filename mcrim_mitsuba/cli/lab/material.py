@@ -316,6 +316,7 @@ def _as_in_scenes(
 
 
 def _catalogue(wavelength_nm: float) -> VerbResult:
+    """All materials with their indices at a wavelength; None beyond a formula's range."""
     from mcrim_mitsuba.optics.materials import MATERIALS
 
     indices = {
