@@ -408,7 +408,7 @@ class _Cells(dict[str, str]):
         return low, high
 
     def _group(self) -> tuple[str | None, float | None]:
-        """The mounting that is shared with other readings, and its relative error; or None of both."""
+        """The mounting that readings share, and its relative error; None of both without one."""
         group = self.get("group")
         if not group:
             if self.get("group_sigma"):

@@ -250,7 +250,7 @@ class Effect:
         return bool(names) and all(name in scene.parameters for name in names)
 
     def __post_init__(self) -> None:
-        """Refuse (ValueError) what makes no sense, and let a reading's function take three arguments."""
+        """Refuse (ValueError) what makes no sense; a function of the reading gets all arguments."""
         if not _NAME.fullmatch(self.name):
             raise ValueError(f"the name {self.name!r} is not letters, digits and _")
         acts = (self.edit, self.weight, self.colours, self.reading)

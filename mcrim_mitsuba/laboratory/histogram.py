@@ -10,8 +10,10 @@ import math
 import re
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.data_table import DataTable, read_data_table
 from mcrim_mitsuba.core.descent import Array
@@ -80,7 +82,7 @@ def main_peak(values: Array, counts: Array) -> Found | None:
     )
 
 
-def _smoothed_peaks(counts: Array) -> tuple[Array, float, Array, Array, Array]:
+def _smoothed_peaks(counts: Array) -> tuple[Array, float, NDArray[Any], Array, Array]:
     """Counts, smoothed until neighbours agree within their errors, with their peaks.
 
     Smoothed counts and the smoothing in bins, the first that is not small against the widest peak;
