@@ -6,6 +6,7 @@ nothing is approximated but what lies between the nodes, where log(eta) is a pol
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -33,6 +34,12 @@ if TYPE_CHECKING:
 BATCHES = 32
 #: Smallest exponent: what is below cannot be seen, and subnormal numbers take long.
 _LEAST_LOG = np.float32(-80.0)
+#: Nodes of a grid in alpha_scat, at least and per length of its logarithm, and in alpha_abs, one
+#: and per length of its own.
+_FINE_NODES = 17, (2.9, (3.0, 1.35))
+_COARSE_NODES = 7, (1.35, (2.0, 0.85))
+#: Largest and smallest offset of alpha_abs.
+_OFFSET_PER_CM, _LEAST_OFFSET_PER_CM = 0.02, 0.001
 
 
 @dataclass(frozen=True)
@@ -41,11 +48,32 @@ class Grid:
 
     alpha_scat_range_per_cm: tuple[float, float]
     alpha_abs_range_per_cm: tuple[float, float]
-    #: Nodes in alpha_scat and in alpha_abs.
-    counts: tuple[int, int]
+    #: With fewer nodes, for what effects add.
+    coarse: bool = False
 
-    #: Added to alpha_abs before its logarithm is taken: light meets other losses besides.
-    OFFSET_PER_CM = 0.02
+    @cached_property
+    def counts(self) -> tuple[int, int]:
+        """Nodes in alpha_scat and in alpha_abs: what lies between them is right to 1e-4.
+
+        Light that is trapped until it scatters is a_s / (a_s + a_a) of itself, which has poles pi
+        beside the real axis of log(a_s): how fast polynomials converge is a matter of the range's
+        length over pi.
+        """
+        low, high = np.log(self.alpha_scat_range_per_cm)
+        ends = self.place_of_absorption(np.array(self.alpha_abs_range_per_cm))
+        lengths = high - low, ends[1] - ends[0]
+        least, (a_s, a_a) = _COARSE_NODES if self.coarse else _FINE_NODES
+        scattering = max(least, math.ceil(a_s * lengths[0]))
+        return scattering, math.ceil(a_a[0] + a_a[1] * lengths[1])
+
+    @cached_property
+    def offset_per_cm(self) -> float:
+        """Added to alpha_abs before its logarithm is taken.
+
+        Light meets other losses besides, and scattering; where it scatters less than this, the
+        poles of what is trapped come near the range.
+        """
+        return min(max(self.alpha_scat_range_per_cm[0], _LEAST_OFFSET_PER_CM), _OFFSET_PER_CM)
 
     @cached_property
     def scattering(self) -> Lagrange:
@@ -55,18 +83,18 @@ class Grid:
 
     @cached_property
     def absorption(self) -> Lagrange:
-        """In log(alpha_abs + `OFFSET_PER_CM`)."""
-        low, high = np.log(np.array(self.alpha_abs_range_per_cm) + self.OFFSET_PER_CM)
+        """In log(alpha_abs + `offset_per_cm`)."""
+        low, high = self.place_of_absorption(np.array(self.alpha_abs_range_per_cm))
         return Lagrange(chebyshev_nodes(low, high, self.counts[1]))
 
     def coefficients_per_cm(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """alpha_scat (nodes, 1) and alpha_abs (1, nodes)."""
-        alpha_abs = np.exp(self.absorption.nodes) - self.OFFSET_PER_CM
+        alpha_abs = np.exp(self.absorption.nodes) - self.offset_per_cm
         return np.exp(self.scattering.nodes)[:, None], alpha_abs[None, :]
 
     def place_of_absorption(self, alpha_abs_per_cm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Where absorptions lie on the axis of `absorption`."""
-        return np.asarray(np.log(alpha_abs_per_cm + self.OFFSET_PER_CM), np.float64)
+        return np.asarray(np.log(alpha_abs_per_cm + self.offset_per_cm), np.float64)
 
     def weights_at(
         self, alpha_scat_per_cm: NDArray[np.float64], alpha_abs_per_cm: NDArray[np.float64]

@@ -37,6 +37,7 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     table_of,
 )
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
+from mcrim_mitsuba.efficiency.reweighting import choose_proposals
 from mcrim_mitsuba.efficiency.surface import chebyshev_nodes
 from mcrim_mitsuba.optics.slab_transmittance import measured_transmittance, transmittance
 from mcrim_mitsuba.runs.cache import code_hash, record_versions
@@ -69,19 +70,16 @@ _PROPOSALS_PER_CM = (0.05, 0.12, 0.25, 0.45, 0.8, 1.4, 2.5, 4.5)
 _SHARES = (1, 2, 3, 3, 3, 2, 1, 1)
 _RANGE_PER_CM = (0.05, 5.0)
 #: The same where transmittances are among the readings.
-_BEAM_RANGE_PER_CM, _BEAM_COUNTS = (0.002, 5.0), ((23, 6), (11, 4))
+_BEAM_RANGE_PER_CM = 0.002, 5.0
 _BEAM_PROPOSALS_PER_CM = (0.003, 0.012, 0.04, 0.12, 0.3, 0.6, 1.3, 3.5)
 _BEAM_SHARES = (2, 2, 2, 2, 3, 2, 2, 1)
-#: The same where a fit goes beyond these: as far as eta is ever worked out.
+#: Ends of the range where a fit goes beyond these: as far as eta is ever worked out.
 _WIDE_RANGE_PER_CM = (0.0005, 10.0)
-_WIDE_COUNTS = ((29, 6), (13, 4))
-_WIDE_PROPOSALS_PER_CM = (0.001, 0.004, 0.016, 0.06, 0.2, 0.6, 1.7, 5.0)
 #: Part of `_RANGE_PER_CM` where a campaign's start may lie.
 _STARTS_PER_CM = (0.15, 1.7)
 _ABSORPTION_PER_CM = (0.003, 0.15)
 #: How far below an absorption that is asked for the grid reaches, and its outermost ends, 1/cm.
 _LEAST_REACH, _LEAST_ABSORPTION_PER_CM, _MOST_ABSORPTION_PER_CM = 3.0, 1e-3, 2.0
-_FINE, _COARSE = (17, 6), (7, 4)
 #: Scene parameter that is the radius of the hole in a mask, and a radius (in window widths) that
 #: leaves all of a square window open.
 APERTURE, WINDOW, _OPEN = "aperture_radius_mm", "window_width_mm", 2.0
@@ -180,16 +178,26 @@ def _within(wanted: _Wanted, angle_deg: float) -> _Wanted:
 _Pairs = dict[tuple[int, ...], tuple[_Wanted, _Wanted]]
 
 
+class Beyond(NamedTuple):
+    """At which ends of the usual range of alpha_scat a fit goes beyond it."""
+
+    low: bool = False
+    high: bool = False
+
+
+_WITHIN = Beyond()
+
+
 class ResponseMaker:
     """Makes the responses of a campaign's readings, effect by effect.
 
     The photons of `run` are those of a simulation with an effect in the scene; those as the bench
     is get `PLAIN_FACTOR` times as many. Its precision does not matter. `what` is its name in
-    progress. A `wide` range of alpha_scat is for fits that go beyond the usual one.
+    progress. The range of alpha_scat goes on beyond the usual lower or higher end where a fit does.
     """
 
     def __init__(
-        self, campaign: Campaign, run: Run, what: str = "simulation", *, wide: bool = False
+        self, campaign: Campaign, run: Run, what: str = "simulation", *, beyond: Beyond = _WITHIN
     ) -> None:
         self.campaign, self._what = campaign, what
         units = min(max(round(run.photons_or(EFFECT_PHOTONS) / LANES), 1), _MOST_PHOTONS // LANES)
@@ -197,7 +205,7 @@ class ResponseMaker:
         self._look_photons = max(round(LOOK_PART * units), 1) * LANES
         self._plain_photons = min(PLAIN_FACTOR * units * LANES, _MOST_PHOTONS)
         self._run = run
-        self.grid, self.coarse, self._proposals = _coverage(campaign, wide)
+        self.grid, self.coarse, self._proposals = _coverage(campaign, beyond)
         self._open_mask = _has_open_mask(campaign.scene)
         light = campaign.spectrum
         self._colours = None if light is None else light.colours(_MOST_COLOURS)
@@ -721,7 +729,7 @@ def _acceptance_as_effect(campaign: Campaign) -> Effect:
     return replace(FORWARD_BEAM, name=ACCEPTANCE, parameters=(by_angle,))
 
 
-def _coverage(campaign: Campaign, wide: bool) -> tuple[Grid, Grid, ScatteringProposals]:
+def _coverage(campaign: Campaign, beyond: Beyond) -> tuple[Grid, Grid, ScatteringProposals]:
     """Grids and proposals that cover what a campaign may ask for.
 
     Most campaigns get the same, so that the cache serves them all.
@@ -734,17 +742,14 @@ def _coverage(campaign: Campaign, wide: bool) -> tuple[Grid, Grid, ScatteringPro
         factor = float(f"{starts[0] / USUAL_ALPHA_SCAT_PER_CM:.1g}")
     least, most = _RANGE_PER_CM
     scattering = (factor * least, factor * most)
-    fine, coarse, drawn, shares = _FINE, _COARSE, _PROPOSALS_PER_CM, _SHARES
+    drawn, shares = _PROPOSALS_PER_CM, _SHARES
     low, high = _ABSORPTION_PER_CM
     if campaign.beam or (len(starts) > 1 and not usual):
         # a transmittance may allow next to no losses, and the readings of light much scattering;
         # crystals may be as unlike
-        scattering, (fine, coarse) = _BEAM_RANGE_PER_CM, _BEAM_COUNTS
-        factor, drawn, shares = 1.0, _BEAM_PROPOSALS_PER_CM, _BEAM_SHARES
+        scattering, drawn, shares = _BEAM_RANGE_PER_CM, _BEAM_PROPOSALS_PER_CM, _BEAM_SHARES
+        factor = 1.0
         low = _LEAST_ABSORPTION_PER_CM
-    if wide:
-        scattering, (fine, coarse) = _WIDE_RANGE_PER_CM, _WIDE_COUNTS
-        factor, drawn, shares = 1.0, _WIDE_PROPOSALS_PER_CM, _BEAM_SHARES
     of_all = _of_all(campaign, ALPHA_ABS)
     own = [known.start for known in of_all]
     if ALPHA_ABS not in campaign.parameters:
@@ -768,7 +773,13 @@ def _coverage(campaign: Campaign, wide: bool) -> tuple[Grid, Grid, ScatteringPro
     while high < min(highest, _MOST_ABSORPTION_PER_CM):
         high *= 2.0
     proposals = ScatteringProposals(tuple(factor * a for a in drawn), shares, low)
-    return Grid(scattering, (low, high), fine), Grid(scattering, (low, high), coarse), proposals
+    if any(beyond):
+        ends = zip(beyond, _WIDE_RANGE_PER_CM, scattering, strict=True)
+        least, most = (outermost if goes else usual for goes, outermost, usual in ends)
+        scattering = min(least, scattering[0]), max(most, scattering[1])
+        proposals = choose_proposals(*scattering, low, units=sum(shares))
+    absorption = low, high
+    return Grid(scattering, absorption), Grid(scattering, absorption, coarse=True), proposals
 
 
 def _of_all(campaign: Campaign, name: str) -> list[CampaignParameter]:

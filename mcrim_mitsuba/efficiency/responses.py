@@ -34,7 +34,7 @@ class Point:
         found: dict[tuple[float, float], NDArray[np.float64]] = {}
         for a_s, a_a in dict.fromkeys(pairs):
             scattering, by_log_scat = grid.scattering.weights(math.log(a_s))
-            offset = a_a + grid.OFFSET_PER_CM
+            offset = a_a + grid.offset_per_cm
             absorption, by_log_abs = grid.absorption.weights(math.log(offset))
             along = np.array([scattering, by_log_scat / a_s, scattering])
             across = np.array([absorption, absorption, by_log_abs / offset])

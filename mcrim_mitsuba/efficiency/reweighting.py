@@ -344,9 +344,12 @@ _ENOUGH = 1e-4
 
 
 def choose_proposals(
-    lowest_per_cm: float, highest_per_cm: float, lowest_alpha_abs_per_cm: float
+    lowest_per_cm: float,
+    highest_per_cm: float,
+    lowest_alpha_abs_per_cm: float,
+    units: int = SHARE_STEPS,
 ) -> ScatteringProposals:
-    """Proposals that cover a range of alpha_scat with equal shares.
+    """Proposals that cover a range of alpha_scat with shares as equal as so many units allow.
 
     The least absorption that will be asked for is also simulated.
     """
@@ -367,7 +370,9 @@ def choose_proposals(
     stretch = np.log(high / low) / np.log(proposals[-1] / low)
     values = low * (np.array(proposals) / low) ** stretch
     equal = np.full(len(values), 1.0 / len(values))
-    return ScatteringProposals(tuple(values.tolist()), _in_units(equal), lowest_alpha_abs_per_cm)
+    return ScatteringProposals(
+        tuple(values.tolist()), _in_units(equal, units), lowest_alpha_abs_per_cm
+    )
 
 
 def improve_shares(surface: EtaSurface, points: Sequence[Coefficients]) -> ScatteringProposals:
@@ -410,13 +415,13 @@ def improve_shares(surface: EtaSurface, points: Sequence[Coefficients]) -> Scatt
     )
 
 
-def _in_units(shares: NDArray[np.float64]) -> tuple[int, ...]:
-    """Whole numbers in these proportions with a sum of `SHARE_STEPS`; only a share of 0 gets 0."""
+def _in_units(shares: NDArray[np.float64], units: int = SHARE_STEPS) -> tuple[int, ...]:
+    """Whole numbers in these proportions with a sum of `units`; only a share of 0 gets 0."""
     least = (shares > 0).astype(int)
-    whole = np.maximum(np.floor(shares * SHARE_STEPS).astype(int), least)
-    while whole.sum() != SHARE_STEPS:
-        lacking = shares * SHARE_STEPS - whole
-        if whole.sum() < SHARE_STEPS:
+    whole = np.maximum(np.floor(shares * units).astype(int), least)
+    while whole.sum() != units:
+        lacking = shares * units - whole
+        if whole.sum() < units:
             whole[np.argmax(lacking)] += 1
         else:
             whole[np.argmin(np.where(whole > least, lacking, np.inf))] -= 1

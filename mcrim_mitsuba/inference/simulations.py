@@ -22,9 +22,14 @@ from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.efficiency.eta_grid import Grid
-from mcrim_mitsuba.efficiency.response_maker import EFFECT_PHOTONS, PLAIN_FACTOR, ResponseMaker
+from mcrim_mitsuba.efficiency.response_maker import (
+    EFFECT_PHOTONS,
+    PLAIN_FACTOR,
+    Beyond,
+    ResponseMaker,
+)
 from mcrim_mitsuba.efficiency.responses import Anchor, Responses
-from mcrim_mitsuba.inference.drivers import Minimum, find_minima
+from mcrim_mitsuba.inference.drivers import Minimum, find_minima, newton
 from mcrim_mitsuba.inference.explanations import plausible_priors
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model, result_of
 from mcrim_mitsuba.inference.model import ResponseModel, acts_on, held
@@ -128,7 +133,7 @@ class CampaignSimulations:
         self._anchor: Anchor | None = None
         # of the campaign as it is by its responses, found to see whether its grid is wide enough
         self._minima: list[Minimum] = []
-        self._is_wide = False
+        self._beyond = Beyond()
         self._fit: Calibration | None = None
         self.notes: list[str] = []
 
@@ -165,10 +170,11 @@ class CampaignSimulations:
             anchor=self._anchor,
             precise=precise,
         )
-        if not self._is_wide and not self._minima:
+        if not all(self._beyond) and not self._minima:
             self._minima = find_minima(Statistic(self._models.model()))
-            if self._goes_beyond(self._minima[0]):
-                self._is_wide, self._models, self._minima = True, None, []
+            beyond = self._goes_beyond(self._minima[0])
+            if beyond != self._beyond:
+                self._beyond, self._models, self._minima = beyond, None, []
                 del self._maker
                 return self.simulate(effects, look)
         if self._anchor is None and not self._maker.is_exact(self.campaign.switched_on):
@@ -178,21 +184,24 @@ class CampaignSimulations:
             self._models = replace(self._models, anchor=self._anchor)
         return self._models
 
-    def _goes_beyond(self, minimum: Minimum) -> bool:
-        """Whether the readings ask for scattering that the simulations do not cover.
+    def _goes_beyond(self, minimum: Minimum) -> Beyond:
+        """At which ends the readings ask for scattering that the simulations do not cover.
 
-        They do where the fit ends there, or less than its standard error away, and the campaign
-        allows more.
+        They do where chi2 has not risen by 1 up to there, and the campaign allows more.
         """
-        sigmas = np.sqrt(np.diag(minimum.covariance))
-        for bounds, value, sigma in zip(minimum.statistic.free, minimum.theta, sigmas, strict=True):
-            if self.campaign.stands_for(bounds.name) == ALPHA_SCAT:
-                allowed = self.campaign.parameters[bounds.name]
-                if value - sigma < bounds.minimum > allowed.minimum:
-                    return True
-                if value + sigma > bounds.maximum < allowed.maximum:
-                    return True
-        return False
+        statistic, beyond = minimum.statistic, list(self._beyond)
+        for place, bounds in enumerate(statistic.free):
+            if self.campaign.stands_for(bounds.name) != ALPHA_SCAT:
+                continue
+            allowed = self.campaign.parameters[bounds.name]
+            goes_on = bounds.minimum > allowed.minimum, bounds.maximum < allowed.maximum
+            for side, end in enumerate((bounds.minimum, bounds.maximum)):
+                start = minimum.theta.copy()
+                start[place] = end
+                if goes_on[side]:
+                    _, chi2, _ = newton(statistic, start, minimum.weights, held=[place])
+                    beyond[side] |= chi2 < minimum.chi2 + 1.0
+        return Beyond(*beyond)
 
     def fit(self) -> Calibration:
         """The campaign's own fit, the one that every verb shows; errors as `fit_model`."""
@@ -293,7 +302,7 @@ class CampaignSimulations:
         """What makes responses of a campaign, its progress shown under a name."""
         photons = max(round(part * self.run.photons_or(EFFECT_PHOTONS)), 1)
         maker = ResponseMaker(
-            campaign, replace(self.run, photons=photons), what, wide=self._is_wide
+            campaign, replace(self.run, photons=photons), what, beyond=self._beyond
         )
         self._makers.append(maker)
         return maker

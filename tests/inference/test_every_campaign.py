@@ -9,6 +9,7 @@ from places import ROOT, SCENES
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.responses import Point
 from mcrim_mitsuba.inference.drivers import find_minima, minuit, newton
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.inference.statistic import Statistic
@@ -74,3 +75,20 @@ def test_both_drivers_end_at_the_same_chi2(monkeypatch, cache, name):
     _, by_minuit, content = minuit(statistic, start, best.weights)
     assert content and abs(by_newton - by_minuit) < 1e-6
     assert abs(by_newton - best.chi2) < 1e-6
+
+
+def test_a_fit_that_goes_below_its_grid_is_not_disturbed_by_noise_above():
+    """The wide grid went up to 10 /cm, with 35 % of noise there: slopes here jumped by 30 %."""
+    campaign = read_campaign(CAMPAIGNS["tests/trials/lyso_C.toml"])
+    simulations = CampaignSimulations(campaign, Run(photons=2 * LANES, seed=0))
+    responses, readings = simulations.models.responses, campaign.measurements.readings
+    assert simulations.grid.alpha_scat_range_per_cm == (0.0005, 0.2)
+    slopes = [
+        Point.of(responses.grid, [a_s] * len(readings), [0.03] * len(readings)).value_and_slopes(
+            responses.log_eta
+        )[1]
+        for a_s in np.geomspace(0.0006, 0.004, 12)
+    ]
+    # light that is trapped until it scatters: ever less slope, and 1 / (1 + a_s / a_a)^2 at least
+    assert np.all(np.diff(slopes, axis=0) < 0)
+    assert np.all(slopes[-1] > 0.75 * slopes[0])
