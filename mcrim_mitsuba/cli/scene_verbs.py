@@ -293,6 +293,8 @@ def read_axes(
 ) -> tuple[dict[str, Any], list[str]]:
     """Values by parameter, and notes on how they were understood.
 
+    Raises InputError if none is given, or one is no list of numbers.
+
     Parameters
     ----------
     given : mapping of str to str or None
@@ -301,11 +303,6 @@ def read_axes(
         Texts of ``--axis`` by parameter.
     folder : Path, optional
         That paths of spectra start from.
-
-    Raises
-    ------
-    InputError
-        If none is given, or one is no list of numbers.
     """
     from mcrim_mitsuba.scene.values import parse_list, told_of_comma
 

@@ -86,6 +86,8 @@ def refuse_places(
 ) -> None:
     """Refuse outputs, also ``--log``, that cannot be written or would replace what is read.
 
+    Raises InputError before any work is done.
+
     Parameters
     ----------
     json_file : str or None
@@ -98,11 +100,6 @@ def refuse_places(
         Of further pictures, as `further_picture` takes them.
     written : mapping of str to (str, tuple of str), optional
         Other files.
-
-    Raises
-    ------
-    InputError
-        Before any work is done.
     """
     from mcrim_mitsuba.core.files import refuse_outputs
 

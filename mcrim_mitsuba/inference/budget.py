@@ -230,6 +230,9 @@ def budget(
     the spread of the index over the band, and birefringence. A campaign that has one of them
     already is not given it again.
 
+    Raises InputError if a file is wrong, a scene is not sound, the readings do not determine the
+    parameters, or the material or its band is not known.
+
     Parameters
     ----------
     material : str, optional
@@ -245,12 +248,6 @@ def budget(
         Its photons are those of every configuration's simulation with another index; those with
         the scene's own get four times as many. Its seed is the same for all of them: what they
         have in common cancels in the shifts.
-
-    Raises
-    ------
-    InputError
-        If a file is wrong, a scene is not sound, the readings do not determine the parameters, or
-        the material or its band is not known.
     """
     start = time.perf_counter()
     campaign = as_campaign(campaign)

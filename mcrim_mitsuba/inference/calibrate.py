@@ -24,17 +24,14 @@ class CampaignResult:
 def calibrate(campaign: str | Path | Campaign, *, run: Run = Run()) -> CampaignResult:
     """Fit a campaign's readings, and with them the light yield.
 
+    Raises InputError if a file is wrong, a configuration's scene is not sound, or the readings do
+    not determine the parameters.
+
     Parameters
     ----------
     run : Run
         See `CampaignSimulations`. Its precision is that of eta in every configuration, where the
         fit ends.
-
-    Raises
-    ------
-    InputError
-        If a file is wrong, a configuration's scene is not sound, or the readings do not
-        determine the parameters.
     """
     campaign = as_campaign(campaign)
     refuse_unnamed_coefficients(campaign, "declare it as a <default> of the crystal")

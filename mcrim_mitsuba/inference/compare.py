@@ -142,15 +142,13 @@ class Compared:
 def compare(campaign: str | Path | Campaign, *, run: Run = Run()) -> Compared:
     """Fit a campaign and show where its model fails.
 
+    Raises InputError if a file is wrong, a scene is not sound, or the readings do not determine the
+    parameters.
+
     Parameters
     ----------
     run : Run
         See `CampaignSimulations`.
-
-    Raises
-    ------
-    InputError
-        If a file is wrong, a scene is not sound, or the readings do not determine the parameters.
     """
     simulations = CampaignSimulations(as_campaign(campaign), run)
     fit = simulations.fit()

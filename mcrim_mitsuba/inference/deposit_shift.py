@@ -61,6 +61,9 @@ def places_of(
 ) -> Places:
     """What the places do to the readings of the map's bench.
 
+    Raises InputError if the file is no map, or one of another bench than every reading, or deposits
+    are wrong.
+
     Parameters
     ----------
     path : str or Path
@@ -69,11 +72,6 @@ def places_of(
         1/e depth of gammas that stop near a face.
     deposits : str or Path, optional
         See `EtaMap.of_deposits`.
-
-    Raises
-    ------
-    InputError
-        If the file is no map, or one of another bench than every reading, or deposits are wrong.
     """
     mapped = read_map(path)
     scene = campaign.scene.parameters

@@ -119,17 +119,14 @@ class UndeterminedError(TooLittleSimulatedError):
 def fit_model(model: Model, *, profile: bool = True) -> Calibration:
     """Fit a model's readings; see `statistic` for what is minimised.
 
+    Raises InputError if the readings cannot determine the parameters, or the photons that were
+    simulated say too little at the solution.
+
     Parameters
     ----------
     profile : bool
         Find the intervals by profile likelihood; without it `lower` and `upper` are None,
         which is several times faster.
-
-    Raises
-    ------
-    InputError
-        If the readings cannot determine the parameters, or the photons that were simulated say
-        too little at the solution.
     """
     return result_of(find_minima(Statistic(model)), profile=profile)
 

@@ -122,17 +122,15 @@ def compare_hypotheses(
 ) -> HypothesesCompared:
     """Minimum campaigns of the same readings and weigh them against each other.
 
+    Raises InputError as `compare` does; or if the readings, or what is known of the scale, are not
+    the same.
+
     Parameters
     ----------
     campaigns : sequence of str, Path or Campaign
         Two or three; scenes, effects, priors and starts may differ.
     run : Run
         See `CampaignSimulations`. All campaigns are simulated with the same random numbers.
-
-    Raises
-    ------
-    InputError
-        As `compare` does; or if the readings, or what is known of the scale, are not the same.
     """
     given = [as_campaign(one) for one in campaigns]
     refuse_unlike(given)

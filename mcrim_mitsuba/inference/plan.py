@@ -201,6 +201,9 @@ def plan(
 ) -> Planning:
     """What every set of couplings, number of mountings and of events would bring.
 
+    Raises InputError as `calibrate`; if a coupling cannot be measured, no peak would stand out of
+    the pedestal, or no set of couplings determines the parameters.
+
     Parameters
     ----------
     campaign : str, Path or Campaign
@@ -217,12 +220,6 @@ def plan(
         Without it scatter and spread are the raw campaign's own, if it has histograms.
     run : Run
         As for `calibrate`.
-
-    Raises
-    ------
-    InputError
-        As `calibrate`; if a coupling cannot be measured, no peak would stand out of
-        the pedestal, or no set of couplings determines the parameters.
     """
     campaign = as_campaign(campaign)
     configurations = _couplings(campaign, n_gap)

@@ -58,6 +58,8 @@ def repair(
 ) -> Repaired:
     """Add effects to a campaign one by one while the data justify it.
 
+    Raises InputError as for `diagnose`, or if the files cannot be written.
+
     Parameters
     ----------
     output : str or Path, optional
@@ -69,11 +71,6 @@ def repair(
         As for `diagnose`.
     on_step : callable, optional
         Called with every step as soon as it is known.
-
-    Raises
-    ------
-    InputError
-        As for `diagnose`, or if the files cannot be written.
     """
     simulations = CampaignSimulations(as_campaign(campaign), run)
     diagnosed = diagnose_on(simulations, adding=effect)

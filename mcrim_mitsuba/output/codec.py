@@ -206,10 +206,7 @@ def is_convertible(document: Mapping[str, Any]) -> bool:
 def table_of_document(document: dict[str, Any], name: str) -> ResultTable:
     """A document as rows and columns; `name` stands for the file.
 
-    Raises
-    ------
-    InputError
-        If it is no result of calibrate, compare, diagnose, report, simulate or table.
+    Raises InputError if it is no result of calibrate, compare, diagnose, report, simulate or table.
     """
     kind, part = read_document(JsonObject(Path(name), document))
     return joined(kind, {name: part})
@@ -427,10 +424,7 @@ def dataset(table: ResultTable) -> xarray.Dataset:
 def netcdf_bytes(data: xarray.Dataset) -> bytes:
     """The dataset as the content of a NetCDF 3 file.
 
-    Raises
-    ------
-    InputError
-        If a variable has a name that SciPy cannot write.
+    Raises InputError if a variable has a name that SciPy cannot write.
     """
     for name in map(str, (*data.variables, *data.attrs)):
         if not name.isascii():

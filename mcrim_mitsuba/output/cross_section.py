@@ -478,10 +478,7 @@ _DPI = 150
 def write_cross_section(figure: Figure, path: str | Path) -> None:
     """Write a figure: PNG (1800 pixels wide), SVG or PDF by the suffix; a file there is replaced.
 
-    Raises
-    ------
-    InputError
-        If the suffix is another one or the file cannot be written.
+    Raises InputError if the suffix is another one or the file cannot be written.
     """
     path = Path(path)
     refuse_suffix(path, SUFFIXES, "a cross-section cannot be drawn as")

@@ -159,10 +159,7 @@ def entitle(figure: Figure, words: str, weight: str = "bold") -> None:
 def save(figure: Figure, path: str | Path) -> Path:
     """Write a figure in the format of its suffix, one of `SUFFIXES`.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
+    Raises InputError if the file cannot be written.
     """
     path = Path(path)
     refuse_suffix(path, SUFFIXES, "a figure cannot be drawn as")
@@ -187,10 +184,7 @@ def write_numbers(
 ) -> Path:
     """Write the numbers behind a figure; what is not known or not finite is an empty cell.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
+    Raises InputError if the file cannot be written.
     """
     path = numbers_beside(figure)
     write_text(path, numbers_text(columns, rows))
@@ -226,10 +220,7 @@ class Drawing:
     def save(self, path: str | Path) -> tuple[Path, Path]:
         """Write the figure (PNG or PDF) and its numbers (CSV of the same name).
 
-        Raises
-        ------
-        InputError
-            If a file cannot be written.
+        Raises InputError if a file cannot be written.
         """
         return save(self.figure, path), write_numbers(path, self.columns, self.rows)
 

@@ -509,10 +509,7 @@ _MARKERS = "os^vDPX*<>ph"
 def lines_of_table(axes: Mapping[str, Sequence[Value]]) -> tuple[str, list[str], int]:
     """The longest axis of a table, the others, and how many combinations of values these have.
 
-    Raises
-    ------
-    InputError
-        If there are more than `MOST_LINES`, or nothing varies.
+    Raises InputError if there are more than `MOST_LINES`, or nothing varies.
     """
     along = max(axes, key=lambda name: len(axes[name]), default="")
     others = [name for name in axes if name != along]

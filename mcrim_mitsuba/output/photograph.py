@@ -361,10 +361,7 @@ class Rendering:
     def save(self, path: str | Path) -> None:
         """Write the picture; ``path`` ends in ``.png``.
 
-        Raises
-        ------
-        InputError
-            If the suffix is another one, or the file cannot be written.
+        Raises InputError if the suffix is another one, or the file cannot be written.
         """
         path = Path(path)
         refuse_suffix(path, (".png",), "a picture cannot be written as")
@@ -381,6 +378,9 @@ def render(
 ) -> Rendering:
     """Photograph a bench as it stands and taken apart, and its lower edge enlarged.
 
+    Raises InputError if the scene cannot be read or is not sound, the variant has no colours, or a
+    shape cannot be drawn.
+
     Parameters
     ----------
     overrides : mapping, optional
@@ -392,12 +392,6 @@ def render(
     run : Run
         Of a variant of `VARIANTS`; the same seed gives the same picture. Photons and precision do
         not matter.
-
-    Raises
-    ------
-    InputError
-        If the scene cannot be read or is not sound, the variant has no colours, or a shape cannot
-        be drawn.
     """
     if run.variant not in VARIANTS:
         problem = f"the variant {run.variant!r} makes no pictures in colour"

@@ -324,15 +324,12 @@ class Result:
     def to_dataframe(self, title: str | None = None) -> pandas.DataFrame:
         """A table of what is shown, with errors in columns of their own (``NAME_sigma``).
 
+        Raises InputError if there is no such table.
+
         Parameters
         ----------
         title : str, optional
             Of the table; the first one by default.
-
-        Raises
-        ------
-        InputError
-            If there is no such table.
         """
         tables = self.description.tables
         if not tables:
@@ -361,15 +358,12 @@ class Result:
     def plot(self, picture: str | None = None) -> Figure:
         """A figure of it, by matplotlib.
 
+        Raises InputError if there is none of this name, or none at all.
+
         Parameters
         ----------
         picture : str, optional
             Which one, where there are several; the first by default.
-
-        Raises
-        ------
-        InputError
-            If there is none of this name, or none at all.
         """
         if not self.pictures:
             raise InputError("there is no picture", "print it")
@@ -381,10 +375,7 @@ class Result:
     def draw(self, path: str | Path) -> tuple[Path, ...]:
         """Write all pictures (PNG or PDF) with their numbers (CSV): NAME, NAME_profiles, ...
 
-        Raises
-        ------
-        InputError
-            If a file cannot be written.
+        Raises InputError if a file cannot be written.
         """
         from mcrim_mitsuba.output.figure_style import Drawing, save
 

@@ -77,6 +77,9 @@ def crosscheck(
     Where the bench is a polished box, eta and the absorbed part are compared with the solver
     without photons too.
 
+    Raises InputError if the scene cannot be read or is not sound, has parameters that the tracer
+    does not know, or is another bench than these parameters describe.
+
     Parameters
     ----------
     overrides : mapping, optional
@@ -88,12 +91,6 @@ def crosscheck(
     run : Run
         Its photons are the NumPy tracer's, a million if nothing is said; the two programs draw
         unrelated numbers from its seed. Its precision does not matter.
-
-    Raises
-    ------
-    InputError
-        If the scene cannot be read or is not sound, has parameters that the tracer does not know,
-        or is another bench than these parameters describe.
     """
     from mcrim_mitsuba.reference.tracer import trace
     from mcrim_mitsuba.transport.simulation import Simulation

@@ -123,6 +123,8 @@ def trace(
 ) -> TracerResult:
     """Trace photons from birth to fate: analog Monte Carlo, one fate each.
 
+    Raises InputError if one of the whole numbers is none, or too small.
+
     Parameters
     ----------
     photons : int
@@ -140,11 +142,6 @@ def trace(
         Keep what the detected photons went through.
     progress : callable, optional
         Called now and then with the number of photons done, at last with `photons`.
-
-    Raises
-    ------
-    InputError
-        If one of the whole numbers is none, or too small.
     """
     photons = whole_number("photons", photons, 1)
     seed = whole_number("seed", seed, 0)

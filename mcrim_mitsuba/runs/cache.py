@@ -40,6 +40,9 @@ _LIBRARIES = frozenset({"drjit", "iminuit", "matplotlib", "mitsuba", "numpy", "s
 def record_versions(variant: str, *modules: str) -> dict[str, str]:
     """Versions of everything that results depend on, as a part of a cache's key.
 
+    Raises InputError if the variant needs LLVM and there is none, or a file cannot be read any
+    more.
+
     Parameters
     ----------
     variant : str
@@ -47,11 +50,6 @@ def record_versions(variant: str, *modules: str) -> dict[str, str]:
     modules : str
         That make the results (see `code_hash`). A user's own file, which others do not have, stands
         for what it imports of this package.
-
-    Raises
-    ------
-    InputError
-        If the variant needs LLVM and there is none, or a file cannot be read any more.
     """
     files = {Path(file): content for file, content in map(_as_it_is, modules) if content}
     imports = set[str]().union(*(_code_and_imports(f, "", files[f])[1] for f in files))
@@ -107,15 +105,12 @@ def code_hash(modules: Iterable[str]) -> str:
     Modules count that lie in this package or in the one that imports them, within functions too,
     and tables of the same name beside them; not what only types need.
 
+    Raises InputError if a file cannot be read any more.
+
     Parameters
     ----------
     modules : iterable of str
         By name, or a user's own files, which may change while this process goes on.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read any more.
     """
     return _closure(tuple(map(_as_it_is, sorted(modules))))[0]
 

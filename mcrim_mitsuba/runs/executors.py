@@ -161,6 +161,8 @@ class Executor:
     ) -> Iterator[Finished]:
         """Results in the order of the jobs, whoever does them and whenever they come.
 
+        Raises InputError if a unit refuses what it is made of.
+
         Parameters
         ----------
         jobs : sequence of Job
@@ -172,11 +174,6 @@ class Executor:
             them for itself.
         progress : callable, optional
             See `Progress`.
-
-        Raises
-        ------
-        InputError
-            If a unit refuses what it is made of.
         """
         track = Track(jobs, progress)
         for index, job in enumerate(jobs):
