@@ -72,27 +72,6 @@ def rows(shrunk: float = 1.0) -> tuple[FittedRow, ...]:
     )
 
 
-def comparison(p_value: float | None = 2.3e-9, suspects: tuple[Suspect, ...] = ()) -> Comparison:
-    return Comparison(
-        FITTED,
-        64.2,
-        12 if p_value is not None else 0,
-        p_value,
-        (7.1, 16.9),
-        2.1,
-        2.6,
-        rows(),
-        {row.label: 1.1 * row.pull for row in rows() if row.use},
-        suspects,
-        (Trend("n_gap", (1.0, 1.46), (-2.1, 2.2), 40.0, 1, 2e-4),),
-        (Absorbed("alpha_abs_per_cm", "prior_pulled", 0.07, "alpha_abs = 0.07 is +2.6 sigma off"),),
-    )
-
-
-BAD = Suspect("bad_reading", (MARKUP,), 50.1, 3e-6, 14.1, 11, 0.23, 7.1, True)
-SWAPPED = Suspect("swapped_rows", (QUOTES, SCRIPT), 30.2, 1e-5, 34.0, 12, 6e-4, None, False)
-
-
 #: A fit made by hand has no model, and no profiles.
 MINIMUM = cast(Minimum, SimpleNamespace(names=(), statistic=SimpleNamespace(model=None)))
 
@@ -112,6 +91,28 @@ def calibration(parameters=FITTED, shrunk: float = 1.0, chi2: float = 64.2) -> C
         notes=(),
         minimum=MINIMUM,
     )
+
+
+def comparison(p_value: float | None = 2.3e-9, suspects: tuple[Suspect, ...] = ()) -> Comparison:
+    fit = replace(calibration(), p_value=p_value, ndf=12 if p_value is not None else 0)
+    return Comparison(
+        **vars(fit),
+        expected_chi2=(7.1, 16.9),
+        rms_pull=2.1,
+        left_out_error=2.6,
+        left_out_pulls={row.label: 1.1 * row.pull for row in rows() if row.use},
+        suspects=suspects,
+        trends=(Trend("n_gap", (1.0, 1.46), (-2.1, 2.2), 40.0, 1, 2e-4),),
+        absorbed=(
+            Absorbed(
+                "alpha_abs_per_cm", "prior_pulled", 0.07, "alpha_abs = 0.07 is +2.6 sigma off"
+            ),
+        ),
+    )
+
+
+BAD = Suspect("bad_reading", (MARKUP,), 50.1, 3e-6, 14.1, 11, 0.23, 7.1, True)
+SWAPPED = Suspect("swapped_rows", (QUOTES, SCRIPT), 30.2, 1e-5, 34.0, 12, 6e-4, None, False)
 
 
 def candidate(

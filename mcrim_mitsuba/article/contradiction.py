@@ -24,7 +24,6 @@ from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.efficiency.simulate import collect
-from mcrim_mitsuba.inference.compare import Comparison
 from mcrim_mitsuba.inference.diagnose import Diagnosis, diagnose
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.fit import Calibration
@@ -223,7 +222,7 @@ def _predicted() -> float:
     return float(measured_transmittance(internal, p.N_CRYSTAL.value))
 
 
-def _as_pull(fit: Comparison | Calibration) -> str:
+def _as_pull(fit: Calibration) -> str:
     """The misfit of a fit with one degree of freedom."""
     return f"{math.sqrt(fit.chi2):.1f} standard errors, {p_equals(fit.p_value)}"
 

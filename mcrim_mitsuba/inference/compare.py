@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +16,6 @@ from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.drivers import Minimum, newton
 from mcrim_mitsuba.inference.estimates import (
-    FittedRow,
-    ParameterEstimate,
     corrected,
     left_out,
     left_out_error,
@@ -106,21 +104,15 @@ class Absorbed:
     words: str
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Comparison(Calibration):
     """A fitted campaign, laid out to show where the model fails."""
 
-    parameters: dict[str, ParameterEstimate]
-    #: As in `Calibration`.
-    chi2: float
-    ndf: int
-    p_value: float | None
     #: ndf - sqrt(2 ndf), ndf + sqrt(2 ndf): where chi2 lies in 2 of 3 campaigns.
     expected_chi2: tuple[float, float]
     #: In standard errors of the readings; the second of readings left out of the fit.
     rms_pull: float
     left_out_error: float
-    rows: tuple[FittedRow, ...]
     #: By label: how far every reading in use is from what the others predict, in standard errors.
     left_out_pulls: dict[str, float]
     #: Single bad readings and swapped rows that account for the misfit, the likeliest first.
@@ -134,7 +126,6 @@ class Comparison:
 class Compared:
     """Where a campaign's model fails."""
 
-    fit: Calibration
     comparison: Comparison
     provenance: Provenance
 
@@ -151,8 +142,8 @@ def compare(campaign: str | Path | Campaign, *, run: Run = Run()) -> Compared:
         See `CampaignSimulations`.
     """
     simulations = CampaignSimulations(as_campaign(campaign), run)
-    fit = simulations.fit()
-    return Compared(fit, comparison_of(fit), simulations.provenance())
+    comparison = comparison_of(simulations.fit())
+    return Compared(comparison, simulations.provenance())
 
 
 def comparison_of(fit: Calibration) -> Comparison:
@@ -161,14 +152,10 @@ def comparison_of(fit: Calibration) -> Comparison:
     _, pulls = left_out(minimum)
     usual = plausible_ranges(fit.model.campaign.switched_on, fit.model)
     return Comparison(
-        parameters=fit.parameters,
-        chi2=fit.chi2,
-        ndf=fit.ndf,
-        p_value=fit.p_value,
+        **{part.name: getattr(fit, part.name) for part in fields(fit)},
         expected_chi2=(max(fit.ndf - spread, 0.0), fit.ndf + spread),
         rms_pull=rms_pull(minimum),
         left_out_error=left_out_error(minimum),
-        rows=fit.rows,
         left_out_pulls=dict(zip(minimum.statistic.labels, pulls.tolist(), strict=True)),
         suspects=tuple(find_suspects(minimum)),
         trends=find_trends(minimum),

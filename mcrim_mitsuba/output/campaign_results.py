@@ -150,27 +150,16 @@ class FitResult(FittedResult, Calibration):
         return document
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CheckedFit(Comparison, Calibration):
-    """A fitted campaign, and where its model fails."""
-
-    @classmethod
-    def joined(cls, comparison: Comparison, fit: Calibration, **further: Any) -> Self:
-        """Both in one; `further` are fields of a subclass, and such as differ."""
-        # parameters of the fit have intervals
-        both = fields_of(fit) | fields_of(comparison) | {"parameters": fit.parameters}
-        return cls(**both | further)
-
-
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class ComparisonResult(FittedResult, CheckedFit):
+class ComparisonResult(FittedResult, Comparison):
     """A campaign beside its model: pulls, suspect readings, trends."""
 
     @classmethod
     def of(cls, compared: Compared, campaign: Campaign) -> Self:
         """The result of a comparison."""
-        shown = _shown(campaign, compared.provenance, compared.fit.notes)
-        return cls.joined(compared.comparison, compared.fit, **shown)
+        comparison = compared.comparison
+        shown = _shown(campaign, compared.provenance, comparison.notes)
+        return cls(**fields_of(comparison) | shown)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -199,28 +188,17 @@ class HypothesesResult(CampaignShown, SideBySide):
 class DiagnosisResult(CampaignShown, Diagnosis):
     """Which effects of the catalogue explain a campaign's misfit."""
 
-    #: The campaign as it is.
-    baseline: CheckedFit
-
     @classmethod
     def of(cls, diagnosed: Diagnosed, campaign: Campaign) -> Self:
         """The result of a diagnosis."""
         shown = _shown(campaign, diagnosed.provenance, diagnosed.baseline.notes)
-        return cls(**_diagnosis_fields(diagnosed), **shown)
-
-
-def _diagnosis_fields(diagnosed: Diagnosed) -> dict[str, Any]:
-    diagnosis = diagnosed.diagnosis
-    baseline = CheckedFit.joined(diagnosis.baseline, diagnosed.baseline)
-    return fields_of(diagnosis) | {"baseline": baseline}
+        return cls(**fields_of(diagnosed.diagnosis), **shown)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class RepairResult(FittedResult, Diagnosis):
     """A mended campaign: what was added, its fit, and the diagnosis before."""
 
-    #: The campaign as it came.
-    baseline: CheckedFit
     #: Effects that were added; none where the campaign was adequate or nothing explains it.
     effects: tuple[str, ...]
     #: Of the mended campaign, its effects simulated together where the fit ends.
@@ -237,7 +215,7 @@ class RepairResult(FittedResult, Diagnosis):
     def of(cls, repaired: Repaired, campaign: Campaign, **further: Any) -> Self:
         """The result of a repair; `further` are fields of a subclass, and such as differ."""
         fit = repaired.fit
-        fields = _diagnosis_fields(repaired.diagnosed)
+        fields = fields_of(repaired.diagnosed.diagnosis)
         fields |= attributes(repaired, "effects campaign_path scene_path undetermined")
         fields |= {"calibration": fit, "parameters": fit.parameters}
         return cls(**fields | _shown(campaign, repaired.provenance, fit.notes) | further)

@@ -67,12 +67,12 @@ _WIDEST = 26.0
 _OWN = ("label", "use", "measured", "sigma")
 _PREDICTED = ("model", "model_sigma", "pull")
 #: A name, a fit, how it looks, and how far beside the places of the readings it stands.
-_Series = tuple[str, Comparison | Calibration | FittedHypothesis, dict[str, Any], float]
+_Series = tuple[str, Calibration | FittedHypothesis, dict[str, Any], float]
 
 
 @style.styled
 def draw_comparison(
-    before: Comparison | Calibration,
+    before: Calibration,
     after: Calibration | None = None,
     *,
     added: str = "",
@@ -82,7 +82,7 @@ def draw_comparison(
 
     Parameters
     ----------
-    before : Comparison or Calibration
+    before : Calibration
         The campaign as it came; only a comparison knows of suspect readings.
     after : Calibration, optional
         Of the mended campaign: the same readings.
@@ -192,14 +192,14 @@ def draw_hypotheses(compared: SideBySide) -> style.Drawing:
     return style.Drawing(figure, columns, rows)
 
 
-def _suspects(before: Comparison | Calibration) -> tuple[Suspect, ...]:
+def _suspects(before: Calibration) -> tuple[Suspect, ...]:
     return before.suspects if isinstance(before, Comparison) else ()
 
 
 def _draw_signals(
     axes: Axes,
     places: np.ndarray,
-    before: Comparison | Calibration,
+    before: Calibration,
     after: Calibration | None,
     unit: str,
 ) -> None:
@@ -272,7 +272,7 @@ def _draw_pulls(axes: Axes, places: np.ndarray, series: Sequence[_Series]) -> No
 
 
 def _mark_suspects(
-    axes: Axes, places: np.ndarray, before: Comparison | Calibration, *, mended: bool
+    axes: Axes, places: np.ndarray, before: Calibration, *, mended: bool
 ) -> list[Patch]:
     """Columns behind suspect readings, pale once mended; returns what the legend needs."""
     position = {row.label: place for row, place in zip(before.rows, places, strict=True)}

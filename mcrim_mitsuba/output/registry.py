@@ -218,7 +218,7 @@ PRESENTERS = {
 #: What is written of what results hold, by type; of others all fields are.
 _PARTS = {
     "Calibration": "**numbers",
-    "CheckedFit": _CHECKED,
+    "Comparison": _CHECKED,
     "Spread": "source eta eta_sigma relative_rms relative_rms_sigma fwhm",
     "SceneProblem": "kind text mend file=path line column",
     "Interface": "surface kind interior exterior n_interior n_exterior file=path line",

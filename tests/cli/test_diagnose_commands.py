@@ -66,7 +66,7 @@ def found(monkeypatch):
     """What the commands find: change it before they run."""
     compared = by.comparison(suspects=(by.BAD, by.SWAPPED))
     results = {
-        "compare": Compared(by.calibration(), compared, by.PROVENANCE),
+        "compare": Compared(compared, by.PROVENANCE),
         "diagnose": Diagnosed(by.calibration(), by.diagnosis("missing_effect"), by.PROVENANCE),
     }
     results["repair"] = Repaired(

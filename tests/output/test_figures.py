@@ -167,7 +167,14 @@ def suspicious(found, label):
     """A comparison that thinks a reading bad."""
     suspect = Suspect("bad_reading", (label,), 9.0, 0.01, 1.0, 3, 0.5, 4.0, True)
     return Comparison(
-        found.parameters, 1.0, 3, 0.5, (1, 5), 1.0, 1.0, found.rows, {}, (suspect,), (), ()
+        **vars(replace(found, chi2=1.0, ndf=3, p_value=0.5)),
+        expected_chi2=(1, 5),
+        rms_pull=1.0,
+        left_out_error=1.0,
+        left_out_pulls={},
+        suspects=(suspect,),
+        trends=(),
+        absorbed=(),
     )
 
 
