@@ -183,7 +183,7 @@ def _line_within(file: str, error: BaseException) -> int | None:
 
 
 def _refuse_taken_names(effect: Effect, taken: Mapping[str, Effect], place: _Place) -> None:
-    """Names of effects and of parameters are unique: files refer to them."""
+    """Refuse an effect whose name, or parameter, another one has: files refer to these."""
     if effect.name in taken:
         problem = f"an effect {effect.name} exists already"
         raise InputError(problem, "give EFFECT another name", **place)

@@ -19,7 +19,7 @@ from mcrim_mitsuba.scene.shipped import scenes_folder
 
 _LIMIT_MB = 1
 _SHIPPED = "own_effects"
-_said_now: set[str] = set()
+_allowed_now: set[str] = set()
 
 
 class UntrustedEffectsError(InputError):
@@ -44,7 +44,7 @@ def refuse_untrusted(folder: Path, path: str | None = None, line: int | None = N
     Raises UntrustedEffectsError with the `path` and the `line` that name it.
     """
     content = fingerprint(folder)
-    if content in _said_now or content == _of_package() or content in _kept():
+    if content in _allowed_now or content == _of_package() or content in _kept():
         return
     names = ", ".join(sorted(file.name for file in folder.glob("*.py")))
     error = UntrustedEffectsError(
@@ -75,7 +75,7 @@ def trust(folder: Path, *, keep: bool = False) -> None:
     What cannot be kept, as in a home that is read-only, holds for this process.
     """
     content = fingerprint(folder)
-    _said_now.add(content)
+    _allowed_now.add(content)
     if keep:
         kept = "".join(f"{line}\n" for line in sorted({*_kept(), content}))
         with contextlib.suppress(InputError, OSError):

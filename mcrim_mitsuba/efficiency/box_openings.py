@@ -462,7 +462,9 @@ def _in_small_hole(bench: Bench, along: _Chords, *, kinks_at_edge: bool) -> list
     half, radius, down = along.half_mm, bench.aperture_radius_mm, along.down_mm
     highest = min(radius, half)
     outline = math.sqrt(max(radius**2 - half**2, 0.0))
-    steps = [down, *([along.ends[0][0]] if kinks_at_edge else [])]
+    # where shares fall in a step: where light begins to meet the gap's sides, or the plate's edge
+    to_edge, _ = along.ends[0]
+    steps = [down, to_edge] if kinks_at_edge else [down]
     kinks = [
         *(np.stack((y, np.sqrt(np.maximum(radius**2 - x**2, 0.0)))) for x, y in steps),
         np.broadcast_to([[outline], [highest]], down.shape),

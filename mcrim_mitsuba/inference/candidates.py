@@ -166,15 +166,19 @@ class CandidateMaker:
         return max(found)
 
     def _mimics(self, effect: str, *, exact: bool) -> tuple[str, ...]:
-        """Other effects that would fit this one's prediction about as well, the likeliest first."""
+        """Other effects that would fit this one's prediction about as well, the likeliest first.
+
+        By the chi2 with which the other would fit it: to first order, or where it is `exact` by a
+        fit. An effect that is too small to be told from anything has those that act like it.
+        """
         fit = self._explanations.fit((effect,))
         point = self._null.frame.displacement(fit.statistic, fit.theta)
+        too_small = float(point @ point) < EXPLAINING.leading
         found = []
         for other, curve in self._null.curves.items():
             if other == effect:
                 continue
-            if float(point @ point) < EXPLAINING.leading:
-                # too small to be told from anything: say what is alike
+            if too_small:
                 likeness = _likeness(self._null.curves[effect], curve)
                 if likeness > CANDIDATES.alike:
                     found.append((1.0 - likeness, other))

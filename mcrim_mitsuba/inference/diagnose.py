@@ -256,30 +256,37 @@ def _candidates(
     only: Sequence[str],
     adding: Sequence[str],
 ) -> dict[str, Effect]:
-    """Effects that are tried; none without degrees of freedom, where nothing can be judged."""
+    """Effects that are tried; none without degrees of freedom, where nothing can be judged.
+
+    What is to be left out, tried alone or added is refused here if that cannot be, and the notes
+    tell of it.
+    """
     campaign = simulations.campaign
     possible = simulations.possible()
-    wanted = _wanted(possible, campaign, without, only)
-    if adding:
-        _wanted(possible, campaign, (), adding)
+    tried = _tried(possible, campaign, without, only)
+    if adding:  # refuses what cannot be added
+        _tried(possible, campaign, (), adding)
         campaign.with_effects(adding)
     if campaign.ndf <= 0:
         if adding:
             problem = "no reading is left over that an effect could be added for"
             raise InputError(problem, "measure more configurations", path=campaign.path)
-        wanted = {}
+        tried = {}
     if only:
-        simulations.notes.append(f"probabilities are among those tried, {', '.join(wanted)}")
+        simulations.notes.append(f"probabilities are among those tried, {', '.join(tried)}")
     elif without:
         left_out = ", ".join(dict.fromkeys(without))
         simulations.notes.append(f"left out of the diagnosis: {left_out}")
-    return wanted
+    return tried
 
 
-def _wanted(
+def _tried(
     possible: Mapping[str, Effect], campaign: Campaign, without: Sequence[str], only: Sequence[str]
 ) -> dict[str, Effect]:
-    """Of the effects that could be missing those that somebody wants to be tried."""
+    """Of the `possible` effects, which could be missing, `only` these or all, `without` others.
+
+    Raises InputError if one of them is not known or not possible, or none is left.
+    """
     for name in (*without, *only):
         effect_of(name, campaign.catalogue)
     for name in only:

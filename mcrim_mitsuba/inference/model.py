@@ -173,45 +173,59 @@ class ResponseModel:
         self.responses, self.anchor = responses, anchor
         self._of_light = np.array([not reading.of_beam for reading in self.readings])
         self._measured = _rows(campaign)
-        # by coefficient and scale, what stands for it in every reading
+        # by coefficient and scale, the parameter that stands for it in every reading
         self._named = {
             name: [campaign.parameter_of(reading, name) for reading in self.readings]
             for name in (ALPHA_SCAT, ALPHA_ABS, SCALE)
         }
-        # name of the one parameter, and what it does to signals
+        # of effects of the readings, the name of their one parameter and what it does to signals
         self._of_readings = [
             (effect.parameters[0].name, effect.reading)
             for effect in sorted(effects, key=lambda effect: effect.order)
             if effect.reading is not None
         ]
+        names = dict.fromkeys([*(effect.name for effect in effects), *campaign.parameters])
         #: Responses to the effects that are switched on, and to other scene parameters that are
         #: fitted.
-        names = dict.fromkeys([*(effect.name for effect in effects), *campaign.parameters])
         self.switched_on = {n: responses.effects[n] for n in names if n in responses.effects}
         # an effect's response may depend on a beam's parameter, too, that is not fitted
-        axes = [axis for response in self.switched_on.values() for axis in response.axes]
-        named = {axis.name for axis in axes} - set(campaign.parameters)
-        self._held = {**{n: float(campaign.values[n]) for n in named}, **held(campaign)}
-        grid = responses.grid
-        covered = {ALPHA_SCAT: grid.alpha_scat_range_per_cm, ALPHA_ABS: grid.alpha_abs_range_per_cm}
-        ranges = {own: covered[name] for name in covered for own in (name, *self._named[name])}
-        for axis in axes:
-            ends = [axis.nominal + value for value in axis.values if math.isfinite(value)]
-            high = math.inf if any(map(math.isinf, axis.values)) else max(ends)
-            ranges[axis.name] = (min(ends), high)
+        axes = {axis.name for response in self.switched_on.values() for axis in response.axes}
+        unfitted = axes - set(campaign.parameters)
+        self._held = {**{n: float(campaign.values[n]) for n in unfitted}, **held(campaign)}
         self.free = free_parameters(
             campaign,
-            ranges,
+            self._simulated_ranges(),
             "only {:g}..{:g} is simulated",
             "give it min and max within that range",
         )
+        self._column = {parameter.name: i for i, parameter in enumerate(self.free)}
+        self._set_rows()
+        self._latest: PredictionPoint | None = None
+        self._shift: Array | None = None
+        if anchor is not None:
+            values = {**self._held, **anchor.values}
+            self._shift = anchor.log_eta - PredictionPoint(self, values, anchor.effects).log_eta
+
+    def _simulated_ranges(self) -> dict[str, tuple[float, float]]:
+        """Ranges that were simulated, of coefficients, samples' own too, and of effects."""
+        grid = self.responses.grid
+        covered = {ALPHA_SCAT: grid.alpha_scat_range_per_cm, ALPHA_ABS: grid.alpha_abs_range_per_cm}
+        ranges = {own: covered[name] for name in covered for own in (name, *self._named[name])}
+        for axis in (axis for response in self.switched_on.values() for axis in response.axes):
+            ends = [axis.nominal + value for value in axis.values if math.isfinite(value)]
+            high = math.inf if any(map(math.isinf, axis.values)) else max(ends)
+            ranges[axis.name] = (min(ends), high)
+        return ranges
+
+    def _set_rows(self) -> None:
+        """Which readings each coefficient and scale stands for."""
+        # parameters that change signals, but no eta
         self._of_signal = {SCALE, *self._named[SCALE], EFFICIENCY_FACTOR}
-        # by coefficient's parameter, the rows that it stands for
+        # by coefficient or scale, and by the parameter that stands for it, these rows
         self._rows_of = {
             name: {own: np.array(named) == own for own in dict.fromkeys(named)}
             for name, named in self._named.items()
         }
-        self._column = {parameter.name: i for i, parameter in enumerate(self.free)}
         # by free scale, the rows of light that it stands for
         self._lit_by = {
             name: np.flatnonzero(rows & self._of_light)
@@ -224,11 +238,6 @@ class ResponseModel:
         self._alike: dict[tuple[str | float, ...], list[int]] = {}
         for row, own in enumerate(self._own):
             self._alike.setdefault(own, []).append(row)
-        self._latest: PredictionPoint | None = None
-        self._shift: Array | None = None
-        if anchor is not None:
-            values = {**self._held, **anchor.values}
-            self._shift = anchor.log_eta - PredictionPoint(self, values, anchor.effects).log_eta
 
     def _values(self, theta: Array) -> dict[str, float]:
         """All parameters that the campaign names, free and held."""

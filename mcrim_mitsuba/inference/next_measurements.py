@@ -272,7 +272,7 @@ def _most_kept(errors: Array) -> tuple[float, float]:
     the median of all may lie where hardly any are.
     """
     errors = np.sort(np.maximum(errors, 1e-12))
-    # of those that begin with each one, in rising order
+    # behind the last error that is alike, for ranges that begin with each one
     ends = np.searchsorted(errors, errors * (1.0 + ADVICE.kept) / (1.0 - ADVICE.kept), side="right")
     first = int(np.argmax(ends - np.arange(len(errors))))
     promised = float(np.median(errors[first : ends[first]]))

@@ -103,16 +103,17 @@ def profiles_of(minimum: Minimum) -> tuple[Profile, ...]:
 def _profile(walk: ProfileWalk, minimum: Minimum) -> Profile:
     """The curve of a walk in the parameter's own unit."""
     statistic, place = minimum.statistic, walk.place
-    parameter, rows = statistic.free[place], walk.points
-    thetas = np.repeat(minimum.theta[None], len(rows), axis=0)
+    parameter, (_, rises, slopes) = statistic.free[place], walk.points.T
+    thetas = np.repeat(minimum.theta[None], len(rises), axis=0)
     thetas[:, place] = walk.values
-    chain = np.array([statistic.slopes_of_external(theta)[place] for theta in thetas])
+    # d parameter / d searched coordinate; a reciprocal's values descend where coordinates ascend
+    scale = np.array([statistic.slopes_of_external(theta)[place] for theta in thetas])
     order = np.argsort(walk.values)
     return Profile(
         name=parameter.name,
         values=walk.values[order],
-        delta_chi2=rows[order, 1],
-        slopes=(rows[:, 2] / chain)[order],
+        delta_chi2=rises[order],
+        slopes=(slopes / scale)[order],
         value=float(walk.theta[place]),
         sigma=math.sqrt(minimum.covariance[place, place]),
         prior=parameter.prior,

@@ -218,7 +218,7 @@ class _Waiting:
 
 
 def _histories(detected: list[Floats]) -> DetectedHistories:
-    """What is recorded of all detected photons, of the arrays of every flight."""
+    """Records of detected photons, joined of the (quantities, photons) arrays of every crowd."""
     *record, cosine, radius = np.concatenate(detected, axis=1)
     return DetectedHistories(
         scatterings=record[Record.SCATTERINGS].astype(np.int32),
