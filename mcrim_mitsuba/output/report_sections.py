@@ -6,7 +6,7 @@ import difflib
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
 from mcrim_mitsuba.output import photograph
+from mcrim_mitsuba.output.registry import encoded
 from mcrim_mitsuba.output.sentences import errors_apart, plain_headline
 from mcrim_mitsuba.runs.cache import RecordCache, code_hash, record_versions
 from mcrim_mitsuba.runs.cache_files import Chunk
@@ -168,7 +169,7 @@ def _behind_pictures(
     run = repaired.simulations.run
     numbers = {
         # how long it took is in no picture
-        "diagnosis": asdict(replace(repaired.diagnosed.diagnosis, seconds=0.0)),
+        "diagnosis": encoded(replace(repaired.diagnosed.diagnosis, seconds=0.0)),
         "calibration": repaired.fit.numbers(),
     }
     return {

@@ -26,6 +26,7 @@ from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.screening import promising_effects
 from mcrim_mitsuba.inference.simulations import MeasurementProposals
 from mcrim_mitsuba.inference.statistic import Statistic
+from mcrim_mitsuba.output.registry import encoded
 from mcrim_mitsuba.output.sentences import limit_text
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
@@ -339,7 +340,7 @@ def test_a_trend_is_that_of_the_bench_parameter():
 
 
 def test_json_has_the_fields_of_the_interface(one_hidden):
-    found = plain(one_hidden)
+    found = plain(encoded(one_hidden))
     text = json.dumps(found, allow_nan=False)
     assert json.loads(text) == found
     assert {
