@@ -631,7 +631,7 @@ def _wrong_next(name: str, values: Any, campaign: Campaign) -> tuple[str, str] |
 
 
 def _refuse_rows_the_scene_cannot_take(scene: SceneFile, measurements: Measurements) -> None:
-    """Put every row's parameters into the scene; a refusal names the row, not the scene."""
+    """Refuse rows whose parameters the scene refuses; it is said of the row, not of the scene."""
     taken: set[tuple[tuple[str, Value], ...]] = set()
     for reading in measurements.readings:
         for name, value in reading.parameters.items():

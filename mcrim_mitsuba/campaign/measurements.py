@@ -448,7 +448,7 @@ class _Cells(dict[str, str]):
 
 
 def _check_labels(table: Measurements) -> None:
-    """A label is that of one row with numbers, or of mountings of one configuration."""
+    """Refuse a label of several rows, unless they are mountings of one configuration."""
     for label, (first, *others) in table.by_label.items():
         for row in others:
             if first.histogram is None or row.histogram is None:
@@ -474,7 +474,7 @@ def _check_labels(table: Measurements) -> None:
 
 
 def _check_histograms(table: Measurements) -> None:
-    """A measurement counts once."""
+    """Refuse a histogram that two rows name: a measurement counts once."""
     named = [(row, row.histogram) for row in table.readings if row.histogram is not None]
     duplicates = first_duplicates([file for _, file in named])
     if duplicates is None:

@@ -183,7 +183,7 @@ def _names(
 
 
 def _refuse_other_columns(line: _Line, separator: str, columns: int, path: Path) -> None:
-    """A unit over other columns than the table has must not get lost."""
+    """Refuse a line of names with units that are more or fewer than the columns."""
     cells = without_empty_end(split(line.text, separator))
     if any(name_and_unit(cell)[1] is not None for cell in cells):
         raise InputError(
@@ -197,7 +197,7 @@ def _refuse_other_columns(line: _Line, separator: str, columns: int, path: Path)
 
 
 def _refuse_uncertain_commas(rows: list[_Line], names: Sequence[str] | None, path: Path) -> None:
-    """Commas between columns that may as well be decimal commas."""
+    """Refuse commas between columns that may as well be decimal commas."""
     for row in rows:
         for cell in row.cells:
             if _LEADING_ZERO.fullmatch(cell):
@@ -346,10 +346,8 @@ def _check_above(lines: Sequence[_Line], columns: _Columns) -> None:
     """Refuse what precedes the table unless it is surely no part of it.
 
     Single numbers are none above a line of text or a comment, as in headers of spectrometers.
-
-    Raises InputError.
     """
-    between = None
+    between = None  # the text that stands between the line and the table
     for line in reversed(lines):
         _check(line, between, columns)
         if line.kind == TEXT or (line.kind == COMMENTED and between is None):

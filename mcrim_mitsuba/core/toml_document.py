@@ -169,7 +169,7 @@ def _too_deep(path: Path, line: int | None) -> InputError:
 
 
 def _refuse_monsters(document: TomlDocument) -> None:
-    """What is TOML but could not be handled: entries very deep, whole numbers beyond 64 bits."""
+    """Refuse entries that are nested very deep, and whole numbers of more than 64 bits."""
     values: list[tuple[str, Any, int]] = [("", document.content, 0)]
     while values:
         name, value, depth = values.pop()

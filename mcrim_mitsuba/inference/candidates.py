@@ -108,7 +108,7 @@ class CandidateMaker:
         return tuple(self._candidate(pair, ranking) for pair in ranking.order)
 
     def _candidate(self, effects: tuple[str, ...], ranking: Ranking) -> Candidate:
-        """What the fit says by itself."""
+        """Effects as a candidate, by what their own fit says; mimics are found later."""
         fit, baseline = self._explanations.fit(effects), self._explanations.baseline
         own = [n for e in effects for n in self._explanations.free_parameters(effects, e)]
         evidence = self._explanations.evidence(effects)

@@ -200,7 +200,7 @@ class Neglected:
 
 
 def refuse_far(campaign: Campaign, band: BandIndices) -> None:
-    """InputError for indices too far from the scene's to be told from simulations about it."""
+    """Refuse indices too far from the scene's to be told from simulations about it."""
     nominal = float(campaign.scene.parameters[INDEX])
     effect = campaign.catalogue[CRYSTAL_INDEX].parameters[0]
     mean = band.over.mean

@@ -93,7 +93,7 @@ def held(campaign: Campaign) -> dict[str, float]:
 def refuse_unnamed_coefficients(
     campaign: Campaign, mend: str = 'name the crystal\'s coefficient in a <default name="{}" .../>'
 ) -> None:
-    """A scene that hides its coefficients cannot be fitted."""
+    """Refuse a scene whose coefficients are no parameters: it cannot be fitted."""
     for name in (ALPHA_SCAT, ALPHA_ABS):
         if name not in campaign.scene.parameters:
             problem = f"the scene has no parameter {name}"

@@ -105,10 +105,11 @@ def unknown_cause_at(
 
 
 def _correlation(statistic: Statistic, further: Sequence[Mapping[str, Value]] = ()) -> Array:
-    """(used + further,) squared correlation of something without a name; none with a beam.
+    """Correlations of what something without a name does to readings: exp(-d^2 / 2 length^2).
 
-    Every parameter that differs between readings is taken in parts of their range, lengths in
-    their logarithms. `further` are configurations by what they differ from the scene.
+    (used + further,) squared; `further` are configurations by what they differ from the scene. d is
+    the distance of two configurations: of every parameter that differs between readings in parts of
+    their range, of lengths in that of their logarithms. To a beam it does nothing.
     """
     readings = [r for r in statistic.model.readings if r.use]
     values = statistic.model.campaign.values
@@ -117,20 +118,20 @@ def _correlation(statistic: Statistic, further: Sequence[Mapping[str, Value]] = 
         *((each, each.get(KIND, LIGHT) != LIGHT) for each in further),
     ]
     light = [i for i, (_, of_beam) in enumerate(rows) if not of_beam]
-    known = sum(i < len(readings) for i in light)
-    distance = np.zeros((len(light), len(light)))
-    names = {n for i in light[:known] for n in rows[i][0]}
+    read = sum(i < len(readings) for i in light)
+    squared_distance = np.zeros((len(light), len(light)))
+    names = {n for i in light[:read] for n in rows[i][0]}
     for name in sorted(names):
         cells = [rows[i][0].get(name, values.get(name)) for i in light]
-        places = _places(name, cells, known)
-        distance += np.subtract.outer(places, places) ** 2
-    found = np.zeros((len(rows), len(rows)))
-    found[np.ix_(light, light)] = np.exp(-0.5 * distance / RIVALS.length**2)
-    return found
+        places = _places(name, cells, read)
+        squared_distance += np.subtract.outer(places, places) ** 2
+    correlation = np.zeros((len(rows), len(rows)))
+    correlation[np.ix_(light, light)] = np.exp(-0.5 * squared_distance / RIVALS.length**2)
+    return correlation
 
 
-def _places(name: str, cells: Sequence[Value | None], known: int) -> Array:
-    """(cells,) of a parameter, 0 to 1 for the known ones, which are the first."""
+def _places(name: str, cells: Sequence[Value | None], read: int) -> Array:
+    """(cells,) places of values in their range: 0 to 1 for the first ones, those of readings."""
     numbers = [float(c) for c in cells if isinstance(c, int | float)]
     if len(numbers) == len(cells):
         at = np.array(numbers)
@@ -139,7 +140,7 @@ def _places(name: str, cells: Sequence[Value | None], known: int) -> Array:
     else:  # names
         levels = sorted({str(cell) for cell in cells})
         at = np.array([float(levels.index(str(cell))) for cell in cells])
-    low, span = at[:known].min(), float(np.ptp(at[:known]))
+    low, span = at[:read].min(), float(np.ptp(at[:read]))
     return (at - low) / span if span > 0.0 else np.zeros(len(at))
 
 

@@ -272,7 +272,7 @@ def read_histogram(path: str | Path) -> Histogram:
 
 
 def _refuse_huge(table: DataTable) -> None:
-    """What no sum of squares could hold."""
+    """Refuse numbers so large that no sum of their squares could hold them."""
     for column, (values, limit) in enumerate(
         zip(table.values.T, (_LARGEST_CENTRE, _MOST_COUNTS), strict=False)
     ):
@@ -283,7 +283,7 @@ def _refuse_huge(table: DataTable) -> None:
 
 
 def _refuse_other_columns(table: DataTable) -> None:
-    """Names that are those of a spectrum, a trace or a list of events."""
+    """Refuse columns whose names are those of a spectrum, a trace or a list of events."""
     if table.names is None:
         return
     (bins, events), (unit, other) = table.names, table.units
@@ -304,12 +304,13 @@ def _refuse_other_columns(table: DataTable) -> None:
 
 
 def _refuse_numbered(table: DataTable) -> None:
-    """Counts that jump from bin to bin in no order are no histogram."""
+    """Refuse counts that jump from bin to bin in no order: a list of numbered events."""
     counts = table.values[:, 1]
     if len(counts) < _FEWEST_EVENTS:
         return
-    steps = np.diff(counts)
-    jumps = np.mean(steps**2 > 9.0 * (counts[1:] + counts[:-1]))
+    # part of the steps that are larger than three standard errors of the counts
+    jumps = np.mean(np.diff(counts) ** 2 > 9.0 * (counts[1:] + counts[:-1]))
+    # von Neumann's ratio of ranks: 1 where neighbours know nothing of each other, 0 if all rise
     _, ranks = np.unique(counts, return_inverse=True)
     variance = ranks.var()
     order = np.mean(np.diff(ranks) ** 2) / (2.0 * variance) if variance else 0.0

@@ -89,7 +89,11 @@ def fit_peak(
 
 
 def _likely(fits: dict[str, Peak | None]) -> str:
-    """Counting, where it can be."""
+    """The shape to choose: counting, unless only a Gaussian describes the band.
+
+    A Gaussian is chosen if it fits, counting does not, and the band is narrower than counted
+    photons can be, whose variance is their mean or more.
+    """
     if COUNTING not in fits:
         return GAUSSIAN
     counted, bell = fits[COUNTING], fits[GAUSSIAN]

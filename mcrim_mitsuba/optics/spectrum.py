@@ -264,7 +264,10 @@ def _area(emission: Spectrum) -> float:
 def _refuse_extrapolation(
     emission: Spectrum, quantity: Spectrum, what: str
 ) -> tuple[float, tuple[str, ...]]:
-    """Fraction of the emission outside the quantity's points, and notes."""
+    """Fraction of the emission outside the quantity's points, and notes on it.
+
+    Raises InputError if it is more than `LARGEST_OUTSIDE`.
+    """
     area = _area(emission)
     parts = []
     for where, low, high in (

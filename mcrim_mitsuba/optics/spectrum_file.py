@@ -89,7 +89,7 @@ def _read_axis(table: DataTable, column: int) -> _WavelengthAxis:
 
 
 def _refuse_other_axis(table: DataTable, column: int) -> None:
-    """A column without a unit whose name is that of something else, or needs a unit."""
+    """Refuse a column without unit whose name needs one, or is that of something else."""
     name = table.names[column] if table.names else ""
     if _WAVELENGTH_NAME.search(name):
         return
@@ -103,7 +103,7 @@ def _refuse_other_axis(table: DataTable, column: int) -> None:
 
 
 def _refuse_range(table: DataTable, column: int, given: Array, wavelengths: Array) -> None:
-    """Values that are no light."""
+    """Refuse wavelengths that no light here has; a unit that was forgotten is guessed."""
     wrong = (wavelengths < SHORTEST_NM) | (wavelengths > LONGEST_NM) | (given <= 0)
     if not np.any(wrong):
         return

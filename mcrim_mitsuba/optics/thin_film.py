@@ -82,6 +82,7 @@ class ThinFilm:
         inside, beyond = (np.sqrt(np.asarray(m**2 - sine2, dtype=complex)) for m in (film, vacuum))
         across = np.exp(2j * math.pi * self.wavelengths * self.window_index * inside)
         reflectances, transmittances = [], []
+        # s and p polarised: admittances of window, film and vacuum, in units of the window's index
         for of_film, of_vacuum in ((1.0, 1.0), (film**2, vacuum**2)):
             a, b, c = cosine, inside / of_film, beyond / of_vacuum
             # at grazing incidence all is reflected

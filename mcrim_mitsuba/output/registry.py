@@ -226,7 +226,7 @@ _PARTS = {
 
 
 def encoded(value: object) -> Any:
-    """What ``--json`` writes of a value: results and what they hold by their `names`.
+    """What ``--json`` writes of a value: results and what they hold by their `Presenter.names`.
 
     Other dataclasses are written with all fields, everything else as `core.files.plain` does.
     """

@@ -303,7 +303,7 @@ def refuse_many_points(points: int) -> None:
 
 
 def _refuse_decimal_commas(option: str, elements: list[str]) -> None:
-    """``0,039`` would be the two numbers 0 and 39."""
+    """Refuse elements such as 039: ``0,039`` would be the two numbers 0 and 39."""
     for before, element in zip(["", *elements], elements, strict=False):
         decimals = element.strip()
         if not _STEP_DECIMALS.fullmatch(decimals):

@@ -76,7 +76,10 @@ def _parsed(data: bytes, path: Path) -> etree._Element:
 
 
 def _refuse_monsters(root: etree._Element, path: Path) -> None:
-    """Readers go down into elements by calling themselves, and look attributes up one by one."""
+    """Refuse elements that are nested very deep, or have very many attributes.
+
+    Readers go down by calling themselves, and look attributes up one by one.
+    """
     depth = 0
     for event, element in etree.iterwalk(root, events=("start", "end")):
         depth += 1 if event == "start" else -1

@@ -181,7 +181,7 @@ def _fit(histogram, shape, window):
 
 
 def _refuse_duplicates(files: tuple[str, ...]) -> None:
-    """A mounting counts once."""
+    """Refuse a file that is given twice, by its name or its content: a mounting counts once."""
     duplicates = first_duplicates([Path(file) for file in files])
     if duplicates is None:
         return
