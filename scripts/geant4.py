@@ -119,8 +119,8 @@ def trace_geant4(
     )
 
 
-#: Parameters of a bench that `construction` builds; all others must be at their defaults.
-KNOWN_PARAMETERS = (
+#: Parameters of the plainest bench: a box on a gap, a window and a mask.
+PLAIN_PARAMETERS = (
     "crystal_width_mm",
     "crystal_height_mm",
     "n_crystal",
@@ -132,6 +132,10 @@ KNOWN_PARAMETERS = (
     "window_thickness_mm",
     "n_window",
     "aperture_radius_mm",
+)
+#: Parameters of a bench that `construction` builds; all others must be at their defaults.
+KNOWN_PARAMETERS = (
+    *PLAIN_PARAMETERS,
     "polarization",
     "gap_absorption_per_cm",
     "window_absorption_per_cm",

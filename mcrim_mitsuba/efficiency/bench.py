@@ -96,10 +96,7 @@ class Bench:
     Lengths are in mm, coefficients in 1/cm. The defaults are the CaMoO4 bench
     of V. Alenkov et al., JINST 8 P06002 (2013).
 
-    Raises
-    ------
-    InputError
-        If a value has the wrong type or lies outside its range.
+    Raises InputError if a value has the wrong type or lies outside its range.
     """
 
     #: The crystal: x, y in +-width/2, z in [0, height].
@@ -414,11 +411,8 @@ class Bench:
 
         Ground faces, a candidate of their own there, are rough ones here.
 
-        Raises
-        ------
-        InputError
-            For a name that is not an attribute: silently leaving a parameter
-            out would make the comparison meaningless.
+        Raises InputError for a name that is not an attribute: silently leaving a parameter out
+        would make the comparison meaningless.
         """
         names = {attribute.name for attribute in fields(cls)}
         parameters = {_GROUND.get(name, name): value for name, value in parameters.items()}

@@ -60,10 +60,7 @@ def solve_simulation(simulation: Simulation, run: Run = Run()) -> SimulationResu
 
     Where a relative error of eta is enough, as the run's precision says, it takes less time.
 
-    Raises
-    ------
-    InputError
-        If the bench is not one that the solver knows.
+    Raises InputError if the bench is not one that the solver knows.
     """
     start = time.perf_counter()
     file = simulation.file
@@ -100,11 +97,8 @@ def noise_free_table(
 ) -> EtaTable:
     """Table of eta over the axes of `efficiency.table.eta_table`, without photons.
 
-    Raises
-    ------
-    InputError
-        If the scene is not sound or lacks one of the parameters, a value is out of range, or a
-        bench is not one that the solver knows.
+    Raises InputError if the scene is not sound or lacks one of the parameters, a value is out of
+    range, or a bench is not one that the solver knows.
     """
     file = read_scene(scene)
     grid = TableGrid.of(file, axes)
@@ -136,10 +130,7 @@ def solve_benches(
 ) -> list[tuple[Array, Array]]:
     """Efficiency and its error at the same coefficients, which broadcast, of several benches.
 
-    Raises
-    ------
-    InputError
-        If a scene is not sound, or a bench is not one that the solver knows.
+    Raises InputError if a scene is not sound, or a bench is not one that the solver knows.
     """
     from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -184,11 +175,8 @@ _BY_PARAMETER = {
 def bench_of(simulation: Simulation) -> Bench:
     """The bench that a loaded scene is.
 
-    Raises
-    ------
-    InputError
-        If the scene has parameters that `Bench` does not know, or is another bench than they
-        describe.
+    Raises InputError if the scene has parameters that `Bench` does not know, or is another bench
+    than they describe.
     """
     from mcrim_mitsuba.transport.solid_names import named_form
 

@@ -351,6 +351,8 @@ def solve_box(
 
     Method and limits: docs/theory.md, "Without photons".
 
+    Raises InputError if the bench has what the method does not know, or a coefficient is negative.
+
     Parameters
     ----------
     alpha_scat_per_cm, alpha_abs_per_cm : array_like, optional
@@ -358,11 +360,6 @@ def solve_box(
     precision : float, optional
         Relative error of eta that is enough: where fewer nodes are estimated to reach it, they do
         the work. None: as good as it gets.
-
-    Raises
-    ------
-    InputError
-        If the bench has what the method does not know, or a coefficient is negative.
     """
     refuse_other_boxes(bench)
     scat = bench.alpha_scat_per_cm if alpha_scat_per_cm is None else alpha_scat_per_cm

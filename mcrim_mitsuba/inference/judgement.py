@@ -183,24 +183,26 @@ class Judgement:
         return f"{', '.join(first)} and {last}" if first else last
 
     def _leading(self, pairs: Ranking | None) -> tuple[tuple[tuple[str, ...], ...], Minimum]:
-        """Effects that explain the readings, and of all effects the fit that does best."""
-        singles, found = self.singles, self.baseline
+        """Effects that explain the readings, and of all effects the fit that does best.
+
+        First single effects, then pairs, where these were needed and tried: those lead of which the
+        best has a name and fits well enough.
+        """
+        singles, best = self.singles, self.baseline
         significant = self.p_of_best_gain < ACCEPTABLE_P
+        needs_pairs = pairs is not None and self.needs(pairs)
         if singles.order:
-            found = singles.best
-            alone = pairs is None or not self.needs(pairs)
+            best = singles.best
             level = JUDGING.barely_explains if pairs is not None else ACCEPTABLE_P
-            if alone and significant and self._names(singles.order[0]) and explains(found, level):
-                return singles.leading(), found
+            named = self._names(singles.order[0])
+            if significant and not needs_pairs and named and explains(best, level):
+                return singles.leading(), best
         if pairs is not None and pairs.order:
-            found = pairs.best
-            if (
-                self.needs(pairs)
-                and self._names(pairs.order[0])
-                and explains(found, JUDGING.pair_explains)
-            ):
-                return pairs.leading(), found
-        return (), found
+            best = pairs.best
+            named = self._names(pairs.order[0])
+            if needs_pairs and named and explains(best, JUDGING.pair_explains):
+                return pairs.leading(), best
+        return (), best
 
     def needs(self, pairs: Ranking) -> bool:
         """Whether two effects explain the readings significantly better than the best one alone.

@@ -286,33 +286,18 @@ def _cloud(
     proposals: MeasurementProposals,
 ) -> _Cloud:
     """Points of the leading explanations and of all others that are likely."""
-    logs = np.array([each.log_weight for each in hypotheses])
-    shares = np.exp(logs - logsumexp(logs))
-    rivals = {tuple(sorted(effects)) for effects in leading[: ADVICE.most_rivals]}
-    sets: dict[tuple[str, ...], None] = dict.fromkeys([(), *rivals])
-    taken = []
-    for i in np.argsort(-shares, kind="stable"):
-        each = hypotheses[i]
-        effects = tuple(sorted(each.effects))
-        leads = not each.besides and effects in rivals
-        if not leads and (
-            shares[i] < ADVICE.likely or (effects not in sets and len(sets) > ADVICE.most_sets)
-        ):
-            continue
-        sets[effects] = None
-        taken.append((each, effects, float(shares[i])))
+    likely = _likely(leading, hypotheses)
     count = len(proposals.configurations)
-    relative = np.broadcast_to(np.asarray(proposals.relative_sigma, float), (count,))
-    names = tuple(dict.fromkeys(each.name for each, *_ in taken))
+    names = tuple(dict.fromkeys(each.name for each, _ in likely))
     rng = np.random.default_rng(1)
     of, weights, signals, scales = [], [], [], []
     variance = np.zeros(count)
-    for each, effects, share in taken:
-        points = each.evidence.draws
+    for each, share in likely:
+        effects, points = tuple(sorted(each.effects)), each.evidence.draws
         predicted = proposals.predict(effects, points)
         if proposals.noise is not None:
             variance += share * proposals.noise(effects, np.median(points, axis=0)) ** 2
-        if each.amplitude:
+        if each.amplitude:  # something without a name
             predicted = predicted * np.exp(
                 unknown_cause_at(explanations, each, points, proposals.configurations)
             )
@@ -320,10 +305,12 @@ def _cloud(
         weights.append(np.full(len(points), share / len(points)))
         signals.append(np.maximum(predicted, 1e-300))
         free = tuple(each.evidence.mean)
-        own = points[:, free.index(SCALE)] if SCALE in free else np.zeros(len(points))
-        scales.append(own * (1.0 + each.common * rng.standard_normal(len(points))))
+        scale = points[:, free.index(SCALE)] if SCALE in free else np.zeros(len(points))
+        # with what no reading tells of it
+        scales.append(scale * (1.0 + each.common * rng.standard_normal(len(points))))
+    relative = np.broadcast_to(np.asarray(proposals.relative_sigma, float), (count,))
     # what the simulation does not tell apart, a reading will not tell either
-    relative = np.sqrt(relative**2 + variance / sum(share for *_, share in taken))
+    relative = np.sqrt(relative**2 + variance / sum(share for _, share in likely))
     weight, scale = np.concatenate(weights), np.concatenate(scales)
     order = np.argsort(scale, kind="stable")
     return _Cloud(
@@ -334,3 +321,27 @@ def _cloud(
         relative_sigma=relative,
         yields=scale[order] if scale.all() else None,
     )
+
+
+def _likely(
+    leading: Sequence[tuple[str, ...]], hypotheses: Sequence[Hypothesis]
+) -> list[tuple[Hypothesis, float]]:
+    """Hypotheses that predict, with their probabilities, the likeliest first.
+
+    The first few of those that lead, and all others that are likely, as long as their sets of
+    effects, each of which takes a simulation, are not too many.
+    """
+    logs = np.array([each.log_weight for each in hypotheses])
+    shares = np.exp(logs - logsumexp(logs))
+    rivals = {tuple(sorted(effects)) for effects in leading[: ADVICE.most_rivals]}
+    sets = {(), *rivals}
+    likely = []
+    for i in np.argsort(-shares, kind="stable"):
+        each = hypotheses[i]
+        effects = tuple(sorted(each.effects))
+        leads = not each.besides and effects in rivals
+        affordable = effects in sets or len(sets) <= ADVICE.most_sets
+        if leads or (shares[i] >= ADVICE.likely and affordable):
+            sets.add(effects)
+            likely.append((each, float(shares[i])))
+    return likely

@@ -47,6 +47,9 @@ def alpha_scat_from_ratio(
 ) -> RatioSolution:
     """Solve eta_1 / eta_2 = ratio for alpha_scat.
 
+    Raises InputError if no alpha_scat within the bounds gives the ratio (the range that R takes is
+    said), if more than one does, or as `EfficiencySurface.evaluate`.
+
     Parameters
     ----------
     surface_1, surface_2 : EfficiencySurface
@@ -57,12 +60,6 @@ def alpha_scat_from_ratio(
         Reading 1 over reading 2 and its standard error.
     bounds_per_cm : tuple of two floats
         Where to look, both above 0; where the surfaces say nothing is left out.
-
-    Raises
-    ------
-    InputError
-        If no alpha_scat within the bounds gives the ratio (the range that R takes is said),
-        if more than one does, or as `EfficiencySurface.evaluate`.
     """
     low, high = bounds_per_cm
     if not 0 < low < high < math.inf:

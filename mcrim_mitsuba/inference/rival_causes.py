@@ -57,8 +57,8 @@ def unknown_cause(
     near = [effects for effects, fit in fits.items() if fit.deviance < lowest + RIVALS.beside]
     correlation = _correlation(explanations.baseline.statistic)
     found = []
-    # twice the size is half as likely
-    whole = sum(1.0 / each for each in RIVALS.amplitudes)
+    # twice the size is half as likely: prior 1 / (amplitude norm)
+    norm = sum(1.0 / amplitude for amplitude in RIVALS.amplitudes)
     for effects in [(), *near[: RIVALS.most_beside]]:
         best, priors = -math.inf, explanations.priors(effects)
         of_effects = explanations.log_odds(effects)
@@ -67,7 +67,7 @@ def unknown_cause(
             own = explanations.statistic(effects).with_unexplained(amplitude**2 * correlation)
             fit = settle(own, explanations.fit(effects).theta)
             evidence = evidence_of(fit, priors, hopeless=True)
-            log_odds = of_effects + math.log(odds / (amplitude * whole))
+            log_odds = of_effects + math.log(odds / (amplitude * norm))
             common = RIVALS.common_to_all * amplitude
             found.append(Hypothesis(evidence, log_odds, effects, UNKNOWN, common, amplitude))
             best = max(best, evidence.log)

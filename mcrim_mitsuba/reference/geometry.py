@@ -151,6 +151,7 @@ class Box(HalfSpaceBody):
         self._planes = corners.T.ravel() + 0.0
 
     def exit(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
+        """As of `HalfSpaceBody`, for planes across the axes: of each axis one is ahead."""
         # a direction along a plane never reaches it
         ahead = ~np.signbit(direction)
         times = np.where(ahead, self._high, self._low)
@@ -167,6 +168,7 @@ class Box(HalfSpaceBody):
         return distance, face, strayed
 
     def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
+        """As of `HalfSpaceBody`: where the last of three slabs is entered, before one is left."""
         with np.errstate(divide="ignore", invalid="ignore"):
             to_low = (self._low - position) / direction
             to_high = (self._high - position) / direction
@@ -240,6 +242,7 @@ class Cylinder(HalfSpaceBody):
         self._low_end = 2 * axis
 
     def exit(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
+        """As of `HalfSpaceBody`: through the wall, or the end that is ahead."""
         _, to_wall, _ = self._wall_crossings(position, direction)
         speed = direction[self._axis]
         ahead = np.where(speed > 0.0, *self._levels[::-1, None])
@@ -251,6 +254,7 @@ class Cylinder(HalfSpaceBody):
         return distance, face, ~self._holds(position, TOLERANCE_MM)
 
     def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
+        """As of `HalfSpaceBody`: through the wall, or the end that faces the flight."""
         wall_in, wall_out, misses = self._wall_crossings(position, direction)
         along, speed = position[self._axis], direction[self._axis]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -267,6 +271,7 @@ class Cylinder(HalfSpaceBody):
         return distance, face, self._holds(position, -TOLERANCE_MM)
 
     def snap(self, position: Floats, face: Indices) -> tuple[Floats, Floats]:
+        """As of `HalfSpaceBody`: onto the wall along the radius, onto an end along the axis."""
         snapped, normal = position.copy(), np.zeros_like(position)
         wall, end = np.flatnonzero(face == self.wall), np.flatnonzero(face != self.wall)
         away = position[np.ix_(self._across, wall)] - self._centre
@@ -318,6 +323,7 @@ class BelowCylinder(Box):
         self._crystal = crystal
 
     def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
+        """As of `HalfSpaceBody`, but not through what is inside of the crystal."""
         distance, face, strayed = super().entry(position, direction)
         far = np.isinf(distance)
         arrival = position + np.where(far, 0.0, distance) * direction

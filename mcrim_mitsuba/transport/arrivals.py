@@ -83,10 +83,7 @@ class DetectorPlane:
 def detector_plane(model: SceneModel) -> DetectorPlane:
     """The plane of a scene's detecting faces.
 
-    Raises
-    ------
-    InputError
-        If they are curved or do not lie in one plane.
+    Raises InputError if they are curved or do not lie in one plane.
     """
     numbers = [i for i, s in enumerate(model.surfaces) if s.kind == DETECTOR]
     faces = [face for face in model.flat_faces if face.surface in numbers]

@@ -39,10 +39,7 @@ MOST_TRIANGLES = 128
 def read_scene_model(scene) -> SceneModel:
     """Translate a scene; every shape keeps its id where it was loaded with ``optimize=False``.
 
-    Raises
-    ------
-    InputError
-        For a medium, a phase function or a shape that the transport cannot follow.
+    Raises InputError for a medium, a phase function or a shape that the transport cannot follow.
     """
     box = mi.ScalarBoundingBox3f()
     for shape in scene.shapes():

@@ -33,10 +33,7 @@ STEPS = 96
 def surface_triangles(model: SceneModel) -> tuple[Triangles, ...]:
     """The triangles of every surface, in the order of ``model.surfaces``.
 
-    Raises
-    ------
-    InputError
-        For a curved shape of which Mitsuba knows no points.
+    Raises InputError for a curved shape of which Mitsuba knows no points.
     """
     flat: dict[int, list[np.ndarray]] = {}
     round_ones = {face.surface for face in model.flat_faces if face.circle is not None}

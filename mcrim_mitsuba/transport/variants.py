@@ -80,11 +80,8 @@ def selected_llvm() -> LlvmLibrary:
     The user's ``DRJIT_LIBLLVM_PATH`` is respected; else the library of the installed wheel is
     taken, else the newest one of the system, and this variable names it from then on.
 
-    Raises
-    ------
-    InputError
-        If the user's choice is missing, not a library or too old, if no usable library is
-        found, or if Dr.Jit was imported first and has loaded one that is too old.
+    Raises InputError if the user's choice is missing, not a library or too old, if no usable
+    library is found, or if Dr.Jit was imported first and has loaded one that is too old.
     """
     if "drjit" in sys.modules:
         return _already_loaded()
@@ -189,10 +186,7 @@ OLDEST_CUDA = (12, 2)
 def cuda_versions() -> dict[str, str]:
     """The driver's CUDA and the GPU's compute capability, which decide how kernels are compiled.
 
-    Raises
-    ------
-    InputError
-        If there is no NVIDIA GPU that Dr.Jit can use.
+    Raises InputError if there is no NVIDIA GPU that Dr.Jit can use.
     """
     with contextlib.suppress(InputError):
         selected_llvm()  # Dr.Jit loads one when it is imported, for later variants too
@@ -240,18 +234,15 @@ def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None) -> Any:
     - the plugins are in this variant and in every other that Mitsuba switches to from then on;
     - Dr.Jit's pool has so many threads.
 
+    Raises InputError if the variant is not supported, not built into the installed Mitsuba, has no
+    usable LLVM or NVIDIA GPU, or `threads` is not positive.
+
     Parameters
     ----------
     name : str
         One of `SUPPORTED_VARIANTS`.
     threads : int, optional
         Processor threads; all processors when not given.
-
-    Raises
-    ------
-    InputError
-        If the variant is not supported, not built into the installed Mitsuba,
-        has no usable LLVM or NVIDIA GPU, or `threads` is not positive.
     """
     refuse_unusable(name)
     if threads is not None and threads < 1:
@@ -306,10 +297,7 @@ def _on_variant_change(_old: str | None, new: str | None) -> None:
 def refuse_unusable(name: str) -> None:
     """Refuse a variant that cannot be used here, before anything is begun with it.
 
-    Raises
-    ------
-    InputError
-        If the variant is not supported, or has no usable LLVM or NVIDIA GPU.
+    Raises InputError if the variant is not supported, or has no usable LLVM or NVIDIA GPU.
     """
     if name not in SUPPORTED_VARIANTS:
         mend = did_you_mean(name, SUPPORTED_VARIANTS)
@@ -325,10 +313,7 @@ def refuse_unusable(name: str) -> None:
 def software_versions(variant: str) -> dict[str, str]:
     """Versions of the packages, and of the variant's LLVM or GPU, that results depend on.
 
-    Raises
-    ------
-    InputError
-        If the variant needs LLVM or an NVIDIA GPU and there is none.
+    Raises InputError if the variant needs LLVM or an NVIDIA GPU and there is none.
     """
     if variant.startswith("llvm"):
         return _package_versions() | {"llvm": ".".join(map(str, selected_llvm().version))}
@@ -360,10 +345,7 @@ def versions(variant: str, threads: int | None = None) -> dict[str, str]:
 def describe_installation(variant: str, threads: int | None = None) -> dict[str, str]:
     """Versions, LLVM library, variants and threads, after compiling and running a kernel.
 
-    Raises
-    ------
-    InputError
-        If the variant cannot be used here, or its arithmetic is wrong.
+    Raises InputError if the variant cannot be used here, or its arithmetic is wrong.
     """
     mi = use_variant(variant, threads)
     import drjit as dr

@@ -9,25 +9,13 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+from geant4 import PLAIN_PARAMETERS
+
 from mcrim_mitsuba.efficiency.bench import Bench
 
 SOURCE = Path(__file__).with_name("scalar_tracer.cpp")
 COMPILERS = ("g++", "c++", "clang++")
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-pthread")
-#: Parameters of a bench that the tracer knows; it does not look at the others.
-KNOWN_PARAMETERS = (
-    "crystal_width_mm",
-    "crystal_height_mm",
-    "n_crystal",
-    "alpha_scat_per_cm",
-    "alpha_abs_per_cm",
-    "gap_mm",
-    "n_gap",
-    "window_width_mm",
-    "window_thickness_mm",
-    "n_window",
-    "aperture_radius_mm",
-)
 
 
 class ScalarTracerError(RuntimeError):
@@ -70,7 +58,8 @@ def trace_scalar(
     ``eta``, ``eta_sigma``, ``fates`` (fractions of the light emitted), ``photons``, ``seconds``
     (wall time), ``processor_s`` and ``photons_per_second``.
     """
-    given = {name: getattr(bench, name) for name in KNOWN_PARAMETERS} | {
+    # what else a bench has the tracer does not look at
+    given = {name: getattr(bench, name) for name in PLAIN_PARAMETERS} | {
         "photons": photons,
         "seed": seed,
         "threads": threads or os.cpu_count() or 1,
