@@ -196,7 +196,7 @@ _CUT = '<float name="cut" value="$bubble_fraction"/>'
 
 
 def edit_bubble_strip(editor: SceneEditor) -> None:
-    """Cut the gap where the air begins, with what borders it."""
+    """Let air take a strip of the gap: faces around it are parted where the air begins."""
     part_gap(editor, _CUT, liquid="beyond", air="before")
     change_gap_sides(editor, f"{_CUT}\n{INDEX_OF_PART}")
     for rim in editor.shapes:

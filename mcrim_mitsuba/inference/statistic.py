@@ -216,11 +216,19 @@ class Statistic:
         self.names = tuple(p.name for p in self.free)
         #: (free,) Where the campaign lets searches begin; 0 where it does not say.
         self.start = np.array([0.0 if math.isnan(p.start) else p.start for p in self.free])
+        # relative covariance of what no parameter explains
+        self._unexplained: Array | None = None
+        self._set_readings()
+        self._set_priors()
+        self._set_coordinates()
+
+    def _set_readings(self) -> None:
+        """The readings in use, their errors, and the scales and mountings that they share."""
         #: (readings,) Which of the model's readings the statistic uses.
-        self.used = np.array([reading.use for reading in model.readings])
-        used = [reading for reading in model.readings if reading.use]
+        self.used = np.array([reading.use for reading in self.model.readings])
+        used = [reading for reading in self.model.readings if reading.use]
         self.labels = tuple(reading.label for reading in used)
-        scale_of = np.array([model.campaign.parameter_of(reading, SCALE) for reading in used])
+        scale_of = np.array([self.model.campaign.parameter_of(reading, SCALE) for reading in used])
         #: The free scales, the campaign's and those of samples, by the (used,) readings' masks.
         self.scales = {
             n: scale_of == n for n in dict.fromkeys(scale_of.tolist()) if n in self.names
@@ -228,11 +236,13 @@ class Statistic:
         #: (used,) The readings, and the squares of their own errors.
         self.signal = np.array([reading.signal for reading in used])
         self.variance = np.array([reading.sigma for reading in used]) ** 2
+        # relative error that a mounting's readings share, and the number of the mounting
         self._shared = np.array([reading.group_sigma or 0.0 for reading in used])
         groups = [reading.group or "" for reading in used]
         self._mountings = np.unique(groups, return_inverse=True)[1]
-        # relative covariance of what no parameter explains
-        self._unexplained: Array | None = None
+
+    def _set_priors(self) -> None:
+        """Priors, and their rows of slopes of the residuals."""
         #: (free,) The weight is 1 / sigma^2; both are 0 without a prior.
         self.prior = np.array([0.0 if p.prior is None else p.prior for p in self.free])
         self.prior_weight = np.array(
@@ -243,8 +253,13 @@ class Statistic:
         self._prior_rows[np.arange(len(self._priors)), self._priors] = -np.sqrt(
             self.prior_weight[self._priors]
         )
+
+    def _set_coordinates(self) -> None:
+        """In which coordinate each parameter is searched, and its bounds there."""
         of_effects = {
-            p.name: p.coordinate for effect in model.campaign.switched_on for p in effect.parameters
+            p.name: p.coordinate
+            for effect in self.model.campaign.switched_on
+            for p in effect.parameters
         }
         kinds = ["log" if p.logarithmic else of_effects.get(p.name, "linear") for p in self.free]
         #: (free,) Which parameters are searched in their logarithm.

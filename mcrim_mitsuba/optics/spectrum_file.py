@@ -379,7 +379,10 @@ def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> A
 def _emission(
     table: DataTable, places: int, value: int, sigmas: Array | None, axis: _WavelengthAxis
 ) -> tuple[Array, tuple[str, ...]]:
-    """(points,) what makes photons per nm of the intensities, which it checks; and all notes."""
+    """What turns intensities of an emission into photons per nm, (points,), and all notes.
+
+    Raises InputError if no intensity is above 0, or one is below 0 by more than noise.
+    """
     given = table.values[:, value]
     highest = float(given.max())
     if not highest > 0:

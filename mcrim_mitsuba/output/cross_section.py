@@ -322,9 +322,11 @@ def chosen_paths(
         lines = [_line(trails.trail(number), size) for number in numbers.tolist()]
         flights = trails.flights[numbers]
         # one path that is easily followed, and of common fates a typical one
-        wanted = (_WANTED_FLIGHTS, np.median(flights))
-        for many in wanted if shares[fate] >= COMMON_SHARE else wanted[:1]:
-            costs = _costs_alone(lines, middle, size) + np.abs(np.log(flights / many))
+        wanted_flights = [_WANTED_FLIGHTS]
+        if shares[fate] >= COMMON_SHARE:
+            wanted_flights.append(np.median(flights))
+        for wanted in wanted_flights:
+            costs = _costs_alone(lines, middle, size) + np.abs(np.log(flights / wanted))
             if view is not None:
                 # through its middle, or at least through a corner
                 inner = view.mean(axis=0) + 0.5 * (view - view.mean(axis=0))
