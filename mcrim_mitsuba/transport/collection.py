@@ -51,18 +51,22 @@ FEW_TRUNCATED = 3.0
 Progress = Callable[[int, int, float, float], None]
 
 
-def choose_path(model: SceneModel, polarization: bool, general: bool = False):
+def choose_path(
+    model: SceneModel, polarization: bool, general: bool = False, fold: int | None = None
+):
     """The fast path where it can follow light through the scene, else the general one.
 
-    `general` asks for this in any case (for cross-checks).
+    `general` asks for this in any case (for cross-checks); `fold` is as of `FlatPath`.
     """
     if suits(model) and not general:
-        return FlatPath(model, polarization)
+        return FlatPath(model, polarization, None if polarization else fold)
     return GeneralPath(model, polarization, trace_all=general)
 
 
 class Launcher:
     """Launches photons into the scene of a crystal, where they are born.
+
+    Without `fold` light flies from reflection to reflection, see `transport.folding`.
 
     Attributes
     ----------
@@ -73,9 +77,17 @@ class Launcher:
     """
 
     @signals_wait()
-    def __init__(self, crystal: CrystalVolume, polarization: bool, general: bool = False) -> None:
+    def __init__(
+        self,
+        crystal: CrystalVolume,
+        polarization: bool,
+        general: bool = False,
+        *,
+        fold: bool = True,
+    ) -> None:
         self._crystal = crystal
-        self.path = choose_path(crystal.model, polarization, general)
+        volume = crystal.volume if fold else None
+        self.path = choose_path(crystal.model, polarization, general, volume)
         self.tally = FateTally(head_on=crystal.model.head_on)
 
     @property
@@ -192,11 +204,11 @@ def slope_along(
 class Recorder:
     """Simulates a configuration's photon records, launch by launch.
 
-    The simulation's own coefficients do not matter.
+    The simulation's own coefficients do not matter; `fold` is as of `Launcher`.
     """
 
-    def __init__(self, simulation: Simulation) -> None:
-        self._simulation, self._launcher = simulation, simulation.launcher()
+    def __init__(self, simulation: Simulation, *, fold: bool = True) -> None:
+        self._simulation, self._launcher = simulation, simulation.launcher(fold=fold)
 
     def record(
         self,
@@ -314,7 +326,7 @@ def follow_trails(simulation: Simulation, photons: int = LANES, *, seed: int = 0
     the same but for their larger errors. A photon takes 1 kB.
     """
     store = TrailStore(photons, FLIGHTS_KEPT)
-    simulation.launcher().launch(
+    simulation.launcher(fold=False).launch(
         photons, seed=seed, number=0, max_depth=simulation.depth_limit, may_leak=True, trails=store
     )
     starts, ends, last = (

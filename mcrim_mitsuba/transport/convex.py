@@ -287,8 +287,8 @@ class Disc:
 
     def __init__(self, circle: Circle, number) -> None:
         self.axis = circle.axis
-        self._across = circle.across
-        self._centre = [number(value) for value in circle.centre_mm]
+        self.across = circle.across
+        self.centre = [number(value) for value in circle.centre_mm]
         self.radius = number(circle.radius_mm)
         self._radius2 = number(circle.radius_mm**2)
         self._inside = circle.inside
@@ -296,13 +296,13 @@ class Disc:
     def away(self, point):
         """From its axis (Vector2f, mm)."""
         return mi.Vector2f(
-            *(point[i] - at for i, at in zip(self._across, self._centre, strict=True))
+            *(point[i] - at for i, at in zip(self.across, self.centre, strict=True))
         )
 
     def outwards(self, point):
         """Unit vector away from its axis (Vector3f) at points of its circle."""
         away, normal = self.away(point), mi.Vector3f(0.0)
-        for i, part in zip(self._across, away, strict=True):
+        for i, part in zip(self.across, away, strict=True):
             normal[i] = part
         return dr.normalize(normal)
 
@@ -318,7 +318,7 @@ class Disc:
         that misses; and the square of what over the radius is the cosine to the normals there.
         """
         away = self.away(ray.origin)
-        along = mi.Vector2f(*(ray.direction[i] for i in self._across))
+        along = mi.Vector2f(*(ray.direction[i] for i in self.across))
         a, b = dr.squared_norm(along), dr.dot(away, along)
         c = dr.squared_norm(away) - self._radius2
         root2 = dr.fma(b, b, -a * c)
@@ -422,19 +422,15 @@ class ConvexBody:
         are returned as they are then; `here` tells of every volume whether light is in it (Mask).
         Light around a round wall that is on it, by `last_face` (UInt32), flies away from it.
         """
-        way = self._way_through(ray)
+        way = self._way_through(ray, self._slabs)
         if self._wall is not None:
             self._meet_wall(way, ray, last_face)
-        for slab in self._slabs:
-            for side in slab.sides.values():
-                way.leaving = _resolve(way.leaving, side.leave, side.leave_rows, ray, way.out)
-                if self._enters:
-                    way.entering = _resolve(
-                        way.entering, side.enter, side.enter_rows, ray, way.into
-                    )
-        met = here[self.solid.volume] & (way.out < best)
-        best, which = dr.select(met, way.out, best), dr.select(met, way.leaving, which)
+        out, leaving = self._way_out(way, ray)
+        met = here[self.solid.volume] & (out < best)
+        best, which = dr.select(met, out, best), dr.select(met, leaving, which)
         if self._enters:
+            for side in self._sides:
+                way.entering = _resolve(way.entering, side.enter, side.enter_rows, ray, way.into)
             # what rounding has put just behind a face near an edge still meets that face
             ahead = way.into >= -self._slack * dr.abs(way.slowness)
             around, *others = (here[volume] for volume in self.solid.around)
@@ -445,7 +441,21 @@ class ConvexBody:
             best, which = dr.select(met, way.into, best), dr.select(met, way.entering, which)
         return best, which
 
-    def _way_through(self, ray: Ray) -> _Way:
+    @property
+    def _sides(self) -> list[_Side]:
+        return [side for slab in self._slabs for side in slab.sides.values()]
+
+    def _way_out(self, way: _Way, ray: Ray):
+        """Where light inside leaves (mm), and by which face (UInt32)."""
+        return way.out, self._face_at(way.leaving, ray, way.out)
+
+    def _face_at(self, number, ray: Ray, t):
+        """Which face of a plane (UInt32), by its first one, light inside meets at a distance."""
+        for side in self._sides:
+            number = _resolve(number, side.leave, side.leave_rows, ray, t)
+        return number
+
+    def _way_through(self, ray: Ray, slabs: list[_Slab]) -> _Way:
         """Where the planes let a ray out, and in, as if there were nothing else."""
         way = _Way(
             out=mi.Float(dr.inf),
@@ -454,7 +464,7 @@ class ConvexBody:
             entering=mi.UInt32(NO_FACE),
             slowness=mi.Float(0.0),
         )
-        for slab in self._slabs:
+        for slab in slabs:
             reciprocal, start, upwards = ray.along(slab.axis, slab.weights)
             high, low = slab.sides.get(True), slab.sides.get(False)
             if high is None or low is None:

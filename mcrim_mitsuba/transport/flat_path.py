@@ -27,6 +27,7 @@ from mcrim_mitsuba.transport.convex import (
     convex_solids,
     slack_of,
 )
+from mcrim_mitsuba.transport.folding import FoldedBody
 from mcrim_mitsuba.transport.scene_model import OTHER, OUTSIDE, RoundWall, SceneModel, Surface
 
 #: More faces than this, or planes of convex volumes, and a tree is faster.
@@ -115,16 +116,20 @@ class FlatPath:
         A scene for which `suits` is true.
     polarization : bool
         Whether photons carry a field, see `surface_physics`.
+    fold : int, optional
+        Volume in which flights pass over total reflections, as far as they can.
 
     Attributes
     ----------
+    folded : FoldedBody or None
+        Where flights do that.
     surfaces_may_absorb, surfaces_scatter : bool
         As of `surface_physics.SurfaceTables`.
     """
 
     name = "fast path for flat faces"
 
-    def __init__(self, model: SceneModel, polarization: bool) -> None:
+    def __init__(self, model: SceneModel, polarization: bool, fold: int | None = None) -> None:
         if any(wall.outwards for wall in model.walls):
             self.name = "fast path for flat and round faces"
         self.model = model
@@ -136,10 +141,14 @@ class FlatPath:
         self._numbers: dict[float, mi.Float] = {}
         self._behind = self._number(-100.0 * self._slack_mm)
         solids = convex_solids(model)
+        folds = [s for s in solids if s.volume == fold and FoldedBody.suits(model, s)]
         self._bodies = [
-            ConvexBody(model, solid, lambda i: self._shape(faces[i]), self._number)
+            (FoldedBody if solid in folds else ConvexBody)(
+                model, solid, lambda i: self._shape(faces[i]), self._number
+            )
             for solid in solids
         ]
+        self.folded = next((b for b in self._bodies if isinstance(b, FoldedBody)), None)
         # numbers of the faces that are tested one by one, their interior and exterior, their bounds
         self._alone = [
             (number, model.surfaces[faces[number].surface].sides, self._shape(faces[number]))

@@ -66,6 +66,8 @@ class GeneralPath:
 
     #: What reports call this path; a scene whose flat faces need no tracing has its own name.
     name = "Mitsuba for all shapes"
+    #: Flights of its light are straight.
+    folded = None
 
     def __init__(self, model: SceneModel, polarization: bool, *, trace_all: bool = False) -> None:
         self.model = model

@@ -81,6 +81,8 @@ class Step:
     distance: mi.Float  #: of the flight, mm
     weighted: mi.Float  #: the same, weighted with the relative strength of scattering
     position: mi.Point3f  #: where the flight ends, mm
+    arriving: mi.Vector3f  #: direction there
+    folds: Any  #: total reflections that it passed over (UInt32), where flights do
     scatters: mi.Bool  #: whether it ends in a scattering, if the photon lives
     scattered: Any  #: direction after a scattering or at birth
     dies: mi.Bool  #: whether absorption took the photon whole
@@ -171,6 +173,7 @@ class Loop:
         lanes, photons = plan.lanes, int(plan.photons.sum())
         self.path, self.emitter, self.plan = path, emitter, plan
         self.store = None if columns is None else RecordStore(emitter, photons, columns)
+        assert trails is None or path.folded is None
         self.trails, self._tangent = trails, tangent
         self._rng = lane_generators(lanes, seed, number)
         self._seeds = PhotonSeeds(lanes, seed, number, 2)
@@ -266,7 +269,13 @@ class Loop:
         scatters = (to_scatter < ahead) & ~nowhere
         distance = dr.select(nowhere, 0.0, dr.minimum(ahead, to_scatter))
         weighted = distance if strength is None else strength.path(distance)
-        position = dr.fma(p.d, distance, p.o)
+        position, arriving, folds = dr.fma(p.d, distance, p.o), p.d, None
+        onwards = mi.Mask(False)
+        if path.folded is not None:
+            mine = inside[path.folded.solid.volume]
+            reached = dr.select(scatters, mi.UInt32(NO_FACE), met)
+            position, arriving, folds = path.folded.folded(p.o, p.d, distance, reached, mine)
+            onwards = mine & ~scatters & (met == NO_FACE)
 
         # ---------------- absorption in the volume: by weight; of faint photons some whole
         transmitted = dr.exp(-a_a * distance)
@@ -284,9 +293,9 @@ class Loop:
             w *= dr.exp((drawn - a_s) * weighted) * dr.select(scatters, a_s / drawn, 1.0)
 
         # ---------------- surface: reflects, refracts, counts or absorbs
-        at_surface = ~(scatters | nowhere | dies)
+        at_surface = ~(scatters | nowhere | dies | onwards)
         uniforms = choice, u, v, turn
-        outcome = path.interact(position, p.d, p.field, met, uniforms, rng, at_surface)
+        outcome = path.interact(position, arriving, p.field, met, uniforms, rng, at_surface)
 
         # ---------------- fate: what became of the photon, and whether it is over
         fate = dr.select(at_surface, outcome.fate, mi.UInt32(physics.ALIVE))
@@ -330,11 +339,11 @@ class Loop:
         point = self._lattice.mirrored(serial)
         u = dr.select(ended, self._lattice.coordinate(point, 3), u)
         v = dr.select(ended, self._lattice.coordinate(point, 4), v)
-        scattered = self._scattering.direction(inside, p.d, (u, v), ended)
+        scattered = self._scattering.direction(inside, arriving, (u, v), ended)
         if self._aim is not None:
             scattered = dr.select(ended, self._aim, scattered)
         # A new photon and a scattered one are unpolarised alike.
-        fresh = ended | ~at_surface
+        fresh = ended | ~(at_surface | onwards)
         rng.state = dr.select(ended, self._seeds.state(serial), rng.state)
         field = None
         if polarized:
@@ -350,6 +359,8 @@ class Loop:
                 distance,
                 weighted,
                 position,
+                arriving,
+                folds,
                 scatters,
                 scattered,
                 dies,
@@ -364,7 +375,7 @@ class Loop:
         volume = dr.select(at_surface, outcome.volume, p.volume)
         return Photon(
             o=dr.select(ended, self._birthplace(serial), place),
-            d=dr.select(fresh, scattered, outcome.direction),
+            d=dr.select(fresh, scattered, dr.select(onwards, arriving, outcome.direction)),
             field=field,
             volume=dr.select(ended, mi.UInt32(self.emitter.birth_volume), volume),
             face=dr.select(at_surface & ~ended, path.face_of(met), mi.UInt32(NO_FACE)),

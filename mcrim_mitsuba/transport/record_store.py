@@ -27,8 +27,8 @@ class Recorded:
     #: NumPy's type in which it is kept. Half precision (5e-4, unbiased) is plenty for what varies
     #: slowly; counts stay at the largest number of their type.
     kind: Any
-    #: What a flight adds (Float, or Mask of a count; ``None`` where nothing ever does), from the
-    #: step and whether the flight is in the crystal (Mask).
+    #: What a flight adds (Float, or Mask or UInt32 of a count; ``None`` where nothing ever does),
+    #: from the step and whether the flight is in the crystal (Mask).
     adds: Callable[..., Any] | None = None
     #: What an arrival tells (Float), from the last step and a function of no arguments for the
     #: place of birth (Point3f, mm), seen from the crystal's left, front and top downwards.
@@ -51,7 +51,7 @@ def _scattered(step: Step, mine):
 
 
 def _log_rayleigh(step: Step, mine):
-    cosine = dr.dot(step.p.d, step.scattered)
+    cosine = dr.dot(step.arriving, step.scattered)
     relative = 0.75 * dr.fma(cosine, cosine, 1.0)
     return dr.select(_scattered(step, mine), dr.log(relative), 0.0)
 
@@ -64,6 +64,11 @@ def _at_surface(event: Callable[..., Any]) -> Callable[..., Any]:
         return None if happened is None else happened & step.at_surface & ~step.ended
 
     return happens
+
+
+def _reflections(step: Step, mine):
+    here = mi.UInt32(_at_surface(lambda outcome, mine: outcome.polished & ~outcome.crossed & mine)(step, mine))
+    return here if step.folds is None else here + step.folds
 
 
 #: Of all records: the weight at the proposal's absorption, scatterings in the crystal, path in it.
@@ -84,9 +89,7 @@ BIRTH_PLACE = ("birth_from_left_mm", "birth_from_front_mm", "birth_from_top_mm")
 #: What every scene can give besides.
 COLUMNS = {
     # internal ones at the crystal's polished faces
-    "reflections": Recorded(
-        np.uint16, _at_surface(lambda outcome, mine: outcome.polished & ~outcome.crossed & mine)
-    ),
+    "reflections": Recorded(np.uint16, _reflections),
     # times that a diffuse reflector, or a detector, sent the photon back
     "reflector_hits": Recorded(np.uint8, _at_surface(lambda outcome, mine: outcome.from_reflector)),
     "detector_hits": Recorded(np.uint8, _at_surface(lambda outcome, mine: outcome.from_detector)),
@@ -187,7 +190,7 @@ class RecordStore:
             if name == MASK_RADIUS:
                 grown[name] = dr.maximum(grown[name], dr.select(step.at_surface, more, 0.0))
             elif column.counts:
-                grown[name] = grown[name] + dr.select(more, mi.UInt32(1), mi.UInt32(0))
+                grown[name] = grown[name] + mi.UInt32(more)
             else:
                 grown[name] = grown[name] + more
         return grown

@@ -137,11 +137,11 @@ class Simulation:
         """Free flights after which a photon is given up."""
         return self.integrator.depth_limit(self.crystal.scatters)
 
-    def launcher(self, general: bool = False) -> Launcher:
+    def launcher(self, general: bool = False, *, fold: bool = True) -> Launcher:
         """What launches photons into this scene: see `transport.collection.Launcher`."""
         from mcrim_mitsuba.transport.collection import Launcher
 
-        return Launcher(self.crystal, self.polarization, general)
+        return Launcher(self.crystal, self.polarization, general, fold=fold)
 
     def collect(
         self,
@@ -151,6 +151,7 @@ class Simulation:
         seed: int = 0,
         progress: Callable[[int, int, float, float], None] | None = None,
         general: bool = False,
+        fold: bool = True,
         max_depth: int | None = None,
     ) -> SimulationResult:
         """Light collection efficiency and the fates of all photons.
@@ -166,6 +167,9 @@ class Simulation:
             ``progress(done, total, eta, eta_sigma)`` after each launch.
         general : bool
             Use Mitsuba's own intersection even where the fast path would do (for cross-checks).
+        fold : bool
+            Pass over total reflections where that can be done (see `transport.folding`); without,
+            fly from one to the next (for cross-checks).
         max_depth : int, optional
             Free flights after which a photon is given up; `depth_limit` when not given.
 
@@ -177,7 +181,7 @@ class Simulation:
         from mcrim_mitsuba.transport.collection import collect
 
         max_depth = max_depth or self.depth_limit
-        start, launcher = time.perf_counter(), self.launcher(general)
+        start, launcher = time.perf_counter(), self.launcher(general, fold=fold)
         interrupted = collect(
             launcher,
             photons,

@@ -1,0 +1,231 @@
+"""Flights of light in the crystal that pass over total reflections (drawn in docs/theory.md).
+
+Where a polished face reflects all of the light, nothing happens but that one component of the
+direction changes its sign. In a box no other face's angle changes by that. So it is known before a
+flight which faces light may leave by, and when it comes to the first of these: it goes there at
+once, or to where it scatters, along a straight line through mirror images of the crystal, and place
+and direction are folded back. The path is as long as it is from reflection to reflection. Along a
+round wall, which light meets at the same angle every time, it is turned back instead.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import drjit as dr
+import mitsuba as mi
+
+from mcrim_mitsuba.transport.convex import NO_FACE, ConvexBody, Ray, Solid
+from mcrim_mitsuba.transport.scene_model import DIELECTRIC, SceneModel, Surface
+
+#: Most widths of the crystal that are flown at once: single precision then errs by 4e-6 of a width.
+#: Longer flights go on from there.
+MOST_WIDTHS = 64.0
+#: Sine squared that no angle of incidence has.
+_NEVER = 2.0
+#: Part by which sines squared must exceed that of the critical angle, for rounding.
+_MARGIN = 1e-6
+
+
+# ---- what may be folded ---------------------------------------------------------------------------
+
+
+def total_from(surface: Surface, volume: int) -> float:
+    """Sine squared of the angle of incidence from which on light from a volume is only reflected.
+
+    A face that is rough, hazy, masked, takes part of the light, or is no interface of two
+    dielectrics does other things too at any angle: 2 there.
+    """
+    polished = surface.kind == DIELECTRIC and not (surface.roughness or surface.haze)
+    if not polished or surface.surface_loss or surface.aperture_radius_mm < math.inf:
+        return _NEVER
+    ratio = surface.eta if surface.interior == volume else 1.0 / surface.eta
+    return float(ratio**-2) * (1.0 + _MARGIN)
+
+
+def folded_axes(model: SceneModel, solid: Solid) -> tuple[int, ...]:
+    """Axes of the scene (0, 1, 2) along which light's direction may change its sign unseen.
+
+    - Nothing stands in the solid that light would meet on its straight way.
+    - Two of its planes are across the axis, and all other faces along it: there the angles of
+      incidence stay as they are, and so does all that happens later, mirrored.
+    - One of these two planes reflects all light at some angle (`total_from`).
+    - Scattering is as strong at either of two places that are mirror images along the axis.
+
+    Polarised light is not folded, because total reflection turns its field; nor are trails, which
+    show every reflection.
+    """
+    uneven = bool(model.volumes[solid.volume].scattering_gradient)
+
+    def folds(axis: int) -> bool:
+        across = [p for p in solid.planes if sorted(map(abs, p.axis)) == [0.0, 0.0, 1.0]]
+        across = [p for p in across if p.axis[axis]]
+        along = [p for p in solid.planes if not p.axis[axis]]
+        return (
+            (len(across), len(along)) == (2, len(solid.planes) - 2)
+            and (solid.circle is None or solid.circle.axis == axis)
+            and not (uneven and axis == 2)
+            and min(_all_total_from(model, solid, p.faces) for p in across) < 1.0
+        )
+
+    return () if _holds_something(model, solid) else tuple(filter(folds, range(3)))
+
+
+def wall_folds(model: SceneModel, solid: Solid) -> bool:
+    """Whether light's direction may turn unseen where the solid's round wall reflects it.
+
+    It meets the wall at the same angle every time, keeps its angle to the ends, and goes on as far
+    round the axis. The wall must reflect all light at some angle; scattering must be as strong all
+    around the axis.
+    """
+    if solid.circle is None or _holds_something(model, solid):
+        return False
+    uneven = bool(model.volumes[solid.volume].scattering_gradient) and solid.circle.axis != 2
+    return not uneven and _walls_total_from(model, solid) < 1.0
+
+
+def _holds_something(model: SceneModel, solid: Solid) -> bool:
+    """Whether light in a solid meets faces that are not around it."""
+    borders = [surface.surface for surface in (*model.flat_faces, *model.walls)]
+    bordering = sum(solid.volume in model.surfaces[number].sides for number in borders)
+    return bordering > len(solid.walls) + sum(len(plane.faces) for plane in solid.planes)
+
+
+def _all_total_from(model: SceneModel, solid: Solid, faces: Iterable[int]) -> float:
+    """`total_from` of all of some flat faces."""
+    surfaces = {model.flat_faces[face].surface for face in faces}
+    return max(total_from(model.surfaces[number], solid.volume) for number in surfaces)
+
+
+def _walls_total_from(model: SceneModel, solid: Solid) -> float:
+    surfaces = [model.surfaces[model.walls[number].surface] for number in solid.walls]
+    return max(total_from(surface, solid.volume) for surface in surfaces)
+
+
+# ---- how it is folded -----------------------------------------------------------------------------
+
+
+class FoldedBody(ConvexBody):
+    """A convex solid in the kernel, in which light flies on over total reflections.
+
+    Flights end `MOST_WIDTHS` away at the latest, at `NO_FACE` where no face is there.
+    """
+
+    def __init__(self, model: SceneModel, solid: Solid, shape_of, number) -> None:
+        super().__init__(model, solid, shape_of, number)
+        axes = folded_axes(model, solid)
+        planes = {(plane.axis, plane.high): plane for plane in solid.planes}
+        self._folded, self._straight, widths = {}, [], []
+        for slab in self._slabs:
+            axis = next((a for a in axes if slab.axis[a]), None)
+            if axis is None:
+                self._straight.append(slab)
+                continue
+            ends = [planes[slab.axis, high] for high in (False, True)]
+            widths.append(ends[1].offset - ends[0].offset)
+            totals = [number(_all_total_from(model, solid, end.faces)) for end in ends]
+            self._folded[axis] = slab, totals, number(widths[-1]), number(1.0 / widths[-1])
+        self._wall_total = None
+        if wall_folds(model, solid):
+            assert solid.circle is not None
+            widths.append(2.0 * solid.circle.radius_mm)
+            self._wall_total = number(_walls_total_from(model, solid))
+        self._longest = number(MOST_WIDTHS * max(widths))
+
+    @classmethod
+    def suits(cls, model: SceneModel, solid: Solid) -> bool:
+        """Whether anything of a solid folds."""
+        return bool(folded_axes(model, solid)) or wall_folds(model, solid)
+
+    def _way_out(self, way, ray: Ray):
+        out = self._way_through(ray, self._straight)
+        if self._wall is not None:
+            t, _, root2 = self._wall.disc.crossings(ray)
+            opens = ~self._reflects_round(root2)
+            out.let_out(opens & (t < out.out), t, self._wall.met_at(ray, t))
+        for axis, (slab, totals, width, _) in self._folded.items():
+            reciprocal, start, upwards = ray.along(slab.axis, slab.weights)
+            sine2 = dr.fma(-ray.direction[axis], ray.direction[axis], 1.0)
+            low, high = slab.sides[False], slab.sides[True]
+            # past the first of the two where that reflects all, and past the second likewise
+            opens = sine2 < dr.select(upwards, totals[1], totals[0])
+            then_opens = sine2 < dr.select(upwards, totals[0], totals[1])
+            t = (dr.select(upwards, high.offset, low.offset) - start) * reciprocal
+            t_then = dr.fma(width, dr.abs(reciprocal), t)
+            t = dr.select(opens, t, dr.select(then_opens, t_then, dr.inf))
+            number = dr.select(upwards == opens, mi.UInt32(high.leave), mi.UInt32(low.leave))
+            out.let_out(t < out.out, t, number)
+        far = out.out >= self._longest
+        out.let_out(far, self._longest, mi.UInt32(NO_FACE))
+        if any(side.leave_rows for side in self._sides):
+            place, flying, _ = self.folded(ray.origin, ray.direction, out.out, out.leaving, True)
+            ray = Ray(place, flying)
+        return out.out, self._face_at(out.leaving, ray, mi.Float(0.0))
+
+    def folded(self, origin, direction, distance, met, mine):
+        """Place, direction and number (UInt32) of reflections at the end of light's flights.
+
+        `met` (UInt32) is the face that a flight reached, or `NO_FACE`; `mine` (Mask) tells which
+        are in the solid. Others are straight.
+        """
+        place, flying = dr.fma(direction, distance, origin), mi.Vector3f(direction)
+        folds = mi.UInt32(0)
+        if self._wall_total is not None:
+            folds = self._turn(place, flying, Ray(origin, direction), distance, mine)
+        for axis, (slab, _, width, per_width) in self._folded.items():
+            low, high = slab.sides[False], slab.sides[True]
+            along = place[axis] - low.offset
+            cell = dr.floor(along * per_width)
+            number = mi.Int32(cell)
+            odd = mine & ((number & 1) == 1)
+            rest = dr.fma(-cell, width, along)
+            x = dr.select(odd, high.offset - rest, low.offset + rest)
+            v = dr.select(odd, -direction[axis], direction[axis])
+            count = mi.UInt32(dr.abs(number))
+            # a face that is met is met exactly, by light that flies towards it
+            speed, upwards = dr.abs(v), direction[axis] > 0.0
+            for side, towards in ((low, -speed), (high, speed)):
+                here = _is_of(met, side)
+                x, v = dr.select(here, side.offset, x), dr.select(here, towards, v)
+                count = dr.select(here, mi.UInt32(upwards == (side is low)), count)
+            place[axis] = dr.select(mine, x, place[axis])
+            flying[axis] = dr.select(mine, v, direction[axis])
+            folds += dr.select(mine, count, 0)
+        return place, flying, folds
+
+    def _reflects_round(self, root2):
+        """Whether the round wall reflects all light that it meets at such an angle (Mask)."""
+        assert self._wall is not None
+        if self._wall_total is None:
+            return mi.Mask(False)
+        cosine2 = root2 / dr.square(self._wall.disc.radius)
+        return 1.0 - cosine2 >= self._wall_total
+
+    def _turn(self, place, flying, ray: Ray, distance, mine):
+        """Turn places and directions by the reflections at the round wall; their number."""
+        assert self._wall is not None
+        disc = self._wall.disc
+        first, _, root2 = disc.crossings(ray)
+        away, along = disc.away(ray.origin), mi.Vector2f(*(ray.direction[i] for i in disc.across))
+        chord = 2.0 * dr.safe_sqrt(root2) / dr.squared_norm(along)
+        turns = mine & self._reflects_round(root2) & (distance > first)
+        count = dr.select(turns, dr.floor((distance - first) / chord) + 1.0, 0.0)
+        # each chord is the one before, turned about the axis by what it spans there
+        lever = along.y * away.x - along.x * away.y
+        span = 2.0 * dr.atan2(dr.safe_sqrt(root2), dr.abs(lever))
+        sine, cosine = dr.sincos(dr.mulsign(count * span, lever))
+        last = dr.fma(along, distance - count * chord, away)
+        for vector, (x, y), middle in ((place, last, disc.centre), (flying, along, (0.0, 0.0))):
+            turned = dr.fma(x, cosine, -y * sine), dr.fma(x, sine, y * cosine)
+            for i, part, at in zip(disc.across, turned, middle, strict=True):
+                vector[i] = dr.select(turns, part + at, vector[i])
+        return mi.UInt32(count)
+
+
+def _is_of(face, side):
+    """Whether faces of these numbers (UInt32) are of a plane (Mask)."""
+    mine = face == side.leave
+    for other, _ in side.leave_rows:
+        mine |= face == other
+    return mine
