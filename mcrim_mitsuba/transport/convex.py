@@ -295,9 +295,7 @@ class Disc:
 
     def away(self, point):
         """From its axis (Vector2f, mm)."""
-        return mi.Vector2f(
-            *(point[i] - at for i, at in zip(self.across, self.centre, strict=True))
-        )
+        return mi.Vector2f(*(point[i] - at for i, at in zip(self.across, self.centre, strict=True)))
 
     def outwards(self, point):
         """Unit vector away from its axis (Vector3f) at points of its circle."""

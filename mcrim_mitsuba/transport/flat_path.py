@@ -209,7 +209,7 @@ class FlatPath:
     def intersect(self, ray_o, ray_d, last_face, volume):
         """Nearest face ahead.
 
-        A face is met only from the volume that it borders, and one that is tested alone never
+        A face is met only from the volume that it borders or stands in, and one that is tested alone never
         by a photon that is on it; so a point that rounding has put just behind a face
         near an edge still meets that face, at a distance of (nearly) zero.
 
@@ -236,7 +236,7 @@ class FlatPath:
                 bordering = (leaving & here[interior]) | (~leaving & here[exterior])
                 ahead = (t > self._behind) & bordering
             else:
-                ahead = t > 0.0
+                ahead = (t > 0.0) & here[interior]
             hit = ahead & shape.inside(ray, t) & (t < best) & (last_face != number)
             best, which = dr.select(hit, t, best), dr.select(hit, number, which)
         for index, (wall, disc) in enumerate(self._walls):
@@ -263,7 +263,7 @@ class FlatPath:
         near = root2 > 0.0
         if within == around:
             # a sheet, met from either side; of light on it, what flies inwards meets it again
-            inwards = enters > -dr.inf
+            inwards, near = enters > -dr.inf, near & here[within]
             return [
                 (enters, ~on_it & (enters > 0.0) & near),
                 (leaves, (~on_it | inwards) & (leaves > 0.0) & near),

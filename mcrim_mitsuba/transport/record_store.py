@@ -66,9 +66,12 @@ def _at_surface(event: Callable[..., Any]) -> Callable[..., Any]:
     return happens
 
 
+_REFLECTS = _at_surface(lambda outcome, mine: outcome.polished & ~outcome.crossed & mine)
+
+
 def _reflections(step: Step, mine):
-    here = mi.UInt32(_at_surface(lambda outcome, mine: outcome.polished & ~outcome.crossed & mine)(step, mine))
-    return here if step.folds is None else here + step.folds
+    """Those at the end of a flight, and those that it passed over."""
+    return mi.UInt32(_REFLECTS(step, mine)) + (0 if step.folds is None else step.folds)
 
 
 #: Of all records: the weight at the proposal's absorption, scatterings in the crystal, path in it.
