@@ -209,8 +209,8 @@ class FlatPath:
     def intersect(self, ray_o, ray_d, last_face, volume):
         """Nearest face ahead.
 
-        A face is met only from the volume that it borders or stands in, and one that is tested alone never
-        by a photon that is on it; so a point that rounding has put just behind a face
+        A face is met only from the volume that it borders or stands in, and one that is tested
+        alone never by a photon that is on it; so a point that rounding has put just behind a face
         near an edge still meets that face, at a distance of (nearly) zero.
 
         Returns

@@ -16,6 +16,7 @@ from collections.abc import Iterable
 import drjit as dr
 import mitsuba as mi
 
+from mcrim_mitsuba.transport.conversion import opaque
 from mcrim_mitsuba.transport.convex import NO_FACE, ConvexBody, Ray, Solid
 from mcrim_mitsuba.transport.scene_model import DIELECTRIC, SceneModel, Surface
 
@@ -28,7 +29,7 @@ _NEVER = 2.0
 _MARGIN = 1e-6
 
 
-# ---- what may be folded ---------------------------------------------------------------------------
+# ---- what may be folded --------------------------------------------------------------------------
 
 
 def total_from(surface: Surface, volume: int) -> float:
@@ -103,7 +104,7 @@ def _walls_total_from(model: SceneModel, solid: Solid) -> float:
     return max(total_from(surface, solid.volume) for surface in surfaces)
 
 
-# ---- how it is folded -----------------------------------------------------------------------------
+# ---- how it is folded ----------------------------------------------------------------------------
 
 
 class FoldedBody(ConvexBody):
@@ -124,13 +125,14 @@ class FoldedBody(ConvexBody):
                 continue
             ends = [planes[slab.axis, high] for high in (False, True)]
             widths.append(ends[1].offset - ends[0].offset)
-            totals = [number(_all_total_from(model, solid, end.faces)) for end in ends]
+            # not shared where they agree by chance: the kernel must not depend on indices
+            totals = [opaque([_all_total_from(model, solid, end.faces)]) for end in ends]
             self._folded[axis] = slab, totals, number(widths[-1]), number(1.0 / widths[-1])
         self._wall_total = None
         if wall_folds(model, solid):
             assert solid.circle is not None
             widths.append(2.0 * solid.circle.radius_mm)
-            self._wall_total = number(_walls_total_from(model, solid))
+            self._wall_total = opaque([_walls_total_from(model, solid)])
         self._longest = number(MOST_WIDTHS * max(widths))
 
     @classmethod

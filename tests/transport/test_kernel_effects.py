@@ -625,7 +625,7 @@ def test_trails_end_where_the_light_does(bench):
     """Followed photon by photon a film detects whole photons, so many of those that arrive."""
     simulation = bench("film", GEL)
     own = simulation.collect(400_000, seed=56)
-    launcher, trails = simulation.launcher(), TrailStore(LANES, 8)
+    launcher, trails = simulation.launcher(fold=False), TrailStore(LANES, 8)
     found = launcher.launch(LANES, seed=57, number=0, max_depth=10_000, trails=trails)
     share = found.weights["detected"].sum() / LANES
     expected = own.budget["detected"]
