@@ -339,6 +339,7 @@ class TableUnit(SceneUnit):
             seed=self.seed,
             number=0,
             columns=tuple(dict.fromkeys(columns)),
+            batches=BATCHES,
         )
         groups: dict[tuple[bool, str, float | None], list[TableRequest]] = {}
         for request in self.requests:

@@ -64,7 +64,7 @@ _MARGIN = 1.06
 #: Part of the photons that the first look's error asks for, to be spent before looking again.
 _FIRST_STEP = 0.6
 #: Number of what the cache holds; another layout gets another one.
-_LAYOUT = 3
+_LAYOUT = 4
 #: Points at which shares are judged.
 _MOST_DESIGN_POINTS = 16
 

@@ -92,7 +92,7 @@ _HALF_SPACE_DEG = 90.0
 #: Pieces of a band of light, each with as much of it.
 _MOST_COLOURS = 24
 #: Number of what a chunk holds; another layout gets another one.
-_LAYOUT = 1
+_LAYOUT = 2
 #: Part of once scattered light that a beam's detector may take where the closed form of the
 #: transmittance is used: it is then right to 0.05 % for mean free paths of 2 cm.
 _CLOSED_FORM_SHARE = 1e-3

@@ -45,7 +45,7 @@ class TallyBlock(LaunchBlock):
 AT_ONCE = 16
 #: Part of the photons that a precision asks for, to be spent before looking again.
 _FIRST_STEP = 0.8
-_LAYOUT = 1
+_LAYOUT = 2
 #: The most that a precision may cost.
 MOST_PHOTONS = 10**10
 

@@ -105,11 +105,10 @@ class BirthLattice:
     """The lattice points of one launch; `seed` is as of `seed_words`."""
 
     def __init__(self, plan: LanePlan, *seed: int) -> None:
-        self._rank, self._stride, proposal = (
-            opaque(values, mi.UInt32) for values in (plan.rank, plan.stride, plan.proposal)
+        group = plan.proposal * BATCHES + plan.batch
+        self._rank, self._stride, group = (
+            opaque(values, mi.UInt32) for values in (plan.rank, plan.stride, group)
         )
-        lane = dr.arange(mi.UInt32, plan.lanes)
-        group = proposal * BATCHES + lane % BATCHES
         words = [opaque([word], mi.UInt32) for word in seed_words(2 * len(GENERATORS), *seed)]
         self._shift = [
             mi.sample_tea_32(group ^ first, second, HASH_ROUNDS)[0]

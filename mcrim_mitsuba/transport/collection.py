@@ -102,6 +102,7 @@ class Launcher:
         photons: int,
         *,
         proposals: ScatteringProposals | None = None,
+        batches: int = BATCHES,
         may_leak: bool = False,
         **options,
     ) -> loop.Launch:
@@ -113,6 +114,8 @@ class Launcher:
             With several proposals a multiple of the lanes, see `launch_plan.plan_lanes`.
         proposals : ScatteringProposals, optional
             In place of the scene's own coefficients of the crystal.
+        batches : int
+            See `launch_plan.plan_lanes`.
         may_leak : bool
             Whether a scene that loses light is followed all the same.
 
@@ -122,9 +125,8 @@ class Launcher:
             If the scene leaks, or does not have a record column.
         """
         units = (SHARE_STEPS,) if proposals is None else proposals.units
-        launch = loop.launch(
-            self.path, self._crystal, plan_lanes(photons, units), proposals=proposals, **options
-        )
+        plan = plan_lanes(photons, units, batches)
+        launch = loop.launch(self.path, self._crystal, plan, proposals=proposals, **options)
         self.tally.add(launch.photons_per_batch, launch.weights)
         lost = self.tally.fraction("lost")
         if lost > MOST_LOST and not may_leak:
@@ -218,6 +220,7 @@ class Recorder:
         seed: int,
         number: int,
         columns: Sequence[str] = (),
+        batches: int = BATCHES,
     ) -> PhotonRecords:
         """Histories of the photons of one launch that are detected.
 
@@ -230,6 +233,8 @@ class Recorder:
         columns : sequence of str
             What ``further`` of the records holds, see `record_store.RecordStore`; where the
             crystal scatters unevenly, it always holds ``scattering_path_cm``.
+        batches : int
+            As of `plan_lanes`; fewer batches have fewer lanes, which wait less for each other.
 
         Raises
         ------
@@ -244,6 +249,7 @@ class Recorder:
             number=number,
             max_depth=max_depth,
             proposals=proposals,
+            batches=batches,
             columns=columns,
         ).records
         tally = self._launcher.tally
@@ -257,7 +263,7 @@ class Recorder:
             )
         return PhotonRecords(
             **{name: further.pop(name) for name in ("k", "path_cm", "w", "batch")},
-            batches=BATCHES,
+            batches=batches,
             photons_per_proposal=np.array(proposals.units) * (photons // sum(proposals.units)),
             alpha_scat_proposals_per_cm=np.array(proposals.alpha_scat_per_cm),
             alpha_abs_proposal_per_cm=proposals.alpha_abs_per_cm,

@@ -38,7 +38,7 @@ class LanePlan:
 
     #: ndarray of int64: Photons that the lane follows, one after the other.
     photons: NDArray[np.int64]
-    #: ndarray of int64: Batch that the lane's photons count in, 0 to `BATCHES` - 1.
+    #: ndarray of int64: Batch that the lane's photons count in, from 0 to below `BATCHES`.
     batch: NDArray[np.int64]
     #: ndarray of int64: Which of the scattering coefficients the lane's photons are drawn with.
     proposal: NDArray[np.int64]
@@ -58,12 +58,14 @@ class LanePlan:
         return np.cumsum(self.photons) - self.photons
 
     def per_batch(self, values: NDArray[np.integer | np.floating]) -> NDArray[np.float64]:
-        """(BATCHES,) sums of one value per lane; empty batches of a small launch are left out."""
+        """(batches,) sums of one value per lane; empty batches of a small launch are left out."""
         return np.asarray(np.bincount(self.batch, values), float)
 
 
-def plan_lanes(photons: int, units: Sequence[int] = (SHARE_STEPS,)) -> LanePlan:
-    """Share photons out among lanes, batches and proposals.
+def plan_lanes(
+    photons: int, units: Sequence[int] = (SHARE_STEPS,), batches: int = BATCHES
+) -> LanePlan:
+    """Share photons out among lanes, batches (`BATCHES` at most) and proposals.
 
     `units` are the proposals' shares, 0 or more, in units of 1 / their sum. This is `SHARE_STEPS`,
     or a part of it for few photons: there are then as many times fewer lanes. With more than one
@@ -78,12 +80,12 @@ def plan_lanes(photons: int, units: Sequence[int] = (SHARE_STEPS,)) -> LanePlan:
     if min(units) < 0 or whole <= 0 or SHARE_STEPS % whole:
         problem = f"do not sum to {SHARE_STEPS} or a part of it, or one is negative"
         raise ValueError(f"shares {tuple(units)} {problem}")
-    lanes = BATCHES * whole
+    lanes = batches * whole
     if len(units) > 1 and photons % lanes:
         raise ValueError(f"{photons} photons of several proposals: not a multiple of {lanes}")
     lane = np.arange(min(lanes, photons))
     base, extra = divmod(photons, len(lane))
-    unit = lane // BATCHES
+    unit = lane // batches
     # Spread over the lanes, so that every processor gets its part of each proposal's long paths.
     place = np.concatenate([(np.arange(count) + 0.5) / count for count in units])
     order = np.argsort(place, kind="stable")
@@ -91,7 +93,7 @@ def plan_lanes(photons: int, units: Sequence[int] = (SHARE_STEPS,)) -> LanePlan:
     rank = np.concatenate([np.arange(count) for count in units])[order]
     return LanePlan(
         photons=base + (lane < extra).astype(np.int64),
-        batch=lane % BATCHES,
+        batch=lane % batches,
         proposal=proposal[unit],
         rank=rank[unit],
         stride=np.asarray(units, dtype=np.int64)[proposal[unit]],
