@@ -13,6 +13,6 @@ may take
   `photograph`.
 
 The rest is private: `loop` (a step in photons' lives), two paths through a scene (`flat_path` with
-`convex`, and `general_path`), `surface_physics`, `bulk` (births and scattering), `record_store`,
-`volume_consistency`, `plugins`, and `conversion` (a Mitsuba scene becomes numbers).
+`convex` and `folding`, and `general_path`), `surface_physics`, `bulk` (births and scattering),
+`record_store`, `volume_consistency`, `plugins`, and `conversion` (a Mitsuba scene becomes numbers).
 """

@@ -20,7 +20,7 @@ from mcrim_mitsuba.transport.conversion import opaque
 from mcrim_mitsuba.transport.convex import NO_FACE, ConvexBody, Ray, Solid
 from mcrim_mitsuba.transport.scene_model import DIELECTRIC, SceneModel, Surface
 
-#: Most widths of the crystal that are flown at once: single precision then errs by 4e-6 of a width.
+#: Most widths of the crystal that are flown at once: single precision then errs by 6e-6 of a width.
 #: Longer flights go on from there.
 MOST_WIDTHS = 64.0
 #: Sine squared that no angle of incidence has.

@@ -1,6 +1,6 @@
 """Fast ways to eta against photons followed one by one, on random benches.
 
-    python scripts/validate/fast_ways.py                        # 400 benches, some 10 minutes
+    python scripts/validate/fast_ways.py                        # 400 benches, some 5 minutes
     python scripts/validate/fast_ways.py --way weights --benches 40
 
 Benches are drawn over all that a way accepts; what it refuses is counted. Right ways with right
@@ -32,7 +32,7 @@ from mcrim_mitsuba.efficiency.polished_box import solve_box
 from validate.judging import FALSE_ALARM
 
 #: Within these the coefficients of the benches lie, in 1/cm.
-ALPHA_SCAT_PER_CM, ALPHA_ABS_PER_CM = (0.05, 5.0), (0.003, 0.3)
+ALPHA_SCAT_PER_CM, ALPHA_ABS_PER_CM = (0.003, 5.0), (0.001, 0.3)
 #: Photons that weights come from, per configuration of the table.
 PHOTONS_OF_TABLE = 4_000_000
 

@@ -15,7 +15,7 @@ import pytest
 from places import SCRIPTS
 from scipy.stats import binom
 from validate import __main__ as command
-from validate import benches, fast_ways, formulas, judging, units
+from validate import benches, fast_ways, folding, formulas, judging, units
 from validate.judging import FALSE_ALARM, POWER, judge
 from validate.units import FORMULA, GEANT4, MITSUBA, NUMPY, SOLVER, Results, Unit, do_all
 
@@ -354,6 +354,20 @@ def test_fast_ways_agree_with_photons_on_random_benches(way, count, monkeypatch)
     verdict = fast_ways.judge(comparisons)
     assert verdict.agrees, verdict
     assert verdict.refused <= count / 3
+
+
+def test_folded_flights_agree_with_straight_ones():
+    """Crystals, faces in parts, uneven scattering; all effects are in the script's long form."""
+    cases = ["box", "cylinder", "cylinder_lying", "hexagonal", "wrapped"]
+    cases += ["rayleigh_scattering", "scattering_gradient", "gel_creep", "side_roughness"]
+    differences = [row for case in cases for row in folding.compare(case, 400_000, 3)]
+    assert {row.case for row in differences} == set(cases)
+    assert len(differences) == 9 * len(cases)
+    worst, p = folding.largest(differences)
+    assert p > FALSE_ALARM, worst
+    # an error of half a per cent in one eta would be found
+    assert max(row.straight_sigma / row.straight for row in differences if row.what == "eta") < 2e-3
+    assert not folding.compare("edge_chamfer", 400_000, 3)
 
 
 def test_a_fast_way_that_is_off_on_few_benches_is_found():

@@ -1,0 +1,184 @@
+"""Flights that pass over total reflections: when they may, and that they end where others do.
+
+That photons fare the same is seen by every test of light in a polished crystal against closed
+forms, the NumPy tracer and the solution without noise; against flights from one reflection to the
+next they are held in `tests/scripts/test_validate.py`.
+"""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mcrim_mitsuba.effects.catalogue import add
+from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.transport.convex import NO_FACE, convex_solids
+from mcrim_mitsuba.transport.folding import (
+    MOST_WIDTHS,
+    FoldedBody,
+    folded_axes,
+    total_from,
+    wall_folds,
+)
+from mcrim_mitsuba.transport.simulation import Simulation
+
+GEL = {"n_gap": 1.46}
+
+
+@pytest.fixture
+def folded(scenes):
+    """The scene of a crystal, with effects in it, loaded."""
+
+    def load(crystal="", *effects, **overrides) -> Simulation:
+        scene = read_scene(scenes / f"camoo4{crystal}.xml")
+        for effect in effects:
+            scene = scene.edited(add(effect, scene))
+        return Simulation(scene, GEL | overrides, check=False)
+
+    return load
+
+
+@pytest.mark.parametrize(
+    ("crystal", "effects", "axes", "wall"),
+    [
+        ("", (), (0, 1, 2), False),
+        ("_wrapped", (), (0, 1, 2), False),
+        ("_hexagonal", (), (2,), False),
+        ("_pyramid", (), (), False),
+        ("_cylinder", (), (2,), True),
+        ("_cylinder_lying", (), (0,), True),
+        # the strength of scattering depends on the height
+        ("", ("scattering_gradient",), (0, 1), False),
+        ("_cylinder", ("scattering_gradient",), (), True),
+        ("_cylinder_lying", ("scattering_gradient",), (0,), False),
+        # a rough top is met every time, but not what is across from it
+        ("", ("top_roughness",), (0, 1, 2), False),
+        ("", ("side_roughness",), (2,), False),
+        ("", ("surface_roughness",), (), False),
+        ("", ("surface_haze",), (), False),
+        ("", ("surface_absorption",), (), False),
+        # faces in parts, of which the one that reflects least decides
+        ("", ("gap_bubble_round", "top_reflector"), (0, 1, 2), False),
+        ("", ("gel_creep",), (0, 1, 2), False),
+        # bevels are across no axis
+        ("", ("edge_chamfer",), (), False),
+    ],
+)
+def test_flights_pass_over_what_only_reflects(folded, crystal, effects, axes, wall):
+    simulation = folded(crystal, *effects)
+    (solid,) = (s for s in convex_solids(simulation.model) if s.volume == simulation.crystal.volume)
+    assert folded_axes(simulation.model, solid) == axes
+    assert wall_folds(simulation.model, solid) == wall
+    path = simulation.launcher().path.folded
+    assert isinstance(path, FoldedBody) if axes or wall else path is None
+
+
+def test_polarised_light_and_trails_are_not_folded(folded):
+    assert folded(polarization="true").launcher().path.folded is None
+    assert folded().launcher(fold=False).path.folded is None
+    # nor is what Mitsuba intersects
+    assert folded().launcher(general=True).path.folded is None
+
+
+def test_total_reflection_begins_at_the_critical_angle(folded):
+    model = folded().model
+    of = {s.name: total_from(s, model.volume_names.index("crystal")) for s in model.surfaces}
+    assert of["crystal_top"] == pytest.approx(1 / 2.01**2, rel=2e-6)
+    assert of["crystal_bottom"] == pytest.approx((1.46 / 2.01) ** 2, rel=2e-6)
+    assert of["crystal_top"] > 1 / 2.01**2
+    # light of other volumes, masks and detectors
+    assert min(of["detector"], of["window_under_gap"]) > 1.0
+
+
+def _flights(count: int, longest: float):
+    """Places in a cube of half a width of 1, unit directions, lengths: single precision's."""
+    random = np.random.default_rng(8)
+    direction = random.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    flights = random.uniform(-1, 1, (count, 3)), direction, random.uniform(0, longest, count)
+    return [numbers.astype(np.float32).astype(float) for numbers in flights]
+
+
+def _ends(body, place, direction, length):
+    """Where folded flights end, with directions there and numbers of reflections."""
+    end, flying, folds = body.folded(
+        mi.Point3f(place.T.astype(np.float32)),
+        mi.Vector3f(direction.T.astype(np.float32)),
+        mi.Float(length.astype(np.float32)),
+        mi.UInt32(NO_FACE),
+        mi.Mask(True),
+    )
+    dr.eval(end, flying, folds)
+    return np.array(end).T, np.array(flying).T, np.array(folds)
+
+
+def test_a_folded_flight_ends_where_one_from_face_to_face_does(folded):
+    """To 6e-6 of a width, as is said, and as many reflections later."""
+    body = folded("_thin").launcher().path.folded
+    low, high = np.array([-5.0, -5.0, 0.0]), np.array([5.0, 5.0, 1.0])
+    place, direction, length = _flights(4000, MOST_WIDTHS * 10.0)
+    place = ((low + high) / 2 + place * (high - low) / 2).astype(np.float32).astype(float)
+    end, flying, folds = _ends(body, place, direction, length)
+    wrong = 0
+    for o, d, left, *seen in zip(place, direction, length, end, flying, folds, strict=True):
+        count = 0
+        while True:
+            t = np.where(d > 0, high - o, low - o) / d
+            axis = int(np.argmin(t))
+            if t[axis] >= left:
+                break
+            o, left, count = o + t[axis] * d, left - t[axis], count + 1
+            o[axis] = high[axis] if d[axis] > 0 else low[axis]
+            d = np.where(np.arange(3) == axis, -d, d)
+        wrong += count != seen[2]
+        assert seen[0] == pytest.approx(o + left * d, abs=6e-5)
+        assert count != seen[2] or seen[1] == pytest.approx(d, abs=1e-6)
+    # what ends at a face may have met it or not
+    assert wrong < 8
+
+
+@pytest.mark.parametrize(("crystal", "n_out"), [("_cylinder", 1.0), ("_cylinder_lying", 1.46)])
+def test_a_flight_round_a_wall_ends_where_one_from_chord_to_chord_does(folded, crystal, n_out):
+    body = folded(crystal).launcher().path.folded
+    circle = body.solid.circle
+    across = list(circle.across)
+    middle = np.zeros(3)
+    middle[across] = circle.centre_mm
+    middle[circle.axis] = np.mean([plane.offset for plane in body.solid.planes])
+    place, direction, length = _flights(4000, MOST_WIDTHS * 2 * circle.radius_mm)
+    place *= 0.7 * circle.radius_mm
+    away, along = place[:, across], direction[:, across]
+    lever = away[:, 0] * along[:, 1] - away[:, 1] * along[:, 0]
+    cosine2 = (along**2).sum(axis=1) - (lever / circle.radius_mm) ** 2
+    # light that the wall keeps in, in air or where it lies in gel
+    kept = cosine2 < 1 - (n_out / 2.01) ** 2 - 0.01
+    assert 0.2 < kept.mean() < 0.9
+    place, direction, length = place[kept], direction[kept], length[kept]
+    end, flying, folds = _ends(body, place + middle, direction, length)
+    for o, d, left, *seen in zip(place, direction, length, end, flying, folds, strict=True):
+        o, d = o[across], d[across]
+        while True:
+            a, b = d @ d, o @ d
+            t = (-b + np.sqrt(b * b - a * (o @ o - circle.radius_mm**2))) / a
+            if t >= left:
+                break
+            o, left = o + t * d, left - t
+            normal = o / np.linalg.norm(o)
+            d = d - 2 * (d @ normal) * normal
+            # exactly on the wall, where the next chord has its other end
+            o = normal * circle.radius_mm
+        expected = o + left * d
+        assert seen[0][across] - middle[across] == pytest.approx(expected, abs=2e-3)
+    assert np.linalg.norm(flying, axis=1) == pytest.approx(np.ones(len(flying)), abs=1e-5)
+    assert folds.max() > 50
+
+
+def test_light_that_nothing_takes_goes_on_for_ever(folded):
+    """Beyond the longest flight there is another one; what is born in no face's cone stays."""
+    simulation = folded(alpha_scat_per_cm=0.0, alpha_abs_per_cm=0.0)
+    results = [
+        simulation.collect(100_000, seed=2, max_depth=60, fold=fold) for fold in (True, False)
+    ]
+    truncated = [result.budget["truncated"] for result in results]
+    assert truncated[0] == pytest.approx(truncated[1], abs=4e-3)
+    assert truncated[0] > 0.2
