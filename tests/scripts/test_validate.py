@@ -362,7 +362,8 @@ def test_folded_flights_agree_with_straight_ones():
     cases += ["rayleigh_scattering", "scattering_gradient", "gel_creep", "side_roughness"]
     differences = [row for case in cases for row in folding.compare(case, 400_000, 3)]
     assert {row.case for row in differences} == set(cases)
-    assert len(differences) == 9 * len(cases)
+    # uneven scattering has its own path besides
+    assert len(differences) == 9 * len(cases) + 1
     worst, p = folding.largest(differences)
     assert p > FALSE_ALARM, worst
     # an error of half a per cent in one eta would be found
