@@ -67,32 +67,37 @@ def gaussian(mean: float, sigma: float, low: float, high: float) -> PriorDensity
 def size(absent: float, plausible: tuple[float, float], low: float, high: float) -> PriorDensity:
     """Of an effect's size: 95 % inside the plausible range, around its absence, with long tails.
 
-    Where the plausible range is on one side of `absent` only, all is there. From `low` to `high`
-    the effect is defined, or a campaign allows it: without the absence too.
+    Student's t on either side of `absent`, with a width of its own for each side; where the
+    plausible range is on one side only, all is there. From `low` to `high` the effect is defined,
+    or a campaign allows it, without the absence too: beyond, the density is cut off.
     """
     end = float(stdtrit(EVIDENCE.tails, 0.5 + 0.5 * EVIDENCE.plausible_part))
     widths = [max(absent - plausible[0], 0.0) / end, max(plausible[1] - absent, 0.0) / end]
-    # cut off at the range, each side by itself: where it begins and where it ends
-    (begin_below, end_below), (begin_above, end_above) = (
-        [
-            2.0 * float(stdtr(EVIDENCE.tails, max(at, 0.0) / width if width > 0 else 0.0)) - 1.0
-            for at in ends
-        ]
-        for width, ends in zip(
-            widths, ((absent - high, absent - low), (low - absent, high - absent)), strict=True
-        )
-    )
-    parts = [0.5 * (end_below > begin_below), 0.5 * (end_above > begin_above)]
-    share = parts[0] / sum(parts)
+
+    def part_within(distance: float, width: float) -> float:
+        """Part of one side's density up to a distance from the absence."""
+        if width == 0.0:
+            return 0.0
+        return 2.0 * float(stdtr(EVIDENCE.tails, max(distance, 0.0) / width)) - 1.0
+
+    # parts of either side's density where the range begins and ends
+    begin_below, end_below = (part_within(absent - at, widths[0]) for at in (high, low))
+    begin_above, end_above = (part_within(at - absent, widths[1]) for at in (low, high))
+    sides = [0.5 * (end_below > begin_below), 0.5 * (end_above > begin_above)]
+    share_below = sides[0] / sum(sides)
 
     def quantile(u: Array) -> Array:
-        below = u < share
-        part = np.where(
-            below, (share - u) / max(share, 1e-300), (u - share) / max(1 - share, 1e-300)
+        below = u < share_below
+        # how far u is through its side, from the absence outwards
+        through = np.where(
+            below,
+            (share_below - u) / max(share_below, 1e-300),
+            (u - share_below) / max(1 - share_below, 1e-300),
         )
         begin = np.where(below, begin_below, begin_above)
         reach = np.where(below, end_below, end_above) - begin
-        away = stdtrit(EVIDENCE.tails, np.minimum(0.5 + 0.5 * (begin + reach * part), 1.0 - 1e-16))
+        part = 0.5 + 0.5 * (begin + reach * through)
+        away = stdtrit(EVIDENCE.tails, np.minimum(part, 1.0 - 1e-16))
         return absent + np.where(below, -widths[0] * away, widths[1] * away)
 
     return PriorDensity(quantile)
@@ -240,30 +245,43 @@ def _gathered(z: Array, share: Array) -> tuple[Array, Array]:
 def _drawn(
     modes: Sequence[tuple[Array, Array]], points: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """(points, free) numbers around maxima and of the prior, and the logarithm of their density."""
-    dimensions = len(modes[0][0])
+    """(points, free) numbers of a mixture, and the logarithm of its density there.
+
+    Of the prior, a standard normal density, and of Student's t around each maximum, its centre and
+    covariance: their tails, somewhat wider, let no weight become large.
+    """
+    dimensions, n = len(modes[0][0]), EVIDENCE.sampled_tails
     shares = [EVIDENCE.from_prior] + [(1.0 - EVIDENCE.from_prior) / len(modes)] * len(modes)
     counts = [round(share * points) for share in shares]
     counts[0] += points - sum(counts)
-    z = [rng.standard_normal((counts[0], dimensions))]
-    factors = []
-    for (centre, covariance), count in zip(modes, counts[1:], strict=True):
-        factor = EVIDENCE.wider * np.linalg.cholesky(covariance)
-        factors.append((centre, factor))
-        chi = np.sqrt(EVIDENCE.sampled_tails / rng.chisquare(EVIDENCE.sampled_tails, count))
-        z.append(centre + (rng.standard_normal((count, dimensions)) @ factor.T) * chi[:, None])
-    all_z = np.concatenate(z)
-    normal = -0.5 * (all_z**2).sum(1) - 0.5 * dimensions * math.log(2.0 * math.pi)
-    logs = [math.log(shares[0]) + normal]
-    n, k = EVIDENCE.sampled_tails, dimensions
+    parts = [rng.standard_normal((counts[0], dimensions))]
+    factors: list[Array] = [
+        np.asarray(EVIDENCE.wider * np.linalg.cholesky(covariance), float)
+        for _, covariance in modes
+    ]
+    for (centre, _), factor, count in zip(modes, factors, counts[1:], strict=True):
+        stretch = np.sqrt(n / rng.chisquare(n, count))[:, None]
+        normal = rng.standard_normal((count, dimensions)) @ factor.T
+        parts.append(centre + normal * stretch)
+    z = np.concatenate(parts)
+    log_normal = -0.5 * (z**2).sum(1) - 0.5 * dimensions * math.log(2.0 * math.pi)
+    log_densities = [log_normal] + [
+        _log_student(n, z - centre, factor)
+        for (centre, _), factor in zip(modes, factors, strict=True)
+    ]
+    return z, logsumexp(np.log(shares)[:, None] + log_densities, axis=0)
+
+
+def _log_student(n: float, away: Array, factor: Array) -> Array:
+    """(points,) logarithm of Student's density with n degrees of freedom.
+
+    At (points, free) distances from its centre; its scale matrix is ``factor factor^T``.
+    """
+    k = away.shape[1]
+    squared = (np.linalg.solve(factor, away.T) ** 2).sum(0)
+    log_determinant = float(np.log(np.diag(factor)).sum())
     constant = math.lgamma((n + k) / 2) - math.lgamma(n / 2) - 0.5 * k * math.log(n * math.pi)
-    for (centre, factor), share in zip(factors, shares[1:], strict=True):
-        away = np.linalg.solve(factor, (all_z - centre).T)
-        log_det = float(np.log(np.diag(factor)).sum())
-        logs.append(
-            math.log(share) + constant - log_det - 0.5 * (n + k) * np.log1p((away**2).sum(0) / n)
-        )
-    return all_z, logsumexp(logs, axis=0)
+    return np.asarray(constant - log_determinant - 0.5 * (n + k) * np.log1p(squared / n), float)
 
 
 # ---- models side by side ----
@@ -347,7 +365,7 @@ def weigh(hypotheses: Sequence[Hypothesis], known: LightYieldInput | None) -> We
         probabilities[each.name] = probabilities.get(each.name, 0.0) + float(share)
     light_yield = None
     evidences = [each.evidence for each in hypotheses]
-    if known is not None and all(SCALE in found.mean for found in evidences):
+    if known is not None and all(SCALE in evidence.mean for evidence in evidences):
         values = known.per_scale * np.array([e.mean[SCALE] for e in evidences])
         sigmas = known.per_scale * np.array([e.sigma[SCALE] for e in evidences])
         allowed = np.array([each.common for each in hypotheses]) * values

@@ -468,17 +468,22 @@ class Curve:
     parameters: int
 
     def gains(self, drawn: Array) -> Array:
-        """(draws,) largest gain in chi2 along the curve, for (draws, dimensions) readings."""
-        along, norms = drawn @ self.points.T, (self.points**2).sum(axis=1)
-        best = (2.0 * along - norms).max(axis=1)
+        """(draws,) largest gain in chi2 along the curve, for (draws, dimensions) readings.
+
+        A point p of the curve gains |r|^2 - |r - p|^2 = 2 r p - p^2 for readings r; on a segment
+        from a to a + s the best is where r - p is across it, at a + t s with t = (r - a) s / s^2.
+        """
+        products, squares = drawn @ self.points.T, (self.points**2).sum(axis=1)
+        best = (2.0 * products - squares).max(axis=1)
         if len(self.ends):
             a, b = self.ends.T
-            step = self.points[b] - self.points[a]
-            length = np.maximum((step**2).sum(axis=1), 1e-300)
-            across = np.einsum("ij,ij->i", self.points[a], step)
-            rise = along[:, b] - along[:, a]
-            t = np.clip((rise - across) / length, 0.0, 1.0)
-            gain = 2.0 * (along[:, a] + t * rise) - (norms[a] + t * (2.0 * across + t * length))
+            segment = self.points[b] - self.points[a]
+            segment_squared = np.maximum((segment**2).sum(axis=1), 1e-300)
+            a_segment = np.einsum("ij,ij->i", self.points[a], segment)
+            r_segment = products[:, b] - products[:, a]
+            t = np.clip((r_segment - a_segment) / segment_squared, 0.0, 1.0)
+            p_squared = squares[a] + t * (2.0 * a_segment + t * segment_squared)
+            gain = 2.0 * (products[:, a] + t * r_segment) - p_squared
             best = np.maximum(best, gain.max(axis=1))
         return best
 

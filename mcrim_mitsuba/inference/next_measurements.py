@@ -254,7 +254,7 @@ class _Cloud:
             low, middle, high = np.quantile(self.signals[own], ndtr((-1.0, 0.0, 1.0)), axis=0)
             means.append(middle)
             variances.append((0.5 * (high - low)) ** 2)
-        found = [
+        rises = [
             (means[a] - means[b]) ** 2
             / (
                 (self.relative_sigma * 0.5 * (means[a] + means[b])) ** 2
@@ -262,7 +262,7 @@ class _Cloud:
             )
             for a, b in pairs
         ]
-        return np.array(found).reshape(len(pairs), self.signals.shape[1]), pairs
+        return np.array(rises).reshape(len(pairs), self.signals.shape[1]), pairs
 
 
 def _most_kept(errors: Array) -> tuple[float, float]:

@@ -282,7 +282,11 @@ def _distance(rise: float, slope: float, curvature: float) -> float:
 
 
 def _of_light_yield(scale: Profile, name: str, light_yield: LightYieldInput) -> Profile:
-    """Of scale / (energy efficiency): over the scale, with a Gaussian factor for the efficiency."""
+    """Profile of the light yield, scale / (energy efficiency), from that of the scale.
+
+    The efficiency is a parameter with a Gaussian prior: each light yield has the scale for which
+    the rise of the scale's profile and of the prior together is least.
+    """
     per_scale = light_yield.per_scale
     relative = light_yield.detector_efficiency_sigma / light_yield.detector_efficiency
     value = scale.value * per_scale
@@ -300,6 +304,8 @@ def _of_light_yield(scale: Profile, name: str, light_yield: LightYieldInput) -> 
     curve, low, high = scale.curve, float(scale.values[0]), float(scale.values[-1])
 
     def height(photons_per_keV: float) -> tuple[float, float]:
+        """Rise of chi2 at a light yield, and its slope."""
+
         def rise(of_scale: float) -> float:
             factor = photons_per_keV / (of_scale * per_scale)
             return float(curve(of_scale)) + ((factor - 1) / relative) ** 2

@@ -133,6 +133,7 @@ def fit_band(values: Array, counts: Array, shape: str, start: Array) -> tuple[Pe
     along = (values - values[0]) / (values[-1] - values[0])
     ends = np.stack([1.0 - along, along])
 
+    # p: events, centroid, spread, background at the first and at the last bin
     def expected(p: Array) -> tuple[Array, Array]:
         """Counts, and their (5, bins) derivatives."""
         density, slopes = peak_shapes.band(shape, values, p[1], p[2], bin_width)
