@@ -470,7 +470,7 @@ class Curve:
     def gains(self, drawn: Array) -> Array:
         """(draws,) largest gain in chi2 along the curve, for (draws, dimensions) readings.
 
-        A point p of the curve gains |r|^2 - |r - p|^2 = 2 r p - p^2 for readings r; on a segment
+        A point p of the curve gains r^2 - (r - p)^2 = 2 r p - p^2 for readings r; on a segment
         from a to a + s the best is where r - p is across it, at a + t s with t = (r - a) s / s^2.
         """
         products, squares = drawn @ self.points.T, (self.points**2).sum(axis=1)
