@@ -798,16 +798,11 @@ def edges_in_reach(bench: Bench) -> bool:
 
 
 def _leaked(
-    bench: Bench,
-    rules: Rules,
-    first: int,
-    sine: Floats,
-    over: Floats,
-    signed: NDArray[np.int64],
+    bench: Bench, rules: Rules, first: int, sine: Floats, over: Floats, signed: NDArray[np.int64]
 ) -> _Array:
     """Light that leaves the gap at its sides on its way down, and is detected: (n, waves) complex.
 
-    The share of light in the gap that does so, as components over the place where it entered,
+    Its share, as components over the place where it entered the gap,
 
         <g exp(-i kappa X)> = out lands / w^2  int dy int a dt  P exp(-i kappa (w - a t, y - b t))
 

@@ -29,7 +29,8 @@ from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.inference.statistic import Weights, p_value
 
 #: Kinds of suspicion: one reading off, two signals exchanged.
-BAD_READING, SWAPPED_ROWS = "bad_reading", "swapped_rows"
+BAD_READING = "bad_reading"
+SWAPPED_ROWS = "swapped_rows"
 
 
 @dataclass(frozen=True)
