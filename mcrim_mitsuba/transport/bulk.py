@@ -368,6 +368,8 @@ class CollimatedBeam(CrystalVolume):
 
     Photons are born evenly on a disc before the side of the lowest coordinate along the beam.
 
+    Raises InputError if some of the light would miss the crystal.
+
     Parameters
     ----------
     model : SceneModel
@@ -376,11 +378,6 @@ class CollimatedBeam(CrystalVolume):
     axis : int
         0, 1, 2: the beam flies along +x, +y or +z.
     diameter_mm : float
-
-    Raises
-    ------
-    InputError
-        If some of the light would miss the crystal.
     """
 
     def __init__(self, model: SceneModel, volume: int, axis: int, diameter_mm: float) -> None:
@@ -416,10 +413,7 @@ class CollimatedBeam(CrystalVolume):
 def read_crystal(scene) -> CrystalVolume:
     """Where light is born in a loaded scene, with the model of that scene.
 
-    Raises
-    ------
-    InputError
-        If the scene has no detector, or not one emitter; and as `read_scene_model`.
+    Raises InputError if the scene has no detector, or not one emitter; and as `read_scene_model`.
     """
     emitters = [e for e in scene.emitters() if hasattr(e, "volume")]
     if len(emitters) != 1:

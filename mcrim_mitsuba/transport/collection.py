@@ -108,6 +108,8 @@ class Launcher:
     ) -> loop.Launch:
         """Follow photons; `options`, ``seed`` among them, are those of `loop.Loop`.
 
+        Raises InputError if the scene leaks, or does not have a record column.
+
         Parameters
         ----------
         photons : int
@@ -118,11 +120,6 @@ class Launcher:
             See `launch_plan.plan_lanes`.
         may_leak : bool
             Whether a scene that loses light is followed all the same.
-
-        Raises
-        ------
-        InputError
-            If the scene leaks, or does not have a record column.
         """
         units = (SHARE_STEPS,) if proposals is None else proposals.units
         plan = plan_lanes(photons, units, batches)
@@ -224,6 +221,9 @@ class Recorder:
     ) -> PhotonRecords:
         """Histories of the photons of one launch that are detected.
 
+        Raises InputError if the scene leaks, keeps more light than records may miss, or does not
+        have a column.
+
         Parameters
         ----------
         proposals : ScatteringProposals
@@ -235,11 +235,6 @@ class Recorder:
             crystal scatters unevenly, it always holds ``scattering_path_cm``.
         batches : int
             As of `plan_lanes`; fewer batches have fewer lanes, which wait less for each other.
-
-        Raises
-        ------
-        InputError
-            If the scene leaks, keeps more light than records may miss, or does not have a column.
         """
         # Scattered light gets out in the end; what is cut off would be missing at every alpha.
         max_depth = self._simulation.integrator.depth_limit(scatters=True)

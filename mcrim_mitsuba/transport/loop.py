@@ -126,6 +126,8 @@ def launch(path, emitter: CrystalVolume, plan: LanePlan, **options) -> Launch:
 class Loop:
     """What all lanes of one launch share.
 
+    Raises InputError for a record column that the scene does not give.
+
     Parameters
     ----------
     path : FlatPath or GeneralPath
@@ -149,11 +151,6 @@ class Loop:
     trails : TrailStore, optional
         Also write down where every photon flies. Absorption then takes photons whole, so that each
         has one fate; other photons than without are absorbed, but their random numbers are alike.
-
-    Raises
-    ------
-    InputError
-        For a record column that the scene does not give.
     """
 
     def __init__(

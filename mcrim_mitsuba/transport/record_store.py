@@ -140,6 +140,8 @@ def _path_in(volume: int) -> Recorded:
 class RecordStore:
     """Rows for all photons of a launch, four columns to a table because they are written at once.
 
+    Raises InputError for a column that the scene does not give.
+
     Parameters
     ----------
     emitter : CrystalVolume
@@ -148,11 +150,6 @@ class RecordStore:
         Wanted besides those of all records: of `COLUMNS`, or ``path_<medium>_cm`` of a medium that
         does not emit (``path_outside_cm`` of light outside all of them). Where the emitting volume
         scatters unevenly, `SCATTERING_PATH` is always among them.
-
-    Raises
-    ------
-    InputError
-        For a column that the scene does not give.
     """
 
     def __init__(self, emitter: CrystalVolume, photons: int, columns: Sequence[str]) -> None:

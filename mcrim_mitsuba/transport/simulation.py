@@ -65,6 +65,9 @@ class SimulationResult(Provenance):
 class Simulation:
     """A scene file with its parameters, loaded into Mitsuba.
 
+    Raises InputError if the scene cannot be read or loaded, is not sound, or lacks an integrator,
+    an emitter or a detector.
+
     Parameters
     ----------
     scene : str, Path or SceneFile
@@ -86,12 +89,6 @@ class Simulation:
     model : transport.scene_model.SceneModel
     crystal : transport.bulk.CrystalVolume
     integrator : the scene's ``light_collection`` integrator
-
-    Raises
-    ------
-    InputError
-        If the scene cannot be read or loaded, is not sound, or lacks an integrator, an emitter or
-        a detector.
     """
 
     @signals_wait()
@@ -156,6 +153,8 @@ class Simulation:
     ) -> SimulationResult:
         """Light collection efficiency and the fates of all photons.
 
+        Raises InputError if an argument is out of range or the scene leaks light.
+
         Parameters
         ----------
         photons : int
@@ -172,11 +171,6 @@ class Simulation:
             fly from one to the next (for cross-checks).
         max_depth : int, optional
             Free flights after which a photon is given up; `depth_limit` when not given.
-
-        Raises
-        ------
-        InputError
-            If an argument is out of range or the scene leaks light.
         """
         from mcrim_mitsuba.transport.collection import collect
 
@@ -268,11 +262,8 @@ def _refuse(problems: Sequence[SceneProblem]) -> None:
 def load_scene(mi, file: SceneFile):
     """The scene, loaded into the active variant.
 
-    Raises
-    ------
-    InputError
-        With the file, line and column that Mitsuba names; if the scene on the disk is no
-        longer the one that was read; or if a GPU lacks what traces its rays.
+    Raises InputError with the file, line and column that Mitsuba names; if the scene on the disk is
+    no longer the one that was read; or if a GPU lacks what traces its rays.
     """
     try:
         scene = _load(mi, file)
