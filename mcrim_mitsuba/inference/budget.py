@@ -101,7 +101,7 @@ def totals(
     budgets: dict[str, ErrorBudget] = {}
     if corrected is not None:
         budgets = contributions_to(corrected.fit, corrected.refitted)
-    found = {}
+    totals = {}
     for name, value in zip(own.names, own.values.tolist(), strict=True):
         if name not in contributions:
             continue
@@ -113,8 +113,8 @@ def totals(
             sizes = (p.refitted[name].size_sigma for p in neglected if p.correction)
             parts = (budgets[name].total * abs(after), lasting, *sizes)
             total = replace(total, corrected=after, corrected_sigma=math.hypot(*parts))
-        found[name] = total
-    return found
+        totals[name] = total
+    return totals
 
 
 @dataclass(frozen=True)
@@ -137,12 +137,12 @@ def yield_corrections(
     if known is None or known.detector is None:
         return ()
     detector = known.detector
-    found = [("window's reflection", -detector.window_reflectance, detector.in_air)]
+    corrections = [("window's reflection", -detector.window_reflectance, detector.in_air)]
     if detector.collection is not None:
-        found.append(("collection and threshold", 1.0 / detector.collection - 1.0, True))
+        corrections.append(("collection and threshold", 1.0 / detector.collection - 1.0, True))
     if depth is not None:
-        found.append(("K X-rays that escape", 1.0 / (1.0 - depth.escape_loss) - 1.0, False))
-    return tuple(YieldCorrection(*one) for one in found if one[1])
+        corrections.append(("K X-rays that escape", 1.0 / (1.0 - depth.escape_loss) - 1.0, False))
+    return tuple(YieldCorrection(*one) for one in corrections if one[1])
 
 
 # ---- the whole ----
@@ -206,11 +206,11 @@ class Budget:
 
 def _plain(piece: Neglected) -> dict[str, Any]:
     """A piece with its shifts spelled out."""
-    found = dataclasses.asdict(piece)
+    plain = dataclasses.asdict(piece)
     for kind in ("at_fixed", "refitted"):
         for name, moved in getattr(piece, kind).items():
-            found[kind][name] |= {"shift": moved.shift, "relative": moved.relative}
-    return found
+            plain[kind][name] |= {"shift": moved.shift, "relative": moved.relative}
+    return plain
 
 
 def budget(

@@ -158,12 +158,12 @@ class CandidateMaker:
             moved = fit.statistic.model.predict(start).signal - baseline.signal
             whitened = weights.whiten(moved[fit.statistic.used])
             directions = [np.concatenate([whitened, np.zeros(len(rows))])]
-        found = []
+        collinearities = []
         for direction in directions:
             left = direction - others @ np.linalg.lstsq(others, direction, rcond=None)[0]
             length = float(direction @ direction)
-            found.append(1.0 - float(left @ left) / length if length > 0 else 1.0)
-        return max(found)
+            collinearities.append(1.0 - float(left @ left) / length if length > 0 else 1.0)
+        return max(collinearities)
 
     def _mimics(self, effect: str, *, exact: bool) -> tuple[str, ...]:
         """Other effects that would fit this one's prediction about as well, the likeliest first.
@@ -174,21 +174,21 @@ class CandidateMaker:
         fit = self._explanations.fit((effect,))
         point = self._null.frame.displacement(fit.statistic, fit.theta)
         too_small = float(point @ point) < EXPLAINING.leading
-        found = []
+        mimics = []
         for other, curve in self._null.curves.items():
             if other == effect:
                 continue
             if too_small:
                 likeness = _likeness(self._null.curves[effect], curve)
                 if likeness > CANDIDATES.alike:
-                    found.append((1.0 - likeness, other))
+                    mimics.append((1.0 - likeness, other))
                 continue
             separation = curve.separation(point)
             if exact and separation < CANDIDATES.worth_a_fit:
                 separation = self._separation(fit, other)
             if separation < EXPLAINING.leading:
-                found.append((separation, other))
-        return tuple(other for _, other in sorted(found))
+                mimics.append((separation, other))
+        return tuple(other for _, other in sorted(mimics))
 
     def _separation(self, fit: Minimum, other: str) -> float:
         """chi2 of another effect fitted to this one's prediction."""

@@ -176,18 +176,22 @@ def find_suspects(fit: Minimum) -> list[Suspect]:
     p, readings = fit.p_value, len(fit.statistic.signal)
     if p is None or p > ACCEPTABLE_P:
         return []
-    found = [one for one in (*_bad_readings(fit), *_swapped_rows(fit)) if one.explains]
-    found = [one for one in found if one.p_gain < ACCEPTABLE_P]
-    found.sort(key=lambda one: one.score(readings))
+    suspects = [
+        suspect for suspect in (*_bad_readings(fit), *_swapped_rows(fit)) if suspect.explains
+    ]
+    suspects = [suspect for suspect in suspects if suspect.p_gain < ACCEPTABLE_P]
+    suspects.sort(key=lambda suspect: suspect.score(readings))
     return [
-        one for one in found if one.score(readings) < found[0].score(readings) + SUSPICION.rival
+        suspect
+        for suspect in suspects
+        if suspect.score(readings) < suspects[0].score(readings) + SUSPICION.rival
     ]
 
 
 def _bad_readings(fit: Minimum) -> list[Suspect]:
     """Single readings, each with an offset of its own."""
     _, pulls = left_out(fit)
-    found = []
+    suspects = []
     for i in np.argsort(-np.abs(pulls))[: SUSPICION.to_the_end]:
         variance = fit.weights.errors.variance.copy()
         variance[i] += SUSPICION.left_out * fit.weights.covariance[i, i]
@@ -196,8 +200,8 @@ def _bad_readings(fit: Minimum) -> list[Suspect]:
         gain = max(fit.chi2 - chi2, 0.0)
         # to first order the square of the pull is the gain
         pull = math.copysign(math.sqrt(gain), pulls[i])
-        found.append(suspected(fit, BAD_READING, [i], chi2, pull))
-    return found
+        suspects.append(suspected(fit, BAD_READING, [i], chi2, pull))
+    return suspects
 
 
 def _swapped_rows(fit: Minimum) -> list[Suspect]:
@@ -298,15 +302,15 @@ def find_trends(fit: Minimum) -> tuple[Trend, ...]:
     """
     readings = [r for r in fit.statistic.model.readings if r.use]
     columns = dict.fromkeys(name for r in readings for name in r.parameters)
-    found = []
+    varied = []
     for name in columns:
         cells = [r.parameters.get(name) for r in readings]
         # a beam has no gap, and the bench no acceptance
         levels = sorted({c for c in cells if c is not None}, key=lambda v: (isinstance(v, str), v))
         if len(levels) > 1:
             at = np.array([-1 if c is None else levels.index(c) for c in cells])
-            found.append((name, tuple(levels), at))
-    trends = [_trend(fit, name, levels, which, len(found)) for name, levels, which in found]
+            varied.append((name, tuple(levels), at))
+    trends = [_trend(fit, name, levels, which, len(varied)) for name, levels, which in varied]
     # without a p-value the fall in chi2 decides
     return tuple(sorted(trends, key=lambda t: (t.p_value is None, t.p_value, -t.delta_chi2)))
 
@@ -349,7 +353,7 @@ def find_absorbed(
     fit: Minimum, plausible: Mapping[str, tuple[float, float]]
 ) -> tuple[Absorbed, ...]:
     """Parameters with the marks of having taken up a misfit."""
-    found = []
+    absorbed = []
     for parameter, at, side in zip(fit.statistic.free, fit.theta, fit.at_bound, strict=True):
         name, value, signs = parameter.name, float(at), []
         if parameter.prior is not None and parameter.prior_sigma is not None:
@@ -367,5 +371,5 @@ def find_absorbed(
         low, high = plausible.get(name, (value, value))
         if not low <= value <= high:
             signs.append(("implausible", f" = {value:.3g}, but usual is {low:g} to {high:g}"))
-        found += [Absorbed(name, sign, value, name + words) for sign, words in signs]
-    return tuple(found)
+        absorbed += [Absorbed(name, sign, value, name + words) for sign, words in signs]
+    return tuple(absorbed)

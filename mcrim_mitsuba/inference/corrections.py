@@ -316,8 +316,8 @@ class NeglectWork:
                 for sign in (-1, 1)
             )
             sizes = [
-                {name: abs(moved.shift) / 2 for name, moved in found.items()}
-                for found in (
+                {name: abs(moved.shift) / 2 for name, moved in refits.items()}
+                for refits in (
                     shifts(low.at_fixed, high.at_fixed),
                     shifts(low.refitted, high.refitted),
                 )
@@ -334,18 +334,18 @@ class NeglectWork:
 
     def neglected(self) -> tuple[Neglected, ...]:
         """Every piece by itself, corrections first."""
-        known, found = self._known, []
+        known, pieces = self._known, []
         if known.depth is not None and SOURCE_DEPTH in known.effects:
-            found.append(self._source_depth(known.depth))
+            pieces.append(self._source_depth(known.depth))
         if POLARIZATION in known.effects:
-            found.append(self._polarization())
+            pieces.append(self._polarization())
         if self._band is not None:
             if CRYSTAL_INDEX in known.effects:
-                found.append(self._crystal_index(self._band))
-            found.append(self._index_spread(self._band))
+                pieces.append(self._crystal_index(self._band))
+            pieces.append(self._index_spread(self._band))
             if self._band.material.extraordinary is not None:
-                found.append(self._birefringence(self._band))
-        return tuple(found)
+                pieces.append(self._birefringence(self._band))
+        return tuple(pieces)
 
     def _source_depth(self, length: AttenuationLength) -> Neglected:
         """Light is born where the gammas stop below the top, not everywhere alike."""

@@ -299,14 +299,14 @@ def _tried(
     return {name: effect for name, effect in possible.items() if name in wanted}
 
 
-def _rests_on(found: Diagnosis, tried: Collection[str]) -> set[str]:
+def _rests_on(diagnosis: Diagnosis, tried: Collection[str]) -> set[str]:
     """Effects that a diagnosis names or counts with."""
-    if found.verdict == ADEQUATE:
+    if diagnosis.verdict == ADEQUATE:
         return set()
-    likely = {key for key, p in found.probabilities.items() if p > JUDGING.likely}
+    likely = {key for key, p in diagnosis.probabilities.items() if p > JUDGING.likely}
     counted = {name for key in likely for name in key.split(" + ")} & set(tried)
-    added = {name for step in found.repair for name in step.effects}
-    return {*found.leading, *found.set_aside, *counted, *added}
+    added = {name for step in diagnosis.repair for name in step.effects}
+    return {*diagnosis.leading, *diagnosis.set_aside, *counted, *added}
 
 
 def diagnose_models(

@@ -131,13 +131,13 @@ def light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEs
 
 
 def light_yields(
-    found: Mapping[str, ParameterEstimate], campaign: Campaign
+    fitted: Mapping[str, ParameterEstimate], campaign: Campaign
 ) -> dict[str, ParameterEstimate]:
     """`light_yield` of every fitted scale of which the campaign says how to get it, by name."""
     return {
-        name: light_yield(found[scale], known)
+        name: light_yield(fitted[scale], known)
         for scale, (name, known) in campaign.light_yields.items()
-        if scale in found
+        if scale in fitted
     }
 
 

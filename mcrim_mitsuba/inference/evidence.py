@@ -212,15 +212,15 @@ class _Sampled:
             step = -np.linalg.solve(hessian, slopes.T @ residuals + z)
             step *= min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-12))
             for _ in range(6):
-                found, their_slopes = self._linear(z + step)
-                new = float(found @ found + (z + step) @ (z + step))
+                their_residuals, their_slopes = self._linear(z + step)
+                new = float(their_residuals @ their_residuals + (z + step) @ (z + step))
                 if new < height:
                     break
                 step = 0.5 * step
             else:
                 break
             gained, z, height = height - new, z + step, new
-            residuals, slopes = found, their_slopes
+            residuals, slopes = their_residuals, their_slopes
             if gained < 1e-3:
                 break
         covariance = np.asarray(np.linalg.inv(slopes.T @ slopes + np.eye(len(z))), float)

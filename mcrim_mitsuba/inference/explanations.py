@@ -196,24 +196,24 @@ class Explanations:
         added = tuple(added)
         plausible = self.plausible(added)
         of_effects = {p.name: p for name in added for p in self.effects[name].parameters}
-        found = {}
+        densities = {}
         for known in self.statistic(added).free:
             effect = of_effects.get(known.name)
             if effect is not None and known.prior is None:
                 usual, (low, high) = plausible[known.name], (known.minimum, known.maximum)
                 least, most = max(usual[0], low), min(usual[1], high)
                 if not least < most:  # a campaign asks for what is not usual
-                    found[known.name] = of_parameter(known)
+                    densities[known.name] = of_parameter(known)
                 elif effect.absent is None or not math.isfinite(effect.absent):
-                    found[known.name] = even(least, most)
+                    densities[known.name] = even(least, most)
                 else:
                     absent = effect.origin(self._scene) + effect.absent
-                    found[known.name] = size(absent, usual, low, high)
+                    densities[known.name] = size(absent, usual, low, high)
             elif known.name in self.scales and known.prior is None:
-                found[known.name] = around(self.scales[known.name])
+                densities[known.name] = around(self.scales[known.name])
             else:
-                found[known.name] = of_parameter(known)
-        return found
+                densities[known.name] = of_parameter(known)
+        return densities
 
     def nodes(self, added: Iterable[str], effect: str) -> list[dict[str, float]]:
         """Values of an effect's free parameters that span it, in their order; [{}] without any."""
@@ -275,7 +275,7 @@ class Explanations:
             thetas = [statistic.theta({**fewer.values, **node}) for node in (absent, *nodes)]
             there, *x = (statistic.internal(theta)[held[0]] for theta in thetas)
             order.sort(key=lambda i: abs(x[i] - there))
-        found: dict[int, tuple[float, Array]] = {}
+        points: dict[int, tuple[float, Array]] = {}
         warm: dict[bool, dict[str, float]] = {}
         for i in order:
             side = nodes[i][names[0]] > absent[names[0]]
@@ -283,10 +283,10 @@ class Explanations:
             theta, chi2, _ = newton(
                 statistic, start, weights, held=held, steps=steps, precision=precision
             )
-            found[i] = (chi2, theta)
+            points[i] = (chi2, theta)
             if single:
                 warm[side] = statistic.values(theta)
-        return [found[i] for i in range(len(nodes))]
+        return [points[i] for i in range(len(nodes))]
 
     def ranked_pairs(self) -> list[tuple[str, ...]]:
         """The best fitting pairs of all effects, the best first, fitted to the end."""
@@ -308,16 +308,16 @@ class Explanations:
             starts: list[tuple[tuple[str, ...], list[Array]]], steps: int, precision: float
         ) -> list[tuple[tuple[str, ...], Array]]:
             """Sets with where their best start leads, the best first."""
-            found = []
+            ranked = []
             for added, each in starts:
                 statistic, weights = self.statistic(added), self.baseline.weights
                 theta, height, _ = min(
                     (newton(statistic, s, weights, steps=steps, precision=precision) for s in each),
                     key=lambda end: end[1],
                 )
-                found.append((height + 2.0 * len(statistic.names), added, theta))
-            found.sort(key=lambda item: item[0])
-            return [(added, theta) for _, added, theta in found]
+                ranked.append((height + 2.0 * len(statistic.names), added, theta))
+            ranked.sort(key=lambda item: item[0])
+            return [(added, theta) for _, added, theta in ranked]
 
         rough = followed([(s, self._starts(s)) for s in sets if self.possible(s)], 2, 1.0)
         better = [(added, [theta]) for added, theta in rough[: (len(rough) + 1) // 2]]
@@ -370,15 +370,15 @@ def plausible_priors(effects: Iterable[Effect], model: Model) -> dict[str, tuple
     It lies around the effect's absence, and 95 % of it in what is plausible; around the middle of
     that where the absence is infinitely far.
     """
-    effects, found = tuple(effects), {}
+    effects, priors = tuple(effects), {}
     usual = plausible_ranges(effects, model)
     for known in (parameter for effect in effects for parameter in effect.parameters):
         low, high = usual[known.name]
         middle = 0.5 * (low + high)
         if known.absent is not None and math.isfinite(known.absent):
             middle = known.origin(model.campaign.values) + known.absent
-        found[known.name] = (middle, max(high - middle, middle - low) / math.sqrt(RISE_95))
-    return found
+        priors[known.name] = (middle, max(high - middle, middle - low) / math.sqrt(RISE_95))
+    return priors
 
 
 # ---- explanations in order, and which of them the data cannot tell apart ----

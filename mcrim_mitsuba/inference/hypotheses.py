@@ -293,8 +293,8 @@ def _refuse_other_readings(first: Campaign, other: Campaign) -> None:
         if one is None:
             problem = f"{another.label} is not among the readings of {ours.path}"
             raise theirs.refusal(another, None, problem, mend)
-        for name, expected, found in _differences(one, another):
-            problem = f"{name} of {another.label} is {found}, but {expected} in {ours.path}"
+        for name, expected, given in _differences(one, another):
+            problem = f"{name} of {another.label} is {given}, but {expected} in {ours.path}"
             raise theirs.refusal(another, name, problem, mend)
 
 
@@ -305,12 +305,12 @@ def _differences(one: Reading, another: Reading) -> Iterator[tuple[str, str, str
         *((name, getattr(one, name), getattr(another, name)) for name in _OF_A_ROW),
         *((name, one.parameters.get(name), another.parameters.get(name)) for name in names),
     ]
-    for name, expected, found in pairs:
-        alike = expected == found
-        if isinstance(expected, float) and isinstance(found, float):
-            alike = math.isclose(expected, found, rel_tol=_ROUNDED)
+    for name, expected, theirs in pairs:
+        alike = expected == theirs
+        if isinstance(expected, float) and isinstance(theirs, float):
+            alike = math.isclose(expected, theirs, rel_tol=_ROUNDED)
         if not alike:
-            yield name, _cell(expected), _cell(found)
+            yield name, _cell(expected), _cell(theirs)
 
 
 def _cell(value: object) -> str:

@@ -104,8 +104,8 @@ def free_parameters(
     campaign: Campaign, ranges: Mapping[str, tuple[float, float]], known: str, mend: str
 ) -> tuple[CampaignParameter, ...]:
     """The free parameters, their bounds cut down to the ranges that were simulated."""
-    found = [_named(campaign)[name] for name in campaign.free]
-    for place, parameter in enumerate(found):
+    parameters = [_named(campaign)[name] for name in campaign.free]
+    for place, parameter in enumerate(parameters):
         if parameter.name not in ranges:
             continue
         low, high = ranges[parameter.name]
@@ -118,8 +118,8 @@ def free_parameters(
                 path=campaign.path,
             )
         start = min(max(parameter.start, least), most)
-        found[place] = replace(parameter, start=start, minimum=least, maximum=most)
-    return tuple(found)
+        parameters[place] = replace(parameter, start=start, minimum=least, maximum=most)
+    return tuple(parameters)
 
 
 # ---- from responses ----
@@ -326,14 +326,14 @@ class ResponseModel:
             fine, coarse = (
                 grid.weights_at(*pair) for grid in (self.responses.grid, self.responses.coarse)
             )
-            found = fine @ self.responses.log_eta[rows].reshape(len(rows), -1).T
+            of_rows = fine @ self.responses.log_eta[rows].reshape(len(rows), -1).T
             for response in self.switched_on.values():
                 weights = response.weights_at([values[axis.name] for axis in response.axes])
                 tables = response.log_ratio[..., rows, :, :].reshape(-1, coarse.shape[1])
                 # of all nodes and readings at once: products with few columns are slow
                 at_nodes = (coarse @ tables.T).reshape(len(coarse), -1, len(rows))
-                found = found + np.einsum("pn,pnr->pr", weights, at_nodes)
-            log_eta[:, rows] = found
+                of_rows = of_rows + np.einsum("pn,pnr->pr", weights, at_nodes)
+            log_eta[:, rows] = of_rows
         if self._shift is not None:
             log_eta += self._shift
         scales = np.stack(np.broadcast_arrays(*(values[n] for n in self._named[SCALE])), axis=-1)

@@ -167,12 +167,12 @@ class Planning:
     @property
     def efficient(self) -> tuple[Plan, ...]:
         """Plans that are more precise than every cheaper one, the cheapest first."""
-        found: list[Plan] = []
+        plans: list[Plan] = []
         for plan in self.plans:
             of_plan = plan.light_yield.of_plan
-            if not found or of_plan < PLANNING.better * found[-1].light_yield.of_plan:
-                found.append(plan)
-        return tuple(found)
+            if not plans or of_plan < PLANNING.better * plans[-1].light_yield.of_plan:
+                plans.append(plan)
+        return tuple(plans)
 
     @property
     def lowest_floor(self) -> tuple[tuple[int, ...], ExpectedError]:

@@ -56,7 +56,7 @@ def unknown_cause(
     lowest = min((fit.deviance for fit in fits.values()), default=0.0)
     near = [effects for effects, fit in fits.items() if fit.deviance < lowest + RIVALS.beside]
     correlation = _correlation(explanations.baseline.statistic)
-    found = []
+    hypotheses = []
     # twice the size is half as likely: prior 1 / (amplitude norm)
     norm = sum(1.0 / amplitude for amplitude in RIVALS.amplitudes)
     for effects in [(), *near[: RIVALS.most_beside]]:
@@ -69,11 +69,11 @@ def unknown_cause(
             evidence = evidence_of(fit, priors, hopeless=True)
             log_odds = of_effects + math.log(odds / (amplitude * norm))
             common = RIVALS.common_to_all * amplitude
-            found.append(Hypothesis(evidence, log_odds, effects, UNKNOWN, common, amplitude))
+            hypotheses.append(Hypothesis(evidence, log_odds, effects, UNKNOWN, common, amplitude))
             best = max(best, evidence.log)
             if evidence.log < best - RIVALS.fallen:
                 break
-    return found
+    return hypotheses
 
 
 def unknown_cause_at(
@@ -150,14 +150,14 @@ def bad_readings(explanations: Explanations) -> list[tuple[Hypothesis, Suspect]]
     The campaign is as it is otherwise.
     """
     statistic = explanations.baseline.statistic
-    found = [_bad(explanations, places) for places in _worst(explanations)]
+    suspected_sets = [_bad(explanations, places) for places in _worst(explanations)]
     log_odds = math.log(RIVALS.swapped_odds / max(math.comb(len(statistic.signal), 2), 1))
     for places in likely_swaps(explanations.baseline, RIVALS.fitted):
         order = np.arange(len(statistic.signal), dtype=np.int64)
         order[list(places)] = places[::-1]
         fit = settle(statistic.exchanged(order), explanations.baseline.theta)
-        found.append(_named(explanations, SWAPPED_ROWS, places, fit, log_odds))
-    return sorted(found, key=lambda each: -each[0].log_weight)
+        suspected_sets.append(_named(explanations, SWAPPED_ROWS, places, fit, log_odds))
+    return sorted(suspected_sets, key=lambda each: -each[0].log_weight)
 
 
 def _named(
