@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import jinja2
-from markupsafe import Markup
 
 from mcrim_mitsuba.app.bench_picture import bench_picture, bench_words
 from mcrim_mitsuba.app.session import Session
-from mcrim_mitsuba.app.state import HELD, Control, FitStep, Settings, Shown
+from mcrim_mitsuba.app.state import Control, FitStep, Settings, Shown
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, SAMPLE, TRANSMITTANCE, Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.files import plain
 from mcrim_mitsuba.core.numbers import titled
 from mcrim_mitsuba.core.rounding import (
-    capital,
     counted,
     number,
     p_equals,
@@ -27,17 +25,15 @@ from mcrim_mitsuba.core.rounding import (
     pdg,
     pdg_parts,
     probability,
-    unbroken,
 )
 from mcrim_mitsuba.efficiency.response_maker import configurations
 from mcrim_mitsuba.inference.candidates import Candidate
 from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis
-from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, FittedRow, ParameterEstimate
-from mcrim_mitsuba.inference.fit import Calibration
-from mcrim_mitsuba.output import sentences
-from mcrim_mitsuba.output.describe_campaign import limits_table
-from mcrim_mitsuba.output.description import Table
+from mcrim_mitsuba.inference.estimates import FittedRow
+from mcrim_mitsuba.output import describe_campaign, sentences
+from mcrim_mitsuba.output.description import Column, Table, table
 from mcrim_mitsuba.output.figure_style import shortened, units_of_signals
+from mcrim_mitsuba.output.pages import environment
 
 #: Candidates that are shown.
 _MOST_CANDIDATES = 8
@@ -49,21 +45,29 @@ _LABEL_LENGTH = 22
 _SLIDER_STEPS = 1000
 
 
+def _chi2_text(chi2: float) -> str:
+    """What is only the fit's rounding counts as none."""
+    return number(chi2) if chi2 >= _NO_CHI2 else "0"
+
+
 def _compound_id(kind: str, name: str) -> str:
     """The id of a parameter's `slider`, `number` and `known`, or of an `effect`'s switch."""
     return json.dumps({"kind": kind, "name": name}, sort_keys=True, separators=(",", ":"))
 
 
-_TEMPLATES = jinja2.Environment(
-    autoescape=True,
-    undefined=jinja2.StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-    finalize=unbroken,
-    loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
-)
-_TEMPLATES.filters["capital"] = capital
-_TEMPLATES.globals |= {"id_of": _compound_id, "steps": _SLIDER_STEPS}
+_TEMPLATES = environment(jinja2.FileSystemLoader(Path(__file__).parent / "templates"))
+_TEMPLATES.filters |= {
+    "chi2": _chi2_text,
+    "p": p_text,
+    "p_equals": p_equals,
+    "probability": probability,
+}
+_TEMPLATES.globals |= {
+    "id_of": _compound_id,
+    "steps": _SLIDER_STEPS,
+    "sentences": sentences,
+    "describe": describe_campaign,
+}
 
 
 def page(session: Session) -> str:
@@ -241,11 +245,6 @@ def _merit_texts(shown: Shown | None, session: Session) -> dict[str, str]:
     return texts
 
 
-def _chi2_text(chi2: float) -> str:
-    """What is only the fit's rounding counts as none."""
-    return number(chi2) if chi2 >= _NO_CHI2 else "0"
-
-
 def _readings_cells(readings: Sequence[Reading], shown: Shown | None) -> list[list[str]]:
     """What the model says of every reading; nothing before there are predictions."""
     if shown is None:
@@ -305,58 +304,19 @@ def reading(session: Session, place: int) -> str:
 
 def _diagnosis_panel(diagnosed: Diagnosed | None) -> str:
     """The verdict and the candidates, each with a button that adds it."""
-    template = _TEMPLATES.get_template("diagnosis.html")
-    if diagnosed is None:
-        return template.render(diagnosis=None)
-    diagnosis = diagnosed.diagnosis
-    leading = sentences.leading_candidates(diagnosis)
-    return template.render(
-        diagnosis=diagnosis,
-        averaged=sentences.averaged_yield(diagnosis),
-        headline=sentences.headline(diagnosis),
-        leading=bool(leading),
-        suspicions=[sentences.suspicion(reading) for reading in diagnosis.suspect_readings],
-        titles=("probability", "size", "plausible?", "fall of χ²", "p of the fit"),
-        candidates=_ranked(diagnosis, leading) if diagnosis.candidates else (),
-        set_aside=sentences.set_aside_text(diagnosis),
-        looks=sentences.how_to_look(diagnosis),
-        limits=_cells(limits_table(diagnosis).seen) if diagnosis.upper_limits else None,
-        next=[(m.words, *sentences.measurement_value(m)) for m in diagnosis.next_measurements],
+    diagnosis = diagnosed and diagnosed.diagnosis
+    return _TEMPLATES.get_template("diagnosis.html").render(
+        diagnosis=diagnosis, ranked=diagnosis and _ranked(diagnosis)
     )
 
 
-def _ranked(diagnosis: Diagnosis, leading: Sequence[Candidate]) -> list[dict[str, Any]]:
-    """Rows of the ranking; what is no effect stands where its probability puts it."""
-    ranked = {id(c): c for c in (*leading, *diagnosis.candidates[:_MOST_CANDIDATES])}
-    rows: list[dict[str, Any]] = [
-        {
-            "effects": candidate.effects,
-            "effect": candidate.effect,
-            "title": sentences.in_words(diagnosis, candidate.effects),
-            "first": bool(leading) and candidate is leading[0],
-            "cells": (
-                sentences.size_text(candidate, ", "),
-                sentences.plausibility(candidate),
-                sentences.gain_text(candidate),
-                p_text(candidate.p_value),
-            ),
-        }
-        for candidate in ranked.values()
-    ]
-    rows += [
-        {"effects": (), "effect": name, "title": words, "cells": ("",) * 4}
-        for name, words in sentences.NO_EFFECTS.items()
-        if name in diagnosis.probabilities
-    ]
-    for row in rows:
-        row["p"] = diagnosis.probabilities.get(row["effect"])
-        row["probability"] = "" if row["p"] is None else probability(row["p"])
-    return sorted(rows, key=lambda row: -(row["p"] or 0.0))
-
-
-def _cells(table: Table) -> tuple[list[str], list[list[str]]]:
-    head = [column.title for column in table.columns]
-    return head, [[cell.text for cell in row.cells] for row in table.rows]
+def _ranked(diagnosis: Diagnosis) -> list[tuple[str, Candidate | None, float | None]]:
+    """Names, candidates and probabilities; what is no effect stands where this puts it."""
+    leading, chances = sentences.leading_candidates(diagnosis), diagnosis.probabilities
+    shown = {c.effect: c for c in (*leading, *diagnosis.candidates[:_MOST_CANDIDATES])}
+    named = [*shown, *(name for name in sentences.NO_EFFECTS if name in chances)]
+    named.sort(key=lambda name: -chances.get(name, 0.0))
+    return [(name, shown.get(name), chances.get(name)) for name in named]
 
 
 def _fits_panel(session: Session) -> str:
@@ -367,70 +327,31 @@ def _fits_panel(session: Session) -> str:
     last, beside = now.steps[-1], now.beside
     fixed = last.calibration.fixed.items()
     return _TEMPLATES.get_template("fits.html").render(
-        steps=[_listed(session, step) for step in now.steps],
-        compared=beside.number,
-        last=_listed(session, last),
-        parameters=_parameters(last.calibration.parameters),
+        steps=now.steps,
+        last=last,
+        name_of=step_name,
+        light_title=_light_title(session),
         held=[f"{sentences.title_of(n)} = {v:.4g}" for n, v in fixed],
-        notes=last.calibration.notes,
-        beside=None if beside is last else _side_by_side(session, beside, last),
+        beside=beside,
+        compared=() if beside is last else _side_by_side(beside, last),
     )
 
 
-def _listed(session: Session, step: FitStep) -> dict[str, Any]:
-    """A fit in the list."""
-    fit = step.calibration
-    name = LIGHT_YIELD if LIGHT_YIELD in fit.parameters else SCALE
-    light = fit.parameters.get(name)
-    return {
-        "number": step.number,
-        "name": step_name(step),
-        "chi2": _chi2_text(fit.chi2),
-        "ndf": fit.ndf,
-        "p": p_text(fit.p_value),
-        "chance": p_equals(fit.p_value),
-        "light": "held" if light is None else sentences.estimate_text(light),
-        "light_title": _light_title(session),
-    }
+_MERITS = (
+    Column("χ²", form=_chi2_text, of="chi2"),
+    Column("degrees of freedom", form="d", of="ndf"),
+    Column("p", form=p_text, of="p_value"),
+)
 
 
-def _titled(name: str) -> str:
-    """A parameter in words, and its name in small print where that is another."""
-    title = sentences.title_of(name)
-    return title if title == name else Markup("{} <small>{}</small>").format(title, name)
-
-
-def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[tuple[str, ...]]:
-    """What it is, value with the whole error, what repeating lowers of it, and the rest."""
-    rows = []
-    for name, estimate in parameters.items():
-        errors: tuple[str, ...] = ("", "")
-        if estimate.at_bound is None and estimate.contributions:
-            errors = tuple(number(part, 2) for part in sentences.errors_apart(estimate))
-        rows.append((_titled(name), sentences.estimate_text(estimate), *errors))
-    return rows
-
-
-def _side_by_side(session: Session, first: FitStep, second: FitStep) -> dict[str, Any]:
-    """Two fits, row by row."""
-    fits = (first.calibration, second.calibration)
-    listed = [_listed(session, step) for step in (first, second)]
-    merits = {"χ²": "chi2", "degrees of freedom": "ndf", "p": "p"}
-    rows = [(title, *(fit[merit] for fit in listed)) for title, merit in merits.items()]
-
-    def cell(fit: Calibration, name: str) -> str:
-        if name in fit.parameters:
-            return sentences.estimate_text(fit.parameters[name])
-        return f"{fit.fixed[name]:.4g}, {HELD}" if name in fit.fixed else "-"
-
-    for name in dict.fromkeys(n for fit in fits for n in (*fit.parameters, *fit.fixed)):
-        rows.append((_titled(name), *(cell(fit, name) for fit in fits)))
-    pulls = [{row.label: f"{row.pull:+.2f}" for row in fit.rows} for fit in fits]
-    return {
-        "names": [fit["name"] for fit in listed],
-        "rows": rows,
-        "pulls": [
-            (label, *(of_fit.get(label, "-") for of_fit in pulls))
-            for label in dict.fromkeys(itertools.chain(*pulls))
-        ],
-    }
+def _side_by_side(*steps: FitStep) -> tuple[Table, Table, Table]:
+    """Two fits, row by row: how good they are, their parameters, and their pulls."""
+    fits = {f"{place}. {step_name(step)}": step.calibration for place, step in enumerate(steps, 1)}
+    pulls = [{row.label: f"{row.pull:+.2f}" for row in fit.rows} for fit in fits.values()]
+    labels = dict.fromkeys(itertools.chain(*pulls))
+    rows = ((label, *(of_fit.get(label, "-") for of_fit in pulls)) for label in labels)
+    return (
+        describe_campaign.side_by_side("", _MERITS, fits),
+        describe_campaign.sizes_beside(fits, typed=True),
+        table("", ("reading", *fits), rows),
+    )

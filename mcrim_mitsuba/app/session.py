@@ -215,12 +215,10 @@ class Session:
     def add(self, effects: Sequence[str], settings: Settings) -> None:
         """Switch more effects on and fit, beginning with the sizes that the diagnosis found."""
         together = tuple(dict.fromkeys((*settings.effects, *effects)))
-        diagnosed, sizes = self.state.diagnosed, dict[str, float]()
-        if diagnosed is not None:
-            for candidate in (*diagnosed.diagnosis.candidates, *diagnosed.diagnosis.pairs):
-                if set(candidate.effects) == set(together):
-                    sizes = {n: estimate.value for n, estimate in candidate.parameters.items()}
-                    break
+        diagnosed = self.state.diagnosed
+        candidate = diagnosed and diagnosed.diagnosis.candidate(together)
+        fitted = candidate.parameters if candidate else {}
+        sizes = {name: estimate.value for name, estimate in fitted.items()}
         more = replace(settings, effects=together, values={**settings.values, **sizes})
         offered = self.model.live.controls.effects
         titles = ", ".join(offered[name][0].title for name in effects if name in offered)

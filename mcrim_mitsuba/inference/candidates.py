@@ -80,6 +80,11 @@ class Candidate:
     #: How to look for it without any fit.
     look: str = ""
 
+    @property
+    def sizes(self) -> dict[str, ParameterEstimate]:
+        """The fitted ones among `effect_parameters`, by name."""
+        return {n: self.parameters[n] for n in self.effect_parameters if n in self.parameters}
+
 
 class CandidateMaker:
     """Turns fits with effects into candidates."""

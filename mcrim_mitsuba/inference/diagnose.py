@@ -85,6 +85,19 @@ class RepairStep:
     title: str = ""
 
 
+class FinalStep(RepairStep):
+    """All effects simulated together where the fit ended; steps add their responses."""
+
+
+def final_step(last: RepairStep, final: Calibration) -> FinalStep:
+    """What follows the last step of a repair, by the fit of the mended campaign."""
+    squares = [row.pull**2 for row in final.rows if row.use]
+    unknown = dict.fromkeys(("added", "left_out_error", "delta_chi2_sigma"))
+    fields = {name: getattr(final, name) for name in ("chi2", "ndf", "p_value", "parameters")}
+    fields |= {"rms_pull": (sum(squares) / len(squares)) ** 0.5, "title": "all simulated together"}
+    return FinalStep(**vars(last) | unknown | fields)
+
+
 def steps(explanations: Explanations, chosen: tuple[str, ...]) -> tuple[RepairStep, ...]:
     """The campaign as it came, then with one effect after the other."""
     made = []
@@ -170,6 +183,11 @@ class Diagnosis:
     titles: dict[str, str] = field(default_factory=dict)
     #: Sets among the leading ones that are far behind the best, but within the simulation's error.
     unsettled: tuple[tuple[str, ...], ...] = ()
+
+    def candidate(self, effects: Collection[str]) -> Candidate | None:
+        """The effect or the pair that these effects are, if it was fitted."""
+        tried = (*self.candidates, *self.pairs)
+        return next((fit for fit in tried if set(fit.effects) == set(effects)), None)
 
 
 @dataclass(frozen=True)

@@ -321,7 +321,16 @@ def draw_plan(planning: Planning) -> style.Drawing:
     times = counted(mountings, "mounting")
     figure.suptitle(f"{times} of each coupling", x=0.01, ha="left", fontsize=11)
     figure.legend(loc="outside right upper", fontsize=9, frameon=False, handlelength=3.4)
-    return style.Drawing(figure, *_plan_numbers(planning))
+    numbers = style.numbers_of(
+        planning.plans,
+        "couplings mountings events hours",
+        couplings=lambda plan: planning.name(plan.configurations),
+        light_yield_statistical_percent=lambda plan: 100 * plan.light_yield.statistical,
+        light_yield_systematic_percent=lambda plan: 100 * plan.light_yield.systematic,
+        light_yield_total_percent=lambda plan: 100 * plan.light_yield.total,
+        alpha_scat_total_percent=lambda p: 100 * p.alpha_scat.total if p.alpha_scat else None,
+    )
+    return style.Drawing(figure, *numbers)
 
 
 def _finish_plan(statistical: Axes, total: Axes, wanted: float) -> None:
@@ -348,26 +357,3 @@ def _finish_plan(statistical: Axes, total: Axes, wanted: float) -> None:
         fontsize=9.5,
         color=style.GREY,
     )
-
-
-def _plan_numbers(planning: Planning) -> style.Numbers:
-    """Expected relative errors of every plan, per cent."""
-    rows = [
-        (
-            planning.name(plan.configurations),
-            plan.mountings,
-            plan.events,
-            plan.hours,
-            100 * plan.light_yield.statistical,
-            100 * plan.light_yield.systematic,
-            100 * plan.light_yield.total,
-            None if plan.alpha_scat is None else 100 * plan.alpha_scat.total,
-        )
-        for plan in planning.plans
-    ]
-    columns = (
-        "couplings mountings events hours light_yield_statistical_percent "
-        "light_yield_systematic_percent light_yield_total_percent "
-        "alpha_scat_total_percent"
-    ).split()
-    return columns, rows

@@ -1,4 +1,9 @@
-"""Results on campaigns described: their tables and sentences; see `description`."""
+"""Results on campaigns described; see `description`.
+
+What is known of a fitted parameter, a reading, an explanation, a limit, a proposal, a step of a
+repair or a part of an error is worded by one function. Results, the report and the page are lists
+of what these give.
+"""
 
 from __future__ import annotations
 
@@ -28,20 +33,23 @@ from mcrim_mitsuba.output.description import (
     Cell,
     Column,
     Description,
-    Part,
+    Piece,
     Sentence,
     Table,
+    described,
     listed,
     measured,
+    records,
     row,
     shown,
+    strong,
     table,
 )
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.inference.budget import Budget
     from mcrim_mitsuba.inference.candidates import Candidate
-    from mcrim_mitsuba.inference.compare import Suspect
+    from mcrim_mitsuba.inference.compare import Comparison, Suspect
     from mcrim_mitsuba.inference.corrections import Shift
     from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
     from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
@@ -62,176 +70,208 @@ if TYPE_CHECKING:
     )
 
 
-# Fits.
+def _spent(result: CampaignShown) -> dict[str, Any]:
+    """What a result rests on, and what the reader must know: options of `described`."""
+    spent = result.provenance
+    return {
+        "spent": f"{spent.photons:,} photons ({spent.cached_photons:,} of the cache), seed "
+        f"{spent.seed}, {spent.seconds:.1f} s",
+        "notes": result.notes,
+    }
+
+
+# A fitted parameter.
 
 #: What parameters are called in files, and by programs.
 _TYPED = Column("id", "id", left=True, small=True)
 _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 
 
+def _title(name: str) -> Cell:
+    return Cell(sentences.title_of(name), name)
+
+
+def estimated(estimate: ParameterEstimate | None) -> Cell:
+    """A parameter with its error; nothing where a model has none of it."""
+    if estimate is None:
+        return Cell("")
+    # at a bound sigma is no error: it knows nothing of the bound
+    sigma = None if estimate.at_bound else estimate.sigma
+    return Cell(sentences.estimate_text(estimate), estimate.value, sigma)
+
+
+def parameters_table(
+    parameters: Mapping[str, ParameterEstimate],
+    profiles: Iterable[Profile] = (),
+    meanings: Mapping[str, str] | None = None,
+) -> Table:
+    """Every parameter with its error and its interval.
+
+    With `meanings`, none of which need be there, both kinds of errors are shown too. Data frames
+    have them anyhow, and the ends of intervals, those of 95 % too where there are profiles.
+    """
+    wider = {profile.name: profile.interval_95 for profile in profiles}
+    columns = (
+        "parameter",
+        *([Column("meaning", left=True)] if meanings else []),
+        "value",
+        *(Column(kind, hidden=meanings is None) for kind in ("statistical", "systematic")),
+        "68.3 % interval",
+        *(Column(end, hidden=True) for end in ("lower", "upper", "lower_95", "upper_95")),
+        _TYPED,
+    )
+    rows = []
+    for name, estimate in parameters.items():
+        parts: tuple[float | None, ...] = (None, None)
+        if estimate.at_bound is None and estimate.contributions:
+            parts = sentences.errors_apart(estimate)
+        ends = (estimate.lower, estimate.upper, *wider.get(name, (None, None)))
+        cells = (
+            estimated(estimate),
+            *(shown(part, lambda p: "" if p is None else number(p, 2)) for part in parts),
+            sentences.interval(estimate),
+            *(Cell("", end) for end in ends),
+        )
+        rows.append((_title(name), *([meanings[name]] if meanings else []), *cells, name))
+    return table("parameters", columns, rows)
+
+
+def _shapes(profiles: Iterable[Profile]) -> Iterator[Piece]:
+    """What intervals say besides the errors."""
+    return (strong(f"- {words}") for words in sentences.shapes(profiles))
+
+
+def _origins(fit: Calibration) -> Iterator[Piece]:
+    """Where the errors of a fit come from."""
+    columns = ("parameter", *(name.replace("_", " ") for name in _ORIGINS))
+    contributions = {
+        name: {} if estimate.at_bound else estimate.contributions
+        for name, estimate in fit.parameters.items()
+    }
+    yield table(
+        "where the errors come from",
+        columns,
+        (
+            (_title(name), *(shown(parts.get(origin), ".2g") for origin in _ORIGINS))
+            for name, parts in contributions.items()
+        ),
+    )
+    light = fit.parameters.get(LIGHT_YIELD)
+    if light is not None and light.efficiency_contributions:
+        parts = (f"{name} {part:.2g}" for name, part in light.efficiency_contributions.items())
+        yield f"detector efficiency in {sentences.title_of(LIGHT_YIELD)}: {', '.join(parts)}"
+
+
+# A reading beside what a model predicts.
+
+
+def _signal(reading: FittedRow, value: str, sigma: str) -> Cell:
+    numbers = getattr(reading, value), getattr(reading, sigma)
+    return Cell(sentences.signal_text(reading.of_beam, *numbers), *numbers)
+
+
+_READING = (
+    Column("reading", of=sentences.reading_label),
+    Column("measured", of=lambda reading: _signal(reading, "measured", "sigma")),
+    Column("model", of=lambda reading: _signal(reading, "model", "model_sigma")),
+    Column("pull", form="+.2f"),
+)
+_ETA = Column(
+    "eta (simulation's error)",
+    "eta",
+    of=lambda reading: measured(reading.eta, reading.eta_sigma or None),
+)
+
+
+def fitted_readings(rows: Iterable[FittedRow]) -> Table:
+    """Readings beside a fit, with the efficiencies behind its predictions."""
+    return records("readings", (*_READING, _ETA), rows, weak=lambda reading: not reading.use)
+
+
+def compared_readings(comparison: Comparison) -> Table:
+    """Readings beside predictions, also those from all others, and which carry the misfit."""
+    shares, left_out = sentences.misfit_shares(comparison), comparison.left_out_pulls
+    suspects = {label for suspect in comparison.suspects for label in suspect.labels}
+
+    def share(reading: FittedRow) -> Cell:
+        part = shares.get(reading.label)
+        return Cell("") if part is None else Cell(f"{100 * part:.0f} %", part)
+
+    columns = (
+        *_READING,
+        Column(
+            "pull from the others",
+            "left_out_pull",
+            of=lambda reading: shown(left_out.get(reading.label), "+.2f"),
+        ),
+        Column("of the misfit", "part_of_misfit", of=share),
+    )
+    return records(
+        "readings",
+        columns,
+        comparison.rows,
+        strong=lambda reading: reading.label in suspects,
+        weak=lambda reading: not reading.use,
+    )
+
+
+def misfit_pieces(comparison: Comparison) -> list[Piece]:
+    """What chi2 says, and where the misfit lies."""
+    fails = sentences.fails(comparison)
+    return [
+        strong(sentences.quality(comparison)),
+        listed([sentences.carriers(comparison)] if fails else []),
+        listed(sentences.beam_conflict(comparison)),
+        suspects_pieces(comparison.suspects),
+        listed(map(sentences.trend_text, comparison.trends)),
+        listed(
+            (parameter.words for parameter in comparison.absorbed),
+            "Fitted parameters that may have taken up a misfit:",
+        ),
+    ]
+
+
+def suspects_pieces(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
+    """Readings that may be wrong."""
+    return listed(
+        map(sentences.suspicion, suspects), "Look at these readings before physics is blamed:"
+    )
+
+
 def of_fit(fit: FitResult) -> Description:
     """Parameters, where their errors come from, readings beside the model, what it took."""
     light = fit.parameters.get(LIGHT_YIELD)
-    by_detector = (None if light is None else light.efficiency_contributions) or {}
-    listing = ", ".join(f"{name} {part:.2g}" for name, part in by_detector.items())
-    of_detector = f"detector efficiency in {sentences.title_of(LIGHT_YIELD)}: {listing}"
-    values: list[Iterable[str | Cell]] = []
-    errors: list[Iterable[str | Cell]] = []
-    wider = {profile.name: profile.interval_95 for profile in fit.profiles}
-    for name, estimate in fit.parameters.items():
-        titled = Cell(sentences.title_of(name), name)
-        ends = (estimate.lower, estimate.upper, *wider.get(name, (None, None)))
-        values.append((titled, _estimated(estimate), *(shown(end, ".4g") for end in ends), name))
-        contributions = {} if estimate.at_bound else estimate.contributions
-        errors.append((titled, *(shown(contributions.get(origin), ".2g") for origin in _ORIGINS)))
-    origins = ("parameter", *(name.replace("_", " ") for name in _ORIGINS))
-    parts: list[Part] = [
-        *_strong("" if light is None else _light_yield(fit, light)),
-        table(
-            "parameters",
-            (
-                "parameter",
-                "value",
-                Column("68.3 % from", "lower"),
-                Column("to", "upper"),
-                *(Column(end, hidden=True) for end in ("lower_95", "upper_95")),
-                _TYPED,
-            ),
-            values,
-        ),
-        *_shapes(fit.profiles),
-        table("where the errors come from", origins, errors),
-        *([Sentence(of_detector)] if by_detector else []),
-        *_strong(sentences.next_for_fit(fit, fit.model.campaign.priors)),
-        table(
-            "readings",
-            ("reading", "measured", "model", "pull", Column("eta (simulation's error)", "eta")),
-            (
-                (*_reading(reading), measured(reading.eta, reading.eta_sigma or None))
-                for reading in fit.rows
-            ),
-        ),
-    ]
-    chance = (
-        "no p-value without degrees of freedom" if fit.p_value is None else p_equals(fit.p_value)
-    )
-    parts.append(
-        Sentence(
-            f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {fit.provenance.photons:,} photons "
-            f"in {len(fit.rows)} readings, seed {fit.provenance.seed}, {fit.seconds:.1f} s"
-        )
-    )
-    return Description("fit of a campaign", tuple(parts), notes=fit.notes)
-
-
-def _light_yield(fit: Calibration, light: ParameterEstimate) -> str:
-    """The result, and whether to believe it."""
     doubt = ", but the model does not describe the readings" if sentences.fails(fit) else ""
-    return f"Light yield: {sentences.estimate_text(light)} ph/keV{doubt}"
-
-
-def _strong(text: str) -> list[Sentence]:
-    """What is to be looked at first; nothing where nothing is said."""
-    return [Sentence(text, strong=True)] if text else []
-
-
-def _shapes(profiles: Iterable[Profile]) -> list[Sentence]:
-    return [Sentence(f"- {words}", strong=True) for words in sentences.shapes(profiles)]
-
-
-def _estimated(estimate: ParameterEstimate) -> Cell:
-    # at a bound sigma is no error: it knows nothing of the bound
-    return Cell(
-        sentences.estimate_text(estimate),
-        estimate.value,
-        None if estimate.at_bound else estimate.sigma,
+    result = light and f"Light yield: {sentences.estimate_text(light)} ph/keV{doubt}"
+    chance = "no p-value without degrees of freedom"
+    if fit.p_value is not None:
+        chance = p_equals(fit.p_value)
+    return described(
+        "fit of a campaign",
+        strong(result or ""),
+        parameters_table(fit.parameters, fit.profiles),
+        _shapes(fit.profiles),
+        _origins(fit),
+        strong(sentences.next_for_fit(fit, fit.model.campaign.priors)),
+        fitted_readings(fit.rows),
+        f"chi2 = {fit.chi2:.3g}, ndf = {fit.ndf}, {chance}; {fit.provenance.photons:,} photons "
+        f"in {len(fit.rows)} readings, seed {fit.provenance.seed}, {fit.seconds:.1f} s",
+        notes=fit.notes,
     )
-
-
-def _reading(reading: FittedRow) -> tuple[str | Cell, ...]:
-    """A reading beside the model, and its pull."""
-    return (
-        _name(reading),
-        *(
-            Cell(sentences.signal_text(reading.of_beam, value, sigma), value, sigma)
-            for value, sigma in (
-                (reading.measured, reading.sigma),
-                (reading.model, reading.model_sigma),
-            )
-        ),
-        shown(reading.pull, "+.2f"),
-    )
-
-
-def _name(reading: FittedRow) -> str:
-    return reading.label if reading.use else f"{reading.label} (not used)"
-
-
-def parameters_table(parameters: Mapping[str, ParameterEstimate]) -> Table:
-    """Every fitted parameter with its error."""
-    rows = (
-        (Cell(sentences.title_of(name), name), _estimated(estimate), name)
-        for name, estimate in parameters.items()
-    )
-    return table("parameters", ("parameter", "value", _TYPED), rows)
-
-
-def _parameters(parameters: Mapping[str, ParameterEstimate]) -> list[Table]:
-    """The table; nothing where all is held."""
-    return [parameters_table(parameters)] if parameters else []
-
-
-def _described(title: str, parts: Iterable[Part], result: CampaignShown) -> Description:
-    """What a result shows, what it rests on, and what the reader must know."""
-    provenance = result.provenance
-    spent = (
-        f"{provenance.photons:,} photons ({provenance.cached_photons:,} of the cache), seed "
-        f"{provenance.seed}, {provenance.seconds:.1f} s"
-    )
-    return Description(title, tuple(parts), spent, result.notes)
-
-
-# Where a model fails, and what explains it.
 
 
 def of_comparison(comparison: ComparisonResult) -> Description:
     """Readings beside predictions, what chi2 says, and where the misfit lies."""
-    shares, left_out = sentences.misfit_shares(comparison), comparison.left_out_pulls
-    suspects = {label for suspect in comparison.suspects for label in suspect.labels}
-    columns = (
-        "reading",
-        "measured",
-        "model",
-        "pull",
-        Column("pull from the others", "left_out_pull"),
-        Column("of the misfit", "part_of_misfit"),
+    return described(
+        "a campaign beside its model",
+        compared_readings(comparison),
+        misfit_pieces(comparison),
+        parameters_table(comparison.parameters),
+        **_spent(comparison),
     )
-    rows = (
-        row(
-            *_reading(reading),
-            shown(left_out.get(reading.label), "+.2f"),
-            Cell(f"{100 * shares[reading.label]:.0f} %", shares[reading.label])
-            if reading.use
-            else "",
-            strong=reading.label in suspects,
-        )
-        for reading in comparison.rows
-    )
-    parts: list[Part] = [
-        table("readings", columns, rows),
-        Sentence(sentences.quality(comparison), strong=True),
-        *([Sentence(f"- {sentences.carriers(comparison)}")] if sentences.fails(comparison) else []),
-        *(Sentence(f"- {words}") for words in sentences.beam_conflict(comparison)),
-        *_suspects(comparison.suspects),
-        *(Sentence(f"- {sentences.trend_text(trend)}") for trend in comparison.trends),
-        *listed(
-            "Fitted parameters that may have taken up a misfit:",
-            (parameter.words for parameter in comparison.absorbed),
-        ),
-        *_parameters(comparison.parameters),
-    ]
-    return _described("a campaign beside its model", parts, comparison)
 
+
+# Hypotheses, and fits of the page, side by side.
 
 _OF_HYPOTHESES = (
     "ln evidence: natural logarithm of the likelihood averaged over plausible sizes, less that of "
@@ -239,145 +279,100 @@ _OF_HYPOTHESES = (
     "readings; left out: rms error on readings left out of the fit, in standard errors; light "
     "yield: photons per keV, with the statistical and the systematic error"
 )
-
-
-def of_hypotheses(compared: HypothesesResult) -> Description:
-    """The verdict, what the readings say of each hypothesis, sizes, pulls and predictions."""
-    hypotheses = compared.hypotheses
-    names = [hypothesis.name for hypothesis in hypotheses]
-    figures = {
-        "chi2": [shown(hypothesis.chi2, number) for hypothesis in hypotheses],
-        "ndf": [shown(hypothesis.ndf, "d") for hypothesis in hypotheses],
-        "p": [shown(hypothesis.p_value, p_text) for hypothesis in hypotheses],
-        "left out": [shown(hypothesis.left_out_error, number) for hypothesis in hypotheses],
-        "ln evidence": list(map(_log_evidence, hypotheses)),
-        "probability": [shown(hypothesis.probability, probability) for hypothesis in hypotheses],
-    }
-    fitted_names = dict.fromkeys(
-        name for hypothesis in hypotheses for name in hypothesis.parameters
-    )
-    sizes = {
-        name: [hypothesis.parameters.get(name) for hypothesis in hypotheses]
-        for name in fitted_names
-    }
-    if lights := sizes.pop(LIGHT_YIELD, None):
-        figures["light yield"] = [
-            Cell(sentences.value_with_errors(light), light.value, light.sigma)
-            if light
-            else Cell("")
-            for light in lights
-        ]
-    most, pulls, predictions = sentences.most_apart(compared), [], []
-    for of_all in zip(*(hypothesis.rows for hypothesis in hypotheses), strict=True):
-        label, measured_cell, *_ = _reading(of_all[0])
-        far, strong = compared.apart[of_all[0].label], of_all[0].label in most
-        values = (shown(reading.pull, "+.2f") for reading in of_all)
-        pulls.append(row(label, *values, shown(far, ".1f"), strong=strong))
-        values = (Cell(sentences.prediction_text(x), x.model, x.model_sigma) for x in of_all)
-        predictions.append(row(label, measured_cell, *values, strong=strong))
-    fitted = (
-        (
-            Cell(sentences.title_of(size), size),
-            *(_estimated(estimate) if estimate else "" for estimate in estimates),
-        )
-        for size, estimates in sizes.items()
-    )
-    parts: list[Part] = [
-        Sentence(f"{sentences.verdict_words(compared.verdict)}: {compared.reason}", strong=True),
-        *(
-            Sentence(f"{hypothesis.name}: {sentences.hypothesis_text(hypothesis)}")
-            for hypothesis in hypotheses
-        ),
-        table(
-            "hypotheses",
-            (Column("", "quantity"), *names),
-            ((what, *cells) for what, cells in figures.items()),
-        ),
-        Sentence(_OF_HYPOTHESES),
-        table("sizes", ("parameter", *names), fitted),
-        Sentence(sentences.apart_text(compared), strong=True),
-        table("pulls", ("reading", *names, "apart"), pulls),
-        Sentence("apart: largest difference of two predictions, in standard errors of the reading"),
-        table("predictions", ("reading", "measured", *names), predictions),
-    ]
-    return _described("hypotheses side by side", parts, compared)
+#: Of fits and hypotheses; then of hypotheses alone.
+_FIGURES = (
+    Column("chi2", form=number),
+    Column("ndf", form="d"),
+    Column("p", form=p_text, of="p_value"),
+)
 
 
 def _log_evidence(hypothesis: FittedHypothesis) -> Cell:
     """The best is what the others are compared with."""
-    text = (
-        pdg(hypothesis.log_evidence, hypothesis.log_evidence_sigma)
-        if hypothesis.log_evidence_sigma
-        else "0"
+    value, sigma = hypothesis.log_evidence, hypothesis.log_evidence_sigma
+    return measured(value, sigma) if sigma else Cell("0", value)
+
+
+def _light(hypothesis: FittedHypothesis) -> Cell:
+    light = hypothesis.parameters.get(LIGHT_YIELD)
+    if light is None:
+        return Cell("")
+    return Cell(sentences.value_with_errors(light), light.value, light.sigma)
+
+
+_FIGURES_OF_HYPOTHESES = (
+    *_FIGURES,
+    Column("left out", form=number, of="left_out_error"),
+    Column("ln evidence", of=_log_evidence),
+    Column("probability", form=probability),
+    Column("light yield", of=_light),
+)
+
+
+def side_by_side(
+    title: str, columns: Iterable[Column], beside: Mapping[str, Any], first: str | Column = ""
+) -> Table:
+    """A column for each of several records, by name; a row for each of what others have as columns.
+
+    Rows that say nothing of any are left out.
+    """
+    rows = (row(column.title, *map(column.cell, beside.values())) for column in columns)
+    told = (line for line in rows if any(cell.text for cell in line.cells[1:]))
+    return table(title, (first, *beside), told)
+
+
+def sizes_beside(
+    beside: Mapping[str, Any], without: Sequence[str] = (), *, typed: bool = False
+) -> Table:
+    """Parameters of several fits beside each other; what one holds is said, ids if `typed`."""
+
+    def cell(fit: Any, name: str) -> Cell:
+        fixed = getattr(fit, "fixed", {})
+        if name in fixed:
+            return Cell(f"{fixed[name]:.4g}, held", fixed[name])
+        return estimated(fit.parameters.get(name))
+
+    fits = beside.values()
+    names = dict.fromkeys(
+        name
+        for fit in fits
+        for name in (*fit.parameters, *getattr(fit, "fixed", {}))
+        if name not in without
     )
-    return Cell(text, hypothesis.log_evidence, hypothesis.log_evidence_sigma or None)
+    rows = ((_title(name), *(cell(fit, name) for fit in fits), *([name] * typed)) for name in names)
+    return table("sizes", ("parameter", *beside, *([_TYPED] * typed)), rows)
 
 
-def _suspects(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
-    return listed(
-        "Look at these readings before physics is blamed:", map(sentences.suspicion, suspects)
+def of_hypotheses(compared: HypothesesResult) -> Description:
+    """The verdict, what the readings say of each hypothesis, sizes, pulls and predictions."""
+    beside = {hypothesis.name: hypothesis for hypothesis in compared.hypotheses}
+    most, pulls, predictions = sentences.most_apart(compared), [], []
+    for of_all in zip(*(hypothesis.rows for hypothesis in compared.hypotheses), strict=True):
+        label, measured_cell, *_ = (column.cell(of_all[0]) for column in _READING)
+        far, leads = compared.apart[of_all[0].label], of_all[0].label in most
+        values = (shown(reading.pull, "+.2f") for reading in of_all)
+        pulls.append(row(label, *values, shown(far, ".1f"), strong=leads))
+        values = (Cell(sentences.prediction_text(x), x.model, x.model_sigma) for x in of_all)
+        predictions.append(row(label, measured_cell, *values, strong=leads))
+    return described(
+        "hypotheses side by side",
+        strong(f"{sentences.verdict_words(compared.verdict)}: {compared.reason}"),
+        (f"{name}: {sentences.hypothesis_text(given)}" for name, given in beside.items()),
+        side_by_side("hypotheses", _FIGURES_OF_HYPOTHESES, beside, Column("", "quantity")),
+        _OF_HYPOTHESES,
+        sizes_beside(beside, (LIGHT_YIELD,)),
+        strong(sentences.apart_text(compared)),
+        table("pulls", ("reading", *beside, "apart"), pulls),
+        "apart: largest difference of two predictions, in standard errors of the reading",
+        table("predictions", ("reading", "measured", *beside), predictions),
+        **_spent(compared),
     )
 
 
-def of_diagnosis(diagnosis: DiagnosisResult) -> Description:
-    """The averaged yield, the verdict, effects as explanations, limits, what to measure next."""
-    columns = (
-        "configuration",
-        Column("time", "hours"),
-        Column("yield to", "light_yield_sigma"),
-        Column("sure to", "probability"),
-        Column("gain in chi2", "expected_delta_chi2"),
-        Column("tells apart", "separates"),
-    )
-    rows: Iterable[tuple[str | Cell, ...]] = (
-        (
-            proposal.words,
-            *map(
-                Cell,
-                sentences.measurement_value(proposal),
-                (proposal.hours, proposal.light_yield_sigma, proposal.probability),
-            ),
-            shown(proposal.expected_delta_chi2, number),
-            "; ".join(sentences.told_apart(diagnosis, proposal)),
-        )
-        for proposal in diagnosis.next_measurements
-    )
-    parts: list[Part] = [
-        *_strong(sentences.averaged_yield(diagnosis)),
-        Sentence(sentences.headline(diagnosis), strong=True),
-        Sentence(f"Without any effect {sentences.quality(diagnosis.baseline)}."),
-        *_suspects(diagnosis.suspect_readings),
-        *_explanations(diagnosis),
-        *_strong(sentences.set_aside_text(diagnosis)),
-        *(_brief(limits_table(diagnosis), diagnosis) if diagnosis.upper_limits else ()),
-        *_strong(_beside_the_table(diagnosis, sentences.next_for_average(diagnosis))),
-        *([table("what to measure next", columns, rows)] if diagnosis.next_measurements else []),
-        *(Sentence(f"not tried: {effect}") for effect in sentences.not_tried(diagnosis)),
-    ]
-    return _described("what explains a campaign's misfit", parts, diagnosis)
-
-
-def _beside_the_table(diagnosis: Diagnosis, what: str) -> str:
-    """What makes most of the error, by another name than the table of further readings."""
-    if not diagnosis.next_measurements:
-        return what
-    return re.sub("^What to (measure|simulate) next:", "Largest part of the error:", what)
-
+# Explanations of a misfit, how large each may be, what to measure next.
 
 _ID = Column("id", "effect", left=True, small=True)
 _LIGHT = Column("light yield", LIGHT_YIELD)
-_CANDIDATE = (
-    Column("effect", "title"),
-    "probability",
-    Column("", "parameter", hidden=True),
-    Column("size", left=True),
-    Column("plausible?", "plausibility", left=True),
-    _LIGHT,
-    Column("gain in chi2", "delta_chi2"),
-    Column("p, fit", "p_value"),
-    Column("left out", "left_out_error"),
-    _ID,
-)
 _EXPLANATION = (
     "probability: among all that was tried and nothing, averaged over plausible sizes; light "
     "yield: photons per keV, and its change; gain: fall of chi2, with the simulation's error; p, "
@@ -386,33 +381,99 @@ _EXPLANATION = (
 )
 
 
-def _explanations(diagnosis: Diagnosis) -> Iterator[Part]:
-    """Effects alone and in pairs, the best first."""
-    leading = sentences.leading_candidates(diagnosis)
-    titles = (
-        (diagnosis.candidates, "effects, each added alone"),
-        (diagnosis.pairs, "the best pairs of effects"),
+def _size(candidate: Candidate) -> Cell:
+    cells = [estimated(estimate) for estimate in candidate.sizes.values()]
+    sigmas = tuple(cell.sigma for cell in cells if not isinstance(cell.sigma, tuple))
+    values = tuple(cell.value for cell in cells)
+    return Cell(sentences.size_text(candidate, "\n"), values or None, sigmas or None)
+
+
+def _yield_with(candidate: Candidate) -> Cell:
+    light = candidate.light_yield_ph_per_keV
+    if not light:
+        return Cell("")
+    change = light.get("change")
+    changed = "" if change is None else f" ({sentences.change_text(change)})"
+    return Cell(number(light["value"]) + changed, light["value"], light.get("sigma"))
+
+
+def _gain(candidate: Candidate) -> Cell:
+    sigma = candidate.delta_chi2_sigma or None
+    return Cell(sentences.gain_text(candidate), candidate.delta_chi2, sigma)
+
+
+def candidates_table(diagnosis: Diagnosis, candidates: Sequence[Candidate], title: str) -> Table:
+    """Effects, or pairs of them, as explanations; bold what leads."""
+    leading, probabilities = sentences.leading_candidates(diagnosis), diagnosis.probabilities
+    # a scale is no light yield
+    dark = all(candidate.light_yield_ph_per_keV is None for candidate in candidates)
+    columns = (
+        Column(
+            "effect",
+            "title",
+            of=lambda c: capital(" + ".join(sentences.titles_of(diagnosis, c.effects))),
+        ),
+        Column(
+            "probability",
+            of=lambda c: (
+                shown(probabilities[c.effect], probability) if c.effect in probabilities else ""
+            ),
+        ),
+        Column("", "parameter", of=lambda c: Cell("", tuple(c.sizes) or None), hidden=True),
+        Column("size", of=_size, left=True),
+        Column("plausible?", "plausibility", of=sentences.plausibility, left=True),
+        replace(_LIGHT, of=_yield_with, hidden=dark),
+        Column("gain in chi2", "delta_chi2", of=_gain),
+        Column("p, fit", "p_value", p_text),
+        Column("left out", "left_out_error", number),
+        _ID,
     )
-    for candidates, title in titles:
-        if candidates:
-            rows = (
-                row(*_candidate(diagnosis, candidate), strong=candidate in leading)
-                for candidate in candidates
-            )
-            # a scale is no light yield
-            dark = all(candidate.light_yield_ph_per_keV is None for candidate in candidates)
-            columns = (replace(_LIGHT, hidden=dark) if c is _LIGHT else c for c in _CANDIDATE)
-            yield from _brief(table(title, columns, rows), diagnosis)
-    if diagnosis.candidates:
-        yield Sentence(_EXPLANATION)
-    if diagnosis.families:
-        yield Sentence(f"By family: {sentences.family_probabilities(diagnosis)}")
-    if text := sentences.mistakable(diagnosis):
-        yield Sentence(text)
-    yield from listed("How to look for it, without a fit:", sentences.how_to_look(diagnosis))
+    return records(title, columns, candidates, strong=lambda candidate: candidate in leading)
 
 
-def _brief(given: Table, diagnosis: Diagnosis) -> Iterator[Part]:
+def explanation_tables(diagnosis: Diagnosis) -> list[Table]:
+    """Effects alone and in pairs, the best first."""
+    return [
+        candidates_table(diagnosis, diagnosis.candidates, "effects, each added alone"),
+        candidates_table(diagnosis, diagnosis.pairs, "the best pairs of effects"),
+    ]
+
+
+def explanation_pieces(diagnosis: Diagnosis) -> list[Piece]:
+    """What columns of explanations mean, families of effects, and what is alike."""
+    families = f"By family: {sentences.family_probabilities(diagnosis)}"
+    return [
+        _EXPLANATION if diagnosis.candidates else "",
+        families if diagnosis.families else "",
+        sentences.mistakable(diagnosis),
+    ]
+
+
+def others_table(diagnosis: Diagnosis) -> Table:
+    """What the result would be with each leading explanation; no rows where it is not fitted."""
+
+    def light(candidate: Candidate) -> Cell | str:
+        estimate = candidate.light_yield_ph_per_keV
+        return "-" if estimate is None else measured(estimate["value"], estimate.get("sigma"))
+
+    def scattering(candidate: Candidate) -> Cell | str:
+        estimate = candidate.parameters.get(ALPHA_SCAT)
+        return "-" if estimate is None else measured(estimate.value, estimate.sigma)
+
+    columns = (
+        Column("explanation", of=lambda c: sentences.in_words(diagnosis, c.effects)),
+        Column("light yield (photons per keV)", LIGHT_YIELD, of=light),
+        Column("scattering (1/cm)", ALPHA_SCAT, of=scattering),
+    )
+    candidates = (
+        candidate
+        for candidate in sentences.leading_candidates(diagnosis)
+        if candidate.light_yield_ph_per_keV is not None or ALPHA_SCAT in candidate.parameters
+    )
+    return records("with each of the explanations", columns, candidates)
+
+
+def _brief(given: Table, diagnosis: Diagnosis) -> Iterator[Piece]:
     """A table of effects, of which people see those that matter, and how many they do not see."""
     behind = {
         candidate.effect
@@ -428,153 +489,151 @@ def _brief(given: Table, diagnosis: Diagnosis) -> Iterator[Part]:
     ]
     yield replace(given, rows=tuple(rows))
     if more := sum(line.hidden for line in rows):
-        yield Sentence(
+        yield (
             f"and {more} more, less likely than these: the file of --json has all {len(rows)}, "
             "and so has to_dataframe in Python"
         )
 
 
-def _candidate(diagnosis: Diagnosis, candidate: Candidate) -> tuple[str | Cell, ...]:
-    p = diagnosis.probabilities.get(candidate.effect)
-    light = candidate.light_yield_ph_per_keV or {}
-    change = light.get("change")
-    changed = "" if change is None else f" ({sentences.change_text(change)})"
-    sizes = {
-        n: _estimated(candidate.parameters[n])
-        for n in candidate.effect_parameters
-        if n in candidate.parameters
-    }
-    return (
-        capital(" + ".join(sentences.titles_of(diagnosis, candidate.effects))),
-        "" if p is None else Cell(probability(p), p),
-        Cell("", tuple(sizes) or None),
-        Cell(
-            sentences.size_text(candidate, "\n"),
-            tuple(cell.value for cell in sizes.values()) or None,
-            tuple(c.sigma for c in sizes.values() if not isinstance(c.sigma, tuple)) or None,
-        ),
-        sentences.plausibility(candidate),
-        Cell(number(light["value"]) + changed, light["value"], light.get("sigma")) if light else "",
-        Cell(
-            sentences.gain_text(candidate), candidate.delta_chi2, candidate.delta_chi2_sigma or None
-        ),
-        shown(candidate.p_value, p_text),
-        shown(candidate.left_out_error, number),
-        candidate.effect,
-    )
-
-
 def limits_table(diagnosis: Diagnosis) -> Table:
     """How large each effect may be, where the readings need none."""
-    rows = (
-        (
-            capital(sentences.in_words(diagnosis, [name])),
-            Cell("", limit.lower),
-            Cell(sentences.limit_text(limit), limit.upper),
-            Cell("", limit.excluded),
-            Cell(limit.parameter or "on or off", limit.parameter),
-            name,
-        )
-        for name, limit in diagnosis.upper_limits.items()
-    )
     columns = (
-        Column("effect", "title"),
-        Column("", "lower", hidden=True),
-        Column("size", "upper"),
-        Column("", "excluded", hidden=True),
-        Column("parameter", left=True, small=True),
-        _ID,
+        Column("effect", "title", of=lambda n: capital(sentences.in_words(diagnosis, [n[0]]))),
+        Column("", "lower", of=lambda n: Cell("", n[1].lower), hidden=True),
+        Column("size", "upper", of=lambda n: Cell(sentences.limit_text(n[1]), n[1].upper)),
+        Column("", "excluded", of=lambda n: Cell("", n[1].excluded), hidden=True),
+        Column(
+            "parameter",
+            of=lambda n: Cell(n[1].parameter or "on or off", n[1].parameter),
+            left=True,
+            small=True,
+        ),
+        replace(_ID, of=lambda n: n[0]),
     )
-    return table("what the readings allow, 95 % confidence", columns, rows)
+    limits = diagnosis.upper_limits.items()
+    return records("what the readings allow, 95 % confidence", columns, limits)
+
+
+def proposals_table(diagnosis: Diagnosis) -> Table:
+    """What to measure next, and what it would tell."""
+    columns = (
+        Column("configuration", of="words"),
+        Column("time", "hours", lambda hours: f"{hours:.2g} h"),
+        Column("yield to", "light_yield_sigma", sentences.relative_text),
+        Column("sure to", "probability", lambda p: f"{100.0 * p:.0f} %"),
+        Column("gain in chi2", "expected_delta_chi2", number),
+        Column(
+            "tells apart", "separates", of=lambda m: "; ".join(sentences.told_apart(diagnosis, m))
+        ),
+    )
+    return records("what to measure next", columns, diagnosis.next_measurements)
+
+
+def of_diagnosis(diagnosis: DiagnosisResult) -> Description:
+    """The averaged yield, the verdict, effects as explanations, limits, what to measure next."""
+    next_for_average = sentences.next_for_average(diagnosis)
+    if diagnosis.next_measurements:  # by another name than the table of further readings
+        beginning = "^What to (measure|simulate) next:"
+        next_for_average = re.sub(beginning, "Largest part of the error:", next_for_average)
+    return described(
+        "what explains a campaign's misfit",
+        strong(sentences.averaged_yield(diagnosis)),
+        strong(sentences.headline(diagnosis)),
+        f"Without any effect {sentences.quality(diagnosis.baseline)}.",
+        suspects_pieces(diagnosis.suspect_readings),
+        (_brief(given, diagnosis) for given in explanation_tables(diagnosis)),
+        explanation_pieces(diagnosis),
+        listed(sentences.how_to_look(diagnosis), "How to look for it, without a fit:"),
+        strong(sentences.set_aside_text(diagnosis)),
+        _brief(limits_table(diagnosis), diagnosis),
+        strong(next_for_average),
+        proposals_table(diagnosis),
+        (f"not tried: {effect}" for effect in sentences.not_tried(diagnosis)),
+        **_spent(diagnosis),
+    )
+
+
+# A step of a repair.
 
 
 def of_repair(diagnosis: RepairResult, *, with_steps: bool = True) -> Description:
     """The steps, the verdict, and the fit with all effects simulated together."""
     fit = diagnosis.calibration
-    parts: list[Part] = [
-        *_strong(sentences.averaged_yield(diagnosis)),
-        *([steps_table(diagnosis.repair)] if with_steps else []),
-        Sentence(sentences.headline(diagnosis), strong=True),
-        *_suspects(diagnosis.suspect_readings),
-        *_strong(sentences.set_aside_text(diagnosis)),
-    ]
+    undetermined, outcome = "", list[Piece]([strong("Nothing was added, and no file written.")])
     if diagnosis.undetermined:
         last = sentences.in_words(diagnosis, diagnosis.repair[-1].effects)
-        text = f"With {last}, {diagnosis.undetermined}: diagnose says what to measure next."
-        parts.append(Sentence(text))
+        undetermined = f"With {last}, {diagnosis.undetermined}: diagnose says what to measure next."
     if diagnosis.effects:
-        together = f"With {diagnosis.added} simulated together: "
-        quality = f"chi2 = {number(fit.chi2)} (ndf {fit.ndf}, {p_equals(fit.p_value)})"
-        parts += [Sentence(together + quality), *_parameters(fit.parameters)]
-        parts += _shapes(fit.profiles)
-        if sentences.fails(fit):
-            parts += _strong("The mended campaign still does not describe its readings.")
-    else:
-        parts += _strong("Nothing was added, and no file written.")
-    return _described("a campaign, mended", parts, diagnosis)
+        outcome = [
+            f"With {diagnosis.added} simulated together: chi2 = {number(fit.chi2)} (ndf {fit.ndf}, "
+            f"{p_equals(fit.p_value)})",
+            parameters_table(fit.parameters, fit.profiles),
+            _shapes(fit.profiles),
+            strong("The mended campaign still does not describe its readings.")
+            if sentences.fails(fit)
+            else None,
+        ]
+    return described(
+        "a campaign, mended",
+        strong(sentences.averaged_yield(diagnosis)),
+        steps_table(diagnosis.repair) if with_steps else None,
+        strong(sentences.headline(diagnosis)),
+        suspects_pieces(diagnosis.suspect_readings),
+        strong(sentences.set_aside_text(diagnosis)),
+        undetermined,
+        outcome,
+        **_spent(diagnosis),
+    )
 
 
 def steps_table(steps: Iterable[RepairStep]) -> Table:
     """How the misfit falls while effects are added."""
-    repair = tuple(steps)
-    light = LIGHT_YIELD if any(LIGHT_YIELD in step.parameters for step in repair) else SCALE
-    columns: tuple[str | Column, ...] = (
-        "added",
-        "chi2",
-        "ndf",
-        Column("chi2 / ndf", "chi2_per_ndf"),
-        Column("p", "p_value"),
-        Column("rms pull", "rms_pull"),
-        Column("left out", "left_out_error"),
-        *(Column(sentences.title_of(name), name) for name in (light, ALPHA_SCAT)),
-    )
-    rows = (
-        (
-            Cell(_added(step), step.added),
-            shown(step.chi2, number),
-            shown(step.ndf, "d"),
-            shown(step.chi2 / step.ndf if step.ndf > 0 else None, number),
-            shown(step.p_value, p_text),
-            shown(step.rms_pull, number),
-            shown(step.left_out_error, number),
-            *(
-                _estimated(step.parameters[name]) if name in step.parameters else Cell("fixed")
-                for name in (light, ALPHA_SCAT)
-            ),
-        )
-        for step in repair
-    )
-    return table("repair, step by step", columns, rows)
+    steps = tuple(steps)
+    light = LIGHT_YIELD if any(LIGHT_YIELD in step.parameters for step in steps) else SCALE
 
+    def parameter(name: str) -> Column:
+        def cell(step: RepairStep) -> Cell:
+            return estimated(step.parameters[name]) if name in step.parameters else Cell("fixed")
 
-def _added(step: RepairStep) -> str:
-    return "as it came" if step.added is None else f"+ {step.title or step.added}"
+        return Column(sentences.title_of(name), name, of=cell)
+
+    columns = (
+        Column("added", of=lambda step: Cell(sentences.added_text(step), step.added)),
+        Column("chi2", form=number),
+        Column("ndf", form="d"),
+        Column(
+            "chi2 / ndf",
+            "chi2_per_ndf",
+            of=lambda step: shown(step.chi2 / step.ndf if step.ndf > 0 else None, number),
+        ),
+        Column("p", "p_value", p_text),
+        Column("rms pull", "rms_pull", number),
+        Column("left out", "left_out_error", number),
+        *map(parameter, (light, ALPHA_SCAT)),
+    )
+    return records("repair, step by step", columns, steps)
 
 
 def step_text(step: RepairStep) -> str:
-    """A step in one line."""
-    name, light = sentences.light_yield_text(step.parameters)
-    estimate = step.parameters.get(ALPHA_SCAT)
-    scattering = "fixed" if estimate is None else f"{sentences.estimate_text(estimate)} /cm"
-    per_ndf = f" = {number(step.chi2 / step.ndf)}" if step.ndf > 0 else ""
-    return (
-        f"step {step.step}, {_added(step)}: chi2 / ndf {number(step.chi2)} / {step.ndf}{per_ndf}, "
-        f"{p_equals(step.p_value)}, rms pull {number(step.rms_pull)}, left-out error "
-        f"{number(step.left_out_error)}, {name} {light}, alpha_scat {scattering}"
-    )
+    """The row of a step in one line."""
+    given = steps_table([step])
+    named = zip(given.columns, given.rows[0].cells, strict=True)
+    (_, added), *others = ((column.title, cell.text) for column, cell in named)
+    return f"step {step.step}, {added}: {', '.join(f'{title} {text}' for title, text in others)}"
 
 
 def of_report(report: ReportResult) -> Description:
     """What a report says first; the page has the rest."""
-    parts: list[Part] = [
-        Sentence(report.sections.headline, strong=True),
-        *_parameters(report.parameters),
-        *_shapes(report.sections.profiles),
-    ]
-    return _described("report of a campaign", parts, report)
+    return described(
+        "report of a campaign",
+        strong(report.sections.headline),
+        parameters_table(report.parameters, report.sections.profiles),
+        _shapes(report.sections.profiles),
+        **_spent(report),
+    )
 
 
-# Where errors come from.
+# A part of an error, and what a model leaves out.
 
 #: Smaller errors of shifts, in per cent, need no digits.
 _LEAST_PERCENT = 0.001
@@ -585,24 +644,22 @@ _NOTHING = 1e-9
 def of_budget(errors: BudgetResult) -> Description:
     """Contributions, what the model leaves out, and values with all errors."""
     budgets = {name: errors.contributions[name] for name in errors.main if name in errors.totals}
-    title = "where the errors come from, in the model as it is"
-    origins: list[Part] = [contributions_table(title, budgets)] if budgets else []
-    if not budgets and errors.main:
-        # a standard error knows nothing of the bound
-        origins += _strong("A parameter ended at its bound: no budget.")
     main = next((name for name in (LIGHT_YIELD, SCALE) if name in budgets), None)
-    if main is not None:
-        origins += _strong(sentences.what_next(budgets[main], sentences.parameter_label(main)))
+    # a standard error knows nothing of the bound
+    at_bound = "" if budgets else "A parameter ended at its bound: no budget."
     columns = (Column(name, left=True) for name in ("cause", "what it does", "how much"))
-    parts: list[Part] = [
-        *origins,
-        *_shifts(errors),
-        *_totals(errors),
-        *_corrections(errors),
-        *_places(errors),
+    return described(
+        "error budget of a campaign",
+        contributions_table("where the errors come from, in the model as it is", budgets),
+        strong(at_bound if errors.main else ""),
+        strong(sentences.what_next(budgets[main], sentences.quantity(main)) if main else ""),
+        _shifts(errors),
+        _totals(errors),
+        _corrections(errors),
+        _places(errors),
         table("neither modelled nor in any error", columns, not_modelled()),
-    ]
-    return _described("error budget of a campaign", parts, errors)
+        **_spent(errors),
+    )
 
 
 def contributions_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table:
@@ -628,9 +685,7 @@ def contributions_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table
         row(
             name,
             *(_percent_cell(getattr(budget, name)) for budget in budgets.values()),
-            "",
-            "",
-            "",
+            *[""] * 3,
             strong=True,
         )
         for name in ("statistical", "systematic", "total")
@@ -648,10 +703,10 @@ def _part(name: str, budget: ErrorBudget) -> Cell:
 
 
 def _percent_cell(fraction: float) -> Cell:
-    return Cell(f"{100 * fraction:.1f}", 100 * fraction)
+    return shown(100 * fraction, ".1f")
 
 
-def _shifts(errors: Budget) -> Iterator[Part]:
+def _shifts(errors: Budget) -> Iterator[Piece]:
     """What every piece of neglected physics does, at fixed coefficients and refitted."""
     kinds = (
         ("at_fixed", "at the coefficients that were fitted"),
@@ -673,16 +728,15 @@ def _shifts(errors: Budget) -> Iterator[Part]:
         moves = (Column(sentences.quantity(name), name) for name in names)
         yield table(title, ("left out", *moves), rows)
     if errors.pieces:
-        yield Sentence(
+        yield (
             "Errors: of the simulation, by the differences of its batches with and without; then "
             "of the size of what was put in."
         )
     for piece in errors.neglected:
         kind = "a correction" if piece.correction else "a systematic error"
-        text = f"- {piece.title}, {kind}: {piece.put_in}. What helps: {piece.mend}."
-        yield Sentence(text)
+        yield f"- {piece.title}, {kind}: {piece.put_in}. What helps: {piece.mend}."
     for name, reason in errors.not_estimated.items():
-        yield Sentence(f"- not put in: {name.replace('_', ' ')}: {reason}")
+        yield f"- not put in: {name.replace('_', ' ')}: {reason}"
 
 
 def _shift(shift: Shift) -> Cell:
@@ -690,52 +744,59 @@ def _shift(shift: Shift) -> Cell:
     per_cent = 100 / abs(shift.before)
     sigmas = [shift.monte_carlo_sigma, *([shift.size_sigma] if shift.size_sigma else [])]
     rounded = [max(per_cent * sigma, _LEAST_PERCENT) for sigma in sigmas]
-    text = pdg_parts(per_cent * shift.shift, *rounded)
-    signed = text if text.startswith("-") else f"+{text}"
-    return Cell(signed, per_cent * shift.shift, per_cent * math.hypot(*sigmas))
+    text = _signed(pdg_parts(per_cent * shift.shift, *rounded))
+    return Cell(text, per_cent * shift.shift, per_cent * math.hypot(*sigmas))
 
 
-def _totals(errors: Budget) -> Iterator[Part]:
+def _signed(text: str) -> str:
+    return text if text.startswith("-") else f"+{text}"
+
+
+def _totals(errors: Budget) -> Iterator[Piece]:
     """The values as they are, and as they ought to be."""
     if not errors.totals:
         return
     corrected = errors.together is not None
     columns = [
-        "quantity",
-        "as fitted",
-        "and what is left out for good",
-        *(["corrected"] if corrected else []),
+        Column("quantity", of=_title),
+        Column(
+            "as fitted", of=lambda n: _two_digits(errors.totals[n].value, errors.totals[n].sigma)
+        ),
+        Column(
+            "and what is left out for good",
+            of=lambda n: _two_digits(errors.totals[n].value, errors.totals[n].sigma_with_neglected),
+        ),
     ]
-    rows = []
-    for name in errors.main:
-        total = errors.totals[name]
-        cells = [
-            _two_digits(total.value, sigma) for sigma in (total.sigma, total.sigma_with_neglected)
-        ]
-        if total.corrected is not None and total.corrected_sigma is not None:
-            cells.append(_two_digits(total.corrected, total.corrected_sigma))
-        rows.append(row(Cell(sentences.title_of(name), name), *cells))
-    yield table("results, with all errors", columns, rows)
     if corrected:
-        yield Sentence(
+        columns.append(
+            Column(
+                "corrected",
+                of=lambda n: _two_digits(
+                    errors.totals[n].corrected, errors.totals[n].corrected_sigma
+                ),
+            )
+        )
+    yield records("results, with all errors", columns, errors.main)
+    if corrected:
+        yield (
             "A correction is no error: make it in the scene or the campaign. The errors of "
             "corrected values have those of the corrections' sizes in them."
         )
 
 
-def _corrections(errors: Budget) -> Iterator[Part]:
+def _corrections(errors: Budget) -> Table | None:
     """What the absolute light yield is with each of the corrections that need no simulation."""
     light = errors.fit.parameters.get(LIGHT_YIELD)
-    if light is None or not errors.corrections:
-        return
+    if light is None:
+        return None
     rows = []
     for correction in errors.corrections:
         factor = 1.0 if correction.applied else 1.0 + correction.relative
-        moved = Cell(f"{100 * correction.relative:+.2f}", 100 * correction.relative)
+        moved = shown(100 * correction.relative, "+.2f")
         value = _two_digits(factor * light.value, factor * light.sigma)
-        rows.append(row(correction.name, moved, "yes" if correction.applied else "no", value))
+        rows.append((correction.name, moved, "yes" if correction.applied else "no", value))
     columns = ("correction", "moves it by, %", "is in it", "light yield with it (ph/keV)")
-    yield table("the absolute light yield", columns, rows)
+    return table("the absolute light yield", columns, rows)
 
 
 def not_modelled() -> list[tuple[str, str, str]]:
@@ -744,30 +805,29 @@ def not_modelled() -> list[tuple[str, str, str]]:
     return list(map(tuple, tomllib.loads(text)["causes"]))
 
 
-def _places(errors: Budget) -> Iterator[Part]:
+def _places(errors: Budget) -> Iterator[Piece]:
     """What it does to readings where gammas stop."""
     if errors.places is None:
         return
+    everywhere, *_ = errors.places.shifts
+
+    def cells(place: Any) -> Iterator[Cell]:
+        for moved in (place.eta_shift, place.yield_shift):
+            shift = measured(moved, place.sigma, 100.0)
+            yield Cell("") if place is everywhere else replace(shift, text=_signed(shift.text))
+
     columns = (
         "gammas stop",
         "eta",
         Column("eta (%)", "eta_shift"),
         Column("light yield (%)", "yield_shift"),
     )
-    everywhere, *_ = errors.places.shifts
     rows = (
-        row(
-            place.source,
-            measured(place.eta, place.eta_sigma),
-            *(
-                Cell("") if place is everywhere else _signed(100.0 * moved, 100.0 * place.sigma)
-                for moved in (place.eta_shift, place.yield_shift)
-            ),
-        )
+        (place.source, measured(place.eta, place.eta_sigma), *cells(place))
         for place in errors.places.shifts
     )
     yield table("where gammas stop, instead of everywhere", columns, rows)
-    yield Sentence(
+    yield (
         f"By the map of {', '.join(errors.places.readings)}, at its coefficients, beside a model "
         "whose light is born everywhere. Where nobody knows which of these the source does, half "
         f"of what lies between them, {100.0 * errors.places.half_range:.2g} %, is a systematic "
@@ -776,17 +836,15 @@ def _places(errors: Budget) -> Iterator[Part]:
     )
 
 
-def _signed(value: float, sigma: float) -> Cell:
-    """A shift with its sign and error."""
-    text = pdg(value, sigma)
-    return Cell(text if text.startswith("-") else f"+{text}", value, sigma)
-
-
-def _two_digits(value: float, sigma: float) -> Cell:
+def _two_digits(value: float | None, sigma: float | None) -> Cell:
     """Two digits of the error, so that a correction smaller than it is seen."""
+    if value is None or sigma is None:
+        return Cell("")
     places = max(1 - math.floor(math.log10(sigma)), 0)
     return Cell(f"{value:.{places}f} ± {sigma:.{places}f}", value, sigma)
 
+
+# A plan.
 
 _MOST_PLANS = 16
 
@@ -797,68 +855,52 @@ def of_plan(planning: Planning) -> Description:
         f"{sentences.title_of(name)} {pdg(estimate.value, estimate.sigma)}"
         for name, estimate in planning.solution.items()
     )
-    rows: Iterable[Any] = (
-        (
-            coupling.name,
-            shown(coupling.signal, ".1f"),
-            _relative(coupling.event_sigma / coupling.signal / 100),
-        )
-        for coupling in planning.candidates
-    )
-    columns: tuple[str, ...] = ("coupling", "photons per event", "error of 10,000 events")
-    signals = table("what would be measured", columns, rows)
-    rows = (
-        (planning.name(chosen), *map(_relative, (error.total, error.priors, error.efficiency)))
-        for chosen, error in planning.floors.items()
-    )
-    columns = ("couplings", "total", "priors", "detector efficiency")
-    title = "what readings without error would leave of the light yield's"
-    floors = table(title, columns, rows)
-    rows = (
-        row(
-            planning.name(plan.configurations),
-            shown(plan.mountings, "d"),
-            shown(plan.events, ",.0f"),
-            shown(plan.hours, ".1f"),
-            *map(
-                _relative,
-                (plan.light_yield.statistical, plan.light_yield.systematic, plan.light_yield.total),
-            ),
-            "" if plan.alpha_scat is None else _relative(plan.alpha_scat.total),
-            strong=plan is planning.cheapest,
-        )
-        for plan in planning.efficient[-_MOST_PLANS:]
-    )
-    columns = (
-        "couplings",
-        "mountings",
-        "events",
-        "hours",
-        "light yield, stat.",
-        "syst.",
-        "total",
-        "alpha_scat",
-    )
-    plans = table("plans that no cheaper one beats (relative errors)", columns, rows)
-    begin = Sentence(f"At the campaign's solution: {at}")
-    parts: tuple[Part, ...] = (begin, signals, floors, plans, *_verdict_of_plan(planning))
-    return Description("plan of a measurement", parts, notes=planning.notes)
-
-
-def _verdict_of_plan(planning: Planning) -> list[Sentence]:
-    """What to do, what was assumed, and what would not determine the parameters."""
-    assumed, sets = planning.conditions, "; ".join(map(planning.name, planning.undetermined))
-    return [
-        *(Sentence(line, strong=True) for line in sentences.verdict(planning)),
-        Sentence(
-            f"Assumed: {assumed.events_per_second:g} events per second in the band, "
-            f"{assumed.minutes_per_mounting:g} minutes per mounting, a scatter of "
-            f"{percent(assumed.mounting_scatter)} from mounting to mounting, and a spread of "
-            f"{percent(assumed.intrinsic_spread)} of an event's light."
+    signals = (
+        Column("coupling", of="name"),
+        Column("photons per event", form=".1f", of="signal"),
+        Column(
+            "error of 10,000 events", of=lambda c: shown(c.event_sigma / c.signal / 100, percent)
         ),
-        *([Sentence(f"Not enough to determine the parameters: {sets}")] if sets else []),
-    ]
-
-
-def _relative(fraction: float) -> Cell:
-    return shown(fraction, percent)
+    )
+    floors = (
+        Column("couplings", of=lambda floor: planning.name(floor[0])),
+        Column("total", of=lambda floor: shown(floor[1].total, percent)),
+        Column("priors", of=lambda floor: shown(floor[1].priors, percent)),
+        Column("detector efficiency", of=lambda floor: shown(floor[1].efficiency, percent)),
+    )
+    plans = (
+        Column("couplings", of=lambda plan: planning.name(plan.configurations)),
+        Column("mountings", form="d"),
+        Column("events", form=",.0f"),
+        Column("hours", form=".1f"),
+        Column("light yield, stat.", of=lambda p: shown(p.light_yield.statistical, percent)),
+        Column("syst.", of=lambda p: shown(p.light_yield.systematic, percent)),
+        Column("total", of=lambda p: shown(p.light_yield.total, percent)),
+        Column(
+            "alpha_scat", of=lambda p: shown(p.alpha_scat.total, percent) if p.alpha_scat else ""
+        ),
+    )
+    assumed, sets = planning.conditions, "; ".join(map(planning.name, planning.undetermined))
+    return described(
+        "plan of a measurement",
+        f"At the campaign's solution: {at}",
+        records("what would be measured", signals, planning.candidates),
+        records(
+            "what readings without error would leave of the light yield's",
+            floors,
+            planning.floors.items(),
+        ),
+        records(
+            "plans that no cheaper one beats (relative errors)",
+            plans,
+            planning.efficient[-_MOST_PLANS:],
+            strong=lambda plan: plan is planning.cheapest,
+        ),
+        map(strong, sentences.verdict(planning)),
+        f"Assumed: {assumed.events_per_second:g} events per second in the band, "
+        f"{assumed.minutes_per_mounting:g} minutes per mounting, a scatter of "
+        f"{percent(assumed.mounting_scatter)} from mounting to mounting, and a spread of "
+        f"{percent(assumed.intrinsic_spread)} of an event's light.",
+        f"Not enough to determine the parameters: {sets}" if sets else "",
+        notes=planning.notes,
+    )

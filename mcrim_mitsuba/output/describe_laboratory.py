@@ -1,8 +1,12 @@
-"""Raw data described, a campaign's and a laboratory's: every step to numbers with their errors."""
+"""Raw data described, a campaign's and a laboratory's: every step to numbers with their errors.
+
+What is known of a peak, a mean, an efficiency, an absorption or an attenuation length is worded by
+one function, for `mcrim reduce`, `mcrim lab` and the report.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.rounding import number, p_equals, p_text, pdg
@@ -10,12 +14,13 @@ from mcrim_mitsuba.output.description import (
     Cell,
     Column,
     Description,
-    Part,
-    Sentence,
+    Piece,
     Table,
+    described,
     measured,
     row,
     shown,
+    strong,
     table,
 )
 
@@ -34,54 +39,58 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.optics.materials import Material
     from mcrim_mitsuba.output.laboratory_figures import FittedHistogram
 
+
+# Records: each is worded once.
+
+
+def _per_ndf(fitted: Peak | Repeated) -> str:
+    return f"{number(fitted.chi2)} / {fitted.ndf}" if fitted.ndf else ""
+
+
+_PEAK = (
+    Column("shape"),
+    Column("centroid", form="±"),
+    Column("width", form="±"),
+    Column("chi2 / ndf", of=_per_ndf),
+    Column("p", form=p_text, of="p_value"),
+)
+_PEAK_ALONE = (
+    Column("fitted bins", of=lambda peak: f"{peak.low:g} to {peak.high:g}"),
+    Column(
+        "the other shape's",
+        of=lambda peak: (
+            measured(peak.other.centroid, peak.other.centroid_sigma) if peak.other else ""
+        ),
+    ),
+)
+_MEAN = (
+    Column("signal", of=lambda mean: measured(mean.mean, mean.sigma)),
+    Column("error by scatter", form=".2g", of="scatter_sigma"),
+    Column("by the peaks", form=".2g", of="internal_sigma"),
+    Column("chi2 / ndf of the mountings", of=_per_ndf),
+    Column("p", form=lambda p: "" if p is None else p_text(p), of="p_value"),
+)
 _SCATTER = (
     "The error of a reading is the larger of the mountings' scatter and their peaks' own errors; p "
     "below 0.01: mountings differ by more than their peaks' errors, which is usual"
 )
 
 
-def of_reduction(raw: RawData) -> Description:
-    """Every step from raw data to readings, efficiency and priors, with its errors."""
-    parts: list[Part] = []
-    if raw.readings:
-        parts += [_peaks(raw), _means(raw), Sentence(_SCATTER)]
-    if raw.efficiency is not None:
-        efficiency = raw.efficiency.found
-        title = "detector efficiency"
-        parts += [
-            _origins_table(title, _origins("absolute"), efficiency.contributions, efficiency.value),
-            Sentence(f"detector efficiency {pdg(efficiency.value, efficiency.sigma)}", strong=True),
-        ]
-    if raw.absorption is not None:
-        parts += _absorption(raw.absorption)
-    if raw.source_depth is not None:
-        depth = raw.source_depth
-        origins = {
-            "tabulated cross-sections": depth.tables_sigma_mm,
-            "coherent scattering, a stop or not": depth.process_sigma_mm,
-        }
-        words = (
-            f"source depth {pdg(depth.length_mm, depth.sigma_mm)} mm: {depth.energy_keV:g} keV in "
-            f"{depth.formula}, {depth.density_g_per_cm3:g} g/cm3"
-        )
-        title = "where the gammas stop"
-        parts += [
-            _origins_table(title, _origins("mm"), origins, depth.length_mm),
-            Sentence(words, strong=True),
-        ]
-    return Description("reduction of raw data", tuple(parts), notes=raw.notes)
-
-
-def _peaks(raw: RawData) -> Table:
-    """Every mounting's peak."""
-    columns = ("shape", "centroid", "width", "chi2 / ndf", "p")
-    rows = (
-        (reduced.reading.label, _name(mounting), *_of_peak(mounting.peak, columns))
+def histograms_pieces(raw: RawData) -> list[Piece]:
+    """The peak of every mounting, and what the mountings of a reading make together."""
+    peaks = (
+        ((Cell(reduced.reading.label), _name(mounting)), mounting.peak)
         for reduced in raw.readings.values()
         for mounting in reduced.mountings
     )
-    heads = ("reading", Column("histogram", left=True), *columns)
-    return table("peaks of the histograms", heads, rows)
+    heads = ("reading", Column("histogram", left=True))
+    means = (
+        (f"{label}{'' if reduced.reading.use else ' (not used)'}", reduced.combined)
+        for label, reduced in raw.readings.items()
+    )
+    if not raw.readings:
+        return []
+    return [_peaks("peaks of the histograms", heads, peaks), *_means("readings", "reading", means)]
 
 
 def _name(mounting: Mounting) -> str:
@@ -90,100 +99,121 @@ def _name(mounting: Mounting) -> str:
     return mounting.file.name + ("" if mounting.consistent else " (far from the others)")
 
 
-_PEAK: dict[str, Callable[[Peak], str | Cell]] = {
-    "centroid": lambda peak: measured(peak.centroid, peak.centroid_sigma),
-    "shape": lambda peak: peak.shape,
-    "width": lambda peak: measured(peak.width, peak.width_sigma),
-    "fitted bins": lambda peak: f"{peak.low:g} to {peak.high:g}",
-    "chi2 / ndf": lambda peak: f"{number(peak.chi2)} / {peak.ndf}",
-    "p": lambda peak: shown(peak.p_value, p_text),
-    "the other shape's": lambda peak: (
-        "" if peak.other is None else measured(peak.other.centroid, peak.other.centroid_sigma)
-    ),
-}
-
-
-def _of_peak(peak: Peak | None, columns: Sequence[str]) -> list[str | Cell]:
-    """Some columns of `_PEAK`."""
-    if peak is None:
-        return ["no peak", *[""] * (len(columns) - 1)]
-    return [_PEAK[name](peak) for name in columns]
-
-
-def _means(raw: RawData) -> Table:
-    """What the mountings of a reading make together."""
-    columns = (
-        "reading",
-        "signal",
-        "error by scatter",
-        "by the peaks",
-        "chi2 / ndf of the mountings",
-        "p",
-    )
-    rows = []
-    for reduced in raw.readings.values():
-        mean, reading = reduced.combined, reduced.reading
-        rows.append(
-            row(
-                reading.label if reading.use else f"{reading.label} (not used)",
-                measured(reading.signal, reading.sigma),
-                shown(mean.scatter_sigma, ".2g"),
-                shown(mean.internal_sigma, ".2g"),
-                f"{number(mean.chi2)} / {mean.ndf}" if mean.ndf else "",
-                "" if mean.p_value is None else shown(mean.p_value, p_text),
-                strong=not mean.consistent,
-            )
-        )
-    return table("readings", columns, rows)
-
-
-def _origins_table(
-    title: str, columns: Sequence[str], parts: Mapping[str, float], value: float
+def _peaks(
+    title: str,
+    heads: Sequence[str | Column],
+    peaks: Iterable[tuple[Sequence[str | Cell], Peak | None]],
+    further: tuple[Column, ...] = (),
 ) -> Table:
-    """An error by its origins; relative to the value where there is a third column."""
+    """Peaks below the titles of what stands left of them."""
+    columns = (*_PEAK, *further)
+    rows = (
+        (*left, *(column.cell(peak) for column in columns))
+        if peak
+        else (*left, "no peak", *[""] * (len(columns) - 1))
+        for left, peak in peaks
+    )
+    return table(title, (*heads, *columns), rows)
+
+
+def _means(title: str, of: str, means: Iterable[tuple[str, Repeated]]) -> list[Piece]:
+    """Means of mountings by name; bold where these are inconsistent."""
+    rows = (
+        row(name, *(column.cell(mean) for column in _MEAN), strong=not mean.consistent)
+        for name, mean in means
+    )
+    return [table(title, (of, *_MEAN), rows), _SCATTER]
+
+
+def _origins(title: str, unit: str, parts: Mapping[str, float], value: float) -> Table:
+    """An error by its origins, and relative to the value."""
     rows = (
         (
             origin,
             shown(part, ".2g"),
             Cell(f"{100 * part / value:.2g} %", part / value) if value > 0 else "",
-        )[: len(columns)]
+        )
         for origin, part in parts.items()
+        if part > 0
     )
-    return table(title, columns, rows)
+    return table(title, ("origin of the error", unit, "relative"), rows)
 
 
-def _origins(unit: str) -> tuple[str, str, str]:
-    return "origin of the error", unit, "relative"
+def efficiency_pieces(efficiency: DetectorEfficiency) -> list[Piece]:
+    """A detector's efficiency, and where its error comes from."""
+    value, sigma = efficiency.value, efficiency.sigma
+    return [
+        strong(f"detector efficiency {pdg(value, sigma)} ({100 * sigma / value:.2g} %)"),
+        _origins("detector efficiency", "absolute", efficiency.contributions, value),
+        f"over the emission the quantum efficiency varies by {efficiency.spread:.2g} (standard "
+        "deviation): the mean is for this emission only",
+    ]
 
 
-def _absorption(reduced: ReducedAbsorption) -> Iterator[Part]:
-    entry, absorption = reduced.entry, reduced.found
-    names = [path.name for path in entry.files if path is not None]
-    if not names and entry.value is not None:
-        names = [pdg(entry.value, entry.transmittance_sigma)]
-    rows = (
-        (name, shown(alpha, ".3g"))
-        for name, alpha in zip(names, absorption.each_per_cm, strict=True)
+def absorption_pieces(
+    absorption: Absorption, given: Sequence[str], thickness_mm: float, beside: str = ""
+) -> list[Piece]:
+    """An absorption coefficient with its errors; `beside` is said of it, where there is a word."""
+    alpha = absorption.alpha_abs_per_cm
+    internal = measured(
+        absorption.internal_transmittance, absorption.internal_transmittance_sigma, 100.0
     )
-    yield table("absorption", ("transmittance", "alpha_abs, 1/cm"), rows)
-    yield _origins_table("", _origins("1/cm"), _there(absorption), absorption.alpha_abs_per_cm)
-    band = (
+    coefficients = (shown(alpha, ".3g") for alpha in absorption.each_per_cm)
+    band = absorption.spread_band_per_cm
+    return [
+        strong(
+            f"alpha_abs {pdg(alpha, absorption.sigma)} /cm, internal transmittance {internal.text} "
+            f"% of {thickness_mm:g} mm (n = {absorption.n:.4g})"
+        ),
+        beside,
+        _origins("absorption", "1/cm", absorption.contributions, alpha),
+        table(
+            "transmittances",
+            ("transmittance", "alpha_abs, 1/cm"),
+            zip(given, coefficients, strict=True),
+        ),
         ""
-        if absorption.spread_band_per_cm is None
-        else f"; over the detected light it varies by {absorption.spread_band_per_cm:.2g}"
-    )
-    yield Sentence(
-        f"alpha_abs {pdg(absorption.alpha_abs_per_cm, absorption.sigma)} /cm, internal "
-        "transmittance "
-        f"{pdg(absorption.internal_transmittance, absorption.internal_transmittance_sigma)} of "
-        f"{entry.thickness_mm:g} mm (n = {absorption.n:.4g}){band}",
-        strong=True,
-    )
+        if band is None
+        else f"over the light that it is weighted with the coefficient varies by {band:.2g} /cm "
+        "(standard deviation): one number leaves that out, it is no part of the error",
+    ]
 
 
-def _there(absorption: Absorption) -> dict[str, float]:
-    """Contributions to its error that are not 0."""
-    return {name: part for name, part in absorption.contributions.items() if part > 0}
+def reduced_absorption_pieces(reduced: ReducedAbsorption) -> list[Piece]:
+    """That of a campaign's transmittances."""
+    entry = reduced.entry
+    given = [path.name for path in entry.files if path is not None]
+    if not given and entry.value is not None:
+        given = [pdg(entry.value, entry.transmittance_sigma)]
+    return absorption_pieces(reduced.found, given, entry.thickness_mm)
+
+
+def depth_pieces(stops: AttenuationLength) -> list[Piece]:
+    """How deep gammas get, and where the error of that comes from."""
+    origins = {
+        "tabulated cross-sections": stops.tables_sigma_mm,
+        "coherent scattering, a stop or not": stops.process_sigma_mm,
+    }
+    return [
+        strong(
+            f"attenuation length {pdg(stops.length_mm, stops.sigma_mm)} mm: {stops.per_cm:.4g} /cm "
+            f"for {stops.energy_keV:g} keV in {stops.formula} of {stops.density_g_per_cm3:g} g/cm3"
+        ),
+        _origins("where the gammas stop", "mm", origins, stops.length_mm),
+        f"without coherent scattering it is {stops.without_coherent_mm:.4g} mm",
+    ]
+
+
+def of_reduction(raw: RawData) -> Description:
+    """Every step from raw data to readings, efficiency and priors, with its errors."""
+    return described(
+        "reduction of raw data",
+        histograms_pieces(raw),
+        efficiency_pieces(raw.efficiency.found) if raw.efficiency else None,
+        reduced_absorption_pieces(raw.absorption) if raw.absorption else None,
+        depth_pieces(raw.source_depth) if raw.source_depth else None,
+        notes=raw.notes,
+    )
 
 
 # What `mcrim lab` finds.
@@ -196,113 +226,79 @@ def of_peaks(
     widths: Mapping[str, Sequence[WidthParts]],
 ) -> Description:
     """The main peak of every histogram, what several mountings make together, and the widths."""
-    parts: list[Part] = []
     count = sum(histogram.peak is not None for histogram in fitted)
-    if count:
-        rows = ((histogram.name, *_of_peak(histogram.peak, [*_PEAK])) for histogram in fitted)
-        parts.append(table("peaks, photons per event", ("histogram", *_PEAK), rows))
+    peaks = (((histogram.name,), histogram.peak) for histogram in fitted)
+    title = "peaks, photons per event"
+    mean: list[Piece] = []
     if combined is not None:
-        mean = pdg(combined.mean, combined.sigma)
-        parts.append(Sentence(f"mean of {count}: {mean}", strong=True))
-        parts.append(
-            Sentence(
-                f"its error from their scatter {combined.scatter_sigma:.2g}, from the fits "
-                f"{combined.internal_sigma:.2g}; chi2 = {number(combined.chi2)}, "
-                f"ndf = {combined.ndf}, {p_equals(combined.p_value)}"
-                + ("" if combined.consistent else "; the set is inconsistent")
-            )
-        )
-    lines = list(notes)
-    if widths:
-        parts += _widths(widths)
-        lines += [
-            f"{name}: counting and gammas that stop {mounting.source} alone would make the peak "
-            f"wider than it is, by {mounting.excess:.2g} standard errors: they do not stop so, the "
-            "map is of another bench, or the bins are no photoelectrons"
-            for name, several in widths.items()
-            for mounting in several
-            if mounting.excess > _MUCH_TOO_WIDE
-        ]
-    return Description("peaks of histograms", tuple(parts), notes=tuple(lines))
+        mean = _means("together", "histograms", [(f"mean of {count}", combined)])
+        mean += [] if combined.consistent else [strong("the set is inconsistent")]
+    too_wide = (
+        f"{name}: counting and gammas that stop {mounting.source} alone would make the peak wider "
+        f"than it is, by {mounting.excess:.2g} standard errors: they do not stop so, the map is of "
+        "another bench, or the bins are no photoelectrons"
+        for name, several in widths.items()
+        for mounting in several
+        if mounting.excess > _MUCH_TOO_WIDE
+    )
+    return described(
+        "peaks of histograms",
+        _peaks(title, ("histogram",), peaks, _PEAK_ALONE) if count else None,
+        mean,
+        _widths(widths) if widths else None,
+        notes=(*notes, *too_wide),
+    )
 
 
 #: Standard errors by which parts may exceed the whole without a word.
 _MUCH_TOO_WIDE = 2.0
 
 
-def _widths(widths: Mapping[str, Sequence[WidthParts]]) -> tuple[Part, ...]:
+def _widths(widths: Mapping[str, Sequence[WidthParts]]) -> list[Piece]:
     """A row for every peak and place, per cent of the centroid."""
     columns = ("histogram", Column("gammas stop", left=True), "whole", "counting", "place", "rest")
-
-    def cells(parts: WidthParts) -> list[Cell]:
-        several = parts.total, parts.counting, parts.place, parts.rest
-        return [measured(100.0 * width.fwhm, 100.0 * width.sigma) for width in several]
-
     rows = (
-        row(name, width_parts.source, *cells(width_parts))
+        (
+            name,
+            parts.source,
+            *(
+                measured(width.fwhm, width.sigma, 100.0)
+                for width in (parts.total, parts.counting, parts.place, parts.rest)
+            ),
+        )
         for name, several in widths.items()
-        for width_parts in several
+        for parts in several
     )
-    return (
+    return [
         table("full width at half maximum, % of the centroid, by origin", columns, rows),
-        Sentence(
-            "In quadrature: photoelectrons that are counted, eta that differs from place to place, "
-            "and the rest, which is the crystal's non-proportionality, the tube and electronics."
-        ),
-    )
+        "In quadrature: photoelectrons that are counted, eta that differs from place to place, "
+        "and the rest, which is the crystal's non-proportionality, the tube and electronics.",
+    ]
 
 
 def of_efficiency(efficiency: DetectorEfficiency, notes: Sequence[str]) -> Description:
     """A detector's efficiency, and where its error comes from."""
-    title = f"detector efficiency {pdg(efficiency.value, efficiency.sigma)}"
-    columns = ("where the error comes from", "error", "relative")
-    parts = (
-        Sentence(f"{title} ({100 * efficiency.sigma / efficiency.value:.2g} %)", strong=True),
-        _origins_table("", columns, efficiency.contributions, efficiency.value),
-        Sentence(
-            f"over the emission the quantum efficiency varies by {efficiency.spread:.2g} (standard "
-            "deviation): the mean is for this emission only"
-        ),
-    )
-    return Description("detector efficiency", parts, notes=tuple(notes))
+    return described("detector efficiency", efficiency_pieces(efficiency), notes=notes)
 
 
 def of_absorption(
-    absorption: Absorption, given: Sequence[str], beside: str, notes: Sequence[str]
+    absorption: Absorption,
+    given: Sequence[str],
+    thickness_mm: float,
+    beside: str,
+    notes: Sequence[str],
 ) -> Description:
-    """An absorption coefficient with its errors; `beside` is said of it, where there is a word."""
-    internal = pdg(
-        100 * absorption.internal_transmittance,
-        100 * absorption.internal_transmittance_sigma or None,
+    """An absorption coefficient with its errors, and what a campaign says of it."""
+    prior = (
+        f"in a campaign: prior = {absorption.alpha_abs_per_cm:.4g}, prior_sigma = "
+        f"{absorption.sigma:.2g} under [parameters.alpha_abs_per_cm]"
     )
-    sigma = absorption.sigma or None
-    alpha = pdg(absorption.alpha_abs_per_cm, sigma)
-    parts: list[Part] = [
-        Sentence(f"alpha_abs {alpha} /cm, internal transmittance {internal} %", strong=True)
-    ]
-    if beside:
-        parts.append(Sentence(beside))
-    if origins := _there(absorption):
-        columns = ("where the error comes from", "error, 1/cm")
-        parts.append(_origins_table("", columns, origins, absorption.alpha_abs_per_cm))
-    if len(given) > 1:
-        pairs = zip(given, (shown(alpha, ".4g") for alpha in absorption.each_per_cm), strict=True)
-        parts.append(table("", ("orientation", "alpha, 1/cm"), pairs))
-    if absorption.spread_band_per_cm is not None:
-        parts.append(
-            Sentence(
-                f"over the emission the coefficient varies by {absorption.spread_band_per_cm:.2g} "
-                "/cm (standard deviation): one number leaves that out, it is no part of the error"
-            )
-        )
-    if sigma is not None:
-        parts.append(
-            Sentence(
-                f"in a campaign: prior = {absorption.alpha_abs_per_cm:.4g}, prior_sigma = "
-                f"{sigma:.2g} under [parameters.alpha_abs_per_cm]"
-            )
-        )
-    return Description("absorption of a sample", tuple(parts), notes=tuple(notes))
+    return described(
+        "absorption of a sample",
+        absorption_pieces(absorption, given, thickness_mm, beside),
+        prior if absorption.sigma else "",
+        notes=notes,
+    )
 
 
 def of_materials(indices: Mapping[Material, float | None], wavelength_nm: float) -> Description:
@@ -318,7 +314,7 @@ def of_materials(indices: Mapping[Material, float | None], wavelength_nm: float)
         (crystal.name, shown(n, ".5f"), _range_nm(crystal), crystal.what, crystal.source)
         for crystal, n in indices.items()
     )
-    return Description("materials", (table("", columns, rows),))
+    return described("materials", table("", columns, rows))
 
 
 def of_index(
@@ -332,19 +328,20 @@ def of_index(
     """An index: what is `said` of it first, its rays, what the material is, how a scene has it."""
     first, *more = lines
     density = crystal.density_g_per_cm3
-    if crystal.extraordinary is not None:
-        more.append(
-            f"ordinary {ordinary:.5f}, extraordinary {ordinary + difference:.5f}, difference "
-            f"{difference:+.5f}; n is the mean of all directions and polarisations, "
-            "(2 n_o + n_e) / 3"
-        )
-    more += [
+    rays = (
+        f"ordinary {ordinary:.5f}, extraordinary {ordinary + difference:.5f}, difference "
+        f"{difference:+.5f}; n is the mean of all directions and polarisations, (2 n_o + n_e) / 3"
+    )
+    return described(
+        "refractive index",
+        strong(first),
+        more,
+        "" if crystal.extraordinary is None else rays,
         f"{crystal.name}: {crystal.what}" + (f"; {density:g} g/cm3" if density is not None else ""),
         f"known from {_range_nm(crystal)} nm; source: {crystal.source}",
         scene,
-    ]
-    parts = (Sentence(first, strong=True), *map(Sentence, more))
-    return Description("refractive index", parts, notes=tuple(notes))
+        notes=notes,
+    )
 
 
 def _range_nm(crystal: Material) -> str:
@@ -360,25 +357,15 @@ def of_gammas(
 
     shares = (f"{100 * p / stops.per_cm:.1f} % are {name}" for name, p in parts_per_cm.items())
     rows = ((f"{depth:g}", Cell(f"{100 * share:.1f} %", share)) for depth, share in stopped.items())
-    parts = (
-        Sentence(
-            f"attenuation length {pdg(stops.length_mm, stops.sigma_mm)} mm: {stops.per_cm:.4g} /cm "
-            f"for {stops.energy_keV:g} keV in {stops.formula} of {stops.density_g_per_cm3:g} g/cm3",
-            strong=True,
-        ),
-        Sentence(f"of the first interactions {', '.join(shares)}"),
-        Sentence(
-            f"error: {stops.tables_sigma_mm:.2g} mm by the tables, {stops.process_sigma_mm:.2g} mm "
-            f"by the coherent scattering, without which it is {stops.without_coherent_mm:.4g} mm"
-        ),
-        table("", ("depth, mm", "stopped within"), rows),
-        Sentence(
-            f"K X-rays of {100 * stops.escaping:.2g} % escape with {stops.escaping_keV:.3g} keV: "
-            f"unresolved, they lower the centroid by {100 * stops.escape_loss:.2g} %"
-        ),
-        Sentence(f"source: {SOURCE}"),
+    return described(
+        "where gammas stop",
+        depth_pieces(stops),
+        f"of the first interactions {', '.join(shares)}",
+        table("depths", ("depth, mm", "stopped within"), rows),
+        f"K X-rays of {100 * stops.escaping:.2g} % escape with {stops.escaping_keV:.3g} keV: "
+        f"unresolved, they lower the centroid by {100 * stops.escape_loss:.2g} %",
+        f"source: {SOURCE}",
     )
-    return Description("where gammas stop", parts)
 
 
 #: p-value below which couplings are said to disagree.
@@ -396,10 +383,10 @@ def of_yields(
 
     columns = ("coupling", "signal", "eta", "weight", "Y", "statistical", "systematic", "total")
     rows = (
-        row(
+        (
             label,
-            measured(signal[0], signal[1] or None),
-            measured(eta[0], eta[1] or None),
+            measured(*signal),
+            measured(*eta),
             Cell(f"{100 * weight:.0f} %", weight),
             *_yield_cells(light),
         )
@@ -407,40 +394,35 @@ def of_yields(
             couplings.items(), together.weights, strict=True
         )
     )
-    mean = together.mean
+    mean, agreement = together.mean, ""
     sums = [row("together", "", "", "", *_yield_cells(mean))] if len(couplings) > 1 else []
-    parts: list[Part] = [
+    if together.p_value is not None:
+        agree = together.p_value >= _LEAST_P_VALUE
+        agreement = (
+            f"The couplings {'agree' if agree else 'DISAGREE'}: chi2 = {together.chi2:.2g}, ndf = "
+            f"{together.ndf}, {p_equals(together.p_value)} (errors that they share do not count)."
+        )
+        if not agree:
+            agreement += " Efficiencies that fit both signals come from `mcrim calibrate`."
+    return described(
+        "light yield",
         table("light yield by Eq. 2, ph/keV", columns, rows, sums),
         contributions_table("error budget", budgets),
-    ]
-    if together.p_value is not None:
-        numbers = f"chi2 = {together.chi2:.2g}, ndf = {together.ndf}, {p_equals(together.p_value)}"
-        agree = together.p_value >= _LEAST_P_VALUE
-        parts.append(
-            Sentence(
-                f"The couplings {'agree' if agree else 'DISAGREE'}: {numbers} "
-                "(errors that they share do not count)."
-                + (
-                    ""
-                    if agree
-                    else " Efficiencies that fit both signals come from `mcrim calibrate`."
-                )
-            )
-        )
-    parts.append(
-        Sentence(
-            f"Y = {pdg(mean.value, mean.sigma or None)} ph/keV "
-            f"(±{100 * mean.sigma / mean.value:.0f} %)",
-            strong=True,
-        )
+        agreement,
+        _yield(mean),
+        notes=notes,
     )
-    return Description("light yield", tuple(parts), notes=tuple(notes))
 
 
 def _yield_cells(light: Uncertain) -> tuple[Cell, ...]:
     """Yield, its two kinds of errors and both together, ph/keV."""
     errors = (light.statistical_sigma, light.systematic_sigma, light.sigma)
     return shown(light.value, ".3g"), *(shown(sigma, ".2g") for sigma in errors)
+
+
+def _yield(light: Uncertain) -> Piece:
+    relative = 100 * light.sigma / light.value
+    return strong(f"Y = {pdg(light.value, light.sigma)} ph/keV (±{relative:.2g} %)")
 
 
 def of_relative(
@@ -467,15 +449,13 @@ def of_relative(
             f"What sample and reference share ({names}) cancels; without that the error would be "
             f"±{ignoring:.1f} % and not ±{total:.1f} %. The energy cancels too."
         )
-    parts = (
+    return described(
+        "light yield beside a reference",
         table("both crystals", ("quantity", "sample", "reference", "shared error"), rows),
         contributions_table("error budget", budgets),
-        Sentence(f"Y = {pdg(light.value, light.sigma)} ph/keV (±{total:.1f} %)", strong=True),
-        Sentence(sharing),
-        Sentence(
-            f"With equal light collection assumed it would be {equal:.3g} ph/keV, "
-            f"{equal / light.value:.2f} times as much; from the signals alone "
-            f"{compared.signals_alone:.3g} ph/keV."
-        ),
+        _yield(light),
+        sharing,
+        f"With equal light collection assumed it would be {equal:.3g} ph/keV, "
+        f"{equal / light.value:.2f} times as much; from the signals alone "
+        f"{compared.signals_alone:.3g} ph/keV.",
     )
-    return Description("light yield beside a reference", parts)

@@ -6,7 +6,8 @@ They stand apart from those on campaigns, whose sentences take half a second to 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,10 +17,11 @@ from mcrim_mitsuba.output.description import (
     Cell,
     Column,
     Description,
-    Part,
-    Sentence,
     Table,
+    described,
+    listed,
     measured,
+    records,
     row,
     shown,
     table,
@@ -62,146 +64,146 @@ def fate_words(fate: str) -> str:
 
 def of_simulation(result: LightResult) -> Description:
     """Efficiency, and what becomes of the light."""
-    rows = (
+    words = f"no photons, {result.seconds:.2f} s"
+    if result.photons:
+        words = (
+            f"{result.photons:,} photons, seed {result.seed}, {result.seconds:.1f} s, "
+            f"{result.photons_per_second / 1e6:.2f} million photons/s"
+        )
+    fates = (
         (Cell(fate_words(fate), fate), shown(part, ".6f"), shown(result.budget_sigma[fate], ".6f"))
         for fate, part in result.budget.items()
         if part > 0
     )
-    words = (
-        f"{result.photons:,} photons, seed {result.seed}, {result.seconds:.1f} s, "
-        f"{result.photons_per_second / 1e6:.2f} million photons/s"
-        if result.photons
-        else f"no photons, {result.seconds:.2f} s"
+    return described(
+        "light collection efficiency",
+        f"eta = {pdg(result.eta, result.eta_sigma)}   ({words}, {result.transport})",
+        table(
+            "where the light ends", ("fate", "fraction", Column("error", "fraction_sigma")), fates
+        ),
+        notes=result.notes,
     )
-    words = f"eta = {pdg(result.eta, result.eta_sigma)}   ({words}, {result.transport})"
-    columns = ("fate", "fraction", Column("error", "fraction_sigma"))
-    fates = table("where the light ends", columns, rows)
-    return Description("light collection efficiency", (Sentence(words), fates), notes=result.notes)
+
+
+_SPREADS = (
+    Column("gammas stop", "source"),
+    Column("eta", form="±"),
+    Column(
+        "rms (%)",
+        "rms_percent",
+        of=lambda spread: measured(spread.relative_rms, spread.relative_rms_sigma, 100.0),
+    ),
+    Column("FWHM (%)", "fwhm_percent", of=lambda spread: shown(100.0 * spread.fwhm, ".2g")),
+)
 
 
 def of_map(mapped: MapResult) -> Description:
     """What the efficiency varies by over the crystal, and what that does to a peak."""
-    rows = (
-        (
-            spread.source,
-            measured(spread.eta, spread.eta_sigma),
-            Cell(
-                pdg(100.0 * spread.relative_rms, 100.0 * spread.relative_rms_sigma),
-                100.0 * spread.relative_rms,
-                100.0 * spread.relative_rms_sigma,
-            ),
-            shown(100.0 * spread.fwhm, ".2g"),
-        )
-        for spread in mapped.gamma_spreads
-    )
-    percent = Column("rms (%)", "rms_percent"), Column("FWHM (%)", "fwhm_percent")
-    columns = (Column("gammas stop", "source"), "eta", *percent)
     cells = " x ".join(str(n) for n in mapped.eta.shape)
     error = float(np.nanmedian(mapped.eta_sigma / mapped.eta))
-    words = (
-        f"by where light is born: {cells} cells, {mapped.photons:,} photons, {100 * error:.2g} % "
-        "error of one; FWHM is what a peak gets from the place alone"
-    )
-    return Description(
+    return described(
         "map of the light collection efficiency",
-        (Sentence(words), table("efficiency where gammas stop", columns, rows)),
+        f"by where light is born: {cells} cells, {mapped.photons:,} photons, {100 * error:.2g} % "
+        "error of one; FWHM is what a peak gets from the place alone",
+        records("efficiency where gammas stop", _SPREADS, mapped.gamma_spreads),
     )
 
 
 def of_spectrum(spectrum: SpectrumResult) -> Description:
     """Means over the light, what one wavelength is off by, and some wavelengths."""
-    light, off = spectrum.light, (spectrum.one_wavelength_off, spectrum.one_wavelength_off_sigma)
-    eta = pdg(spectrum.eta_detected, spectrum.eta_detected_sigma)
-    arriving = _percent(spectrum.efficiency_arriving, spectrum.efficiency_arriving_sigma)
-    benches = len(spectrum.nodes_nm)
+    light, count = spectrum.light, len(spectrum.light.wavelength_nm)
+    shown_places = set(np.linspace(0, count - 1, _MOST_WAVELENGTHS).astype(int).tolist())
+    rows = (
+        row(
+            shown(light.wavelength_nm[i], ".0f"),
+            *(shown(values[i], ".4g") for values in light.parameters.values()),
+            measured(float(spectrum.eta[i]), float(spectrum.eta_sigma[i])),
+            hidden=i not in shown_places,
+        )
+        for i in range(count)
+    )
+    columns = (
+        Column("wavelength (nm)", "wavelength_nm"),
+        *(Column(titled(name), name) for name in light.parameters),
+        "eta",
+    )
+    notes = []
+    if spectrum.interpolation_error > 0.0:
+        nodes = ", ".join(f"{nm:.0f}" for nm in spectrum.nodes_nm)
+        included = ", the noise of the simulations included" if spectrum.photons else ""
+        notes = [
+            f"{'simulated' if spectrum.photons else 'solved'} at {nodes} nm; between them eta may "
+            f"be wrong by {100 * spectrum.interpolation_error:.2g} %{included}"
+        ]
+    return described(
+        "light collection efficiency over wavelengths",
+        _means(spectrum),
+        table("some wavelengths", columns, rows),
+        notes=notes,
+    )
+
+
+def _means(spectrum: SpectrumResult) -> list[str]:
+    """The efficiency of the whole light, detected and emitted, and of one wavelength."""
+    light, benches = spectrum.light, len(spectrum.nodes_nm)
     simulated = f"{counted(benches, 'simulation')}, {spectrum.photons:,} photons"
     if not spectrum.photons:
         simulated = f"{'a bench' if benches == 1 else f'{benches} benches'} solved by modes"
     lines = [
-        f"eta = {eta} of the light as it is {'detected' if light.detected else 'emitted'} "
-        f"({simulated})"
+        f"eta = {pdg(spectrum.eta_detected, spectrum.eta_detected_sigma)} of the light as it is "
+        f"{'detected' if light.detected else 'emitted'} ({simulated})"
     ]
     if light.detected:
+        arriving = measured(spectrum.efficiency_arriving, spectrum.efficiency_arriving_sigma, 100.0)
         lines += [
             f"eta = {pdg(spectrum.eta_emitted, spectrum.eta_emitted_sigma)} of the light as it is "
             "emitted",
-            f"the detector sees {pdg(*arriving)} % of the light that arrives; of all that is "
+            f"the detector sees {arriving.text} % of the light that arrives; of all that is "
             f"emitted it would see {100 * spectrum.efficiency_emitted:.4g} % (Eq. 3)",
         ]
-    lines.append(
+    off = measured(spectrum.one_wavelength_off, spectrum.one_wavelength_off_sigma, 100.0)
+    return [
+        *lines,
         f"one wavelength, {light.mean_nm:.0f} nm: eta = "
         f"{pdg(spectrum.eta_at_mean, spectrum.eta_at_mean_sigma)}; what is detected would be off "
-        f"by {pdg(*_percent(*off))} %"
-    )
-    count = len(light.wavelength_nm)
-    some = set(np.linspace(0, count - 1, _MOST_WAVELENGTHS).astype(int).tolist())
-    varying = list(light.parameters)
-    rows = (
-        row(
-            shown(light.wavelength_nm[i], ".0f"),
-            *(shown(light.parameters[name][i], ".4g") for name in varying),
-            measured(float(spectrum.eta[i]), float(spectrum.eta_sigma[i])),
-            hidden=i not in some,
-        )
-        for i in range(count)
-    )
-    first = Column("wavelength (nm)", "wavelength_nm")
-    columns: list[str | Column] = [first, *(Column(titled(n), n) for n in varying), "eta"]
-    notes: tuple[str, ...] = ()
-    if spectrum.interpolation_error > 0.0:
-        nodes = ", ".join(f"{nm:.0f}" for nm in spectrum.nodes_nm)
-        included = ", the noise of the simulations included" if spectrum.photons else ""
-        notes = (
-            f"{'simulated' if spectrum.photons else 'solved'} at {nodes} nm; between them eta may "
-            f"be wrong by {100 * spectrum.interpolation_error:.2g} %{included}",
-        )
-    parts: list[Part] = [*map(Sentence, lines), table("some wavelengths", columns, rows)]
-    return Description("light collection efficiency over wavelengths", tuple(parts), notes=notes)
+        f"by {off.text} %",
+    ]
 
 
-def _percent(value: float, sigma: float) -> tuple[float, float]:
-    return 100.0 * value, 100.0 * sigma
+_TIMES = {
+    "mean": "mean_ps",
+    "rms": "rms_ps",
+    "10 % have arrived": "begin_ps",
+    "from 10 to 90 %": "rise_ps",
+}
+_PARTS = (
+    Column("part", of="name"),
+    Column("group index", form=".5g", of="group_index"),
+    Column("from", of="origin", left=True),
+    Column("mean (ps)", "mean_ps", "±"),
+)
 
 
 def of_times(times: TimesResult) -> Description:
     """When detected light arrives, in which parts it was, and when the first photons do."""
+    decay = times.decay_ns
+    emitted = "all emitted at once" if decay is None else f"emitted with a decay of {decay:g} ns"
     numbers = (
-        ("mean", measured(times.mean_ps, times.mean_ps_sigma)),
-        ("rms", measured(times.rms_ps, times.rms_ps_sigma)),
-        ("10 % have arrived", measured(times.begin_ps, times.begin_ps_sigma)),
-        ("from 10 to 90 %", measured(times.rise_ps, times.rise_ps_sigma)),
+        (what, measured(getattr(times, name), getattr(times, f"{name}_sigma")))
+        for what, name in _TIMES.items()
     )
-    parts = (
-        (
-            part.name,
-            shown(part.group_index, ".5g"),
-            part.origin,
-            measured(part.mean_ps, part.mean_ps_sigma),
-        )
-        for part in times.parts
-    )
-    emitted = (
-        "all emitted at once"
-        if times.decay_ns is None
-        else (f"emitted with a decay of {times.decay_ns:g} ns")
-    )
-    words = Sentence(f"arrival of detected light, {emitted}: {times.photons:,} photons followed")
-    tables = (
-        table("times", ("detected light", "ps"), numbers),
-        table(
-            "where light is meanwhile",
-            ("part", "group index", Column("from", left=True), Column("mean (ps)", "mean_ps")),
-            parts,
-        ),
-        _first_photons(times),
-    )
-    births = Sentence(
+    births = (
         "light of one event is born everywhere in the crystal, or, as that of a gamma, at one "
         "depth, which is another one in every event"
     )
-    below = (births,) if len(times.first) > 1 else ()
-    return Description(
-        "arrival times of detected light", (words, *tables, *below), notes=times.notes
+    return described(
+        "arrival times of detected light",
+        f"arrival of detected light, {emitted}: {times.photons:,} photons followed",
+        table("times", ("detected light", "ps"), numbers),
+        records("where light is meanwhile", _PARTS, times.parts),
+        _first_photons(times),
+        births if len(times.first) > 1 else "",
+        notes=times.notes,
     )
 
 
@@ -216,7 +218,7 @@ def _first_photons(times: TimesResult) -> Table:
             values.append((getattr(photons, f"{what}_ps"), getattr(photons, f"{what}_ps_sigma")))
     rows = (
         (
-            Cell(str(place + 1), place + 1),
+            shown(place + 1, "d"),
             *(measured(float(value[place]), float(sigma[place])) for value, sigma in values),
         )
         for place in range(len(times.first[0].mean_ps))
@@ -226,27 +228,35 @@ def _first_photons(times: TimesResult) -> Table:
 
 def of_table(tabulated: TableResult, *, written: str | None = None) -> Description:
     """Points of a table; of one that was written to a file what it took alone."""
-    parts: tuple[Table, ...] = ()
-    if not written:
-        rows = (
-            (
-                *(Cell(f"{v:.5g}" if isinstance(v, float) else str(v), v) for v in at),
-                measured(float(eta), float(sigma)),
-            )
-            for *at, eta, sigma in (point.values() for point in tabulated.rows)
-        )
-        parts = (table("", (*tabulated.axes, "eta"), rows),)
-    spent = (
-        f"{tabulated.eta.size} points{f' written to {written}' if written else ''}: "
-        + (
-            f"{tabulated.photons:,} photons ({tabulated.cached_photons:,} of the cache), "
-            if tabulated.photons
-            else "no photons, "
-        )
-        + f"{tabulated.seconds:.1f} s, errors up to "
-        f"{100 * tabulated.largest_relative_sigma:.2g} %"
+
+    def axis(name: str) -> Column:
+        def cell(point: dict[str, Any]) -> Cell:
+            value = point[name]
+            return Cell(f"{value:.5g}" if isinstance(value, float) else str(value), value)
+
+        return Column(name, of=cell)
+
+    eta = Column("eta", of=lambda at: measured(*map(float, itemgetter("eta", "eta_sigma")(at))))
+    photons = f"{tabulated.photons:,} photons ({tabulated.cached_photons:,} of the cache)"
+    return described(
+        "table of the light collection efficiency",
+        None if written else records("", (*map(axis, tabulated.axes), eta), tabulated.rows),
+        spent=f"{tabulated.eta.size} points{f' written to {written}' if written else ''}: "
+        f"{photons if tabulated.photons else 'no photons'}, {tabulated.seconds:.1f} s, errors up "
+        f"to {100 * tabulated.largest_relative_sigma:.2g} %",
+        notes=tabulated.notes,
     )
-    return Description("table of the light collection efficiency", parts, spent, tabulated.notes)
+
+
+FACES = (
+    Column("face", of="surface"),
+    "kind",
+    Column("behind it", of="interior"),
+    Column("n", "n_behind", "g", of="n_interior"),
+    Column("in front of it", of="exterior"),
+    Column("n", "n_in_front", "g", of="n_exterior"),
+    Column("line", form="d"),
+)
 
 
 def of_check(report: CheckResult, *, first: bool = True) -> Description:
@@ -254,88 +264,52 @@ def of_check(report: CheckResult, *, first: bool = True) -> Description:
 
     The command raises the first problem, and shows the others.
     """
-    parts: list[Part] = [Sentence(f"- {sentence}") for sentence in report.words]
-    if report.interfaces:
-        columns = (
-            "face",
-            "kind",
-            "behind it",
-            Column("n", "n_behind"),
-            "in front of it",
-            Column("n", "n_in_front"),
-            "line",
-        )
-        rows = (
-            (
-                face.surface,
-                face.kind,
-                face.interior,
-                shown(face.n_interior, "g"),
-                face.exterior,
-                shown(face.n_exterior, "g"),
-                shown(face.line, "d"),
-            )
-            for face in report.interfaces
-        )
-        parts.append(table("", columns, rows))
     wrong = [
         f"{'also: ' if place else ''}{problem}" for place, problem in enumerate(report.problems)
     ]
-    parts += map(Sentence, wrong if first else wrong[1:])
-    return Description("check of a scene", tuple(parts), notes=report.notes)
+    return described(
+        "check of a scene",
+        listed(report.words),
+        records("", FACES, report.interfaces),
+        wrong if first else wrong[1:],
+        notes=report.notes,
+    )
 
 
 def of_installation(versions: Mapping[str, object]) -> Description:
     """What is installed, by part."""
     rows = ((name, Cell(str(value), value)) for name, value in versions.items())
-    words = Sentence("the installation works: a kernel was compiled and run")
-    return Description("the installation", (table("", ("part", "found"), rows), words))
+    return described(
+        "the installation",
+        table("", ("part", "found"), rows),
+        "the installation works: a kernel was compiled and run",
+    )
+
+
+_BOTH = (
+    Column("quantity", of=lambda compared: Cell(fate_words(compared.quantity), compared.quantity)),
+    Column("Mitsuba", form=".6f", of="mitsuba"),
+    Column("error", "Mitsuba_sigma", ".6f", of="mitsuba_sigma"),
+    Column("NumPy", form=".6f", of="numpy"),
+    Column("error", "NumPy_sigma", ".6f", of="numpy_sigma"),
+    Column("z", form=lambda z: "too few" if z is None else f"{z:+.2f}"),
+)
+_SOLVED = (
+    Column("modes", form=".6f"),
+    Column("error", "modes_sigma", ".6f"),
+    Column("z", "modes_z", "+.2f"),
+)
 
 
 def of_crosscheck(compared: CrosscheckResult) -> Description:
     """Every fate from the programs, and whether they agree."""
     from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL
 
-    columns: tuple[str | Column, ...] = (
-        "quantity",
-        "Mitsuba",
-        Column("error", "Mitsuba_sigma"),
-        "NumPy",
-        Column("error", "NumPy_sigma"),
-        "z",
-    )
-    is_solved = any(quantity.modes is not None for quantity in compared.rows)
-    if is_solved:
-        columns += ("modes", Column("error", "modes_sigma"), Column("z", "modes_z"))
-    rows = (
-        row(
-            Cell(fate_words(quantity.quantity), quantity.quantity),
-            *(
-                shown(value, ".6f")
-                for value in (
-                    quantity.mitsuba,
-                    quantity.mitsuba_sigma,
-                    quantity.numpy,
-                    quantity.numpy_sigma,
-                )
-            ),
-            Cell("too few" if quantity.z is None else f"{quantity.z:+.2f}", quantity.z),
-            *(
-                (
-                    shown(quantity.modes, ".6f"),
-                    shown(quantity.modes_sigma, ".6f"),
-                    shown(quantity.modes_z, "+.2f"),
-                )
-                if is_solved
-                else ()
-            ),
-        )
-        for quantity in compared.rows
-    )
-    agreement = (
-        f"the {'three' if is_solved else 'two'} {'agree' if compared.agrees else 'DISAGREE'}: "
+    solved = _SOLVED if any(quantity.modes is not None for quantity in compared.rows) else ()
+    return described(
+        "Mitsuba beside the NumPy tracer",
+        records("", (*_BOTH, *solved), compared.rows),
+        f"the {'three' if solved else 'two'} {'agree' if compared.agrees else 'DISAGREE'}: "
         f"family-wise {p_equals(compared.family_p_value)}, tested at {FAMILY_LEVEL:g}; "
-        f"{compared.mitsuba_photons:,} and {compared.numpy_photons:,} photons"
+        f"{compared.mitsuba_photons:,} and {compared.numpy_photons:,} photons",
     )
-    parts = (table("", columns, rows), Sentence(agreement))
-    return Description("Mitsuba beside the NumPy tracer", parts)

@@ -11,9 +11,9 @@ import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
-from markupsafe import Markup
 from rich.cells import cell_len
 from rich.console import Console, JustifyMethod, RenderableType
 from rich.table import Table as RichTable
@@ -37,12 +37,30 @@ class Column:
     title: str
     #: As a data frame has it; the error of NAME is NAME_sigma. Empty: as the title.
     name: str = ""
+    #: How a record's value is shown, as of `shown`; ± beside its error, the attribute NAME_sigma.
+    form: str | Callable[[Any], str] = ""
     _: KW_ONLY
+    #: An attribute of records, or what makes a text or a cell of one. Empty: `name`, or the title.
+    of: str | Callable[[Any], Any] = ""
     left: bool = False
     #: In small print: what has to be typed, such as an id.
     small: bool = False
     #: Of data frames alone.
     hidden: bool = False
+
+    def cell(self, record: Any) -> Cell:
+        """What it shows of a record."""
+        if callable(self.of):
+            value, sigma = self.of(record), None
+        else:
+            attribute = self.of or self.name or self.title
+            value = attrgetter(attribute)(record)
+            sigma = attrgetter(f"{attribute}_sigma")(record) if self.form == "±" else None
+        if isinstance(value, Cell):
+            return value
+        if self.form == "±":
+            return measured(value, sigma)
+        return shown(value, self.form) if self.form else cell_of(value)
 
 
 @dataclass(frozen=True)
@@ -64,6 +82,8 @@ class TableRow:
     strong: bool = False
     #: Whether data frames alone have it.
     hidden: bool = False
+    #: Whether it does not count.
+    weak: bool = False
 
 
 @dataclass(frozen=True)
@@ -154,27 +174,58 @@ class Description:
 
 def table(
     title: str,
-    columns: Iterable[str | Column],
-    rows: Iterable[TableRow | Iterable[str | Cell]],
-    sums: Iterable[TableRow | Iterable[str | Cell]] = (),
+    columns: Iterable[object],
+    rows: Iterable[TableRow | Iterable[object]],
+    sums: Iterable[TableRow | Iterable[object]] = (),
 ) -> Table:
-    """A table from columns by title and rows of texts or cells."""
-    heads = tuple(Column(column) if isinstance(column, str) else column for column in columns)
-    below, above = (
-        tuple(line if isinstance(line, TableRow) else row(*line) for line in some)
-        for some in (sums, rows)
+    """A table from columns, or their titles, and rows of texts or cells."""
+    above, below = (
+        tuple(line if isinstance(line, TableRow) else row(*line) for line in lines)
+        for lines in (rows, sums)
     )
-    return Table(title, heads, above, below)
+    return Table(title, _columns(columns), above, below)
 
 
-def row(*cells: str | Cell, strong: bool = False, hidden: bool = False) -> TableRow:
+def row(*cells: object, strong: bool = False, hidden: bool = False) -> TableRow:
     """A row; a text stands for itself."""
-    shown_cells = tuple(Cell(c, c or None) if isinstance(c, str) else c for c in cells)
-    return TableRow(shown_cells, strong, hidden)
+    return TableRow(tuple(map(cell_of, cells)), strong, hidden)
 
 
-def measured(value: float, sigma: float | None) -> Cell:
-    """A value with its error."""
+def cell_of(content: object) -> Cell:
+    """A cell; a text stands for itself."""
+    return content if isinstance(content, Cell) else Cell(str(content), content or None)
+
+
+def records(
+    title: str,
+    columns: Iterable[object],
+    items: Iterable[Any],
+    *,
+    strong: Callable[[Any], bool] = lambda _: False,
+    weak: Callable[[Any], bool] = lambda _: False,
+) -> Table:
+    """A table of records, a row each: every column says what it shows of them.
+
+    Parameters
+    ----------
+    strong, weak : callable, optional
+        Which records' rows are to be looked at first, and which do not count.
+    """
+    heads = _columns(columns)
+    rows = (
+        TableRow(tuple(column.cell(x) for column in heads), strong(x), weak=weak(x)) for x in items
+    )
+    return Table(title, heads, tuple(rows))
+
+
+def _columns(columns: Iterable[object]) -> tuple[Column, ...]:
+    """Columns; a text is a title."""
+    return tuple(c if isinstance(c, Column) else Column(str(c)) for c in columns)
+
+
+def measured(value: float, sigma: float | None, factor: float = 1.0) -> Cell:
+    """A value with its error, both times a factor: 100 for per cent."""
+    value, sigma = factor * value, None if sigma is None else factor * sigma
     return Cell(pdg(value, sigma), value, sigma)
 
 
@@ -185,10 +236,39 @@ def shown(value: Any, form: str | Callable[[Any], str]) -> Cell:
     return Cell("" if value is None else format(value, form), value)
 
 
-def listed(heading: str, sentences: Iterable[str]) -> Iterator[Sentence]:
-    """A heading with a list below; nothing without sentences."""
+#: What `described` takes: parts, texts of sentences, nothing, or several of these.
+Piece = Part | str | None | Iterable[Any]
+
+
+def described(
+    title: str, *pieces: Piece, spent: str = "", notes: Iterable[str] = ()
+) -> Description:
+    """A description; a text is a sentence, and tables without rows are left out."""
+    return Description(title, tuple(parts_of(pieces)), spent, tuple(notes))
+
+
+def parts_of(pieces: Iterable[Piece]) -> Iterator[Part]:
+    """The parts among some pieces, in their order."""
+    for piece in pieces:
+        if isinstance(piece, Table):
+            yield from [piece] if piece.rows else ()
+        elif isinstance(piece, Sentence):
+            yield piece
+        elif isinstance(piece, str):
+            yield from [Sentence(piece)] if piece else ()
+        elif piece is not None:
+            yield from parts_of(piece)
+
+
+def strong(text: str) -> Sentence | None:
+    """A sentence that is to be looked at first; nothing without words."""
+    return Sentence(text, strong=True) if text else None
+
+
+def listed(sentences: Iterable[str], heading: str = "") -> Iterator[Sentence]:
+    """A list, below a heading where there is one; nothing without sentences."""
     for place, sentence in enumerate(sentences):
-        if place == 0:
+        if place == 0 and heading:
             yield Sentence(heading, strong=True)
         yield Sentence(f"- {sentence}")
 
@@ -284,7 +364,9 @@ def rich_tables(given: Table, width: int) -> Iterator[RichTable]:
                 shown.add_section()
             texts = [broken[at][number] for at in block]
             if place == 0 or any(texts[1:]):
-                shown.add_row(*map(Text, texts), style="bold" if line.strong else "")
+                shown.add_row(
+                    *map(Text, texts), style="bold" if line.strong else "dim" if line.weak else ""
+                )
         yield shown
 
 
@@ -309,43 +391,3 @@ def text(described: Description, width: int = UNLIMITED) -> str:
     for part in renderables(described.whole, width):
         console.print(part, soft_wrap=isinstance(part, Text))
     return "\n".join(line.rstrip() for line in stream.getvalue().rstrip("\n").split("\n"))
-
-
-# In a notebook.
-
-
-def html(described: Description) -> Markup:
-    """The whole as a piece of a page; all texts are shown as they are."""
-    parts = (_html_table(p) if isinstance(p, Table) else _html_line(p) for p in described.whole)
-    return Markup("<div>{}</div>").format(Markup("\n").join(parts))
-
-
-def _html_line(line: Sentence) -> Markup:
-    inner = Markup("<strong>{}</strong>" if line.strong else "{}").format(visible(line.text))
-    return Markup("<p>{}</p>").format(inner)
-
-
-def _html_table(given: Table) -> Markup:
-    """A table as HTML."""
-
-    def line(tag: str, texts: Iterable[str], strong: bool = False) -> Markup:
-        cells = (
-            Markup('<{} style="text-align:{}{}{}">{}</{}>').format(
-                tag,
-                "left" if at == 0 or column.left else "right",
-                ";font-weight:bold" if strong else "",
-                ";font-size:smaller" if column.small else "",
-                visible(content, keep="\n"),
-                tag,
-            )
-            for at, (column, content) in enumerate(zip(given.columns, texts, strict=True))
-        )
-        return Markup("<tr>{}</tr>").format(Markup("").join(cells))
-
-    given = given.seen
-    title = Markup("<caption>{}</caption>").format(visible(given.title)) if given.title else ""
-    head = line("th", (column.title for column in given.columns))
-    rows = [line("td", (c.text for c in r.cells), r.strong) for r in (*given.rows, *given.sums)]
-    return Markup("<table>{}<thead>{}</thead><tbody>{}</tbody></table>").format(
-        title, head, Markup("").join(rows)
-    )

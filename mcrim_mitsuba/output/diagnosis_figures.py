@@ -23,14 +23,15 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import capital, number, p_equals, p_text, probability
 from mcrim_mitsuba.inference.candidates import Candidate
-from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
-from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
+from mcrim_mitsuba.inference.diagnose import Diagnosis, FinalStep, RepairStep, final_step
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.output import figure_style as style
 from mcrim_mitsuba.output.sentences import (
     ACCEPTABLE_P,
     MOST_PAIRS,
     NO_EFFECTS,
+    added_text,
     estimate_text,
     leading_candidates,
     plausibility,
@@ -64,6 +65,9 @@ _STATISTICS = tuple(
 )
 
 
+_NO_SIZE: tuple[Any, ...] = (None, None, None)
+
+
 def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
     """An effect's parameter a row; below them what is no effect."""
     leading, statistics = leading_candidates(diagnosis), attrgetter(*_STATISTICS)
@@ -74,14 +78,14 @@ def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
             diagnosis.probabilities.get(c.effect),
             *statistics(c),
             name,
-            *((estimate.value, estimate.sigma) if estimate else (None, None)),
+            *numbers,
             c.plausible,
             c.at_bound,
             (c.light_yield_ph_per_keV or {}).get("value"),
             " ".join(c.mimics),
         )
         for c in (*diagnosis.candidates, *diagnosis.pairs)
-        for name, estimate in _sizes(c)
+        for name, *numbers in [(n, k.value, k.sigma) for n, k in c.sizes.items()] or [_NO_SIZE]
     ]
     columns = (
         "effect",
@@ -101,12 +105,6 @@ def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
         (name, False, probabilities[name], *unknown) for name in NO_EFFECTS if name in probabilities
     ]
     return columns, rows
-
-
-def _sizes(candidate: Candidate) -> list[tuple[str | None, ParameterEstimate | None]]:
-    """The parameters of a candidate's effects; one row without, where they have none."""
-    names = candidate.effect_parameters
-    return [(name, candidate.parameters.get(name)) for name in names] or [(None, None)]
 
 
 @dataclass(frozen=True)
@@ -338,26 +336,6 @@ _SMALLEST_P = 1e-30
 _STEP_PER_CHARACTER = 0.085
 
 
-class _Final(RepairStep):
-    """All effects simulated together where the fit ended; else their responses are added."""
-
-
-def _final_stair(last: RepairStep, final: Calibration) -> _Final:
-    squares = [row.pull**2 for row in final.rows if row.use]
-    unknown = dict.fromkeys(("added", "left_out_error", "delta_chi2_sigma"))
-    fields = {name: getattr(final, name) for name in ("chi2", "ndf", "p_value", "parameters")}
-    rms_pull = math.sqrt(sum(squares) / len(squares))
-    return _Final(**vars(last) | unknown | fields | {"rms_pull": rms_pull})
-
-
-def _name(stair: RepairStep) -> str:
-    if isinstance(stair, _Final):
-        return "final simulation"
-    return (
-        "as it came" if stair.added is None else f"+ {style.shortened(stair.title or stair.added)}"
-    )
-
-
 @style.styled
 def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None) -> style.Drawing:
     """How the misfit falls while effects are added.
@@ -370,8 +348,8 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
         Of the mended campaign, its effects simulated together where the fit ends; the steps
         add the effects' responses.
     """
-    stairs = [*steps, *([] if final is None else [_final_stair(steps[-1], final)])]
-    names = [_name(stair) for stair in stairs]
+    stairs = [*steps, *([] if final is None else [final_step(steps[-1], final)])]
+    names = [style.shortened(added_text(stair), 36) for stair in stairs]
     width = max(9.0, 3.0 + 2.0 * len(stairs))
     figure = style.canvas(width, 8.6)
     grid = figure.subplots(3, 2, sharex=True)
@@ -406,31 +384,20 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
     return style.Drawing(figure, *_staircase_numbers(stairs))
 
 
-def _staircase_numbers(stairs: Sequence[RepairStep | _Final]) -> style.Numbers:
+def _staircase_numbers(stairs: Sequence[RepairStep]) -> style.Numbers:
     """What is drawn of every step."""
-    rows = []
-    for stair in stairs:
-        estimates = [stair.parameters.get(name) for name in (LIGHT_YIELD, SCALE, ALPHA_SCAT)]
-        rows.append(
-            (
-                stair.step,
-                stair.added,
-                isinstance(stair, _Final),
-                stair.chi2,
-                stair.ndf,
-                stair.delta_chi2_sigma,
-                stair.p_value,
-                stair.rms_pull,
-                stair.left_out_error,
-                *(cell for k in estimates for cell in ((k.value, k.sigma) if k else (None, None))),
+    further: dict[str, Any] = {"final_simulation": lambda stair: isinstance(stair, FinalStep)}
+    for name, column in (
+        (LIGHT_YIELD, "light_yield"),
+        (SCALE, "scale"),
+        (ALPHA_SCAT, "alpha_scat"),
+    ):
+        for at, ending in (("value", name.removeprefix(column)), ("sigma", "_sigma")):
+            further[column + ending] = lambda stair, name=name, at=at: getattr(
+                stair.parameters.get(name), at, None
             )
-        )
-    columns = (
-        "step added final_simulation chi2 ndf delta_chi2_sigma p_value rms_pull "
-        "left_out_error light_yield_ph_per_keV light_yield_sigma scale scale_sigma "
-        "alpha_scat_per_cm alpha_scat_sigma"
-    ).split()
-    return columns, rows
+    names = "step added final_simulation chi2 ndf delta_chi2_sigma p_value rms_pull left_out_error"
+    return style.numbers_of(stairs, names, **further)
 
 
 def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
@@ -496,7 +463,7 @@ def _stairs(
     axes.plot(places, finite, color=style.DARK, lw=1.2, drawstyle="steps-mid", zorder=3)
     for place, height, step in zip(places, finite, steps, strict=True):
         look: dict[str, Any] = {"fmt": "o", "ms": 7}
-        if isinstance(step, _Final):
+        if isinstance(step, FinalStep):
             look = {"fmt": "D", "ms": 8.5, "mfc": "white", "mew": 2}
         axes.errorbar(
             place,
@@ -514,7 +481,7 @@ def _stairs(
         axes.annotate(
             text,
             (place, top if math.isfinite(top) else axes.get_ylim()[0]),
-            (0, 9 if isinstance(step, _Final) else 7),
+            (0, 9 if isinstance(step, FinalStep) else 7),
             textcoords="offset points",
             ha="center",
             fontsize=9.5,

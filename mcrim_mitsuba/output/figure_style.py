@@ -6,8 +6,9 @@ import io
 import math
 import textwrap
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -189,6 +190,18 @@ def write_numbers(
     path = numbers_beside(figure)
     write_text(path, numbers_text(columns, rows))
     return path
+
+
+def numbers_of(
+    records: Iterable[Any], names: str, **further: Callable[[Any], object]
+) -> tuple[list[str], list[tuple[object, ...]]]:
+    """Numbers of records, a row each: attributes by their names, and what functions make of one.
+
+    Columns stand in the order of `names`; those of `further` that are not among them come last.
+    """
+    columns = list(dict.fromkeys((*names.split(), *further)))
+    cells = [further.get(name) or attrgetter(name) for name in columns]
+    return columns, [tuple(cell(record) for cell in cells) for record in records]
 
 
 def numbers_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -64,8 +62,8 @@ _PER_READING = 0.46
 _PER_CHARACTER = 0.068
 #: Inches of the widest figure.
 _WIDEST = 26.0
-_OWN = ("label", "use", "measured", "sigma")
-_PREDICTED = ("model", "model_sigma", "pull")
+_MEASURED = "label use measured sigma"
+_PREDICTED = "model model_sigma pull"
 #: A name, a fit, how it looks, and how far beside the places of the readings it stands.
 _Series = tuple[str, Calibration | FittedHypothesis, dict[str, Any], float]
 
@@ -97,8 +95,8 @@ def draw_comparison(
     name = "as it is" if isinstance(before, Comparison) else "fit"
     series: list[_Series] = [(name, before, _AS_IT_IS, 0.0)]
     if after is not None:
-        then = f"with {style.shortened(added, 56)}" if added else "mended"
-        series = [(name, before, _AS_IT_IS, -_APART), (then, after, _MENDED, _APART)]
+        words = f"with {style.shortened(added, 56)}" if added else "mended"
+        series = [(name, before, _AS_IT_IS, -_APART), (words, after, _MENDED, _APART)]
     _draw_pulls(lower, places, series)
     _mark_suspects(lower, places, before, mended=after is not None)
     suspects = {
@@ -109,20 +107,18 @@ def draw_comparison(
             tick.set(fontweight="bold", color=style.WARM if after is None else style.GREY)
     left_out = before.left_out_pulls if isinstance(before, Comparison) else {}
     mended = {row.label: row for row in after.rows} if after else {}
-    measured_of, predicted = attrgetter(*_OWN), attrgetter(*_PREDICTED)
-    rows = [
-        (
-            *measured_of(row),
-            *predicted(row),
-            left_out.get(row.label),
-            suspects.get(row.label),
-            *(predicted(mended[row.label]) if row.label in mended else (None, None, None)),
-        )
-        for row in before.rows
-    ]
-    then_predicted = (f"{name}_after" for name in _PREDICTED)
-    columns = (*_OWN, *_PREDICTED, "left_out_pull", "suspect", *then_predicted)
-    return style.Drawing(figure, columns, rows)
+    then: dict[str, Any] = {
+        f"{name}_after": lambda row, name=name: getattr(mended.get(row.label), name, None)
+        for name in _PREDICTED.split()
+    }
+    numbers = style.numbers_of(
+        before.rows,
+        f"{_MEASURED} {_PREDICTED}",
+        left_out_pull=lambda row: left_out.get(row.label),
+        suspect=lambda row: suspects.get(row.label),
+        **then,
+    )
+    return style.Drawing(figure, *numbers)
 
 
 def _over_readings(
@@ -178,17 +174,15 @@ def draw_hypotheses(compared: SideBySide) -> style.Drawing:
     lower.set_ylabel("difference of predictions\n(standard errors)")
     style.open_axes(lower, "y")
     style.legend_above(lower, ncols=2, handlelength=1.8)
-    of_each = (f"{name}_{hypothesis.name}" for hypothesis in hypotheses for name in _PREDICTED)
-    columns = (*_OWN, "apart", *of_each)
-    own_of, predicted = attrgetter(*_OWN), attrgetter(*_PREDICTED)
-    rows = [
-        (
-            *own_of(of_all[0]),
-            compared.apart[of_all[0].label],
-            *itertools.chain(*map(predicted, of_all)),
-        )
-        for of_all in zip(*(hypothesis.rows for hypothesis in hypotheses), strict=True)
-    ]
+    tables = {
+        hypothesis.name: style.numbers_of(hypothesis.rows, _PREDICTED) for hypothesis in hypotheses
+    }
+    columns, rows = style.numbers_of(
+        first.rows, _MEASURED, apart=lambda row: compared.apart[row.label]
+    )
+    for name, (predicted, cells) in tables.items():
+        columns += [f"{column}_{name}" for column in predicted]
+        rows = [(*row, *more) for row, more in zip(rows, cells, strict=True)]
     return style.Drawing(figure, columns, rows)
 
 

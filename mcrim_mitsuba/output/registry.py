@@ -63,13 +63,16 @@ class Presenter:
 
 
 class _Later:
-    """A module of this room, imported when a function of it is asked for."""
+    """A module of this room, imported when a function of it is called."""
 
     def __init__(self, name: str) -> None:
         self._name = name
 
-    def __getattr__(self, function: str) -> Any:
-        return getattr(importlib.import_module(f"mcrim_mitsuba.output.{self._name}"), function)
+    def __getattr__(self, function: str) -> Callable[..., Any]:
+        module = f"mcrim_mitsuba.output.{self._name}"
+        return lambda *given, **more: getattr(importlib.import_module(module), function)(
+            *given, **more
+        )
 
 
 budget_figures = _Later("budget_figures")
@@ -86,7 +89,7 @@ light_figures = _Later("light_figures")
 PRESENTERS = {
     "LightResult": Presenter(
         kind="simulation",
-        describe=lambda light: describe_scene.of_simulation(light),
+        describe=describe_scene.of_simulation,
         figures={
             "arrival": lambda light: light_figures.draw_arrival(light.lights),
             "fates": lambda light: light_figures.draw_fates(light.lights),
@@ -97,14 +100,14 @@ PRESENTERS = {
     ),
     "MapResult": Presenter(
         kind="map",
-        describe=lambda eta_map: describe_scene.of_map(eta_map),
+        describe=describe_scene.of_map,
         figures={"map": lambda eta_map: light_figures.draw_map(eta_map, eta_map.gamma_spreads)},
         names="spreads=gamma_spreads cells=eta.shape photons seed parameters scene_hash",
     ),
     "SpectrumResult": Presenter(
         kind="spectrum",
-        describe=lambda spectrum: describe_scene.of_spectrum(spectrum),
-        figures={"spectrum": lambda spectrum: light_figures.draw_spectrum(spectrum)},
+        describe=describe_scene.of_spectrum,
+        figures={"spectrum": light_figures.draw_spectrum},
         names="eta_emitted eta_emitted_sigma eta_detected eta_detected_sigma efficiency_emitted "
         "efficiency_arriving efficiency_arriving_sigma eta_at_mean eta_at_mean_sigma "
         "one_wavelength_off one_wavelength_off_sigma interpolation_error nodes_nm photons "
@@ -112,20 +115,20 @@ PRESENTERS = {
     ),
     "TimesResult": Presenter(
         kind="times",
-        describe=lambda times: describe_scene.of_times(times),
-        figures={"times": lambda times: light_figures.draw_times(times)},
+        describe=describe_scene.of_times,
+        figures={"times": light_figures.draw_times},
         names="mean_ps mean_ps_sigma rms_ps rms_ps_sigma begin_ps begin_ps_sigma rise_ps "
         "rise_ps_sigma decay_ns detected first parts photons seed parameters scene_hash notes",
     ),
     "TableResult": Presenter(
         kind="table",
-        describe=lambda table: describe_scene.of_table(table),
-        figures={"eta": lambda table: light_figures.draw_table(table)},
+        describe=describe_scene.of_table,
+        figures={"eta": light_figures.draw_table},
         names="rows photons cached_photons seed seconds parameters scene_hash notes",
     ),
     "CheckResult": Presenter(
         kind="check",
-        describe=lambda check: describe_scene.of_check(check),
+        describe=describe_scene.of_check,
         figures={
             "cross_section": lambda check: cross_section.cross_section_figure(
                 check.simulation, check.interfaces
@@ -135,12 +138,12 @@ PRESENTERS = {
     ),
     "CrosscheckResult": Presenter(
         kind="crosscheck",
-        describe=lambda crosscheck: describe_scene.of_crosscheck(crosscheck),
+        describe=describe_scene.of_crosscheck,
         names="rows family_p_value agrees photons seed",
     ),
     "ReductionResult": Presenter(
         kind="reduction",
-        describe=lambda raw: describe_laboratory.of_reduction(raw),
+        describe=describe_laboratory.of_reduction,
         figures={
             "histograms": lambda raw: laboratory_figures.draw_raw_data(raw, "histograms"),
             "spectra": lambda raw: laboratory_figures.draw_raw_data(raw, "spectra"),
@@ -150,18 +153,18 @@ PRESENTERS = {
     ),
     "FitResult": Presenter(
         kind="fit",
-        describe=lambda fit: describe_campaign.of_fit(fit),
+        describe=describe_campaign.of_fit,
         figures={
             "readings": lambda fit: fit_figures.draw_comparison(fit, unit=fit.unit),
             "profiles": lambda fit: fit_figures.draw_profiles(fit.profiles),
-            "budget": lambda fit: budget_figures.draw_budget(fit),
+            "budget": budget_figures.draw_budget,
         },
         names="**numbers seconds photons=provenance.photons seed=provenance.seed "
         "scene_hash=provenance.scene_hash versions=provenance.versions",
     ),
     "ComparisonResult": Presenter(
         kind="comparison",
-        describe=lambda comparison: describe_campaign.of_comparison(comparison),
+        describe=describe_campaign.of_comparison,
         figures={
             "readings": lambda comparison: fit_figures.draw_comparison(
                 comparison, unit=comparison.unit
@@ -171,20 +174,20 @@ PRESENTERS = {
     ),
     "HypothesesResult": Presenter(
         kind="hypotheses",
-        describe=lambda hypotheses: describe_campaign.of_hypotheses(hypotheses),
-        figures={"pulls": lambda hypotheses: fit_figures.draw_hypotheses(hypotheses)},
+        describe=describe_campaign.of_hypotheses,
+        figures={"pulls": fit_figures.draw_hypotheses},
         names="verdict reason leading hypotheses=hypotheses_with_scenes apart "
         f"{_PROVENANCE} scene_hash=scenes seconds=provenance.seconds notes",
     ),
     "DiagnosisResult": Presenter(
         kind="diagnosis",
-        describe=lambda diagnosis: describe_campaign.of_diagnosis(diagnosis),
-        figures={"ranking": lambda diagnosis: diagnosis_figures.draw_ranking(diagnosis)},
+        describe=describe_campaign.of_diagnosis,
+        figures={"ranking": diagnosis_figures.draw_ranking},
         names=f"{_DIAGNOSIS} {_PROVENANCE} notes",
     ),
     "RepairResult": Presenter(
         kind="repair",
-        describe=lambda repair: describe_campaign.of_repair(repair),
+        describe=describe_campaign.of_repair,
         figures={
             "staircase": lambda repair: diagnosis_figures.draw_staircase(
                 repair.repair, repair.mended_fit
@@ -198,19 +201,19 @@ PRESENTERS = {
     ),
     "ReportResult": Presenter(
         kind="report",
-        describe=lambda report: describe_campaign.of_report(report),
+        describe=describe_campaign.of_report,
         names=f"{_DIAGNOSIS} **sections.numbers report=path {_PROVENANCE} notes",
     ),
     "BudgetResult": Presenter(
         kind="budget",
-        describe=lambda budget: describe_campaign.of_budget(budget),
-        figures={"neglected": lambda budget: budget_figures.draw_neglected(budget)},
+        describe=describe_campaign.of_budget,
+        figures={"neglected": budget_figures.draw_neglected},
         names=f"**numbers {_PROVENANCE} seconds=provenance.seconds notes",
     ),
     "PlanResult": Presenter(
         kind="plan",
-        describe=lambda plan: describe_campaign.of_plan(plan),
-        figures={"plan": lambda plan: budget_figures.draw_plan(plan)},
+        describe=describe_campaign.of_plan,
+        figures={"plan": budget_figures.draw_plan},
         names="**numbers",
     ),
 }
@@ -279,7 +282,9 @@ class Result:
         return f"<{type(self).__name__}: {self.description.title}; print it to read it>"
 
     def _repr_html_(self) -> str:
-        return str(showing.html(self.description))
+        from mcrim_mitsuba.output.pages import html
+
+        return html(self.description)
 
     @property
     def description(self) -> Description:

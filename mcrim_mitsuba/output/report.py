@@ -16,7 +16,6 @@ from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
 
-import jinja2
 import numpy as np
 from markupsafe import Markup, escape
 from matplotlib import rc_context
@@ -30,28 +29,28 @@ from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import read_text, refuse_outputs, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import (
-    capital,
     number,
-    p_text,
     pdg,
-    probability,
     short_text,
-    unbroken,
 )
 from mcrim_mitsuba.core.run import Provenance, Run
+from mcrim_mitsuba.inference.diagnose import final_step
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.repair import Repaired, repair
+from mcrim_mitsuba.output import describe_campaign, describe_laboratory, sentences
 from mcrim_mitsuba.output import figure_style as style
-from mcrim_mitsuba.output import sentences
 from mcrim_mitsuba.output.budget_figures import draw_budget
+from mcrim_mitsuba.output.describe_scene import FACES
+from mcrim_mitsuba.output.description import records
 from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
 from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_profiles
 from mcrim_mitsuba.output.laboratory_figures import draw_raw_data
 from mcrim_mitsuba.output.light_figures import Lights, draw_arrival, draw_fates
+from mcrim_mitsuba.output.pages import environment
 from mcrim_mitsuba.output.photograph import BENCH_PANEL
 from mcrim_mitsuba.output.report_sections import PICTURE_SCALE, RatioOfSignals, Sections, gather
-from mcrim_mitsuba.output.sentences import in_words, leading_candidates
+from mcrim_mitsuba.output.sentences import in_words
 
 # matplotlib writes texts into comments and a date into the metadata; a page needs neither
 _COMMENTS = re.compile(r"<!--.*?-->\n?|<metadata>.*?</metadata>\n?|<!DOCTYPE.*?>\n?", re.DOTALL)
@@ -322,29 +321,23 @@ def render(sections: Sections) -> str:
     """The page of a sections, complete."""
     folder = resources.files("mcrim_mitsuba.output")
     style = (folder / "style.css").read_text(encoding="utf-8")
-    environment = jinja2.Environment(
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=unbroken,
-        loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text(encoding="utf-8")),
-    )
-    environment.filters |= {
+    pages = environment()
+    pages.filters |= {
         "said": said,
         "brief": brief,
-        "capital": capital,
         "in_full": in_full,
-        "p": p_text,
         "number": number,
         "estimate": sentences.estimate_text,
-        "together": sentences.together,
         "value": short_text,
-        "probability": probability,
         "data_uri": data_uri,
     }
-    template = environment.get_template("template.html")
-    raw = sections.campaign.raw
+    template = pages.get_template("template.html")
+    raw, steps = sections.campaign.raw, sections.diagnosis.repair
+    if sections.effects:
+        steps = (
+            *steps[: 1 if sections.chosen_by_hand else None],
+            final_step(steps[-1], sections.calibration),
+        )
     notes = dict.fromkeys((*sections.calibration.notes, *sections.repaired.provenance.notes))
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
     return template.render(
@@ -354,15 +347,18 @@ def render(sections: Sections) -> str:
         fit=sections.calibration,
         pictures=album_of(sections),
         efficiencies=efficiencies_csv(sections),
-        mountings=[
-            (label, mounting)
-            for label, reduced in (raw.readings if raw else {}).items()
-            for mounting in reduced.mountings
-        ],
+        faces=records("", FACES[:-1], sections.bench.report.interfaces),
+        steps=describe_campaign.steps_table(steps),
+        meanings={
+            name: sentences.parameter_words(sections.campaign, name)[0]
+            for name in sections.calibration.parameters
+        },
         most_rows=MOST_ROWS,
         most_printed=MOST_PRINTED,
         leading=sentences.leading_candidates(sections.diagnosis),
         sentences=sentences,
+        describe=describe_campaign,
+        laboratory=describe_laboratory,
         pdg=pdg,
         # ours, and hashed as it stands
         style=Markup(style),
@@ -459,15 +455,9 @@ def refuse_output(output: str | Path, inputs: Sequence[str | Path]) -> None:
 def _mended_with(repaired: Repaired, effects: tuple[str, ...]) -> Repaired:
     """The same campaign mended with other effects."""
     simulations, diagnosis = repaired.simulations, repaired.diagnosed.diagnosis
-    tried = (*leading_candidates(diagnosis), *diagnosis.candidates, *diagnosis.pairs)
-    starts = next(
-        (
-            {name: estimate.value for name, estimate in candidate.parameters.items()}
-            for candidate in tried
-            if set(candidate.effects) == set(effects)
-        ),
-        None,
-    )
+    candidate = diagnosis.candidate(effects)
+    fitted = candidate.parameters if candidate else {}
+    starts = {name: size.value for name, size in fitted.items()} or None
     everything = tuple(dict.fromkeys((*diagnosis.titles, *effects)))
     simulations.simulate(everything, look=set(everything) - {*effects})
     fit = simulations.settled_fit(effects, starts)

@@ -29,7 +29,7 @@ from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.repair import Repaired, mended_files, mended_scene, scene_text
 from mcrim_mitsuba.output import photograph
 from mcrim_mitsuba.output.registry import encoded
-from mcrim_mitsuba.output.sentences import errors_apart, plain_headline
+from mcrim_mitsuba.output.sentences import errors_apart, headline
 from mcrim_mitsuba.runs.cache import RecordCache, code_hash, record_versions
 from mcrim_mitsuba.runs.cache_files import Chunk
 from mcrim_mitsuba.scene.check_text import CheckReport
@@ -96,7 +96,7 @@ class Sections:
     @property
     def headline(self) -> str:
         """The verdict in a sentence."""
-        return plain_headline(self.diagnosis, self.effects)
+        return headline(self.diagnosis)
 
     def numbers(self) -> dict[str, Any]:
         """The result for JSON."""

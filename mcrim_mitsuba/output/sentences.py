@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR, of_sample
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, titled, unit_of, without_unit
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, titled, unit_of
 from mcrim_mitsuba.core.rounding import (
     capital,
     counted,
@@ -26,10 +26,8 @@ from mcrim_mitsuba.core.rounding import (
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.judgement import (
-    ADEQUATE,
     AMBIGUOUS,
     MISSING_EFFECT,
-    TOO_FEW_READINGS,
     UNEXPLAINED,
 )
 from mcrim_mitsuba.inference.plan import (
@@ -48,9 +46,10 @@ from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget, con
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.campaign import Campaign
+    from mcrim_mitsuba.campaign.measurements import Reading
     from mcrim_mitsuba.inference.candidates import Candidate, Limit
     from mcrim_mitsuba.inference.compare import Comparison, Suspect, Trend
-    from mcrim_mitsuba.inference.diagnose import Diagnosis
+    from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep
     from mcrim_mitsuba.inference.estimates import FittedRow
     from mcrim_mitsuba.inference.fit import Calibration
     from mcrim_mitsuba.inference.hypotheses import FittedHypothesis, SideBySide
@@ -79,21 +78,27 @@ def estimate_text(estimate: ParameterEstimate) -> str:
     return f"{value:.4g}, at its bound"
 
 
-def light_yield_text(parameters: dict[str, ParameterEstimate]) -> tuple[str, str]:
-    """Name and value of what is proportional to the light: the light yield, or else the scale."""
-    for name, title in ((LIGHT_YIELD, "light yield (ph/keV)"), (SCALE, "scale")):
-        if name in parameters:
-            return title, estimate_text(parameters[name])
-    return SCALE, "fixed"
+def reading_label(reading: FittedRow | Reading) -> str:
+    """A reading's name, and that it is not used where it is not."""
+    return reading.label if reading.use else f"{reading.label} (not used)"
+
+
+def added_text(step: RepairStep) -> str:
+    """What a step of a repair adds."""
+    if step.added is None:
+        return step.title or "as it came"
+    return f"+ {step.title or step.added}"
+
+
+def light_text(fit: Calibration) -> str:
+    """What is proportional to the light, the light yield or else the scale."""
+    light = fit.parameters.get(LIGHT_YIELD, fit.parameters.get(SCALE))
+    return "held" if light is None else estimate_text(light)
 
 
 def size_text(candidate: Candidate, separator: str = "; ") -> str:
     """What a fit makes of an effect: ``surface loss = 0.0123 ± 0.0008``; ``on`` without a size."""
-    sizes = [
-        f"{title_of(name)} = {estimate_text(candidate.parameters[name])}"
-        for name in candidate.effect_parameters
-        if name in candidate.parameters
-    ]
+    sizes = (f"{title_of(n)} = {estimate_text(size)}" for n, size in candidate.sizes.items())
     return separator.join(sizes) or "on"
 
 
@@ -128,13 +133,8 @@ def leading_candidates(diagnosis: Diagnosis) -> list[Candidate]:
 
     Without those that only the simulation's error lets lead: the verdict names them.
     """
-    candidates = {
-        frozenset(candidate.effects): candidate
-        for candidate in (*diagnosis.candidates, *diagnosis.pairs)
-    }
     settled = (names for names in diagnosis.leading_sets if names not in diagnosis.unsettled)
-    sets = [frozenset(names) for names in settled]
-    return [candidates[names] for names in sets if names in candidates]
+    return [candidate for candidate in map(diagnosis.candidate, settled) if candidate is not None]
 
 
 def signal_text(of_beam: bool, value: float, sigma: float | None) -> str:
@@ -218,17 +218,15 @@ def averaged_yield(diagnosis: Diagnosis) -> str:
     names, p = next(iter(diagnosis.probabilities.items()))
     likeliest = likeliest_of(diagnosis)
     estimate = diagnosis.baseline.parameters.get(LIGHT_YIELD)
-    alone = "" if estimate is None else estimate_text(estimate)
-    if likeliest is not None and likeliest.light_yield_ph_per_keV is not None:
-        light = likeliest.light_yield_ph_per_keV
-        alone = pdg(light["value"], light["sigma"])
-    of_model = "nothing missing"
+    alone, likely = "" if estimate is None else estimate_text(estimate), f"({probability(p)})"
+    least = f"{alone} with nothing missing {likely}"
     if likeliest is not None:
-        of_model = in_words(diagnosis, likeliest.effects)
-    least = f"{alone} with {of_model} ({probability(p)})"
-    if likeliest is None and names != NOTHING_MISSING:
+        if light := likeliest.light_yield_ph_per_keV:
+            alone = pdg(light["value"], light["sigma"])
+        least = f"{alone} with {in_words(diagnosis, likeliest.effects)} {likely}"
+    elif names != NOTHING_MISSING:
         what = IN_NO_CATALOGUE if names == UNKNOWN else f"a {names}"
-        least = f"{alone} with nothing missing; the likeliest is {what} ({probability(p)})"
+        least = f"{alone} with nothing missing; the likeliest is {what} {likely}"
     return (
         f"Light yield: {averaged}, averaged over all explanations and sizes that the readings "
         f"allow: the one to quote; the best fit alone gives {least}"
@@ -317,9 +315,7 @@ def set_aside_text(diagnosis: Diagnosis) -> str:
     names = diagnosis.set_aside
     if not names:
         return ""
-    tried = (*diagnosis.candidates, *diagnosis.pairs)
-    fit = next((candidate for candidate in tried if set(candidate.effects) == set(names)), None)
-    words = in_words(diagnosis, names)
+    fit, words = diagnosis.candidate(names), in_words(diagnosis, names)
     size = "" if fit is None else f" ({size_text(fit)})"
     if diagnosis.verdict == UNEXPLAINED:
         return (
@@ -376,9 +372,10 @@ def headline(diagnosis: Diagnosis) -> str:
     )
 
 
-def quality(comparison: Comparison) -> str:
+def quality(comparison: Comparison | Calibration) -> str:
     """chi2 beside what is expected, and what that means."""
-    chi2, ndf = number(comparison.chi2), comparison.ndf
+    # an exact fit's chi2 is rounding
+    chi2, ndf = number(round(comparison.chi2, 6)), comparison.ndf
     if comparison.p_value is None:
         return (
             f"chi2 = {chi2} without degrees of freedom: the readings determine the parameters, "
@@ -451,14 +448,9 @@ def limit_text(limit: Limit) -> str:
     return f"{number(lower)} to {number(upper)}"
 
 
-def measurement_value(measurement: NextMeasurement) -> tuple[str, str, str]:
-    """In words: hours, the light yield's relative error then, the likeliest's probability."""
-    error = measurement.light_yield_sigma
-    return (
-        f"{measurement.hours:.2g} h",
-        "-" if error is None else f"{100.0 * error:.1f} %",
-        f"{100.0 * measurement.probability:.0f} %",
-    )
+def relative_text(error: float | None) -> str:
+    """A relative error in per cent."""
+    return "-" if error is None else f"{100.0 * error:.1f} %"
 
 
 #: Standard errors that hold 95 % of a Gaussian likelihood; over these, how near or far the ends of
@@ -523,13 +515,6 @@ _WHICH = Contribution(
 _NO_EFFECT = Contribution("what is in no catalogue", 0.0, "systematic", False, by="")
 
 
-def parameter_label(name: str) -> str:
-    """A fitted parameter in words: ``light yield``."""
-    if (sample := of_sample(name)) is not None:
-        return f"{parameter_label(sample[0]).removesuffix(' of the crystal')} of {sample[1]}"
-    return NAMES[name][0].partition(":")[0] if name in NAMES else without_unit(name)
-
-
 def title_of(name: str) -> str:
     """A fitted parameter in words with its unit: ``light yield (ph/keV)``."""
     if (sample := of_sample(name)) is not None:
@@ -573,7 +558,7 @@ def next_for_fit(fit: Calibration, priors: Iterable[str]) -> str:
     if estimate is None or estimate.at_bound is not None or not estimate.value:
         return ""
     origin = "absorption" if list(priors) == [ALPHA_ABS] else "prior"
-    return what_next(ErrorBudget(_parts(estimate, origin)), parameter_label(name))
+    return what_next(ErrorBudget(_parts(estimate, origin)), quantity(name))
 
 
 def next_for_average(diagnosis: Diagnosis) -> str:
@@ -783,13 +768,14 @@ def value_with_errors(estimate: ParameterEstimate) -> str:
 
 
 def interval(estimate: ParameterEstimate) -> str:
-    """Ends of the interval, in as many digits as the error deserves."""
+    """Ends of the interval, in one more digit than its width deserves."""
     if estimate.lower is None or estimate.upper is None:
         return "-"
-    if not math.isfinite(estimate.sigma) or estimate.sigma <= 0:
+    width = estimate.upper - estimate.lower
+    if not 0 < width < math.inf:
         return f"{number(estimate.lower, 4)} to {number(estimate.upper, 4)}"
-    ends = (pdg(end, estimate.sigma) for end in (estimate.lower, estimate.upper))
-    return " to ".join(_value_of(text) for text in ends)
+    ends = (pdg(end, width / 20) for end in (estimate.lower, estimate.upper))
+    return " to ".join(map(_value_of, ends))
 
 
 def _value_of(text: str) -> str:
@@ -818,69 +804,17 @@ def pull_text(pull: float) -> str:
     return f"{pull:+.2f}".replace("+0.00", "0.00").replace("-0.00", "0.00")
 
 
-def plain_headline(diagnosis: Diagnosis, effects: tuple[str, ...]) -> str:
-    """The verdict for everybody."""
-    plain = "The bench as described does not explain the readings"
-    leading = [
-        in_words(diagnosis, candidate.effects) for candidate in leading_candidates(diagnosis)
-    ]
-    if diagnosis.verdict == TOO_FEW_READINGS:
-        return (
-            "The readings determine the result, but none is left over to test whether the bench "
-            "is as described."
-        )
-    if diagnosis.verdict == ADEQUATE:
-        return "The bench as described explains the readings: nothing needs to be added."
-    if diagnosis.verdict == MISSING_EFFECT and leading:
-        return f"With {leading[0]} the bench explains the readings; as described it does not."
-    if diagnosis.verdict == AMBIGUOUS and len(leading) > 1:
-        named = leading
-        if len(leading) > MOST_NAMED:
-            more = len(leading) - MOST_NAMED
-            named = [*leading[:MOST_NAMED], "another" if more == 1 else f"{more} others"]
-        return f"{plain}; {together(named, 'or')} would, and the readings cannot tell which."
-    if diagnosis.verdict == AMBIGUOUS and leading:
-        return f"{plain}; {leading[0]} would, but it is not the only explanation."
-    if effects:
-        words = in_words(diagnosis, effects)
-        return f"{plain}; {words} makes it better, but what is missing is not clear."
-    return f"{plain}, and nothing that was tried does."
-
-
-def reliability(diagnosis: Diagnosis, calibration: Calibration, effects: tuple[str, ...]) -> str:
-    """How far the numbers can be believed, in plain words."""
-    p_value = calibration.p_value
-    fit = f"χ² = {number(calibration.chi2)} for {calibration.ndf} degrees of freedom"
-    if p_value is None:
-        return (
-            "There are just as many facts as unknowns, so that the fit cannot fail. The errors "
-            "hold if the bench is as described; only further readings can show whether it is."
-        )
-    if p_value < ACCEPTABLE_P:
-        return (
-            f"Do not quote these numbers. If the model were right, readings would disagree with "
-            f"it this much with a probability of {p_text(p_value)} only ({fit}). The errors "
-            "below know nothing of that."
-        )
-    of_hundred = f"{100 * p_value:.0f}" if p_value >= 0.015 else "1"
-    words = (
-        f"If the model is right, readings disagree with it this much or more in "
-        f"{of_hundred} of 100 campaigns ({fit}, {p_equals(p_value)}): nothing in them "
-        "speaks against it."
-    )
-    if p_value > 1.0 - ACCEPTABLE_P / 10:
-        words = (
-            f"The readings agree better than their errors allow ({fit}, {p_equals(p_value)}): "
-            "these may be too large."
-        )
+def reliability(diagnosis: Diagnosis, fit: Calibration, effects: tuple[str, ...]) -> str:
+    """How far the numbers of a fit with these effects can be believed."""
+    words, added = f"{capital(quality(fit))}.", in_words(diagnosis, effects) if effects else ""
+    if fails(fit):
+        return f"Do not quote these numbers, whose errors know nothing of it. {words}"
     if diagnosis.verdict == AMBIGUOUS and effects:
-        words += (
-            f" But {in_words(diagnosis, effects)} is one explanation of several; the numbers hold "
-            "only if it is the right one."
+        return (
+            f"{words} But {added} is one explanation of several; the numbers hold only if it is "
+            "the right one."
         )
-    elif effects:
-        words += f" This holds with {in_words(diagnosis, effects)} added to the bench."
-    return words
+    return f"{words} This holds with {added} added to the bench." if effects else words
 
 
 def beam_doubt(campaign: Campaign, calibration: Calibration) -> str:
@@ -891,23 +825,3 @@ def beam_doubt(campaign: Campaign, calibration: Calibration) -> str:
     from mcrim_mitsuba.campaign.editor import beam_notes
 
     return " ".join(f"But {note}." for note in beam_notes(campaign.raw, estimate.value))
-
-
-def value_of_others(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """What the result would be with each leading explanation: name, light yield, alpha_scat.
-
-    Empty where the campaign fits neither.
-    """
-    rows = []
-    for candidate in leading_candidates(diagnosis):
-        light = candidate.light_yield_ph_per_keV
-        scattering = candidate.parameters.get(ALPHA_SCAT)
-        if light is not None or scattering is not None:
-            rows.append(
-                (
-                    in_words(diagnosis, candidate.effects),
-                    "-" if light is None else pdg(light["value"], light.get("sigma")),
-                    "-" if scattering is None else pdg(scattering.value, scattering.sigma),
-                )
-            )
-    return rows

@@ -249,10 +249,10 @@ def test_repair_shows_the_error_fall_and_how_to_go_on(mcrim, campaign, found):
     lines = out.splitlines()
     assert (status, err) == (0, "")
     assert lines[:2] == [
-        "step 0, as it came: chi2 / ndf 64.2 / 12 = 5.35, p = 2.3e-09, rms pull 2.1, left-out "
-        "error 2.6, light yield (ph/keV) 8.31 ± 0.25, alpha_scat 0.620 ± 0.030 /cm",
-        "step 1, + absorbing crystal surface: chi2 / ndf 12.1 / 11 = 1.1, p = 0.36, rms pull 0.9, "
-        "left-out error 1.1, light yield (ph/keV) 7.52 ± 0.22, alpha_scat 0.543 ± 0.021 /cm",
+        "step 0, as it came: chi2 64.2, ndf 12, chi2 / ndf 5.35, p 2.3e-09, rms pull 2.1, left out "
+        "2.6, light yield (ph/keV) 8.31 ± 0.25, scattering (1/cm) 0.620 ± 0.030",
+        "step 1, + absorbing crystal surface: chi2 12.1, ndf 11, chi2 / ndf 1.1, p 0.36, rms pull "
+        "0.9, left out 1.1, light yield (ph/keV) 7.52 ± 0.22, scattering (1/cm) 0.543 ± 0.021",
     ]
     assert lines[2:4] == [AVERAGED, FIRST_LINES["missing_effect"]]
     assert row_of(out, "surface loss")[1] == "0.0123 ± 0.0008"

@@ -143,7 +143,7 @@ def test_the_story_is_told_in_order_with_the_numbers_of_the_fit(made, parsed):
     for digest in (*found["files"].values(), found["scene_hash"]):
         assert re.fullmatch("[0-9a-f]{64}", digest) and digest in shown
     assert f"{found['photons']:,}, seed 0" in shown
-    assert found["verdict"] == "ambiguous" and "the readings cannot tell which" in shown
+    assert found["verdict"] == "ambiguous" and f"Ambiguous: {found['reason']}" in shown
     pictures = {e.get("id") for e in parsed.iter("figure")}
     assert {
         f"figure-{n}"

@@ -187,7 +187,9 @@ def absorption(
     beside = "" if article is None else _article_in_words(article)
     result = VerbResult(
         kind="absorption",
-        shown=describe_laboratory.of_absorption(coefficient, transmittance, beside, notes),
+        shown=describe_laboratory.of_absorption(
+            coefficient, transmittance, thickness_mm, beside, notes
+        ),
         numbers=document,
         drawings={"absorption": drawn},
     )
