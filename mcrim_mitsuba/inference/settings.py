@@ -54,7 +54,7 @@ class SearchSettings:
     longest_log_step: float = 1.5
     #: Updates of the covariance, and the shift (in standard errors, squared) that ends them.
     most_updates: int = 6
-    settled: float = 1e-4
+    settled: float = 1e-7
     #: Relative difference in chi2 of two descents that ended in one minimum.
     same_height: float = 1e-3
     #: Squared distance, in standard errors, of minima that count as two.

@@ -88,7 +88,7 @@ def wall_folds(model: SceneModel, solid: Solid) -> bool:
 
 def _holds_something(model: SceneModel, solid: Solid) -> bool:
     """Whether light in a solid meets faces that are not around it."""
-    borders = [surface.surface for surface in (*model.flat_faces, *model.walls)]
+    borders = [face.surface for face in model.flat_faces] + [wall.surface for wall in model.walls]
     bordering = sum(solid.volume in model.surfaces[number].sides for number in borders)
     return bordering > len(solid.walls) + sum(len(plane.faces) for plane in solid.planes)
 

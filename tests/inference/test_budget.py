@@ -248,7 +248,8 @@ def test_the_sources_depth_dims_the_articles_bench(found):
         assert abs(moved.shift - expected) < Z * moved.monte_carlo_sigma
         assert abs(moved.shift) > Z * moved.monte_carlo_sigma
     light = depth.refitted[LIGHT_YIELD]
-    assert light.size_sigma == pytest.approx(0.004, abs=0.002)
+    # 0.0044 +- 0.0007 with eight times the photons; with these five seeds scatter by 0.0024
+    assert 0.0 < light.size_sigma == pytest.approx(0.0044, abs=Z * 0.0024)
 
 
 def test_what_one_index_leaves_out_is_small(found):

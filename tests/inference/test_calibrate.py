@@ -62,7 +62,7 @@ def test_precision_is_reached(campaign):
 #: Verbs by which a campaign's own fit is seen, and where each shows it.
 OWN_FITS = {
     "calibrate": lambda campaign, run: calibrate(campaign, run=run).fit,
-    "compare": lambda campaign, run: compare(campaign, run=run).fit,
+    "compare": lambda campaign, run: compare(campaign, run=run).comparison,
     "diagnose": lambda campaign, run: diagnose(campaign, run=run).baseline,
     "budget": lambda campaign, run: budget(campaign, run=run).fit,
     "repair": lambda campaign, run: repair(campaign, run=run).diagnosed.baseline,
