@@ -14,11 +14,11 @@ class FormulaSurface(EfficiencySurface):
     def __init__(self, formula, relative_sigma=0.0, noise=0.0):
         self.formula, self.relative_sigma, self.factor = formula, relative_sigma, 1 + noise
 
-    def _point(self, target, check, errors):
+    def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True):
         def eta(a_s, a_a):
             return self.factor * self.formula(a_s, a_a)
 
-        (a_s, a_a), step = target, 1e-6
+        a_s, a_a, step = alpha_scat_per_cm, alpha_abs_per_cm, 1e-6
         return EtaPoint(
             eta(a_s, a_a),
             self.relative_sigma * eta(a_s, a_a),
@@ -26,7 +26,6 @@ class FormulaSurface(EfficiencySurface):
                 ALPHA_SCAT: (eta(a_s + step, a_a) - eta(a_s - step, a_a)) / (2 * step),
                 ALPHA_ABS: (eta(a_s, a_a + step) - eta(a_s, a_a - step)) / (2 * step),
             },
-            1e6,
         )
 
     def covariance(self, first, second):

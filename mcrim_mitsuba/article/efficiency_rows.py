@@ -92,10 +92,12 @@ def _relative_sigma_of_ratio(*points: EtaPoint) -> float:
 def fit_line(curve: RatioCurve) -> FittedLine:
     """Solve eta_air / eta_gel = R for alpha_scat at one transmittance of Table 1."""
     alpha_abs = curve.line.alpha_abs_per_cm.value
+    couplings = curve.air.coupling, curve.gel.coupling
+    of_air, of_gel = (coupling.surface for coupling in couplings)
     solution = alpha_scat_from_ratio(
-        curve.air, curve.gel, alpha_abs, p.RATIO.value, p.RATIO.stated_sigma, _BOUNDS_PER_CM
+        of_air, of_gel, alpha_abs, p.RATIO.value, p.RATIO.stated_sigma, _BOUNDS_PER_CM
     )
-    air, gel = (c.coupling.at(solution.value, alpha_abs) for c in (curve.air, curve.gel))
+    air, gel = (coupling.at(solution.value, alpha_abs) for coupling in couplings)
     return FittedLine(
         line=curve.line,
         polarised=curve.polarised,

@@ -88,7 +88,7 @@ def reproduce_article(*, run: Run = Run()) -> ArticleResult:
     photons = run.photons_or(DEFAULT_PHOTONS)
     simulated = simulate_article(run=run)
     left_out = yield_rows.left_out(run)
-    curves = eta_curves(simulated, run.threads)
+    curves = eta_curves(simulated)
     ratios = ratio_curves(curves)
     fits = fit_table_1(ratios)
     yields = light_yields(simulated, fits)

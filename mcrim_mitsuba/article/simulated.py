@@ -6,14 +6,11 @@ without it as well. The couplings' seeds differ, so that their Monte Carlo error
 
 from __future__ import annotations
 
-import math
-import os
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.published import Table1Line
@@ -21,9 +18,9 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.recording import EtaRequest, record_surfaces
+from mcrim_mitsuba.efficiency.eta_surface import EtaRequest, EtaSurface, record_surfaces
 from mcrim_mitsuba.efficiency.simulate import collect
-from mcrim_mitsuba.efficiency.surface import Coefficients, EfficiencySurface, EtaPoint
+from mcrim_mitsuba.efficiency.surface import Coefficients, EtaPoint
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.transport.simulation import SimulationResult
@@ -43,8 +40,8 @@ _SCENES = (BENCH, _THIN, _CAWO4, _WRAPPED)
 DEFAULT_PHOTONS = 8_000_000
 FEWEST_PHOTONS = 200_000
 
-#: Points of the article's range of alpha_scat at which a surface's shares are judged.
-_SCANNED_POINTS = 12
+#: Absorptions that fits of the article's readings may try.
+_ABSORPTION_PER_CM = (0.005, 0.2)
 #: Photons of a single bench, as a share of a surface's.
 _SINGLE_SHARE = 0.1
 #: Free flights of Eq. 6's photons. Light in an escape cone needs a few; after 300, less than
@@ -64,7 +61,7 @@ class Coupling:
     name: str
     polarised: bool
     #: Of alpha_scat and alpha_abs, over the article's range.
-    surface: EfficiencySurface
+    surface: EtaSurface
 
     @property
     def n_gap(self) -> float:
@@ -163,7 +160,7 @@ def simulate_article(*, run: Run = Run()) -> Simulated:
 def _couplings(run: Run) -> dict[tuple[str, bool], Coupling]:
     """All couplings, polarised and not."""
     file = read_scene(scene_path(BENCH))
-    scanned = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, _SCANNED_POINTS)
+    scanned = p.SCANNED_FROM.value, p.SCANNED_TO.value
     absorptions = [line.alpha_abs_per_cm.value for line in p.TABLE_1]
     points = [(scattering, absorption) for absorption in absorptions for scattering in scanned]
     wishes = {
@@ -172,6 +169,7 @@ def _couplings(run: Run) -> dict[tuple[str, bool], Coupling]:
             file.with_overrides({"n_gap": n_gap, "polarization": polarised}),
             points,
             replace(run, seed=run.seed + number),
+            alpha_abs_range_per_cm=_ABSORPTION_PER_CM,
         )
         for polarised in (True, False)
         for number, (name, n_gap) in enumerate(COUPLINGS.items())
@@ -201,54 +199,39 @@ def _single(
 _POINTS = 25
 
 
-class EtaCurve(EfficiencySurface):
+@dataclass(frozen=True)
+class EtaCurve:
     """Light collection efficiency against scattering: one curve of Fig. 3.
 
-    A surface at the one absorption of a line of Table 1: it is simulated at `_POINTS` values
-    of alpha_scat, values and slopes, and interpolated in log(alpha_scat) between them. That
-    costs some 1e-6 in eta and spares the search for alpha_scat thousands of evaluations.
-
-    Of the (points,) `alpha_scat_per_cm`, `etas` and `sigmas` the last are Monte Carlo standard
-    errors; neighbouring points share photons.
+    It has `_POINTS` values of alpha_scat, which share photons, at the absorption of a line of
+    Table 1.
     """
 
-    def __init__(self, coupling: Coupling, line: Table1Line) -> None:
-        self.coupling, self.line = coupling, line
-        grid = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, _POINTS)
-        points = [coupling.at(a, line.alpha_abs_per_cm.value) for a in grid]
-        self.alpha_scat_per_cm = grid
-        self.etas = np.array([point.eta for point in points])
-        self.sigmas = np.array([point.sigma for point in points])
-        self._samples = np.array([point.effective_sample_size for point in points])
-        slopes = np.array([point.gradient[ALPHA_SCAT] for point in points])
-        self._spline = CubicHermiteSpline(np.log(grid), self.etas, slopes * grid)
+    coupling: Coupling
+    line: Table1Line
 
-    @property
-    def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
-        return float(self.alpha_scat_per_cm[0]), float(self.alpha_scat_per_cm[-1])
+    @cached_property
+    def alpha_scat_per_cm(self) -> Array:
+        """(points,) where the curve is shown."""
+        return np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, _POINTS)
 
-    # two parameters are all that it has
-    def _point(  # type: ignore[override]
-        self, target: Coefficients, check: bool, errors: bool
-    ) -> EtaPoint:
-        """A point of the curve; ValueError at another absorption than the curve's."""
-        alpha_scat, alpha_abs = target
-        if alpha_abs != self.line.alpha_abs_per_cm.value:
-            raise ValueError(f"the curve is not that of alpha_abs = {alpha_abs:g} /cm")
-        x, grid = math.log(alpha_scat), np.log(self.alpha_scat_per_cm)
-        return EtaPoint(
-            eta=float(self._spline(x)),
-            sigma=float(np.interp(x, grid, self.sigmas)),
-            gradient={ALPHA_SCAT: float(self._spline(x, 1)) / alpha_scat},
-            effective_sample_size=float(np.interp(x, grid, self._samples)),
-        )
+    @cached_property
+    def etas(self) -> Array:
+        """(points,)"""
+        return self.smooth(self.alpha_scat_per_cm)
 
-    def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
-        return self.coupling.surface.covariance(first, second)
+    @cached_property
+    def sigmas(self) -> Array:
+        """(points,) Monte Carlo standard errors."""
+        points = self._points(self.alpha_scat_per_cm)
+        return self.etas * self.coupling.surface.relative_sigmas(points)
 
     def smooth(self, alpha_scat_per_cm: Array) -> Array:
-        """eta at many values, for drawing."""
-        return self._spline(np.log(alpha_scat_per_cm))
+        """Efficiencies at many values, for drawing."""
+        return self.coupling.surface.etas(self._points(alpha_scat_per_cm))
+
+    def _points(self, alpha_scat_per_cm: Array) -> list[Coefficients]:
+        return [(float(a), self.line.alpha_abs_per_cm.value) for a in alpha_scat_per_cm]
 
 
 @dataclass(frozen=True)
@@ -284,11 +267,9 @@ class RatioCurve:
         return self.air.smooth(alpha_scat_per_cm) / self.gel.smooth(alpha_scat_per_cm)
 
 
-def eta_curves(simulated: Simulated, threads: int | None = None) -> tuple[EtaCurve, ...]:
+def eta_curves(simulated: Simulated) -> tuple[EtaCurve, ...]:
     """Fig. 3: three transmittances, two couplings, polarisation followed or not."""
-    tasks = [(c, line) for c in simulated.couplings.values() for line in p.TABLE_1]
-    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
-        return tuple(pool.map(lambda task: EtaCurve(*task), tasks))
+    return tuple(EtaCurve(c, line) for c in simulated.couplings.values() for line in p.TABLE_1)
 
 
 def ratio_curves(curves: tuple[EtaCurve, ...]) -> tuple[RatioCurve, ...]:

@@ -33,7 +33,8 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, COEFFICIENTS
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
+from mcrim_mitsuba.efficiency.eta_surface import EtaSurface
+from mcrim_mitsuba.efficiency.surface import EtaPoint
 from mcrim_mitsuba.inference.corrections import Neglected, NeglectWork
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
@@ -253,13 +254,13 @@ def article_campaign(alpha_abs_per_cm: float, sigma_per_cm: float | None) -> Cam
 class CouplingsModel:
     """The article's two readings from its surfaces; a model as `inference.model.Model` has it."""
 
-    def __init__(self, campaign: Campaign, surfaces: Sequence[EfficiencySurface]) -> None:
+    def __init__(self, campaign: Campaign, surfaces: Sequence[EtaSurface]) -> None:
         self.campaign, self._surfaces = campaign, surfaces
         self.readings = campaign.measurements.readings
-        lows, highs = zip(*(s.alpha_scat_bounds_per_cm for s in surfaces), strict=True)
+        grid = surfaces[0].grid
         self.free = free_parameters(
             campaign,
-            {ALPHA_SCAT: (max(lows), min(highs))},
+            {ALPHA_SCAT: grid.alpha_scat_range_per_cm, ALPHA_ABS: grid.alpha_abs_range_per_cm},
             "the simulated photons tell about {:g}..{:g} only",
             "simulate scattering coefficients within min and max",
         )
@@ -268,10 +269,7 @@ class CouplingsModel:
         values = {f.name: float(v) for f, v in zip(self.free, theta, strict=True)}
         scale = values.pop(SCALE)
         coefficients = {n: values.get(n, self.campaign.parameters[n].start) for n in COEFFICIENTS}
-        points = [
-            surface.evaluate(**coefficients, check=check, errors=check or covariance)
-            for surface in self._surfaces
-        ]
+        points = [surface.evaluate(**coefficients, check=check) for surface in self._surfaces]
         eta, sigma = np.array([(point.eta, point.sigma) for point in points]).T
         # the scale is in no surface's gradient
         names = [parameter.name for parameter in self.free]

@@ -1,13 +1,22 @@
 """Photon records answered on a grid of coefficients: eta by batch, at every node.
 
-The weights are those of `efficiency.reweighting`; here every photon counts at every node, so
-nothing is approximated but what lies between the nodes, where log(eta) is a polynomial.
+With absorption applied as a weight, the number k of scatterings in the crystal and the path
+L there are all of a photon's history that depends on the coefficients: its density is
+a_s^k exp(-a_s L) times what the geometry makes of it, its weight exp(-a_a L). Photons drawn
+from several proposals a_j, N_j from each, are used together by the balance heuristic
+(E. Veach and L. J. Guibas, SIGGRAPH 95, 419): each counts with the target's density over
+that of the mixture,
+
+    c = w exp(-(a_a - a_a0) L) a_s^k exp(-a_s L) / sum_j (N_j / N) a_j^k exp(-a_j L),
+
+and eta = sum(c) / N is unbiased wherever one proposal scatters. Every photon counts at every node,
+so nothing is approximated but what lies between the nodes, where log(eta) is a polynomial.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,12 +41,14 @@ if TYPE_CHECKING:
 
 #: Batches of a table; those of the records are joined. Their spread gives errors to 13 %.
 BATCHES = 32
-#: Smallest exponent: what is below cannot be seen, and subnormal numbers take long.
+#: Smallest exponent, and the largest one with the other sign: what is below cannot be seen, and
+#: subnormal numbers take long; what is above is no photon that was ever drawn.
 _LEAST_LOG = np.float32(-80.0)
-#: Nodes of a grid in alpha_scat, at least and per length of its logarithm, and in alpha_abs, one
-#: and per length of its own.
-_FINE_NODES = 17, (2.9, (3.0, 1.35))
-_COARSE_NODES = 7, (1.35, (2.0, 0.85))
+#: Nodes of a grid in alpha_scat and in alpha_abs: in any case, and per length of its logarithm.
+_FINE_NODES = (3.0, 2.0), (3.0, 1.35)
+_COARSE_NODES = (1.0, 1.3), (2.0, 0.85)
+#: Stands for no scattering where a logarithm is taken.
+_HARDLY_ANY_PER_CM = 1e-9
 #: Largest and smallest offset of alpha_abs.
 _OFFSET_PER_CM, _LEAST_OFFSET_PER_CM = 0.02, 0.001
 
@@ -59,38 +70,52 @@ class Grid:
         beside the real axis of log(a_s): how fast polynomials converge is a matter of the range's
         length over pi.
         """
-        low, high = np.log(self.alpha_scat_range_per_cm)
-        ends = self.place_of_absorption(np.array(self.alpha_abs_range_per_cm))
-        lengths = high - low, ends[1] - ends[0]
-        least, (a_s, a_a) = _COARSE_NODES if self.coarse else _FINE_NODES
-        scattering = max(least, math.ceil(a_s * lengths[0]))
-        return scattering, math.ceil(a_a[0] + a_a[1] * lengths[1])
+        scattering, absorption = (
+            math.ceil(least + per_length * (high - low)) if high > low else 1
+            for (least, per_length), (low, high) in zip(
+                _COARSE_NODES if self.coarse else _FINE_NODES, self._ends, strict=True
+            )
+        )
+        return scattering, absorption
+
+    @cached_property
+    def _ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Ends of the two axes."""
+        places = (
+            self.place_of_scattering(np.array(self.alpha_scat_range_per_cm)),
+            self.place_of_absorption(np.array(self.alpha_abs_range_per_cm)),
+        )
+        (low, high), (least, most) = (ends.tolist() for ends in places)
+        return (low, high), (least, most)
 
     @cached_property
     def offset_per_cm(self) -> float:
         """Added to alpha_abs before its logarithm is taken.
 
-        Light meets other losses besides, and scattering; where it scatters less than this, the
-        poles of what is trapped come near the range.
+        Light meets other losses besides, and scattering; where it scatters little, the poles of
+        what is trapped, not far below an alpha_abs of 0, would come near the range.
         """
-        return min(max(self.alpha_scat_range_per_cm[0], _LEAST_OFFSET_PER_CM), _OFFSET_PER_CM)
+        half = self.alpha_scat_range_per_cm[0] / 2.0
+        return min(max(half, _LEAST_OFFSET_PER_CM), _OFFSET_PER_CM)
 
     @cached_property
     def scattering(self) -> Lagrange:
         """In the logarithm of alpha_scat, over which eta changes evenly."""
-        low, high = np.log(self.alpha_scat_range_per_cm)
-        return Lagrange(chebyshev_nodes(low, high, self.counts[0]))
+        return Lagrange(chebyshev_nodes(*self._ends[0], self.counts[0]))
 
     @cached_property
     def absorption(self) -> Lagrange:
         """In log(alpha_abs + `offset_per_cm`)."""
-        low, high = self.place_of_absorption(np.array(self.alpha_abs_range_per_cm))
-        return Lagrange(chebyshev_nodes(low, high, self.counts[1]))
+        return Lagrange(chebyshev_nodes(*self._ends[1], self.counts[1]))
 
     def coefficients_per_cm(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """alpha_scat (nodes, 1) and alpha_abs (1, nodes)."""
         alpha_abs = np.exp(self.absorption.nodes) - self.offset_per_cm
         return np.exp(self.scattering.nodes)[:, None], alpha_abs[None, :]
+
+    def place_of_scattering(self, alpha_scat_per_cm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where scatterings lie on the axis of `scattering`."""
+        return np.asarray(np.log(np.maximum(alpha_scat_per_cm, _HARDLY_ANY_PER_CM)), np.float64)
 
     def place_of_absorption(self, alpha_abs_per_cm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Where absorptions lie on the axis of `absorption`."""
@@ -103,7 +128,7 @@ class Grid:
 
         One coefficient may stand for all points.
         """
-        scattering = self.scattering.weights_at(np.log(alpha_scat_per_cm))
+        scattering = self.scattering.weights_at(self.place_of_scattering(alpha_scat_per_cm))
         absorption = self.absorption.weights_at(self.place_of_absorption(alpha_abs_per_cm))
         both = scattering[:, :, None] * absorption[:, None, :]
         return both.reshape(len(both), -1)
@@ -123,7 +148,22 @@ class EtaGrid:
     def usual_error(self) -> float:
         """Relative standard error of eta in the middle of the grid."""
         _, rows, columns = self.deviations.shape
-        return float(self.deviations[:, rows // 2, columns // 2].std(ddof=1) / np.sqrt(BATCHES))
+        return float(
+            self.deviations[:, rows // 2, columns // 2].std(ddof=1) / np.sqrt(len(self.deviations))
+        )
+
+
+def merged(tables: Sequence[EtaGrid], photons: Sequence[int]) -> EtaGrid:
+    """The table of several launches, of so many photons each."""
+    shares = np.array(photons) / sum(photons)
+    etas = [share * np.exp(table.log_eta) for share, table in zip(shares, tables, strict=True)]
+    eta = np.sum(etas, axis=0)
+    of_batches = np.zeros(tables[0].deviations.shape)
+    for part, table in zip(etas, tables, strict=True):
+        # a launch that sees nothing has no deviations
+        of_batches += part * np.nan_to_num(table.deviations)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return EtaGrid(np.log(eta), (of_batches / eta).astype(np.float32))
 
 
 def averaged(table: EtaGrid, grid: Grid, colours: Colours) -> EtaGrid:
@@ -136,7 +176,7 @@ def averaged(table: EtaGrid, grid: Grid, colours: Colours) -> EtaGrid:
         along, across = (
             axis.weights_at(place(np.clip(factor * own, *ends)))
             for axis, place, factor, own, ends in (
-                (grid.scattering, np.log, factors[0], scattering, ranges[0]),
+                (grid.scattering, grid.place_of_scattering, factors[0], scattering, ranges[0]),
                 (grid.absorption, grid.place_of_absorption, factors[1], absorption, ranges[1]),
             )
         )
@@ -174,18 +214,24 @@ def difference(changed: EtaGrid, plain: EtaGrid, known: EtaGrid) -> EtaGrid:
 class GridReweighter:
     """Records of one launch, prepared for being summed on a grid with several weights.
 
-    Photons that are `kept`, (detected,) bool, count; all when it is not given.
+    Photons that are `kept`, (detected,) bool, count; all when it is not given. The records'
+    batches are joined to so many.
     """
 
     def __init__(
-        self, records: PhotonRecords, grid: Grid, kept: NDArray[np.bool_] | None = None
+        self,
+        records: PhotonRecords,
+        grid: Grid,
+        kept: NDArray[np.bool_] | None = None,
+        batches: int = BATCHES,
     ) -> None:
-        batch = records.batch % BATCHES
+        self._batches = batches
+        batch = records.batch.astype(np.int64) % batches
         order = np.argsort(batch, kind="stable")
         if kept is not None:
             order = order[kept[order]]
         self.order = order
-        self._ends = np.searchsorted(batch[order], np.arange(BATCHES + 1))
+        self._ends = np.searchsorted(batch[order], np.arange(batches + 1))
         self._photons = records.photons
         self._k = records.k[order].astype(np.float32)
         path = records.path_cm[order]
@@ -212,7 +258,7 @@ class GridReweighter:
             np.multiply(self._k, np.float32(np.log(alpha)), out=row)
             row -= np.float32(alpha) * self._scattering_path
             row -= self._log_mixture
-            np.exp(np.maximum(row, _LEAST_LOG, out=row), out=row)
+            np.exp(np.clip(row, _LEAST_LOG, -_LEAST_LOG, out=row), out=row)
         return found
 
     def table(
@@ -230,14 +276,14 @@ class GridReweighter:
             scattering = np.zeros_like(self._scattering)
             for part, factor in zip(*colours, strict=True):
                 scattering += np.float32(part) * self._densities(factor)
-        by_batch = np.empty((BATCHES, len(scattering), len(absorption)))
+        by_batch = np.empty((self._batches, len(scattering), len(absorption)))
         if weight is not None:
             absorption = absorption * weight.astype(np.float32)
         for batch, (first, last) in enumerate(zip(self._ends, self._ends[1:], strict=False)):
             by_batch[batch] = scattering[:, first:last] @ absorption[:, first:last].T
         total = by_batch.sum(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            deviations = by_batch * BATCHES / total - 1.0
+            deviations = by_batch * self._batches / total - 1.0
             log_eta = np.log(total / self._photons)
         return EtaGrid(log_eta, deviations.astype(np.float32))
 

@@ -23,7 +23,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, as_attributes
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.recording import EtaRequest, record_surfaces
+from mcrim_mitsuba.efficiency.eta_surface import EtaRequest, record_surfaces
 from mcrim_mitsuba.efficiency.surface import Coefficients, Lagrange, chebyshev_nodes
 from mcrim_mitsuba.scene.emitted_light import EFFICIENCY, EMISSION, EmittedLight
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -204,18 +204,14 @@ def _by_photons(plan: _Plan, run: Run) -> _Batches:
     )
     rows = []
     for surface, _ in records:
-        answers = surface.evaluate_all(plan.points)
-        for nm, point, answer in zip(plan.asked_nm, plan.points, answers, strict=True):
-            if answer is None:
+        for nm, point in zip(plan.asked_nm, plan.points, strict=True):
+            if surface.answer(point) is None:
                 problem = f"too few photons tell eta at {nm:.0f} nm"
                 mend = "follow more, or cut the spectrum there"
                 raise InputError(problem, mend, path=plan.benches[0].path)
-            # sums by batch are of wide cells, and good enough for errors alone
-            of_batches = surface.batches(*point)
-            rows.append(answer.eta * of_batches / of_batches.mean())
-    batches = np.array(rows).reshape(len(records), len(plan.points), -1)
+        rows.append(surface.batches(plan.points))
     return _Batches(
-        batches.transpose(0, 2, 1),
+        np.array(rows),
         sum(spent.photons for _, spent in records),
         sum(spent.cached_photons for _, spent in records),
     )

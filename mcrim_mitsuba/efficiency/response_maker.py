@@ -36,8 +36,8 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     difference,
     table_of,
 )
+from mcrim_mitsuba.efficiency.proposals import choose_proposals
 from mcrim_mitsuba.efficiency.responses import Anchor, Axis, EffectResponse, Point, Responses, stack
-from mcrim_mitsuba.efficiency.reweighting import choose_proposals
 from mcrim_mitsuba.efficiency.surface import chebyshev_nodes
 from mcrim_mitsuba.optics.slab_transmittance import measured_transmittance, transmittance
 from mcrim_mitsuba.runs.cache import code_hash, record_versions
@@ -777,7 +777,7 @@ def _coverage(campaign: Campaign, beyond: Beyond) -> tuple[Grid, Grid, Scatterin
         ends = zip(beyond, _WIDE_RANGE_PER_CM, scattering, strict=True)
         least, most = (outermost if goes else usual for goes, outermost, usual in ends)
         scattering = min(least, scattering[0]), max(most, scattering[1])
-        proposals = choose_proposals(*scattering, low, units=sum(shares))
+        proposals = choose_proposals(*scattering, low)
     absorption = low, high
     return Grid(scattering, absorption), Grid(scattering, absorption, coarse=True), proposals
 

@@ -99,9 +99,12 @@ class Cubics:
 
 
 def chebyshev_nodes(low: float, high: float, count: int) -> NDArray[np.float64]:
-    """(count,) extrema of the Chebyshev polynomial, rising, the ends of the range included."""
+    """(count,) extrema of the Chebyshev polynomial, rising, the ends of the range included.
+
+    A single one is at the lower end.
+    """
     middle, half = (low + high) / 2, (high - low) / 2
-    return middle - half * np.cos(np.pi * np.arange(count) / (count - 1))
+    return middle - half * np.cos(np.pi * np.arange(count) / max(count - 1, 1))
 
 
 # The light collection efficiency as a function: what all surfaces can be asked, and those in
@@ -124,8 +127,6 @@ class EtaPoint:
     sigma: float
     #: d eta / d parameter for every parameter of the surface, per unit of that parameter.
     gradient: dict[str, float]
-    #: Detected photons of equal weight that would be worth as much.
-    effective_sample_size: float
     #: Estimated size of the error of interpolating between simulations, not part of
     #: `sigma`; 0 where nothing was interpolated.
     interpolation_error: float = 0.0
@@ -139,42 +140,21 @@ class EfficiencySurface(ABC):
     def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
         """Range of alpha_scat in which the surface may be asked; its lower end is above 0."""
 
+    @abstractmethod
     def evaluate(
         self,
         alpha_scat_per_cm: float,
         alpha_abs_per_cm: float,
         *,
         check: bool = True,
-        errors: bool = True,
         **scene_parameters: float,
     ) -> EtaPoint:
         """Efficiency, its error and its gradient at one point.
 
-        Parameters
-        ----------
-        alpha_scat_per_cm, alpha_abs_per_cm : float
-        check : bool
-            Refuse a point whose statistical error cannot be trusted. A search that only
-            passes through may do without, and check where it ends.
-        errors : bool
-            Compute `sigma` and `effective_sample_size`, which takes longest; without, and
-            without `check`, they are NaN.
-        **scene_parameters : float
-            Further ones of the surface, in the units of their names.
-
-        Raises
-        ------
-        InputError
-            Outside the surface's range, or where its photons carry no information.
+        `scene_parameters` are further ones of the surface, in the units of their names. Raises
+        InputError outside the surface's range, and where its photons say too little; a search that
+        only passes through may do without this `check`.
         """
-        target = alpha_scat_per_cm, alpha_abs_per_cm
-        return self._point(target, check, errors, **scene_parameters)
-
-    @abstractmethod
-    def _point(
-        self, target: Coefficients, check: bool, errors: bool, **scene_parameters: float
-    ) -> EtaPoint:
-        """What `evaluate` answers."""
 
     @abstractmethod
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:

@@ -24,16 +24,16 @@ from mcrim_mitsuba.core.numbers import (
     unit_of,
 )
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.recording import (
+from mcrim_mitsuba.efficiency.eta_surface import (
     MOST_PHOTONS,
     EtaRequest,
-    RecordRun,
+    EtaRun,
+    EtaSurface,
     record_surfaces,
-    surfaces_answer,
 )
-from mcrim_mitsuba.efficiency.reweighting import EtaSurface
+from mcrim_mitsuba.efficiency.proposals import SMALLEST_PER_CM
 from mcrim_mitsuba.efficiency.simulate import collect
-from mcrim_mitsuba.efficiency.surface import Coefficients, EtaPoint
+from mcrim_mitsuba.efficiency.surface import Coefficients
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.simulation import SimulationResult
 
@@ -221,7 +221,7 @@ class _Answer:
 
     #: Eta and its error by point.
     values: dict[Coefficients, tuple[float, float]]
-    work: tuple[RecordRun | SimulationResult, ...]
+    work: tuple[EtaRun | SimulationResult, ...]
     notes: tuple[str, ...]
 
 
@@ -232,15 +232,23 @@ def _answer_all(file: SceneFile, grid: TableGrid, run: Run) -> dict[tuple[Value,
         key: Configuration.of(file, dict(zip(grid.outer, key, strict=True)))
         for key in dict.fromkeys(grid.configurations)
     }
-    scattering = [point for point in points if point[0] > 0.0]
-    wishes = {
-        key: EtaRequest(configuration.name, configuration.file, scattering, run)
-        for key, configuration in configurations.items()
-        if scattering and surfaces_answer(configuration.file)
+    # no scattering at all is far from any other on a logarithmic scale
+    groups = {
+        "": [point for point in points if point[0] >= SMALLEST_PER_CM],
+        ", without scattering": [point for point in points if point[0] == 0.0],
     }
-    surfaces = dict(zip(wishes, record_surfaces(list(wishes.values())), strict=True))
+    wishes = [
+        (key, EtaRequest(f"{configuration.name}{words}", configuration.file, group, run))
+        for key, configuration in configurations.items()
+        for words, group in groups.items()
+        if group
+    ]
+    recorded = record_surfaces([wish for _, wish in wishes])
+    of_configuration: dict[tuple[Value, ...], list[tuple[EtaSurface, EtaRun]]] = {}
+    for (key, _), pair in zip(wishes, recorded, strict=True):
+        of_configuration.setdefault(key, []).append(pair)
     return {
-        key: configuration.answer(points, surfaces.get(key), run)
+        key: configuration.answer(points, of_configuration.get(key, []), run)
         for key, configuration in configurations.items()
     }
 
@@ -262,19 +270,18 @@ class Configuration:
         return cls(file.with_overrides(values), ", ".join(words) or file.path.name)
 
     def answer(
-        self, points: list[Coefficients], recorded: tuple[EtaSurface, RecordRun] | None, run: Run
+        self,
+        points: list[Coefficients],
+        recorded: Sequence[tuple[EtaSurface, EtaRun]],
+        run: Run,
     ) -> _Answer:
         """Eta at the points: from photon records where these tell enough, else simulated alone."""
-        work: list[RecordRun | SimulationResult] = []
-        notes: list[str] = []
-        by_records: list[EtaPoint | None] = [None] * len(points)
-        if recorded is not None:
-            surface, record_run = recorded
-            by_records = surface.evaluate_all(points)
-            work.append(record_run)
-            notes += record_run.notes
+        work: list[EtaRun | SimulationResult] = [behind for _, behind in recorded]
+        notes = [note for _, behind in recorded for note in behind.notes]
         values = {}
-        for point, answer in zip(points, by_records, strict=True):
+        for point in points:
+            answers = (surface.answer(point) for surface, _ in recorded)
+            answer = next((eta_point for eta_point in answers if eta_point), None)
             if answer is None:
                 result = self._simulate(point, run)
                 values[point] = result.eta, result.eta_sigma

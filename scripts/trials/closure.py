@@ -38,8 +38,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_outputs
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.recording import record_surface
-from mcrim_mitsuba.efficiency.reweighting import EtaSurface
+from mcrim_mitsuba.efficiency.eta_surface import EtaSurface, record_surface
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.output.description import table
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
@@ -56,8 +55,8 @@ Configuration = tuple[float, float]
 CONFIGURATIONS = tuple((n, height) for n in (1.0, 1.333, 1.46, 1.515) for height in (10.0, 5.0))
 #: Relative standard error of a reading.
 READING_SIGMA = 0.01
-#: Least absorption that is simulated, 1/cm: a tenth of the usual one, as a campaign's fit has it.
-SIMULATED_ALPHA_ABS_PER_CM = 0.0039
+#: Absorptions that are simulated, 1/cm, from a tenth of the usual one, as a campaign's fit has it.
+SIMULATED_ALPHA_ABS_PER_CM = (0.0039, 0.3)
 #: Photons per configuration of the truth.
 TRUTH_PHOTONS = 24_000_000
 #: Photons of all configurations of the usual effort.
@@ -253,13 +252,14 @@ def _simulate(realisation: Realisation) -> dict[Configuration, EtaSurface]:
     points = [
         (factor * truth, a_a)
         for factor in (1 / 1.2, 1.0, 1.2)
-        for a_a in (SIMULATED_ALPHA_ABS_PER_CM, *TRUE_ALPHA_ABS_PER_CM)
+        for a_a in (SIMULATED_ALPHA_ABS_PER_CM[0], *TRUE_ALPHA_ABS_PER_CM)
     ]
     return {
         configuration: record_surface(
             _scene_of(configuration),
             points,
             alpha_scat_range_per_cm=(truth / REACH, truth * REACH),
+            alpha_abs_range_per_cm=SIMULATED_ALPHA_ABS_PER_CM,
             # the truth's simulation has checked the same scenes
             run=Run(realisation.photons, seed=seed, threads=1, check=False),
         )[0]
@@ -288,7 +288,11 @@ def as_campaign(configurations: Sequence[Configuration], drawn: DrawnCampaign) -
     parameters = (
         CampaignParameter(ALPHA_SCAT, 0.5, 1e-3, 10.0, fixed=False),
         CampaignParameter(
-            ALPHA_ABS, 0.039, 0.0, 1.0, prior=drawn.prior_per_cm, prior_sigma=PRIOR_SIGMA_PER_CM
+            ALPHA_ABS,
+            0.039,
+            *SIMULATED_ALPHA_ABS_PER_CM,
+            prior=drawn.prior_per_cm,
+            prior_sigma=PRIOR_SIGMA_PER_CM,
         ),
     )
     return Campaign(

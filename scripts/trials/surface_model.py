@@ -21,7 +21,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
-from mcrim_mitsuba.efficiency.surface import Coefficients, EfficiencySurface, EtaPoint, Lagrange
+from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint, Lagrange
 from mcrim_mitsuba.inference.model import (
     Prediction,
     free_parameters,
@@ -123,10 +123,15 @@ class InterpolatedSurface(EfficiencySurface):
         lows, highs = zip(*(node.alpha_scat_bounds_per_cm for node in self._nodes), strict=True)
         return max(lows), min(highs)
 
-    def _point(
-        self, target: Coefficients, check: bool, errors: bool, **scene_parameters: float
+    def evaluate(
+        self,
+        alpha_scat_per_cm: float,
+        alpha_abs_per_cm: float,
+        *,
+        check: bool = True,
+        **scene_parameters: float,
     ) -> EtaPoint:
-        points = self._at_nodes(*target, check, errors)
+        points = self._at_nodes(alpha_scat_per_cm, alpha_abs_per_cm, check)
         eta_nodes = np.array([point.eta for point in points])
         log_eta = np.log(eta_nodes)
         weights, slopes = self._weights(scene_parameters)
@@ -141,14 +146,13 @@ class InterpolatedSurface(EfficiencySurface):
             eta=eta,
             sigma=eta * float(np.linalg.norm(relative)),
             gradient={name: eta * float(slope) for name, slope in relative_slope.items()},
-            effective_sample_size=min(point.effective_sample_size for point in points),
             interpolation_error=eta * self._relative_error(log_eta),
         )
 
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
         sides, etas = [], []
         for point in (first, second):
-            nodes = self._at_nodes(point[ALPHA_SCAT], point[ALPHA_ABS], False, False)
+            nodes = self._at_nodes(point[ALPHA_SCAT], point[ALPHA_ABS], False)
             eta_nodes = np.array([node.eta for node in nodes])
             weights, _ = self._weights({axis.name: point[axis.name] for axis in self._axes})
             sides.append(weights / eta_nodes)
@@ -159,13 +163,9 @@ class InterpolatedSurface(EfficiencySurface):
         )
         return etas[0] * etas[1] * float(relative)
 
-    def _at_nodes(
-        self, alpha_scat: float, alpha_abs: float, check: bool, errors: bool
-    ) -> list[EtaPoint]:
+    def _at_nodes(self, alpha_scat: float, alpha_abs: float, check: bool) -> list[EtaPoint]:
         """The nodes' surfaces at one pair of coefficients."""
-        points = [
-            node.evaluate(alpha_scat, alpha_abs, check=check, errors=errors) for node in self._nodes
-        ]
+        points = [node.evaluate(alpha_scat, alpha_abs, check=check) for node in self._nodes]
         if min(point.eta for point in points) <= 0:
             names = ", ".join(axis.name for axis in self._axes)
             problem = f"in part of the range of {names} no light is detected"
@@ -291,7 +291,7 @@ class CampaignModel:
         values = {p.name: float(v) for p, v in zip(self.free, theta, strict=True)}
         scale = values.pop(SCALE, self._fixed_scale)
         points = [
-            surface.evaluate(**values, **known, check=check and used, errors=check or covariance)
+            surface.evaluate(**values, **known, check=check and used)
             for surface, known, used in self._asked
         ]
         # the scale is in no surface's gradient

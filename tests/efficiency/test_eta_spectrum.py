@@ -11,8 +11,8 @@ import mcrim_mitsuba
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.eta_spectrum import eta_over
+from mcrim_mitsuba.efficiency.eta_surface import EtaRequest, record_surfaces
 from mcrim_mitsuba.efficiency.noise_free import solve_benches
-from mcrim_mitsuba.efficiency.recording import EtaRequest, record_surfaces
 from mcrim_mitsuba.optics.materials import material
 from mcrim_mitsuba.scene.emitted_light import read_light
 from mcrim_mitsuba.scene.scene_file import read_scene
@@ -57,7 +57,6 @@ def test_weights_give_what_simulations_of_each_wavelength_give(tenfold):
     ]
     assert np.abs(z).max() < LARGEST_Z, z
     assert (found.eta_sigma[at] < 1.05 * precision * found.eta[at]).all()
-    # values are those of the surfaces, whose cells are fine; errors alone come from wide ones
     every = [light.at(nm) for nm in (*light.wavelength_nm.tolist(), light.mean_nm)]
     wish = [(own["alpha_scat_per_cm"], own["alpha_abs_per_cm"]) for own in every]
     ((surface, _),) = record_surfaces(

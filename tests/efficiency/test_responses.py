@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mcrim_mitsuba.efficiency.eta_grid import BATCHES, Grid, GridReweighter
+from mcrim_mitsuba.efficiency.eta_surface import EtaSurface
 from mcrim_mitsuba.efficiency.responses import Point, errors_of, stack
-from mcrim_mitsuba.efficiency.reweighting import EtaSurface
 from mcrim_mitsuba.efficiency.surface import Cubics, Lagrange, chebyshev_nodes
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords
 
@@ -71,7 +71,7 @@ def toy_records(seed=1, photons=65_536):
 
 def test_table_answers_as_the_surface_of_the_same_photons():
     records = toy_records()
-    surface, table = EtaSurface.of(records), GridReweighter(records, GRID).table()
+    surface, table = EtaSurface.of(GRID, records), GridReweighter(records, GRID).table()
     for a_s, a_a in ((0.07, 0.01), (0.2, 0.039), (0.61, 0.1), (2.0, 0.02)):
         point = Point.of(GRID, [a_s], [a_a])
         known = surface.evaluate(a_s, a_a)

@@ -17,7 +17,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import percent
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.recording import record_surface
+from mcrim_mitsuba.efficiency.eta_surface import record_surface
 from mcrim_mitsuba.inference import plan as measuring
 from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.plan import (
@@ -165,6 +165,7 @@ def test_100_synthetic_campaigns_scatter_as_planned(scenes, article, without_pho
                 [(0.3, 0.02), (0.55, 0.04), (1.0, 0.06)],
                 run=Run(49_152, seed=3),
                 alpha_scat_range_per_cm=(0.1, 3.0),
+                alpha_abs_range_per_cm=(0.0, 0.15),
             )
         return made[index]
 

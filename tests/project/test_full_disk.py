@@ -19,8 +19,8 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output.photograph import begin_photograph
 from mcrim_mitsuba.scene.scene_file import read_scene
 
-#: Room for one of the units below, which leave 0.4 MB each, but not for two.
-ONE_UNIT, ROOM = "600k", "4m"
+#: Room for one of the units below, which leave 30 kB each, but not for two.
+ONE_UNIT, ROOM = "64k", "4m"
 
 
 def mount(*words):

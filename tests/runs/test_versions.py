@@ -24,20 +24,20 @@ from mcrim_mitsuba.effects import (
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.effects.effect import Effect, modules_of
 from mcrim_mitsuba.efficiency.eta_grid import TableUnit
-from mcrim_mitsuba.efficiency.recording import RecordBlock
+from mcrim_mitsuba.efficiency.eta_surface import GridBlock
 from mcrim_mitsuba.efficiency.simulate import TallyBlock
 from mcrim_mitsuba.runs import cache
 from mcrim_mitsuba.runs.cache import code_hash, record_versions
 
 PACKAGE = Path(cache.__file__).parents[1]
-UNITS = [kind.__module__ for kind in (TallyBlock, RecordBlock, TableUnit)]
+UNITS = [kind.__module__ for kind in (TallyBlock, GridBlock, TableUnit)]
 #: Each decides what some unit makes, and is no near neighbour of it.
 DECIDING = (
     "scene.check_text",
     "transport.plugins.bsdfs",
     "transport.surface_physics",
     "optics.thin_film",
-    "efficiency.cells",
+    "efficiency.proposals",
     "efficiency.surface",
 )
 
@@ -159,11 +159,11 @@ def test_units_need_nothing_above_them():
     below = {"__init__.py", "core", "optics", "scene", "transport", "runs", "efficiency"}
     for unit in UNITS:
         rooms = {file.relative_to(PACKAGE).parts[0] for file in imported(PACKAGE, unit)}
-        assert rooms == (below | {"effects"} if unit == TableUnit.__module__ else below)
+        assert rooms == (below if unit == TallyBlock.__module__ else below | {"effects"})
 
 
 def test_libraries_that_numbers_come_from_are_in_the_key():
-    versions = record_versions("llvm_ad_rgb", RecordBlock.__module__)
+    versions = record_versions("llvm_ad_rgb", GridBlock.__module__)
     assert {"drjit", "mitsuba", "numpy", "scipy", "llvm"} <= set(versions)
     assert not {"matplotlib", "iminuit"} & set(versions)
 

@@ -28,8 +28,8 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.efficiency import simulate as simulating
-from mcrim_mitsuba.efficiency.cells import CellSums
-from mcrim_mitsuba.efficiency.recording import RecordBlock, RecordRun
+from mcrim_mitsuba.efficiency.eta_grid import Grid, merged, table_of
+from mcrim_mitsuba.efficiency.eta_surface import EtaRequest, EtaRun, GridBlock
 from mcrim_mitsuba.runs import array_job, executors
 from mcrim_mitsuba.runs import cluster as on_cluster
 from mcrim_mitsuba.runs import scene_units as cut
@@ -39,6 +39,7 @@ from mcrim_mitsuba.runs.executors import (
     Executor,
     Job,
     ProcessExecutor,
+    current_executor,
     many_units_executor,
     pickled,
     use_executor,
@@ -55,8 +56,8 @@ TABLE = ["--alpha-scat", "0,0.3,1", "--alpha-abs", "0.039", "--n-gap", "1,1.46",
 
 def make_units_small(patch):
     """Small launches, so that short runs have many units; the workers are told what to do."""
-    patch.setattr("mcrim_mitsuba.efficiency.recording.LARGEST_LAUNCH", 2 * LANES)
-    patch.setattr("mcrim_mitsuba.efficiency.recording.FIRST_LOOK", 4 * LANES)
+    patch.setattr("mcrim_mitsuba.efficiency.eta_surface.LARGEST_LAUNCH", 2 * LANES)
+    patch.setattr("mcrim_mitsuba.efficiency.eta_surface.FIRST_LOOK", 4 * LANES)
     patch.setattr(cut, "SHORT", 3)
 
 
@@ -447,18 +448,22 @@ def test_a_scene_that_is_not_sound_is_refused_with_its_own_lines(
     assert lines[0] == lines[1] and str(path) in lines[0]
 
 
-def block(scene, **changes) -> RecordBlock:
+GRID = Grid((0.3, 0.4), (0.039, 0.05))
+
+
+def block(scene, **changes) -> GridBlock:
     given = {
         "what": "x",
         "scene": scene,
         "proposals": ScatteringProposals((0.3,), (SHARE_STEPS,), 0.039),
+        "grid": GRID,
         "seed": 1,
         "variant": "llvm_ad_rgb",
         "first": 0,
         "launches": (LANES,),
         "checked": True,
     }
-    return RecordBlock(**given | changes)
+    return GridBlock(**given | changes)
 
 
 def test_a_unit_needs_no_files_elsewhere(scenes, tmp_path):
@@ -546,26 +551,23 @@ def test_long_runs_begin_with_the_same_units():
     assert len(every) < 35  # long runs leave few files
 
 
-def test_cells_come_back_to_the_last_digit(scenes, tmp_path):
-    """What units gathered, kept and merged is what one gathers at once."""
+def test_tables_come_back_to_the_last_digit(scenes, tmp_path):
+    """What units made, kept and merged is what is made at once."""
     scene = read_scene(scenes / "camoo4.xml")
     cache = RecordCache({"x": 1}, tmp_path)
     units = [block(scene, first=n) for n in (0, 1)]
     done = list(Executor().do([Job(unit, cache) for unit in units]))
     again = list(Executor().do([Job(unit, cache) for unit in units]))
     assert [each.cached for each in (*done, *again)] == [False, False, True, True]
-    sums = []
+    tables = []
     for found in (done, again):
-        gathered = None
-        for each in found:
-            (chunk,) = each.chunks.values()
-            cells = CellSums.from_arrays(chunk.arrays, chunk.metadata)
-            gathered = cells if gathered is None else (gathered.merge(cells), gathered)[1]
-        sums.append(gathered)
-    assert sums[0].photons == 2 * LANES
-    for name in ("k", "path_cm", "weight", "weight2"):
-        assert np.array_equal(getattr(sums[0].cells(), name), getattr(sums[1].cells(), name))
-    assert np.array_equal(sums[0].batch_cells().weight, sums[1].batch_cells().weight)
+        of_units = [
+            table_of(chunk.arrays, GRID) for each in found for chunk in each.chunks.values()
+        ]
+        tables.append(merged(of_units, [LANES, LANES]))
+    assert len(tables[0].deviations) == 256
+    for name in ("log_eta", "deviations"):
+        assert np.array_equal(getattr(tables[0], name), getattr(tables[1], name))
 
 
 def test_a_damaged_unit_is_made_again_and_said(scenes, tmp_path, whole, monkeypatch, capsys):
@@ -661,6 +663,11 @@ def test_a_log_waits_for_nobody(tmp_path):
             report(what, 1, 1)
 
 
+def extend(run, photons):
+    for done in current_executor().do(run.jobs(photons), threads=None):
+        run.take(done)
+
+
 def test_the_executor_is_named_for_a_block_only(scenes):
     class Counting(Executor):
         asked = 0
@@ -671,8 +678,7 @@ def test_the_executor_is_named_for_a_block_only(scenes):
 
     executor = Counting()
     with use_executor(executor):
-        proposals = ScatteringProposals((0.3,), (SHARE_STEPS,), 0.039)
-        run = RecordRun(read_scene(scenes / "camoo4.xml"), proposals, Run())
-        run.extend(4 * LANES)
-    run.extend(8 * LANES)
+        run = EtaRun(EtaRequest("x", read_scene(scenes / "camoo4.xml"), [(0.3, 0.039)], Run()))
+        extend(run, 4 * LANES)
+    extend(run, 8 * LANES)
     assert executor.asked == 1 and run.photons == 8 * LANES

@@ -7,7 +7,6 @@ import numpy as np
 from places import cases_of
 from refusals import refusal
 
-from mcrim_mitsuba.efficiency.recording import surfaces_answer
 from mcrim_mitsuba.runs.scene_units import PortableScene
 from mcrim_mitsuba.scene.scene_file import (
     DefaultParameter,
@@ -169,18 +168,3 @@ def test_define():
     assert parse_define("n_gap = 1.46") == ("n_gap", "1.46")
     for text in ("n_gap", "=1", "n_gap=", "n gap=1"):
         assert "write for example -D n_gap=1.46" in refusal(parse_define, text)
-
-
-def test_a_gradient_that_is_no_number_is_refused_with_its_line(tmp_path):
-    medium = '<medium type="scintillator" id="crystal"/>'
-    number = '<float name="scattering_gradient" value="steep"/>'
-    steep = f'<medium type="bulk" id="crystal">{number}</medium>'
-    path = tmp_path / "scene.xml"
-    for text, answers in (("0", True), ("-0.2", False)):
-        path.write_text(
-            SCENE.replace(medium, steep.replace('"steep"', f'"{text}"')), encoding="utf-8"
-        )
-        assert surfaces_answer(read_scene(path)) is answers
-    path.write_text(SCENE.replace(medium, steep), encoding="utf-8")
-    refused = refusal(surfaces_answer, read_scene(path))
-    assert "scene.xml, line 27: scattering_gradient = 'steep'" in refused

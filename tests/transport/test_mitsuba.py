@@ -18,7 +18,7 @@ from scipy.stats import chisquare
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.recording import record_surface
+from mcrim_mitsuba.efficiency.eta_surface import record_surface
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.bulk import lane_generators
 from mcrim_mitsuba.transport.simulation import Simulation

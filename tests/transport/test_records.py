@@ -15,15 +15,23 @@ import drjit as dr
 import numpy as np
 import pytest
 from comparisons import eta_slope
+from refusals import refusal
 from scipy.stats import chi2, norm
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.bench import Bench
+from mcrim_mitsuba.efficiency.eta_grid import Grid
+from mcrim_mitsuba.efficiency.eta_surface import (
+    EtaRequest,
+    EtaRun,
+    EtaSurface,
+    record_surface,
+    record_surfaces,
+)
 from mcrim_mitsuba.efficiency.polished_box import solve_box
-from mcrim_mitsuba.efficiency.recording import RecordRun, record_surface
-from mcrim_mitsuba.efficiency.reweighting import EtaSurface, choose_proposals, improve_shares
+from mcrim_mitsuba.runs.executors import current_executor
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport import record_store
 from mcrim_mitsuba.transport.bulk import GENERATORS, BirthLattice
@@ -184,7 +192,8 @@ def test_records_of_a_curved_scene_are_those_of_the_flat_one(bench, scenes, tmp_
         )
         sigma = np.hypot(one.std() / np.sqrt(len(one)), two.std() / np.sqrt(len(two)))
         assert abs(one.mean() - two.mean()) <= 4 * sigma, name
-    etas = [EtaSurface.of(each).evaluate(0.54, 0.039) for each in (flat, curved)]
+    grid = Grid((0.54, 0.6), (0.039, 0.05))
+    etas = [EtaSurface.of(grid, each).evaluate(0.54, 0.039) for each in (flat, curved)]
     assert abs(etas[0].eta - etas[1].eta) < 4 * np.hypot(etas[0].sigma, etas[1].sigma)
 
 
@@ -246,69 +255,72 @@ def test_even_births_lower_the_error_and_the_error_says_so(bench):
     assert np.mean(stated) < 0.93 * independent
 
 
-def test_shares_follow_what_is_asked(bench):
-    run = RecordRun(bench, choose_proposals(0.02, 2.0, 0.039), Run(seed=2))
-    run.extend(262_144)
-    little = improve_shares(run.surface, [(0.02, 0.039), (0.03, 0.039)])
-    much = improve_shares(run.surface, [(1.8, 0.039), (2.0, 0.039)])
-    for proposals in (little, much):
-        assert sum(proposals.units) == SHARE_STEPS and proposals.units[0] >= 1
-    centre = [np.dot(p.units, p.alpha_scat_per_cm) / SHARE_STEPS for p in (little, much)]
-    assert centre[0] < 0.1 and centre[1] > 1.0
-    # and they pay: the worst error falls at the same number of photons
-    points = [(a_s, 0.039) for a_s in np.geomspace(0.02, 2.0, 8)]
-    equal, better = (
-        RecordRun(bench, proposals, Run(seed=3))
-        for proposals in (
-            choose_proposals(0.02, 2.0, 0.039),
-            improve_shares(run.surface, points),
-        )
-    )
-    worst = []
-    for each in (equal, better):
-        each.extend(524_288)
-        worst.append(each.surface.relative_sigmas(points).max())
-    assert worst[1] < 0.95 * worst[0]
-
-
-def test_the_part_that_stays_is_what_total_reflection_traps(bench):
-    """Of all directions a cube in air traps those outside of six cones, which do not overlap.
-
-    Other light leaks at some rate, and scatters again where it scatters often: the part rises.
-    """
-    run = RecordRun(bench, choose_proposals(0.02, 6.0, 0.003), Run(seed=1))
-    run.extend(262_144)
-    shares = run.surface._trapped_shares
-    cones = 3.0 * (1.0 - np.sqrt(1.0 - 1.0 / 2.01**2))
-    # its standard error is 0.005; light of 0.026 /cm that leaks scatters in 1 or 2 of 100 cases
-    assert 0.98 * (1.0 - cones) < shares[0] < 1.05 * (1.0 - cones)
-    assert np.all(np.diff(shares) > 0.0) and 0.9 < shares[-1] < 1.0
-    # what was chosen to cover a range covers it
-    for a_s in np.geomspace(0.02, 6.0, 40):
-        assert run.surface._falls_per_cm(a_s, 0.003) > 0.0, a_s
-
-
 def test_wide_ranges_stay_small_and_right(bench):
-    """Light that scatters thousands of times fills no memory with cells, and its eta is right."""
-    run = RecordRun(bench, choose_proposals(1.0, 50.0, 0.039), Run(seed=5))
-    run.extend(131_072)
-    surface = run.surface
-    assert len(surface._batch_cells.k) < 40_000
-    for a_s in (1.0, 50.0):
+    """Light that scatters thousands of times takes no more memory, and its eta is right."""
+    points = [(1.0, 0.039), (50.0, 0.039)]
+    surface, _ = record_surface(bench, points, run=Run(131_072, seed=5))
+    assert np.prod(surface.grid.counts) < 100
+    for a_s, a_a in points:
         alone = Simulation(bench, {ALPHA_SCAT: a_s}, check=False).collect(65_536, seed=6)
-        point = surface.evaluate(a_s, 0.039)
+        point = surface.evaluate(a_s, a_a)
         difference = point.eta - alone.eta
         assert abs(difference) < 4 * np.hypot(point.sigma, alone.eta_sigma), a_s
 
 
+def test_uneven_scattering_is_answered_as_it_is_simulated(scenes, tmp_path):
+    """The path that scattering counts is another one there than that which absorption does."""
+    path = tmp_path / "graded.xml"
+    text = (scenes / "camoo4.xml").read_text()
+    graded = '<float name="scattering_gradient" value="0.9"/>'
+    place = text.index("</medium>")
+    path.write_text(text[:place] + graded + text[place:])
+    points = [(0.1, 0.01), (0.8, 0.1)]
+    surface, _ = record_surface(read_scene(path), points, run=Run(524_288, seed=5))
+    for number, (a_s, a_a) in enumerate(points):
+        values = {ALPHA_SCAT: a_s, ALPHA_ABS: a_a}
+        alone = Simulation(path, values, check=False).collect(524_288, seed=6 + number)
+        point = surface.evaluate(a_s, a_a)
+        difference = point.eta - alone.eta
+        assert abs(difference) < 4 * np.hypot(point.sigma, alone.eta_sigma), a_s
+
+
+def test_a_gradient_that_is_no_number_is_refused_with_its_line(scenes, tmp_path):
+    path = tmp_path / "scene.xml"
+    lines = (scenes / "camoo4.xml").read_text().splitlines()
+    place = next(i for i, line in enumerate(lines) if "</medium>" in line)
+    lines.insert(place, '<float name="scattering_gradient" value="steep"/>')
+    path.write_text("\n".join(lines))
+    refused = refusal(record_surface, read_scene(path), [(0.5, 0.039)], run=Run(LANES))
+    assert f"scene.xml, line {place + 1}" in refused and '"steep"' in refused
+
+
+def test_a_precision_is_reached_and_no_more(bench):
+    """By an error that is known to 4 %, and the least step of photons."""
+    points = [(a_s, 0.039) for a_s in np.geomspace(0.1, 1.0, 5)]
+    ((surface, run),) = record_surfaces(
+        [EtaRequest("x", bench, points, Run(precision=0.0025, seed=3))]
+    )
+    worst = surface.relative_sigmas(points).max()
+    assert 0.8 * 0.0025 < worst <= 0.0025
+    assert run.photons < 4_000_000
+
+
+def extended(request, *photons):
+    """A run that had so many photons, one after the other."""
+    run = EtaRun(request)
+    for count in photons:
+        for done in current_executor().do(run.jobs(count), threads=None):
+            run.take(done)
+    return run
+
+
 def test_more_photons_later_are_the_same_as_at_once(bench):
-    proposals = choose_proposals(0.2, 1.0, 0.039)
-    at_once, later = (RecordRun(bench, proposals, Run(seed=4)) for _ in range(2))
-    at_once.extend(262_144)
-    later.extend(65_536)
-    later.extend(262_144)
+    request = EtaRequest("x", bench, [(0.2, 0.039), (1.0, 0.039)], Run(seed=4))
+    at_once, later = extended(request, 262_144), extended(request, 65_536, 262_144)
+    assert at_once.photons == later.photons == 262_144
     points = [run.surface.evaluate(0.54, 0.039) for run in (at_once, later)]
-    assert points[0] == points[1]
+    assert points[0].eta == pytest.approx(points[1].eta, rel=1e-7)
+    assert points[0].sigma == pytest.approx(points[1].sigma, rel=1e-4)
 
 
 TABLE = ["--alpha-scat", "0.05:2:20", "--alpha-abs", "0.014,0.072", "--n-gap", "1.0,1.46"]
@@ -371,23 +383,19 @@ def test_killed_at_any_moment_the_next_run_goes_on(scenes, tmp_path):
 def test_cache_knows_what_determines_records(bench, tmp_path, monkeypatch):
     monkeypatch.setenv("MCRIM_CACHE", str(tmp_path))
 
-    def run(overrides=None, seed=1, photons=LANES, proposals=(0.3, 0.9)):
-        made = RecordRun(
-            bench.with_overrides(overrides or {}),
-            ScatteringProposals(proposals, (32, 32), 0.039),
-            Run(seed=seed, check=False),
-        )
-        made.extend(photons)
-        return made
+    def run(overrides=None, seed=1, photons=LANES, most=0.9):
+        points = [(0.3, 0.039), (most, 0.05)]
+        scene = bench.with_overrides(overrides or {})
+        return extended(EtaRequest("x", scene, points, Run(seed=seed, check=False)), photons)
 
     first, again = run(), run()
     assert (first.cached_photons, again.cached_photons) == (0, LANES)
-    assert first.surface.evaluate(0.5, 0.05) == again.surface.evaluate(0.5, 0.05)
+    assert first.surface.evaluate(0.5, 0.045) == again.surface.evaluate(0.5, 0.045)
     assert run(photons=6 * LANES).cached_photons == 0  # another first launch
     for changed in (
         {"overrides": {"n_gap": 1.46}},
         {"seed": 2},
-        {"proposals": (0.3, 0.8)},
+        {"most": 0.8},
         {"overrides": {"polarization": True}},
     ):
         assert run(**changed).cached_photons == 0, changed
@@ -399,16 +407,15 @@ def test_a_scene_edited_meanwhile_leaves_no_trace_in_the_cache(bench, tmp_path, 
     path = tmp_path / "edited.xml"
     text = bench.path.read_text()
     path.write_text(text)
-    proposals = ScatteringProposals((0.5,), (SHARE_STEPS,), 0.039)
-    run = RecordRun(read_scene(path), proposals, Run(check=False))
+    points = [(0.5, 0.039)]
+    request = EtaRequest("x", read_scene(path), points, Run(check=False))
     path.write_text(
         text.replace('name="crystal_height_mm" value="10"', 'name="crystal_height_mm" value="20"')
     )
     with pytest.raises(InputError, match="changed while it was being used"):
-        run.extend(LANES)
+        extended(request, LANES)
     path.write_text(text)
-    again = RecordRun(read_scene(path), proposals, Run(check=False))
-    again.extend(LANES)
+    again = extended(EtaRequest("x", read_scene(path), points, Run(check=False)), LANES)
     assert again.cached_photons == 0
 
 
