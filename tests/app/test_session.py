@@ -223,7 +223,7 @@ def test_samples_are_fitted_and_shown_side_by_side(files, scenes):
         known = {"alpha_abs_cawo4_per_cm": Known(HELD), "scale_cawo4": Known(PRIOR, 230.0, 5.0)}
         held = fitted(session, known=known)
         assert session.state.steps[-1].words == (
-            "absorption of cawo4 held at 0.05732, scale of cawo4 known to be 230.0 ± 5.0"
+            "absorption of cawo4 held at 0.05734, scale of cawo4 known to be 230.0 ± 5.0"
         )
         written = downloaded(session, folder / "got")
     with opened(written, folder) as other:  # each in its sample's table
