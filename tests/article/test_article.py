@@ -373,11 +373,12 @@ def test_the_two_claims_on_the_transmittance(result):
     assert {fitted.verdict, sphere.verdict} == {INCONSISTENT}
     forward = row(rows, "the same into a sphere, scattering forward (g = 0.9)")
     assert forward.ours == pytest.approx(70.8, abs=0.4) and "ratio of 0.5" in forward.remark
-    # what is known of the bench takes from the misfit: chi2's Monte Carlo error is 0.4 here
+    # what is known of the bench takes from the misfit; by 16 times the photons chi2 is 4.6 to 5.1,
+    # and 5.2 to 5.8: its Monte Carlo error is 1 here
     known, ignorant = found.diagnosis.baseline, found.ignorant
     assert (known.ndf, ignorant.ndf) == (1, 1)
     assert known.chi2 == pytest.approx(4.3, abs=1.2)
-    assert ignorant.chi2 == pytest.approx(5.8, abs=1.2) and ignorant.chi2 > known.chi2
+    assert ignorant.chi2 == pytest.approx(5.5, abs=1.2) and ignorant.chi2 > known.chi2
     claims = contradiction.sentences(found)
     assert "44 %, or 50 % into a sphere" in claims[0] and "standard errors" in claims[1]
     assert "over this catalogue with these priors" in claims[2]
