@@ -50,7 +50,8 @@ _COARSE_NODES = (1.0, 1.3), (2.0, 0.85)
 #: Stands for no scattering where a logarithm is taken.
 _HARDLY_ANY_PER_CM = 1e-9
 #: Largest and smallest offset of alpha_abs.
-_OFFSET_PER_CM, _LEAST_OFFSET_PER_CM = 0.02, 0.001
+_OFFSET_PER_CM = 0.02
+_LEAST_OFFSET_PER_CM = 0.001
 
 
 @dataclass(frozen=True)
@@ -151,6 +152,11 @@ class EtaGrid:
         return float(
             self.deviations[:, rows // 2, columns // 2].std(ddof=1) / np.sqrt(len(self.deviations))
         )
+
+
+def standard_error(batches: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Standard error of the mean of (batches, ...) values."""
+    return np.asarray(batches.std(axis=0, ddof=1) / math.sqrt(len(batches)), np.float64)
 
 
 def merged(tables: Sequence[EtaGrid], photons: Sequence[int]) -> EtaGrid:
@@ -311,8 +317,6 @@ def _log_mixture(
 # One simulation with the tables of eta that are made of its photons: a unit of diagnoses.
 
 MASK, ANGLE = "mask_radius_mm", "arrival_angle_deg"
-#: What a chunk holds, flattened.
-_COLUMNS = ("log_eta", "deviations")
 #: Tables that are made at once.
 _AT_ONCE = 2
 
@@ -435,9 +439,13 @@ class TableUnit(SceneUnit):
             if request.of_beam and request.radius_mm is not None:
                 within = columns[ANGLE] <= request.radius_mm
                 weight = within if weight is None else within * weight
-            table = gathering.table(weight, colours)
-            made.append((request.number, ({n: getattr(table, n).ravel() for n in _COLUMNS}, {})))
+            made.append((request.number, content_of(gathering.table(weight, colours))))
         return made
+
+
+def content_of(table: EtaGrid) -> Content:
+    """What a chunk holds of a table."""
+    return {"log_eta": table.log_eta.ravel(), "deviations": table.deviations.ravel()}, {}
 
 
 def table_of(arrays: Mapping[str, NDArray], grid: Grid) -> EtaGrid:

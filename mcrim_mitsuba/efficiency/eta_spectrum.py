@@ -23,6 +23,7 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, as_attributes
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.efficiency.eta_grid import standard_error
 from mcrim_mitsuba.efficiency.eta_surface import EtaRequest, record_surfaces
 from mcrim_mitsuba.efficiency.surface import Coefficients, Lagrange, chebyshev_nodes
 from mcrim_mitsuba.scene.emitted_light import EFFICIENCY, EMISSION, EmittedLight
@@ -127,7 +128,7 @@ def eta_over(
     return EtaSpectrum(
         light=light,
         eta=eta[:-1],
-        eta_sigma=_error(batches[:, :-1]),
+        eta_sigma=standard_error(batches[:, :-1]),
         **_means(light, batches),
         interpolation_error=float(np.abs(off).max()),
         nodes_nm=tuple(plan.nodes_nm.tolist()),
@@ -243,7 +244,7 @@ def _means(light: EmittedLight, batches: Array) -> dict[str, float]:
     }
     numbers = {"efficiency_emitted": efficiency}
     for name, (mean, off) in means.items():
-        numbers[name], numbers[f"{name}_sigma"] = float(mean), float(mean * _error(off))
+        numbers[name], numbers[f"{name}_sigma"] = float(mean), float(mean * standard_error(off))
     # a quotient so far; by how much it is off is its difference to 1
     numbers["one_wavelength_off"] -= 1.0
     return numbers
@@ -271,8 +272,3 @@ def _between(nodes_nm: Array, wavelength_nm: Array) -> tuple[Array, Array]:
         kept = np.sort(np.argsort(np.abs(x - place), kind="stable")[:-1])
         row[kept] = Lagrange(x[kept]).weights(float(place))[0]
     return Lagrange(x).weights_at(at), fewer
-
-
-def _error(batches: Array) -> Array:
-    """Standard error of the mean of (batches, ...) values."""
-    return np.asarray(batches.std(axis=0, ddof=1) / math.sqrt(len(batches)), float)

@@ -18,7 +18,15 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run, one_thread
-from mcrim_mitsuba.efficiency.eta_grid import EtaGrid, Grid, GridReweighter, merged, table_of
+from mcrim_mitsuba.efficiency.eta_grid import (
+    EtaGrid,
+    Grid,
+    GridReweighter,
+    content_of,
+    merged,
+    standard_error,
+    table_of,
+)
 from mcrim_mitsuba.efficiency.proposals import SMALLEST_PER_CM, choose_proposals
 from mcrim_mitsuba.efficiency.surface import Coefficients, EfficiencySurface, EtaPoint
 from mcrim_mitsuba.runs.cache import record_versions
@@ -40,7 +48,8 @@ _MARGIN = 1.06
 #: Relative error, of about a hundred photons, above which neither eta nor its error is trusted.
 _LARGEST_ERROR = 0.1
 #: Upper end of a range over its lower one, at least, and what is added to that of alpha_abs.
-_SHORTEST, _LEAST_PER_CM = 1.2, 0.01
+_SHORTEST = 1.2
+_LEAST_PER_CM = 0.01
 #: Number of what the cache holds; another layout gets another one.
 _LAYOUT = 1
 
@@ -70,7 +79,6 @@ class EtaSurface(EfficiencySurface):
         alpha_abs_per_cm: float,
         *,
         check: bool = True,
-        **scene_parameters: float,
     ) -> EtaPoint:
         point = alpha_scat_per_cm, alpha_abs_per_cm
         self._refuse_out_of_range(*point)
@@ -111,19 +119,26 @@ class EtaSurface(EfficiencySurface):
 
     def etas(self, points: Sequence[Coefficients]) -> NDArray[np.float64]:
         """(points,) eta, unchecked."""
-        weights = self.grid.weights_at(*np.array(points, dtype=np.float64).T)
-        return np.exp(weights @ self._table.log_eta.ravel())
+        return self._etas_by(self._weights(points))
 
     def batches(self, points: Sequence[Coefficients]) -> NDArray[np.float64]:
         """(batches, points) eta as every batch alone finds it."""
-        weights = self.grid.weights_at(*np.array(points, dtype=np.float64).T)
+        weights = self._weights(points)
         flat = self._table.deviations.reshape(len(self._table.deviations), -1)
-        return self.etas(points) * (1.0 + flat @ weights.T)
+        return self._etas_by(weights) * (1.0 + flat @ weights.T)
 
     def relative_sigmas(self, points: Sequence[Coefficients]) -> NDArray[np.float64]:
         """(points,) sigma / eta, unchecked; NaN where no light arrives."""
         batches = self.batches(points)
-        return batches.std(axis=0, ddof=1) / math.sqrt(len(batches)) / batches.mean(axis=0)
+        return standard_error(batches) / batches.mean(axis=0)
+
+    def _weights(self, points: Sequence[Coefficients]) -> NDArray[np.float64]:
+        """(points, nodes) weights of the grid's nodes."""
+        return self.grid.weights_at(*np.array(points, dtype=np.float64).T)
+
+    def _etas_by(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(points,) eta by the weights of the nodes."""
+        return np.exp(weights @ self._table.log_eta.ravel())
 
     def _refuse_out_of_range(self, *point: float) -> None:
         """Refuse coefficients that were not simulated."""
@@ -164,11 +179,7 @@ class GridBlock(LaunchBlock):
                     before.result()
                 tables.append(weigher.submit(_table, records, self.grid))
             whole = merged([table.result() for table in tables], self.launches)
-        arrays: dict[str, NDArray] = {
-            "log_eta": whole.log_eta.ravel(),
-            "deviations": whole.deviations.ravel(),
-        }
-        return {self.numbers[0]: (arrays, {})}
+        return {self.numbers[0]: content_of(whole)}
 
 
 def _table(records: PhotonRecords, grid: Grid) -> EtaGrid:

@@ -147,13 +147,11 @@ class EfficiencySurface(ABC):
         alpha_abs_per_cm: float,
         *,
         check: bool = True,
-        **scene_parameters: float,
     ) -> EtaPoint:
         """Efficiency, its error and its gradient at one point.
 
-        `scene_parameters` are further ones of the surface, in the units of their names. Raises
-        InputError outside the surface's range, and where its photons say too little; a search that
-        only passes through may do without this `check`.
+        Raises InputError outside the surface's range, and where its photons say too little; a
+        search that only passes through may do without this `check`.
         """
 
     @abstractmethod

@@ -33,7 +33,7 @@ from mcrim_mitsuba.inference.drivers import Minimum, find_minima, newton
 from mcrim_mitsuba.inference.explanations import plausible_priors
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model, result_of
 from mcrim_mitsuba.inference.model import ResponseModel, acts_on, held
-from mcrim_mitsuba.inference.settings import EXTENT, USUAL
+from mcrim_mitsuba.inference.settings import EXTENT, ONE_SIGMA, USUAL
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.scene.spectrophotometer import (
     ACCEPTANCE,
@@ -187,7 +187,7 @@ class CampaignSimulations:
     def _goes_beyond(self, minimum: Minimum) -> Beyond:
         """At which ends the readings ask for scattering that the simulations do not cover.
 
-        They do where chi2 has not risen by 1 up to there, and the campaign allows more.
+        They do where chi2 has not risen by `ONE_SIGMA` up to there, and the campaign allows more.
         """
         statistic, beyond = minimum.statistic, list(self._beyond)
         for place, bounds in enumerate(statistic.free):
@@ -200,7 +200,7 @@ class CampaignSimulations:
                 start[place] = end
                 if goes_on[side]:
                     _, chi2, _ = newton(statistic, start, minimum.weights, held=[place])
-                    beyond[side] |= chi2 < minimum.chi2 + 1.0
+                    beyond[side] |= chi2 < minimum.chi2 + ONE_SIGMA
         return Beyond(*beyond)
 
     def fit(self) -> Calibration:

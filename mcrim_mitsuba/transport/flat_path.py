@@ -141,13 +141,13 @@ class FlatPath:
         self._numbers: dict[float, mi.Float] = {}
         self._behind = self._number(-100.0 * self._slack_mm)
         solids = convex_solids(model)
-        folds = [s for s in solids if s.volume == fold and FoldedBody.suits(model, s)]
-        self._bodies = [
-            (FoldedBody if solid in folds else ConvexBody)(
-                model, solid, lambda i: self._shape(faces[i]), self._number
-            )
-            for solid in solids
-        ]
+
+        def body(solid: Solid) -> ConvexBody:
+            folds = solid.volume == fold and FoldedBody.suits(model, solid)
+            kind = FoldedBody if folds else ConvexBody
+            return kind(model, solid, lambda i: self._shape(faces[i]), self._number)
+
+        self._bodies = [body(solid) for solid in solids]
         self.folded = next((b for b in self._bodies if isinstance(b, FoldedBody)), None)
         # numbers of the faces that are tested one by one, their interior and exterior, their bounds
         self._alone = [
