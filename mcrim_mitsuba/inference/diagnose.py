@@ -91,9 +91,10 @@ class FinalStep(RepairStep):
 
 def final_step(last: RepairStep, final: Calibration) -> FinalStep:
     """What follows the last step of a repair, by the fit of the mended campaign."""
+    squares = [row.pull**2 for row in final.rows if row.use]
     unknown = dict.fromkeys(("added", "left_out_error", "delta_chi2_sigma"))
     fields = {name: getattr(final, name) for name in ("chi2", "ndf", "p_value", "parameters")}
-    fields |= {"rms_pull": rms_pull(final.minimum), "title": "all simulated together"}
+    fields |= {"rms_pull": (sum(squares) / len(squares)) ** 0.5, "title": "all simulated together"}
     return FinalStep(**vars(last) | unknown | fields)
 
 
