@@ -11,6 +11,7 @@ from rich.console import Group
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
+from mcrim_mitsuba.cli.options import option
 from mcrim_mitsuba.cli.terminal import console
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import refuse_to_replace
@@ -277,18 +278,17 @@ def report(campaign, path, json_file, work) -> None:
 
 @click.command(short_help="Show where a campaign's errors come from.")
 @options.campaign
-@click.option(
+@option(
     "--material",
-    metavar="NAME",
-    help="What the crystal is made of, such as CaMoO4 (default: what the campaign says): "
+    "NAME",
+    "What the crystal is made of, such as CaMoO4 (default: what the campaign says): "
     "its indices, and how it stops gammas, are then known.",
 )
 @options.file("--emission", "Emission spectrum (default: the campaign's, else a Gaussian band).")
-@click.option(
+@option(
     "--wavelength-nm",
-    type=options.Number(200, 2000),
-    metavar="NM",
-    help="Maximum of that Gaussian band (default: the material's).",
+    options.Number("NM", 200, 2000),
+    "Maximum of that Gaussian band (default: the material's).",
 )
 @options.file(
     "--map",
@@ -329,11 +329,11 @@ _PATIENCE_SECONDS = 5.0
 
 @click.command(short_help="Open a campaign in the browser, with sliders and switches.")
 @options.campaign
-@click.option(
+@option(
     "--port",
-    type=options.Whole(1, 65535),
+    options.Whole(1, 65535),
+    "Where the page is (default: one that is free).",
     metavar="NUMBER",
-    help="Where the page is (default: one that is free).",
 )
 @click.option("--no-browser", is_flag=True, help="Only print the page's address.")
 @options.effect_photons

@@ -91,12 +91,10 @@ def float_of(what: str, text: str, *, percent: bool) -> float:
 
 
 class Number(Written):
-    """A finite number within bounds in the option's unit, both included."""
+    """A finite number within bounds in the option's unit, both included; helps show `metavar`."""
 
-    name = "number"
-
-    def __init__(self, least: float = -math.inf, most: float = math.inf) -> None:
-        self.least, self.most = least, most
+    def __init__(self, metavar: str, least: float = -math.inf, most: float = math.inf) -> None:
+        self.name, self.least, self.most = metavar, least, most
 
     def read(self, what: str, text: str) -> float:
         number = parse_number(what, text)
@@ -119,6 +117,10 @@ class Whole(click.IntRange):
 
 class Folder(click.Path):
     """A folder; the empty name, often a variable that is not set, would be the one one is in."""
+
+    def __init__(self, metavar: str = "FOLDER") -> None:
+        super().__init__()
+        self.name = metavar
 
     def convert(self, value, param, ctx):
         if not value:
@@ -211,26 +213,42 @@ def read_defines(ctx, param, values, example: str = "n_gap=1.46") -> dict[str, s
     return defined
 
 
-defines = click.option(
-    "-D",
-    "overrides",
-    multiple=True,
-    metavar="NAME=VALUE",
-    callback=read_defines,
-    help="Override a scene parameter (may be repeated); mm, 1/cm.",
+def option(
+    flag: str, kind: click.ParamType | str, explained: str, *name: str, **further: Any
+) -> Callable[..., Any]:
+    """An option of a kind, or a text that helps show as this metavar; its default is shown.
+
+    `name` is the verb's for it, if not that of the flag; `further` what else click takes.
+    """
+    settings: dict[str, Any] = {"metavar": kind} if isinstance(kind, str) else {"type": kind}
+    settings |= {"help": explained, "show_default": "default" in further, **further}
+    return click.option(flag, *name, **settings)
+
+
+def defined(flag: str, metavar: str, explained: str, name: str, example: str = "n_gap=1.46"):
+    """An option like ``-D``, which may be repeated: the verb gets a dictionary."""
+    read = functools.partial(read_defines, example=example)
+    return option(flag, metavar, explained, name, multiple=True, callback=read)
+
+
+defines = defined(
+    "-D", "NAME=VALUE", "Override a scene parameter (may be repeated); mm, 1/cm.", "overrides"
 )
 
 
-def file(option: str, explained: str, *name: str, metavar: str = "FILE"):
-    """An option that names a file; `name` is the verb's for it, if not that of the option."""
-    return click.option(option, *name, type=click.Path(), metavar=metavar, help=explained)
+def file(flag: str, explained: str, *name: str, metavar: str = "FILE", **further: Any):
+    """An option that names a file; parameters as of `option`."""
+    return option(flag, metavar, explained, *name, type=click.Path(), **further)
 
 
 def output(metavar: str, explained: str, name: str = "path", **further: Any):
     """``--output``; `name` is the verb's for it, `further` what else click takes."""
-    return click.option(
-        "-o", "--output", name, type=click.Path(), metavar=metavar, help=explained, **further
-    )
+    return file("-o", explained, "--output", name, metavar=metavar, **further)
+
+
+def folder(explained: str, **further: Any):
+    """``--output`` of a verb that writes several files."""
+    return option("-o", Folder(), explained, "--output", "folder", **further)
 
 
 json_output = file("--json", "Write the result as JSON; - for the screen.", "json_file")
@@ -245,21 +263,19 @@ deposits = file(
 def depth(least: float, end: str = ".", **further: Any):
     """``--depth``, `least` mm or more; `end` of its help, `further` what else click takes."""
     words = f"1/e depth of gammas that stop near a face, for --map{end}"
-    of_mm: dict[str, Any] = {"type": Number(least), "metavar": "MM", "help": words}
-    return click.option("--depth", "depth_mm", **of_mm, **further)
+    return option("--depth", Number("MM", least), words, "depth_mm", **further)
 
 
-seed = click.option(
+seed = option(
     "--seed",
-    type=Whole(0, LARGEST_SEED),
+    Whole(0, LARGEST_SEED),
+    "Seed of the random numbers: the same seed gives the same result.",
     default=0,
-    show_default=True,
-    help="Seed of the random numbers: the same seed gives the same result.",
 )
-precision = click.option(
+precision = option(
     "--precision",
-    type=Precision(),
-    help="Relative standard error to reach, such as 0.2%; photons are spent until then.",
+    Precision(),
+    "Relative standard error to reach, such as 0.2%; photons are spent until then.",
 )
 
 
@@ -268,22 +284,17 @@ def photons(default: str, *, at_most: bool = False, further: str = ""):
 
     `further` are sentences on what else may be spent.
     """
-    return click.option(
-        "--photons",
-        type=PhotonCount(),
-        help=f"Photons to follow, such as 2e6 (default: {default})"
-        + ("; with --precision, at most." if at_most else ".")
-        + (further and f" {further}"),
-    )
+    words = f"Photons to follow, such as 2e6 (default: {default})"
+    words += "; with --precision, at most." if at_most else "."
+    return option("--photons", PhotonCount(), words + (further and f" {further}"))
 
 
-method = click.option(
+method = option(
     "--method",
-    type=click.Choice(("photons", "modes")),
-    default="photons",
-    show_default=True,
-    help="Follow photons, or solve for a polished box by modes: in milliseconds, without noise, "
+    click.Choice(("photons", "modes")),
+    "Follow photons, or solve for a polished box by modes: in milliseconds, without noise, "
     "to --precision or as well as it can be.",
+    default="photons",
 )
 
 
@@ -294,19 +305,11 @@ def figure(what: str):
 
 def machine(function):
     """``--threads`` and ``--variant``."""
-    function = click.option(
-        "--threads",
-        type=Whole(1, 1024),
-        callback=_read_threads,
-        help="Processor threads (default: all).",
-    )(function)
-    return click.option(
-        "--variant",
-        default="llvm_ad_rgb",
-        show_default=True,
-        callback=_read_variant,
-        help="Mitsuba variant; cuda_ad_rgb needs an NVIDIA GPU.",
-    )(function)
+    words = "Processor threads (default: all)."
+    threads = option("--threads", Whole(1, 1024), words, callback=_read_threads)
+    words = "Mitsuba variant; cuda_ad_rgb needs an NVIDIA GPU."
+    variant = option("--variant", "TEXT", words, default=DEFAULT_VARIANT, callback=_read_variant)
+    return variant(threads(function))
 
 
 def _read_threads(ctx, param, value) -> int | None:
@@ -338,15 +341,10 @@ def complete_effects(ctx, param, incomplete: str) -> list[str]:
     return [before + comma + name for name in sorted(BUILT_IN) if name.startswith(last)]
 
 
-def effects(option: str, explained: str):
+def effects(flag: str, explained: str):
     """An option that names effects."""
-    return click.option(
-        option,
-        metavar="EFFECT[,EFFECT]",
-        default="",
-        help=explained,
-        shell_complete=complete_effects,
-    )
+    empty = {"default": "", "show_default": False}
+    return option(flag, "EFFECT[,EFFECT]", explained, shell_complete=complete_effects, **empty)
 
 
 #: Where the command's context keeps whether effects may be executed unasked.
@@ -510,23 +508,18 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
     for decorate in (
         json_output,
         file("--log", "Append the progress, unit by unit, to this file."),
-        click.option(
-            "--units",
-            type=Folder(),
-            metavar="FOLDER",
-            default=DEFAULT_FOLDER,
-            show_default=True,
-            help="Folder that the parts of --unit share.",
+        option(
+            "--units", Folder(), "Folder that the parts of --unit share.", default=DEFAULT_FOLDER
         ),
-        click.option(
+        option(
             "--unit",
-            metavar="K/N",
-            help="Do part K of N only, as one job of an array; `mcrim merge` puts them together.",
+            "K/N",
+            "Do part K of N only, as one job of an array; `mcrim merge` puts them together.",
         ),
-        click.option(
+        option(
             "--cluster",
-            metavar="ADDRESS",
-            help="Let the workers of a Dask scheduler do the work (tcp://host:8786).",
+            "ADDRESS",
+            "Let the workers of a Dask scheduler do the work (tcp://host:8786).",
         ),
         run,
     ):

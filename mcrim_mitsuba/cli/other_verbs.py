@@ -11,6 +11,7 @@ from rich.text import Text
 
 from mcrim_mitsuba import effects
 from mcrim_mitsuba.cli import options, showing, terminal
+from mcrim_mitsuba.cli.options import option
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import STDOUT, make_folder, refuse_to_replace, write_text
 from mcrim_mitsuba.core.rounding import capital
@@ -90,20 +91,11 @@ def _refuse_other_versions(units: UnitFolder, command: dict) -> None:
 
 
 @click.command(short_help="Reproduce the article: its numbers beside ours.")
-@click.option(
-    "-o",
-    "--output",
-    "folder",
-    default="mcrim_paper",
-    show_default=True,
-    type=options.Folder(),
-    metavar="FOLDER",
-    help="Where the figures go: PNG, PDF and CSV.",
-)
-@click.option(
+@options.folder("Where the figures go: PNG, PDF and CSV.", default="mcrim_paper")
+@option(
     "--photons",
-    type=options.PhotonCount(),
-    help="Photons of each of four efficiency surfaces (default: 8e6); "
+    options.PhotonCount(),
+    "Photons of each of four efficiency surfaces (default: 8e6); "
     "single configurations get a tenth.",
 )
 @options.work
@@ -150,20 +142,12 @@ def _listing() -> str:
 @click.argument("effect", shell_complete=options.complete_effects)
 @options.scene
 @options.output("NEW.xml", "The new scene; - for the screen. Never replaces a file.", required=True)
-@click.option(
-    "-D",
-    "values",
-    multiple=True,
-    metavar="NAME=VALUE",
-    callback=options.read_defines,
-    help="A value of the effect (may be repeated); mm, 1/cm.",
-)
-@click.option(
+@options.defined("-D", "NAME=VALUE", "A value of the effect (may be repeated); mm, 1/cm.", "values")
+@option(
     "--effects-folder",
+    options.Folder("DIR"),
+    "Folder of effects of your own (*.py, which are executed).",
     "folder",
-    type=options.Folder(),
-    metavar="DIR",
-    help="Folder of effects of your own (*.py, which are executed).",
 )
 @options.trust_effects("--effects-folder")
 def add(effect, scene, path, values, folder) -> None:

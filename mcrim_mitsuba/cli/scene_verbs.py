@@ -8,7 +8,6 @@ import shlex
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import click
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
+from mcrim_mitsuba.cli.options import Number, Whole, defined, option
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import READS, STDOUT, collected, write_bytes, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
@@ -25,14 +25,7 @@ from mcrim_mitsuba.transport.launch_plan import LANES
 
 
 @click.command(short_help="List or copy the scenes and campaigns of the package.")
-@click.option(
-    "-o",
-    "--output",
-    "folder",
-    type=options.Folder(),
-    metavar="FOLDER",
-    help="Copy all of them there, to be edited; replaces nothing.",
-)
+@options.folder("Copy all of them there, to be edited; replaces nothing.")
 def scenes(folder) -> None:
     """List the scenes, campaigns and measurements that come with the package, or copy them."""
     from mcrim_mitsuba.scene.shipped import copy_scenes, scene_files, scenes_folder
@@ -48,7 +41,7 @@ def scenes(folder) -> None:
 
 
 @click.command(short_help="JSON schema of a campaign, for completion in editors.")
-@options.output("FILE.json", "File to write; - for the screen.", default="-", show_default=True)
+@options.output("FILE.json", "File to write; - for the screen.", default="-")
 def schema(path) -> None:
     """JSON schema of a campaign (TOML), with which editors complete and explain its entries.
 
@@ -119,7 +112,7 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
     "map_file",
     metavar="FILE.nc",
 )
-@options.depth(-math.inf, default="1", show_default=True)
+@options.depth(-math.inf, default="1")
 @options.deposits
 @options.file(
     "--spectrum",
@@ -139,25 +132,24 @@ def check(scene, overrides, picture, variant, threads, json_file) -> None:
     "times_file",
     metavar="FILE.csv",
 )
-@click.option(
+@option(
     "--decay-ns",
-    type=options.Number(1e-6, 1e9),
-    metavar="NS",
-    help="Decay time of the scintillation, for --times; left out: all light is emitted at once.",
+    Number("NS", 1e-6, 1e9),
+    "Decay time of the scintillation, for --times; left out: all light is emitted at once.",
 )
-@click.option(
+@option(
     "--detected",
-    type=options.Whole(1, 10**9),
+    Whole(1, 10**9),
+    "Detected photons of an event, for the first ones of --times (default: 1000).",
     metavar="COUNT",
-    help="Detected photons of an event, for the first ones of --times (default: 1000).",
 )
-@click.option(
+@defined(
     "--group-index",
-    multiple=True,
-    metavar="MEDIUM=INDEX",
-    callback=partial(options.read_defines, example="crystal=2.134"),
-    help="Group index of a medium for --times, or a material such as CaMoO4@540nm (may "
+    "MEDIUM=INDEX",
+    "Group index of a medium for --times, or a material such as CaMoO4@540nm (may "
     "be repeated; default: that of the scene's materials).",
+    "group_index",
+    example="crystal=2.134",
 )
 @options.work
 def simulate(
@@ -179,22 +171,19 @@ def simulate(
     followed = {"--figure": None if spectrum else figure, "--map": map_file, "--times": times_file}
     of_times = {name: given for name, given in of_times.items() if given}
     _refuse_alone(map_file, deposits, spectrum, quantum_efficiency, times_file, of_times)
-    for option, given in followed.items():
+    for flag, given in followed.items():
         if given and method == "modes":
-            problem = f"{option} follows photons, and --method modes none"
+            problem = f"{flag} follows photons, and --method modes none"
             raise InputError(problem, "leave one of them out")
-    wanted = {"map": (map_file, (".nc",)), "times": (times_file, (".csv",))}
-    written = {f"--{name}": place for name, place in wanted.items() if place[0]}
     file = mcrim.read_scene(scene, overrides)
-    inputs = [file, *filter(None, [deposits, spectrum, quantum_efficiency])]
     named = (text.partition("@")[2] for text in of_times.get("group_index", {}).values())
+    inputs = [file, *filter(None, [deposits, spectrum, quantum_efficiency])]
     inputs += [file.path.parent / name for name in named if name]
-    if figure:
-        pictures = {"map": map_file, "spectrum": spectrum, "times": times_file}
-        endings = ["fates", *(name for name, given in pictures.items() if given)]
-        showing.refuse_places(json_file, inputs, figure, *endings, written=written)
-    else:
-        showing.refuse_places(json_file, inputs, written=written)
+    asked = {"map": map_file, "spectrum": spectrum, "times": times_file}
+    endings = ["fates", *(name for name, given in asked.items() if given)]
+    wanted = {"--map": (map_file, (".nc",)), "--times": (times_file, (".csv",))}
+    written = {flag: place for flag, place in wanted.items() if place[0]}
+    showing.refuse_places(json_file, inputs, figure or None, *endings, written=written)
     if figure or times_file:
         _refuse_beforehand(file, work.run, figure, times_file, of_times)
     further: dict[str, mcrim.Result] = {}
@@ -224,12 +213,12 @@ def simulate(
     for name, result in further.items():
         from mcrim_mitsuba.output.codec import csv_lines, netcdf_bytes
 
+        files = [] if name == "spectrum" else [Path(asked[name])]
         if name == "map":
             write_bytes(map_file, netcdf_bytes(result.to_xarray()))
         elif name == "times":
             lines = csv_lines(("time_ps", "part", "part_sigma"), times.rows)
             write_text(times_file, lines)
-        files = [Path(wanted[name][0])] if name in wanted else []
         drawn = result.draw(showing.further_picture(figure, name)) if figure else ()
         showing.show(screen, result.description, [*files, *drawn])
 
@@ -281,8 +270,8 @@ _NO_CAP = (
 
 def axes_options(function):
     """Options of `AXES`, as texts."""
-    for name, (option, what) in AXES.items():
-        function = click.option(option, name, metavar="LIST", help=what)(function)
+    for name, (flag, what) in AXES.items():
+        function = option(flag, "LIST", what, name)(function)
     return function
 
 
@@ -319,13 +308,8 @@ def read_axes(
 @click.command(short_help="Table of the light collection efficiency of a scene.")
 @options.scene
 @axes_options
-@click.option(
-    "--axis",
-    "axes",
-    multiple=True,
-    metavar="NAME=LIST",
-    callback=options.read_defines,
-    help="Values of any other parameter of the scene (may be repeated).",
+@defined(
+    "--axis", "NAME=LIST", "Values of any other parameter of the scene (may be repeated).", "axes"
 )
 @options.output("FILE", "CSV (.csv, .txt) or NetCDF (.nc) to write; - for the screen.")
 @options.defines
@@ -341,9 +325,9 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **lists
     """
     from mcrim_mitsuba.scene.values import refuse_many_points
 
-    for name, (option, _) in AXES.items():
+    for name, (flag, _) in AXES.items():
         if name in axes:
-            raise InputError(f"--axis {name} has an option of its own", f"give {option} only")
+            raise InputError(f"--axis {name} has an option of its own", f"give {flag} only")
     with collected(READS) as spectra:
         lists, notes = read_axes(lists_typed, axes, Path(scene).parent)
     refuse_many_points(math.prod(map(len, lists.values())))
@@ -413,11 +397,7 @@ def crosscheck(scene, overrides, run, json_file) -> int:
     "PICTURE.png", "The picture, a .png of 1800 x 1150 pixels.", "picture", required=True
 )
 @options.defines
-@click.option(
-    "--samples",
-    type=options.Whole(1, 4096),
-    help="Light paths per pixel: more are smoother (default: 12).",
-)
+@option("--samples", Whole(1, 4096), "Light paths per pixel: more are smoother (default: 12).")
 @options.run
 @options.json_output
 def render(scene, picture, overrides, samples, run, json_file) -> None:

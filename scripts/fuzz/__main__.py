@@ -62,7 +62,7 @@ class Tally:
 )
 @click.option(
     "--seconds",
-    type=options.Number(1, 1e6),
+    type=options.Number("NUMBER", 1, 1e6),
     default=600.0,
     show_default=True,
     help="For each reader.",

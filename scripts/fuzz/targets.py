@@ -189,7 +189,7 @@ def _typed(data: bytes) -> None:
     kinds = (
         options.PhotonCount(),
         options.Precision(),
-        options.Number(0, 1e3),
+        options.Number("MM", 0, 1e3),
         options.Whole(0, 9),
         options.Share(),
         options.WithError(),

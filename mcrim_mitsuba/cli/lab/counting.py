@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from mcrim_mitsuba.cli import options, showing, terminal
+from mcrim_mitsuba.cli.options import option
 from mcrim_mitsuba.core.errors import InputError, closest, placed
 from mcrim_mitsuba.core.files import (
     STDOUT,
@@ -27,7 +28,7 @@ _SHAPES = ("auto", "counting", "gaussian")
 class _Window(options.Written):
     """``LOW:HIGH`` in photons."""
 
-    name = "window"
+    name = "low:high"
 
     def read(self, what: str, text: str) -> tuple[float, float]:
         ends = text.split(":")
@@ -39,20 +40,14 @@ class _Window(options.Written):
 
 @click.command(short_help="Centroid of the main peak of histograms, photons per event.")
 @click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILE...")
-@click.option(
+@option(
     "--shape",
-    default="auto",
-    show_default=True,
-    metavar="|".join(_SHAPES),
-    help="Of the band. counting: whole photons of a mean number that varies from event to event; "
+    "|".join(_SHAPES),
+    "Of the band. counting: whole photons of a mean number that varies from event to event; "
     "auto: counting for bins of whole numbers, otherwise gaussian.",
+    default="auto",
 )
-@click.option(
-    "--window",
-    type=_Window(),
-    metavar="LOW:HIGH",
-    help="Bins to fit, in photons (default: chosen about the peak).",
-)
+@option("--window", _Window(), "Bins to fit, in photons (default: chosen about the peak).")
 @options.file(
     "--map",
     "Map of eta by `mcrim simulate --map`: split the peaks' widths into counted photoelectrons, "
@@ -60,7 +55,7 @@ class _Window(options.Written):
     "map_file",
     metavar="FILE.nc",
 )
-@options.depth(1e-6, default="1", show_default=True)
+@options.depth(1e-6, default="1")
 @options.deposits
 @options.figure("the histograms with their fits")
 @options.json_output
@@ -235,10 +230,8 @@ _MOST_POSITIVE = 1e12
 class _Number(options.Written):
     """A number in the range of `laboratory.peak_shapes.RANGES`, or positive."""
 
-    name = "number"
-
-    def __init__(self, of: str | None = None, *, percent: bool = False) -> None:
-        self.of, self.percent = of, percent
+    def __init__(self, metavar: str, of: str | None = None, *, percent: bool = False) -> None:
+        self.name, self.of, self.percent = metavar, of, percent
 
     def read(self, what: str, text: str) -> float:
         from mcrim_mitsuba.laboratory.peak_shapes import RANGES
@@ -253,47 +246,33 @@ class _Number(options.Written):
 
 
 @click.command(short_help="Synthetic histogram of photons per event.")
-@click.option(
+@option(
     "--mean",
-    type=_Number("mean_photons"),
+    _Number("PHOTONS", "mean_photons"),
+    "Mean number of photons of the band's events.",
     required=True,
-    metavar="PHOTONS",
-    help="Mean number of photons of the band's events.",
 )
-@click.option(
-    "--events",
-    type=_Number("peak_events"),
-    metavar="COUNT",
-    help=f"Events of the band (default: {_EVENTS:.0f}).",
+@option(
+    "--events", _Number("COUNT", "peak_events"), f"Events of the band (default: {_EVENTS:.0f})."
 )
-@click.option(
-    "--rate",
-    type=_Number(),
-    metavar="PER_S",
-    help="Events of the band per second, instead of --events.",
-)
-@click.option(
+@option("--rate", _Number("PER_S"), "Events of the band per second, instead of --events.")
+@option(
     "--minutes",
-    type=_Number(),
-    metavar="MINUTES",
-    help=f"Time of the measurement, with --rate (default: {_MINUTES:g}).",
+    _Number("MINUTES"),
+    f"Time of the measurement, with --rate (default: {_MINUTES:g}).",
 )
-@click.option(
+@option(
     "--spread",
-    type=_Number("intrinsic_spread", percent=True),
-    default="10%",
-    show_default=True,
-    metavar="FRACTION",
-    help="Relative standard deviation of an event's light, besides the counting of "
+    _Number("FRACTION", "intrinsic_spread", percent=True),
+    "Relative standard deviation of an event's light, besides the counting of "
     "its photons: 0.1 or 10%.",
+    default="10%",
 )
-@click.option(
+@option(
     "--dark",
-    type=_Number("dark_photons"),
+    _Number("PHOTONS", "dark_photons"),
+    "Mean number of dark counts per event: dark rate times gate; they add to the mean.",
     default=0.0,
-    show_default=True,
-    metavar="PHOTONS",
-    help="Mean number of dark counts per event: dark rate times gate; they add to the mean.",
 )
 @click.option(
     "--list",

@@ -10,7 +10,7 @@ import click
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.cli import options, showing, terminal
-from mcrim_mitsuba.cli.options import NumberWithError, WithError
+from mcrim_mitsuba.cli.options import Number, NumberWithError, Precision, WithError, option
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import READS, attributes, collected
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget
@@ -20,42 +20,34 @@ from mcrim_mitsuba.scene.values import parse_list, told_of_comma
 
 
 @click.command("yield", short_help="Light yield by Eq. 2, with its error budget.")
-@click.option(
+@option(
     "--signal",
+    WithError(),
+    "Photons (photoelectrons) per event; again for every further coupling.",
     "signals",
-    type=WithError(),
     multiple=True,
     required=True,
-    help="Photons (photoelectrons) per event; again for every further coupling.",
 )
-@click.option(
+@option(
     "--eta",
-    "etas",
-    type=WithError(fraction=True),
-    multiple=True,
-    required=True,
-    help="Light collection efficiency (0.25 or 25%), in the order of the signals; its error "
+    WithError(fraction=True),
+    "Light collection efficiency (0.25 or 25%), in the order of the signals; its error "
     "counts as common to all couplings.",
-)
-@click.option(
-    "--label",
-    "labels",
+    "etas",
     multiple=True,
-    metavar="TEXT",
-    help="Name of the coupling, in the order of the signals.",
+    required=True,
 )
-@click.option(
+@option(
+    "--label", "TEXT", "Name of the coupling, in the order of the signals.", "labels", multiple=True
+)
+@option(
     "--efficiency",
-    type=WithError(fraction=True),
+    WithError(fraction=True),
+    "Emission-weighted detector efficiency (0.127 or 12.7%), common to all couplings.",
     required=True,
-    help="Emission-weighted detector efficiency (0.127 or 12.7%), common to all couplings.",
 )
-@click.option(
-    "--energy-keV",
-    "energy_keV",
-    type=WithError(),
-    required=True,
-    help="Energy deposited per event, keV.",
+@option(
+    "--energy-keV", WithError(), "Energy deposited per event, keV.", "energy_keV", required=True
 )
 @options.json_output
 def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> None:
@@ -214,61 +206,32 @@ _MOST_MOUNTINGS = 10_000
 
 @click.command(short_help="How many events, mountings and which couplings are needed.")
 @options.campaign
-@click.option(
-    "--yield-error",
-    "wanted",
-    type=options.Precision(),
-    default="10%",
-    show_default=True,
-    help="Wanted error of the light yield.",
-)
-@click.option(
+@option("--yield-error", Precision(), "Wanted error of the light yield.", "wanted", default="10%")
+@option(
     "--n-gap",
+    "LIST",
+    "Couplings to choose from, such as 1.0,glycerol@540nm; 8 at most; every set is tried.",
     default=_COUPLINGS,
-    show_default=True,
-    metavar="LIST",
-    help="Couplings to choose from, such as 1.0,glycerol@540nm; 8 at most; every set is tried.",
 )
-@click.option(
-    "--events",
-    default=_EVENTS,
-    show_default=True,
-    metavar="LIST",
-    help="Events in the band of each mounting's histogram.",
-)
-@click.option(
-    "--mountings",
-    default=_MOUNTINGS,
-    show_default=True,
-    metavar="LIST",
-    help="Mountings of each coupling.",
-)
-@click.option(
-    "--rate",
-    type=options.Number(1e-6, 1e9),
-    metavar="PER_S",
-    default=30.0,
-    show_default=True,
-    help="Events in the band per second.",
-)
-@click.option(
+@option("--events", "LIST", "Events in the band of each mounting's histogram.", default=_EVENTS)
+@option("--mountings", "LIST", "Mountings of each coupling.", default=_MOUNTINGS)
+@option("--rate", Number("PER_S", 1e-6, 1e9), "Events in the band per second.", default=30.0)
+@option(
     "--minutes",
-    type=options.Number(0.0, 1e6),
-    metavar="MINUTES",
+    Number("MINUTES", 0.0, 1e6),
+    "Time of a mounting besides the counting, in minutes.",
     default=30.0,
-    show_default=True,
-    help="Time of a mounting besides the counting, in minutes.",
 )
-@click.option(
+@option(
     "--scatter",
-    type=options.Precision(),
-    help="Scatter of the signal from mounting to mounting (default: that of the "
+    Precision(),
+    "Scatter of the signal from mounting to mounting (default: that of the "
     "campaign's histograms; without any 2.8%, the article's).",
 )
-@click.option(
+@option(
     "--spread",
-    type=options.Precision(),
-    help="Spread of an event's light besides the counting (default: that of the "
+    Precision(),
+    "Spread of an event's light besides the counting (default: that of the "
     "campaign's histograms; without any 10%).",
 )
 @options.figure("the error of the light yield over events, for each set of couplings")

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from mcrim_mitsuba.cli import options, showing
-from mcrim_mitsuba.cli.options import Share, parse_share
+from mcrim_mitsuba.cli.options import Number, Share, option, parse_share
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import parse_number
@@ -21,12 +21,11 @@ from mcrim_mitsuba.scene.values import SEPARATOR, material_at
 @click.command(short_help="Quantum efficiency weighted with an emission spectrum, Eq. 3.")
 @click.argument("emission", type=click.Path(path_type=str))
 @click.argument("quantum_efficiency", type=click.Path(path_type=str))
-@click.option(
+@option(
     "--scale-sigma",
-    type=Share(),
+    Share(),
+    "Relative error that all points of the quantum efficiency share.",
     default="5%",
-    show_default=True,
-    help="Relative error that all points of the quantum efficiency share.",
 )
 @options.figure("both curves with their product and the weighted mean")
 @options.json_output
@@ -78,49 +77,33 @@ _INDEX_LIKE = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 
 @click.command(short_help="Absorption from the transmittance of a polished sample.")
 @click.argument("transmittance", nargs=-1, required=True, metavar="T_OR_FILE...")
-@click.option(
-    "--thickness-mm",
-    type=options.Number(),
-    required=True,
-    metavar="MM",
-    help="Thickness of the sample, mm.",
-)
-@click.option(
+@option("--thickness-mm", Number("MM"), "Thickness of the sample, mm.", required=True)
+@option(
     "--n",
+    "INDEX",
+    "Refractive index, a number or a material such as CaMoO4.",
     "index",
     required=True,
-    metavar="INDEX",
-    help="Refractive index, a number or a material such as CaMoO4.",
 )
-@click.option(
-    "--n-sigma",
-    type=options.Number(),
-    metavar="ERROR",
-    help="Standard error of the index (default: the material's, or 0).",
+@option(
+    "--n-sigma", Number("ERROR"), "Standard error of the index (default: the material's, or 0)."
 )
-@click.option(
+@option(
     "--sigma",
-    type=Share(),
+    Share(),
+    "Standard error that all readings share, 0.005 or 0.5% of full transmission.",
     default="0",
-    help="Standard error that all readings share, 0.005 or 0.5% of full transmission.",
 )
-@click.option(
-    "--thickness-sigma-mm",
-    type=options.Number(),
-    default=0.0,
-    metavar="MM",
-    help="Standard error of the thickness, mm.",
-)
+@option("--thickness-sigma-mm", Number("MM"), "Standard error of the thickness, mm.", default=0.0)
 @options.file("--emission", "Emission spectrum to average over.")
 @options.file(
     "--quantum-efficiency", "Of the detector: the average is then over the light that it sees."
 )
-@click.option(
+@option(
     "--nm",
+    Number("NM"),
+    "Wavelength at which spectra or a material's index are taken, instead of --emission.",
     "wavelength_nm",
-    type=options.Number(),
-    metavar="NM",
-    help="Wavelength at which spectra or a material's index are taken, instead of --emission.",
 )
 @options.figure("transmittances and coefficients over wavelength")
 @options.json_output
@@ -204,9 +187,9 @@ _OF_ABSORPTION = (
 
 def _numbers_or_files(transmittance: tuple[str, ...], index: str) -> tuple[list[str], list[str]]:
     """Transmittances as they were typed, all numbers or all files."""
-    for text, option in (*((value, "--sigma") for value in transmittance), (index, "--n-sigma")):
+    for text, flag in (*((value, "--sigma") for value in transmittance), (index, "--n-sigma")):
         if "±" in text or "+-" in text:
-            raise InputError(f"'{text}' has its error beside it", f"give the error as {option}")
+            raise InputError(f"'{text}' has its error beside it", f"give the error as {flag}")
     numbers = [text for text in transmittance if _NUMBER_LIKE.fullmatch(text)]
     if numbers and len(numbers) < len(transmittance):
         raise InputError("numbers and files together", "give all orientations the same way")
@@ -271,12 +254,8 @@ _USUAL_NM = 540.0
 
 @click.command(short_help="Refractive index of a material; without one, the catalogue.")
 @click.argument("material", required=False)
-@click.option(
-    "--nm",
-    "wavelength_nm",
-    type=options.Number(1, 1e6),
-    metavar="NM",
-    help=f"Wavelength in nm (default: {_USUAL_NM:g}).",
+@option(
+    "--nm", Number("NM", 1, 1e6), f"Wavelength in nm (default: {_USUAL_NM:g}).", "wavelength_nm"
 )
 @options.file("--emission", "Emission spectrum to average the index over, instead of --nm.")
 @options.json_output
@@ -408,20 +387,12 @@ _DEPTHS_MM = (1.0, 2.0, 5.0, 10.0)
 
 @click.command(short_help="Depth at which gammas stop in a crystal: a prior.")
 @click.argument("formula")
-@click.option(
-    "--energy-keV",
-    "energy_keV",
-    type=options.Number(),
-    required=True,
-    metavar="KEV",
-    help="Energy of the gammas, keV.",
-)
-@click.option(
+@option("--energy-keV", Number("KEV"), "Energy of the gammas, keV.", "energy_keV", required=True)
+@option(
     "--density-g-per-cm3",
+    Number("DENSITY"),
+    "Density in g/cm3 (default: that of the catalogue's material).",
     "density",
-    type=options.Number(),
-    metavar="DENSITY",
-    help="Density in g/cm3 (default: that of the catalogue's material).",
 )
 @options.json_output
 def gammas(formula, energy_keV, density, json_file) -> None:
