@@ -31,13 +31,11 @@ _SOURCE = "# source: mcrim_mitsuba "
 @click.command()
 @click.argument("scenes", nargs=-1, required=True, metavar="SCENE...")
 @axes_options
-@click.option(
+@options.defined(
     "-D",
+    "NAME=LIST",
+    "Values of a scene parameter; each combination gets a table.",
     "variations",
-    multiple=True,
-    metavar="NAME=LIST",
-    callback=options.read_defines,
-    help="Values of a scene parameter; each combination gets a table.",
 )
 @click.option(
     "-o",

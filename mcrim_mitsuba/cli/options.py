@@ -202,17 +202,6 @@ def _sigma(what: str, text: str, number: float) -> float:
     return sigma
 
 
-def read_defines(ctx, param, values, example: str = "n_gap=1.46") -> dict[str, str]:
-    """The dictionary of all ``-D``, ``--axis`` and others, as a callback of click."""
-    defined: dict[str, str] = {}
-    for text in values:
-        name, value = parse_define(text, param.opts[0], example)
-        if name in defined:
-            raise InputError(f"{param.opts[0]} {name} is given twice", "give it once")
-        defined[name] = value
-    return defined
-
-
 def option(
     flag: str, kind: click.ParamType | str, explained: str, *name: str, **further: Any
 ) -> Callable[..., Any]:
@@ -227,7 +216,16 @@ def option(
 
 def defined(flag: str, metavar: str, explained: str, name: str, example: str = "n_gap=1.46"):
     """An option like ``-D``, which may be repeated: the verb gets a dictionary."""
-    read = functools.partial(read_defines, example=example)
+
+    def read(ctx, param, texts) -> dict[str, str]:
+        values: dict[str, str] = {}
+        for text in texts:
+            key, value = parse_define(text, flag, example)
+            if key in values:
+                raise InputError(f"{flag} {key} is given twice", "give it once")
+            values[key] = value
+        return values
+
     return option(flag, metavar, explained, name, multiple=True, callback=read)
 
 

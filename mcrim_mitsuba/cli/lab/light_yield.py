@@ -215,11 +215,18 @@ _MOST_MOUNTINGS = 10_000
 )
 @option("--events", "LIST", "Events in the band of each mounting's histogram.", default=_EVENTS)
 @option("--mountings", "LIST", "Mountings of each coupling.", default=_MOUNTINGS)
-@option("--rate", Number("PER_S", 1e-6, 1e9), "Events in the band per second.", default=30.0)
+@option(
+    "--rate",
+    Number("PER_S", 1e-6, 1e9),
+    "Events in the band per second.",
+    "events_per_second",
+    default=30.0,
+)
 @option(
     "--minutes",
     Number("MINUTES", 0.0, 1e6),
     "Time of a mounting besides the counting, in minutes.",
+    "minutes_per_mounting",
     default=30.0,
 )
 @option(
@@ -227,29 +234,18 @@ _MOST_MOUNTINGS = 10_000
     Precision(),
     "Scatter of the signal from mounting to mounting (default: that of the "
     "campaign's histograms; without any 2.8%, the article's).",
+    "mounting_scatter",
 )
 @option(
     "--spread",
     Precision(),
     "Spread of an event's light besides the counting (default: that of the "
     "campaign's histograms; without any 10%).",
+    "intrinsic_spread",
 )
 @options.figure("the error of the light yield over events, for each set of couplings")
 @options.work
-def plan(
-    campaign,
-    wanted,
-    n_gap,
-    events,
-    mountings,
-    rate,
-    minutes,
-    scatter,
-    spread,
-    figure,
-    json_file,
-    work,
-) -> None:
+def plan(campaign, wanted, n_gap, events, mountings, figure, json_file, work, **conditions) -> None:
     """Plan a measurement: how many events, mountings and which couplings CAMPAIGN (TOML) needs.
 
     From the campaign's solution the model predicts what every set of couplings would bring; its
@@ -266,16 +262,7 @@ def plan(
     comma = told_of_comma("--n-gap", n_gap)
     read = showing.read_campaign(campaign, json_file, figure, inputs=spectra)
     terminal.console(json_file).say_notes(comma)
-    conditions = dataclasses.replace(
-        measured_conditions(read),
-        events_per_second=rate,
-        minutes_per_mounting=minutes,
-        **{
-            name: value
-            for name, value in (("mounting_scatter", scatter), ("intrinsic_spread", spread))
-            if value is not None
-        },
-    )
+    given = {name: value for name, value in conditions.items() if value is not None}
     with work.begin() as run:
         planning = mcrim.plan(
             read,
@@ -283,7 +270,7 @@ def plan(
             n_gap=couplings,
             mountings=times,
             events=counts,
-            conditions=conditions,
+            conditions=dataclasses.replace(measured_conditions(read), **given),
             run=run,
         )
     showing.answer(planning, json_file, figure)
