@@ -168,24 +168,19 @@ class JsonObject:
         return f"{self._place}.{name}" if self._place else name
 
 
-def _kind_of(document: JsonObject) -> str:
-    """The `kind` that a document says, if it is one that tables are made of."""
-    kind = document.content.get("kind", _kind_by_keys(document.content))
-    if kind not in _READERS:
-        raise _not_a_result(document.path)
-    return str(kind)
-
-
 def _not_a_result(path: Path) -> InputError:
     """JSON of another program, or of a command without a result in numbers."""
     return InputError("JSON, but no result of mcrim that can be converted", MEND, path=path)
 
 
-def _kind_by_keys(content: Mapping[str, Any]) -> str:
-    """What a document without `kind` is, by what only such a result has.
+def kind_of(content: Mapping[str, Any]) -> str:
+    """The `kind` of a document, if it is one that tables are made of; else empty.
 
-    Documents of the version before `kind` are read for one release; this goes with the next.
+    Documents of the version before `kind` are read for one release, by what only such a result
+    has; this goes with the next.
     """
+    if "kind" in content:
+        return content["kind"] if content["kind"] in _READERS else ""
     there = {name for name, value in content.items() if value is not None}
     by_keys = (
         ("repair", {"calibration"}),
@@ -196,20 +191,6 @@ def _kind_by_keys(content: Mapping[str, Any]) -> str:
         ("table", {"rows", "scene_hash"}),
     )
     return next((kind for kind, keys in by_keys if keys <= there), "")
-
-
-def is_convertible(document: Mapping[str, Any]) -> bool:
-    """Whether `table_of_document` takes a document."""
-    return document.get("kind", _kind_by_keys(document)) in _READERS
-
-
-def table_of_document(document: dict[str, Any], name: str) -> ResultTable:
-    """A document as rows and columns; `name` stands for the file.
-
-    Raises InputError if it is no result of calibrate, compare, diagnose, report, simulate or table.
-    """
-    kind, part = read_document(JsonObject(Path(name), document))
-    return joined(kind, {name: part})
 
 
 def joined(kind: str, parts: Mapping[str, Part]) -> ResultTable:
@@ -223,8 +204,14 @@ def joined(kind: str, parts: Mapping[str, Part]) -> ResultTable:
 
 
 def read_document(document: JsonObject) -> tuple[str, Part]:
-    """What its table is of, and its rows, readings and provenance."""
-    kind, read = _READERS[_kind_of(document)]
+    """What its table is of, and its rows, readings and provenance.
+
+    Raises InputError if it is no result of calibrate, compare, diagnose, report, simulate or table.
+    """
+    kind_there = kind_of(document.content)
+    if not kind_there:
+        raise _not_a_result(document.path)
+    kind, read = _READERS[kind_there]
     rows, readings = read(document)
     provenance = {name: document.content[name] for name in _PROVENANCE if name in document}
     if kind == CALIBRATION and "calibration" not in document:

@@ -347,18 +347,20 @@ class Result:
         Tables, maps, spectra and times lie over their axes, simulations, fits and diagnoses as
         converted files do; of other results it is `to_dataframe`.
         """
-        from mcrim_mitsuba.output.codec import dataset, is_convertible, table_of_document
+        from mcrim_mitsuba.output import codec
 
         over_axes = getattr(super(), "to_xarray", None)
         if over_axes is not None:
             data: xarray.Dataset = over_axes()
             return data
         document = plain(self.document)
-        if not is_convertible(document):
+        if not codec.kind_of(document):
             import xarray
 
             return xarray.Dataset.from_dataframe(self.to_dataframe())
-        return dataset(table_of_document(document, self.description.title))
+        title = self.description.title
+        kind, part = codec.read_document(codec.JsonObject(Path(title), document))
+        return codec.dataset(codec.joined(kind, {title: part}))
 
     def plot(self, picture: str | None = None) -> Figure:
         """A figure of it, by matplotlib.
