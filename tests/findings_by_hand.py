@@ -227,7 +227,7 @@ def quick_report(by_hand: Diagnosis) -> Iterator[pytest.MonkeyPatch]:
 
     def repair(campaign, run):
         found = repairing.repair(campaign, run=replace(run, photons=2000))
-        return replace(found, diagnosed=replace(found.diagnosed, diagnosis=by_hand))
+        return replace(found, diagnosis=by_hand)
 
     blank = SimpleNamespace(picture=np.zeros((920, 1440, 3), np.uint8), trouble="")
     with pytest.MonkeyPatch.context() as patch:

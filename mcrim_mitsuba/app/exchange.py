@@ -270,7 +270,7 @@ def session_file(state: State) -> tuple[str, bytes]:
             for step in state.steps
         ],
         "compared": state.steps.index(state.beside) if state.steps else 0,
-        "diagnosed": state.diagnosed is not None,
+        "diagnosed": state.diagnosis is not None,
     }
     name = f"{safe_name(campaign.path.stem, '')}_session.json"
     return name, json_text(document).encode()

@@ -28,7 +28,7 @@ from mcrim_mitsuba.core.rounding import (
 )
 from mcrim_mitsuba.efficiency.response_maker import configurations
 from mcrim_mitsuba.inference.candidates import Candidate
-from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis
+from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.output import describe_campaign, sentences
 from mcrim_mitsuba.output.description import Column, Table, table
@@ -158,7 +158,7 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
         "steps": [_falling(step) for step in now.steps],
         "can_undo": history.can_undo,
         "parts": {
-            "diagnosis": _diagnosis_panel(now.diagnosed),
+            "diagnosis": _diagnosis_panel(now.diagnosis),
             "fitted": _fits_panel(session),
         },
     }
@@ -237,8 +237,8 @@ def _merit_texts(shown: Shown | None, session: Session) -> dict[str, str]:
         texts["light-yield"] = pdg_parts(value, *parts) if parts else number(value, 4)
         words = ["readings, all else held" if statistical else "", "detector" if systematic else ""]
         texts["light-yield-words"] = " ".join(f"± {origin}" for origin in words if origin)
-    diagnosed = session.state.diagnosed
-    averaged = diagnosed and diagnosed.diagnosis.light_yield_averaged
+    diagnosis = session.state.diagnosis
+    averaged = diagnosis and diagnosis.light_yield_averaged
     if averaged:
         texts["averaged"] = pdg(averaged.value, averaged.sigma)
         texts["averaged-words"] = "ph/keV ± whole error, by Diagnose"
@@ -302,9 +302,8 @@ def reading(session: Session, place: int) -> str:
 # Panels.
 
 
-def _diagnosis_panel(diagnosed: Diagnosed | None) -> str:
+def _diagnosis_panel(diagnosis: Diagnosis | None) -> str:
     """The verdict and the candidates, each with a button that adds it."""
-    diagnosis = diagnosed and diagnosed.diagnosis
     return _TEMPLATES.get_template("diagnosis.html").render(
         diagnosis=diagnosis, ranked=diagnosis and _ranked(diagnosis)
     )

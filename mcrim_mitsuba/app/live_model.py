@@ -109,7 +109,7 @@ class LiveModel:
         # sizes of other effects may be the scene's own parameters: those stay as they are
         used = {*campaign.parameters, *(p.name for e in switched_on for p in e.parameters)}
         values = {name: value for name, value in settings.values.items() if name in used}
-        if not self._simulations.is_exact(switched_on):
+        if not self._simulations.maker.is_exact(switched_on):
             free = self._model(campaign, names, self.controls.known(settings)).free
             here = {p.name: values.get(p.name, p.start) for p in free if p.name != SCALE}
             with_effects = campaign.with_effects(names)
@@ -200,8 +200,8 @@ def _controls(campaign: Campaign, simulations: CampaignSimulations) -> Controls:
         for name, effect in simulations.possible().items()
     }
     covered = {
-        ALPHA_SCAT: simulations.grid.alpha_scat_range_per_cm,
-        ALPHA_ABS: simulations.grid.alpha_abs_range_per_cm,
+        ALPHA_SCAT: simulations.maker.grid.alpha_scat_range_per_cm,
+        ALPHA_ABS: simulations.maker.grid.alpha_abs_range_per_cm,
     }
     parameters = [
         parameter_control(parameter, parameter_words(campaign, name)[0], covered.get(of))

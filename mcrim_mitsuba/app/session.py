@@ -28,7 +28,7 @@ from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Progress, Run
-from mcrim_mitsuba.inference.diagnose import diagnose_on
+from mcrim_mitsuba.inference.diagnose import diagnose
 from mcrim_mitsuba.inference.fit import Calibration
 
 
@@ -215,8 +215,8 @@ class Session:
     def add(self, effects: Sequence[str], settings: Settings) -> None:
         """Switch more effects on and fit, beginning with the sizes that the diagnosis found."""
         together = tuple(dict.fromkeys((*settings.effects, *effects)))
-        diagnosed = self.state.diagnosed
-        candidate = diagnosed and diagnosed.diagnosis.candidate(together)
+        diagnosis = self.state.diagnosis
+        candidate = diagnosis and diagnosis.candidate(together)
         fitted = candidate.parameters if candidate else {}
         sizes = {name: estimate.value for name, estimate in fitted.items()}
         more = replace(settings, effects=together, values={**settings.values, **sizes})
@@ -275,12 +275,12 @@ class Session:
             live, campaign = self.model.live, self.state.campaign
             fitted, _ = live.controls.campaign_at(campaign, replace(settings, effects=()))
             simulations = live.simulations_of(fitted)
-            diagnosed = diagnose_on(simulations)
+            diagnosis = diagnose(simulations)
             live.take(simulations)
             with self.history.lock:
                 if self.state.campaign is campaign:
                     self.history.keep()
-                    self.history.change(diagnosed=diagnosed)
+                    self.history.change(diagnosis=diagnosis)
 
         self.jobs.start(PageJob("diagnose", "diagnosing", work))
 
@@ -342,7 +342,7 @@ class Session:
     def _take_readings(self, campaign: Campaign) -> None:
         """Go on with a campaign's readings."""
         self.jobs.stop("diagnose")  # it would be of others
-        self.history.change(campaign=campaign, diagnosed=None)
+        self.history.change(campaign=campaign, diagnosis=None)
         self._simulate_readings()
 
     def _simulate_readings(self) -> None:

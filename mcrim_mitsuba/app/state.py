@@ -16,7 +16,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, said, unit_of, without_unit
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter
-from mcrim_mitsuba.inference.diagnose import Diagnosed
+from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.estimates import FittedRow
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.model import UNKNOWN_SCALE
@@ -296,7 +296,7 @@ class State:
     steps: tuple[FitStep, ...] = ()
     #: Number of the step beside which the model is shown.
     compared: int = 0
-    diagnosed: Diagnosed | None = None
+    diagnosis: Diagnosis | None = None
     #: What the controls should say; pages take them over when `settings_number` rises.
     settings: Settings = field(default_factory=Settings)
     #: Name and content of what is to be downloaded.
@@ -391,7 +391,7 @@ class History:
             # the campaign's own fit stays, once it is there
             steps=before.steps or self.state.steps[:1],
             compared=before.compared,
-            diagnosed=before.diagnosed,
+            diagnosis=before.diagnosis,
         )
 
 

@@ -108,7 +108,7 @@ def find_contradiction(run: Run) -> Contradiction:
         for what, of in benches.items()
     }
     ground = [name for name in campaign.catalogue if name.split("_")[0] == "ground"]
-    diagnosis = diagnose(campaign, without=ground, run=run).diagnosis
+    diagnosis = diagnose(CampaignSimulations(campaign, run), without=ground)
     return Contradiction(diagnosis, ignorant.fit(), etas)
 
 

@@ -212,13 +212,13 @@ def errors_of(deviations: NDArray) -> NDArray[np.float64]:
     return np.asarray(deviations.T, np.float64) / math.sqrt(BATCHES * (BATCHES - 1))
 
 
-# Light that has many values of an effect's parameter at once, such as indices over a band.
+def held_at(
+    response: EffectResponse, values: ArrayLike, parts: ArrayLike = (1.0,)
+) -> EffectResponse:
+    """An effect held at a value, or at a value for each part of the light: one that is on or off.
 
-
-def mixture(response: EffectResponse, values: ArrayLike, weights: ArrayLike) -> EffectResponse:
-    """The mean of eta over values of an effect's parameter, as an effect that is on or off.
-
-    Eta itself is averaged, not its logarithm: photons of every value are counted.
+    Over several values eta itself is averaged, not its logarithm: photons of every value are
+    counted.
 
     Parameters
     ----------
@@ -226,27 +226,28 @@ def mixture(response: EffectResponse, values: ArrayLike, weights: ArrayLike) -> 
         With one parameter.
     values : (values,) array_like
         Of the parameter, as the scene takes it (an index, not its offset).
-    weights : (values,) array_like
-        Parts of the light, none negative; their sum need not be 1.
+    parts : (values,) array_like
+        Of the light, none negative; their sum need not be 1.
 
     Raises
     ------
     ValueError
-        If the response has not one parameter, or a value is beyond its outermost nodes.
+        If the response has not one parameter, or one of several values is beyond its outermost
+        nodes.
     """
     if len(response.axes) != 1:
-        raise ValueError(f"a mixture over {len(response.axes)} parameters")
+        raise ValueError(f"an effect of {len(response.axes)} parameters held at a value of one")
     (axis,) = response.axes
     values = np.asarray(values, dtype=float)
     low, high = (axis.nominal + end for end in (min(axis.values), max(axis.values)))
-    if values.min() < low or values.max() > high:
+    if len(values) > 1 and (values.min() < low or values.max() > high):
         problem = f"{axis.name} = {values.min():g}..{values.max():g} is beyond {low:g}..{high:g}"
         raise ValueError(problem)
     # (values, nodes): what each node contributes to the logarithm at each value
     nodes = np.array([axis.weights(value)[0] for value in values])
-    parts = np.exp(np.tensordot(nodes, response.log_ratio, axes=1))
-    parts *= (np.asarray(weights, dtype=float) / np.sum(weights))[:, None, None, None]
-    total = parts.sum(axis=0)
-    of_nodes = np.tensordot(nodes.T, parts / total, axes=1)
+    eta = np.exp(np.tensordot(nodes, response.log_ratio, axes=1))
+    eta *= (np.asarray(parts, dtype=float) / np.sum(parts))[:, None, None, None]
+    total = eta.sum(axis=0)
+    of_nodes = np.tensordot(nodes.T, eta / total, axes=1)
     deviations = np.einsum("nrsa,bnrsa->brsa", of_nodes, response.deviations)
     return EffectResponse((), np.log(total), deviations.astype(np.float32))

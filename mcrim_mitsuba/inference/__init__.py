@@ -8,8 +8,8 @@ The path of a campaign, a module per step:
   fast descent; `profiles` of it, from which intervals and limits are read;
 - `fit`: the fit of a model with all its errors (`Calibration`, `fit_model`); `estimates`: what a
   minimum says (`ParameterEstimate`, `FittedRow`, `LIGHT_YIELD`), and statistics of it;
-- `calibrate`: simulate, then fit (`calibrate`, `CampaignResult`);
-- `compare`: where a model fails (`compare`, `Comparison`, `find_suspects`, `find_trends`);
+- `calibrate`: simulate, then fit (`calibrate`);
+- `compare`: where a model fails (`Comparison`, `find_suspects`, `find_trends`);
 - `screening`: which effects deserve more photons;
 - `explanations`: fits with effects added, and what chance gains; `candidates`: every
   effect as an explanation, and limits; `evidence`: how likely each is; `rival_causes`: wrong

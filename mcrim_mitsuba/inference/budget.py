@@ -30,6 +30,7 @@ from mcrim_mitsuba.inference.simulations import CampaignSimulations, spent_toget
 from mcrim_mitsuba.laboratory.error_budget import ErrorBudget, contribution
 from mcrim_mitsuba.optics.gammas import AttenuationLength
 
+_DETECTOR = "detector_efficiency"
 #: Priors that have advice of their own.
 _PRIORS = {ALPHA_ABS: "absorption", DEPTH_MM: "source depth"}
 
@@ -50,18 +51,14 @@ def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, Erro
             parts[origin] = np.abs(moved)
     parts["monte_carlo"] = quantities.sigmas
     budgets = {}
-    yields = dict(fit.model.campaign.light_yields.values())
     for i, (name, value) in enumerate(
         zip(quantities.names, quantities.values.tolist(), strict=True)
     ):
         errors = {origin: float(part[i]) for origin, part in parts.items()}
-        if (known := yields.get(name)) is not None:
-            yield_value = fit.parameters[name].value
-            own = known.efficiency_parts or {"detector_efficiency": known.detector_efficiency_sigma}
-            errors |= {
-                origin: yield_value * sigma / known.detector_efficiency
-                for origin, sigma in own.items()
-            }
+        if name in fit.parameters and _DETECTOR in fit.parameters[name].contributions:
+            light_yield = fit.parameters[name]
+            whole = {_DETECTOR: light_yield.contributions[_DETECTOR]}
+            errors |= light_yield.efficiency_contributions or whole
         if value:
             least = BUDGETING.rounding * max(errors.values())
             budgets[name] = ErrorBudget(
@@ -224,30 +221,19 @@ def budget(
     deposits: str | Path | None = None,
     run: Run = Run(),
 ) -> Budget:
-    """Minimum a campaign, and fit it again with every piece of physics that it leaves out.
+    """Fit a campaign, and fit it again with every piece of physics that it leaves out.
 
     The pieces: where the source's gammas stop, polarisation, the crystal's index at its emission,
     the spread of the index over the band, and birefringence. A campaign that has one of them
     already is not given it again.
 
+    Parameters as of the public function `budget`, places of gammas as of `deposit_shift.places_of`.
+    The photons of the run are those of every configuration's simulation with another index; those
+    with the scene's own get four times as many. Its seed is the same for all of them: what they
+    have in common cancels in the shifts.
+
     Raises InputError if a file is wrong, a scene is not sound, the readings do not determine the
     parameters, or the material or its band is not known.
-
-    Parameters
-    ----------
-    material : str, optional
-        What the crystal is made of, as the catalogue of materials names it. Where neither this
-        nor the campaign tells, nothing is known of indices and depth.
-    emission : str or Path, optional
-        File with the emission spectrum; without it the campaign's own, else a Gaussian band.
-    wavelength_nm : float, optional
-        Maximum of that band.
-    eta_map, depth_mm, deposits : optional
-        See `deposit_shift.places_of`.
-    run : Run
-        Its photons are those of every configuration's simulation with another index; those with
-        the scene's own get four times as many. Its seed is the same for all of them: what they
-        have in common cancels in the shifts.
     """
     start = time.perf_counter()
     campaign = as_campaign(campaign)

@@ -19,12 +19,8 @@ from mcrim_mitsuba.inference.estimates import (
     light_yields,
 )
 from mcrim_mitsuba.inference.evidence import Evidence
-from mcrim_mitsuba.inference.explanations import (
-    Curve,
-    Explanations,
-    NullDistribution,
-    Ranking,
-)
+from mcrim_mitsuba.inference.explanations import Curve, Explanations, Ranking
+from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.profiles import ProfileWalk
 from mcrim_mitsuba.inference.settings import (
     CANDIDATES,
@@ -87,18 +83,19 @@ class Candidate:
 
 
 class CandidateMaker:
-    """Turns fits with effects into candidates."""
+    """Turns the fits with effects that a judgement rests on into candidates."""
 
-    def __init__(self, explanations: Explanations, null: NullDistribution) -> None:
-        self._explanations, self._null = explanations, null
-        self._baseline_estimates = estimates(explanations.baseline)
+    def __init__(self, judgement: Judgement) -> None:
+        self._explanations, self._null = judgement.explanations, judgement.null
+        self._singles, self._pairs = judgement.singles, judgement.pairs
+        self._baseline_estimates = estimates(judgement.baseline)
 
-    def singles(self, ranking: Ranking) -> tuple[Candidate, ...]:
+    def singles(self) -> tuple[Candidate, ...]:
         """All effects alone, the best first."""
-        made = []
-        for effects in ranking.order:
-            candidate, (effect,) = self._candidate(effects, ranking), effects
-            made.append(
+        candidates = []
+        for effects in self._singles.order:
+            candidate, (effect,) = self._candidate(effects, self._singles), effects
+            candidates.append(
                 replace(
                     candidate,
                     p_gain=self._null.p_gain(effect, candidate.delta_chi2),
@@ -106,11 +103,12 @@ class CandidateMaker:
                     mimics=self._mimics(effect, exact=candidate.behind < CANDIDATES.within_reach),
                 )
             )
-        return tuple(made)
+        return tuple(candidates)
 
-    def pairs(self, ranking: Ranking) -> tuple[Candidate, ...]:
+    def pairs(self) -> tuple[Candidate, ...]:
         """Pairs of effects, the best first."""
-        return tuple(self._candidate(pair, ranking) for pair in ranking.order)
+        pairs = self._pairs
+        return () if pairs is None else tuple(self._candidate(pair, pairs) for pair in pairs.order)
 
     def _candidate(self, effects: tuple[str, ...], ranking: Ranking) -> Candidate:
         """Effects as a candidate, by what their own fit says; mimics are found later."""

@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtr
 
-from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
-from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.drivers import Minimum, newton
 from mcrim_mitsuba.inference.estimates import (
     corrected,
@@ -25,7 +22,6 @@ from mcrim_mitsuba.inference.estimates import (
 from mcrim_mitsuba.inference.explanations import plausible_ranges
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, SUSPICION
-from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.inference.statistic import Weights, p_value
 
 #: Kinds of suspicion: one reading off, two signals exchanged.
@@ -121,30 +117,6 @@ class Comparison(Calibration):
     #: The clearest first.
     trends: tuple[Trend, ...]
     absorbed: tuple[Absorbed, ...]
-
-
-@dataclass(frozen=True)
-class Compared:
-    """Where a campaign's model fails."""
-
-    comparison: Comparison
-    provenance: Provenance
-
-
-def compare(campaign: str | Path | Campaign, *, run: Run = Run()) -> Compared:
-    """Fit a campaign and show where its model fails.
-
-    Raises InputError if a file is wrong, a scene is not sound, or the readings do not determine the
-    parameters.
-
-    Parameters
-    ----------
-    run : Run
-        See `CampaignSimulations`.
-    """
-    simulations = CampaignSimulations(as_campaign(campaign), run)
-    comparison = comparison_of(simulations.fit())
-    return Compared(comparison, simulations.provenance())
 
 
 def comparison_of(fit: Calibration) -> Comparison:

@@ -23,13 +23,12 @@ from mcrim_mitsuba.campaign.known_physics import (
     SOURCE_DEPTH,
     KnownCrystal,
 )
-from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.core.run import Provenance, Run
-from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.efficiency.responses import EffectResponse, mixture
+from mcrim_mitsuba.efficiency.responses import held_at
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, spread
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.model import ResponseModel
@@ -40,8 +39,6 @@ from mcrim_mitsuba.optics.gammas import AttenuationLength
 
 _ETA, _OVER = "eta ", " / "
 _SHOWN_EFFICIENCIES = 2
-#: Name of what stands in for an effect where light has many indices.
-_MIXED = "indices"
 
 
 # ---- numbers and their shifts ----
@@ -76,42 +73,14 @@ class Quantities:
 
 
 def at(model: ResponseModel, values: Mapping[str, float]) -> Quantities:
-    """Efficiencies and their ratio where the free parameters, at least, have given values."""
+    """Efficiencies where the free parameters, at least, have given values.
+
+    And their ratio, where two readings of light are in use.
+    """
     theta = np.array([values[parameter.name] for parameter in model.free])
     prediction = model.predict(theta)
-    batches = prediction.eta * model.eta_batches(theta)
-    return _of_eta(model, prediction.eta, batches, prediction.eta_slopes)
-
-
-def fitted(fit: Calibration) -> Quantities:
-    """Efficiencies, their ratio and parameters where a fit ended.
-
-    Where a batch alone would give other efficiencies, the fit would end elsewhere: by the
-    response of the estimate to the readings, to first order.
-    """
-    model, theta = fit.model, fit.theta
-    assert isinstance(model, ResponseModel)  # with batches
-    prediction = model.predict(theta)
-    own = prediction.eta * model.eta_batches(theta)
-    # a model that predicts more acts as a reading that is lower
-    moved = -(own * prediction.signal_per_eta) @ fit.response.T
-    slopes = prediction.eta_slopes
-    etas = _of_eta(model, prediction.eta, own + moved @ slopes.T, slopes)
-    names, parameters = list(fit.names), np.eye(len(theta))
-    for scale, (name, known) in model.campaign.light_yields.items():
-        if scale in names:
-            place = names.index(scale)
-            names[place], parameters[place, place] = name, known.per_scale
-    return Quantities(
-        (*names, *etas.names),
-        np.concatenate([parameters @ theta, etas.values]),
-        np.hstack([moved @ parameters.T, etas.batches]),
-        np.vstack([parameters, etas.slopes]),
-    )
-
-
-def _of_eta(model: ResponseModel, eta: Array, batches: Array, slopes: Array) -> Quantities:
-    """Efficiencies, and the ratio of the two where two readings of light are in use."""
+    eta, slopes = prediction.eta, prediction.eta_slopes
+    batches = eta * model.eta_batches(theta)
     names = [f"{_ETA}{reading.label}" for reading in model.readings]
     used = [i for i, reading in enumerate(model.readings) if reading.use and not reading.of_beam]
     if len(used) == 2:
@@ -126,6 +95,30 @@ def _of_eta(model: ResponseModel, eta: Array, batches: Array, slopes: Array) -> 
         slopes = np.vstack([slopes, ratio * relative(slopes.T).T])
         eta = np.append(eta, ratio)
     return Quantities(tuple(names), eta, batches, slopes)
+
+
+def fitted(fit: Calibration) -> Quantities:
+    """Efficiencies, their ratio and parameters where a fit ended.
+
+    Where a batch alone would give other efficiencies, the fit would end elsewhere: by the
+    response of the estimate to the readings, to first order.
+    """
+    model, theta = fit.model, fit.theta
+    assert isinstance(model, ResponseModel)  # with batches
+    there, per_eta = at(model, fit.values), model.predict(theta).signal_per_eta
+    # a model that predicts more acts as a reading that is lower
+    moved = -(there.batches[:, : len(per_eta)] * per_eta) @ fit.response.T
+    names, parameters = list(fit.names), np.eye(len(theta))
+    for scale, (name, known) in model.campaign.light_yields.items():
+        if scale in names:
+            place = names.index(scale)
+            names[place], parameters[place, place] = name, known.per_scale
+    return Quantities(
+        (*names, *there.names),
+        np.concatenate([parameters @ theta, there.values]),
+        np.hstack([moved @ parameters.T, there.batches + moved @ there.slopes.T]),
+        np.vstack([parameters, there.slopes]),
+    )
 
 
 @dataclass(frozen=True)
@@ -178,7 +171,7 @@ def shifts(
     }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Neglected:
     """A piece of physics, put into the campaign's model."""
 
@@ -252,17 +245,15 @@ class NeglectWork:
         # births can be weighted too: that tells what the depth's error does
         depth = (SOURCE_DEPTH,) * (SOURCE_DEPTH in self._known.effects)
         #: Of the campaign as it is.
-        self.bench = self._bench(campaign, (*self._index, *depth))
+        self.bench = self._bench(effects=(*self._index, *depth))
         self._fixed: dict[str, float] = {}
         self._own = self._refit(self.bench)
         self._fixed = self._own.fit.values
 
-    def _with(self, *effects: str) -> Campaign:
-        """The campaign with effects of known size in its scene."""
-        return replace(self._campaign, scene=self._known.put_into(self._campaign.scene, *effects))
-
-    def _bench(self, campaign: Campaign, effects: tuple[str, ...] = ()) -> CampaignSimulations:
-        bench = CampaignSimulations(campaign, self._run)
+    def _bench(self, *put_in: str, effects: tuple[str, ...] = ()) -> CampaignSimulations:
+        """A bench with known physics put into its scene, simulated with more effects besides."""
+        scene = self._known.put_into(self._campaign.scene, *put_in)
+        bench = CampaignSimulations(replace(self._campaign, scene=scene), self._run)
         bench.simulate(effects)
         self._benches.append(bench)
         return bench
@@ -270,67 +261,40 @@ class NeglectWork:
     def _refit(
         self,
         bench: CampaignSimulations,
-        switched_on: tuple[str, str, float] | None = None,
-        mixed: EffectResponse | None = None,
+        effect: str = "",
+        values: Sequence[float] | Array = (),
+        parts: Sequence[float] | Array = (1.0,),
     ) -> Refit:
-        """The fit on a bench with one more piece in the model.
-
-        An effect is switched on with its parameter held at a value; or light has many indices,
-        whose response is `mixed`.
-        """
+        """The fit on a bench, with an effect held at a value, or at one for each part of light."""
         campaign, responses = bench.campaign, bench.models.responses
-        stand_ins = []
-        if switched_on is not None:
-            effect, name, value = switched_on
-            campaign = campaign.with_effects([effect])
-            held = CampaignParameter(name, value, value, value, fixed=True)
-            campaign = replace(campaign, parameters={**campaign.parameters, name: held})
-        if mixed is not None:
-            # a response that is to no effect of the catalogue
-            stand_ins = [Effect(_MIXED, _MIXED, "", "", edit=lambda editor: None)]
-            responses = replace(responses, effects={**responses.effects, _MIXED: mixed})
-        model = ResponseModel(campaign, responses, campaign.switched_on + stand_ins)
+        effects = campaign.switched_on
+        if effect:
+            held = held_at(responses.effects[effect], values, parts)
+            responses = replace(responses, effects={**responses.effects, effect: held})
+            # none of its parameters is left
+            effects = [*effects, replace(campaign.catalogue[effect], parameters=())]
+        model = ResponseModel(campaign, responses, effects)
         fit = fit_model(model, profile=False)
         return Refit(fit, at(model, fit.values | self._fixed), fitted(fit))
 
-    def _piece(
-        self,
-        name: str,
-        title: str,
-        after: Refit,
-        put_in: str,
-        mend: str,
-        *,
-        correction: bool = True,
-        doubt: tuple[str, str, float, float] | None = None,
-    ) -> Neglected:
-        """A piece by the fit with it.
+    def _moved(
+        self, after: Refit, doubt: tuple[str, float, float] | None = None
+    ) -> dict[str, dict[str, Shift]]:
+        """What a piece moves by the fit with it: `Neglected.at_fixed` and `Neglected.refitted`.
 
-        The doubt is an effect, its parameter, a value of that and its error: what the error does.
+        The doubt is an effect, a value of its parameter, and the error of that.
         """
-        sizes: list[dict[str, float]] = [{}, {}]
+        ends = []
         if doubt is not None:
-            effect, parameter, value, sigma = doubt
-            low, high = (
-                self._refit(self.bench, (effect, parameter, value + sign * sigma))
-                for sign in (-1, 1)
-            )
-            sizes = [
-                {name: abs(moved.shift) / 2 for name, moved in refits.items()}
-                for refits in (
-                    shifts(low.at_fixed, high.at_fixed),
-                    shifts(low.refitted, high.refitted),
-                )
-            ]
-        return Neglected(
-            name,
-            title,
-            correction,
-            put_in,
-            mend,
-            shifts(self._own.at_fixed, after.at_fixed, sizes[0]),
-            shifts(self._own.refitted, after.refitted, sizes[1]),
-        )
+            effect, value, sigma = doubt
+            ends = [self._refit(self.bench, effect, [value + sign * sigma]) for sign in (-1, 1)]
+        moved = {}
+        for kind in ("at_fixed", "refitted"):
+            before, then = getattr(self._own, kind), getattr(after, kind)
+            between = shifts(*(getattr(end, kind) for end in ends)) if ends else {}
+            sizes = {name: abs(shift.shift) / 2 for name, shift in between.items()}
+            moved[kind] = shifts(before, then, sizes)
+        return moved
 
     def neglected(self) -> tuple[Neglected, ...]:
         """Every piece by itself, corrections first."""
@@ -350,51 +314,54 @@ class NeglectWork:
     def _source_depth(self, length: AttenuationLength) -> Neglected:
         """Light is born where the gammas stop below the top, not everywhere alike."""
         depth, sigma = length.length_mm, length.sigma_mm
-        return self._piece(
-            SOURCE_DEPTH,
-            "source depth",
-            self._refit(self._bench(self._with(SOURCE_DEPTH))),
-            f"births exp(-t/d) below the top, d = {pdg(depth, sigma)} mm ({length.energy_keV:g} "
-            f"keV gammas in {length.formula} of {length.density_g_per_cm3:g} g/cm3, through the "
-            "top)",
-            f'write effects = ["{SOURCE_DEPTH}"] and [parameters.{DEPTH_MM}] with '
+        return Neglected(
+            name=SOURCE_DEPTH,
+            title="source depth",
+            correction=True,
+            put_in=f"births exp(-t/d) below the top, d = {pdg(depth, sigma)} mm "
+            f"({length.energy_keV:g} keV gammas in {length.formula} of "
+            f"{length.density_g_per_cm3:g} g/cm3, through the top)",
+            mend=f'write effects = ["{SOURCE_DEPTH}"] and [parameters.{DEPTH_MM}] with '
             f"prior = {depth:.3f}, prior_sigma = {sigma:.3f}",
-            doubt=(SOURCE_DEPTH, DEPTH_MM, depth, sigma),
+            **self._moved(self._refit(self._bench(SOURCE_DEPTH)), (SOURCE_DEPTH, depth, sigma)),
         )
 
     def _polarization(self) -> Neglected:
         """Every photon keeps its polarisation from one face to the next."""
-        return self._piece(
-            POLARIZATION,
-            "polarisation",
-            self._refit(self._bench(self._with(POLARIZATION))),
-            "each photon's polarisation followed",
-            "set polarization to true in the scene, as `mcrim add polarization` does",
+        return Neglected(
+            name=POLARIZATION,
+            title="polarisation",
+            correction=True,
+            put_in="each photon's polarisation followed",
+            mend="set polarization to true in the scene, as `mcrim add polarization` does",
+            **self._moved(self._refit(self._bench(POLARIZATION))),
         )
 
     def _crystal_index(self, band: BandIndices) -> Neglected:
         """The crystal has its material's index, the mean over the light that is detected."""
         mean, sigma = band.over.mean, band.over.sigma
-        return self._piece(
-            CRYSTAL_INDEX,
-            "crystal's index",
-            self._refit(self.bench, (CRYSTAL_INDEX, INDEX, mean)),
-            f"n = {pdg(mean, sigma)} in the place of {self._nominal:g} ({band.material.name} over "
-            f"{band.origin})",
-            f"set {INDEX} to {mean:.4f} in the scene",
-            doubt=(CRYSTAL_INDEX, INDEX, mean, sigma),
+        return Neglected(
+            name=CRYSTAL_INDEX,
+            title="crystal's index",
+            correction=True,
+            put_in=f"n = {pdg(mean, sigma)} in the place of {self._nominal:g} "
+            f"({band.material.name} over {band.origin})",
+            mend=f"set {INDEX} to {mean:.4f} in the scene",
+            **self._moved(
+                self._refit(self.bench, CRYSTAL_INDEX, [mean]), (CRYSTAL_INDEX, mean, sigma)
+            ),
         )
 
     def _index_spread(self, band: BandIndices) -> Neglected:
         """Every wavelength of the band has its own index; their mean stays the scene's."""
-        return self._piece(
-            "index_spread",
-            "index spread",
-            self._mixed(band.indices, band.parts),
-            f"indices of {band.material.name} over {band.origin}: ± {band.over.spread:.4f} "
-            "about their mean",
-            "nothing: one index stands for a band",
+        return Neglected(
+            name="index_spread",
+            title="index spread",
             correction=False,
+            put_in=f"indices of {band.material.name} over {band.origin}: ± "
+            f"{band.over.spread:.4f} about their mean",
+            mend="nothing: one index stands for a band",
+            **self._moved(self._spread_over(band.indices, band.parts)),
         )
 
     def _birefringence(self, band: BandIndices) -> Neglected:
@@ -406,16 +373,18 @@ class NeglectWork:
         ordinary, extraordinary = band.over.ordinary_mean, band.over.extraordinary_mean
         assert extraordinary is not None
         sigma = orientation_sigma(ordinary, extraordinary)
-        return self._piece(
-            "birefringence",
-            "birefringence",
-            self._mixed(*indices_of_light(ordinary, extraordinary)),
-            f"n_o = {ordinary:.4f} and n_e = {extraordinary:.4f}; the optic axis of unknown "
-            f"direction makes the index uncertain by {sigma:.4f}",
-            "the crystal's cut: with the optic axis at the angle b to the window's normal the "
-            f"index is {ordinary:.4f} {extraordinary - ordinary:+.4f} sin^2(b) / 2",
+        return Neglected(
+            name="birefringence",
+            title="birefringence",
             correction=False,
-            doubt=(CRYSTAL_INDEX, INDEX, self._nominal, sigma),
+            put_in=f"n_o = {ordinary:.4f} and n_e = {extraordinary:.4f}; the optic axis of unknown "
+            f"direction makes the index uncertain by {sigma:.4f}",
+            mend="the crystal's cut: with the optic axis at the angle b to the window's normal the "
+            f"index is {ordinary:.4f} {extraordinary - ordinary:+.4f} sin^2(b) / 2",
+            **self._moved(
+                self._spread_over(*indices_of_light(ordinary, extraordinary)),
+                (CRYSTAL_INDEX, self._nominal, sigma),
+            ),
         )
 
     @property
@@ -423,27 +392,32 @@ class NeglectWork:
         """The scene's index of the crystal."""
         return float(self._campaign.scene.parameters[INDEX])
 
-    def _mixed(self, indices: Array, parts: Array) -> Refit:
+    def _spread_over(self, indices: Array, parts: Array) -> Refit:
         """The fit where parts of the light have indices of their own, with the scene's as mean."""
-        response = self.bench.models.responses.effects[CRYSTAL_INDEX]
-        mixed = mixture(response, self._nominal + indices - parts @ indices, parts)
-        return self._refit(self.bench, mixed=mixed)
+        about_nominal = self._nominal + indices - parts @ indices
+        return self._refit(self.bench, CRYSTAL_INDEX, about_nominal, parts)
 
     def together(self, neglected: tuple[Neglected, ...]) -> Neglected | None:
         """All corrections in one fit."""
         if self.corrected is None:
             return None
-        titles = ", ".join(piece.title for piece in neglected if piece.correction)
-        return self._piece("together", "all corrections", self.corrected, titles, "as each of them")
+        return Neglected(
+            name="together",
+            title="all corrections",
+            correction=True,
+            put_in=", ".join(piece.title for piece in neglected if piece.correction),
+            mend="as each of them",
+            **self._moved(self.corrected),
+        )
 
     @cached_property
     def corrected(self) -> Refit | None:
         """The fit with all corrections; None where there is none."""
         # an index is found from its response, other effects are simulated
         simulated = [name for name in self._known.effects if name != CRYSTAL_INDEX]
-        bench = self._bench(self._with(*simulated), self._index) if simulated else self.bench
+        bench = self._bench(*simulated, effects=self._index) if simulated else self.bench
         if self._band is not None and CRYSTAL_INDEX in self._known.effects:
-            return self._refit(bench, (CRYSTAL_INDEX, INDEX, self._band.over.mean))
+            return self._refit(bench, CRYSTAL_INDEX, [self._band.over.mean])
         return self._refit(bench) if simulated else None
 
     def provenance(self) -> Provenance:

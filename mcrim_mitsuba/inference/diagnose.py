@@ -1,7 +1,7 @@
 """Which effects of a catalogue explain a campaign's misfit.
 
-The stages: `diagnose_on` screens (a first look at all effects) and repeats what follows until all
-that it rests on was simulated in full; `diagnose_models` fits, weighs and judges (`_weighed`),
+The stages: `diagnose` screens (a first look at all effects) and repeats what follows until all
+that it rests on was simulated in full; `diagnose_models` fits and judges (`_judged`), weighs,
 repairs and advises. Each gives a small record to the next.
 """
 
@@ -10,11 +10,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
-from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
+from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
-from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import effect_of
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.inference.candidates import (
@@ -47,7 +45,6 @@ from mcrim_mitsuba.inference.judgement import (
     TOO_FEW_READINGS,
     UNEXPLAINED,
     Judgement,
-    Verdict,
 )
 from mcrim_mitsuba.inference.next_measurements import NextMeasurement, next_measurements
 from mcrim_mitsuba.inference.rival_causes import UNKNOWN, bad_readings, unknown_cause
@@ -190,46 +187,19 @@ class Diagnosis:
         return next((fit for fit in tried if set(fit.effects) == set(effects)), None)
 
 
-@dataclass(frozen=True)
-class Diagnosed:
-    """What explains a campaign's misfit."""
-
-    #: Of the campaign as it is.
-    baseline: Calibration
-    diagnosis: Diagnosis
-    provenance: Provenance
-
-
 def diagnose(
-    campaign: str | Path | Campaign,
-    *,
-    without: Sequence[str] = (),
-    only: Sequence[str] = (),
-    run: Run = Run(),
-) -> Diagnosed:
-    """Rank the catalogue's effects as explanations of a campaign's misfit.
-
-    Other parameters and errors as for `compare`.
-
-    Parameters
-    ----------
-    without, only : sequence of str
-        Effects that are left out, and those that alone are tried.
-    """
-    simulations = CampaignSimulations(as_campaign(campaign), run)
-    return diagnose_on(simulations, without=without, only=only)
-
-
-def diagnose_on(
     simulations: CampaignSimulations,
     *,
     without: Sequence[str] = (),
     only: Sequence[str] = (),
     adding: Sequence[str] = (),
-) -> Diagnosed:
-    """`diagnose` on simulations that can be used further.
+) -> Diagnosis:
+    """Rank the catalogue's effects as explanations of a campaign's misfit.
 
-    `adding` are the effects of the repair, whatever the verdict.
+    Parameters as of the public function `diagnose`; `adding` are the effects of the repair,
+    whatever the verdict.
+
+    Raises InputError if a scene is not sound, or the readings do not determine the parameters.
     """
     campaign, run = simulations.campaign, simulations.run
     candidates = _candidates(simulations, without, only, adding)
@@ -265,7 +235,7 @@ def diagnose_on(
             "what to measure next is listed only where effects are to be told apart, or where none "
             "explains the readings"
         )
-    return Diagnosed(baseline, diagnosis, simulations.provenance())
+    return diagnosis
 
 
 def _candidates(
@@ -337,7 +307,7 @@ def diagnose_models(
     seed: int = 0,
     progress: Callable[[str], None] = lambda words: None,
 ) -> Diagnosis:
-    """`diagnose` of models, however they were made.
+    """The diagnosis of models, however they were made.
 
     ``models(added)`` gives the model of the campaign with the effects `added` (a sorted tuple of
     names) besides its own; with the interface of `model.Model`, and if it has
@@ -355,6 +325,7 @@ def diagnose_models(
     explanations = Explanations(models, effects, fit.minimum)
     progress("looking for suspect readings")
     compared = comparison_of(fit)
+    titles = {name: effect.title for name, effect in effects.items()}
     if fit.ndf <= 0:
         return Diagnosis(
             verdict=TOO_FEW_READINGS,
@@ -363,25 +334,27 @@ def diagnose_models(
             baseline=compared,
             repair=steps(explanations, ()),
             seconds=time.perf_counter() - began,
-            titles={name: effect.title for name, effect in effects.items()},
+            titles=titles,
         )
-    weighed = _weighed(explanations, seed, progress)
-    verdict, weighing = weighed.verdict, weighed.weighing
+    judgement = _judged(explanations, seed, progress)
+    verdict, hypotheses = judgement.verdict, judgement.hypotheses
+    candidates = CandidateMaker(judgement)
+    weighing = weigh(hypotheses, fit.model.campaign.light_yield)
     limits = {}
     if verdict.word == ADEQUATE:
         progress("following limits")
         limits = upper_limits(explanations)
-    chosen, set_aside = _repair(explanations, weighed, adding, progress)
+    chosen, set_aside = _repair(judgement, adding, progress)
     advice: tuple[NextMeasurement, ...] = ()
     if proposals is not None and verdict.word in (AMBIGUOUS, UNEXPLAINED):
         progress("looking for what to measure next")
-        advice = next_measurements(explanations, verdict.leading, weighed.hypotheses, proposals)
+        advice = next_measurements(explanations, verdict.leading, hypotheses, proposals)
     return Diagnosis(
         verdict=verdict.word,
         reason=verdict.reason,
         baseline=compared,
-        candidates=weighed.candidates,
-        pairs=weighed.pairs,
+        candidates=candidates.singles(),
+        pairs=candidates.pairs(),
         leading=tuple(dict.fromkeys(name for group in verdict.leading for name in group)),
         leading_sets=verdict.leading,
         unsettled=verdict.unsettled,
@@ -393,82 +366,49 @@ def diagnose_models(
         probabilities=dict(sorted(weighing.probabilities.items(), key=lambda item: -item[1])),
         light_yield_averaged=weighing.light_yield,
         seconds=time.perf_counter() - began,
-        families=_families(weighed.hypotheses, weighing, explanations),
+        families=_families(hypotheses, weighing, explanations),
         set_aside=set_aside,
-        titles={name: effect.title for name, effect in effects.items()},
+        titles=titles,
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Weighed:
-    """All that may explain the readings, beside each other."""
-
-    judgement: Judgement
-    candidates: tuple[Candidate, ...]
-    #: Pairs as candidates, and in order; none where an effect alone explains the readings.
-    pairs: tuple[Candidate, ...]
-    ranked_pairs: Ranking | None
-    hypotheses: list[Hypothesis]
-    weighing: Weighing
-    verdict: Verdict
-
-
-def _weighed(explanations: Explanations, seed: int, progress: Callable[[str], None]) -> _Weighed:
-    """Fit every effect, then pairs where no effect alone suffices, and weigh them all."""
+def _judged(explanations: Explanations, seed: int, progress: Callable[[str], None]) -> Judgement:
+    """Every effect fitted, pairs where no effect alone suffices, and what else there may be."""
     progress(f"fitting {len(explanations.effects)} effects")
     alone = [(name,) for name in explanations.singles()]
     progress("averaging over plausible sizes")
     singles = Ranking(explanations, alone)
     progress("drawing what chance would gain")
     null = NullDistribution(explanations, [name for (name,) in singles.order], seed)
-    maker = CandidateMaker(explanations, null)
-    candidates = maker.singles(singles)
     judgement = Judgement(explanations, singles, null)
-    pairs: tuple[Candidate, ...] = ()
-    ranked_pairs = None
     if judgement.is_adequate:
-        judgement = replace(judgement, unknown_causes=unknown_cause(explanations, ()))
-    else:
-        progress("looking for what is no effect")
-        judgement = replace(
-            judgement,
-            instrument=bad_readings(explanations),
-            unknown_causes=unknown_cause(explanations, singles.order),
-        )
-        if not judgement.single_explains:
-            progress("fitting pairs of effects")
-            ranked_pairs = Ranking(explanations, explanations.ranked_pairs())
-            pairs = maker.pairs(ranked_pairs)
-    hypotheses = judgement.hypotheses(ranked_pairs)
-    campaign = explanations.baseline.statistic.model.campaign
-    return _Weighed(
-        judgement=judgement,
-        candidates=candidates,
-        pairs=pairs,
-        ranked_pairs=ranked_pairs,
-        hypotheses=hypotheses,
-        weighing=weigh(hypotheses, campaign.light_yield),
-        verdict=judgement.verdict(ranked_pairs),
+        return replace(judgement, unknown_causes=unknown_cause(explanations, ()))
+    progress("looking for what is no effect")
+    judgement = replace(
+        judgement,
+        instrument=bad_readings(explanations),
+        unknown_causes=unknown_cause(explanations, singles.order),
     )
+    if judgement.single_explains:
+        return judgement
+    progress("fitting pairs of effects")
+    return replace(judgement, pairs=Ranking(explanations, explanations.ranked_pairs()))
 
 
 def _repair(
-    explanations: Explanations,
-    weighed: _Weighed,
-    adding: tuple[str, ...],
-    progress: Callable[[str], None],
+    judgement: Judgement, adding: tuple[str, ...], progress: Callable[[str], None]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Effects that a repair adds, and those that it would add, were they plausible or sufficient.
 
     Raises InputError if effects that are to be added whatever the verdict cannot be fitted.
     """
+    explanations, verdict = judgement.explanations, judgement.verdict
     if adding:
         if not explanations.possible(adding):
             problem = f"{', '.join(adding)} cannot be fitted to these readings"
             raise InputError(problem, "choose fewer, or others")
         return adding, ()
-    verdict = weighed.verdict
-    if verdict.word == ADEQUATE or not weighed.candidates:
+    if verdict.word == ADEQUATE or not judgement.singles.order:
         return (), ()
     if verdict.word == UNEXPLAINED and verdict.suspects:
         return (), ()
@@ -476,7 +416,7 @@ def _repair(
     if not verdict.leading:
         # what would be needed: effects that do not explain the readings would only bias what is
         # fitted
-        return (), weighed.judgement.chain(weighed.ranked_pairs)
+        return (), judgement.chain()
     # the one that does more comes first
     best = sorted(verdict.leading[0], key=lambda name: explanations.fit((name,)).chi2)
     chosen = tuple(best)

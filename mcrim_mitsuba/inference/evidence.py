@@ -179,9 +179,6 @@ def evidence_of(
 class _Sampled:
     """A model's likelihood as a function of standard normal numbers."""
 
-    #: Step of slopes, and descents towards a maximum.
-    _STEP, _DESCENTS = 1e-3, 12
-
     def __init__(self, fit: Minimum, priors: Sequence[PriorDensity]) -> None:
         self._statistic: Statistic = fit.statistic
         self._weights, self._priors = fit.weights, priors

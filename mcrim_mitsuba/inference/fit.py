@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -100,16 +99,7 @@ _SWAPPED = "check that no rows are swapped"
 
 
 class TooLittleSimulatedError(InputError):
-    """The fit ended where its surfaces say too little.
-
-    `where` has the parameters there; none where more photons would not tell more.
-    """
-
-    def __init__(
-        self, problem: str, mend: str, where: dict[str, float], path: Path | None = None
-    ) -> None:
-        super().__init__(problem, mend, path=path)
-        self.where = where
+    """The fit ended where its surfaces say too little."""
 
 
 class UndeterminedError(TooLittleSimulatedError):
@@ -182,10 +172,10 @@ def _refuse_undetermined(minimum: Minimum) -> None:
     if without := undetermined(minimum.information, minimum.names):
         path = minimum.statistic.model.campaign.path
         if wish := _wish(minimum):
-            raise UndeterminedError(wish, _SWAPPED, minimum.values, path=path)
+            raise UndeterminedError(wish, _SWAPPED, path=path)
         problem = f"the readings do not determine {' and '.join(without)}"
         mend = "add a reading in another configuration or a prior, or hold one with fixed = true"
-        raise UndeterminedError(problem, mend, {}, path=path)
+        raise UndeterminedError(problem, mend, path=path)
 
 
 def _trusted(minima: list[Minimum]) -> tuple[list[Minimum], Prediction]:
@@ -199,7 +189,7 @@ def _trusted(minima: list[Minimum]) -> tuple[list[Minimum], Prediction]:
         try:
             _refuse_undetermined(minimum)
             return minima[place:], _checked_prediction(minimum)
-        except (UndeterminedError, TooLittleSimulatedError) as error:
+        except TooLittleSimulatedError as error:
             refusal = refusal or error
     assert refusal is not None
     raise refusal
@@ -218,9 +208,7 @@ def _checked_prediction(best: Minimum) -> Prediction:
         if wish := _wish(best):
             problem, mend = f"{wish}, and there {error.problem}", _SWAPPED
         mend = _lost_point(model, model.predict(best.theta)) or mend
-        raise TooLittleSimulatedError(
-            problem, mend, best.values, path=model.campaign.path
-        ) from None
+        raise TooLittleSimulatedError(problem, mend, path=model.campaign.path) from None
 
 
 def _with_intervals(best: Minimum) -> tuple[dict[str, ParameterEstimate], list[str]]:

@@ -120,7 +120,7 @@ class HypothesesCompared:
 def compare_hypotheses(
     campaigns: Sequence[str | Path | Campaign], *, run: Run = Run()
 ) -> HypothesesCompared:
-    """Minimum campaigns of the same readings and weigh them against each other.
+    """Fit campaigns of the same readings and weigh them against each other.
 
     Raises InputError as `compare` does; or if the readings, or what is known of the scale, are not
     the same.

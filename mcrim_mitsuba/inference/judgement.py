@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from scipy.special import chdtrc, logsumexp
 
@@ -48,6 +49,8 @@ class Judgement:
     #: Of the effects alone.
     singles: Ranking
     null: NullDistribution
+    #: Of two at once; None where an effect alone explains the readings.
+    pairs: Ranking | None = None
     #: What else may explain the readings: wrong ones, the likeliest first, with whose they are.
     instrument: Sequence[tuple[Hypothesis, Suspect]] = ()
     #: What has no name.
@@ -70,9 +73,11 @@ class Judgement:
         p = self.baseline.p_value
         return p is not None and p >= ACCEPTABLE_P and self.p_of_best_gain >= ACCEPTABLE_P
 
-    def hypotheses(self, pairs: Ranking | None) -> list[Hypothesis]:
+    @cached_property
+    def hypotheses(self) -> list[Hypothesis]:
         """All that may explain the readings."""
-        of_effects = [(), *self.singles.order, *(pairs.order if pairs is not None else ())]
+        pairs = () if self.pairs is None else self.pairs.order
+        of_effects = [(), *self.singles.order, *pairs]
         return [
             *map(self._of_effects, of_effects),
             *(hypothesis for hypothesis, _ in self.instrument),
@@ -111,8 +116,9 @@ class Judgement:
         weights = [each.log_weight for each in self.unknown_causes]
         return not weights or self._of_effects(effects).log_weight >= float(logsumexp(weights))
 
-    def verdict(self, pairs: Ranking | None) -> Verdict:
-        """What is said of the campaign; pairs are given where they were looked at."""
+    @cached_property
+    def verdict(self) -> Verdict:
+        """What is said of the campaign."""
         baseline, suspects = self.baseline, self.suspects
         if self.is_adequate:
             return Verdict(
@@ -121,9 +127,10 @@ class Judgement:
                 f"{p_equals(baseline.p_value)}), and no effect gains more than chance would ("
                 f"{p_equals(self.p_of_best_gain)})",
             )
-        leading, best = self._leading(pairs)
+        ranking, best = self._leading()
+        leading = () if ranking is None else ranking.leading()
         if suspects:
-            others = [h for h in self.hypotheses(pairs) if h.effects or h.besides == UNKNOWN]
+            others = [h for h in self.hypotheses if h.effects or h.besides == UNKNOWN]
             rivals = float(logsumexp([each.log_weight for each in others]))
             lead = self.instrument[0][0].log_weight - rivals
             if lead > JUDGING.rival or (lead > 0.0 and not leading):
@@ -136,8 +143,8 @@ class Judgement:
                     leading,
                     suspects,
                 )
-        if leading:
-            return self._of_leading(leading, best, pairs)
+        if ranking is not None:
+            return self._of_leading(ranking)
         return Verdict(
             UNEXPLAINED,
             f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom, and something that "
@@ -145,24 +152,22 @@ class Judgement:
             f"{best.chi2:.3g} for {best.ndf} at best",
         )
 
-    def _of_leading(
-        self, leading: tuple[tuple[str, ...], ...], best: Minimum, pairs: Ranking | None
-    ) -> Verdict:
+    def _of_leading(self, ranking: Ranking) -> Verdict:
         """The verdict where explanations lead: one is missing, several cannot be told apart."""
+        leading, best = ranking.leading(), ranking.best
         p = best.p_value
         quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
         quality += f" ({p_equals(p)})" if p is not None else ""
         if len(leading) == 1:
             reason = f"{self._titles(leading)} explains the misfit: {quality}"
             unknown, others = (
-                [h.log_weight for h in self.hypotheses(pairs) if (h.besides == UNKNOWN) is of_none]
+                [h.log_weight for h in self.hypotheses if (h.besides == UNKNOWN) is of_none]
                 for of_none in (True, False)
             )
             if unknown and logsumexp(unknown) - logsumexp(others) > -JUDGING.doubt:
                 reason += "; but so may something that is in no catalogue"
                 return Verdict(AMBIGUOUS, reason, leading)
             return Verdict(MISSING_EFFECT, reason, leading)
-        ranking = self.singles if pairs is None or leading[0] in self.singles.order else pairs
         unsettled = ranking.unsettled()
         near = tuple(each for each in leading if each not in unsettled)
         if len(near) > 1:
@@ -182,29 +187,29 @@ class Judgement:
             first, last = first[: JUDGING.most_named], f"{len(leading) - JUDGING.most_named} others"
         return f"{', '.join(first)} and {last}" if first else last
 
-    def _leading(self, pairs: Ranking | None) -> tuple[tuple[tuple[str, ...], ...], Minimum]:
-        """Effects that explain the readings, and of all effects the fit that does best.
+    def _leading(self) -> tuple[Ranking | None, Minimum]:
+        """Which explanations lead, if any do, and of all effects the fit that does best.
 
         First single effects, then pairs, where these were needed and tried: those lead of which the
         best has a name and fits well enough.
         """
-        singles, best = self.singles, self.baseline
+        singles, pairs, best = self.singles, self.pairs, self.baseline
         significant = self.p_of_best_gain < ACCEPTABLE_P
-        needs_pairs = pairs is not None and self.needs(pairs)
+        needs_pairs = pairs is not None and self._needs(pairs)
         if singles.order:
             best = singles.best
             level = JUDGING.barely_explains if pairs is not None else ACCEPTABLE_P
             named = self._names(singles.order[0])
             if significant and not needs_pairs and named and explains(best, level):
-                return singles.leading(), best
+                return singles, best
         if pairs is not None and pairs.order:
             best = pairs.best
             named = self._names(pairs.order[0])
             if needs_pairs and named and explains(best, JUDGING.pair_explains):
-                return pairs.leading(), best
-        return (), best
+                return pairs, best
+        return None, best
 
-    def needs(self, pairs: Ranking) -> bool:
+    def _needs(self, pairs: Ranking) -> bool:
         """Whether two effects explain the readings significantly better than the best one alone.
 
         Asked where that one leaves a p-value below 0.01. The gain is corrected for the number of
@@ -221,13 +226,13 @@ class Judgement:
         gain = max(alone.chi2 - best.chi2, 0.0)
         return corrected(float(chdtrc(further, gain)), tries) < ACCEPTABLE_P
 
-    def chain(self, pairs: Ranking | None) -> tuple[str, ...]:
+    def chain(self) -> tuple[str, ...]:
         """Effects that together explain the readings where no two do; empty if none do.
 
         One after the other, from the best pair on, while its gain is significant, and it explains
         what was not explained or the error on readings left out falls.
         """
-        explanations, null = self.explanations, self.null
+        explanations, null, pairs = self.explanations, self.null, self.pairs
         chosen = pairs.order[0] if pairs is not None and pairs.order else self.singles.order[0]
         while len(chosen) < JUDGING.most_effects:
             ranked = explanations.ranked_further(chosen)

@@ -256,9 +256,11 @@ class ResponseModel:
         values = self._values(theta)
         at = self._at(values)
         eta = np.exp(at.log_eta if self._shift is None else at.log_eta + self._shift)
-        eta_slopes = self._over_parameters(
-            {name: eta * slopes for name, slopes in at.slopes.items()}
-        )
+        # of a parameter that changes no light they are 0
+        eta_slopes = np.zeros((len(self.readings), len(self.free)))
+        for name, column in self._column.items():
+            if name in at.slopes:
+                eta_slopes[:, column] = eta * at.slopes[name]
         sent = self._sent(values, eta, eta_slopes)
         signal, signal_slopes, per_eta = self._read(values, *sent)
         eta_errors = eta_sigma = None
@@ -276,13 +278,6 @@ class ResponseModel:
             interpolation_error=at.interpolation_error() * eta if check else None,
             eta_errors=eta_errors if covariance else None,
         )
-
-    def _over_parameters(self, slopes: Mapping[str, Array]) -> Array:
-        """(readings, free parameters) slopes of (readings,) ones by name; others are 0."""
-        columns = np.zeros((len(self.readings), len(self.free)))
-        for name, column in self._column.items():
-            columns[:, column] = slopes.get(name, 0.0)
-        return columns
 
     def _sent(
         self, values: Mapping[str, float], eta: Array, eta_slopes: Array

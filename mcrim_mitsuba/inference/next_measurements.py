@@ -295,8 +295,7 @@ def _cloud(
     for each, share in likely:
         effects, points = tuple(sorted(each.effects)), each.evidence.draws
         predicted = proposals.predict(effects, points)
-        if proposals.noise is not None:
-            variance += share * proposals.noise(effects, np.median(points, axis=0)) ** 2
+        variance += share * proposals.noise(effects, np.median(points, axis=0)) ** 2
         if each.amplitude:  # something without a name
             predicted = predicted * np.exp(
                 unknown_cause_at(explanations, each, points, proposals.configurations)

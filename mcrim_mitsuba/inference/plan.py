@@ -15,7 +15,6 @@ from itertools import chain, combinations, product
 from pathlib import Path
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.parameter import SCALE
@@ -201,25 +200,11 @@ def plan(
 ) -> Planning:
     """What every set of couplings, number of mountings and of events would bring.
 
+    Parameters as of the public function `plan`. The campaign's readings tell where it stands; plans
+    start anew, with its priors.
+
     Raises InputError as `calibrate`; if a coupling cannot be measured, no peak would stand out of
     the pedestal, or no set of couplings determines the parameters.
-
-    Parameters
-    ----------
-    campaign : str, Path or Campaign
-        Its readings, photons per event, tell where it stands; plans start anew, with its priors.
-    wanted : float
-        Relative error of the light yield.
-    n_gap : sequence of float
-        Couplings that can be measured; all else as the scene has it.
-    mountings : sequence of int
-        Of each coupling.
-    events : sequence of float
-        In the band, of each mounting.
-    conditions : Conditions, optional
-        Without it scatter and spread are the raw campaign's own, if it has histograms.
-    run : Run
-        As for `calibrate`.
     """
     campaign = as_campaign(campaign)
     configurations = _couplings(campaign, n_gap)
@@ -227,7 +212,9 @@ def plan(
     conditions = conditions or measured_conditions(campaign)
     simulations = CampaignSimulations(campaign, run)
     fit = simulations.fit()
-    expected = Expectation(fit, simulations.further(configurations), configurations, conditions)
+    expected = Expectation(
+        fit, simulations.predict_at(configurations)(()), configurations, conditions
+    )
     plans, floors, without = list[Plan](), {}, []
     places = range(len(expected.candidates))
     for chosen in chain.from_iterable(combinations(places, n + 1) for n in places):
@@ -251,10 +238,7 @@ def plan(
         floors=floors,
         solution=fit.parameters,
         undetermined=tuple(without),
-        notes=(
-            *_doubt(fit),
-            *simulations.provenance().notes,
-        ),
+        notes=(*_doubt(fit), *simulations.provenance().notes),
     )
 
 
@@ -298,13 +282,6 @@ def _couplings(campaign: Campaign, n_gap: Sequence[float]) -> list[dict[str, flo
         if (wrong := judge("n_gap", value)) is not None:
             raise InputError(f"n_gap = {value:g}: {wrong[1]}", wrong[2])
     return [{"n_gap": value} for value in values]
-
-
-def _candidate(
-    parameters: dict[str, float], signal: float, conditions: Conditions
-) -> PlanCandidate:
-    with placed(", ".join(f"{name} = {value:g}" for name, value in parameters.items())):
-        return PlanCandidate(parameters, signal, event_sigma(signal, conditions))
 
 
 # ---- what counting statistics and mountings do to a reading ----
@@ -363,27 +340,34 @@ class Expectation:
         configurations: Sequence[dict[str, float]],
         conditions: Conditions,
     ) -> None:
-        #: (candidates,) and the signals, with their slopes, that the fit predicts of them.
         prediction = further.predict(fit.theta, check=True)
-        self._signals, self._slopes = prediction.signal, prediction.signal_slopes
-        self.candidates = tuple(
-            _candidate(parameters, float(signal), conditions)
-            for parameters, signal in zip(configurations, prediction.signal, strict=True)
-        )
+        candidates = []
+        for parameters, signal in zip(configurations, prediction.signal.tolist(), strict=True):
+            with placed(", ".join(f"{name} = {value:g}" for name, value in parameters.items())):
+                event = event_sigma(signal, conditions)
+            candidates.append(PlanCandidate(parameters, signal, event))
+        self.candidates = tuple(candidates)
         self._fit, self._scatter = fit, conditions.mounting_scatter
-        minimum = fit.minimum
-        self._prior_weight = minimum.statistic.prior_weight
+        # (candidates, free) d log(signal) / d parameter
+        self._slopes = prediction.signal_slopes / prediction.signal[:, None]
+        statistic = fit.minimum.statistic
+        priors = np.diag(np.sqrt(statistic.prior_weight))
+        # by origin, (free,) d known / d parameter, in standard errors of what is known
+        self._known = {
+            PRIOR + name: row for name, row in zip(fit.names, priors, strict=True) if row.any()
+        }
         # transmittances are not measured again: what they told goes on, like priors
-        beams = np.array([r.of_beam for r in fit.model.readings if r.use])
-        sigmas = np.sqrt(minimum.statistic.variance)
-        self._transmittances = [
-            label for label, of_beam in zip(minimum.statistic.labels, beams, strict=True) if of_beam
-        ]
-        self._beam_slopes = (minimum.slopes / sigmas[:, None])[beams]
+        beams = [reading.of_beam for reading in fit.model.readings if reading.use]
+        measured = fit.minimum.slopes / np.sqrt(statistic.variance)[:, None]
+        self._known |= {
+            PRIOR + label: row
+            for label, row, of_beam in zip(statistic.labels, measured, beams, strict=True)
+            if of_beam
+        }
 
     def determined(self, chosen: Sequence[int]) -> bool:
         """Whether these configurations, and the priors, determine all parameters."""
-        _, information = self._information(chosen, np.full(len(chosen), PLANNING.perfect))
+        information = self._information(chosen, np.full(len(chosen), PLANNING.perfect))
         return not undetermined(information, self._fit.names)
 
     def floor(self, chosen: Sequence[int]) -> ExpectedError:
@@ -409,22 +393,16 @@ class Expectation:
         self, name: str, chosen: Sequence[int], of_events: Array, of_mountings: Array
     ) -> ExpectedError:
         """A parameter's relative error by origin, from the readings' relative errors."""
-        response, information = self._information(chosen, np.hypot(of_events, of_mountings))
-        covariance = np.linalg.inv(information)
-        place = self._fit.names.index(name)
-        response = (covariance @ response)[place]
-        signal, weights = self._signals[list(chosen)], self._prior_weight
+        place, errors = self._fit.names.index(name), np.hypot(of_events, of_mountings)
+        covariance = np.linalg.inv(self._information(chosen, errors))[place]
+        # how readings move the estimate, by their relative change
+        response = self._slopes[list(chosen)] @ covariance / errors**2
         parts = {
-            EVENTS_ORIGIN: float(np.linalg.norm(response * of_events * signal)),
-            MOUNTINGS_ORIGIN: float(np.linalg.norm(response * of_mountings * signal)),
+            EVENTS_ORIGIN: np.linalg.norm(response * of_events),
+            MOUNTINGS_ORIGIN: np.linalg.norm(response * of_mountings),
+            **{origin: abs(covariance @ row) for origin, row in self._known.items()},
         }
-        for j in np.flatnonzero(weights):
-            parts[PRIOR + self._fit.names[j]] = float(
-                abs(covariance[place, j]) * math.sqrt(weights[j])
-            )
-        for label, slopes in zip(self._transmittances, self._beam_slopes, strict=True):
-            parts[PRIOR + label] = float(abs(covariance[place] @ slopes))
-        relative = {origin: part / abs(self._fit.theta[place]) for origin, part in parts.items()}
+        relative = {n: float(part / abs(self._fit.theta[place])) for n, part in parts.items()}
         known = self._fit.model.campaign.light_yield
         if name == SCALE and known is not None:
             # by origin where spectra tell
@@ -432,14 +410,7 @@ class Expectation:
             relative |= {n: sigma / known.detector_efficiency for n, sigma in sigmas.items()}
         return ExpectedError(relative)
 
-    def _information(self, chosen: Sequence[int], relative: Array) -> tuple[Array, Array]:
-        """What readings of the predicted signals, with these relative errors, tell.
-
-        J^T C^-1, (free, chosen): how they move the estimate, before the covariance; and Fisher's
-        (free, free) information, priors and transmittances included.
-        """
-        slopes = self._slopes[list(chosen)]
-        errors = np.diag((relative * self._signals[list(chosen)]) ** 2)
-        weighted = cho_solve(cho_factor(errors), slopes)
-        known = np.diag(self._prior_weight) + self._beam_slopes.T @ self._beam_slopes
-        return weighted.T, slopes.T @ weighted + known
+    def _information(self, chosen: Sequence[int], relative: Array) -> Array:
+        """(free, free) Fisher's, of readings with these relative errors and of what is known."""
+        rows = np.array([*self._slopes[list(chosen)] / relative[:, None], *self._known.values()])
+        return rows.T @ rows

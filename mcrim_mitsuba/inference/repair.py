@@ -14,7 +14,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import is_there, read_text, refuse_to_replace, write_text
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.inference.diagnose import Diagnosed, RepairStep, diagnose_on
+from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep, diagnose
 from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
@@ -32,7 +32,7 @@ _LIMIT_MB = 10
 class Repaired:
     """A mended campaign."""
 
-    diagnosed: Diagnosed
+    diagnosis: Diagnosis
     #: Those that were added; none where the campaign was adequate or nothing explains it.
     effects: tuple[str, ...]
     #: Of the mended campaign, its effects simulated together where the fit ends.
@@ -58,28 +58,19 @@ def repair(
 ) -> Repaired:
     """Add effects to a campaign one by one while the data justify it.
 
-    Raises InputError as for `diagnose`, or if the files cannot be written.
+    Parameters as of the public function `repair`. Without `output` nothing is written, and files
+    that hold anything else are not replaced.
 
-    Parameters
-    ----------
-    output : str or Path, optional
-        Where the mended campaign is written (TOML); the scene is written beside it under the
-        same name. Without it nothing is written; files that hold anything else are not replaced.
-    effect : sequence of str
-        Effects to add, whatever the verdict; by default what it names, if its size is plausible.
-    run : Run
-        As for `diagnose`.
-    on_step : callable, optional
-        Called with every step as soon as it is known.
+    Raises InputError as for `diagnose`, or if the files cannot be written.
     """
     simulations = CampaignSimulations(as_campaign(campaign), run)
-    diagnosed = diagnose_on(simulations, adding=effect)
-    steps = diagnosed.diagnosis.repair
+    diagnosis = diagnose(simulations, adding=effect)
+    steps = diagnosis.repair
     for step in steps:
         if on_step is not None:
             on_step(step)
     effects = steps[-1].effects  # of the campaign as it came, if nothing was added
-    fit, undetermined = diagnosed.baseline, ""
+    fit, undetermined = simulations.fit(), ""
     if effects:
         starts = {name: estimate.value for name, estimate in steps[-1].parameters.items()}
         try:
@@ -91,10 +82,10 @@ def repair(
     campaign_path = scene_path = None
     if effects and output is not None:
         campaign_path = Path(output)
-        averaged = diagnosed.diagnosis.light_yield_averaged
+        averaged = diagnosis.light_yield_averaged
         scene_path = write_mended(simulations.campaign, fit, campaign_path, averaged)
     return Repaired(
-        diagnosed=diagnosed,
+        diagnosis=diagnosis,
         effects=effects,
         fit=fit,
         campaign_path=campaign_path,
@@ -183,7 +174,17 @@ def mended_scene(
         if effect.edit is not None:
             own = {p.name: values[p.name] for p in effect.parameters}
             scene = scene.edited(add(effect, scene, own))
-    return _with_values(scene, {n: v for n, v in values.items() if n in campaign.scene.parameters})
+    changed = {
+        name: value
+        for name, value in values.items()
+        if name in campaign.scene.parameters and scene.parameters[name] != value
+    }
+    if not changed:
+        return scene
+    editor = SceneEditor(scene, {})
+    for name, value in changed.items():
+        editor.set_default(name, value)
+    return scene.edited(editor.finished())
 
 
 def rounded(values: Mapping[str, float]) -> dict[str, float]:
@@ -210,14 +211,3 @@ def text_for_folder(scene: SceneFile, folder: Path) -> str:
         path = Path(os.path.relpath(emission, folder)).as_posix()
         editor.set_default(name, f"{material}@{path}")
     return editor.finished()
-
-
-def _with_values(scene: SceneFile, values: dict[str, float]) -> SceneFile:
-    """The scene with other values in its ``<default>``s."""
-    changed = {n: v for n, v in values.items() if scene.parameters[n] != v}
-    if not changed:
-        return scene
-    editor = SceneEditor(scene, {})
-    for name, value in changed.items():
-        editor.set_default(name, value)
-    return scene.edited(editor.finished())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,7 +22,6 @@ from mcrim_mitsuba.core.rounding import number
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
 from mcrim_mitsuba.effects.effect import Effect
-from mcrim_mitsuba.efficiency.eta_grid import Grid
 from mcrim_mitsuba.efficiency.response_maker import (
     EFFECT_PHOTONS,
     PLAIN_FACTOR,
@@ -30,7 +30,7 @@ from mcrim_mitsuba.efficiency.response_maker import (
 )
 from mcrim_mitsuba.efficiency.responses import Anchor, Responses
 from mcrim_mitsuba.inference.drivers import Minimum, find_minima, newton
-from mcrim_mitsuba.inference.explanations import plausible_priors
+from mcrim_mitsuba.inference.explanations import Models, plausible_priors
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model, result_of
 from mcrim_mitsuba.inference.model import ResponseModel, acts_on, held
 from mcrim_mitsuba.inference.settings import EXTENT, ONE_SIGMA, USUAL
@@ -50,9 +50,8 @@ class MeasurementProposals:
 
     #: Scene parameters of each, by name.
     configurations: Sequence[dict[str, Value]]
-    #: ``predict(effects, thetas)`` gives their (points, m) signals, of the model with these effects
-    #: at (points, free) values of its free parameters.
-    predict: Callable[[tuple[str, ...], Array], Array]
+    #: Of these configurations one after the other, taken for readings: of light, of beams.
+    models: Sequence[Models]
     #: Of a new reading; one, or (m,).
     relative_sigma: float | Array
     #: What a parameter's change from the scene's value takes besides a mounting.
@@ -61,9 +60,15 @@ class MeasurementProposals:
     comments: Mapping[str, str] = field(default_factory=dict)
     #: The scene's own values, from which nothing is changed.
     own: Mapping[str, Value] = field(default_factory=dict)
-    #: ``noise(effects, theta)`` gives the simulation's (m,) relative errors of what is predicted;
-    #: None where there is none.
-    noise: Callable[[tuple[str, ...], Array], Array] | None = None
+
+    def predict(self, effects: tuple[str, ...], thetas: Array) -> Array:
+        """(points, m) signals of the model with these effects at (points, free) parameters."""
+        return np.hstack([models(effects).predict_many(thetas) for models in self.models])
+
+    def noise(self, effects: tuple[str, ...], theta: Array) -> Array:
+        """(m,) relative errors of what is predicted, by the simulation."""
+        predictions = [models(effects).predict(theta, check=True) for models in self.models]
+        return np.concatenate([np.asarray(each.eta_sigma) / each.eta for each in predictions])
 
     def hours(self, *places: int) -> float:
         """To mount some of the configurations; what two have in common is changed once."""
@@ -92,11 +97,9 @@ class CampaignModels:
         responses, catalogue = self.responses.effects, self.campaign.catalogue
         return frozenset(n for n, e in catalogue.items() if n in responses or e.reading is not None)
 
-    def model(
-        self, effects: Sequence[str] = (), starts: Mapping[str, float] | None = None
-    ) -> ResponseModel:
+    def model(self, effects: Sequence[str] = ()) -> ResponseModel:
         """The campaign's model with more effects than its own switched on."""
-        return self.model_of(self.campaign.with_effects(effects).with_starts(starts or {}))
+        return self.model_of(self.campaign.with_effects(effects))
 
     def reduced_model(self, effects: Sequence[str]) -> ResponseModel:
         """The campaign's model with these of its own effects alone."""
@@ -166,7 +169,7 @@ class CampaignSimulations:
         precise |= {e.name for e in wanted if e.name not in look or e.reading is not None}
         self._models = CampaignModels(
             campaign=self.campaign,
-            responses=self._maker.make(wanted, set(look) - precise),
+            responses=self.maker.make(wanted, set(look) - precise),
             anchor=self._anchor,
             precise=precise,
         )
@@ -175,9 +178,9 @@ class CampaignSimulations:
             beyond = self._goes_beyond(self._minima[0])
             if beyond != self._beyond:
                 self._beyond, self._models, self._minima = beyond, None, []
-                del self._maker
+                del self.maker
                 return self.simulate(effects, look)
-        if self._anchor is None and not self._maker.is_exact(self.campaign.switched_on):
+        if self._anchor is None and not self.maker.is_exact(self.campaign.switched_on):
             fit = self._anchored(self.campaign, profile=False)
             assert isinstance(fit.model, ResponseModel)
             self._anchor = fit.model.anchor
@@ -246,7 +249,7 @@ class CampaignSimulations:
         return replace(fit, notes=(*fit.notes, note))
 
     def _settled(self, campaign: Campaign) -> Calibration:
-        if self._maker.is_exact(campaign.switched_on):
+        if self.maker.is_exact(campaign.switched_on):
             return fit_model(self.models.model_of(campaign))
         return self._anchored(campaign, profile=True)
 
@@ -284,17 +287,8 @@ class CampaignSimulations:
         anchor = maker.anchor(campaign.switched_on, {**held(campaign), **values})
         return self.models.model_of(campaign, anchor)
 
-    def is_exact(self, effects: Sequence[Effect]) -> bool:
-        """Whether responses tell what effects do together without a joint simulation."""
-        return self._maker.is_exact(effects)
-
-    @property
-    def grid(self) -> Grid:
-        """The coefficients that are simulated."""
-        return self._maker.grid
-
     @cached_property
-    def _maker(self) -> ResponseMaker:
+    def maker(self) -> ResponseMaker:
         """What makes the responses of the campaign's own readings."""
         return self._maker_of(self.campaign, "simulation")
 
@@ -310,27 +304,15 @@ class CampaignSimulations:
     def proposals(self) -> MeasurementProposals:
         """What could be measured next; it is simulated when it is asked for."""
         light, beams = self._not_measured()
-        asked = [self._proposed(each) for each in (light, beams) if each]
-
-        def predict(effects: tuple[str, ...], thetas: Array) -> Array:
-            return np.hstack([model(effects).predict_many(thetas) for model in asked])
-
-        def noise(effects: tuple[str, ...], theta: Array) -> Array:
-            found = [model(effects).predict(theta, check=True) for model in asked]
-            return np.concatenate([np.asarray(each.eta_sigma) / each.eta for each in found])
-
         sigmas = [self._usual_sigma(of_beam=False)] * len(light)
         sigmas += [self._usual_sigma(of_beam=True)] * len(beams)
-        minutes = self.campaign.next_measurements.get(NEXT_MINUTES, {})
-        comments = {n: known.comment for n, known in self.campaign.scene.defaults.items()}
         return MeasurementProposals(
             [*light, *beams],
-            predict,
+            [self.predict_at(kind, EXTENT.proposed_part) for kind in (light, beams) if kind],
             np.array(sigmas),
-            minutes,
-            comments,
-            {**BEAM_PARAMETERS, **self.campaign.values},
-            noise,
+            minutes=self.campaign.next_measurements.get(NEXT_MINUTES, {}),
+            comments={n: known.comment for n, known in self.campaign.scene.defaults.items()},
+            own={**BEAM_PARAMETERS, **self.campaign.values},
         )
 
     def _usual_sigma(self, *, of_beam: bool) -> float:
@@ -342,21 +324,19 @@ class CampaignSimulations:
         used = [r.sigma / r.signal for r in rows if r.of_beam == of_beam]
         return float(np.median(used)) if used else EXTENT.usual_sigma
 
-    def further(self, configurations: Sequence[Mapping[str, Value]]) -> ResponseModel:
-        """The campaign's model of configurations of light that were not measured."""
-        return self._proposed(configurations, 1.0)(())
-
-    def _proposed(
-        self,
-        configurations: Sequence[Mapping[str, Value]],
-        part: float = EXTENT.proposed_part,
+    def predict_at(
+        self, configurations: Sequence[Mapping[str, Value]], part: float = 1.0
     ) -> Callable[[tuple[str, ...]], ResponseModel]:
-        """The model with some effects of configurations of one kind, taken for readings."""
+        """Models of configurations, taken for readings that nobody made, with some effects.
+
+        All are of light, or all of beams. They are simulated when they are first asked for, with a
+        part of the photons.
+        """
         readings = tuple(
             Reading(
                 label=", ".join(f"{n} = {v}" for n, v in each.items()),
-                signal=1.0,
-                sigma=1.0,
+                signal=math.nan,
+                sigma=math.nan,
                 parameters={n: v for n, v in each.items() if n != KIND},
                 kind=str(each.get(KIND, LIGHT)),
             )
@@ -413,7 +393,7 @@ class CampaignSimulations:
         from mcrim_mitsuba.transport.variants import versions
 
         of_caches = [note for maker in self._makers for note in maker.notes]
-        of_caches += self._maker.said
+        of_caches += self.maker.said
         return Provenance(
             seed=self.run.seed,
             photons=sum(maker.photons for maker in self._makers),

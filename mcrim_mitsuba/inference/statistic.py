@@ -97,12 +97,6 @@ class ErrorMatrices:
         """Covariance of reading minus prediction."""
         return self.readings + self.simulated @ self.simulated.T
 
-    def of(self, rows: NDArray[np.bool_]) -> ErrorMatrices:
-        """Those of some readings, of which nothing is unexplained."""
-        return ErrorMatrices(
-            self.variance[rows], self.shared[rows], self.mountings[rows], self.simulated[rows]
-        )
-
     def statistical_variances(self, response: Array) -> Array:
         """(k,) variances, by `readings`, of numbers that move by (k, used) with the readings."""
         shared = [np.bincount(self.mountings, moved) for moved in response * self.shared]

@@ -18,14 +18,14 @@ from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, unit_of
 from mcrim_mitsuba.core.run import Provenance
 from mcrim_mitsuba.inference.budget import Budget
-from mcrim_mitsuba.inference.calibrate import CampaignResult
-from mcrim_mitsuba.inference.compare import Compared, Comparison
-from mcrim_mitsuba.inference.diagnose import Diagnosed, Diagnosis
+from mcrim_mitsuba.inference.compare import Comparison
+from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.hypotheses import HypothesesCompared, SideBySide
 from mcrim_mitsuba.inference.plan import ExpectedError, Plan, Planning
 from mcrim_mitsuba.inference.repair import Repaired
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.output import sentences
 from mcrim_mitsuba.output.registry import Document, Result, fields_of
 
@@ -135,10 +135,9 @@ class FitResult(FittedResult, Calibration):
     seconds: float
 
     @classmethod
-    def of(cls, calibrated: CampaignResult, campaign: Campaign, seconds: float) -> Self:
+    def of(cls, fit: Calibration, simulations: CampaignSimulations, seconds: float) -> Self:
         """The result of a calibration."""
-        fit = calibrated.fit
-        shown = _shown(campaign, calibrated.provenance, fit.notes)
+        shown = _shown(simulations.campaign, simulations.provenance(), fit.notes)
         return cls(**fields_of(fit) | shown, seconds=seconds)
 
     def numbers(self) -> dict[str, Any]:
@@ -155,10 +154,9 @@ class ComparisonResult(FittedResult, Comparison):
     """A campaign beside its model: pulls, suspect readings, trends."""
 
     @classmethod
-    def of(cls, compared: Compared, campaign: Campaign) -> Self:
+    def of(cls, comparison: Comparison, simulations: CampaignSimulations) -> Self:
         """The result of a comparison."""
-        comparison = compared.comparison
-        shown = _shown(campaign, compared.provenance, comparison.notes)
+        shown = _shown(simulations.campaign, simulations.provenance(), comparison.notes)
         return cls(**fields_of(comparison) | shown)
 
 
@@ -189,10 +187,10 @@ class DiagnosisResult(CampaignShown, Diagnosis):
     """Which effects of the catalogue explain a campaign's misfit."""
 
     @classmethod
-    def of(cls, diagnosed: Diagnosed, campaign: Campaign) -> Self:
+    def of(cls, diagnosis: Diagnosis, simulations: CampaignSimulations) -> Self:
         """The result of a diagnosis."""
-        shown = _shown(campaign, diagnosed.provenance, diagnosed.baseline.notes)
-        return cls(**fields_of(diagnosed.diagnosis), **shown)
+        shown = _shown(simulations.campaign, simulations.provenance(), diagnosis.baseline.notes)
+        return cls(**fields_of(diagnosis), **shown)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -215,7 +213,7 @@ class RepairResult(FittedResult, Diagnosis):
     def of(cls, repaired: Repaired, campaign: Campaign, **further: Any) -> Self:
         """The result of a repair; `further` are fields of a subclass, and such as differ."""
         fit = repaired.fit
-        fields = fields_of(repaired.diagnosed.diagnosis)
+        fields = fields_of(repaired.diagnosis)
         fields |= attributes(repaired, "effects campaign_path scene_path undetermined")
         fields |= {"calibration": fit, "parameters": fit.parameters}
         return cls(**fields | _shown(campaign, repaired.provenance, fit.notes) | further)

@@ -616,13 +616,15 @@ def calibrate(
         ``fit.parameters``. Pictures ``readings``, ``profiles`` and ``budget``.
     """
     from mcrim_mitsuba.inference.calibrate import calibrate as fit_campaign
+    from mcrim_mitsuba.inference.simulations import CampaignSimulations
     from mcrim_mitsuba.output.campaign_results import FitResult
 
     start = time.perf_counter()
     campaign = _read(campaign)
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
-    fitted = fit_campaign(campaign, run=run)
-    return FitResult.of(fitted, campaign, time.perf_counter() - start)
+    simulations = CampaignSimulations(campaign, run)
+    fit = fit_campaign(simulations)
+    return FitResult.of(fit, simulations, time.perf_counter() - start)
 
 
 @overload
@@ -695,9 +697,11 @@ def compare(
         from mcrim_mitsuba.inference.hypotheses import compare_hypotheses
 
         return HypothesesResult.of(compare_hypotheses((campaign, *others), run=run), campaign)
-    from mcrim_mitsuba.inference.compare import compare as compare_campaign
+    from mcrim_mitsuba.inference.compare import comparison_of
+    from mcrim_mitsuba.inference.simulations import CampaignSimulations
 
-    return ComparisonResult.of(compare_campaign(campaign, run=run), campaign)
+    simulations = CampaignSimulations(campaign, run)
+    return ComparisonResult.of(comparison_of(simulations.fit()), simulations)
 
 
 @_public
@@ -731,12 +735,14 @@ def diagnose(
         With ``verdict``, ``candidates``, ``leading``, ...; picture ``ranking``.
     """
     from mcrim_mitsuba.inference.diagnose import diagnose as diagnose_campaign
+    from mcrim_mitsuba.inference.simulations import CampaignSimulations
     from mcrim_mitsuba.output.campaign_results import DiagnosisResult
 
     campaign = _read(campaign)
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
-    diagnosed = diagnose_campaign(campaign, without=_names(without), only=_names(only), run=run)
-    return DiagnosisResult.of(diagnosed, campaign)
+    simulations = CampaignSimulations(campaign, run)
+    diagnosis = diagnose_campaign(simulations, without=_names(without), only=_names(only))
+    return DiagnosisResult.of(diagnosis, simulations)
 
 
 @_public

@@ -454,7 +454,7 @@ def refuse_output(output: str | Path, inputs: Sequence[str | Path]) -> None:
 
 def _mended_with(repaired: Repaired, effects: tuple[str, ...]) -> Repaired:
     """The same campaign mended with other effects."""
-    simulations, diagnosis = repaired.simulations, repaired.diagnosed.diagnosis
+    simulations, diagnosis = repaired.simulations, repaired.diagnosis
     candidate = diagnosis.candidate(effects)
     fitted = candidate.parameters if candidate else {}
     starts = {name: size.value for name, size in fitted.items()} or None

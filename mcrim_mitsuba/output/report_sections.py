@@ -81,7 +81,7 @@ class Sections:
     @property
     def diagnosis(self) -> Diagnosis:
         """What explains the readings and what does not."""
-        return self.repaired.diagnosed.diagnosis
+        return self.repaired.diagnosis
 
     @property
     def calibration(self) -> Calibration:
@@ -169,7 +169,7 @@ def _behind_pictures(
     run = repaired.simulations.run
     numbers = {
         # how long it took is in no picture
-        "diagnosis": encoded(replace(repaired.diagnosed.diagnosis, seconds=0.0)),
+        "diagnosis": encoded(replace(repaired.diagnosis, seconds=0.0)),
         "calibration": repaired.fit.numbers(),
     }
     return {
@@ -226,7 +226,7 @@ def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
     if not repaired.effects:
         return ()
     target = campaign.path.with_name(f"{campaign.path.stem}_mended.toml")
-    averaged = repaired.diagnosed.diagnosis.light_yield_averaged
+    averaged = repaired.diagnosis.light_yield_averaged
     scene, text = mended_files(campaign, repaired.fit, target, averaged)
     before = read_bytes(campaign.path, _LIMIT_MB).decode("utf-8-sig", errors="replace")
     return (

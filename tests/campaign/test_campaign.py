@@ -15,7 +15,7 @@ from mcrim_mitsuba.campaign.editor import campaign_with_effects
 from mcrim_mitsuba.campaign.entries import json_schema
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.trust import UntrustedEffectsError, fingerprint, trust
-from mcrim_mitsuba.inference.fit import TooLittleSimulatedError
+from mcrim_mitsuba.inference.fit import UndeterminedError
 
 cases = cases_of(__file__)
 
@@ -383,8 +383,8 @@ def test_a_refusal_comes_whole_from_another_process():
     error = InputError("too long", "shorten it", path="a.csv", line=3, column="label")
     again = pickle.loads(pickle.dumps(error))
     assert (str(again), again.line, again.mend) == (str(error), 3, "shorten it")
-    worse = TooLittleSimulatedError("too few", "more photons", {"scale": 2.0})
-    assert pickle.loads(pickle.dumps(worse)).where == {"scale": 2.0}
+    worse = pickle.loads(pickle.dumps(UndeterminedError("too few", "more readings", line=7)))
+    assert isinstance(worse, UndeterminedError) and (worse.mend, worse.line) == ("more readings", 7)
 
 
 def test_schema_for_editors_takes_what_ships_and_refuses_slips():

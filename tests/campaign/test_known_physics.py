@@ -171,7 +171,7 @@ def test_the_articles_three_numbers_count_once(scenes):
     With the prior from the transmittance it was 8.4 to 9.0 (p = 0.003). The Monte Carlo error of
     chi2 is 0.3 here.
     """
-    fit = calibrate(scenes / "camoo4_three.toml", run=Run(seed=1)).fit
+    fit = calibrate(CampaignSimulations(read_campaign(scenes / "camoo4_three.toml"), Run(seed=1)))
     of_readings = sum(((row.measured - row.model) / row.sigma) ** 2 for row in fit.rows)
     assert fit.ndf == 1 and fit.chi2 == pytest.approx(of_readings, rel=0.02)
     assert fit.chi2 == pytest.approx(4.3, abs=1.0)

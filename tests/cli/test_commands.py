@@ -13,10 +13,12 @@ from click.shell_completion import BashComplete
 from places import SCENES, tables_of
 
 from mcrim_mitsuba import simulate
+from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.cli.main import mcrim as command_line
 from mcrim_mitsuba.core.numbers import said
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference import calibrate as campaigns
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.transport.launch_plan import LANES
 
 BENCH = str(SCENES / "camoo4.xml")
@@ -253,10 +255,10 @@ def test_a_parameter_at_its_bound_gets_no_error(mcrim, monkeypatch, tmp_path):
         assert old in text
         text = text.replace(old, new)
     campaign.write_text(text)
-    result = campaigns.calibrate(campaign, run=Run(300_000))
-    monkeypatch.setattr(campaigns, "calibrate", lambda *_, **__: result)
+    fit = campaigns.calibrate(CampaignSimulations(read_campaign(campaign), Run(300_000)))
+    monkeypatch.setattr(campaigns, "calibrate", lambda _: fit)
     out = mcrim.shown("calibrate", campaign)
-    estimate = result.fit.parameters["alpha_scat_per_cm"]
+    estimate = fit.parameters["alpha_scat_per_cm"]
     assert estimate.at_bound == "max"
     values, budget = (
         [cell.strip() for cell in line.split("│")[1:-1]]

@@ -21,8 +21,6 @@ from mcrim_mitsuba.inference import compare as comparing
 from mcrim_mitsuba.inference import diagnose as diagnosing
 from mcrim_mitsuba.inference import fit as fitting
 from mcrim_mitsuba.inference import repair as repairing
-from mcrim_mitsuba.inference.compare import Compared
-from mcrim_mitsuba.inference.diagnose import Diagnosed
 from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.hypotheses import (
     NAMES,
@@ -33,6 +31,7 @@ from mcrim_mitsuba.inference.hypotheses import (
 from mcrim_mitsuba.inference.next_measurements import configuration_words
 from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.repair import Repaired
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.output import describe_campaign, description, sentences
 from mcrim_mitsuba.output.campaign_results import DiagnosisResult, HypothesesResult
 from mcrim_mitsuba.output.description import Description
@@ -64,13 +63,12 @@ def campaign(campaign_here) -> str:
 @pytest.fixture
 def found(monkeypatch):
     """What the commands find: change it before they run."""
-    compared = by.comparison(suspects=(by.BAD, by.SWAPPED))
     results = {
-        "compare": Compared(compared, by.PROVENANCE),
-        "diagnose": Diagnosed(by.calibration(), by.diagnosis("missing_effect"), by.PROVENANCE),
+        "compare": by.comparison(suspects=(by.BAD, by.SWAPPED)),
+        "diagnose": by.diagnosis("missing_effect"),
     }
     results["repair"] = Repaired(
-        diagnosed=results["diagnose"],
+        diagnosis=results["diagnose"],
         effects=(by.FIRST,),
         fit=by.calibration(by.MENDED, 0.3, 12.0),
         campaign_path=Path("new.toml"),
@@ -80,11 +78,13 @@ def found(monkeypatch):
     )
 
     def repaired(*_, on_step, **__):
-        for step in results["repair"].diagnosed.diagnosis.repair:
+        for step in results["repair"].diagnosis.repair:
             on_step(step)
         return results["repair"]
 
-    monkeypatch.setattr(comparing, "compare", lambda *_, **__: results["compare"])
+    monkeypatch.setattr(CampaignSimulations, "fit", lambda _: by.calibration())
+    monkeypatch.setattr(CampaignSimulations, "provenance", lambda _: by.PROVENANCE)
+    monkeypatch.setattr(comparing, "comparison_of", lambda _: results["compare"])
     monkeypatch.setattr(diagnosing, "diagnose", lambda *_, **__: results["diagnose"])
     monkeypatch.setattr(repairing, "repair", repaired)
     # findings made by hand have no model
@@ -94,11 +94,11 @@ def found(monkeypatch):
 
 #: Nothing is shown of the campaign itself.
 NO_CAMPAIGN = SimpleNamespace(title="", unit="")
+NO_SIMULATIONS = SimpleNamespace(campaign=NO_CAMPAIGN, provenance=lambda: by.PROVENANCE)
 
 
 def shown_of(diagnosis) -> Description:
-    found = Diagnosed(by.calibration(), diagnosis, by.PROVENANCE)
-    return DiagnosisResult.of(found, NO_CAMPAIGN).description
+    return DiagnosisResult.of(diagnosis, NO_SIMULATIONS).description
 
 
 def row_of(out: str, first: str) -> list[str]:
@@ -144,7 +144,7 @@ def test_compare_shows_where_the_misfit_lies(mcrim, campaign, found):
     ],
 )
 def test_compare_says_what_chi2_means(mcrim, campaign, found, p_value, says, following):
-    found["compare"] = replace(found["compare"], comparison=by.comparison(p_value))
+    found["compare"] = by.comparison(p_value)
     out = mcrim.shown("compare", campaign)
     assert says in out and out.splitlines()[-1].startswith(following)
     assert "before physics is blamed" not in out
@@ -176,7 +176,7 @@ LAST_LINES = {
 
 @pytest.mark.parametrize("verdict", FIRST_LINES)
 def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, found, verdict):
-    found["diagnose"] = replace(found["diagnose"], diagnosis=by.diagnosis(verdict))
+    found["diagnose"] = by.diagnosis(verdict)
     out = mcrim.shown("diagnose", campaign)
     lines = out.splitlines()
     assert lines[0] == AVERAGED
@@ -229,7 +229,7 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
 
 def test_a_pair_and_suspect_readings_are_named(mcrim, campaign, found):
     pair = by.diagnosis("missing_effect", pairs=(by.PAIR,), leading_sets=((by.FIRST, by.SECOND),))
-    found["diagnose"] = replace(found["diagnose"], diagnosis=pair)
+    found["diagnose"] = pair
     out = mcrim.shown("diagnose", campaign)
     assert out.splitlines()[1].startswith(
         "Absorbing crystal surface and air bubble in the gap explain the misfit "
@@ -237,7 +237,7 @@ def test_a_pair_and_suspect_readings_are_named(mcrim, campaign, found):
         "0.100 ± 0.020): chi2 64.2 -> 9.2"
     )
     suspect = by.diagnosis("unexplained", suspect_readings=(by.BAD,))
-    found["diagnose"] = replace(found["diagnose"], diagnosis=suspect)
+    found["diagnose"] = suspect
     out = mcrim.shown("diagnose", campaign)
     assert f"- {by.MARKUP} looks wrong, +7.1 sigma from the others' prediction" in out
     assert out.index("looks wrong") < out.index("each added alone")
@@ -272,11 +272,11 @@ def test_an_unusual_size_is_told_and_not_added(mcrim, campaign, found):
         "size that a laboratory does not usually meet, and is not added. If you have seen it, say "
         "--effect gap_bubble."
     )
-    found["diagnose"] = replace(found["diagnose"], diagnosis=aside)
+    found["diagnose"] = aside
     lines = mcrim.shown("diagnose", campaign).splitlines()
     assert told in lines and "--effect gap_bubble -o" in lines[-1]
     found["repair"] = Repaired(
-        diagnosed=found["diagnose"],
+        diagnosis=found["diagnose"],
         effects=(),
         fit=by.calibration(),
         campaign_path=None,
@@ -286,9 +286,9 @@ def test_an_unusual_size_is_told_and_not_added(mcrim, campaign, found):
     )
     lines = mcrim.shown("repair", campaign, "-o", "new.toml").splitlines()
     assert told in lines and "Nothing was added, and no file written." in lines
-    usual = replace(found["diagnose"], diagnosis=by.diagnosis("missing_effect"))
+    usual = by.diagnosis("missing_effect")
     found["repair"] = replace(
-        found["repair"], diagnosed=usual, undetermined="the readings do not determine scale"
+        found["repair"], diagnosis=usual, undetermined="the readings do not determine scale"
     )
     out = mcrim.shown("repair", campaign, "-o", "new.toml")
     assert (
@@ -452,9 +452,7 @@ def test_a_profile_that_is_no_parabola_is_said():
 
 def test_repair_says_where_nothing_was_added(mcrim, campaign, found):
     found["repair"] = Repaired(
-        diagnosed=replace(
-            found["diagnose"], diagnosis=by.diagnosis("adequate", repair=by.STEPS[:1])
-        ),
+        diagnosis=by.diagnosis("adequate", repair=by.STEPS[:1]),
         effects=(),
         fit=by.calibration(),
         campaign_path=None,

@@ -18,7 +18,7 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.efficiency.eta_grid import BATCHES
 from mcrim_mitsuba.efficiency.response_maker import ResponseMaker
-from mcrim_mitsuba.efficiency.responses import Axis, EffectResponse, mixture
+from mcrim_mitsuba.efficiency.responses import Axis, EffectResponse, held_at
 from mcrim_mitsuba.inference import budget as budgeting
 from mcrim_mitsuba.inference.corrections import NeglectWork, Quantities, at, refuse_far, shifts
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, spread
@@ -107,12 +107,12 @@ def synthetic_response(rng):
 def test_a_mixture_is_the_mean_of_the_efficiencies():
     response, log_eta = synthetic_response(np.random.default_rng(1))
     values, weights = np.array([1.93, 1.99, 2.08]), np.array([1.0, 2.0, 1.0])
-    mixed = mixture(response, values, weights)
+    mixed = held_at(response, values, weights)
     direct = np.average(np.exp([log_eta(n) for n in values]), axis=0, weights=weights)
     assert mixed.axes == ()
     assert np.exp(mixed.log_ratio) == pytest.approx(direct, rel=1e-12)
     # one value: the response itself, batches and all
-    alone = mixture(response, [2.1], [3.0])
+    alone = held_at(response, [2.1], [3.0])
     assert alone.log_ratio == pytest.approx(response.log_ratio[2])
     assert alone.deviations == pytest.approx(response.deviations[:, 2], rel=1e-5)
 
@@ -120,18 +120,18 @@ def test_a_mixture_is_the_mean_of_the_efficiencies():
 def test_the_batches_of_a_mixture_are_its_derivative():
     response, _ = synthetic_response(np.random.default_rng(2))
     values, weights = np.linspace(1.95, 2.05, 5), np.array([1, 2, 3, 2, 1])
-    mixed = mixture(response, values, weights)
+    mixed = held_at(response, values, weights)
     moved = replace(response, log_ratio=response.log_ratio + response.deviations[0])
-    difference = mixture(moved, values, weights).log_ratio - mixed.log_ratio
+    difference = held_at(moved, values, weights).log_ratio - mixed.log_ratio
     assert mixed.deviations[0] == pytest.approx(difference, abs=2e-6)
 
 
 def test_a_mixture_reaches_no_further_than_the_nodes():
     response, _ = synthetic_response(np.random.default_rng(3))
     with pytest.raises(ValueError, match="beyond"):
-        mixture(response, [2.0, 2.11], [1, 1])
-    with pytest.raises(ValueError, match="0 parameters"):
-        mixture(mixture(response, [2.0], [1]), [2.0], [1])
+        held_at(response, [2.0, 2.11], [1, 1])
+    with pytest.raises(ValueError, match="of 0 parameters"):
+        held_at(held_at(response, [2.0], [1]), [2.0], [1])
 
 
 def test_errors_of_shifts_are_those_of_the_batches_differences():
@@ -273,7 +273,7 @@ def test_a_mixture_is_what_simulations_with_its_indices_give_on_average(campaign
         maker = ResponseMaker(own, Run(4 * PHOTONS, seed=seed))
         responses, effects = maker.make([index] if spread_over else []), []
         if spread_over:
-            mixed = mixture(responses.effects["crystal_index"], spread_over, [1.0, 1.0])
+            mixed = held_at(responses.effects["crystal_index"], spread_over, [1.0, 1.0])
             responses = replace(responses, effects={"mixed": mixed})
             effects = [replace(index, name="mixed", parameters=())]
         found = at(ResponseModel(own, responses, effects), values)

@@ -1,6 +1,5 @@
 """Campaigns from their files to the result: simulated, fitted, and what that took."""
 
-import functools
 import math
 from dataclasses import replace
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from mcrim_mitsuba.campaign.campaign import as_campaign
+from mcrim_mitsuba.campaign.campaign import as_campaign, read_campaign
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.bench import Bench
@@ -16,9 +15,10 @@ from mcrim_mitsuba.efficiency.polished_box import solve_box
 from mcrim_mitsuba.efficiency.response_maker import PLAIN_FACTOR
 from mcrim_mitsuba.inference.budget import budget
 from mcrim_mitsuba.inference.calibrate import calibrate
-from mcrim_mitsuba.inference.compare import compare
+from mcrim_mitsuba.inference.compare import comparison_of
 from mcrim_mitsuba.inference.diagnose import diagnose
 from mcrim_mitsuba.inference.repair import repair
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.transport.launch_plan import LANES
 
 
@@ -39,33 +39,34 @@ ARTICLE = "air,14.3,0.2,1.00\ngel,24.5,0.4,1.46\n"
 
 
 def test_photons_are_accounted_for(campaign):
-    result = calibrate(campaign(ARTICLE), run=Run(16 * LANES, seed=1))
-    fitted = result.fit.parameters["alpha_scat_per_cm"]
+    bench = CampaignSimulations(read_campaign(campaign(ARTICLE)), Run(16 * LANES, seed=1))
+    fitted = calibrate(bench).parameters["alpha_scat_per_cm"]
     # references with the campaign's ratio of 0.5837: 0.560 + 0.006, unpolarised
     part = fitted.contributions["monte_carlo"]
     assert abs(fitted.value - 0.566) < 3.5 * part
     # what 27 million photons bring is 0.0027; weights that cover a wide range cost a factor
     photons = 2 * PLAIN_FACTOR * 16 * LANES
     assert part < 0.003 * math.sqrt(27e6 / photons) * 1.3
-    assert result.provenance.photons == photons
+    assert bench.provenance().photons == photons
 
 
 def test_precision_is_reached(campaign):
     rows = "air,14.3,0.2,1.00,1\nwater,20.0,0.4,1.333,0\ngel,24.5,0.4,1.46,1\n"
     path = campaign(rows, "label,signal,sigma,n_gap,use")
-    result = calibrate(path, run=Run(precision=0.003, seed=2))
-    assert [row.use for row in result.fit.rows] == [True, False, True]
-    assert all(row.eta_sigma / row.eta < 0.003 for row in result.fit.rows)
-    assert result.provenance.notes == ()
+    bench = CampaignSimulations(read_campaign(path), Run(precision=0.003, seed=2))
+    fit = calibrate(bench)
+    assert [row.use for row in fit.rows] == [True, False, True]
+    assert all(row.eta_sigma / row.eta < 0.003 for row in fit.rows)
+    assert bench.provenance().notes == ()
 
 
 #: Verbs by which a campaign's own fit is seen, and where each shows it.
 OWN_FITS = {
-    "calibrate": lambda campaign, run: calibrate(campaign, run=run).fit,
-    "compare": lambda campaign, run: compare(campaign, run=run).comparison,
-    "diagnose": lambda campaign, run: diagnose(campaign, run=run).baseline,
+    "calibrate": lambda campaign, run: calibrate(CampaignSimulations(campaign, run)),
+    "compare": lambda campaign, run: comparison_of(CampaignSimulations(campaign, run).fit()),
+    "diagnose": lambda campaign, run: diagnose(CampaignSimulations(campaign, run)).baseline,
     "budget": lambda campaign, run: budget(campaign, run=run).fit,
-    "repair": lambda campaign, run: repair(campaign, run=run).diagnosed.baseline,
+    "repair": lambda campaign, run: repair(campaign, run=run).diagnosis.baseline,
 }
 
 
@@ -91,7 +92,10 @@ def test_what_is_asked_first_costs_nothing_later(campaign, tmp_path, monkeypatch
     tried = ("polarization", "background")
     own = replace(own, catalogue={name: own.catalogue[name] for name in tried})
     run = Run(4 * LANES, seed=6, check=False)
-    simulated = [verb(own, run=run).provenance for verb in (calibrate, compare, diagnose)]
+    simulated = []
+    for verb in (calibrate, CampaignSimulations.fit, diagnose):
+        verb(bench := CampaignSimulations(own, run))
+        simulated.append(bench.provenance())
     new = [spent.photons - spent.cached_photons for spent in simulated]
     assert new[0] == simulated[0].photons and new[1] == 0
     assert sum(new) == simulated[-1].photons
@@ -120,7 +124,7 @@ def test_a_misfit_is_not_lessened_by_poor_simulations(campaign):
         for (n_gap, radius), signal, sigma in zip(places, measured, sigmas, strict=True)
     )
     path = campaign(rows, "label,signal,sigma,n_gap,aperture_radius_mm")
-    found = calibrate(path, run=Run(40 * LANES, seed=0)).fit
+    found = calibrate(CampaignSimulations(read_campaign(path), Run(40 * LANES, seed=0)))
     best = least_squares(
         lambda x: np.append((signals(*x) - measured) / sigmas, (x[1] - 0.039) / 0.012),
         [1.0, 0.039, 50.0],
@@ -135,15 +139,14 @@ def test_a_misfit_is_not_lessened_by_poor_simulations(campaign):
 @pytest.mark.parametrize("seed", [0, 3])
 def test_swapped_rows_have_one_verdict(campaign, seed):
     """The fit ends at 10 /cm, where a first look's photons, of up to 8 /cm, tell nothing."""
-    result = calibrate(
-        campaign("air,24.5,0.2,1.00\ngel,14.3,0.4,1.46\n"), run=Run(16 * LANES, seed=seed)
-    )
-    known = result.fit.parameters["alpha_scat_per_cm"]
+    swapped = read_campaign(campaign("air,24.5,0.2,1.00\ngel,14.3,0.4,1.46\n"))
+    fit = calibrate(CampaignSimulations(swapped, Run(16 * LANES, seed=seed)))
+    known = fit.parameters["alpha_scat_per_cm"]
     assert known.at_bound == "max" and known.sigma < 10
-    notes = " ".join(result.fit.notes)
+    notes = " ".join(fit.notes)
     assert "the readings ask for more scattering than" in notes
-    assert result.fit.chi2 > 1000
-    for profile in result.fit.profiles:
+    assert fit.chi2 > 1000
+    for profile in fit.profiles:
         assert np.all(np.diff(profile.values) > 0)
 
 
@@ -174,8 +177,8 @@ def test_masks_that_end_at_the_crystals_edge_raise_no_alarm(campaign):
     tried = ("polarization", "surface_roughness", "gap_bubble")
     own = replace(own, catalogue={name: own.catalogue[name] for name in tried})
     run = Run(8 * LANES, seed=1, check=False)
-    found = diagnose(own, run=run)
-    assert (found.diagnosis.verdict, found.diagnosis.leading) == ("adequate", ())
+    found = diagnose(CampaignSimulations(own, run))
+    assert (found.verdict, found.leading) == ("adequate", ())
 
 
 @pytest.mark.parametrize(
@@ -192,13 +195,13 @@ def test_strange_readings_end_in_a_line_or_in_a_fit_that_says_so(campaign, rows,
 
     What follows depends on the few photons: a fit far off, or the hint at swapped rows.
     """
-    run = functools.partial(calibrate, campaign(rows), run=Run(6 * LANES, seed=3))
+    bench = CampaignSimulations(read_campaign(campaign(rows)), Run(6 * LANES, seed=3))
     if says is not None:
         with pytest.raises(InputError, match=says):
-            run()
+            calibrate(bench)
         return
     try:
-        found = run().fit
+        found = calibrate(bench)
     except InputError as error:
         assert "check that no rows are swapped" in str(error)
         return

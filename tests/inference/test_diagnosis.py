@@ -293,10 +293,9 @@ def test_few_readings_are_ambiguous_and_ask_for_more():
     def models(added):
         return bench.Model(few, tuple(added))
 
-    def predict(effects, thetas):
-        return bench.Model(rows, effects).predict_many(thetas)
-
-    proposals = MeasurementProposals(bench.ROWS, predict, bench.SIGMA)
+    proposals = MeasurementProposals(
+        bench.ROWS, [lambda added: bench.Model(rows, added)], bench.SIGMA
+    )
     found = diagnose_models(models, SOME, proposals=proposals)
     assert found.verdict == "ambiguous" and "gap_bubble" in found.leading
     best, measured = found.next_measurements[0], [row.parameters for row in few]
@@ -310,7 +309,7 @@ def test_few_readings_are_ambiguous_and_ask_for_more():
 def test_what_is_as_in_the_scene_takes_no_time_to_change():
     rows, own = [{"n_gap": 1.46, "gap_mm": 0.05}, {"gap_mm": 0.5}], {"n_gap": 1.0, "gap_mm": 0.05}
     minutes = {"n_gap": 6.0, "gap_mm": 60.0}
-    proposals = MeasurementProposals(rows, lambda *_: np.zeros(0), 0.01, minutes, own=own)
+    proposals = MeasurementProposals(rows, [], 0.01, minutes, own=own)
     assert proposals.hours(0) == pytest.approx(0.6)
     assert proposals.hours(0, 1) == pytest.approx(0.6 + 1.5)
 
@@ -325,7 +324,7 @@ def test_effects_that_do_not_add_up_are_told(monkeypatch, together, told):
     models = SimpleNamespace(model_of=lambda campaign: None)
     monkeypatch.setattr(simulations.CampaignSimulations, "models", models)
     own = object.__new__(simulations.CampaignSimulations)
-    own._maker = SimpleNamespace(is_exact=lambda effects: False)
+    own.maker = SimpleNamespace(is_exact=lambda effects: False)
     effects = SimpleNamespace(switched_on=(), effects=("one", "other"))
     found = own._settled(effects)
     assert bool(found.notes) is told
@@ -410,6 +409,6 @@ def test_what_only_the_simulations_error_lets_lead_is_named_apart(monkeypatch):
         ([("bubble",), ("source",)], "^bubble explains .*; more photons .* whether source may as"),
     ):
         judge = Judgement(explanations, Ranking(explanations, sets), None)
-        said = judge._of_leading(judge.singles.leading(), judge.singles.best, None)
+        said = judge._of_leading(judge.singles)
         assert said.word == "ambiguous" and re.search(words, said.reason)
         assert said.unsettled == (("source",),) and ("haze",) not in said.leading

@@ -82,7 +82,7 @@ def test_a_fit_that_goes_below_its_grid_is_not_disturbed_by_noise_above():
     campaign = read_campaign(CAMPAIGNS["tests/trials/lyso_C.toml"])
     simulations = CampaignSimulations(campaign, Run(photons=2 * LANES, seed=0))
     responses, readings = simulations.models.responses, campaign.measurements.readings
-    assert simulations.grid.alpha_scat_range_per_cm == (0.0005, 0.2)
+    assert simulations.maker.grid.alpha_scat_range_per_cm == (0.0005, 0.2)
     slopes = [
         Point.of(responses.grid, [a_s] * len(readings), [0.03] * len(readings)).value_and_slopes(
             responses.log_eta

@@ -72,17 +72,18 @@ def without_photons(monkeypatch):
 
     def use(surfaces):
         def simulations(campaign, run):
-            def further(configurations):
+            def predict_at(configurations):
                 readings = [
                     Reading(f"{i}", 1.0, 1.0, dict(values), line=2)
                     for i, values in enumerate(configurations)
                 ]
                 measured = replace(campaign.measurements, readings=tuple(readings))
-                return CampaignModel(replace(campaign, measurements=measured), surfaces)
+                changed = replace(campaign, measurements=measured)
+                return lambda effects: CampaignModel(changed, surfaces)
 
             return SimpleNamespace(
                 fit=lambda: fit_model(CampaignModel(campaign, surfaces), profile=False),
-                further=further,
+                predict_at=predict_at,
                 provenance=lambda: SimpleNamespace(notes=()),
             )
 

@@ -200,14 +200,13 @@ def test_a_proposed_reading_buys_what_it_then_does():
             lambda added: bench.Model(taken, tuple(added), light_yield=LIGHT), {}
         )
 
-    def predict(effects, thetas):
-        return bench.Model(rows, effects).predict_many(thetas)
-
     few = tuple(rows[i] for i in (0, 4, 8))
     before = explained(few)
     only = Hypothesis(before.evidence(()), 0.0)
     minutes = {"crystal_height_mm": 90.0}
-    proposals = MeasurementProposals(bench.ROWS, predict, bench.SIGMA, minutes)
+    proposals = MeasurementProposals(
+        bench.ROWS, [lambda added: bench.Model(rows, added)], bench.SIGMA, minutes
+    )
     found = next_measurements(before, (), [only], proposals)
     assert any(one.also for one in found)
     for one in found:

@@ -57,7 +57,8 @@ def test_two_thicknesses_of_a_boule_beside_another_crystal(tmp_path):
             rows.append(f"{number} {n_gap},{sample},{signal!r},{sigma!r},{n_gap},{height}")
     (tmp_path / "rows.csv").write_text("\n".join(rows))
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
-    found = calibrate(tmp_path / "campaign.toml", run=Run(seed=1)).fit
+    bench = CampaignSimulations(read_campaign(tmp_path / "campaign.toml"), Run(seed=1))
+    found = calibrate(bench)
     assert set(found.names) == set(TRUTH) and found.converged
     away = np.array([found.values[name] - TRUTH[name] for name in found.names])
     distance = away @ np.linalg.solve(found.covariance, away)

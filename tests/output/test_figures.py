@@ -14,7 +14,6 @@ from trials.surface_model import CampaignModel
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.core.run import Provenance
 from mcrim_mitsuba.inference import calibrate as campaigns
 from mcrim_mitsuba.inference.compare import Comparison, Suspect
 from mcrim_mitsuba.inference.diagnose import RepairStep
@@ -138,10 +137,7 @@ def test_numbers_are_what_is_drawn(scenes, tmp_path):
 
 def test_calibrate_refuses_places_of_its_three_figures(scenes, here, monkeypatch, mcrim):
     _, found = fitted(scenes, here)
-    result = campaigns.CampaignResult(
-        found, Provenance(0, 2, 0, "hash", versions={}, seconds=0.0, notes=())
-    )
-    monkeypatch.setattr(campaigns, "calibrate", lambda *_, **__: result)
+    monkeypatch.setattr(campaigns, "calibrate", lambda _: found)
     before = {path: path.read_bytes() for path in here.iterdir()}
     drawn = ["calibrate", "camoo4_campaign.toml", "--figure"]
     for place, says in (
