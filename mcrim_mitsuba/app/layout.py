@@ -15,7 +15,7 @@ from mcrim_mitsuba.app.session import Session
 from mcrim_mitsuba.app.state import Control, FitStep, Settings, Shown
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, SAMPLE, TRANSMITTANCE, Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
-from mcrim_mitsuba.core.files import plain
+from mcrim_mitsuba.core.files import attributes, plain
 from mcrim_mitsuba.core.numbers import titled
 from mcrim_mitsuba.core.rounding import (
     counted,
@@ -123,20 +123,11 @@ def _light_title(session: Session) -> str:
 def state(session: Session, shown_number: int) -> dict[str, Any]:
     """What the browser asks again and again: only numbers, where it shows the state of this one."""
     status, now, history = session.jobs.status, session.state, session.history
-    document: dict[str, Any] = {
-        "number": history.number,
-        "settings_number": history.settings_number,
-        "file_number": history.file_number,
-        "bench_number": history.bench_number,
-        "job": {
-            "key": status.job and status.job.key,
-            "words": status.words,
-            "done": status.done,
-            "total": status.total,
-            "said": status.failures,
-            "stopped": status.stopped,
-            "waiting": [{"key": job.key, "words": job.words} for job in status.waiting],
-        },
+    document = attributes(history, "number settings_number file_number bench_number")
+    document["job"] = {
+        "key": status.job and status.job.key,
+        **attributes(status, "words done total said=failures stopped"),
+        "waiting": [attributes(job, "key words") for job in status.waiting],
     }
     if history.number == shown_number:
         return document
@@ -144,16 +135,9 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
     document |= {
         "settings": {**settings.to_json(), "known": session.model.live.controls.known(settings)},
         "readings": [
-            {
-                "label": r.label,
-                "signal": r.signal,
-                "sigma": r.sigma,
-                "use": r.use,
-                KIND: r.kind,
-                SAMPLE: r.sample,
-                **{name: r.parameters.get(name, "") for name in now.campaign.measurements.columns},
-            }
-            for r in now.campaign.measurements.readings
+            attributes(reading, f"label signal sigma use {KIND} {SAMPLE}")
+            | {n: reading.parameters.get(n, "") for n in now.campaign.measurements.columns}
+            for reading in now.campaign.measurements.readings
         ],
         "steps": [_falling(step) for step in now.steps],
         "can_undo": history.can_undo,

@@ -162,8 +162,8 @@ def _rows(
 
 def document_of(result: ArticleResult, figures: Iterable[Path]) -> dict[str, Any]:
     """What ``--json`` writes."""
-    errors = {"statistical": "statistical_sigma", "systematic": "systematic_sigma"}
-    fitted = attributes(result.yields.fitted, "value", **errors)
+    errors = "statistical=statistical_sigma systematic=systematic_sigma"
+    fitted = attributes(result.yields.fitted, f"value {errors}")
     return {
         "rows": result.rows,
         "verdict_rule": RULE,

@@ -16,6 +16,7 @@ import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import fields, is_dataclass
+from operator import attrgetter
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -500,10 +501,19 @@ def _is_device(path: Path) -> bool:
 # Results as JSON: plain types, and the text of a file.
 
 
-def attributes(result: object, names: str = "", **renamed: str) -> dict[str, Any]:
-    """Attributes under their own names (``"value sigma"``), and under others: ``n="mean"``."""
-    values = {name: getattr(result, name) for name in names.split()}
-    return values | {name: getattr(result, attribute) for name, attribute in renamed.items()}
+def attributes(result: object, names: str) -> dict[str, Any]:
+    """Attributes under their own names (``"value sigma"``), and under others: ``"n=mean.value"``.
+
+    Of ``**NAME``, a mapping or a method that gives one, the items; a name that is there already
+    keeps its place.
+    """
+    values: dict[str, Any] = {}
+    for entry in names.split():
+        name, _, attribute = entry.partition("=")
+        value = attrgetter((attribute or name).removeprefix("**"))(result)
+        value = value() if callable(value) else value
+        values |= value if name.startswith("**") else {name: value}
+    return values
 
 
 def plain(value: Any) -> Any:

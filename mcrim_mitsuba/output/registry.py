@@ -11,12 +11,11 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import json_text, plain, write_text
+from mcrim_mitsuba.core.files import attributes, json_text, plain, write_text
 from mcrim_mitsuba.output import description as showing
 from mcrim_mitsuba.output.description import Description
 
@@ -52,9 +51,7 @@ class Presenter:
     #: What a document of it says that it is, and the version of its names.
     kind: str
     version: int = 1
-    #: Names that ``--json`` writes, in this order: an attribute of the result, ``NAME=ATTRIBUTE``
-    #: under another name, or ``**NAME``, a mapping or a method that gives one, whose items are
-    #: written one by one. A name that is there already keeps its place.
+    #: What ``--json`` writes, in this order, as `core.files.attributes` takes it.
     names: str
     #: Makes its `description.Description`.
     describe: Callable[[Any], Description]
@@ -240,15 +237,8 @@ def encoded(value: object) -> Any:
     name = type(value).__name__
     names = PRESENTERS[name].names if name in PRESENTERS else _PARTS.get(name)
     if names is None:
-        parts = getattr(value, "__dataclass_fields__", {})
-        return {part: encoded(getattr(value, part)) for part in parts} if parts else value
-    document: Document = {}
-    for entry in names.split():
-        key, _, attribute = entry.partition("=")
-        item = attrgetter((attribute or key).removeprefix("**"))(value)
-        item = encoded(item() if callable(item) else item)
-        document |= item if key.startswith("**") else {key: item}
-    return document
+        names = " ".join(getattr(value, "__dataclass_fields__", ()))
+    return encoded(attributes(value, names)) if names else value
 
 
 def fields_of(value: Any) -> dict[str, Any]:

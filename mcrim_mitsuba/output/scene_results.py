@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import said
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.arrival_times import ArrivalTimes
@@ -76,16 +77,11 @@ class SpectrumResult(Result, EtaSpectrum):
     @property
     def wavelengths(self) -> list[dict[str, float]]:
         """Eta, the light and the parameters that vary, of each wavelength."""
-        light = self.light
-        columns = {
-            "wavelength_nm": light.wavelength_nm,
-            "eta": self.eta,
-            "eta_sigma": self.eta_sigma,
-            "detected_part": self.detected_part,
-            "emission": light.emission,
-            "efficiency": light.efficiency,
-            **light.parameters,
-        }
+        columns = attributes(
+            self,
+            "wavelength_nm=light.wavelength_nm eta eta_sigma detected_part emission=light.emission "
+            "efficiency=light.efficiency **light.parameters",
+        )
         rows = zip(*columns.values(), strict=True)
         return [dict(zip(columns, map(float, row), strict=True)) for row in rows]
 

@@ -179,11 +179,10 @@ def test_outputs_that_may_be(here):
 
 def test_attributes_go_by_their_own_names_or_others():
     error = InputError("p", "m", line=3)
-    assert files.attributes(error, "problem mend", at="line") == {
-        "problem": "p",
-        "mend": "m",
-        "at": 3,
-    }
+    error.more, error.both = InputError("q", "n"), lambda: {"mend": "of both", "column": 4}
+    assert files.attributes(error, "problem mend at=line") == {"problem": "p", "mend": "m", "at": 3}
+    named = files.attributes(error, "mend line=more.mend **both")
+    assert list(named.items()) == [("mend", "of both"), ("line", "n"), ("column", 4)]
 
 
 def test_a_reader_that_has_seen_enough_is_no_error():

@@ -151,13 +151,8 @@ def _budget_json(budget: ErrorBudget) -> dict:
 
 def _yield_json(light) -> dict:
     """A light yield and its errors, as ``--json`` writes them."""
-    return attributes(
-        light,
-        light_yield_ph_per_keV="value",
-        sigma="sigma",
-        statistical="statistical_sigma",
-        systematic="systematic_sigma",
-    )
+    errors = "sigma statistical=statistical_sigma systematic=systematic_sigma"
+    return attributes(light, f"light_yield_ph_per_keV=value {errors}")
 
 
 @click.command(short_help="Light yield of a sample against a reference crystal, Eq. 7.")

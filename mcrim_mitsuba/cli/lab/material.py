@@ -51,9 +51,8 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
         "emission": emission,
         "quantum_efficiency": quantum_efficiency,
         "scale_sigma": scale_sigma,
-        **attributes(weighted, detector_efficiency="value", detector_efficiency_sigma="sigma"),
-        **attributes(weighted, "contributions spread"),
-        "outside": weighted.mean.outside,
+        **attributes(weighted, "detector_efficiency=value detector_efficiency_sigma=sigma"),
+        **attributes(weighted, "contributions spread outside=mean.outside"),
         "notes": notes,
     }
 
@@ -155,7 +154,6 @@ def absorption(
         "n": coefficient.n,
         "n_sigma": n_sigma,
         "thickness_mm": thickness_mm,
-        **attributes(coefficient, "alpha_abs_per_cm", alpha_abs_sigma_per_cm="sigma"),
         **attributes(coefficient, _OF_ABSORPTION),
         "article": article,
         "notes": notes,
@@ -180,8 +178,9 @@ def absorption(
 
 
 _OF_ABSORPTION = (
-    "contributions internal_transmittance internal_transmittance_sigma each_per_cm "
-    "spread_orientations_per_cm spread_band_per_cm apparent_per_cm"
+    "alpha_abs_per_cm alpha_abs_sigma_per_cm=sigma contributions internal_transmittance "
+    "internal_transmittance_sigma each_per_cm spread_orientations_per_cm spread_band_per_cm "
+    "apparent_per_cm"
 )
 
 
@@ -347,15 +346,9 @@ def _over(name: str, emission: str) -> VerbResult:
     document = {
         **_json(crystal),
         "emission": emission,
-        **attributes(
-            band,
-            n="mean",
-            n_sigma="sigma",
-            spread="spread",
-            n_ordinary="ordinary_mean",
-            n_extraordinary="extraordinary_mean",
-        ),
-        **attributes(band, "birefringence mean_wavelength_nm outside outside_sigma"),
+        **attributes(band, "n=mean n_sigma=sigma spread n_ordinary=ordinary_mean"),
+        **attributes(band, "n_extraordinary=extraordinary_mean birefringence mean_wavelength_nm"),
+        **attributes(band, "outside outside_sigma"),
         "notes": notes,
     }
     lines = [
@@ -374,11 +367,10 @@ def _json(crystal) -> dict:
     """What a material is, for ``--json``."""
     shortest, longest = crystal.range_nm
     return {
-        **attributes(crystal, material="name", what="what", source="source"),
+        **attributes(crystal, "material=name what source"),
         "shortest_nm": shortest,
         "longest_nm": longest,
-        **attributes(crystal, n_sigma="sigma", formula="formula"),
-        "density_g_per_cm3": crystal.density_g_per_cm3,
+        **attributes(crystal, "n_sigma=sigma formula density_g_per_cm3"),
     }
 
 
@@ -410,11 +402,11 @@ def gammas(formula, energy_keV, density, json_file) -> None:
     stops = attenuation_length_mm(formula, energy_keV, density)
     stopped = {depth: float(stops.stopped_within(depth)) for depth in _DEPTHS_MM}
     processes = ("photoelectric", "incoherent", "coherent")
-    parts = attributes(stops, **{name: f"{name}_per_cm" for name in processes})
+    parts = attributes(stops, " ".join(f"{name}={name}_per_cm" for name in processes))
     document = {
         **attributes(stops, "formula energy_keV density_g_per_cm3 length_mm"),
-        "length_sigma_mm": stops.sigma_mm,
-        **attributes(stops, "tables_sigma_mm process_sigma_mm without_coherent_mm per_cm"),
+        **attributes(stops, "length_sigma_mm=sigma_mm tables_sigma_mm process_sigma_mm"),
+        **attributes(stops, "without_coherent_mm per_cm"),
         "parts_per_cm": parts,
         **attributes(stops, "escaping escaping_keV escape_loss"),
         "stopped": [{"depth_mm": depth, "share": share} for depth, share in stopped.items()],
