@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import mcrim_mitsuba
 from mcrim_mitsuba import reference
 from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import is_there, read_text
+from mcrim_mitsuba.core.files import is_there, read_text, sha256
 from mcrim_mitsuba.core.run import Progress, Provenance
 from mcrim_mitsuba.efficiency import bench
 from mcrim_mitsuba.efficiency.table import EtaTable
+from mcrim_mitsuba.runs.cache import without_comments
 
 SCENES = Path(__file__).resolve().parents[1] / "scenes"
 #: The article's bench.
@@ -104,3 +107,20 @@ def one_after_another(
     screen.line(f"{len(rows)} {what}: {words}; {place}")
     ours, yours = terminal.OUR_FAULT, terminal.YOUR_INPUT
     return ours if FAILED in count else yours if REFUSED in count else terminal.DONE
+
+
+def source_hash(files: Iterable[Path]) -> str:
+    """SHA-256 (hexadecimal) of files; of Python ones no comments, docstrings and empty lines."""
+    parts = list[str]()
+    for file in sorted(files):
+        text = file.read_text(encoding="utf-8")
+        parts += [file.name, without_comments(text) if file.suffix == ".py" else text]
+    return sha256("\n".join(parts).encode())
+
+
+@functools.cache
+def package_hash() -> str:
+    """`source_hash` of the package but its commands."""
+    package = Path(mcrim_mitsuba.__file__).parent
+    files = [*package.rglob("*.py"), *package.rglob("*.toml")]
+    return source_hash(f for f in files if "cli" not in f.relative_to(package).parts)

@@ -305,7 +305,7 @@ def write_whole(target: Path, parts: Iterable[Any], temporary: Path) -> None:
     """Write a file so that under its name there is all of it or nothing, even after a crash.
 
     `parts` are bytes or what holds them; until it is whole, the file bears the `temporary` name,
-    which is new and in the same folder. Raises OSError if it cannot be written.
+    which is new and on the same disk. Raises OSError if it cannot be written.
     """
     try:
         with open(temporary, "xb") as stream:

@@ -104,7 +104,7 @@ class UnitFolder:
     @property
     def files(self) -> list[Path]:
         """What the parts have in it; of units their folders."""
-        units = (key.parent for key in self.path.glob("*/key.json"))
+        units = {chunk.parent for chunk in self.path.glob("*/*.chunk")}
         return [self.path / _COMMAND, *self.path.glob("part-*-of-*.json"), *units]
 
     def command(self) -> dict[str, Any]:

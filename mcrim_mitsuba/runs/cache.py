@@ -16,7 +16,6 @@ import json
 import os
 import platform
 import re
-import shutil
 import weakref
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -78,27 +77,6 @@ def other_version(versions: Mapping[str, str]) -> tuple[str, str, str] | None:
     return None
 
 
-def source_hash(files: Iterable[Path]) -> str:
-    """SHA-256 (hexadecimal) of files; of Python ones no comments, docstrings and empty lines."""
-    texts = ((file, file.read_text(encoding="utf-8")) for file in sorted(files))
-    return _hash_of(
-        (file.name, _without_comments(text) if file.suffix == ".py" else text)
-        for file, text in texts
-    )
-
-
-def _hash_of(codes: Iterable[tuple[str, str]]) -> str:
-    """SHA-256 (hexadecimal) of code by the name of its file or module."""
-    return sha256("\n".join(part for code in codes for part in code).encode())
-
-
-@functools.cache
-def package_hash() -> str:
-    """`source_hash` of this package but its commands."""
-    files = [*_PACKAGE.rglob("*.py"), *_PACKAGE.rglob("*.toml")]
-    return source_hash(f for f in files if "cli" not in f.relative_to(_PACKAGE).parts)
-
-
 def code_hash(modules: Iterable[str]) -> str:
     """SHA-256 (hexadecimal) of the code of modules, and of all that they import.
 
@@ -136,14 +114,15 @@ _ONLY_FOR_TYPES = re.compile(r"\nif (?:typing\.)?TYPE_CHECKING:(?:\n[ \t]+.*)+")
 _IMPORT = re.compile(r"\n[ \t]*(?:from[ \t]+([\w.]+)[ \t]+)?import\b[ \t]*(\([^)]*\)|.*)")
 
 
-def _without_comments(code: str) -> str:
+def without_comments(code: str) -> str:
+    """Python code without comments, docstrings and empty lines."""
     return "".join(filter(None, _NO_CODE.split(f":\n{code}")))  # a file is a block too
 
 
 @functools.cache
 def _code_and_imports(file: Path, package: str, content: bytes) -> tuple[str, set[str]]:
     """What counts of a module, whose content may be known, and names of all that it imports."""
-    code, imports = _without_comments((content or file.read_bytes()).decode()), set[str]()
+    code, imports = without_comments((content or file.read_bytes()).decode()), set[str]()
     for home, words in _IMPORT.findall(_ONLY_FOR_TYPES.sub("", code)):
         start = f"{importlib.util.resolve_name(home, package)}." if home else ""
         parts = (word.split() for word in words.strip("()").split(","))
@@ -168,8 +147,8 @@ def _closure(starts: tuple[tuple[str, bytes], ...]) -> tuple[str, frozenset[str]
             codes[name], names = _code_and_imports(files[name], package, contents.get(name, b""))
             imports |= names
         todo = _on_the_way(imports) - reached
-    code_by_name = ((Path(name).name, codes[name]) for name in sorted(codes))
-    return _hash_of(code_by_name), _LIBRARIES & reached
+    parts = (part for name in sorted(codes) for part in (Path(name).name, codes[name]))
+    return sha256("\n".join(parts).encode()), _LIBRARIES & reached
 
 
 def _on_the_way(names: Iterable[str]) -> set[str]:
@@ -257,11 +236,10 @@ def size_limit_bytes() -> int:
     return round(size_gb * BYTES_PER_GB)
 
 
+#: Part of every key: files of another layout lie in other folders, which nobody reads.
+_LAYOUT = 2
 #: How often one write may find that another process removes or makes the folder just then.
 _TRIES = 5
-_MEETINGS = (errno.ENOENT, errno.EEXIST, errno.ENOTEMPTY)
-#: What renaming a folder meets where something else has its name.
-_OCCUPIED = (errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR)
 
 _open: weakref.WeakSet[RecordCache] = weakref.WeakSet()
 
@@ -300,15 +278,16 @@ class RecordCache:
         self.damaged = 0
         #: Where this key's chunks lie; None where the cache is switched off.
         self.folder: Path | None = None
-        self._key = json.dumps(dict(key), sort_keys=True, indent=1, allow_nan=False).encode()
-        self._key_hash = sha256(self._key)
+        text = json.dumps({"layout": _LAYOUT, **key}, sort_keys=True, allow_nan=False)
+        self._key = json.loads(text)
+        key_hash = sha256(text.encode())
         #: Eight letters that tell the key from others.
-        self.name = self._key_hash[:8]
+        self.name = key_hash[:8]
         cache = cache_folder() if folder is None else Path(folder).absolute()
         if cache is None:
             return
         self._limit_bytes = size_limit_bytes() if limited else None
-        self.folder = cache / self._key_hash
+        self.folder = cache / key_hash
         _open.add(self)
         cache_files.clear_left_behind(cache)
         self._touch()
@@ -332,15 +311,15 @@ class RecordCache:
         """
         if self.folder is None:
             return None
-        file = self._file(number)
+        file = self._file(self.folder, number)
         try:
             # a pipe in a file's place would be waited for
-            if not (self._is_ours() and file.is_file()):
+            if self.folder.is_symlink() or not file.is_file():
                 return None
             content = np.fromfile(file, np.uint8)
         except OSError:
             return None
-        chunk = decode(content, self._key_hash, number)
+        chunk = decode(content, self._key, number)
         if chunk is None:
             self.damaged += 1
             with contextlib.suppress(OSError):
@@ -371,16 +350,14 @@ class RecordCache:
         """
         if self.folder is None or self.trouble is not None:
             return
-        root = self.folder.parent
-        file = self._file(number)
-        parts = encode(self._key_hash, number, arrays, metadata)
-        needed_bytes = len(self._key) + sum(len(part) for part in parts)
+        root, file = self.folder.parent, self._file(self.folder, number)
+        parts = encode(self._key, number, arrays, metadata)
         in_use = {cache.folder for cache in _open if cache.folder is not None}
         try:
             if self._limit_bytes is None or cache_files.make_room(
-                root, needed_bytes, self._limit_bytes, in_use
+                root, sum(map(len, parts)), self._limit_bytes, in_use
             ):
-                self._place(file, parts)
+                _place(file, parts)
             else:
                 self.trouble = (
                     f"{root}: this run's photon records fill the cache, which may hold "
@@ -394,67 +371,43 @@ class RecordCache:
                     f"; free or unlock this place, or let {FOLDER_VARIABLE} name another folder"
                 )
 
-    @property
-    def _place_of_all(self) -> Path:
-        """`folder`, where the cache is on."""
-        assert self.folder is not None
-        return self.folder
-
-    def _file(self, number: int) -> Path:
+    @staticmethod
+    def _file(folder: Path, number: int) -> Path:
         if number < 0:
             raise ValueError(f"chunk number {number} is negative")
-        return self._place_of_all / f"{number:06d}.chunk"
-
-    def _place(self, file: Path, parts: list) -> None:
-        """Write a chunk's file, in a new folder where there is none any more.
-
-        What else bears the name of the folder or of the file makes way: it would for ever.
-        """
-        for tries_left in reversed(range(_TRIES)):
-            try:
-                if not self._is_ours():
-                    self._make_folder()
-                if file.is_dir():
-                    cache_files.remove(file, self._place_of_all.parent)
-                write_whole(file, parts, cache_files.unfinished(file.parent))
-                return
-            except OSError as error:
-                if error.errno not in (*_MEETINGS, *_OCCUPIED) or not tries_left:
-                    raise
-
-    def _is_ours(self) -> bool:
-        """Whether the folder exists and holds this very key, not one that has its hash."""
-        try:
-            key = self._place_of_all / cache_files.KEY_FILE
-            return key.is_file() and key.read_bytes() == self._key
-        except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
-            return False
-
-    def _make_folder(self) -> None:
-        """Make this key's folder, with the key in it from the first moment on."""
-        folder = self._place_of_all
-        new = cache_files.unfinished(folder.parent)
-        new.mkdir(parents=True)
-        try:
-            write_whole(new / cache_files.KEY_FILE, [self._key], cache_files.unfinished(new))
-            os.rename(new, folder)
-        except OSError as error:
-            if error.errno in _OCCUPIED and not self._is_ours():
-                cache_files.remove(folder, folder.parent)
-            raise
-        finally:
-            shutil.rmtree(new, ignore_errors=True)
+        return folder / f"{number:06d}.chunk"
 
     def _touch(self) -> None:
         """Note that the key was used now."""
-        with contextlib.suppress(OSError):
-            os.utime(self._place_of_all / cache_files.KEY_FILE)
+        if self.folder is not None:
+            with contextlib.suppress(OSError):
+                os.utime(self.folder)
+
+
+def _place(file: Path, parts: list[bytes | memoryview]) -> None:
+    """Write a chunk's file, in a new folder where there is none any more.
+
+    What else bears the name of the folder or of the file makes way: it would for ever.
+    """
+    folder, cache = file.parent, file.parent.parent
+    for tries_left in reversed(range(_TRIES)):
+        try:
+            cache.mkdir(parents=True, exist_ok=True)
+            if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+                cache_files.remove(folder, cache)
+            if file.is_dir():
+                cache_files.remove(file, cache)
+            folder.mkdir(exist_ok=True)
+            write_whole(file, parts, cache_files.unfinished(cache))
+            return
+        except (FileExistsError, FileNotFoundError):  # another process, just then
+            if not tries_left:
+                raise
 
 
 def _not_writable(cache: Path, error: OSError) -> str:
-    places = [Path(name) for name in (error.filename, error.filename2) if name is not None]
-    # names that pass say nothing to anybody
-    lasting = [place for place in places if not cache_files.is_passing(place)]
-    place = next(iter(lasting or [place.parent for place in places]), cache)
+    places = (Path(name) for name in (error.filename, error.filename2) if name is not None)
+    # names beside the keys' pass, and say nothing to anybody; nor does a key's
+    place = next((place for place in places if place.parent != cache), cache)
     where = "" if place == cache else f": {place}"
     return f"{cache}: photon records cannot be kept ({cause(error)}{where})"

@@ -8,25 +8,28 @@ from __future__ import annotations
 import concurrent.futures
 import json
 import logging
-import pickle
 import threading
-import uuid
-from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_text
 from mcrim_mitsuba.runs.cache import other_version, record_versions
-from mcrim_mitsuba.runs.executors import Content, HandingExecutor, Job, Track, WorkItem, pickled
+from mcrim_mitsuba.runs.executors import (
+    Content,
+    Job,
+    PoolExecutor,
+    Track,
+    WorkItem,
+    make_sent,
+    pickled,
+)
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client
 
 #: Seconds within which a scheduler must answer.
 ANSWER_S = 10.0
-#: Seconds after which its workers are counted again.
-LOOK_S = 1.0
 #: How often a scheduler is asked: Dask's client may fail by itself while the machine is busy.
 CONNECT_TRIES = 3
 #: Units that are handed out ahead, per thread of the workers.
@@ -103,12 +106,13 @@ def _client_of(address: str) -> concurrent.futures.Future[Client]:
     return answer
 
 
-class ClusterExecutor(HandingExecutor):
+class ClusterExecutor(PoolExecutor):
     """Hands units to the workers of a Dask cluster (see `connect`), and keeps what comes back."""
 
     def __init__(self, address: str) -> None:
         self._address = address
         self._client = connect(address)
+        self._pool: Any = None
 
     @property
     def workers(self) -> int:
@@ -123,44 +127,32 @@ class ClusterExecutor(HandingExecutor):
         workers = _workers(self._client, self._address).values()
         return max(LEAST_AHEAD, AHEAD * sum(worker["nthreads"] for worker in workers))
 
-    def submit(self, unit: WorkItem) -> Future:
-        """Hand a unit out; see `Executor.submit`."""
+    def submit(self, unit: WorkItem) -> concurrent.futures.Future[dict[int, Content]]:
         import distributed
 
         sent = pickled(unit.portable())
         versions = record_versions(unit.variant, *unit.modules)
-        name = f"mcrim-{uuid.uuid4().hex[:16]}"
         try:
-            return self._client.submit(_make_by_value, sent, versions, key=name, pure=False)
+            self._pool = self._pool or self._client.get_executor(pure=False)
+            return self._pool.submit(_make_by_value, sent, versions)
         except distributed.client.ClosedClientError:
             raise _lost(self._address) from None
 
-    def finished(
-        self, out: Mapping[Future, int], jobs: Sequence[Job], track: Track
-    ) -> Iterable[Future]:
-        """Wait for `LOOK_S` seconds at most; a cluster that is gone is refused, see `_lost`."""
-        import distributed
+    def look(self, track: Track, what: str) -> None:
+        """Tell that there are no workers; a cluster that is gone is refused, see `_lost`."""
+        if self._client.status != "running":
+            raise _lost(self._address)
+        if not self.workers:
+            track.tell(what, f"no workers at {self._address} yet")
 
-        try:
-            with self._client.as_current():
-                return distributed.wait(
-                    list(out), timeout=LOOK_S, return_when="FIRST_COMPLETED"
-                ).done
-        except TimeoutError:
-            if self._client.status != "running":
-                raise _lost(self._address) from None
-            if not _workers(self._client, self._address):
-                what = jobs[min(out.values())].unit.what
-                track.tell(what, f"no workers at {self._address} yet")
-            return ()
-        except (OSError, distributed.client.FuturesCancelledError):
-            raise _lost(self._address) from None
+    def give_up(self) -> None:
+        if self._client.status == "running":
+            self._pool.shutdown(wait=False)
+        self._pool = None
 
-    def give_up(self, futures: Sequence[Future]) -> None:
-        if futures and self._client.status == "running":
-            self._client.cancel(futures, force=True)
-
-    def result(self, future: Future, job: Job) -> dict[int, Content]:
+    def result(
+        self, future: concurrent.futures.Future[dict[int, Content]], job: Job
+    ) -> dict[int, Content]:
         """What a worker sent; what went wrong there is said as it would be said here."""
         import dask
         import distributed
@@ -183,7 +175,7 @@ class ClusterExecutor(HandingExecutor):
             problem = f"a worker has no module {error.name}"
             mend = "install the same mcrim-mitsuba, with the same Python, for all workers"
             raise InputError(problem, mend, path=self._address) from None
-        except (OSError, distributed.client.FutureCancelledError):
+        except (OSError, concurrent.futures.CancelledError):
             raise _lost(self._address) from None
 
 
@@ -229,6 +221,4 @@ def make_on_worker(pickled: bytes, versions: dict[str, str]) -> dict[int, Conten
         raise InputError(problem, "install the same versions for all workers and for the command")
     # Dr.Jit's threads are the process's: units of one worker go one after the other
     with _one_at_a_time:
-        unit: WorkItem = pickle.loads(pickled)
-        unit.check(worker.state.nthreads)
-        return unit.make(worker.state.nthreads)
+        return make_sent(pickled, worker.state.nthreads)

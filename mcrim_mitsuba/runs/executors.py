@@ -12,7 +12,7 @@ import pickle
 import signal
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -191,8 +191,15 @@ class Executor:
         return keep(job, job.unit.make(threads))
 
 
-class HandingExecutor(Executor):
-    """Hands units to others, some ahead of their turn, and keeps what comes back."""
+#: Seconds after which one looks why nothing comes.
+LOOK_S = 1.0
+
+
+class PoolExecutor(Executor):
+    """Hands units to a pool, some ahead of their turn, and keeps what comes back.
+
+    The pool is a `concurrent.futures.Executor` of any kind.
+    """
 
     def do(
         self, jobs: Sequence[Job], *, progress: Progress | None = None, **_how: Any
@@ -200,7 +207,7 @@ class HandingExecutor(Executor):
         """See `Executor.do`; threads are those of whoever does the units."""
         track = Track(jobs, progress)
         # what is handed out, what is there ahead of its turn, and how many were begun
-        out: dict[Any, int] = {}
+        out: dict[Future[dict[int, Content]], int] = {}
         there: dict[int, Finished] = {}
         begun = 0
         try:
@@ -216,36 +223,38 @@ class HandingExecutor(Executor):
                             continue
                         track.begun(index)
                         out[self.submit(job.unit)] = index
-                    for future in [] if wanted in there else self.finished(out, jobs, track):
+                    if wanted in there:
+                        break
+                    done = wait(out, timeout=LOOK_S, return_when=FIRST_COMPLETED).done
+                    if not done:
+                        self.look(track, jobs[wanted].unit.what)
+                    for future in done:
                         index = out.pop(future)
                         chunks = keep(jobs[index], self.result(future, jobs[index]))
                         track.done(index, cached=False)
                         there[index] = Finished(index, jobs[index], chunks, cached=False)
                 yield there.pop(wanted)
         finally:
-            self.give_up(list(out))
+            if out:
+                self.give_up()
 
     def ahead(self) -> int:
         """How many units may be under way, or wait for their turn."""
         raise NotImplementedError
 
-    def submit(self, unit: WorkItem) -> Any:
-        """Hand a unit out; gives what stands for its result, hashable."""
+    def submit(self, unit: WorkItem) -> Future[dict[int, Content]]:
+        """Hand a unit out to the pool."""
         raise NotImplementedError
 
-    def finished(self, out: Mapping[Any, int], jobs: Sequence[Job], track: Track) -> Iterable[Any]:
-        """Wait until something is done: the futures that are, of `out`, or none after a while.
+    def look(self, track: Track, what: str) -> None:
+        """See why nothing came for a while, and tell `track`; `what` is what is waited for."""
 
-        `out` has the place of each one's job among `jobs`; `track` is told why nothing comes.
-        """
-        raise NotImplementedError
-
-    def result(self, future: Any, job: Job) -> dict[int, Content]:
+    def result(self, future: Future[dict[int, Content]], job: Job) -> dict[int, Content]:
         """What a future that is done brought back; an error that a user can mend as InputError."""
         raise NotImplementedError
 
-    def give_up(self, futures: Sequence[Any]) -> None:
-        """Nobody wants these any more."""
+    def give_up(self) -> None:
+        """Nobody wants any more what is under way."""
         raise NotImplementedError
 
 
@@ -277,6 +286,13 @@ def keep(job: Job, contents: Mapping[int, Content]) -> dict[int, Chunk]:
     for number, content in contents.items():
         job.cache.write(number, *content)
     return {n: Chunk(n, dict(arrays), dict(data)) for n, (arrays, data) in contents.items()}
+
+
+def make_sent(sent: bytes, threads: int = 1) -> dict[int, Content]:
+    """Make a unit that `pickled` gave."""
+    unit: WorkItem = pickle.loads(sent)
+    unit.check(threads)
+    return unit.make(threads)
 
 
 _current: contextvars.ContextVar[Executor] = contextvars.ContextVar("executor")
@@ -317,8 +333,6 @@ LEAST_S = 5.0
 FEWEST_UNITS = 8
 #: Seconds that processes wait for more units.
 IDLE_S = 60.0
-#: Seconds after which a unit is looked after.
-LOOK_S = 1.0
 
 
 def many_units_executor(threads: int | None) -> Executor:
@@ -333,7 +347,7 @@ def many_units_executor(threads: int | None) -> Executor:
     return chosen
 
 
-class ProcessExecutor(HandingExecutor):
+class ProcessExecutor(PoolExecutor):
     """Hands units to processes of this machine."""
 
     def __init__(self, processes: int) -> None:
@@ -360,14 +374,9 @@ class ProcessExecutor(HandingExecutor):
         import loky  # slow, and of no use where nothing is missing
 
         self._pool = loky.get_reusable_executor(self._processes, timeout=IDLE_S, initializer=_begin)
-        return self._pool.submit(_make, pickled(unit))
+        return self._pool.submit(make_sent, pickled(unit))
 
-    def finished(
-        self, out: Mapping[Future, int], jobs: Sequence[Job], track: Track
-    ) -> Iterable[Future]:
-        return wait(out, timeout=LOOK_S, return_when=FIRST_COMPLETED).done
-
-    def result(self, future: Future, job: Job) -> dict[int, Content]:
+    def result(self, future: Future[dict[int, Content]], job: Job) -> dict[int, Content]:
         try:
             return future.result()
         except BrokenProcessPool:
@@ -375,9 +384,8 @@ class ProcessExecutor(HandingExecutor):
             mend = "often there is too little memory: give --threads 1, or fewer photons"
             raise InputError(problem, mend) from None
 
-    def give_up(self, futures: Sequence[Future]) -> None:
-        if futures:
-            self._pool.shutdown(wait=False, kill_workers=True)
+    def give_up(self) -> None:
+        self._pool.shutdown(wait=False, kill_workers=True)
 
 
 def _begin() -> None:
@@ -387,10 +395,3 @@ def _begin() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # else loky starts a process anew when one has grown
     loky.process_executor._USE_PSUTIL = False
-
-
-def _make(sent: bytes) -> dict[int, Content]:
-    """Make a unit that `pickled` gave."""
-    unit: WorkItem = pickle.loads(sent)
-    unit.check(1)
-    return unit.make(1)

@@ -213,24 +213,20 @@ def _typed(data: bytes) -> None:
                 read(text)
 
 
-def _encoded(arrays: dict[str, np.ndarray], metadata: dict) -> bytes:
-    return b"".join(bytes(part) for part in chunk_file.encode("k" * 64, 0, arrays, metadata))
+_KEY = {"layout": 2, "seed": 1}
 
 
 def _chunk(data: bytes) -> None:
-    """A file of the cache, with a digest that fits in half the inputs; and its key's folder."""
+    """A file of the cache, with a digest that fits in half the inputs."""
     flags, body = data[:1] or b"\0", data[1:]
     if flags[0] & 1:
-        body = body[:16] + hashlib.sha256(body[48:]).digest() + body[48:]
-    chunk = chunk_file.decode(np.frombuffer(body, np.uint8), "k" * 64, 0)
+        body = hashlib.sha256(body[32:]).digest() + body[32:]
+    chunk = chunk_file.decode(np.frombuffer(body, np.uint8), _KEY, 0)
     if chunk is not None:
-        again = _encoded(chunk.arrays, chunk.metadata)
-        assert chunk_file.decode(np.frombuffer(again, np.uint8), "k" * 64, 0) is not None
-    folder = Path("cache").absolute()
-    cache = RecordCache({"seed": 1}, folder)
+        again = chunk_file.encode(_KEY, 0, chunk.arrays, chunk.metadata)
+        assert b"".join(again) == body
+    cache = RecordCache({"seed": 1}, Path("cache").absolute())
     cache.folder.mkdir(parents=True, exist_ok=True)
-    key = b'{\n "seed": 1\n}' if flags[0] & 2 else body[:100]
-    (cache.folder / "key.json").write_bytes(key)
     (cache.folder / "000000.chunk").write_bytes(body)
     cache.read(0)
 
@@ -341,9 +337,13 @@ _RAW_TOML = (RAW / "campaign_source_depth.toml").read_bytes().replace(b"../camoo
 _RAW_TOML = _RAW_TOML.replace(b"mountings.csv", b"readings.csv")
 
 
-_A_CHUNK = _encoded(
-    {"weights": np.linspace(0, 1, 5), "kinds": np.arange(3, dtype=np.uint8)},
-    {"photons": 5, "names": ["a"]},
+_A_CHUNK = b"".join(
+    chunk_file.encode(
+        _KEY,
+        0,
+        {"weights": np.linspace(0, 1, 5), "kinds": np.arange(3, dtype=np.uint8)},
+        {"photons": 5, "names": ["a"]},
+    )
 )
 
 
@@ -423,8 +423,8 @@ TARGETS = {
     ),
     "chunk": Target(
         _chunk,
-        (b"\x03" + _A_CHUNK, b"\0" + _A_CHUNK),
-        ("|O", "<f8", "<M8", "|V0", "<U9", "length", "dtype", "arrays", "null", "["),
+        (b"\x01" + _A_CHUNK, b"\0" + _A_CHUNK),
+        ("|O", "<f8", "<M8", "|V0", "<U9", "number", "metadata", "arrays", "null", "["),
     ),
     "results": Target(
         _results,

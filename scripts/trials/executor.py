@@ -24,13 +24,14 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+from shared import package_hash, source_hash
 
 from mcrim_mitsuba.cli import options
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import make_folder, read_text, sha256, write_text
 from mcrim_mitsuba.core.run import DEFAULT_VARIANT, Progress
 from mcrim_mitsuba.runs.array_job import ArrayPart
-from mcrim_mitsuba.runs.cache import cache_folder, package_hash, source_hash
+from mcrim_mitsuba.runs.cache import cache_folder
 from mcrim_mitsuba.runs.cluster import connect
 from mcrim_mitsuba.runs.executors import log
 from mcrim_mitsuba.transport.variants import software_versions

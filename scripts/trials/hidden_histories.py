@@ -21,14 +21,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from shared import TRACER_CODE
+from shared import TRACER_CODE, source_hash
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.files import make_folder, write_bytes
 from mcrim_mitsuba.efficiency.bench import FILLED_ABOVE, Bench
 from mcrim_mitsuba.reference.flight import head_on
 from mcrim_mitsuba.reference.tracer import trace
-from mcrim_mitsuba.runs.cache import source_hash
 from trials.executor import TrialExecutor
 
 #: Columns of a design, in the order of a row.

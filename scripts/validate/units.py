@@ -19,12 +19,11 @@ from typing import Any
 
 import numpy as np
 from geant4 import trace_geant4
-from shared import GEANT4_CODE, TRACER_CODE
+from shared import GEANT4_CODE, TRACER_CODE, source_hash
 from trials.executor import TrialExecutor
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.reference.tracer import trace
-from mcrim_mitsuba.runs.cache import source_hash
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from validate import formulas
 from validate.benches import Case

@@ -282,6 +282,9 @@ def test_pictures_are_drawn_once(made, parsed, by_hand, monkeypatch):
     pictures = [[e.get("src") for e in t.iter("img")] for t in (parsed, html.parse(again))]
     assert len(pictures[0]) > 8 and pictures[0] == pictures[1]
     # of other files there would be others
-    keys = [json.loads(key.read_text()) for key in page.parent.glob("cache/*/key.json")]
+    contents = [file.read_bytes() for file in page.parent.glob("cache/*/*.chunk")]
+    # each says of itself what it depends on, after its digest and the length of what it says
+    headers = (c[40 : 40 + int.from_bytes(c[32:40], "little")] for c in contents)
+    keys = [json.loads(header)["key"] for header in headers]
     (known,) = (key for key in keys if key["what"] == "pictures of a report")
     assert {digest for *_, digest in known["files"]} == set(found["files"].values())

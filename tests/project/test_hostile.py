@@ -247,21 +247,21 @@ def test_whole_numbers_beyond_64_bits_are_floats():
     assert parse_value("x", "9" * 30) == 1e30
 
 
-KEY = "k" * 64
-GOOD = {"key_hash": KEY, "number": 0, "metadata": {}, "arrays": []}
+KEY = {"seed": 1}
+GOOD = {"key": KEY, "number": 0, "metadata": {}, "arrays": {}}
 
 
 def chunk_of(header, data=b"", **numbers):
     """A file of the cache whose digest is right, whatever else is not."""
     text = (header if isinstance(header, str) else json.dumps(header)).encode("utf-8")
-    text += b" " * (-(56 + len(text)) % 64)
+    text += b" " * (-(40 + len(text)) % 64)
     length = numbers.get("length", len(text)).to_bytes(8, "little")
     body = length + text + data
-    return b"mcrim records 1\n" + hashlib.sha256(body).digest() + body
+    return hashlib.sha256(body).digest() + body
 
 
-def an_array(dtype="<f8", length=8, name="a"):
-    return {**GOOD, "arrays": [{"name": name, "dtype": dtype, "length": length}]}
+def an_array(dtype="<f8", length=8):
+    return {**GOOD, "arrays": {"a": [dtype, length]}}
 
 
 def test_a_file_of_the_cache_is_what_was_written_or_nothing():
@@ -281,13 +281,19 @@ def test_a_file_of_the_cache_is_what_was_written_or_nothing():
         "NaN",
         '"a"',
         {},
-        {**GOOD, "key_hash": 1},
+        {**GOOD, "key": 1},
         {**GOOD, "number": 1},
         {**GOOD, "metadata": []},
         {**GOOD, "arrays": {}},
         {**GOOD, "arrays": [1]},
+        {**GOOD, "arrays": {"a": 1}},
+        {**GOOD, "arrays": {"a": []}},
+        {**an_array(), "more": 1},
+        json.dumps(an_array()).replace('"a"', "null"),
+        json.dumps(an_array()) + " " * 64,
         an_array(length=9),
         an_array(length=-8),
+        an_array(length=-1),
         an_array(length=7),
         an_array(length=2**70),
         an_array(length=8.0),
@@ -297,16 +303,17 @@ def test_a_file_of_the_cache_is_what_was_written_or_nothing():
         an_array("|V8"),
         an_array("<U2"),
         an_array("f8,f8"),
+        an_array("f8"),
         an_array("nonsense"),
         an_array(8),
-        an_array(name=None),
     ):
         assert read(chunk_of(header, data)) is None, header
     assert read(chunk_of(an_array(), data + bytes(64))) is None
+    assert read(chunk_of(an_array(), data[:-1])) is None
     assert read(chunk_of(GOOD, length=2**63)) is None
-    newer = bytearray(chunk_of(GOOD))
-    newer[14:15] = b"2"
-    assert read(bytes(newer)) is None and read(b"") is None and read(bytes(newer[:20])) is None
+    assert read(chunk_of(GOOD, length=0)) is None
+    older = b"mcrim records 1\n" + chunk_of(GOOD)
+    assert read(older) is None and read(b"") is None and read(older[:20]) is None
 
 
 CALIBRATED = {

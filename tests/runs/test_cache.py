@@ -2,7 +2,9 @@
 
 import errno
 import gc
+import hashlib
 import inspect
+import json
 import os
 import random
 import shutil
@@ -128,17 +130,37 @@ def test_a_chunk_under_another_name_is_not_believed(tmp_path):
 
 
 @pytest.mark.parametrize("change", ["edited", "removed", "not text"])
-def test_a_folder_whose_key_is_not_ours_is_not_believed(tmp_path, change):
-    key_file = filled(tmp_path).folder / "key.json"
+def test_a_chunk_whose_key_is_not_ours_is_not_believed(tmp_path, change):
+    file = filled(tmp_path).folder / "000000.chunk"
+    content = file.read_bytes()[32:]
     if change == "edited":
-        key_file.write_text(key_file.read_text().replace("7", "8"))
+        content = content.replace(b'"seed": 7', b'"seed": 8')
     elif change == "removed":
-        key_file.unlink()
+        content = content.replace(b'"key":', b'"kee":')
     else:
-        key_file.write_bytes(b"\xff\xfe")
+        content = content.replace(b'"key":', b'"\xff\xfey":')
+    file.write_bytes(hashlib.sha256(content).digest() + content)
     assert RecordCache(KEY, tmp_path).read(0) is None
     assert is_chunk(filled(tmp_path).read(0), 0)
     assert is_chunk(RecordCache(KEY, tmp_path).read(0), 0)
+
+
+def test_files_of_an_older_layout_are_ignored_and_removed_when_room_is_needed(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv("MCRIM_CACHE_GB", str(1.5 * chunk_bytes(tmp_path) / 1e9))
+    text = json.dumps(KEY, sort_keys=True, indent=1).encode()
+    old = tmp_path / "cache" / hashlib.sha256(text).hexdigest()
+    old.mkdir(parents=True)
+    (old / "key.json").write_bytes(text)
+    body = (64).to_bytes(8, "little") + b"{}".ljust(64) + bytes(200_000)
+    (old / "000000.chunk").write_bytes(b"mcrim records 1\n" + hashlib.sha256(body).digest() + body)
+    cache = RecordCache(KEY, tmp_path / "cache")
+    assert cache.read(0) is None and not cache.notes
+    assert old.exists()
+    cache.write(0, records(0), {"photons": 0})
+    assert is_chunk(cache.read(0), 0) and not cache.notes
+    assert not old.exists()
 
 
 def write_often(folder):
@@ -226,7 +248,7 @@ def test_the_least_recently_used_key_goes(tmp_path, monkeypatch):
     folder = tmp_path / "cache"
     folders = [filled(folder, key={"seed": seed}).folder for seed in range(3)]
     for age_s, key_folder in zip((300, 200, 100), folders, strict=True):
-        os.utime(key_folder / "key.json", (time.time() - age_s,) * 2)
+        os.utime(key_folder, (time.time() - age_s,) * 2)
     bystander = folder / "photos"
     bystander.mkdir()
     gc.collect()
@@ -236,7 +258,7 @@ def test_the_least_recently_used_key_goes(tmp_path, monkeypatch):
     assert [f.exists() for f in folders] == [False, True, True]
     reader = RecordCache({"seed": 2}, folder)
     for cache in (in_use, reader):
-        os.utime(cache.folder / "key.json", (0, 0))
+        os.utime(cache.folder, (0, 0))
     assert reader.read(0)
     del cache, reader
     gc.collect()
@@ -328,7 +350,7 @@ def test_a_place_that_cannot_be_written_is_told_and_not_raised(tmp_path):
     assert folder.read_text() == "a file" and not unfinished(tmp_path)
 
 
-OCCUPIED = {"key's folder": ".", "key": "key.json", "chunk": "000001.chunk"}
+OCCUPIED = {"key's folder": ".", "chunk": "000001.chunk"}
 
 
 @pytest.mark.parametrize("kind", ["file", "folder", "pipe", "link", "dead link", "endless link"])

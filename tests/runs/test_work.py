@@ -390,6 +390,9 @@ def test_a_worker_without_this_package_says_so(tmp_path, monkeypatch):
     sent = []
 
     class Listening:
+        def get_executor(self, **options):
+            return self
+
         def submit(self, function, *arguments, **options):
             sent.append(function)
 
