@@ -350,7 +350,7 @@ def _detected(
     if light_yield is None:
         return None, common
     if raw is not None and raw.efficiency is not None:
-        parts = dict(raw.efficiency.found.contributions)
+        parts = dict(raw.efficiency.contributions)
         light_yield = replace(light_yield, efficiency_parts=parts)
     if (shared := shared_efficiency(document)) is not None:
         table = document.table(schema.YIELD_TABLE)

@@ -11,6 +11,7 @@ import os
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +22,14 @@ from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.known_physics import CRYSTAL_INDEX, INDEX, material_of
 from mcrim_mitsuba.campaign.measurements import KIND, SAMPLE, Measurements
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
-from mcrim_mitsuba.campaign.reduction import RawData, ReducedAbsorption, ReducedReading
+from mcrim_mitsuba.campaign.reduction import RawData, ReducedReading
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import attributes, beside, read_text, write_text
 from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
 from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.laboratory.light_yield import SCALE as TUBE_SCALE
+from mcrim_mitsuba.optics.absorption import Absorption
 
 _LIMIT_MB = 1
 #: Digits of a SHA-256 that are shown where all of them would be in the way.
@@ -167,9 +170,9 @@ def beam_notes(raw: RawData, alpha_scat_per_cm: float) -> list[str]:
     """
     if raw.absorption is None:
         return []
-    absorption, path_mm = raw.absorption.found, raw.absorption.entry.thickness_mm
+    path_mm, through = raw.absorption.thickness_mm, raw.absorption.internal_transmittance
     left = math.exp(-alpha_scat_per_cm * path_mm / MM_PER_CM)
-    through, sigma = absorption.internal_transmittance, absorption.internal_transmittance_sigma
+    sigma = raw.absorption.internal_transmittance_sigma
     if through - left < _CLEARLY * sigma:
         return []
     return [
@@ -225,31 +228,30 @@ def _comments(lines: Iterable[str]) -> Iterator[str]:
     return (f"# {visible(' '.join(line.split()))}\n" for line in lines)
 
 
-def _named(raw: RawData, paths: Iterable[Path]) -> str:
+def _named(raw: RawData, paths: Iterable[str | Path]) -> str:
     """``air_1.csv (0123456789ab), air_2.csv (...)``."""
     hashes = {file.path: file.sha256[:_SHORT_HASH] for file in raw.files}
-    return ", ".join(f"{path.name} ({hashes[path]})" for path in paths)
+    return ", ".join(f"{path.name} ({hashes[path]})" for path in map(Path, paths))
 
 
 def _origins(raw: RawData) -> Iterator[str]:
     """Where priors and efficiency came from, a sentence each."""
     if raw.efficiency is not None:
-        entry = raw.efficiency.entry
+        curves = raw.efficiency.emission, raw.efficiency.quantum_efficiency
+        parts = raw.efficiency.contributions
         yield (
-            f"detector_efficiency: {_named(raw, (entry.emission, entry.quantum_efficiency))}, "
-            f"{100 * entry.scale_sigma:g} % scale of the curve; errors by origin: "
-            + _parts(raw.efficiency.found.contributions)
+            f"detector_efficiency: {_named(raw, (curve.name for curve in curves))}, "
+            f"{100 * parts[TUBE_SCALE] / raw.efficiency.value:g} % scale of the curve; errors by "
+            f"origin: {_parts(parts)}"
         )
     if raw.absorption is not None:
-        slab = raw.absorption.entry
-        measured = (
-            f"{pdg(slab.value, slab.transmittance_sigma)}, one number"
-            if slab.value is not None
-            else _named(raw, slab.files)
+        slab = raw.absorption
+        measured = _named(raw, (curve.name for curve in slab.spectra)) or ", ".join(
+            f"{pdg(value, slab.transmittance_sigma)}, one number" for value in slab.numbers
         )
         yield (
             f"alpha_abs_per_cm: transmittance of {slab.thickness_mm:g} mm, {measured}; errors by "
-            "origin: " + _parts(raw.absorption.found.contributions)
+            f"origin: {_parts(slab.contributions)}"
         )
     if raw.source_depth is not None:
         length = raw.source_depth
@@ -371,7 +373,7 @@ def to_json(raw: RawData) -> dict[str, Any]:
     return {
         "readings": [_reading_json(reduced) for reduced in raw.readings.values()],
         "detector_efficiency": raw.efficiency
-        and attributes(raw.efficiency.found, "value sigma contributions spread"),
+        and attributes(raw.efficiency, "value sigma contributions spread"),
         "absorption": raw.absorption and _absorption_json(raw.absorption),
         "source_depth": raw.source_depth
         and attributes(
@@ -406,19 +408,18 @@ def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
     }
 
 
-def _absorption_json(absorption: ReducedAbsorption) -> dict[str, Any]:
+def _absorption_json(absorption: Absorption) -> dict[str, Any]:
     """Absorption by the transmittance, of every orientation and of all."""
-    entry, value = absorption.entry, absorption.found
+    files = (curve.name for curve in absorption.spectra)
     return {
-        **attributes(value, "alpha_abs_per_cm sigma contributions"),
+        **attributes(absorption, "alpha_abs_per_cm sigma contributions"),
         "orientations": [
-            {"file": path, "alpha_abs_per_cm": alpha}
-            for path, alpha in zip(entry.files or (None,), value.each_per_cm, strict=True)
+            {"file": file, "alpha_abs_per_cm": alpha}
+            for file, alpha in zip_longest(files, absorption.each_per_cm)
         ],
         **attributes(
-            value,
+            absorption,
             "spread_orientations_per_cm spread_band_per_cm internal_transmittance "
-            "internal_transmittance_sigma n",
+            "internal_transmittance_sigma n thickness_mm",
         ),
-        "thickness_mm": entry.thickness_mm,
     }

@@ -16,7 +16,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.optics.emission_band import BandIndices, indices_over_band
 from mcrim_mitsuba.optics.gammas import AttenuationLength, attenuation_length_mm
-from mcrim_mitsuba.optics.materials import is_known, material
+from mcrim_mitsuba.optics.materials import material
 from mcrim_mitsuba.optics.spectrum import Spectrum
 from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -38,12 +38,7 @@ def material_of(campaign: Campaign) -> str | None:
         return campaign.light_yield.material
     if (named := campaign.scene.materials.get(INDEX)) is not None:
         return named.material.name
-    if (raw := campaign.raw) is None:
-        return None
-    given = [raw.source_depth.formula] if raw.source_depth is not None else []
-    if raw.absorption is not None and isinstance(raw.absorption.entry.n, str):
-        given.append(raw.absorption.entry.n)
-    return next((name for name in given if is_known(name)), None)
+    return None if campaign.raw is None else campaign.raw.material
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,89 +1,57 @@
-"""The raw data that a campaign names: its raw entries, checked by themselves."""
+"""Raw entries of a campaign: spectra, transmittances and gammas, and the numbers they make."""
 
 from __future__ import annotations
 
 import copy
 import functools
+import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mcrim_mitsuba.campaign import entries as schema
-from mcrim_mitsuba.campaign.entries import choice, number_within
+from mcrim_mitsuba.campaign.entries import number_within
+from mcrim_mitsuba.core.errors import InputError, said_by
 from mcrim_mitsuba.core.files import is_there, look_around, resolved
+from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
-from mcrim_mitsuba.laboratory.peak import SHAPES
-from mcrim_mitsuba.optics.absorption import LARGEST_SIGMA
+from mcrim_mitsuba.laboratory.light_yield import (
+    TUBE_SCALE_SIGMA,
+    DetectorEfficiency,
+    detector_efficiency,
+)
+from mcrim_mitsuba.optics.absorption import (
+    EMISSION,
+    LARGEST_SIGMA,
+    Absorption,
+    Index,
+    absorption_from_transmittance,
+)
+from mcrim_mitsuba.optics.emission_band import index_over
+from mcrim_mitsuba.optics.gammas import AttenuationLength, attenuation_length_mm
+from mcrim_mitsuba.optics.spectrum import Spectrum
+from mcrim_mitsuba.optics.spectrum_file import read_spectra, read_spectrum
+from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.values import read_index
 
 _NUMBER_LIKE = re.compile(r"[+-]?[\d.,]+(e[+-]?\d+)?\s*%?", re.IGNORECASE | re.ASCII)
 #: What raw entries stand in the place of.
 _PRIOR = ("prior", "prior_sigma")
 _EFFICIENCY = ("detector_efficiency", "detector_efficiency_sigma")
-#: Of a photomultiplier's absolute calibration, relative: section 6.2 of the article.
-_USUAL_SCALE_SIGMA = 0.05
+#: Of the light inside the sample: no spectrophotometer is as exact.
+_SMALLEST_SIGMA = 2e-4
+_CRYSTAL = "n_crystal"
+_WITHOUT_LIGHT = (
+    "a spectrum says nothing of the crystal's own light without its emission",
+    "add emission and quantum_efficiency to [light_yield], or give plain numbers",
+)
 
 
-@dataclass(frozen=True)
-class TransmittanceEntry:
-    """What the absorption comes from."""
-
-    #: Spectra, one per orientation; empty where one number was measured.
-    files: tuple[Path, ...]
-    #: That number, a fraction.
-    value: float | None
-    #: Standard error of that number; beside files, the absolute standard error that all readings
-    #: of all spectra share, the accuracy of the spectrophotometer (0 where none is given; errors
-    #: of the points are columns of the files).
-    transmittance_sigma: float
-    thickness_mm: float
-    _: KW_ONLY
-    thickness_sigma_mm: float
-    #: A material, or an index; None: the scene's ``n_crystal``.
-    n: str | float | None
-    n_sigma: float
-
-
-@dataclass(frozen=True)
-class EfficiencyEntry:
-    """What the detector's efficiency comes from."""
-
-    #: Spectra.
-    emission: Path
-    quantum_efficiency: Path
-    #: Relative error of the whole efficiency curve.
-    scale_sigma: float
-
-
-@dataclass(frozen=True)
-class GammasEntry:
-    """What the depth comes from at which the source's gammas stop."""
-
-    #: Of the crystal.
-    formula: str
-    #: None: that of the catalogue of materials.
-    density_g_per_cm3: float | None
-    energy_keV: float
-
-
-@dataclass(frozen=True)
-class RawEntries:
-    """Raw data that a campaign names, its measurement table apart."""
-
-    #: One of `SHAPES`.
-    shape: str
-    transmittance: TransmittanceEntry | None = None
-    efficiency: EfficiencyEntry | None = None
-    gammas: GammasEntry | None = None
-
-
-def read_raw_entries(document: TomlDocument) -> RawEntries:
-    """The raw entries of a campaign, checked by themselves.
-
-    Raises InputError with the line, if one is impossible, lacks what it needs, or stands beside the
-    number that it replaces.
-    """
+def refuse_misplaced(document: TomlDocument) -> None:
+    """Refuse raw entries of a parameter that they say nothing of."""
     for entries, parameter in (
         (schema.TRANSMITTANCE, schema.ABSORPTION),
         (schema.GAMMAS, schema.SOURCE_DEPTH),
@@ -94,15 +62,6 @@ def read_raw_entries(document: TomlDocument) -> RawEntries:
             if other != parameter and raw in table:
                 problem = f"{raw} says nothing of {other}"
                 raise table.refusal(raw, problem, f"write it into [parameters.{parameter}]")
-    return RawEntries(
-        shape=choice(document.table(schema.HISTOGRAMS, schema.PEAKS), "shape", schema.PEAKS)
-        or SHAPES[0],
-        transmittance=_read_transmittance(document.table(f"parameters.{schema.ABSORPTION}")),
-        efficiency=_read_efficiency(document.table(schema.YIELD_TABLE)),
-        gammas=_read_gammas(
-            document.table(f"parameters.{schema.SOURCE_DEPTH}"), document.table(schema.YIELD_TABLE)
-        ),
-    )
 
 
 def with_numbers(document: TomlDocument, numbers: Mapping[str, float]) -> TomlDocument:
@@ -128,11 +87,59 @@ def with_numbers(document: TomlDocument, numbers: Mapping[str, float]) -> TomlDo
     return replace(document, content=content, lines=lines)
 
 
-def _read_transmittance(table: TomlTable) -> TransmittanceEntry | None:
-    """What is measured of the transmittance; None where the table has no raw entries."""
-    if not _has(table, "transmittance", schema.TRANSMITTANCE, _PRIOR):
+def read_absorption(
+    document: TomlDocument, light: Spectrum | None, scene: SceneFile
+) -> Absorption | None:
+    """Eq. 4 of the article with the files, or the number, of a campaign; None without these.
+
+    `light`, as the detector of ``[light_yield]`` sees it, is what spectra are weighted with; the
+    scene has the crystal's index where the entry gives none.
+    """
+    table = document.table(f"parameters.{schema.ABSORPTION}")
+    name = "transmittance"
+    if not _has(table, name, schema.TRANSMITTANCE, _PRIOR):
         return None
-    files, value, sigma = _measured(table)
+    files, numbers, transmittance_sigma = _measured(table)
+    thickness_mm = _above_zero(table, "thickness_mm", "the sample's thickness in mm")
+    thickness_sigma_mm = number_within(table, "thickness_sigma_mm", schema.TRANSMITTANCE) or 0.0
+    spectra = read_spectra(files, "transmittance")
+    if light is None and spectra:
+        raise table.refusal(name, *_WITHOUT_LIGHT)
+    n, n_sigma, notes = _index(table, light, scene)
+    try:
+        absorption = absorption_from_transmittance(
+            spectra or numbers,
+            n,
+            thickness_mm,
+            transmittance_sigma=transmittance_sigma,
+            n_sigma=n_sigma,
+            thickness_sigma_mm=thickness_sigma_mm,
+            emission=light,
+        )
+    except InputError as error:
+        if error.path is not None:
+            raise
+        raise table.refusal(name, error.problem, error.mend) from None
+    # the emission only weights: its noise is no error of the readings
+    parts = [part for origin, part in absorption.contributions.items() if origin != EMISSION]
+    sigma = math.hypot(*parts)
+    if sigma * thickness_mm / MM_PER_CM < _SMALLEST_SIGMA:
+        raise table.refusal(
+            name,
+            f"the absorption coefficient comes with an error of {sigma:.1g} /cm, less than any "
+            "spectrophotometer's"
+            if sigma > 0
+            else "the absorption coefficient comes without any error",
+            "give transmittance_sigma, the error that all readings share, or errors as a column of "
+            "the spectra",
+        )
+    return replace(absorption, notes=(*absorption.notes, *notes))
+
+
+def _index(
+    table: TomlTable, light: Spectrum | None, scene: SceneFile
+) -> tuple[Index, float, tuple[str, ...]]:
+    """The crystal's index, a number or a function of the wavelength, its error, and notes."""
     n = table.get("n")
     if not isinstance(n, str):
         n = number_within(table, "n", schema.TRANSMITTANCE)
@@ -141,25 +148,43 @@ def _read_transmittance(table: TomlTable) -> TransmittanceEntry | None:
     if "n_sigma" in table and not isinstance(n, float):
         problem = "n_sigma without an index as a number"
         raise table.refusal("n_sigma", problem, "give n, or remove n_sigma")
-    return TransmittanceEntry(
-        files=files,
-        value=value,
-        transmittance_sigma=sigma,
-        thickness_mm=_above_zero(table, "thickness_mm", "the sample's thickness in mm"),
-        thickness_sigma_mm=number_within(table, "thickness_sigma_mm", schema.TRANSMITTANCE) or 0.0,
-        n=n,
-        n_sigma=number_within(table, "n_sigma", schema.TRANSMITTANCE) or 0.0,
-    )
+    if isinstance(n, float):
+        return n, number_within(table, "n_sigma", schema.TRANSMITTANCE) or 0.0, ()
+    if n is None:
+        index = scene.parameters.get(_CRYSTAL)
+        if not isinstance(index, float):
+            problem = f"{scene.path.name} has no {_CRYSTAL}"
+            mend = 'give the crystal\'s index: n = 2.01, or a material such as n = "CaMoO4"'
+            raise table.refusal("transmittance", problem, mend)
+        named = scene.materials.get(_CRYSTAL)
+        return index, 0.0 if named is None else named.material.sigma, ()
+    if light is None and "@" not in n:
+        raise table.refusal("n", *_WITHOUT_LIGHT)
+    try:
+        if light is None or "@" in n:
+            named = read_index("n", n, table.document.path.parent)
+            return named.value, named.material.sigma, ()
+        band = index_over(n, light)
+    except InputError as error:
+        if error.path is not None:
+            raise
+        raise table.refusal("n", error.problem, error.mend) from None
+    return band.material.held_index, band.sigma, band.notes
 
 
-def _measured(table: TomlTable) -> tuple[tuple[Path, ...], float | None, float]:
-    """Spectra, or one number; and the error of the number, or that all spectra share."""
+def _measured(table: TomlTable) -> tuple[list[Path], list[float], float]:
+    """Spectra, or one number; and its standard error, or the one that all spectra share.
+
+    The latter, the accuracy of the spectrophotometer, is 0 where none is given: errors of the
+    points are columns of the files.
+    """
     name, sigma_name = "transmittance", "transmittance_sigma"
     given = table[name]
-    value: float | None = None
-    files: tuple[Path, ...] = ()
+    numbers: list[float] = []
+    files: list[Path] = []
     if isinstance(given, (int, float)) and not isinstance(given, bool):
-        value = number_within(table, name, schema.TRANSMITTANCE)
+        number_within(table, name, schema.TRANSMITTANCE)
+        numbers = [table.known_number(name)]
         sigma = _above_zero(table, sigma_name, f"the standard error of {name}")
     else:
         if isinstance(given, str) and _NUMBER_LIKE.fullmatch(given.strip()):
@@ -170,7 +195,7 @@ def _measured(table: TomlTable) -> tuple[tuple[Path, ...], float | None, float]:
             mend = f'write {name} = ["along.csv", "across.csv"], or {name} = 0.76'
             raise table.refusal(name, f"{name} is neither a list of files nor a number", mend)
         sigma = number_within(table, sigma_name, schema.TRANSMITTANCE) or 0.0
-        files = tuple(file_in(table, name, file) for file in names)
+        files = [file_in(table, name, file) for file in names]
         for position, file in enumerate(files):
             if resolved(file) in map(resolved, files[:position]):
                 problem = f"{names[position]} is named twice"
@@ -179,11 +204,11 @@ def _measured(table: TomlTable) -> tuple[tuple[Path, ...], float | None, float]:
         problem = f"{sigma_name} = {sigma:g} is not below {LARGEST_SIGMA:g}"
         mend = "give a fraction of full transmission: 0.005 for 0.5 %"
         raise table.refusal(sigma_name, problem, mend)
-    return files, value, sigma
+    return files, numbers, sigma
 
 
-def _read_efficiency(table: TomlTable) -> EfficiencyEntry | None:
-    """The spectra that give the detector's efficiency; None where the table names none."""
+def read_efficiency(table: TomlTable) -> DetectorEfficiency | None:
+    """The detector's efficiency, eq. 3 of the article; None where the table names no spectra."""
     emission, curve, scale = schema.EFFICIENCY
     for name, other in ((emission, curve), (curve, emission)):
         if name in table and other not in table:
@@ -192,29 +217,32 @@ def _read_efficiency(table: TomlTable) -> EfficiencyEntry | None:
     if not _has(table, emission, schema.EFFICIENCY, _EFFICIENCY):
         return None
     sigma = number_within(table, scale, schema.EFFICIENCY)
-    return EfficiencyEntry(
-        file_in(table, emission, table[emission]),
-        file_in(table, curve, table[curve]),
-        _USUAL_SCALE_SIGMA if sigma is None else sigma,
+    files = [file_in(table, name, table[name]) for name in (emission, curve)]
+    return detector_efficiency(
+        read_spectrum(files[0], "emission"),
+        read_spectrum(files[1], "quantum_efficiency"),
+        TUBE_SCALE_SIGMA if sigma is None else sigma,
     )
 
 
-def _read_gammas(table: TomlTable, light_yield: TomlTable) -> GammasEntry | None:
-    """What tells how deep gammas go; None where the table names no crystal."""
+def read_source_depth(document: TomlDocument) -> AttenuationLength | None:
+    """How deep the source's gammas get; None where the campaign names no crystal for them."""
+    table = document.table(f"parameters.{schema.SOURCE_DEPTH}")
     name, density = schema.GAMMAS
     if not _has(table, name, schema.GAMMAS, _PRIOR):
         return None
     formula = table[name]
     if not isinstance(formula, str) or not formula.strip():
         raise table.refusal(name, f"{name} is no formula", f'write {name} = "CaMoO4"')
-    energy = light_yield.number("energy_keV")
+    energy = document.table(schema.YIELD_TABLE).number("energy_keV")
     if energy is None:
         problem = f"{name} needs the energy of the gammas"
         raise table.refusal(name, problem, "add [light_yield] with energy_keV")
     density_g_per_cm3 = None
     if density in table:
         density_g_per_cm3 = _above_zero(table, density, "the crystal's density in g/cm3")
-    return GammasEntry(formula, density_g_per_cm3, energy)
+    with said_by(partial(table.refusal, name)):
+        return attenuation_length_mm(formula, energy, density_g_per_cm3)
 
 
 def _has(table: TomlTable, raw: str, belonging: Iterable[str], replaced: Iterable[str]) -> bool:

@@ -17,7 +17,13 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
-from mcrim_mitsuba.optics.spectrum import Spectrum, WeightedMean, cut_off_note, weighted_mean
+from mcrim_mitsuba.optics.spectrum import (
+    Spectrum,
+    WeightedMean,
+    cut_off_note,
+    detected_light,
+    weighted_mean,
+)
 
 #: Relative error of a tube's quantum efficiency, common to all wavelengths (article, Sec. 4).
 TUBE_SCALE_SIGMA = 0.05
@@ -45,7 +51,7 @@ _ON_POINTS = {
 
 @dataclass(frozen=True, eq=False)
 class DetectorEfficiency:
-    """Emission-weighted detector efficiency."""
+    """Emission-weighted detector efficiency, and the curves that it was made of."""
 
     #: A fraction.
     value: float
@@ -57,10 +63,17 @@ class DetectorEfficiency:
     #: Standard deviation of the quantum efficiency over the emission; no error of the mean.
     spread: float
     _: KW_ONLY
+    emission: Spectrum
+    quantum_efficiency: Spectrum
     #: With the derivatives by every point.
     mean: WeightedMean
     #: What the reader must know before using the number.
     notes: tuple[str, ...]
+
+    @property
+    def light(self) -> Spectrum:
+        """The emission as the detector sees it."""
+        return detected_light(self.emission, self.quantum_efficiency)
 
 
 def detector_efficiency(
@@ -99,8 +112,12 @@ def detector_efficiency(
         contributions=contributions,
         sigma=math.hypot(*contributions.values()),
         spread=mean.spread,
+        emission=emission,
+        quantum_efficiency=quantum_efficiency,
         mean=mean,
         notes=(
+            *emission.notes,
+            *quantum_efficiency.notes,
             *mean.notes,
             *filter(None, [cut_off_note(emission)]),
             *_note_on_points(

@@ -207,6 +207,14 @@ class Absorption:
     n: float
     #: Apparent coefficient over wavelength, one per orientation; empty for single numbers.
     curves: tuple[Spectrum, ...]
+    #: What it was made of: spectra or numbers, one per orientation, and the standard error that
+    #: they share; the slab's thickness; the index, and the light that all is averaged over.
+    spectra: tuple[Spectrum, ...]
+    numbers: tuple[float, ...]
+    transmittance_sigma: float
+    thickness_mm: float
+    index: Index
+    emission: Spectrum | None
     #: What the reader must know before using the number.
     notes: tuple[str, ...]
 
@@ -266,7 +274,39 @@ def absorption_from_transmittance(
     contributions = _contributions(
         slabs, emission, transmittance_sigma, n_sigma, thickness_sigma_mm / thickness_mm
     )
-    return _mean_of(slabs, contributions, thickness_mm, transmittance_sigma, index)
+    sigma = math.hypot(*contributions.values())
+    alpha, notes = _held(slabs, sigma)
+    internal = math.exp(-alpha * thickness_mm / MM_PER_CM)
+    of_path = [part for origin, part in contributions.items() if origin != THICKNESS]
+    means = [slab.mean for slab in slabs if slab.mean is not None]
+    return Absorption(
+        alpha_abs_per_cm=alpha,
+        sigma=sigma,
+        contributions=contributions,
+        apparent_per_cm=float(np.mean([slab.alpha_per_cm for slab in slabs])),
+        internal_transmittance=internal,
+        internal_transmittance_sigma=internal * thickness_mm / MM_PER_CM * math.hypot(*of_path),
+        each_per_cm=tuple(slab.alpha_per_cm for slab in slabs),
+        spread_orientations_per_cm=contributions.get(ORIENTATIONS),
+        spread_band_per_cm=(
+            math.sqrt(float(np.mean([mean.spread**2 for mean in means]))) if means else None
+        ),
+        n=index,
+        curves=tuple(slab.curve for slab in slabs if slab.curve is not None),
+        spectra=tuple(spectra),
+        numbers=tuple(numbers),
+        transmittance_sigma=transmittance_sigma,
+        thickness_mm=thickness_mm,
+        index=n,
+        emission=emission,
+        notes=(
+            *(note for spectrum in spectra for note in spectrum.notes),
+            *dict.fromkeys(note for mean in means for note in mean.notes),
+            *notes,
+            *_notes_on_errors(slabs, transmittance_sigma, contributions[TRANSMITTANCE], sigma),
+            *([_DARK.format(100 * internal)] if internal < _USUAL_INTERNAL else []),
+        ),
+    )
 
 
 def _contributions(
@@ -293,42 +333,6 @@ def _contributions(
         derivatives = np.mean([mean.emission_derivatives for mean in means], axis=0)
         contributions[EMISSION] = float(np.linalg.norm(derivatives * emission.sigmas))
     return contributions
-
-
-def _mean_of(
-    slabs: Sequence[_SlabReading],
-    contributions: dict[str, float],
-    thickness_mm: float,
-    transmittance_sigma: float,
-    index: float,
-) -> Absorption:
-    """The mean over orientations, held at 0, with what must be known of it."""
-    sigma = math.hypot(*contributions.values())
-    alpha, notes = _held(slabs, sigma)
-    internal = math.exp(-alpha * thickness_mm / MM_PER_CM)
-    of_path = [part for origin, part in contributions.items() if origin != THICKNESS]
-    means = [slab.mean for slab in slabs if slab.mean is not None]
-    return Absorption(
-        alpha_abs_per_cm=alpha,
-        sigma=sigma,
-        contributions=contributions,
-        apparent_per_cm=float(np.mean([slab.alpha_per_cm for slab in slabs])),
-        internal_transmittance=internal,
-        internal_transmittance_sigma=internal * thickness_mm / MM_PER_CM * math.hypot(*of_path),
-        each_per_cm=tuple(slab.alpha_per_cm for slab in slabs),
-        spread_orientations_per_cm=contributions.get(ORIENTATIONS),
-        spread_band_per_cm=(
-            math.sqrt(float(np.mean([mean.spread**2 for mean in means]))) if means else None
-        ),
-        n=index,
-        curves=tuple(slab.curve for slab in slabs if slab.curve is not None),
-        notes=(
-            *dict.fromkeys(note for mean in means for note in mean.notes),
-            *notes,
-            *_notes_on_errors(slabs, transmittance_sigma, contributions[TRANSMITTANCE], sigma),
-            *([_DARK.format(100 * internal)] if internal < _USUAL_INTERNAL else []),
-        ),
-    )
 
 
 def _notes_on_errors(

@@ -7,6 +7,7 @@ one function, for `mcrim reduce`, `mcrim lab` and the report.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.rounding import number, p_equals, p_text, pdg
@@ -25,7 +26,7 @@ from mcrim_mitsuba.output.description import (
 )
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.campaign.reduction import Mounting, RawData, ReducedAbsorption
+    from mcrim_mitsuba.campaign.reduction import Mounting, RawData
     from mcrim_mitsuba.laboratory.error_budget import CommonValue, ErrorBudget, Uncertain
     from mcrim_mitsuba.laboratory.light_yield import (
         DetectorEfficiency,
@@ -151,9 +152,16 @@ def efficiency_pieces(efficiency: DetectorEfficiency) -> list[Piece]:
 
 
 def absorption_pieces(
-    absorption: Absorption, given: Sequence[str], thickness_mm: float, beside: str = ""
+    absorption: Absorption, given: Sequence[str] = (), beside: str = ""
 ) -> list[Piece]:
-    """An absorption coefficient with its errors; `beside` is said of it, where there is a word."""
+    """An absorption coefficient with its errors; `beside` is said of it, where there is a word.
+
+    `given` is how people know the transmittances: by the names of their files unless they say it.
+    """
+    given = given or [
+        *(Path(curve.name).name for curve in absorption.spectra),
+        *(pdg(value, absorption.transmittance_sigma) for value in absorption.numbers),
+    ]
     alpha = absorption.alpha_abs_per_cm
     internal = measured(
         absorption.internal_transmittance, absorption.internal_transmittance_sigma, 100.0
@@ -163,7 +171,7 @@ def absorption_pieces(
     return [
         strong(
             f"alpha_abs {pdg(alpha, absorption.sigma)} /cm, internal transmittance {internal.text} "
-            f"% of {thickness_mm:g} mm (n = {absorption.n:.4g})"
+            f"% of {absorption.thickness_mm:g} mm (n = {absorption.n:.4g})"
         ),
         beside,
         _origins("absorption", "1/cm", absorption.contributions, alpha),
@@ -177,15 +185,6 @@ def absorption_pieces(
         else f"over the light that it is weighted with the coefficient varies by {band:.2g} /cm "
         "(standard deviation): one number leaves that out, it is no part of the error",
     ]
-
-
-def reduced_absorption_pieces(reduced: ReducedAbsorption) -> list[Piece]:
-    """That of a campaign's transmittances."""
-    entry = reduced.entry
-    given = [path.name for path in entry.files if path is not None]
-    if not given and entry.value is not None:
-        given = [pdg(entry.value, entry.transmittance_sigma)]
-    return absorption_pieces(reduced.found, given, entry.thickness_mm)
 
 
 def depth_pieces(stops: AttenuationLength) -> list[Piece]:
@@ -209,8 +208,8 @@ def of_reduction(raw: RawData) -> Description:
     return described(
         "reduction of raw data",
         histograms_pieces(raw),
-        efficiency_pieces(raw.efficiency.found) if raw.efficiency else None,
-        reduced_absorption_pieces(raw.absorption) if raw.absorption else None,
+        efficiency_pieces(raw.efficiency) if raw.efficiency else None,
+        absorption_pieces(raw.absorption) if raw.absorption else None,
         depth_pieces(raw.source_depth) if raw.source_depth else None,
         notes=raw.notes,
     )
@@ -276,17 +275,14 @@ def _widths(widths: Mapping[str, Sequence[WidthParts]]) -> list[Piece]:
     ]
 
 
-def of_efficiency(efficiency: DetectorEfficiency, notes: Sequence[str]) -> Description:
+def of_efficiency(efficiency: DetectorEfficiency) -> Description:
     """A detector's efficiency, and where its error comes from."""
-    return described("detector efficiency", efficiency_pieces(efficiency), notes=notes)
+    pieces = efficiency_pieces(efficiency)
+    return described("detector efficiency", pieces, notes=efficiency.notes)
 
 
 def of_absorption(
-    absorption: Absorption,
-    given: Sequence[str],
-    thickness_mm: float,
-    beside: str,
-    notes: Sequence[str],
+    absorption: Absorption, given: Sequence[str], beside: str, notes: Sequence[str]
 ) -> Description:
     """An absorption coefficient with its errors, and what a campaign says of it."""
     prior = (
@@ -295,7 +291,7 @@ def of_absorption(
     )
     return described(
         "absorption of a sample",
-        absorption_pieces(absorption, given, thickness_mm, beside),
+        absorption_pieces(absorption, given, beside),
         prior if absorption.sigma else "",
         notes=notes,
     )

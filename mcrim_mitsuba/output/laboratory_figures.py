@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -190,12 +191,11 @@ _SPECTRUM_ROOM = 1.35
 _SEEN = 0.002
 
 
-def _efficiency_numbers(
-    emission: Spectrum, quantum_efficiency: Spectrum, efficiency: DetectorEfficiency
-) -> style.Numbers:
+def _efficiency_numbers(efficiency: DetectorEfficiency) -> style.Numbers:
     """Points of both curves where both are; emission's highest value is 1, and errors stand at
     the points that have them."""
     rows = []
+    emission, quantum_efficiency = efficiency.emission, efficiency.quantum_efficiency
     highest = float(emission.values.max())
     emitted, detected = (
         dict(zip(curve.wavelength_nm.tolist(), curve.sigmas.tolist(), strict=True))
@@ -226,14 +226,12 @@ def _efficiency_numbers(
 
 
 @style.styled
-def draw_efficiency(
-    emission: Spectrum, quantum_efficiency: Spectrum, efficiency: DetectorEfficiency
-) -> style.Drawing:
+def draw_efficiency(efficiency: DetectorEfficiency) -> style.Drawing:
     """Emission, quantum efficiency and what Eq. 3 makes of them."""
     figure = style.canvas(7.2, 4.8)
     axes = figure.add_subplot()
+    emission, curve = efficiency.emission, efficiency.quantum_efficiency
     low, high = _seen(emission)
-    curve = quantum_efficiency
     shown = (curve.wavelength_nm >= low) & (curve.wavelength_nm <= high)
     ends = curve.at(np.clip((low, high), curve.first_nm, curve.last_nm))
     top = 100 * float(max(curve.values[shown].max(initial=0), efficiency.value, *ends))
@@ -266,20 +264,18 @@ def draw_efficiency(
     axes.set(xlabel="wavelength, nm", ylabel="quantum efficiency, %")
     style.open_axes(axes)
     style.legend(axes, loc="upper center", ncols=2)
-    return style.Drawing(figure, *_efficiency_numbers(emission, curve, efficiency))
+    return style.Drawing(figure, *_efficiency_numbers(efficiency))
 
 
-def _absorption_numbers(
-    transmittances: Sequence[tuple[str, Spectrum]], n: Index, absorption: Absorption
-) -> style.Numbers:
+def _absorption_numbers(absorption: Absorption) -> style.Numbers:
     """The points that the coefficient rests on."""
     rows = []
-    for (name, measured), curve in zip(transmittances, absorption.curves, strict=True):
-        limits, sigmas = _limits(n, curve.wavelength_nm), curve.sigmas
+    for measured, curve in zip(absorption.spectra, absorption.curves, strict=True):
+        limits, sigmas = _limits(absorption.index, curve.wavelength_nm), curve.sigmas
         for i, (nm, alpha) in enumerate(zip(curve.wavelength_nm, curve.values, strict=True)):
             rows.append(
                 (
-                    name,
+                    Path(measured.name).name,
                     nm,
                     float(measured.at(nm)),
                     measured.sigma_at(float(nm)),
@@ -298,21 +294,9 @@ def _absorption_numbers(
 
 
 @style.styled
-def draw_absorption(
-    transmittances: Sequence[tuple[str, Spectrum]],
-    n: Index,
-    absorption: Absorption,
-    emission: Spectrum | None = None,
-) -> style.Drawing:
-    """Transmittances, and the coefficient that they give.
-
-    Parameters
-    ----------
-    transmittances : sequence of (str, Spectrum)
-        Each with its name; those that `found` was made of, in the same order.
-    n : float or callable
-        As for `absorption_from_transmittance`.
-    """
+def draw_absorption(absorption: Absorption) -> style.Drawing:
+    """Transmittances, and the coefficient that they give."""
+    emission = absorption.emission
     figure = style.canvas(7.2, 6.4)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1))
     low = min(curve.first_nm for curve in absorption.curves)
@@ -320,14 +304,13 @@ def draw_absorption(
     if emission is not None:
         low, high = max(low, _seen(emission)[0]), min(high, _seen(emission)[1])
     seen_t, seen_alpha = [], []
-    for i, ((name, measured), curve) in enumerate(
-        zip(transmittances, absorption.curves, strict=True)
-    ):
+    for i, (measured, curve) in enumerate(zip(absorption.spectra, absorption.curves, strict=True)):
         colour, line = _STYLES[i % len(_STYLES)]
         look = {"color": colour, "ls": line, "lw": 1.6, "zorder": 4}
         inside = (curve.wavelength_nm >= low) & (curve.wavelength_nm <= high)
         percent = 100 * measured.at(curve.wavelength_nm)
-        above.plot(curve.wavelength_nm, percent, label=style.shortened(name, 28), **look)
+        label = style.shortened(Path(measured.name).name, 28)
+        above.plot(curve.wavelength_nm, percent, label=label, **look)
         below.plot(curve.wavelength_nm, curve.values, **look)
         if curve.sigmas is not None:
             pale = {"color": colour, "alpha": 0.12, "zorder": 3}
@@ -335,7 +318,7 @@ def draw_absorption(
         seen_t += percent[inside].tolist()
         seen_alpha += curve.values[inside].tolist()
     fine = np.linspace(low, high, 200)
-    limits = 100 * _limits(n, fine)
+    limits = 100 * _limits(absorption.index, fine)
     above.plot(fine, limits, label="a sample that absorbs nothing", **_DASHED)
     alpha, sigma = absorption.alpha_abs_per_cm, absorption.sigma
     below.axhspan(alpha - sigma, alpha + sigma, color=style.GREY, alpha=0.18, lw=0, zorder=2)
@@ -352,7 +335,7 @@ def draw_absorption(
     for axes in (above, below):
         style.open_axes(axes)
         style.legend(axes, loc="upper center", ncols=2)
-    return style.Drawing(figure, *_absorption_numbers(transmittances, n, absorption))
+    return style.Drawing(figure, *_absorption_numbers(absorption))
 
 
 def _frame(axes: Axes, values: Sequence[float], low: float, high: float) -> None:
@@ -406,15 +389,11 @@ def draw_raw_data(raw: RawData, kind: str) -> style.Drawing:
     Of too many histograms, the first mounting of every reading; the numbers are those of all.
     """
     if kind == "spectra":
-        curves = raw.efficiency
-        assert curves is not None
-        return draw_efficiency(curves.emission, curves.quantum_efficiency, curves.found)
+        assert raw.efficiency is not None
+        return draw_efficiency(raw.efficiency)
     if kind == "transmittance":
-        reduced = raw.absorption
-        assert reduced is not None
-        names = (path.name for path in reduced.entry.files)
-        named = list(zip(names, reduced.spectra, strict=True))
-        return draw_absorption(named, reduced.n, reduced.found, reduced.light)
+        assert raw.absorption is not None
+        return draw_absorption(raw.absorption)
     every = [
         _fitted(label, m) for label, reading in raw.readings.items() for m in reading.mountings
     ]

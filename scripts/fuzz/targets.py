@@ -28,7 +28,12 @@ from fuzz.mutation import SEPARATOR
 from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects, campaign_with_measurements
 from mcrim_mitsuba.campaign.measurements import read_table
-from mcrim_mitsuba.campaign.raw_data import read_raw_entries, with_numbers
+from mcrim_mitsuba.campaign.raw_data import (
+    read_efficiency,
+    read_source_depth,
+    refuse_misplaced,
+    with_numbers,
+)
 from mcrim_mitsuba.cli import options, terminal
 
 # readers that commands import late are imported here, so that their coverage counts
@@ -133,7 +138,9 @@ def _raw_campaign(data: bytes) -> None:
     (path,) = _files(data, "raw.toml")
     if not _executes(path):
         document = read_toml(path)
-        read_raw_entries(document)
+        refuse_misplaced(document)
+        read_efficiency(document.table("light_yield"))
+        read_source_depth(document)
         with_numbers(document, {})
         _campaign_of(data)
 

@@ -268,12 +268,12 @@ def test_one_transmittance_and_a_material(folder):
     path = folder / "campaign.toml"
     text = path.read_text().replace(TRANSMITTANCES, "0.76\ntransmittance_sigma = 0.005")
     path.write_text(text)
-    found = read_campaign(path).raw.absorption.found
+    found = read_campaign(path).raw.absorption
     # the article prints 96 % and 0.039: its Kushnir correction gives 95.4 % and 0.047
     assert found.alpha_abs_per_cm == pytest.approx(0.0467, abs=0.0005)
     assert found.internal_transmittance == pytest.approx(0.954, abs=0.001)
     path.write_text(text.replace("thickness_mm = 10.0", 'thickness_mm = 10.0\nn = "CaMoO4@540nm"'))
-    named = read_campaign(path).raw.absorption.found
+    named = read_campaign(path).raw.absorption
     assert 1.95 < named.n < 2.05 and named.contributions["index"] > 0
 
 
@@ -281,10 +281,10 @@ def test_spectra_are_corrected_by_the_dispersion_of_a_material(folder, scenes):
     of_number = read_campaign(folder / TOML).raw
     found = read_campaign(scenes / "camoo4_raw" / TOML).raw
     # over the light as the tube sees it, nearer the blue than the emission
-    assert found.absorption.found.n == pytest.approx(2.0111, abs=0.0005)
-    higher = found.absorption.found.alpha_abs_per_cm - of_number.absorption.found.alpha_abs_per_cm
+    assert found.absorption.n == pytest.approx(2.0111, abs=0.0005)
+    higher = found.absorption.alpha_abs_per_cm - of_number.absorption.alpha_abs_per_cm
     # one more in the third decimal of n: d alpha / d n = -0.30 /cm for such a sample
-    assert higher == pytest.approx(-0.30 * (found.absorption.found.n - 2.01), abs=1e-4)
+    assert higher == pytest.approx(-0.30 * (found.absorption.n - 2.01), abs=1e-4)
     # the band begins below the formula's 450 nm
     assert any("the index of CaMoO4" in note for note in found.notes)
 

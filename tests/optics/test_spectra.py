@@ -492,7 +492,7 @@ def test_figures_show_what_was_computed(folder):
     emission = read_spectrum("emission.csv", "emission")
     curve = read_spectrum("qe.csv", "quantum_efficiency")
     found = detector_efficiency(emission, curve)
-    axes = figures.draw_efficiency(emission, curve, found).figure.axes[0]
+    axes = figures.draw_efficiency(found).figure.axes[0]
     mean = next(line for line in axes.lines if "weighted mean" in line.get_label())
     assert mean.get_ydata()[0] == pytest.approx(100 * found.value)
     product = next(line for line in axes.lines if "×" in line.get_label())
@@ -500,13 +500,14 @@ def test_figures_show_what_was_computed(folder):
     assert product.get_ydata()[inside] == pytest.approx(
         9.5 * emission.at(550) / emission.values.max()
     )
-    spectra = [(f"$t_{i}", read_spectrum(f"t_{i}.csv", "transmittance")) for i in (1, 2, 3)]
-    absorbed = absorption([each for _, each in spectra], 2.0, 10.0, emission=emission)
-    figure = figures.draw_absorption(spectra, 2.0, absorbed, emission).figure
+    spectra = [read_spectrum(f"t_{i}.csv", "transmittance") for i in (1, 2, 3)]
+    spectra = [replace(curve, name=f"$t_{i}") for i, curve in enumerate(spectra, start=1)]
+    absorbed = absorption(spectra, 2.0, 10.0, emission=emission)
+    figure = figures.draw_absorption(absorbed).figure
     figure.draw_without_rendering()
     above, below = figure.axes
     assert above.lines[0].get_ydata()[0] == pytest.approx(
-        100 * spectra[0][1].at(absorbed.curves[0].first_nm)
+        100 * spectra[0].at(absorbed.curves[0].first_nm)
     )
     assert below.lines[3].get_ydata()[0] == absorbed.alpha_abs_per_cm
     limit = next(line for line in above.lines if "absorbs nothing" in line.get_label())
@@ -580,14 +581,14 @@ ONE, THICK = '["transmittance_1.csv"]', "thickness_mm = 10.0"
 
 
 def test_spectra_of_a_campaign_share_an_error(raw):
-    found = read_campaign(raw(ONE, THICK, "transmittance_sigma = 0.005")).raw.absorption.found
+    found = read_campaign(raw(ONE, THICK, "transmittance_sigma = 0.005")).raw.absorption
     assert found.contributions["transmittance"] == pytest.approx(0.0066, rel=0.05)
     assert not any("without errors" in note for note in found.notes)
 
 
 def test_the_scene_s_material_has_its_error_and_silence_on_readings_is_told(raw):
     material = ('name="n_crystal" value="2.01"', 'name="n_crystal" value="CaMoO4@540nm"')
-    found = read_campaign(raw(ONE, THICK, scene=material)).raw.absorption.found
+    found = read_campaign(raw(ONE, THICK, scene=material)).raw.absorption
     assert found.contributions["index"] > 1e-4
     assert any("the transmittance comes without errors" in note for note in found.notes)
 

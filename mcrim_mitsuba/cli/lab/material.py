@@ -43,27 +43,27 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
     from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 
     showing.refuse_places(json_file, [emission, quantum_efficiency], figure)
-    light = read_spectrum(emission, "emission")
-    curve = read_spectrum(quantum_efficiency, "quantum_efficiency")
-    weighted = detector_efficiency(light, curve, scale_sigma)
-    notes = [*light.notes, *curve.notes, *weighted.notes]
+    weighted = detector_efficiency(
+        read_spectrum(emission, "emission"),
+        read_spectrum(quantum_efficiency, "quantum_efficiency"),
+        scale_sigma,
+    )
     document = {
         "emission": emission,
         "quantum_efficiency": quantum_efficiency,
         "scale_sigma": scale_sigma,
         **attributes(weighted, "detector_efficiency=value detector_efficiency_sigma=sigma"),
-        **attributes(weighted, "contributions spread outside=mean.outside"),
-        "notes": notes,
+        **attributes(weighted, "contributions spread outside=mean.outside notes"),
     }
 
     def drawn():
         from mcrim_mitsuba.output.laboratory_figures import draw_efficiency
 
-        return draw_efficiency(light, curve, weighted)
+        return draw_efficiency(weighted)
 
     result = VerbResult(
         kind="detector_efficiency",
-        shown=describe_laboratory.of_efficiency(weighted, notes),
+        shown=describe_laboratory.of_efficiency(weighted),
         numbers=document,
         drawings={"efficiency": drawn},
     )
@@ -143,8 +143,7 @@ def absorption(
     coefficient = absorption_from_transmittance(
         spectra or readings, n, emission=light, **errors, **sample
     )
-    of_spectra = [note for spectrum in spectra for note in spectrum.notes]
-    notes = [*of_light, *notes, *of_spectra, *coefficient.notes]
+    notes = [*of_light, *notes, *coefficient.notes]
     others = (part for origin, part in coefficient.contributions.items() if origin != EMISSION)
     if not any(part > 0 for part in others):
         notes.append("no error is given: give --sigma, --n-sigma or --thickness-sigma-mm")
@@ -162,15 +161,12 @@ def absorption(
     def drawn():
         from mcrim_mitsuba.output.laboratory_figures import draw_absorption
 
-        named = [(Path(file).stem, spectrum) for file, spectrum in zip(files, spectra, strict=True)]
-        return draw_absorption(named, n, coefficient, light)
+        return draw_absorption(coefficient)
 
     beside = "" if article is None else _article_in_words(article)
     result = VerbResult(
         kind="absorption",
-        shown=describe_laboratory.of_absorption(
-            coefficient, transmittance, thickness_mm, beside, notes
-        ),
+        shown=describe_laboratory.of_absorption(coefficient, transmittance, beside, notes),
         numbers=document,
         drawings={"absorption": drawn},
     )
