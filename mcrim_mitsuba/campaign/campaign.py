@@ -16,7 +16,6 @@ from mcrim_mitsuba.campaign.measurements import Measurements, Reading, read_tabl
 from mcrim_mitsuba.campaign.parameter import (
     SCALE,
     CampaignParameter,
-    DetectorTerms,
     LightYieldInput,
     known_ranges,
     read_detector,
@@ -28,11 +27,8 @@ from mcrim_mitsuba.campaign.reduction import RawData, reduce_raw_data
 from mcrim_mitsuba.campaign.samples import (
     EFFICIENCY_FACTOR,
     Sample,
-    efficiency_factor,
     own_name,
     read_samples,
-    shared_efficiency,
-    without_shared,
 )
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by, visible
 from mcrim_mitsuba.core.files import READS, collected, is_there
@@ -61,6 +57,9 @@ from mcrim_mitsuba.scene.spectrophotometer import (
     spectrophotometer_of,
     too_wide,
 )
+
+#: Of the factor on all efficiencies.
+_FACTOR_RANGE = 0.1, 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -326,42 +325,16 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
     scale = parameters.pop(SCALE, None)
     for sample in campaign.samples.values():
         parameters |= {parameter.name: parameter for parameter in sample.own.values()}
-    light_yield = read_light_yield(document)
     detector = read_detector(document, campaign.scene, measurements)
     own_scales = any(SCALE in sample.own for sample in campaign.samples.values())
-    light_yield, common_sigma = _detected(document, light_yield, campaign.raw, detector, own_scales)
-    if common_sigma:
-        parameters[EFFICIENCY_FACTOR] = efficiency_factor(common_sigma)
+    raw = None if campaign.raw is None else campaign.raw.efficiency
+    parts = None if raw is None else raw.contributions
+    light_yield = read_light_yield(document, detector, own_scales=own_scales, parts=parts)
+    if own_scales and (sigma := detector.common_sigma):
+        parameters[EFFICIENCY_FACTOR] = CampaignParameter(
+            EFFICIENCY_FACTOR, 1.0, *_FACTOR_RANGE, prior=1.0, prior_sigma=sigma
+        )
     return replace(campaign, parameters=parameters, scale=scale, light_yield=light_yield)
-
-
-def _detected(
-    document: TomlDocument,
-    light_yield: LightYieldInput | None,
-    raw: RawData | None,
-    detector: DetectorTerms,
-    own_scales: bool,
-) -> tuple[LightYieldInput | None, float]:
-    """``[light_yield]`` as its detector sees it, and the relative error that samples share.
-
-    That is one of all efficiencies; 0 where no sample has a scale of its own (`own_scales`).
-    """
-    common = detector.relative_sigma if own_scales else 0.0
-    if light_yield is None:
-        return None, common
-    if raw is not None and raw.efficiency is not None:
-        parts = dict(raw.efficiency.contributions)
-        light_yield = replace(light_yield, efficiency_parts=parts)
-    if (shared := shared_efficiency(document)) is not None:
-        table = document.table(schema.YIELD_TABLE)
-        if not own_scales:
-            problem = "no sample has a scale of its own, and shares the efficiency's error"
-            mend = "remove it: it is a part of detector_efficiency_sigma"
-            raise table.refusal(schema.SHARED_SIGMA, problem, mend)
-        light_yield = without_shared(table, light_yield, shared)
-        common = math.hypot(common, shared)
-    sigma = 0.0 if own_scales else detector.relative_sigma
-    return detector.applied(light_yield, sigma), common
 
 
 def _refuse_contradictions(document: TomlDocument, campaign: Campaign) -> None:

@@ -191,7 +191,7 @@ NEXT_ENTRIES: Entries = {
         "additionalProperties": {"type": "number", "minimum": 0},
     },
 }
-#: The file itself; tables as `json_schema` completes them.
+#: The file itself; `json_schema` adds the names of effects and of their parameters.
 CAMPAIGN: Entries = {
     "title": _words("What the campaign is called; figures carry it. The file's name unless given"),
     "unit": _words("Unit of the signals of light, such as photoelectrons per event"),
@@ -208,16 +208,27 @@ CAMPAIGN: Entries = {
     },
     "effects_folder": _file("A folder with effects of your own, which are executed"),
     "parameters": {"type": "object", "description": "What is known of fitted parameters"},
-    YIELD_TABLE: {"description": "What turns the fitted scale into photons per keV"},
-    SAMPLES: {"type": "object", "description": "Other crystals among the readings, by name"},
+    YIELD_TABLE: _table(
+        "What turns the fitted scale into photons per keV",
+        YIELD,
+        EFFICIENCY,
+        CRYSTAL,
+        DETECTOR,
+        SHARED,
+    ),
+    SAMPLES: {
+        "type": "object",
+        "description": "Other crystals among the readings, by name",
+        "additionalProperties": _table("A crystal and what it does not share", SAMPLE),
+    },
     NEXT: {
         "type": "object",
         "description": "Values of scene parameters among which further measurements are proposed",
         "properties": NEXT_ENTRIES,
         "additionalProperties": _VALUES,
     },
-    HISTOGRAMS: {"description": "How histograms become readings"},
-    BEAM_TABLE: {"description": "The spectrophotometer, of readings of the kind transmittance"},
+    HISTOGRAMS: _table("How histograms become readings", PEAKS),
+    BEAM_TABLE: _table("The spectrophotometer, of readings of the kind transmittance", BEAM),
 }
 
 #: Tables that may have raw entries, with these.
@@ -316,12 +327,6 @@ def json_schema() -> dict[str, Any]:
             "properties": parameters,
             "additionalProperties": _table("A scene parameter, in its name's unit", PARAMETER),
         },
-        YIELD_TABLE: _table(
-            CAMPAIGN[YIELD_TABLE]["description"], YIELD, CRYSTAL, EFFICIENCY, DETECTOR, SHARED
-        ),
-        SAMPLES: {"additionalProperties": _table("A crystal and what it does not share", SAMPLE)},
-        HISTOGRAMS: _table(CAMPAIGN[HISTOGRAMS]["description"], PEAKS),
-        BEAM_TABLE: _table(CAMPAIGN[BEAM_TABLE]["description"], BEAM),
     }
     entries = {name: {**entry, **completed.get(name, {})} for name, entry in CAMPAIGN.items()}
     return {

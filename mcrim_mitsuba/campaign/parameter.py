@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 
 from mcrim_mitsuba.campaign import entries as schema
@@ -237,38 +237,6 @@ class LightYieldInput:
         return 1.0 / (self.energy_keV * self.detector_efficiency)
 
 
-def read_light_yield(
-    document: TomlDocument, key: str = schema.YIELD_TABLE, further: schema.Entries | None = None
-) -> LightYieldInput | None:
-    """``[light_yield]``, or another table of that kind; None without one.
-
-    That one takes no raw data, but `further` entries.
-
-    Raises InputError with the line, if an entry is unknown, missing or impossible.
-    """
-    # raw entries are numbers by now; here they only serve the hint about a slip
-    raw = dict(schema.RAW_TABLES)[schema.YIELD_TABLE]
-    more = (
-        {**raw, **schema.CRYSTAL, **schema.DETECTOR, **schema.SHARED}
-        if further is None
-        else further
-    )
-    table = document.table(key, (*schema.YIELD, *more))
-    if schema.YIELD_TABLE not in document.table(key.removesuffix(schema.YIELD_TABLE).rstrip(".")):
-        return None
-    energy, efficiency, sigma = map(table.number, schema.YIELD)
-    if energy is None or efficiency is None:
-        problem = f"[{key}] needs energy_keV and detector_efficiency"
-        raise table.refusal("", problem, "add the missing one or remove the table")
-    for name in schema.YIELD:
-        number_within(table, name, schema.YIELD)
-    crystal = None
-    if "material" in table:
-        with said_by(partial(table.refusal, "material")):
-            crystal = material(str(table["material"])).name
-    return LightYieldInput(energy, efficiency, sigma or 0.0, material=crystal)
-
-
 @dataclass(frozen=True)
 class DetectorTerms:
     """What the efficiency of ``[light_yield]`` refers to, and what becomes of photoelectrons."""
@@ -285,33 +253,23 @@ class DetectorTerms:
     collection: float | None
     _: KW_ONLY
     collection_sigma: float
+    #: Relative error of the efficiency that all samples share; 0 where none is named.
+    shared_sigma: float
 
     @property
     def relative_sigma(self) -> float:
         """Relative standard error of the collection."""
         return self.collection_sigma / (self.collection or 1.0)
 
-    def applied(self, light_yield: LightYieldInput, sigma: float) -> LightYieldInput:
-        """What a campaign says, with the efficiency inside the window after collection.
+    @property
+    def common_sigma(self) -> float:
+        """Relative standard error of all efficiencies that this detector has in common."""
+        return math.hypot(self.relative_sigma, self.shared_sigma)
 
-        `sigma` is the relative standard error of the collection that counts here.
-        """
-        factor = (self.collection or 1.0) / (1.0 - self.window_reflectance * self.in_air)
-        efficiency = factor * light_yield.detector_efficiency
-        sigma_of_efficiency = factor * light_yield.detector_efficiency_sigma
-        parts = {origin: factor * part for origin, part in light_yield.efficiency_parts.items()}
-        if sigma:
-            parts = {
-                **(parts or {"detector_efficiency": sigma_of_efficiency}),
-                schema.COLLECTION: sigma * efficiency,
-            }
-        return replace(
-            light_yield,
-            detector_efficiency=efficiency,
-            detector_efficiency_sigma=math.hypot(sigma_of_efficiency, sigma * efficiency),
-            efficiency_parts=parts,
-            detector=self,
-        )
+    @property
+    def factor(self) -> float:
+        """The efficiency inside the window after collection, over the one that a campaign gives."""
+        return (self.collection or 1.0) / (1.0 - self.window_reflectance * self.in_air)
 
     @property
     def notes(self) -> Iterator[str]:
@@ -331,6 +289,59 @@ class DetectorTerms:
                 f"{schema.COLLECTION} is not given and counts as 1: losses before the first dynode "
                 "and below the threshold (5 to 20 %) make the light yield higher, afterpulses lower"
             )
+
+
+def read_light_yield(
+    document: TomlDocument,
+    detector: DetectorTerms,
+    key: str = schema.YIELD_TABLE,
+    entries: schema.Entries = schema.CAMPAIGN,
+    *,
+    own_scales: bool = True,
+    parts: Mapping[str, float] | None = None,
+) -> LightYieldInput | None:
+    """``[light_yield]``, or the one of a sample, as its detector sees it; None without one.
+
+    Where samples have `own_scales`, without the errors that they share. `entries` has those of the
+    table, and `parts` the efficiency's errors by origin.
+
+    Raises InputError with the line, if an entry is unknown, missing or impossible.
+    """
+    # raw entries are numbers by now; here they only serve the hint about a slip
+    table = document.table(key, entries[schema.YIELD_TABLE]["properties"])
+    if schema.YIELD_TABLE not in document.table(key.removesuffix(schema.YIELD_TABLE).rstrip(".")):
+        return None
+    energy, efficiency, sigma = map(table.number, schema.YIELD)
+    if energy is None or efficiency is None:
+        problem = f"[{key}] needs energy_keV and detector_efficiency"
+        raise table.refusal("", problem, "add the missing one or remove the table")
+    for name in schema.YIELD:
+        number_within(table, name, schema.YIELD)
+    crystal = None
+    if "material" in table:
+        with said_by(partial(table.refusal, "material")):
+            crystal = material(str(table["material"])).name
+    sigma = sigma or 0.0
+    if shared := detector.shared_sigma:
+        common = shared * efficiency
+        if not own_scales:
+            problem = "no sample has a scale of its own, and shares the efficiency's error"
+            mend = "remove it: it is a part of detector_efficiency_sigma"
+            raise table.refusal(schema.SHARED_SIGMA, problem, mend)
+        if common > sigma:
+            raise table.refusal(
+                "detector_efficiency_sigma",
+                f"detector_efficiency_sigma is less than the {100 * shared:g} % that samples share",
+                f"it is the whole error: give more than {common:.2g}",
+            )
+        parts, sigma = None, math.sqrt(sigma**2 - common**2)
+    efficiency, sigma = detector.factor * efficiency, detector.factor * sigma
+    errors = {origin: detector.factor * part for origin, part in (parts or {}).items()}
+    if detector.relative_sigma and not own_scales:
+        errors = errors or {"detector_efficiency": sigma}
+        errors[schema.COLLECTION] = detector.relative_sigma * efficiency
+        sigma = math.hypot(sigma, errors[schema.COLLECTION])
+    return LightYieldInput(energy, efficiency, sigma, errors, material=crystal, detector=detector)
 
 
 def read_detector(
@@ -359,7 +370,12 @@ def read_detector(
     reflected = float(reflectance(1.0, 1.0, _window_index(document, scene, measurements)))
     in_air = (given or usual) == schema.IN_AIR
     return DetectorTerms(
-        reflected, in_air, given is not None, collection, collection_sigma=sigma or 0.0
+        reflected,
+        in_air,
+        given is not None,
+        collection,
+        collection_sigma=sigma or 0.0,
+        shared_sigma=number_within(table, schema.SHARED_SIGMA, schema.SHARED) or 0.0,
     )
 
 

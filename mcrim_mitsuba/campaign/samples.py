@@ -33,7 +33,6 @@ from mcrim_mitsuba.scene.values import parse_like
 
 #: Factor on the efficiencies of all samples, which one detector read.
 EFFICIENCY_FACTOR = "efficiency_factor"
-_FACTOR_RANGE = 0.1, 10.0
 #: What a sample may have of its own.
 _OWN = (ALPHA_SCAT, ALPHA_ABS, SCALE)
 _UNITS = "_ph_per_keV", "_per_cm"
@@ -136,13 +135,10 @@ def _read_sample(
             problem = f"{of} cannot be a sample's own"
             raise parameters.refusal(of, problem, did_you_mean(of, _OWN))
         own[of] = _read_own(document, name, of, scene, measurements)
-    light_yield = read_light_yield(document, f"{key}.{schema.YIELD_TABLE}", schema.KNOWN)
+    table = document.table(f"{key}.{schema.YIELD_TABLE}")
+    detector = read_detector(document, scene, measurements)
+    light_yield = read_light_yield(document, detector, table.key, schema.SAMPLE)
     if light_yield is not None:
-        table = document.table(f"{key}.{schema.YIELD_TABLE}")
-        if (shared := shared_efficiency(document)) is not None:
-            light_yield = without_shared(table, light_yield, shared)
-        # the collection's error is one that samples share
-        light_yield = read_detector(document, scene, measurements).applied(light_yield, 0.0)
         own.setdefault(SCALE, _scale(name, measurements))
         if (of_known := _known_scale(table, light_yield)) is not None:
             if own[SCALE].fixed or own[SCALE].prior is not None:
@@ -204,31 +200,6 @@ def _read_scene(document: TomlDocument, key: str, scene: SceneFile) -> dict[str,
         if not isinstance(value, (bool, str)) and (wrong := judge(name, value)) is not None:
             raise table.refusal(name, f"{name} = {value:g}: {wrong[1]}", wrong[2])
     return values
-
-
-def shared_efficiency(document: TomlDocument) -> float | None:
-    """The relative error of the efficiency that all samples share; None where none is named."""
-    return number_within(document.table(schema.YIELD_TABLE), schema.SHARED_SIGMA, schema.SHARED)
-
-
-def without_shared(
-    table: TomlTable, light_yield: LightYieldInput, shared: float
-) -> LightYieldInput:
-    """What a table says of an efficiency, with that part of its error alone which is its own."""
-    common = shared * light_yield.detector_efficiency
-    if common > light_yield.detector_efficiency_sigma:
-        raise table.refusal(
-            "detector_efficiency_sigma",
-            f"detector_efficiency_sigma is less than the {100 * shared:g} % that samples share",
-            f"it is the whole error: give more than {common:.2g}",
-        )
-    sigma = math.sqrt(light_yield.detector_efficiency_sigma**2 - common**2)
-    return replace(light_yield, detector_efficiency_sigma=sigma, efficiency_parts={})
-
-
-def efficiency_factor(shared: float) -> CampaignParameter:
-    """The factor on all efficiencies, known to a relative error."""
-    return CampaignParameter(EFFICIENCY_FACTOR, 1.0, *_FACTOR_RANGE, prior=1.0, prior_sigma=shared)
 
 
 def _refuse_clashes(

@@ -137,23 +137,15 @@ def peak_inside(values: Array, counts: Array) -> Found | None:
 # narrow.
 
 
-@dataclass(frozen=True)
-class _Binning:
-    """How a list of events is sorted into bins."""
-
-    #: Widest bins that show the main peak, in its standard deviations; and those that are made.
-    coarse: float = 0.5
-    fine: float = 0.2
-    #: How much narrower bins may become than the quartiles ask for.
-    narrower: int = 200
-    #: How many bins there may be.
-    most: int = 100_000
-    _: KW_ONLY
-    #: Empty bins beside the events, where a peak is searched.
-    margin: int = 8
-
-
-_BINNING = _Binning()
+#: Widest bins that show the main peak, in its standard deviations; and those that are made.
+_COARSE = 0.5
+_FINE = 0.2
+#: How much narrower bins may become than the quartiles ask for.
+_NARROWER = 200
+#: Empty bins beside the events, where a peak is searched.
+_MARGIN = 8
+#: How many bins there may be.
+_MOST_BINS = 100_000
 #: Part of a step by which numbers may be away from whole steps.
 _UNEVEN = 0.01
 
@@ -178,20 +170,20 @@ def _bin_width(events: Array) -> float:
 
 def _resolving(events: Array, width: float, step: float) -> float:
     """A width that shows the main peak: the quartiles may lie in a pedestal far away from it."""
-    least = max(width / _BINNING.narrower, float(np.ptp(events)) / _BINNING.most)
+    least = max(width / _NARROWER, float(np.ptp(events)) / _MOST_BINS)
     finer = width
     while finer >= least:
         # `main_peak` smooths over up to eight bins
         fine = _whole_steps(finer / 8, step)
         centres, counts = _sorted_into_bins(events, fine)
         # a peak in the last bin has sides too
-        centres = centres[0] + fine * np.arange(-_BINNING.margin, len(centres) + _BINNING.margin)
-        peak = main_peak(centres, np.pad(counts, _BINNING.margin))
+        centres = centres[0] + fine * np.arange(-_MARGIN, len(centres) + _MARGIN)
+        peak = main_peak(centres, np.pad(counts, _MARGIN))
         if peak is None:
             return width
-        if finer <= _BINNING.coarse * peak.width or fine == step:
+        if finer <= _COARSE * peak.width or fine == step:
             return finer
-        finer = _BINNING.fine * peak.width
+        finer = _FINE * peak.width
     # a spike of equal numbers has no width
     return width
 
@@ -215,7 +207,6 @@ _LIMIT_MB = 50
 #: With fewer bins, or events in a list, no peak could be told from its background.
 _FEWEST_BINS = 8
 _FEWEST_EVENTS = 300
-_MOST_BINS = 100_000
 _ROLES = ("bin centre", "counts")
 #: Numbers beyond these are slips; whole ones are exact below them.
 _LARGEST_CENTRE = 1e12
@@ -330,9 +321,9 @@ def _checked(table: DataTable) -> tuple[Array, Array]:
     bad = np.flatnonzero((counts < 0) | (counts != np.floor(counts)))
     if len(bad):
         count = float(counts[bad[0]])
-        raise _refusal(
-            table,
-            bad[0],
+        raise table.refusal(
+            int(bad[0]),
+            None,
             f"{count:.10g} counts are not a number of events",
             f"write {1000 * count:.0f}, if the point separates thousands; else correct it"
             if _may_be_thousands(count)
@@ -346,10 +337,10 @@ def _checked(table: DataTable) -> tuple[Array, Array]:
     falls = bool(np.all(steps < 0))
     bad = np.flatnonzero(steps <= 0)
     if len(bad) and not falls:
-        row = bad[0] + 1
-        raise _refusal(
-            table,
+        row = int(bad[0]) + 1
+        raise table.refusal(
             row,
+            None,
             f"the bin centre {photons[row]:g} does not follow {photons[row - 1]:g}",
             "write decimal points, if this is a list of events with decimal commas"
             if _may_be_decimals(table)
@@ -361,10 +352,10 @@ def _checked(table: DataTable) -> tuple[Array, Array]:
         raise InputError(f"the bins are {width:g} wide", mend, path=table.path)
     bad = np.flatnonzero(np.abs(np.abs(steps) - width) > _UNEVEN * width)
     if len(bad):
-        row = bad[0] + 1
-        raise _refusal(
-            table,
+        row = int(bad[0]) + 1
+        raise table.refusal(
             row,
+            None,
             f"the bin at {photons[row]:g} is {abs(steps[row - 1]):g} from the one before, not "
             f"{width:g}",
             "give all bins one width; write empty bins with 0 counts",
@@ -412,7 +403,3 @@ def _binned(table: DataTable) -> tuple[Array, Array]:
         mend = f"is this a list of photons per event? It should fill {_FEWEST_BINS} to {_MOST_BINS}"
         raise InputError(problem, mend, path=table.path)
     return _sorted_into_bins(events, width)
-
-
-def _refusal(table: DataTable, row: int, problem: str, mend: str) -> InputError:
-    return table.refusal(int(row), None, problem, mend)

@@ -218,61 +218,6 @@ QUANTITIES = {"signal": "counts", "eta": "eta", "detector_efficiency": "detector
 _ROUNDING = 1e-9
 
 
-@dataclass(frozen=True)
-class RelativeYield:
-    """A light yield from a comparison with a reference crystal, photons per keV."""
-
-    #: Origins are ``counts``, ``eta`` and ``detector_efficiency`` with whose they are
-    #: (``sample``, ``reference``, or ``shared``: these cancel), and ``reference light yield``.
-    light_yield: Uncertain
-    #: The same value with the errors that follow if nothing is taken to be shared.
-    uncorrelated: Uncertain
-    #: The yield if both light collection efficiencies were the same.
-    equal_collection: float
-    #: The yield if the detector efficiencies were the same as well.
-    signals_alone: float
-
-
-def relative_yield(
-    sample: Mapping[str, tuple[float, float]],
-    reference: Mapping[str, tuple[float, float]],
-    reference_yield: tuple[float, float],
-    shared: Mapping[str, float],
-) -> RelativeYield:
-    """Eq. 7 with the errors that both crystals share.
-
-    A shared error moves both crystals' quantity by the same factor, and is part of the errors
-    that the crystals have, not on top of them.
-
-    Sample and reference are values and standard errors of every one of `QUANTITIES`, the
-    reference's yield is in photons per keV, shared errors are relative ones by quantity.
-
-    Raises InputError if a value is not above 0; ValueError if a shared error is larger than that of
-    a crystal.
-    """
-
-    def eq_7(common: Mapping[str, float]) -> Uncertain:
-        crystals = [
-            _known(crystal[name], origin, whose, name, common.get(name, 0.0))
-            for crystal, whose in ((sample, "sample"), (reference, "reference"))
-            for name, origin in QUANTITIES.items()
-        ]
-        value, sigma = reference_yield
-        crystals.append(Uncertain(value, systematic={"reference light yield": sigma}))
-        return light_yield_by_reference(*crystals)
-
-    signals, efficiencies = (
-        (sample[name][0], reference[name][0]) for name in ("signal", "detector_efficiency")
-    )
-    per_signal = reference_yield[0] * signals[0] / signals[1]
-    return RelativeYield(
-        light_yield=eq_7(shared),
-        uncorrelated=eq_7({}),
-        equal_collection=per_signal * efficiencies[1] / efficiencies[0],
-        signals_alone=per_signal,
-    )
-
-
 def _own_part(value: float, sigma: float, shared: float) -> float | None:
     """What is left of an error without its shared part, a relative one; None if that is larger."""
     common = shared * value
@@ -306,20 +251,55 @@ _EXAMPLE = {"signal": "14.3", "eta": "0.25", "detector_efficiency": "0.127", _YI
 
 @dataclass(frozen=True)
 class RelativeMeasurement:
-    """Two crystals on one bench with one source."""
+    """Two crystals on one bench with one source, and the light yield of the sample by Eq. 7."""
 
-    #: The file.
-    path: Path
-    #: Value and standard error of ``signal`` (photons per event), ``eta`` and
-    #: ``detector_efficiency`` (fractions).
-    sample: dict[str, tuple[float, float]]
-    reference: dict[str, tuple[float, float]]
+    #: Value and standard error of every one of `QUANTITIES`: ``signal`` (photons per event),
+    #: ``eta`` and ``detector_efficiency`` (fractions).
+    sample: Mapping[str, tuple[float, float]]
+    reference: Mapping[str, tuple[float, float]]
     #: Light yield of the reference and its standard error, photons per keV.
     reference_yield: tuple[float, float]
-    _: KW_ONLY
-    #: Relative standard errors, by quantity, that move both crystals alike: parts of the
-    #: errors above.
-    shared: dict[str, float]
+    #: Relative standard errors by quantity. They move both crystals' by the same factor, and are
+    #: parts of the errors above, not on top of them.
+    shared: Mapping[str, float]
+
+    @property
+    def light_yield(self) -> Uncertain:
+        """Photons per keV.
+
+        Origins are ``counts``, ``eta`` and ``detector_efficiency`` with whose they are (``sample``,
+        ``reference``, or ``shared``: these cancel), and ``reference light yield``.
+
+        Raises InputError if a value is not above 0; ValueError if a shared error is larger than
+        that of a crystal.
+        """
+        return self._eq_7(self.shared)
+
+    @property
+    def uncorrelated(self) -> Uncertain:
+        """`light_yield` with the errors that follow if nothing is taken to be shared."""
+        return self._eq_7({})
+
+    @property
+    def equal_collection(self) -> float:
+        """The yield if both light collection efficiencies were the same."""
+        efficiency = self.sample["detector_efficiency"][0]
+        return self.signals_alone * self.reference["detector_efficiency"][0] / efficiency
+
+    @property
+    def signals_alone(self) -> float:
+        """The yield if the detector efficiencies were the same as well."""
+        return self.reference_yield[0] * self.sample["signal"][0] / self.reference["signal"][0]
+
+    def _eq_7(self, shared: Mapping[str, float]) -> Uncertain:
+        crystals = [
+            _known(crystal[name], origin, whose, name, shared.get(name, 0.0))
+            for crystal, whose in ((self.sample, SAMPLE), (self.reference, REFERENCE))
+            for name, origin in QUANTITIES.items()
+        ]
+        value, sigma = self.reference_yield
+        crystals.append(Uncertain(value, systematic={"reference light yield": sigma}))
+        return light_yield_by_reference(*crystals)
 
 
 def read_comparison(path: str | Path) -> RelativeMeasurement:
@@ -337,7 +317,7 @@ def read_comparison(path: str | Path) -> RelativeMeasurement:
     reference = _crystal(document, REFERENCE, (*QUANTITIES, _YIELD))
     reference_yield = reference.pop(_YIELD)
     shared = _shared(document, {SAMPLE: sample, REFERENCE: reference})
-    return RelativeMeasurement(document.path, sample, reference, reference_yield, shared=shared)
+    return RelativeMeasurement(sample, reference, reference_yield, shared)
 
 
 def _crystal(

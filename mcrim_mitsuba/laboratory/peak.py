@@ -344,44 +344,34 @@ def combine(values: Sequence[float], sigmas: Sequence[float]) -> Repeated:
         if not (math.isfinite(value) and math.isfinite(error) and error > 0):
             raise InputError(f"{value:g} ± {error:g} cannot be averaged", "give an error above 0")
     mean, internal = float(x.mean()), float(np.linalg.norm(errors)) / len(x)
-    if len(x) == 1:
-        return Repeated(
-            mean,
-            internal,
-            None,
-            internal,
-            chi2=0.0,
-            ndf=0,
-            p_value=None,
-            consistent=True,
-            outliers=(),
-            warnings=(),
-        )
-    spread = float(x.std(ddof=1))
-    scatter = spread / math.sqrt(len(x))
-    weighted = float(np.average(x, weights=errors**-2.0))
-    chi2, ndf = float(np.sum(((x - weighted) / errors) ** 2)), len(x) - 1
-    p_value = float(chdtrc(ndf, chi2))
+    ndf = len(x) - 1
+    if ndf == 0:
+        chi2, p_value, spread, scatter = 0.0, None, 0.0, None
+    else:
+        weighted = float(np.average(x, weights=errors**-2.0))
+        chi2 = float(np.sum(((x - weighted) / errors) ** 2))
+        p_value, spread = float(chdtrc(ndf, chi2)), float(x.std(ddof=1))
+        scatter = spread / math.sqrt(len(x))
     outliers = _outliers(x, errors)
     warnings = [
         f"value {i + 1}, {x[i]:.4g}, is an outlier: the others have a mean of "
         f"{np.delete(x, i).mean():.4g} and scatter by {np.delete(x, i).std(ddof=1):.2g}"
         for i in outliers
     ]
-    if spread > _MOST_SCATTER * abs(mean) and p_value < _LEAST_P:
+    if p_value is not None and p_value < _LEAST_P and spread > _MOST_SCATTER * abs(mean):
         warnings.append(
             f"the values scatter by {spread:.2g}, more than {100 * _MOST_SCATTER:.0f} % of their "
             f"mean: are they all of one configuration?"
         )
     consistent = not warnings
-    if len(x) <= _FEW:
+    if 1 < len(x) <= _FEW:
         warnings.append(
             f"the scatter of only {len(x)} values is itself known to "
             f"{100 / math.sqrt(2 * ndf):.0f} %, and the error of their mean no better: measure more"
         )
     return Repeated(
         mean,
-        max(scatter, internal),
+        max(scatter or 0.0, internal),
         scatter,
         internal,
         chi2=chi2,

@@ -12,6 +12,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -756,28 +757,21 @@ def _totals(errors: Budget) -> Iterator[Piece]:
     """The values as they are, and as they ought to be."""
     if not errors.totals:
         return
-    corrected = errors.together is not None
-    columns = [
-        Column("quantity", of=_title),
-        Column(
-            "as fitted", of=lambda n: _two_digits(errors.totals[n].value, errors.totals[n].sigma)
-        ),
-        Column(
-            "and what is left out for good",
-            of=lambda n: _two_digits(errors.totals[n].value, errors.totals[n].sigma_with_neglected),
-        ),
-    ]
-    if corrected:
-        columns.append(
-            Column(
-                "corrected",
-                of=lambda n: _two_digits(
-                    errors.totals[n].corrected, errors.totals[n].corrected_sigma
-                ),
-            )
+    shown_with = {
+        "as fitted": ("value", "sigma"),
+        "and what is left out for good": ("value", "sigma_with_neglected"),
+    }
+    if errors.together is not None:
+        shown_with["corrected"] = "corrected", "corrected_sigma"
+    rows = (
+        (
+            _title(name),
+            *(_two_digits(*attrgetter(*pair)(errors.totals[name])) for pair in shown_with.values()),
         )
-    yield records("results, with all errors", columns, errors.main)
-    if corrected:
+        for name in errors.main
+    )
+    yield table("results, with all errors", ("quantity", *shown_with), rows)
+    if errors.together is not None:
         yield (
             "A correction is no error: make it in the scene or the campaign. The errors of "
             "corrected values have those of the corrections' sizes in them."

@@ -28,11 +28,7 @@ from mcrim_mitsuba.output.description import (
 if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.reduction import Mounting, RawData
     from mcrim_mitsuba.laboratory.error_budget import CommonValue, ErrorBudget, Uncertain
-    from mcrim_mitsuba.laboratory.light_yield import (
-        DetectorEfficiency,
-        RelativeMeasurement,
-        RelativeYield,
-    )
+    from mcrim_mitsuba.laboratory.light_yield import DetectorEfficiency, RelativeMeasurement
     from mcrim_mitsuba.laboratory.peak import Repeated
     from mcrim_mitsuba.laboratory.peak_band import Peak, WidthParts
     from mcrim_mitsuba.optics.absorption import Absorption
@@ -421,9 +417,7 @@ def _yield(light: Uncertain) -> Piece:
     return strong(f"Y = {pdg(light.value, light.sigma)} ph/keV (±{relative:.2g} %)")
 
 
-def of_relative(
-    read: RelativeMeasurement, compared: RelativeYield, budgets: Mapping[str, ErrorBudget]
-) -> Description:
+def of_relative(read: RelativeMeasurement, budgets: Mapping[str, ErrorBudget]) -> Description:
     """A light yield by Eq. 7; budgets without what is shared, and with it, come in this order."""
     from mcrim_mitsuba.output.describe_campaign import contributions_table
 
@@ -437,7 +431,7 @@ def of_relative(
         for name, given in read.sample.items()
     ]
     rows.append(("light yield, ph/keV", "", measured(*read.reference_yield), ""))
-    light, equal = compared.light_yield, compared.equal_collection
+    light, equal = read.light_yield, read.equal_collection
     ignoring, total = (100 * budget.total for budget in budgets.values())
     sharing = "Nothing is said to be shared: the errors of both crystals count in full."
     if names := " and ".join(name.replace("_", " ") for name, part in read.shared.items() if part):
@@ -453,5 +447,5 @@ def of_relative(
         sharing,
         f"With equal light collection assumed it would be {equal:.3g} ph/keV, "
         f"{equal / light.value:.2f} times as much; from the signals alone "
-        f"{compared.signals_alone:.3g} ph/keV.",
+        f"{read.signals_alone:.3g} ph/keV.",
     )

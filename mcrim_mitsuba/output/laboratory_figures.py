@@ -58,29 +58,18 @@ class FittedHistogram(NamedTuple):
 
 def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> style.Numbers:
     """A bin a row, with the fit where it was made."""
-    rows = []
+    rows, of_peaks = [], "shape centroid centroid_sigma width chi2 ndf".split()
     for name, histogram, peak, _ in fitted:
-        of_peak: tuple[object, ...] = (None,) * 6
+        of_peak = [peak and getattr(peak, name) for name in of_peaks]
         curves = np.full((2, len(histogram.photons)), np.nan)
         if peak is not None:
-            of_peak = (
-                peak.shape,
-                peak.centroid,
-                peak.centroid_sigma,
-                peak.width,
-                peak.chi2,
-                peak.ndf,
-            )
             inside = (histogram.photons >= peak.low) & (histogram.photons <= peak.high)
             curves[0, inside] = peak.counts_at(histogram.photons[inside])
             curves[1, inside] = peak.background_at(histogram.photons[inside])
         bins = zip(histogram.photons, histogram.counts.astype(int), *curves, strict=True)
         rows += [(name, *of_bin, *of_peak) for of_bin in bins]
-    columns = (
-        "histogram photons_per_event events fitted fitted_background shape centroid "
-        "centroid_sigma width chi2 ndf"
-    ).split()
-    return columns, rows
+    of_bins = "histogram photons_per_event events fitted fitted_background".split()
+    return of_bins + of_peaks, rows
 
 
 @style.styled

@@ -44,7 +44,7 @@ from mcrim_mitsuba.core.numbers import parse_number, unit_of, value_text
 from mcrim_mitsuba.core.toml_document import read_toml
 from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add, catalogue
 from mcrim_mitsuba.laboratory.histogram import read_histogram
-from mcrim_mitsuba.laboratory.light_yield import read_comparison, relative_yield
+from mcrim_mitsuba.laboratory.light_yield import read_comparison
 from mcrim_mitsuba.optics.gammas import attenuation_length_mm
 from mcrim_mitsuba.optics.spectrum_file import read_spectrum
 from mcrim_mitsuba.runs import cache_files as chunk_file
@@ -185,9 +185,7 @@ def _histogram(data: bytes) -> None:
 
 def _relative(data: bytes) -> None:
     (path,) = _files(data, "relative.toml")
-    read = read_comparison(path)
-    found = relative_yield(read.sample, read.reference, read.reference_yield, read.shared)
-    assert np.isfinite(found.light_yield.value)
+    assert np.isfinite(read_comparison(path).light_yield.value)
 
 
 def _typed(data: bytes) -> None:

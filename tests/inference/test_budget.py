@@ -12,9 +12,11 @@ import pytest
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.campaign.known_physics import KnownCrystal
+from mcrim_mitsuba.campaign.parameter import read_light_yield
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.toml_document import read_toml
 from mcrim_mitsuba.effects.effect import EffectParameter
 from mcrim_mitsuba.efficiency.eta_grid import BATCHES
 from mcrim_mitsuba.efficiency.response_maker import ResponseMaker
@@ -204,7 +206,7 @@ def test_what_the_absolute_light_yield_is_multiplied_with(campaign, found, scene
 def test_the_collection_has_a_row_of_its_own(campaign):
     """A factor of the efficiency and its error, with nothing simulated anew."""
     terms = replace(campaign.light_yield.detector, collection=0.9, collection_sigma=0.045)
-    known = terms.applied(campaign.light_yield, terms.relative_sigma)
+    known = read_light_yield(read_toml(campaign.path), terms, own_scales=False)
     with_it = budgeting.budget(
         replace(campaign, light_yield=known), material="CaMoO4", run=Run(PHOTONS, seed=SEED)
     )

@@ -18,10 +18,10 @@ from mcrim_mitsuba.laboratory.error_budget import (
     quotient,
 )
 from mcrim_mitsuba.laboratory.light_yield import (
+    RelativeMeasurement,
     light_yield_by_reference,
     light_yield_ph_per_keV,
     read_comparison,
-    relative_yield,
 )
 
 cases = cases_of(__file__)
@@ -243,13 +243,13 @@ def test_relative_method_of_the_article():
         "eta": (0.162, 0.12 * 0.162),
         "detector_efficiency": (0.221, 0.0221),
     }
-    independent = relative_yield(sample, reference, (16.2, 1.6), {})
+    independent = RelativeMeasurement(sample, reference, (16.2, 1.6), {})
     assert pdg(independent.light_yield.value, independent.light_yield.sigma) == "7.1 ± 1.7"
     assert independent.light_yield.sigma == pytest.approx(independent.uncorrelated.sigma)
     assert independent.signals_alone == pytest.approx(5.78, abs=0.005)
     assert independent.equal_collection == pytest.approx(10.05, abs=0.005)
 
-    shared = relative_yield(
+    shared = RelativeMeasurement(
         sample, reference, (16.2, 1.6), {"detector_efficiency": 0.05, "eta": 0.04, "signal": 0.009}
     )
     assert shared.uncorrelated.sigma == pytest.approx(independent.light_yield.sigma)
@@ -259,11 +259,13 @@ def test_relative_method_of_the_article():
     for origin in ("detector_efficiency, shared", "eta, shared", "signal, shared"):
         assert known.systematic[origin] == pytest.approx(0.0, abs=1e-15)
     # all of an error shared: nothing is left of it
-    whole = relative_yield(sample, reference, (16.2, 1.6), {"detector_efficiency": 0.1})
+    whole = RelativeMeasurement(sample, reference, (16.2, 1.6), {"detector_efficiency": 0.1})
     left = {origin for origin, part in whole.light_yield.relative.items() if abs(part) > 1e-9}
     assert not any("detector_efficiency" in origin for origin in left)
     with pytest.raises(ValueError, match="larger"):
-        relative_yield(sample, reference, (16.2, 1.6), {"detector_efficiency": 0.11})
+        _ = RelativeMeasurement(
+            sample, reference, (16.2, 1.6), {"detector_efficiency": 0.11}
+        ).light_yield
 
 
 AIR = ["--signal", "14.3±0.2", "--eta", "0.25 ± 12%"]

@@ -167,25 +167,24 @@ def relative(file, json_file) -> None:
     scenes/cawo4_reference.toml.
     """
     from mcrim_mitsuba.laboratory.error_budget import budget_of
-    from mcrim_mitsuba.laboratory.light_yield import read_comparison, relative_yield
+    from mcrim_mitsuba.laboratory.light_yield import read_comparison
 
     showing.refuse_places(json_file, [file])
     read = read_comparison(file)
-    compared = relative_yield(read.sample, read.reference, read.reference_yield, read.shared)
     budgets = {
-        "nothing shared": budget_of(compared.uncorrelated),
-        "Y": budget_of(compared.light_yield),
+        "nothing shared": budget_of(read.uncorrelated),
+        "Y": budget_of(read.light_yield),
     }
     document = {
-        **_yield_json(compared.light_yield),
-        "sigma_ignoring_shared": compared.uncorrelated.sigma,
+        **_yield_json(read.light_yield),
+        "sigma_ignoring_shared": read.uncorrelated.sigma,
         "shared": read.shared,
         "budget": _budget_json(budgets["Y"]),
         "budget_ignoring_shared": _budget_json(budgets["nothing shared"]),
-        "equal_collection_ph_per_keV": compared.equal_collection,
-        "signals_alone_ph_per_keV": compared.signals_alone,
+        "equal_collection_ph_per_keV": read.equal_collection,
+        "signals_alone_ph_per_keV": read.signals_alone,
     }
-    shown = describe_laboratory.of_relative(read, compared, budgets)
+    shown = describe_laboratory.of_relative(read, budgets)
     result = VerbResult(kind="relative_yield", shown=shown, numbers=document)
     showing.answer(result, json_file)
 
