@@ -6,8 +6,9 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
 from mcrim_mitsuba.core.files import (
@@ -28,7 +29,7 @@ from mcrim_mitsuba.core.table_text import (
     without_empty_end,
 )
 from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, refused_of_beam
-from mcrim_mitsuba.scene.values import parse_like, parse_value
+from mcrim_mitsuba.scene.values import parse_like
 
 _LIMIT_MB = 10
 _MOST_ROWS = 10_000
@@ -145,9 +146,7 @@ class Measurements:
         return replace(self, readings=readings)
 
 
-def read_table(
-    path: str | Path, scene_parameters: Mapping[str, Value] | None = None
-) -> Measurements:
+def read_table(path: str | Path, scene_parameters: Mapping[str, Value]) -> Measurements:
     """Read a measurement file (CSV), every row checked by itself and beside its namesakes.
 
     Raises InputError, with file, line and column, if anything cannot be used.
@@ -161,35 +160,36 @@ def read_table(
         this file's folder) with window_low and window_high, or all of them, with the cells of
         one kind empty; optionally use, group with group_sigma, sample, and any scene parameters.
         Lines that begin with # are comments.
-    scene_parameters : mapping of str to value, optional
-        Parameters of the scene (`SceneFile.parameters`): a column must be one of them and
-        its cells of the same kind. Without it every further column is accepted.
+    scene_parameters : mapping of str to value
+        Parameters of the scene (`SceneFile.parameters`): every further column must be one of them,
+        and its cells of the same kind.
     """
     path = Path(path)
-    text = _text_of(path)
-    header_line, header = text.lines[0]
-    separator = text.separator or max(",;\t", key=header.count)
+    comments, lines, separator = _text_of(path)
+    header_line, header = lines[0]
+    separator = separator or max(",;\t", key=header.count)
     columns = without_empty_end(csv_cells(header, path, header_line, separator, skip_blanks=True))
+    if KIND in columns:
+        scene_parameters = {**scene_parameters, **BEAM_PARAMETERS}
     _check_header(columns, scene_parameters, path, header_line)
-    if scene_parameters is not None and KIND in columns:
-        scene_parameters = {**BEAM_PARAMETERS, **scene_parameters}
-    rows = [_Cells(columns, row, separator, path, line) for line, row in text.lines[1:]]
+    rows = [_Cells(columns, row, separator, path, line) for line, row in lines[1:]]
     numbers = [
         (cells.line, name, cell)
         for cells in rows
         for name, cell in cells.items()
         if name not in _TEXTS and is_number(cell)
     ]
-
-    def refusal(problem: str, mend: str, line: int, column: str) -> InputError:
-        return InputError(problem, mend, path=path, line=line, column=column)
-
-    if has_decimal_commas(numbers, refusal):
+    if has_decimal_commas(
+        numbers,
+        lambda problem, mend, line, column: InputError(
+            problem, mend, path=path, line=line, column=column
+        ),
+    ):
         for cells in rows:
             cells.write_points()
     table = Measurements(
         path,
-        text.comments,
+        comments,
         tuple(name for name in columns if name not in _FORMAT),
         tuple(cells.row(scene_parameters) for cells in rows),
     )
@@ -198,17 +198,11 @@ def read_table(
     return table
 
 
-class _Text(NamedTuple):
-    """A measurement file's text: its comments, and numbered lines, the header first."""
+def _text_of(path: Path) -> tuple[tuple[str, ...], list[tuple[int, str]], str | None]:
+    """A measurement file's comments, its numbered lines, the header first, and its separator.
 
-    comments: tuple[str, ...]
-    lines: list[tuple[int, str]]
-    #: As the first line of Excel gives it; None where there is no such line.
-    separator: str | None
-
-
-def _text_of(path: Path) -> _Text:
-    """What is written in a measurement file; empty lines are left out."""
+    Empty lines are left out; the separator is the one that a first line of Excel gives.
+    """
     comments: list[str] = []
     lines: list[tuple[int, str]] = []
     texts = read_table_text(path, _LIMIT_MB).split("\n")
@@ -227,17 +221,14 @@ def _text_of(path: Path) -> _Text:
         problem = f"more than {_MOST_ROWS:,} readings"
         mend = "is this the file you meant?"
         raise InputError(problem, mend, path=path, line=lines[_MOST_ROWS + 1][0])
-    return _Text(tuple(comments), lines, separator)
+    return tuple(comments), lines, separator
 
 
 def _check_header(
-    columns: list[str], scene_parameters: Mapping[str, Value] | None, path: Path, line: int
+    columns: list[str], scene_parameters: Iterable[str], path: Path, line: int
 ) -> None:
     """Refuse names of columns that are not known, or do not belong together."""
-
-    def refusal(problem: str, mend: str, column: str | int | None = None) -> InputError:
-        return InputError(problem, mend, path=path, line=line, column=column)
-
+    refusal = partial(InputError, path=path, line=line)
     if len(columns) > _MOST_COLUMNS:
         raise refusal(f"more than {_MOST_COLUMNS:,} columns", "is this the file you meant?")
     raw = _HISTOGRAM in columns
@@ -250,15 +241,12 @@ def _check_header(
             raise refusal(f"there is no column {name}", guess)
     for position, name in enumerate(columns):
         if not name:
-            raise refusal("a column has no name", "name it or remove it", position + 1)
+            raise refusal("a column has no name", "name it or remove it", column=position + 1)
         if name in columns[:position]:
-            raise refusal("the column is there twice", "keep one", name)
-        if scene_parameters is not None:
-            of_beam = BEAM_PARAMETERS if KIND in columns else ()
-            names = [*_FORMAT, *scene_parameters, *of_beam]
-            if name not in names:
-                problem = "neither a column of the format nor a parameter of the scene"
-                raise refusal(problem, did_you_mean(name, names), name)
+            raise refusal("the column is there twice", "keep one", column=name)
+        if name not in (names := [*_FORMAT, *scene_parameters]):
+            problem = "neither a column of the format nor a parameter of the scene"
+            raise refusal(problem, did_you_mean(name, names), column=name)
     for first, second in (("group", "group_sigma"), _WINDOW):
         if (first in columns) != (second in columns):
             raise refusal(f"of {first} and {second} only one is there", "give both columns or none")
@@ -289,7 +277,7 @@ class _Cells(dict[str, str]):
             raise InputError(problem, mend, path=path, line=line)
         super().__init__(zip(columns, cells, strict=True))
 
-    def row(self, scene_parameters: Mapping[str, Value] | None) -> Reading:
+    def row(self, scene_parameters: Mapping[str, Value]) -> Reading:
         """The row, checked by itself."""
         if not self["label"]:
             raise self.refusal("label", "the reading has no label", "name it")
@@ -421,9 +409,7 @@ class _Cells(dict[str, str]):
             raise self.refusal("group_sigma", problem, "it is a relative error: write 0.02 for 2 %")
         return group, group_sigma
 
-    def _parameters(
-        self, scene_parameters: Mapping[str, Value] | None, kind: str
-    ) -> dict[str, Value]:
+    def _parameters(self, scene_parameters: Mapping[str, Value], kind: str) -> dict[str, Value]:
         """Scene parameters of the row, without those of the bench that a beam has not."""
         parameters: dict[str, Value] = {}
         for name, cell in self.items():
@@ -437,11 +423,7 @@ class _Cells(dict[str, str]):
                 raise self.refusal(name, "the cell is empty", "write the parameter's value")
             if name in BEAM_PARAMETERS and kind == LIGHT:
                 raise self.refusal(name, f"{name} of a reading of light", "empty the cell")
-            parameters[name] = (
-                parse_value(name, cell, **self.place(name))
-                if scene_parameters is None
-                else parse_like(name, cell, scene_parameters[name], **self.place(name))
-            )
+            parameters[name] = parse_like(name, cell, scene_parameters[name], **self.place(name))
             if (wrong := refused_of_beam(name, parameters[name])) is not None:
                 raise self.refusal(name, *wrong)
         return parameters

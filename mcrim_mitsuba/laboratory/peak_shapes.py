@@ -82,21 +82,19 @@ def numbers_per_bin(values: Array) -> int | None:
     return numbers if whole else None
 
 
-#: Events of the pedestal and of the continuum, per event of the band.
-PEDESTAL = 0.75
-CONTINUUM = 0.15
 # Beyond the mean of the band, in its standard deviations: where a histogram may end.
 _LAST = 8.0
 _MOST_EVENTS = 1e12
+_MOST_RELATIVE = 1e3
 _LARGEST_MEAN = 10_000.0
 #: Of each number: whether it must be above 0, and its largest value.
 RANGES = {
     "mean_photons": (True, _LARGEST_MEAN),
     "peak_events": (False, _MOST_EVENTS),
     "intrinsic_spread": (False, 0.3),
-    "pedestal_events": (False, _MOST_EVENTS),
+    "pedestal": (False, _MOST_RELATIVE),
     "pedestal_photons": (True, _LARGEST_MEAN),
-    "continuum_events": (False, _MOST_EVENTS),
+    "continuum": (False, _MOST_RELATIVE),
     "continuum_photons": (True, _LARGEST_MEAN),
     "dark_photons": (False, _LARGEST_MEAN),
 }
@@ -105,6 +103,8 @@ RANGES = {
 @dataclass(frozen=True)
 class PhotonSpectrum:
     """Photons per event of a crystal, and how many events of each kind there are.
+
+    In a measuring time of some minutes at a rate per second, the band has rate * 60 * minutes.
 
     Raises InputError if a number is negative, not finite, or too large to mean something.
     """
@@ -115,12 +115,12 @@ class PhotonSpectrum:
     peak_events: float = 20_000.0
     #: Relative standard deviation of the light of the band's events, besides the counting.
     intrinsic_spread: float = 0.10
-    #: Events whose numbers of photons n follow exp(-n / pedestal_photons).
-    pedestal_events: float = PEDESTAL * 20_000.0
+    #: Events whose numbers of photons n follow exp(-n / pedestal_photons), per event of the band.
+    pedestal: float = 0.75
     _: KW_ONLY
     pedestal_photons: float = 1.2
     #: The same for the continuum.
-    continuum_events: float = CONTINUUM * 20_000.0
+    continuum: float = 0.15
     continuum_photons: float = 25.0
     #: Mean number of dark counts in every event: dark rate times gate.
     dark_photons: float = 0.0
@@ -132,6 +132,16 @@ class PhotonSpectrum:
             if not (value > 0 if above else value >= 0) or not value <= most:
                 mend = f"give a number {'above 0, at most' if above else 'from 0 to'} {most:g}"
                 raise InputError(f"{field.name} is {value:g}", mend)
+
+    @property
+    def pedestal_events(self) -> float:
+        """Events of the pedestal."""
+        return self.pedestal * self.peak_events
+
+    @property
+    def continuum_events(self) -> float:
+        """Events of the continuum."""
+        return self.continuum * self.peak_events
 
     def photons(self) -> Array:
         """(bins,) whole numbers from 0 to well beyond the band."""
@@ -163,27 +173,3 @@ class PhotonSpectrum:
         """(events,) photons of one measurement's events, in random order."""
         random = np.random.default_rng(seed)
         return random.permutation(np.repeat(self.photons(), self.sample(random).astype(int)))
-
-
-def spectrum_of(
-    mean_photons: float,
-    peak_events: float,
-    *,
-    intrinsic_spread: float = 0.10,
-    dark_photons: float = 0.0,
-) -> PhotonSpectrum:
-    """A spectrum whose pedestal and continuum grow with the events of its band.
-
-    Parameters are those of `PhotonSpectrum`. In a measuring time of some minutes at a rate per
-    second, there are rate * 60 * minutes events.
-
-    Raises InputError as `PhotonSpectrum`.
-    """
-    return PhotonSpectrum(
-        mean_photons,
-        peak_events,
-        intrinsic_spread,
-        PEDESTAL * peak_events,
-        continuum_events=CONTINUUM * peak_events,
-        dark_photons=dark_photons,
-    )

@@ -188,18 +188,11 @@ class Absorption:
     #: In 1/cm, by origin: ``transmittance``, ``index``, ``thickness``, and where they are known
     #: ``orientations`` and ``emission spectrum``.
     contributions: dict[str, float]
-    #: The coefficient before it was held at 0.
-    apparent_per_cm: float
     _: KW_ONLY
-    #: exp(-alpha d) of the sample, and its standard error.
+    #: exp(-alpha d) of the sample.
     internal_transmittance: float
-    internal_transmittance_sigma: float
     #: Apparent coefficient of every orientation.
     each_per_cm: tuple[float, ...]
-    #: Standard deviation of `each_per_cm`; None for one. It enters the error as it is, not
-    #: divided by the root of their number: they are no repeats of one measurement, light goes
-    #: through the crystal in all directions, and its own mean over them is not ours.
-    spread_orientations_per_cm: float | None
     #: Standard deviation of the coefficient over the emission, which one number leaves out; no
     #: part of the error. None where there is no emission spectrum.
     spread_band_per_cm: float | None
@@ -217,6 +210,27 @@ class Absorption:
     emission: Spectrum | None
     #: What the reader must know before using the number.
     notes: tuple[str, ...]
+
+    @property
+    def apparent_per_cm(self) -> float:
+        """The coefficient before it was held at 0."""
+        return float(np.mean(self.each_per_cm))
+
+    @property
+    def internal_transmittance_sigma(self) -> float:
+        """Standard error of `internal_transmittance`, at the thickness as it is."""
+        of_path = [part for origin, part in self.contributions.items() if origin != THICKNESS]
+        return self.internal_transmittance * self.thickness_mm / MM_PER_CM * math.hypot(*of_path)
+
+    @property
+    def spread_orientations_per_cm(self) -> float | None:
+        """Standard deviation of `each_per_cm`; None for one.
+
+        It enters the error as it is, not divided by the root of their number: they are no repeats
+        of one measurement, light goes through the crystal in all directions, and its own mean over
+        them is not ours.
+        """
+        return self.contributions.get(ORIENTATIONS)
 
 
 def absorption_from_transmittance(
@@ -260,37 +274,29 @@ def absorption_from_transmittance(
     if emission is not None and wavelength_nm is not None:
         raise InputError("both an emission and a wavelength are given", "leave one of them out")
     if emission is None and wavelength_nm is None and (spectra or callable(n)):
-        raise InputError(
-            f"{'a transmittance spectrum' if spectra else 'an index that is no number'} says "
-            "nothing without a wavelength",
-            "give an emission spectrum, or a wavelength in nm",
-        )
+        what = "a transmittance spectrum" if spectra else "an index that is no number"
+        problem = f"{what} says nothing without a wavelength"
+        raise InputError(problem, "give an emission spectrum, or a wavelength in nm")
     index = _index_of(n, emission, wavelength_nm)
     slabs = [_slab_of_number(number, index, thickness_mm) for number in numbers]
     if emission is not None:
         slabs += [_slab_over(spectrum, n, thickness_mm, emission) for spectrum in spectra]
     elif wavelength_nm is not None:
         slabs += [_slab_at(spectrum, n, thickness_mm, wavelength_nm) for spectrum in spectra]
-    contributions = _contributions(
-        slabs, emission, transmittance_sigma, n_sigma, thickness_sigma_mm / thickness_mm
-    )
+    relative = thickness_sigma_mm / thickness_mm
+    contributions = _contributions(slabs, emission, transmittance_sigma, n_sigma, relative)
     sigma = math.hypot(*contributions.values())
     alpha, notes = _held(slabs, sigma)
     internal = math.exp(-alpha * thickness_mm / MM_PER_CM)
-    of_path = [part for origin, part in contributions.items() if origin != THICKNESS]
     means = [slab.mean for slab in slabs if slab.mean is not None]
+    variances = [mean.spread**2 for mean in means]
     return Absorption(
         alpha_abs_per_cm=alpha,
         sigma=sigma,
         contributions=contributions,
-        apparent_per_cm=float(np.mean([slab.alpha_per_cm for slab in slabs])),
         internal_transmittance=internal,
-        internal_transmittance_sigma=internal * thickness_mm / MM_PER_CM * math.hypot(*of_path),
         each_per_cm=tuple(slab.alpha_per_cm for slab in slabs),
-        spread_orientations_per_cm=contributions.get(ORIENTATIONS),
-        spread_band_per_cm=(
-            math.sqrt(float(np.mean([mean.spread**2 for mean in means]))) if means else None
-        ),
+        spread_band_per_cm=math.sqrt(np.mean(variances)) if means else None,
         n=index,
         curves=tuple(slab.curve for slab in slabs if slab.curve is not None),
         spectra=tuple(spectra),

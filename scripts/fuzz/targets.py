@@ -117,7 +117,7 @@ def _scene(data: bytes) -> None:
 
 def _measurements(data: bytes) -> None:
     (path,) = _files(data, "measured.csv")
-    parameters = read_scene("bench.xml").parameters if data[:1] == b"#" else None
+    parameters = read_scene("bench.xml").parameters if data[:1] == b"#" else {}
     table = read_table(path, parameters)
     assert all(np.isfinite(row.signal) for row in table.readings if row.histogram is None)
 

@@ -21,7 +21,7 @@ import numpy as np
 from mcrim_mitsuba.cli import options, terminal
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.laboratory.peak import COUNTING, GAUSSIAN, fit_peak
-from mcrim_mitsuba.laboratory.peak_shapes import spectrum_of
+from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 from mcrim_mitsuba.output.description import table
 from trials.executor import Trial, Trials, executor_options
 from trials.truth import unfinished
@@ -86,7 +86,7 @@ def main(repeats: int, seed: int, json_file: str | None, executor, log) -> int:
 
 def fit_block(mean: float, seed: int, number: int) -> list[dict]:
     """Both fits of each of `BLOCK` histograms: centroid, its error and p by shape; the chosen."""
-    spectrum = spectrum_of(mean, PER_S * 60 * MINUTES)
+    spectrum = PhotonSpectrum(mean, PER_S * 60 * MINUTES)
     random = np.random.default_rng((seed, round(1000 * mean)))
     # one sequence for all blocks: to draw is nothing beside a fit
     drawn = [spectrum.sample(random) for _ in range((number + 1) * BLOCK)][number * BLOCK :]
@@ -103,7 +103,7 @@ def fit_block(mean: float, seed: int, number: int) -> list[dict]:
 
 def judge(mean: float, fits: Sequence[dict]) -> list[dict]:
     """A row of the table for each shape, of what `fit_block` gives."""
-    spectrum, repeats = spectrum_of(mean, PER_S * 60 * MINUTES), len(fits)
+    spectrum, repeats = PhotonSpectrum(mean, PER_S * 60 * MINUTES), len(fits)
     photons = spectrum.photons()
     expected = fit_peak(photons, spectrum.expected(photons))
     rows = []

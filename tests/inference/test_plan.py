@@ -120,7 +120,7 @@ def planned_error(planned, chosen, mountings, events):
 def test_a_centroid_scatters_as_predicted(mean):
     """Fits of 80 histograms of 5000 events: their scatter, and the error from the expected one."""
     predicted = event_sigma(mean, Conditions()) / math.sqrt(5000)
-    spectrum = PhotonSpectrum(mean, 5000, pedestal_events=0.75 * 5000, continuum_events=0.15 * 5000)
+    spectrum = PhotonSpectrum(mean, 5000)
     rng = np.random.default_rng(5)
     found = [fit_peak(spectrum.photons(), spectrum.sample(rng), shape=COUNTING) for _ in range(80)]
     chi2 = np.var([peak.centroid for peak in found], ddof=1) * 79 / predicted**2

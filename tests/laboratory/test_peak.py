@@ -13,7 +13,7 @@ from mcrim_mitsuba.campaign.measurements import read_table
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.peak import combine, fit_peak
-from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum, counting, spectrum_of
+from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum, counting
 
 cases = cases_of(__file__)
 
@@ -44,7 +44,7 @@ def assert_honest(fits, mean, bias):
 
 @pytest.mark.parametrize("mean", [14.3, 24.5])
 def test_errors_are_honest_over_200_repeats(mean):
-    spectrum, random = spectrum_of(mean, 20_000), np.random.default_rng(2013)
+    spectrum, random = PhotonSpectrum(mean, 20_000), np.random.default_rng(2013)
     fits = [
         fit_peak(spectrum.photons(), spectrum.sample(random), shape="counting") for _ in range(200)
     ]
@@ -72,12 +72,10 @@ def test_expected_counts_give_the_mean(mean):
 
 
 @pytest.mark.parametrize(
-    ("pedestal_events", "pedestal_photons", "bias"), [(15_000, 2.5, 0.4), (60_000, 1.5, 0.8)]
+    ("pedestal", "pedestal_photons", "bias"), [(0.75, 2.5, 0.4), (3.0, 1.5, 0.8)]
 )
-def test_a_pedestal_that_reaches_in_makes_no_gaussian(pedestal_events, pedestal_photons, bias):
-    spectrum = PhotonSpectrum(
-        14.3, pedestal_events=pedestal_events, pedestal_photons=pedestal_photons
-    )
+def test_a_pedestal_that_reaches_in_makes_no_gaussian(pedestal, pedestal_photons, bias):
+    spectrum = PhotonSpectrum(14.3, pedestal=pedestal, pedestal_photons=pedestal_photons)
     expected = fit_of(spectrum)
     assert abs(expected.centroid - 14.3) < bias * expected.centroid_sigma
     random = np.random.default_rng(2026)
@@ -89,7 +87,7 @@ def test_a_pedestal_that_reaches_in_makes_no_gaussian(pedestal_events, pedestal_
 
 def test_a_continuum_that_ends_under_the_peak_is_said():
     """Its photons are counted too: no fit sees where it ends, but its fall is seen."""
-    spectrum = PhotonSpectrum(14.3, continuum_events=0.0)
+    spectrum = PhotonSpectrum(14.3, continuum=0.0)
     photons = spectrum.photons()
     light = (np.arange(1000) + 0.5) / 1000 * 14.3
     continuum = 6000 * poisson.pmf(photons[:, None], light).mean(axis=1)
@@ -211,7 +209,7 @@ def test_a_peak_that_is_cut_is_said():
     window = fit_peak(photons, counts, window=(12.0, 30.0))
     assert warned(window, "cut by the window")
     # nothing is below no photon
-    weak = PhotonSpectrum(3.0, pedestal_events=0.0)
+    weak = PhotonSpectrum(3.0, pedestal=0.0)
     assert not warned(fit_of(weak, shape="counting"), "cut")
 
 
@@ -222,17 +220,19 @@ def test_merged_peaks_are_said():
     assert abs(low.centroid - 9) < 0.1
     photons = np.arange(80.0)
     first = PhotonSpectrum(30.0).expected(photons)
-    merged = fit_peak(photons, first + PhotonSpectrum(52.0, 15_000).expected(photons))
+    merged = fit_peak(
+        photons, first + PhotonSpectrum(52.0, 15_000, pedestal=1.0, continuum=0.2).expected(photons)
+    )
     assert warned(merged, "merged with what lies above")
     apart = PhotonSpectrum(14.3).expected(photons) + PhotonSpectrum(44.0).expected(photons)
     assert not fit_peak(photons, apart).warnings
 
 
 def test_poor_and_bad_fits_are_said():
-    few = spectrum_of(14.3, 300)
+    few = PhotonSpectrum(14.3, 300)
     poor = fit_peak(few.photons(), few.sample(4))
     assert warned(poor, "poor, some") and poor.centroid_sigma > 0.02 * poor.centroid
-    rich = PhotonSpectrum(14.3, 2e6)
+    rich = PhotonSpectrum(14.3, 2e6, pedestal=0.0075, continuum=0.0015)
     counts = rich.expected(rich.photons())
     counts[::2] *= 1.03
     bad = fit_peak(rich.photons(), counts, shape="counting")
@@ -291,7 +291,7 @@ def test_outliers_are_rarely_called_so_by_mistake(count):
 
 
 def test_synthetic_histograms_have_the_mean_that_they_say():
-    spectrum = PhotonSpectrum(14.3, 1e5, 0.1, 0.0, continuum_events=0.0, dark_photons=0.5)
+    spectrum = PhotonSpectrum(14.3, 1e5, 0.1, 0.0, continuum=0.0, dark_photons=0.5)
     photons = spectrum.photons()
     expected = spectrum.expected(photons)
     assert expected.sum() == pytest.approx(1e5, rel=1e-6)
@@ -375,7 +375,7 @@ def test_histograms_are_read_as_programs_write_them(tmp_path, content):
 
 
 def test_lists_of_events_are_sorted_into_bins(tmp_path):
-    spectrum = spectrum_of(14.3, 2000)
+    spectrum = PhotonSpectrum(14.3, 2000)
     path = tmp_path / "events.txt"
     path.write_text("photons\n" + "".join(f"{n:g}\n" for n in spectrum.events(8)))
     read, counts = read_histogram(path), spectrum.sample(8)
@@ -444,7 +444,7 @@ def test_columns_that_are_no_histogram_are_refused(tmp_path):
 @pytest.mark.parametrize("mean", [14.3, 24.5])
 def test_numbered_events_are_no_histogram(tmp_path, mean):
     path = tmp_path / "h.csv"
-    events = spectrum_of(mean, 2000).events(3)
+    events = PhotonSpectrum(mean, 2000).events(3)
     for header, count in (("", 300), ("", len(events)), ("No.,N\n", len(events))):
         path.write_text(header + "".join(f"{i},{n:g}\n" for i, n in enumerate(events[:count])))
         with pytest.raises(InputError, match="in no order: this looks like a list of numbered"):

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from mcrim_mitsuba.core.numbers import FWHM
 from mcrim_mitsuba.laboratory.peak import fit_peak
 from mcrim_mitsuba.laboratory.peak_band import width_parts
-from mcrim_mitsuba.laboratory.peak_shapes import spectrum_of
+from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 
 #: chi2 of ten below and above it in one run in 1,000 each.
 CHI2_OF_TEN = 1.48, 29.6
@@ -20,7 +20,7 @@ PLACE, REST, PHOTONS = 0.06, 0.08, 40.0
 
 
 def peaks():
-    band = spectrum_of(PHOTONS, 20_000, intrinsic_spread=math.hypot(PLACE, REST))
+    band = PhotonSpectrum(PHOTONS, 20_000, intrinsic_spread=math.hypot(PLACE, REST))
     for seed in range(10):
         found = fit_peak(band.photons().astype(float), band.sample(seed).astype(float))
         assert found is not None

@@ -96,7 +96,7 @@ def test_a_measurement_file_is_read_as_it_was_written(campaign, folder, rows):
         Reading("in use, surely", 1.0, 0.1, {"n_gap": 1.5}),
     )
     written = Measurements(folder / "old.csv", (), ("n_gap",), readings)
-    raw = RawData({}, None, None, None, numbers={}, files=())
+    raw = RawData({}, None, None, None, material=None, numbers={}, files=())
     before = dataclasses.replace(campaign, measurements=written, raw=raw)
     _, text = plain_texts(before, folder / "new.toml", folder / "new.csv")
     (folder / "new.csv").write_bytes(text.encode())

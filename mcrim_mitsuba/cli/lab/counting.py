@@ -293,7 +293,7 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
     A pedestal of 0.75 events and a continuum of 0.15 events per event of the band come on top;
     both fall off exponentially, with 1.2 and 25 photons.
     """
-    from mcrim_mitsuba.laboratory.peak_shapes import RANGES, spectrum_of
+    from mcrim_mitsuba.laboratory.peak_shapes import RANGES, PhotonSpectrum
 
     if events is not None and rate is not None:
         raise InputError("both --events and --rate are given", "leave one of them out")
@@ -311,7 +311,7 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
     if as_list and events > _MOST_LISTED:
         problem = f"--list would write a line for each of {events:g} events and more"
         raise InputError(problem, f"list {_MOST_LISTED:.0f} at most, or leave out --list for bins")
-    spectrum = spectrum_of(mean, events, intrinsic_spread=spread, dark_photons=dark)
+    spectrum = PhotonSpectrum(mean, events, spread, dark_photons=dark)
     comments = [
         f"{_OURS} with seed {seed}",
         f"# band: {spectrum.peak_events:g} events, mean {mean:g} photons, "
