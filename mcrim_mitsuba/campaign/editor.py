@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
@@ -22,6 +22,7 @@ from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.known_physics import CRYSTAL_INDEX, INDEX, material_of
 from mcrim_mitsuba.campaign.measurements import KIND, SAMPLE, Measurements
 from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.campaign.raw_data import put_numbers, table_in
 from mcrim_mitsuba.campaign.reduction import RawData, ReducedReading
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
 from mcrim_mitsuba.core.errors import InputError, visible
@@ -62,7 +63,7 @@ def campaign_with_effects(
     for name, start in starts.items():
         value = float(f"{start:.6g}")
         if name in keys or name == EFFICIENCY_FACTOR:
-            if name in keys and (given := _table(document, keys[name])) is not None:
+            if name in keys and (given := table_in(document, keys[name])) is not None:
                 given["start"] = value
             continue
         if name in parameters:
@@ -83,7 +84,7 @@ def campaign_with_effects(
             within = within.setdefault(part, tomlkit.table())
         if key in keys.values() and key.endswith(f".{SCALE}"):
             # in place of a light yield that says the same of it
-            given = _table(document, key.replace(f"parameters.{SCALE}", schema.YIELD_TABLE)) or {}
+            given = table_in(document, key.replace(f"parameters.{SCALE}", schema.YIELD_TABLE)) or {}
             for entry in (schema.KNOWN_YIELD, schema.KNOWN_YIELD_SIGMA):
                 given.pop(entry, None)
         for entry in ("prior", "prior_sigma", "fixed"):
@@ -117,16 +118,6 @@ def _text(document: tomlkit.TOMLDocument, campaign: Campaign) -> str:
     return text
 
 
-def _table(document: tomlkit.TOMLDocument, key: str) -> MutableMapping[str, Any] | None:
-    """The table of a dotted name; None if it is not there."""
-    table: Any = document
-    for part in key.split("."):
-        table = table.get(part)
-        if table is None:
-            return None
-    return table
-
-
 def _document(
     campaign: Campaign, target: Path, scene: Path, measurements: Path
 ) -> tomlkit.TOMLDocument:
@@ -143,7 +134,7 @@ def _document(
     if campaign.effects_folder is not None:
         document["effects_folder"] = relative(campaign.effects_folder)
     for key, name in schema.FILE_ENTRIES:
-        if (table := _table(document, key)) is None:
+        if (table := table_in(document, key)) is None:
             continue
         given = table.get(name)
         if isinstance(given, str):
@@ -199,17 +190,9 @@ def plain_texts(campaign: Campaign, target: Path, measurements: Path) -> tuple[s
     # what was said of the entry may not be true any more
     trivia = document["measurements"].trivia
     trivia.comment_ws = trivia.comment = ""
-    document.pop(schema.HISTOGRAMS, None)
-    for key, names in schema.RAW_TABLES:
-        if (table := _table(document, key)) is not None:
-            for name in names:
-                table.pop(name, None)
-    for name, value in raw.numbers.items():
-        key, _, entry = name.rpartition(".")
-        if (table := _table(document, key)) is not None:  # the raw entry stood there
-            table[entry] = value
+    put_numbers(document, raw.numbers)
     # raw entries named the material, and the spectrum that its index was averaged over
-    if campaign.known_physics and (table := _table(document, schema.YIELD_TABLE)) is not None:
+    if campaign.known_physics and (table := table_in(document, schema.YIELD_TABLE)) is not None:
         table["material"] = material_of(campaign)
     if CRYSTAL_INDEX in campaign.known_physics:
         held = {"start": campaign.scene.parameters[INDEX], "fixed": True}

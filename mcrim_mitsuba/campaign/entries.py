@@ -10,6 +10,7 @@ import operator
 from typing import Any
 
 from mcrim_mitsuba.core.errors import did_you_mean
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.toml_document import TomlTable
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.laboratory.peak import SHAPES
@@ -18,10 +19,8 @@ Entries = dict[str, dict[str, Any]]
 
 #: Signal of a reading / eta: light yield x energy x detector efficiency.
 SCALE = "scale"
-#: The parameter that a transmittance gives, and the one that the source's gammas give.
-ABSORPTION = "alpha_abs_per_cm"
+#: The parameter that the source's gammas give.
 SOURCE_DEPTH = "source_depth_mm"
-SCATTERING = "alpha_scat_per_cm"
 #: Tables.
 #: Names the light over wavelengths.
 SPECTRUM = "spectrum"
@@ -164,7 +163,7 @@ SAMPLE: Entries = {
     SAMPLE_SCENE: {"type": "object", "description": "Scene parameters of its readings"},
     "parameters": _table(
         "What it does not share with the campaign's own crystal",
-        {name: _table("Its own", PARAMETER) for name in (SCATTERING, ABSORPTION, SCALE)},
+        {name: _table("Its own", PARAMETER) for name in (ALPHA_SCAT, ALPHA_ABS, SCALE)},
     ),
     YIELD_TABLE: _table("What turns its own scale into photons per keV", YIELD, KNOWN),
 }
@@ -233,13 +232,13 @@ CAMPAIGN: Entries = {
 
 #: Tables that may have raw entries, with these.
 RAW_TABLES = (
-    (f"parameters.{ABSORPTION}", TRANSMITTANCE),
+    (f"parameters.{ALPHA_ABS}", TRANSMITTANCE),
     (f"parameters.{SOURCE_DEPTH}", GAMMAS),
     (YIELD_TABLE, EFFICIENCY),
 )
 #: Entries that name files, by table.
 FILE_ENTRIES = (
-    (f"parameters.{ABSORPTION}", "transmittance"),
+    (f"parameters.{ALPHA_ABS}", "transmittance"),
     (YIELD_TABLE, "emission"),
     (YIELD_TABLE, "quantum_efficiency"),
 )
@@ -312,7 +311,7 @@ def json_schema() -> dict[str, Any]:
     """
     effects = catalogue()
     parameters = {
-        ABSORPTION: _table("Absorption coefficient of the crystal, 1/cm", PARAMETER, TRANSMITTANCE),
+        ALPHA_ABS: _table("Absorption coefficient of the crystal, 1/cm", PARAMETER, TRANSMITTANCE),
         SCALE: _table("Signal over eta, common to all readings", PARAMETER),
     }
     for effect in effects.values():

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import copy
-import functools
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, MutableMapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +15,7 @@ from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.entries import number_within
 from mcrim_mitsuba.core.errors import InputError, said_by
 from mcrim_mitsuba.core.files import is_there, look_around, resolved
-from mcrim_mitsuba.core.numbers import MM_PER_CM
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, MM_PER_CM
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
 from mcrim_mitsuba.laboratory.light_yield import (
     TUBE_SCALE_SIGMA,
@@ -53,7 +52,7 @@ _WITHOUT_LIGHT = (
 def refuse_misplaced(document: TomlDocument) -> None:
     """Refuse raw entries of a parameter that they say nothing of."""
     for entries, parameter in (
-        (schema.TRANSMITTANCE, schema.ABSORPTION),
+        (schema.TRANSMITTANCE, ALPHA_ABS),
         (schema.GAMMAS, schema.SOURCE_DEPTH),
     ):
         raw = next(iter(entries))
@@ -70,21 +69,35 @@ def with_numbers(document: TomlDocument, numbers: Mapping[str, float]) -> TomlDo
     `numbers` by dotted name, such as ``parameters.alpha_abs_per_cm.prior``.
     """
     content, lines = copy.deepcopy(document.content), dict(document.lines)
+    put_numbers(content, numbers)
+    for key, names in schema.RAW_TABLES:
+        given = next((name for name in names if name in document.table(key)), "")
+        if (line := document.lines.get(f"{key}.{given}")) is not None:
+            lines |= {name: line for name in numbers if name.rpartition(".")[0] == key}
+    return replace(document, content=content, lines=lines)
+
+
+def put_numbers(content: MutableMapping[str, Any], numbers: Mapping[str, float]) -> None:
+    """Put `numbers` into a campaign file's content, in the place of raw entries."""
     content.pop(schema.HISTOGRAMS, None)
     for key, names in schema.RAW_TABLES:
-        given = [name for name in names if name in document.table(key)]
-        if not given:
-            continue
-        table = functools.reduce(dict.__getitem__, key.split("."), content)
-        for name in given:
-            del table[name]
-        for name, value in numbers.items():
-            of_table, _, entry = name.rpartition(".")
-            if of_table == key:
-                table[entry] = value
-                if (line := document.lines.get(f"{key}.{given[0]}")) is not None:
-                    lines[name] = line
-    return replace(document, content=content, lines=lines)
+        table = table_in(content, key) or {}
+        for name in names:
+            table.pop(name, None)
+    for name, value in numbers.items():
+        key, _, entry = name.rpartition(".")
+        if (beside := table_in(content, key)) is not None:  # the raw entry stood there
+            beside[entry] = value
+
+
+def table_in(content: MutableMapping[str, Any], key: str) -> MutableMapping[str, Any] | None:
+    """The table of a dotted name; None if it is not there."""
+    table: Any = content
+    for part in key.split("."):
+        table = table.get(part)
+        if table is None:
+            return None
+    return table
 
 
 def read_absorption(
@@ -95,7 +108,7 @@ def read_absorption(
     `light`, as the detector of ``[light_yield]`` sees it, is what spectra are weighted with; the
     scene has the crystal's index where the entry gives none.
     """
-    table = document.table(f"parameters.{schema.ABSORPTION}")
+    table = document.table(f"parameters.{ALPHA_ABS}")
     name = "transmittance"
     if not _has(table, name, schema.TRANSMITTANCE, _PRIOR):
         return None

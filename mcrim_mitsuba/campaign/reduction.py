@@ -7,7 +7,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 
 from mcrim_mitsuba.campaign import entries as schema
-from mcrim_mitsuba.campaign.entries import ABSORPTION, SOURCE_DEPTH, choice
+from mcrim_mitsuba.campaign.entries import SOURCE_DEPTH, choice
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
 from mcrim_mitsuba.campaign.raw_data import (
     read_absorption,
@@ -18,6 +18,7 @@ from mcrim_mitsuba.campaign.raw_data import (
 )
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_bytes, sha256
+from mcrim_mitsuba.core.numbers import ALPHA_ABS
 from mcrim_mitsuba.core.toml_document import TomlDocument
 from mcrim_mitsuba.laboratory.histogram import Histogram, read_histogram
 from mcrim_mitsuba.laboratory.light_yield import DetectorEfficiency
@@ -238,7 +239,7 @@ def reduce_raw_data(
     if not (reduced or efficiency or absorption or source_depth):
         return with_numbers(document, {}), measurements, None
     names = [source_depth and source_depth.formula]
-    names.append(document.table(f"parameters.{ABSORPTION}").get("n"))
+    names.append(document.table(f"parameters.{ALPHA_ABS}").get("n"))
     material = next((n for n in names if isinstance(n, str) and is_known(n)), None)
     raw = RawData(
         reduced, efficiency, absorption, source_depth, material=material, numbers={}, files=()
@@ -252,7 +253,7 @@ def _numbers(document: TomlDocument, raw: RawData) -> dict[str, float]:
     numbers: dict[str, float] = {}
     priors = []
     if raw.absorption is not None:
-        priors.append((ABSORPTION, raw.absorption.alpha_abs_per_cm, raw.absorption.sigma))
+        priors.append((ALPHA_ABS, raw.absorption.alpha_abs_per_cm, raw.absorption.sigma))
     if raw.source_depth is not None:
         depth = raw.source_depth
         priors.append((SOURCE_DEPTH, depth.length_mm, depth.sigma_mm))

@@ -488,7 +488,7 @@ def test_the_same_mounting_twice_is_refused(here, mcrim):
         ("copy.csv", "copy.csv holds the same bytes as a.csv on line 2"),
     ):
         (here / "m.csv").write_text(f"label,histogram\nair,a.csv\ngel,{name}\n")
-        refused = refusal(read_table, here / "m.csv")
+        refused = refusal(read_table, here / "m.csv", {})
         assert "line 3, column histogram" in refused and says in refused
 
 
