@@ -264,7 +264,7 @@ def _absorption_numbers(absorption: Absorption) -> style.Numbers:
         for i, (nm, alpha) in enumerate(zip(curve.wavelength_nm, curve.values, strict=True)):
             rows.append(
                 (
-                    Path(measured.name).stem,
+                    Path(measured.name).name,
                     nm,
                     float(measured.at(nm)),
                     measured.sigma_at(float(nm)),
@@ -298,7 +298,7 @@ def draw_absorption(absorption: Absorption) -> style.Drawing:
         look = {"color": colour, "ls": line, "lw": 1.6, "zorder": 4}
         inside = (curve.wavelength_nm >= low) & (curve.wavelength_nm <= high)
         percent = 100 * measured.at(curve.wavelength_nm)
-        label = style.shortened(Path(measured.name).stem, 28)
+        label = style.shortened(Path(measured.name).name, 28)
         above.plot(curve.wavelength_nm, percent, label=label, **look)
         below.plot(curve.wavelength_nm, curve.values, **look)
         if curve.sigmas is not None:
