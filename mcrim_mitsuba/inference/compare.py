@@ -9,7 +9,6 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtr
 
-from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.inference.drivers import Minimum, newton
 from mcrim_mitsuba.inference.estimates import (
@@ -297,7 +296,12 @@ def _trend(fit: Minimum, name: str, levels: tuple, which: np.ndarray, tried: int
     factors = predicted[:, None] * (which[:, None] == np.arange(len(levels)))
     if len(levels) - 1 > max(fit.ndf // 2, 1):
         factors = (predicted * (which - which[which >= 0].mean()) * (which >= 0))[:, None]
-    fall, count = _fall(fit, factors)
+    # what the parameters follow is no factor
+    whole = np.sqrt(np.einsum("ij,ij->j", factors, fit.weights.inverse @ factors))
+    values, vectors = np.linalg.eigh(factors.T @ fit.precision @ factors / np.outer(whole, whole))
+    kept = values > SUSPICION.absorbed
+    along = vectors[:, kept].T @ (factors.T @ fit.weighted_residuals / whole)
+    fall, count = float((along**2 / values[kept]).sum()), int(kept.sum())
     rest, ndf = max(fit.chi2 - fall, 0.0), fit.ndf - count
     p = None
     if count > 0 and ndf > 0:
@@ -306,16 +310,6 @@ def _trend(fit: Minimum, name: str, levels: tuple, which: np.ndarray, tried: int
     own = pulls(fit)
     means = tuple(float(own[which == i].mean()) for i in range(len(levels)))
     return Trend(name, levels, means, fall, count, p)
-
-
-def _fall(fit: Minimum, factors: Array) -> tuple[float, int]:
-    """Fall of chi2 with a factor per column, and how many of them the parameters do not follow."""
-    seen = factors.T @ fit.precision @ factors
-    whole = np.sqrt(np.einsum("ij,ij->j", factors, fit.weights.inverse @ factors))
-    values, vectors = np.linalg.eigh(seen / np.outer(whole, whole))
-    kept = values > SUSPICION.absorbed
-    along = vectors[:, kept].T @ (factors.T @ fit.weighted_residuals / whole)
-    return float((along**2 / values[kept]).sum()), int(kept.sum())
 
 
 # ---- parameters that took up a misfit ----

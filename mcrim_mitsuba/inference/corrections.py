@@ -25,7 +25,6 @@ from mcrim_mitsuba.campaign.known_physics import (
 )
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.efficiency.responses import held_at
@@ -192,19 +191,16 @@ class Neglected:
     refitted: dict[str, Shift]
 
 
-def refuse_far(campaign: Campaign, band: BandIndices) -> None:
-    """Refuse indices too far from the scene's to be told from simulations about it."""
+def too_far(campaign: Campaign, band: BandIndices) -> str | None:
+    """Why indices are not told from simulations about the scene's own; None where they are."""
     nominal = float(campaign.scene.parameters[INDEX])
     effect = campaign.catalogue[CRYSTAL_INDEX].parameters[0]
     mean = band.over.mean
     farthest = max(abs(mean - nominal) + 2 * band.over.sigma, *np.abs(band.indices - mean))
-    if farthest > effect.maximum:
-        raise InputError(
-            f"the scene's {INDEX} = {nominal:g} is too far from {mean:.4g}, that of "
-            f"{band.material.name}",
-            f"set {INDEX} to about {mean:.4g}",
-            path=campaign.scene.path,
-        )
+    if farthest <= effect.maximum:
+        return None
+    material = band.material.name
+    return f"the scene's {INDEX} = {nominal:g} is too far from {mean:.4g}, that of {material}"
 
 
 # ---- fits with pieces put in ----
@@ -235,11 +231,8 @@ class NeglectWork:
         self._band = known.band
         if CRYSTAL_INDEX not in (*self._known.effects, *campaign.known_physics):
             self._band = None
-        elif self._band is not None:
-            try:
-                refuse_far(campaign, self._band)
-            except InputError as error:
-                self.refused[CRYSTAL_INDEX], self._band = error.problem, None
+        elif self._band is not None and (reason := too_far(campaign, self._band)) is not None:
+            self.refused[CRYSTAL_INDEX], self._band = reason, None
         self._benches: list[CampaignSimulations] = []
         self._index = (CRYSTAL_INDEX,) * (self._band is not None)
         # births can be weighted too: that tells what the depth's error does

@@ -122,15 +122,11 @@ def compare_hypotheses(
 ) -> HypothesesCompared:
     """Fit campaigns of the same readings and weigh them against each other.
 
-    Raises InputError as `compare` does; or if the readings, or what is known of the scale, are not
-    the same.
+    There are two or three; scenes, effects, priors and starts may differ. All are simulated with
+    the same random numbers.
 
-    Parameters
-    ----------
-    campaigns : sequence of str, Path or Campaign
-        Two or three; scenes, effects, priors and starts may differ.
-    run : Run
-        See `CampaignSimulations`. All campaigns are simulated with the same random numbers.
+    Raises InputError if a file is wrong, a scene is not sound, or the readings do not determine the
+    parameters; or if the readings, or what is known of the scale, are not the same.
     """
     given = [as_campaign(one) for one in campaigns]
     refuse_unlike(given)
