@@ -370,18 +370,12 @@ def to_json(raw: RawData) -> dict[str, Any]:
 
 def _reading_json(reduced: ReducedReading) -> dict[str, Any]:
     """Where a reading comes from: every histogram with its peak, and their mean."""
+    of_peak = (
+        "shape centroid centroid_sigma width width_sigma events chi2 ndf p_value low high warnings"
+    )
     mountings = [
-        {
-            "file": mounting.file,
-            "line": mounting.row.line,
-            **attributes(mounting, "use consistent"),
-            "peak": mounting.peak
-            and attributes(
-                mounting.peak,
-                "shape centroid centroid_sigma width width_sigma events chi2 ndf p_value low high "
-                "warnings",
-            ),
-        }
+        attributes(mounting, "file line=row.line use consistent")
+        | {"peak": mounting.peak and attributes(mounting.peak, of_peak)}
         for mounting in reduced.mountings
     ]
     return {
