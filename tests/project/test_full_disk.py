@@ -152,7 +152,7 @@ def test_no_more_folders_is_no_space(disk, mcrim):
 def test_a_part_of_an_array_job_is_told_of_its_own_folder(scenes, disk, capsys):
     units = disk / "units"
     line = [word.format(bench=scenes / "camoo4.xml") for word in TABLE[:-3]]
-    line += ["1.0,1.3,1.46", "--photons", "2e5", "--unit", "1/1", "--units", str(units)]
+    line += ["1.0,1.2,1.3,1.46", "--photons", "2e5", "--unit", "1/1", "--units", str(units)]
     assert main(line) == 2
     errors = capsys.readouterr().err
     assert errors == (
