@@ -22,12 +22,11 @@ from mcrim_mitsuba.inference.compare import Comparison
 from mcrim_mitsuba.inference.diagnose import Diagnosis
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.fit import Calibration
-from mcrim_mitsuba.inference.hypotheses import HypothesesCompared, SideBySide
-from mcrim_mitsuba.inference.plan import ExpectedError, Plan, Planning
+from mcrim_mitsuba.inference.hypotheses import SideBySide
+from mcrim_mitsuba.inference.plan import Plan, Planning
 from mcrim_mitsuba.inference.repair import Repaired
-from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.output import sentences
-from mcrim_mitsuba.output.registry import Document, Result, fields_of
+from mcrim_mitsuba.output.registry import Document, Result, encoded, fields_of
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.inference.estimates import FittedRow
@@ -64,20 +63,25 @@ class CampaignShown(Result):
     #: What the reader must know before using the numbers.
     notes: tuple[str, ...]
 
+    @classmethod
+    def of(
+        cls,
+        result: Any,
+        campaign: Campaign,
+        provenance: Provenance,
+        notes: Iterable[str] = (),
+        **further: Any,
+    ) -> Self:
+        """Fields of a result, and `further` ones; `notes` are those besides the simulations'."""
+        fields = fields_of(result) | attributes(campaign, "title unit")
+        every_note = tuple(dict.fromkeys((*notes, *provenance.notes)))
+        fields |= {"provenance": provenance, "notes": every_note}
+        return cls(**fields | further)
+
     @property
     def heading(self) -> str:
         """Of its figures."""
         return self.title
-
-
-def _shown(campaign: Campaign, provenance: Provenance, notes: Iterable[str] = ()) -> dict[str, Any]:
-    """Fields of a `CampaignShown`; `notes` are those besides the simulations'."""
-    return {
-        "title": campaign.title,
-        "unit": campaign.unit,
-        "provenance": provenance,
-        "notes": (*notes, *provenance.notes),
-    }
 
 
 _PARAMETERS = (LIGHT_YIELD, ALPHA_SCAT, ALPHA_ABS, SCALE)
@@ -134,12 +138,6 @@ class FitResult(FittedResult, Calibration):
     #: Wall time.
     seconds: float
 
-    @classmethod
-    def of(cls, fit: Calibration, simulations: CampaignSimulations, seconds: float) -> Self:
-        """The result of a calibration."""
-        shown = _shown(simulations.campaign, simulations.provenance(), fit.notes)
-        return cls(**fields_of(fit) | shown, seconds=seconds)
-
     def numbers(self) -> dict[str, Any]:
         """As `Calibration.numbers`, with the ends of the 95 % intervals."""
         document = super().numbers()
@@ -153,12 +151,6 @@ class FitResult(FittedResult, Calibration):
 class ComparisonResult(FittedResult, Comparison):
     """A campaign beside its model: pulls, suspect readings, trends."""
 
-    @classmethod
-    def of(cls, comparison: Comparison, simulations: CampaignSimulations) -> Self:
-        """The result of a comparison."""
-        shown = _shown(simulations.campaign, simulations.provenance(), comparison.notes)
-        return cls(**fields_of(comparison) | shown)
-
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class HypothesesResult(CampaignShown, SideBySide):
@@ -166,12 +158,6 @@ class HypothesesResult(CampaignShown, SideBySide):
 
     #: Hashes of the scenes by hypothesis.
     scenes: dict[str, str]
-
-    @classmethod
-    def of(cls, compared: HypothesesCompared, campaign: Campaign) -> Self:
-        """The result of a comparison of several campaigns, the first of which gives the title."""
-        shown = _shown(campaign, compared.provenance)
-        return cls(**fields_of(compared.comparison), **shown, scenes=compared.scenes)
 
     @property
     def hypotheses_with_scenes(self) -> list[dict[str, Any]]:
@@ -185,12 +171,6 @@ class HypothesesResult(CampaignShown, SideBySide):
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class DiagnosisResult(CampaignShown, Diagnosis):
     """Which effects of the catalogue explain a campaign's misfit."""
-
-    @classmethod
-    def of(cls, diagnosis: Diagnosis, simulations: CampaignSimulations) -> Self:
-        """The result of a diagnosis."""
-        shown = _shown(simulations.campaign, simulations.provenance(), diagnosis.baseline.notes)
-        return cls(**fields_of(diagnosis), **shown)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -210,13 +190,11 @@ class RepairResult(FittedResult, Diagnosis):
     undetermined: str
 
     @classmethod
-    def of(cls, repaired: Repaired, campaign: Campaign, **further: Any) -> Self:
+    def of_repair(cls, repaired: Repaired, campaign: Campaign, **further: Any) -> Self:
         """The result of a repair; `further` are fields of a subclass, and such as differ."""
-        fit = repaired.fit
-        fields = fields_of(repaired.diagnosis)
-        fields |= attributes(repaired, "effects campaign_path scene_path undetermined")
-        fields |= {"calibration": fit, "parameters": fit.parameters}
-        return cls(**fields | _shown(campaign, repaired.provenance, fit.notes) | further)
+        names = "effects campaign_path scene_path undetermined calibration=fit provenance "
+        fields = attributes(repaired, names + "parameters=fit.parameters notes=fit.notes")
+        return cls.of(repaired.diagnosis, campaign, **fields | further)
 
     @property
     def mended_fit(self) -> Calibration | None:
@@ -260,20 +238,13 @@ class ReportResult(RepairResult):
     @classmethod
     def of_report(cls, reported: Reported) -> Self:
         """The result of a report."""
-        sections, provenance = reported.sections, reported.provenance
-        notes = dict.fromkeys((*sections.repaired.fit.notes, *provenance.notes))
-        further = {"path": reported.path, "sections": sections, "provenance": provenance}
-        return cls.of(sections.repaired, sections.campaign, **further, notes=tuple(notes))
+        further = attributes(reported, "path sections provenance")
+        return cls.of_repair(reported.sections.repaired, reported.sections.campaign, **further)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class BudgetResult(CampaignShown, Budget):
     """Where all errors of a campaign come from, and what its model leaves out."""
-
-    @classmethod
-    def of(cls, budget: Budget, campaign: Campaign) -> Self:
-        """The result of a budget."""
-        return cls(**fields_of(budget) | _shown(campaign, budget.provenance, budget.fit.notes))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -323,7 +294,7 @@ class PlanResult(Result, Planning):
             "verdict": sentences.verdict(self),
             **attributes(self, "conditions candidates"),
             "floors": [
-                {"configurations": chosen, **_expected(error)}
+                {"configurations": chosen, **encoded(error)}
                 for chosen, error in self.floors.items()
             ],
             "undetermined": self.undetermined,
@@ -337,12 +308,5 @@ class PlanResult(Result, Planning):
             return None
         return {
             "configurations": [self.candidates[i].parameters for i in plan.configurations],
-            **attributes(plan, "mountings events hours"),
-            "light_yield": _expected(plan.light_yield),
-            "alpha_scat": None if plan.alpha_scat is None else _expected(plan.alpha_scat),
+            **attributes(plan, "mountings events hours light_yield alpha_scat"),
         }
-
-
-def _expected(error: ExpectedError) -> Document:
-    """Relative errors."""
-    return attributes(error, "statistical systematic total parts")

@@ -623,8 +623,8 @@ def calibrate(
     campaign = _read(campaign)
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     simulations = CampaignSimulations(campaign, run)
-    fit = fit_campaign(simulations)
-    return FitResult.of(fit, simulations, time.perf_counter() - start)
+    fit, seconds = fit_campaign(simulations), time.perf_counter() - start
+    return FitResult.of(fit, campaign, simulations.provenance(), fit.notes, seconds=seconds)
 
 
 @overload
@@ -696,12 +696,16 @@ def compare(
     if others:
         from mcrim_mitsuba.inference.hypotheses import compare_hypotheses
 
-        return HypothesesResult.of(compare_hypotheses((campaign, *others), run=run), campaign)
+        compared = compare_hypotheses((campaign, *others), run=run)
+        return HypothesesResult.of(
+            compared.comparison, campaign, compared.provenance, scenes=compared.scenes
+        )
     from mcrim_mitsuba.inference.compare import comparison_of
     from mcrim_mitsuba.inference.simulations import CampaignSimulations
 
     simulations = CampaignSimulations(campaign, run)
-    return ComparisonResult.of(comparison_of(simulations.fit()), simulations)
+    comparison = comparison_of(simulations.fit())
+    return ComparisonResult.of(comparison, campaign, simulations.provenance(), comparison.notes)
 
 
 @_public
@@ -742,7 +746,8 @@ def diagnose(
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     simulations = CampaignSimulations(campaign, run)
     diagnosis = diagnose_campaign(simulations, without=_names(without), only=_names(only))
-    return DiagnosisResult.of(diagnosis, simulations)
+    notes = diagnosis.baseline.notes
+    return DiagnosisResult.of(diagnosis, campaign, simulations.provenance(), notes)
 
 
 @_public
@@ -787,7 +792,7 @@ def repair(
     campaign = _read(campaign)
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     repaired = repair_campaign(campaign, output, effect=_names(effect), run=run, on_step=on_step)
-    return RepairResult.of(repaired, campaign)
+    return RepairResult.of_repair(repaired, campaign)
 
 
 @_public
@@ -853,7 +858,7 @@ def budget(
         deposits=deposits,
         run=run,
     )
-    return BudgetResult.of(errors, campaign)
+    return BudgetResult.of(errors, campaign, errors.provenance, errors.fit.notes)
 
 
 @_public

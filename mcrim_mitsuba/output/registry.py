@@ -219,6 +219,7 @@ PRESENTERS = {
 _PARTS = {
     "Calibration": "**numbers",
     "Comparison": _CHECKED,
+    "ExpectedError": "statistical systematic total parts",
     "Spread": "source eta eta_sigma relative_rms relative_rms_sigma fwhm",
     "SceneProblem": "kind text mend file=path line column",
     "Interface": "surface kind interior exterior n_interior n_exterior file=path line",

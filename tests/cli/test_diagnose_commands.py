@@ -25,7 +25,6 @@ from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.hypotheses import (
     NAMES,
     FittedHypothesis,
-    HypothesesCompared,
     SideBySide,
 )
 from mcrim_mitsuba.inference.next_measurements import configuration_words
@@ -94,11 +93,11 @@ def found(monkeypatch):
 
 #: Nothing is shown of the campaign itself.
 NO_CAMPAIGN = SimpleNamespace(title="", unit="")
-NO_SIMULATIONS = SimpleNamespace(campaign=NO_CAMPAIGN, provenance=lambda: by.PROVENANCE)
 
 
 def shown_of(diagnosis) -> Description:
-    return DiagnosisResult.of(diagnosis, NO_SIMULATIONS).description
+    notes = diagnosis.baseline.notes
+    return DiagnosisResult.of(diagnosis, NO_CAMPAIGN, by.PROVENANCE, notes).description
 
 
 def row_of(out: str, first: str) -> list[str]:
@@ -660,7 +659,7 @@ def test_a_tiny_p_value_is_below_and_equals_nothing():
     assert not [text for text in told if "= <" in text]
 
 
-def side_by_side() -> HypothesesCompared:
+def side_by_side() -> SideBySide:
     """Three hypotheses with the longest names and figures that there are."""
     sizes = {
         "bottom_roughness_alpha": by.estimate(0.0123, 0.0008),
@@ -689,12 +688,14 @@ def side_by_side() -> HypothesesCompared:
     )
     apart = {row.label: 0.8 * abs(row.pull) for row in by.rows()}
     found = SideBySide("preferred", "as A shows", ("A",), hypotheses, apart)
-    return HypothesesCompared(found, by.PROVENANCE, dict.fromkeys(NAMES, "hash"))
+    return found
 
 
 @pytest.mark.parametrize("width", [80, 100, 140])
 def test_hypotheses_fit_a_terminal_and_their_figure(width):
-    shown = HypothesesResult.of(side_by_side(), NO_CAMPAIGN).description
+    scenes = dict.fromkeys(NAMES, "hash")
+    compared = HypothesesResult.of(side_by_side(), NO_CAMPAIGN, by.PROVENANCE, scenes=scenes)
+    shown = compared.description
     lines = description.text(shown, width).splitlines()
     tables = [line for line in lines if line[:1] in "┏┃┡│└"]
     assert max(map(len, tables)) <= width
@@ -708,7 +709,7 @@ def test_hypotheses_fit_a_terminal_and_their_figure(width):
         f"They differ most at {by.MARKUP}: 18.80, 19.28 and 19.76 where 20.00 ± 0.20 was measured"
     )
     assert most in " ".join(lines)
-    figure = draw_hypotheses(side_by_side().comparison).figure
+    figure = draw_hypotheses(side_by_side()).figure
     legends = [text for axes in figure.axes for text in axes.get_legend().get_texts()]
     assert overlap([*figure.axes[1].get_xticklabels(), *legends], figure) == []
 

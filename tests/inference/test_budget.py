@@ -194,11 +194,12 @@ def test_what_the_absolute_light_yield_is_multiplied_with(campaign, found, scene
     assert reflection.relative == pytest.approx(-((0.52 / 2.52) ** 2))
     # 2.2 % of the events without 17.6 keV and a little (K beta) of 59.5
     assert escape.relative == pytest.approx(0.022 * 17.8 / 59.5, rel=0.02) and not escape.applied
-    shown = " ".join(text(of_budget(BudgetResult.of(found, campaign))).split())
+    result = BudgetResult.of(found, campaign, found.provenance, found.fit.notes)
+    shown = " ".join(text(of_budget(result)).split())
     yield_now = found.fit.parameters[LIGHT_YIELD].value
     assert f"{yield_now * (1 - (0.52 / 2.52) ** 2):.2f} ±" in shown
     # the table that docs/theory.md has too
-    table = of_budget(BudgetResult.of(found, campaign)).parts[-1]
+    table = of_budget(result).parts[-1]
     assert table.title == "neither modelled nor in any error"
     assert [tuple(cell.text for cell in row.cells) for row in table.rows] == not_modelled()
 
