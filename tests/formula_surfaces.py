@@ -2,8 +2,10 @@
 
 import math
 
+from trials.surface_model import EfficiencySurface
+
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
-from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
+from mcrim_mitsuba.efficiency.surface import EtaPoint
 
 
 class FormulaSurface(EfficiencySurface):

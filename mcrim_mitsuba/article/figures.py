@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,8 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.contradiction import Contradiction
-from mcrim_mitsuba.article.efficiency_rows import FittedLine
 from mcrim_mitsuba.article.published import Table1Line
-from mcrim_mitsuba.article.simulated import AIR, GEL, EtaCurve, RatioCurve
+from mcrim_mitsuba.article.simulated import COUPLINGS, CURVE_PER_CM, SimulatedLine
 from mcrim_mitsuba.core.files import make_folder
 from mcrim_mitsuba.core.rounding import capital, pdg
 from mcrim_mitsuba.laboratory.histogram import read_histogram
@@ -52,17 +52,17 @@ _LOWER = 0.014
 _BAND: dict[str, Any] = {"color": GREY, "alpha": 0.3, "lw": 0}
 _TITLE = "Synthetic histograms, one mounting of each coupling (the article prints none)"
 _FINE = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, 400)
+#: Place of R behind the efficiencies of air and gel.
+_RATIO = 2
 _TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2)
 
 
 def draw_figures(
     folder: str | Path,
-    eta_curves: tuple[EtaCurve, ...],
-    ratio_curves: tuple[RatioCurve, ...],
-    fits: Sequence[FittedLine],
+    lines: Sequence[SimulatedLine],
     contradiction: Contradiction,
 ) -> tuple[Path, ...]:
-    """Write the figures and their numbers; `fits` are our solutions with polarisation.
+    """Write the figures and their numbers.
 
     Fig. 2 is drawn from synthetic histograms with the article's centroids: it prints none. The
     folder is made if it is not there.
@@ -71,10 +71,10 @@ def draw_figures(
     """
     folder = make_folder(folder)
     drawings = {
-        "fig2_histograms": draw_histograms([_synthetic(name) for name in (AIR, GEL)], title=_TITLE),
-        "fig3_light_collection_efficiency": draw_efficiency(eta_curves, fits),
-        "fig4_ratio": draw_ratio(ratio_curves, fits),
-        "transmittance": draw_contradiction(ratio_curves, contradiction),
+        "fig2_histograms": draw_histograms([_synthetic(name) for name in COUPLINGS], title=_TITLE),
+        "fig3_light_collection_efficiency": draw_efficiency(lines),
+        "fig4_ratio": draw_ratio(lines),
+        "transmittance": draw_contradiction(lines, contradiction),
     }
     paths: list[Path] = []
     for name, drawing in drawings.items():
@@ -90,7 +90,7 @@ def _synthetic(name: str) -> FittedHistogram:
     return FittedHistogram(f"{name} in the gap", histogram, peak)
 
 
-def draw_efficiency(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) -> Drawing:
+def draw_efficiency(lines: Sequence[SimulatedLine]) -> Drawing:
     """Fig. 3: eta against alpha_scat for two couplings and three transmittances."""
     columns = (
         "polarised",
@@ -102,11 +102,14 @@ def draw_efficiency(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) ->
         "eta_sigma",
     )
     rows = [
-        (c.coupling.polarised, c.coupling.n_gap, *_line(c.line), *point)
-        for c in curves
-        for point in zip(c.alpha_scat_per_cm, c.etas, c.sigmas, strict=True)
+        (polarised, n_gap, *_line(line.printed), *point)
+        for polarised in (True, False)
+        for place, n_gap in enumerate(COUPLINGS.values())
+        for line in lines
+        if line.polarised is polarised
+        for point in zip(CURVE_PER_CM, *(side[place] for side in line.curves), strict=True)
     ]
-    return Drawing(_efficiency_figure(curves, fits), columns, rows)
+    return Drawing(_efficiency_figure(lines), columns, rows)
 
 
 def _line(line: Table1Line) -> tuple[float, float]:
@@ -114,22 +117,18 @@ def _line(line: Table1Line) -> tuple[float, float]:
 
 
 @styled
-def _efficiency_figure(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine]) -> Figure:
+def _efficiency_figure(lines: Sequence[SimulatedLine]) -> Figure:
     """Eta over the scattering coefficient, ours beside the points of the article's Table 1."""
     figure = canvas()
     axes = figure.add_subplot()
-    for curve in curves:
-        colour, marker = _STYLE[curve.line.transmittance_percent.value]
-        air = curve.coupling.name == AIR
-        if not curve.coupling.polarised:
-            axes.plot(_FINE, 100 * curve.smooth(_FINE), **_UNPOLARISED)
+    for line, (place, dashes) in itertools.product(lines, enumerate(("--", "-"))):
+        _draw_curve(axes, line, place, 100.0, ls=dashes)
+        if not line.polarised:
             continue
-        axes.plot(_FINE, 100 * curve.smooth(_FINE), color=colour, lw=2.2, ls="--" if air else "-")
-        _band(axes, curve.alpha_scat_per_cm, 100 * curve.etas, 100 * curve.sigmas, colour)
-        _name_curve(axes, curve.line, 100 * curve.etas[-1])
-        printed = curve.line.eta_air_percent if air else curve.line.eta_gel_percent
+        colour, marker = _STYLE[line.printed.transmittance_percent.value]
+        printed = line.printed.etas_percent[place]
         axes.errorbar(
-            curve.line.alpha_scat_per_cm.value,
+            line.printed.alpha_scat_per_cm.value,
             printed.value,
             yerr=printed.rounding,
             fmt=marker,
@@ -137,9 +136,7 @@ def _efficiency_figure(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine])
             ecolor=colour,
             **_PRINTED,
         )
-    for fit in fits:
-        for point in (fit.air, fit.gel):
-            axes.plot(fit.solution.value, 100 * point.eta, **_OURS)
+        axes.plot(line.alpha_scat.value, 100 * line.etas[place], **_OURS)
     _scattering_axis(axes)
     axes.set_ylim(0, 56)
     axes.set_ylabel("light collection efficiency η (%)")
@@ -156,7 +153,7 @@ def _efficiency_figure(curves: tuple[EtaCurve, ...], fits: Sequence[FittedLine])
     return figure
 
 
-def draw_ratio(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Drawing:
+def draw_ratio(lines: Sequence[SimulatedLine]) -> Drawing:
     """Fig. 4: R against alpha_scat, the measured band and the scattering coefficient."""
     columns = (
         "polarised",
@@ -167,15 +164,15 @@ def draw_ratio(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Dr
         "ratio_sigma",
     )
     rows = [
-        (c.polarised, *_line(c.line), *point)
-        for c in curves
-        for point in zip(c.air.alpha_scat_per_cm, c.ratio, c.sigma, strict=True)
+        (line.polarised, *_line(line.printed), *point)
+        for line in lines
+        for point in zip(CURVE_PER_CM, *(side[_RATIO] for side in line.curves), strict=True)
     ]
-    return Drawing(_ratio_figure(curves, fits), columns, rows)
+    return Drawing(_ratio_figure(lines), columns, rows)
 
 
 @styled
-def _ratio_figure(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) -> Figure:
+def _ratio_figure(lines: Sequence[SimulatedLine]) -> Figure:
     """The ratio of the signals over the scattering coefficient, and the measured one as a band."""
     figure = canvas()
     axes = figure.add_subplot()
@@ -190,18 +187,12 @@ def _ratio_figure(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) ->
         color=GREY,
         va="bottom",
     )
-    for curve in curves:
-        colour, _ = _STYLE[curve.line.transmittance_percent.value]
-        nominal = curve.line == p.NOMINAL
-        if not curve.polarised:
-            if nominal:
-                axes.plot(_FINE, curve.smooth(_FINE), **_UNPOLARISED)
-            continue
-        axes.plot(_FINE, curve.smooth(_FINE), color=colour, lw=2.4 if nominal else 1.5)
-        _band(axes, curve.air.alpha_scat_per_cm, curve.ratio, curve.sigma, colour)
-        _name_curve(axes, curve.line, curve.ratio[-1])
-    for fit in fits:
-        _mark_solution(axes, fit)
+    for line in lines:
+        nominal = line.printed == p.NOMINAL
+        if line.polarised or nominal:
+            _draw_curve(axes, line, _RATIO, lw=2.4 if nominal else 1.5)
+        if line.polarised:
+            _mark_solution(axes, line)
     for name, height in (("article", _ARTICLE_HEIGHT), ("Mitsuba", _OURS_HEIGHT)):
         axes.text(0.0105, height, rf"$α_\mathrm{{scat}}$, {name}", va="center", fontsize=10)
     _scattering_axis(axes)
@@ -211,39 +202,39 @@ def _ratio_figure(curves: tuple[RatioCurve, ...], fits: Sequence[FittedLine]) ->
     return figure
 
 
-def draw_contradiction(curves: tuple[RatioCurve, ...], contradiction: Contradiction) -> Drawing:
+def draw_contradiction(lines: Sequence[SimulatedLine], contradiction: Contradiction) -> Drawing:
     """The three numbers of one crystal beside the model, and what may be missing in it."""
     columns = ("explanation", "probability", "light_yield_ph_per_keV")
     yields = contradiction.light_yields
     rows = [(name, p, yields.get(name)) for name, p in contradiction.likeliest.items()]
-    return Drawing(_contradiction_figure(curves, contradiction), columns, rows)
+    return Drawing(_contradiction_figure(lines, contradiction), columns, rows)
 
 
 @styled
-def _contradiction_figure(curves: tuple[RatioCurve, ...], contradiction: Contradiction) -> Figure:
+def _contradiction_figure(lines: Sequence[SimulatedLine], contradiction: Contradiction) -> Figure:
     figure = canvas(11.0, 4.4)
     axes, bars = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-    _draw_three_numbers(axes, curves, contradiction)
+    _draw_three_numbers(axes, lines, contradiction)
     _draw_explanations(bars, contradiction)
     return figure
 
 
 def _draw_three_numbers(
-    axes: Axes, curves: tuple[RatioCurve, ...], contradiction: Contradiction
+    axes: Axes, lines: Sequence[SimulatedLine], contradiction: Contradiction
 ) -> None:
     """The measured ratio and transmittance beside what the model allows."""
-    for curve in curves:
-        if curve.polarised:
+    for line in lines:
+        if line.polarised:
             continue
-        alpha = _FINE + curve.line.alpha_abs_per_cm.value
+        alpha = _FINE + line.printed.alpha_abs_per_cm.value
         internal = transmittance(alpha, p.CRYSTAL_MM.value)
-        colour, _ = _STYLE[curve.line.transmittance_percent.value]
+        colour, _ = _STYLE[line.printed.transmittance_percent.value]
         axes.plot(
             100 * measured_transmittance(internal, p.N_CRYSTAL.value),
-            curve.smooth(_FINE),
+            line.smooth(_FINE)[_RATIO],
             color=colour,
             lw=2.2,
-            label=rf"$α_\mathrm{{abs}}$ = {curve.line.alpha_abs_per_cm.text} /cm",
+            label=rf"$α_\mathrm{{abs}}$ = {line.printed.alpha_abs_per_cm.text} /cm",
         )
     measured = (p.MEASURED_TRANSMITTANCE.value, p.RATIO.value)
     axes.errorbar(
@@ -302,12 +293,12 @@ def _legend(axes: Axes, place: str, unpolarised: str, *further: Line2D) -> None:
     legend(axes, handles, loc=place, fontsize=10)
 
 
-def _mark_solution(axes: Axes, fit: FittedLine) -> None:
+def _mark_solution(axes: Axes, line: SimulatedLine) -> None:
     """Draw where a curve meets the measured ratio, led down to the article's value and ours."""
-    colour, marker = _STYLE[fit.line.transmittance_percent.value]
-    solution, sigma = fit.solution, fit.solution.statistical_sigma
-    nominal = fit.line == p.NOMINAL
-    printed = p.ALPHA_SCAT if nominal else fit.line.alpha_scat_per_cm
+    colour, marker = _STYLE[line.printed.transmittance_percent.value]
+    solution = line.alpha_scat
+    nominal = line.printed == p.NOMINAL
+    printed = p.ALPHA_SCAT if nominal else line.printed.alpha_scat_per_cm
     lower = 0.0 if nominal else _LOWER
     foot = _OURS_HEIGHT - lower
     axes.plot(solution.value, p.RATIO.value, **_OURS)
@@ -324,22 +315,33 @@ def _mark_solution(axes: Axes, fit: FittedLine) -> None:
     axes.plot(solution.value, foot, **_OURS)
     if not nominal:
         return
-    low = sigma if solution.lower is None else solution.value - solution.lower
-    high = sigma if solution.upper is None else solution.upper - solution.value
+    assert solution.lower is not None and solution.upper is not None  # profiled
+    low, high = solution.value - solution.lower, solution.upper - solution.value
     axes.errorbar(
         solution.value, foot, xerr=[[low], [high]], fmt="none", ecolor="black", capsize=3, zorder=6
     )
     for height, value, error in (
         (_ARTICLE_HEIGHT, printed.value, printed.sigma),
-        (_OURS_HEIGHT, solution.value, sigma),
+        (_OURS_HEIGHT, solution.value, solution.contributions["statistical"]),
     ):
         text = f"{value:.2f} ± {error:.2f} /cm"
         axes.text(0.3, height, text, color=colour, va="center", ha="right", fontsize=10)
 
 
-def _band(axes: Axes, x: np.ndarray, y: np.ndarray, sigma: np.ndarray, colour: str) -> None:
-    """Two Monte Carlo standard errors on either side."""
-    axes.fill_between(x, y - 2 * sigma, y + 2 * sigma, color=colour, alpha=0.25, lw=0)
+def _draw_curve(
+    axes: Axes, line: SimulatedLine, place: int, factor: float = 1.0, lw: float = 2.2, ls: str = "-"
+) -> None:
+    """A curve with two Monte Carlo standard errors on either side; dotted if unpolarised."""
+    smooth = factor * line.smooth(_FINE)[place]
+    if not line.polarised:
+        axes.plot(_FINE, smooth, **_UNPOLARISED)
+        return
+    colour, _ = _STYLE[line.printed.transmittance_percent.value]
+    axes.plot(_FINE, smooth, color=colour, lw=lw, ls=ls)
+    values, sigmas = (factor * side[place] for side in line.curves)
+    low, high = values - 2 * sigmas, values + 2 * sigmas
+    axes.fill_between(CURVE_PER_CM, low, high, color=colour, alpha=0.25, lw=0)
+    _name_curve(axes, line.printed, values[-1])
 
 
 def _name_curve(axes: Axes, line: Table1Line, height: float) -> None:

@@ -10,16 +10,12 @@ from typing import Any
 
 from mcrim_mitsuba.article import arithmetic, contradiction, efficiency_rows, yield_rows
 from mcrim_mitsuba.article.contradiction import Contradiction, find_contradiction
-from mcrim_mitsuba.article.efficiency_rows import Fits, FittedLine, fit_table_1
 from mcrim_mitsuba.article.figures import draw_figures
 from mcrim_mitsuba.article.published import AGREES, DIFFERS, INCONSISTENT, RULE, ArticleRow
 from mcrim_mitsuba.article.simulated import (
     DEFAULT_PHOTONS,
-    EtaCurve,
-    RatioCurve,
     Simulated,
-    eta_curves,
-    ratio_curves,
+    SimulatedLine,
     simulate_article,
 )
 from mcrim_mitsuba.article.yield_rows import LightYields, agreement_sentences, light_yields
@@ -27,13 +23,13 @@ from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.corrections import Neglected
-from mcrim_mitsuba.output.description import Description, Part, Sentence, table
+from mcrim_mitsuba.output.description import Column, Description, Part, Sentence, listed, records
 
 SAYS = "What the article's own transmittance says"
 #: How the Monte Carlo errors come about.
 MONTE_CARLO = (
     "Monte Carlo errors: the spread between independent batches of photons, propagated. The "
-    "couplings have seeds of their own, so their errors are independent."
+    "couplings draw the same random numbers, so a part of their errors cancels in R."
 )
 
 
@@ -43,8 +39,8 @@ class ArticleResult:
 
     #: In the order of the article.
     rows: tuple[ArticleRow, ...]
-    #: Our Table 1: with polarisation, then without.
-    fits: tuple[FittedLine, ...]
+    #: Our Table 1, and the curves of Figs. 3 and 4: with polarisation, then without.
+    lines: tuple[SimulatedLine, ...]
     yields: LightYields
     #: What its three numbers for one crystal say together.
     contradiction: Contradiction
@@ -54,9 +50,6 @@ class ArticleResult:
     inconsistencies: tuple[str, ...]
     #: What it leaves open, and where we differ.
     open_points: tuple[str, ...]
-    #: Those of Figs. 3 and 4.
-    eta_curves: tuple[EtaCurve, ...]
-    ratio_curves: tuple[RatioCurve, ...]
     #: Photons of each of the four surfaces.
     photons: int
     seed: int
@@ -68,10 +61,7 @@ class ArticleResult:
 
     def draw(self, folder: str | Path) -> tuple[Path, ...]:
         """Write the figures as PNG, PDF and CSV; see `figures.draw_figures`."""
-        polarised = [fit for fit in self.fits if fit.polarised]
-        return draw_figures(
-            folder, self.eta_curves, self.ratio_curves, polarised, self.contradiction
-        )
+        return draw_figures(folder, self.lines, self.contradiction)
 
 
 def reproduce_article(*, run: Run = Run()) -> ArticleResult:
@@ -88,21 +78,16 @@ def reproduce_article(*, run: Run = Run()) -> ArticleResult:
     photons = run.photons_or(DEFAULT_PHOTONS)
     simulated = simulate_article(run=run)
     left_out = yield_rows.left_out(run)
-    curves = eta_curves(simulated)
-    ratios = ratio_curves(curves)
-    fits = fit_table_1(ratios)
-    yields = light_yields(simulated, fits)
+    yields = light_yields(simulated)
     contradicted = find_contradiction(run)
     return ArticleResult(
-        rows=_rows(simulated, fits, yields, left_out, contradicted, photons),
+        rows=_rows(simulated, yields, left_out, contradicted, photons),
         contradiction=contradicted,
-        fits=(*fits[True], *fits[False]),
+        lines=simulated.lines,
         yields=yields,
         agreement=agreement_sentences(yields),
         inconsistencies=arithmetic.inconsistencies(),
         open_points=arithmetic.open_points(simulated),
-        eta_curves=curves,
-        ratio_curves=ratios,
         photons=photons,
         seed=run.seed,
         seconds=time.perf_counter() - start,
@@ -113,7 +98,6 @@ def reproduce_article(*, run: Run = Run()) -> ArticleResult:
 
 def _rows(
     simulated: Simulated,
-    fits: Fits,
     yields: LightYields,
     left_out: tuple[Neglected, ...],
     contradicted: Contradiction,
@@ -131,10 +115,10 @@ def _rows(
         ],
         "Sec. 6.1-6.2, Eq. 5: the measured ratio": arithmetic.ratio_rows(),
         "Sec. 6.2-6.3, Table 1 and Fig. 4: scattering coefficient from the ratio": [
-            *efficiency_rows.table_1_rows(fits),
+            *efficiency_rows.table_1_rows(simulated)
         ],
         "Sec. 6.2-6.3, Table 1 and Fig. 3: light collection efficiency": [
-            *efficiency_rows.efficiency_rows(simulated, fits),
+            *efficiency_rows.efficiency_rows(simulated)
         ],
         "Sec. 6.2, 6.4, 6.5: other crystals": efficiency_rows.other_crystal_rows(simulated),
         "Sec. 6.3, Eqs. 1-2: absolute light yield": [
@@ -188,6 +172,12 @@ def described(result: ArticleResult, folder: str) -> Description:
         for row in result.rows
         if row.verdict == DIFFERS
     )
+    lists = {
+        "Numbers of ours that differ:": differ,
+        f"{SAYS}:": contradiction.sentences(result.contradiction),
+        "The article disagrees with itself:": result.inconsistencies,
+        "The article leaves open, or we find otherwise:": result.open_points,
+    }
     parts = (
         Sentence(f"Verdicts. {RULE}"),
         Sentence(MONTE_CARLO),
@@ -200,12 +190,13 @@ def described(result: ArticleResult, folder: str) -> Description:
             "7.5 ± 1.2.",
             strong=True,
         ),
-        *(Sentence(f"- {line}") for line in result.agreement),
+        *listed(result.agreement),
         Sentence(f"Verdicts: {', '.join(counts)}"),
-        *_list("Numbers of ours that differ:", differ),
-        *_list(f"{SAYS}:", contradiction.sentences(result.contradiction)),
-        *_list("The article disagrees with itself:", result.inconsistencies),
-        *_list("The article leaves open, or we find otherwise:", result.open_points),
+        *(
+            part
+            for heading, lines in lists.items()
+            for part in (Sentence(""), *listed(lines, heading))
+        ),
         Sentence(""),
     )
     spent = (
@@ -219,18 +210,14 @@ def _tables(rows: tuple[ArticleRow, ...]) -> Iterator[Part]:
     """A table for each section of the article, its remarks below it."""
     for section in dict.fromkeys(row.section for row in rows):
         shown = [row for row in rows if row.section == section]
-        cells = (
-            (
-                f"{row.quantity} ({row.unit})" if row.unit else row.quantity,
-                row.paper_text or "-",
-                _ours(row),
-                row.verdict,
-            )
-            for row in shown
-        )
         yield Sentence("")
-        yield table(section, ("quantity", "article", "ours", "verdict"), cells)
+        yield records(section, _COLUMNS, shown)
         yield from (Sentence(f"  {row.quantity}: {row.remark}.") for row in shown if row.remark)
+
+
+def _quantity(row: ArticleRow) -> str:
+    """What a row is of, with its unit."""
+    return f"{row.quantity} ({row.unit})" if row.unit else row.quantity
 
 
 def _ours(row: ArticleRow) -> str:
@@ -246,5 +233,9 @@ def _ours(row: ArticleRow) -> str:
     return text
 
 
-def _list(title: str, lines: Iterable[str]) -> Iterator[Part]:
-    return iter((Sentence(""), Sentence(title, strong=True), *(Sentence(f"- {x}") for x in lines)))
+_COLUMNS = (
+    Column("quantity", of=_quantity),
+    Column("article", of=lambda row: row.paper_text or "-"),
+    Column("ours", of=_ours),
+    Column("verdict"),
+)

@@ -1,11 +1,12 @@
 """The simulations behind the article's numbers, and the curves of Figs. 3 and 4.
 
-Main results follow the photons' polarisation, as the article's ZEMAX does; the surfaces exist
-without it as well. The couplings' seeds differ, so that their Monte Carlo errors are independent.
+Main results follow the photons' polarisation, as the article's ZEMAX does; the couplings exist
+without it as well.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,14 +15,20 @@ import numpy as np
 
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.published import Table1Line
+from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.eta_surface import EtaRequest, EtaSurface, record_surfaces
+from mcrim_mitsuba.efficiency.eta_surface import EtaRequest, record_surfaces
+from mcrim_mitsuba.efficiency.responses import Responses, stack
 from mcrim_mitsuba.efficiency.simulate import collect
-from mcrim_mitsuba.efficiency.surface import Coefficients, EtaPoint
-from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.inference.corrections import Quantities, at, fitted
+from mcrim_mitsuba.inference.estimates import ParameterEstimate
+from mcrim_mitsuba.inference.fit import Calibration, fit_model
+from mcrim_mitsuba.inference.model import ResponseModel
+from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.transport.simulation import SimulationResult
 
@@ -53,32 +60,58 @@ DEFAULT_WRAP_REFLECTANCE = 0.97
 WRAP_REFLECTANCES = (p.TEFLON_LOW.value, DEFAULT_WRAP_REFLECTANCE, p.TEFLON_HIGH.value)
 
 
-@dataclass(frozen=True)
-class Coupling:
-    """The article's bench with one medium in the gap, at any coefficients of the crystal."""
+@dataclass(frozen=True, eq=False)
+class Couplings:
+    """The article's bench with air and with gel in the gap, at any coefficients of the crystal.
 
-    #: ``air`` or ``gel``.
-    name: str
+    Both draw the same random numbers, so that a part of their errors cancels in the ratio.
+    """
+
     polarised: bool
-    #: Of alpha_scat and alpha_abs, over the article's range.
-    surface: EtaSurface
+    #: Of `article_campaign`'s two readings, over the article's range.
+    responses: Responses
 
-    @property
-    def n_gap(self) -> float:
-        """Refractive index of the gap."""
-        return COUPLINGS[self.name]
+    def fit(self, campaign: Campaign) -> Calibration:
+        """The fit of a campaign with the article's two configurations."""
+        return fit_model(ResponseModel(campaign, self.responses, []))
 
-    def at(self, alpha_scat_per_cm: float, alpha_abs_per_cm: float) -> EtaPoint:
-        """Light collection efficiency at coefficients in 1/cm."""
-        return self.surface.evaluate(alpha_scat_per_cm, alpha_abs_per_cm)
+    @cached_property
+    def _model(self) -> ResponseModel:
+        """Both coefficients are free."""
+        return ResponseModel(article_campaign(), self.responses, [])
+
+    def at(self, alpha_scat_per_cm: float, alpha_abs_per_cm: float) -> Quantities:
+        """Efficiencies of air and gel, and their ratio, at coefficients in 1/cm."""
+        values = {ALPHA_SCAT: alpha_scat_per_cm, ALPHA_ABS: alpha_abs_per_cm, SCALE: 1.0}
+        return at(self._model, values)
+
+
+def article_campaign(
+    alpha_abs_per_cm: float | None = None, sigma_per_cm: float | None = None
+) -> Campaign:
+    """The article's two readings, with its prior on the absorption or another one.
+
+    An absorption without an error is held.
+    """
+    campaign = read_campaign(scene_path("camoo4_campaign.toml"))
+    if alpha_abs_per_cm is None:
+        return campaign
+    absorption = replace(
+        campaign.parameters[ALPHA_ABS],
+        start=alpha_abs_per_cm,
+        prior=None if sigma_per_cm is None else alpha_abs_per_cm,
+        prior_sigma=sigma_per_cm,
+        fixed=sigma_per_cm is None,
+    )
+    return replace(campaign, parameters={**campaign.parameters, ALPHA_ABS: absorption})
 
 
 @dataclass(frozen=True, kw_only=True)
 class Simulated:
     """Everything that was simulated for the article."""
 
-    #: `Coupling` by (``air`` or ``gel``, polarised).
-    couplings: dict[tuple[str, bool], Coupling]
+    #: By whether polarisation was followed.
+    couplings: dict[bool, Couplings]
     #: Eq. 6: crystals without scattering and absorption by their index relative to the
     #: surroundings; what is not ``truncated`` left the crystal.
     bare: dict[float, SimulationResult]
@@ -91,9 +124,16 @@ class Simulated:
     #: Scene parameters of the article's bench.
     parameters: dict[str, Value]
 
-    def pair(self, polarised: bool) -> tuple[Coupling, Coupling]:
-        """The two couplings, air first."""
-        return self.couplings[AIR, polarised], self.couplings[GEL, polarised]
+    @cached_property
+    def lines(self) -> tuple[SimulatedLine, ...]:
+        """Table 1, with polarisation and without."""
+        of_all = itertools.product(self.couplings.values(), p.TABLE_1)
+        return tuple(SimulatedLine(couplings, line) for couplings, line in of_all)
+
+    @property
+    def nominal(self) -> SimulatedLine:
+        """The polarised line of the nominal transmittance."""
+        return next(line for line in self.lines if line.polarised and line.printed == p.NOMINAL)
 
     @property
     def scene_hashes(self) -> dict[str, str]:
@@ -132,7 +172,7 @@ def simulate_article(*, run: Run = Run()) -> Simulated:
     return Simulated(
         couplings=couplings,
         bare={
-            n: _single(
+            n: simulate_bench(
                 BENCH,
                 {**clear, "n_crystal": n},
                 f"bare crystal, n = {n:.4g}",
@@ -141,11 +181,11 @@ def simulate_article(*, run: Run = Run()) -> Simulated:
             )
             for n in (p.N_CRYSTAL.value, p.N_CRYSTAL.value / p.N_GEL.value)
         },
-        thin=_single(_THIN, polarised, "thin sample", run),
-        thin_clear=_single(_THIN, {**polarised, ALPHA_ABS: 0.0}, "thin sample, clear", run),
-        cawo4=_single(_CAWO4, polarised, "CaWO4", run),
+        thin=simulate_bench(_THIN, polarised, "thin sample", run),
+        thin_clear=simulate_bench(_THIN, {**polarised, ALPHA_ABS: 0.0}, "thin sample, clear", run),
+        cawo4=simulate_bench(_CAWO4, polarised, "CaWO4", run),
         wrapped={
-            reflectance: _single(
+            reflectance: simulate_bench(
                 _WRAPPED,
                 {**polarised, "wrap_reflectance": reflectance},
                 f"wrapped cube, reflectance {reflectance:g}",
@@ -157,126 +197,130 @@ def simulate_article(*, run: Run = Run()) -> Simulated:
     )
 
 
-def _couplings(run: Run) -> dict[tuple[str, bool], Coupling]:
-    """All couplings, polarised and not."""
+def _couplings(run: Run) -> dict[bool, Couplings]:
+    """Both couplings, polarised and not."""
     file = read_scene(scene_path(BENCH))
     scanned = p.SCANNED_FROM.value, p.SCANNED_TO.value
     absorptions = [line.alpha_abs_per_cm.value for line in p.TABLE_1]
     points = [(scattering, absorption) for absorption in absorptions for scattering in scanned]
-    wishes = {
-        (name, polarised): EtaRequest(
-            f"{name}, {'polarised' if polarised else 'unpolarised'}",
-            file.with_overrides({"n_gap": n_gap, "polarization": polarised}),
-            points,
-            replace(run, seed=run.seed + number),
-            alpha_abs_range_per_cm=_ABSORPTION_PER_CM,
-        )
-        for polarised in (True, False)
-        for number, (name, n_gap) in enumerate(COUPLINGS.items())
-    }
-    surfaces = record_surfaces(list(wishes.values()))
+    surfaces = record_surfaces(
+        [
+            EtaRequest(
+                f"{name}, {'polarised' if polarised else 'unpolarised'}",
+                file.with_overrides({"n_gap": n_gap, "polarization": polarised}),
+                points,
+                run,
+                alpha_abs_range_per_cm=_ABSORPTION_PER_CM,
+            )
+            for polarised in (True, False)
+            for name, n_gap in COUPLINGS.items()
+        ]
+    )
+    grid, tables = surfaces[0][0].grid, [surface.table for surface, _ in surfaces]
     return {
-        key: Coupling(*key, surface) for key, (surface, _) in zip(wishes, surfaces, strict=True)
+        polarised: Couplings(polarised, Responses(grid, grid, *stack(pair)))
+        for polarised, pair in ((True, tables[:2]), (False, tables[2:]))
     }
 
 
-def _single(
-    scene: str, overrides: Mapping[str, Value], what: str, run: Run, max_depth: int | None = None
+def simulate_bench(
+    scene: str | SceneFile,
+    overrides: Mapping[str, Value],
+    what: str,
+    run: Run,
+    max_depth: int | None = None,
 ) -> SimulationResult:
-    """A bench of its own; KeyboardInterrupt if the user interrupts."""
+    """A bench of its own, shipped by its name; KeyboardInterrupt if the user interrupts."""
     from mcrim_mitsuba.transport.simulation import Simulation
 
-    simulation = Simulation(scene_path(scene), overrides, variant=run.variant, threads=run.threads)
+    file = scene_path(scene) if isinstance(scene, str) else scene
+    simulation = Simulation(file, overrides, variant=run.variant, threads=run.threads)
     result = collect(simulation, run=run, what=what, max_depth=max_depth)
     if result.interrupted:
         raise KeyboardInterrupt
     return result
 
 
-# The curves of Figs. 3 and 4.
+# Table 1, and the curves of Figs. 3 and 4.
 
-#: Points of a curve, equally spaced in log(alpha_scat).
-_POINTS = 25
-
-
-@dataclass(frozen=True)
-class EtaCurve:
-    """Light collection efficiency against scattering: one curve of Fig. 3.
-
-    It has `_POINTS` values of alpha_scat, which share photons, at the absorption of a line of
-    Table 1.
-    """
-
-    coupling: Coupling
-    line: Table1Line
-
-    @cached_property
-    def alpha_scat_per_cm(self) -> Array:
-        """(points,) where the curve is shown."""
-        return np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, _POINTS)
-
-    @cached_property
-    def etas(self) -> Array:
-        """(points,)"""
-        return self.smooth(self.alpha_scat_per_cm)
-
-    @cached_property
-    def sigmas(self) -> Array:
-        """(points,) Monte Carlo standard errors."""
-        points = self._points(self.alpha_scat_per_cm)
-        return self.etas * self.coupling.surface.relative_sigmas(points)
-
-    def smooth(self, alpha_scat_per_cm: Array) -> Array:
-        """Efficiencies at many values, for drawing."""
-        return self.coupling.surface.etas(self._points(alpha_scat_per_cm))
-
-    def _points(self, alpha_scat_per_cm: Array) -> list[Coefficients]:
-        return [(float(a), self.line.alpha_abs_per_cm.value) for a in alpha_scat_per_cm]
+#: (25,) points of a curve, equally spaced in log(alpha_scat).
+CURVE_PER_CM = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, 25)
 
 
-@dataclass(frozen=True)
-class RatioCurve:
-    """R = eta_air / eta_gel against scattering: one curve of Fig. 4."""
+#: Error of a reading that is taken as exact, beside the other one's 2 %.
+_EXACT = 1e-4
 
-    air: EtaCurve
-    gel: EtaCurve
 
-    @property
-    def line(self) -> Table1Line:
-        """The line of Table 1 whose absorption the curve has."""
-        return self.air.line
+@dataclass(frozen=True, eq=False)
+class SimulatedLine:
+    """A line of Table 1 as simulated here: its T and alpha_abs are the article's."""
+
+    couplings: Couplings
+    printed: Table1Line
 
     @property
     def polarised(self) -> bool:
         """Whether the photons carried their polarisation."""
-        return self.air.coupling.polarised
+        return self.couplings.polarised
+
+    def at(self, alpha_scat_per_cm: float) -> Quantities:
+        """Efficiencies of air and gel, and their ratio."""
+        return self.couplings.at(alpha_scat_per_cm, self.printed.alpha_abs_per_cm.value)
+
+    # where eta_air / eta_gel is the measured R
+
+    @cached_property
+    def fit(self) -> Calibration:
+        """Of the measured R: the signal of air in units of gel's."""
+        campaign = article_campaign(self.printed.alpha_abs_per_cm.value)
+        air, gel = campaign.measurements.readings
+        readings = (
+            replace(air, signal=p.RATIO.value, sigma=p.RATIO.stated_sigma),
+            replace(gel, signal=1.0, sigma=_EXACT),
+        )
+        measured = replace(campaign.measurements, readings=readings)
+        return self.couplings.fit(replace(campaign, measurements=measured))
 
     @property
-    def ratio(self) -> Array:
-        """(points,) eta of air over that of gel."""
-        return self.air.etas / self.gel.etas
+    def alpha_scat(self) -> ParameterEstimate:
+        """The fitted one, 1/cm."""
+        return self.fit.parameters[ALPHA_SCAT]
+
+    @cached_property
+    def _fitted(self) -> tuple[Array, Array, Array]:
+        """(3,) efficiencies and R, their Monte Carlo errors, and slopes by alpha_scat in cm."""
+        quantities = fitted(self.fit)
+        slopes = quantities.slopes[-3:, self.fit.names.index(ALPHA_SCAT)]
+        return quantities.values[-3:], quantities.sigmas[-3:], slopes
 
     @property
-    def sigma(self) -> Array:
-        """Monte Carlo error; the errors of the two couplings are independent."""
-        of_air, of_gel = (curve.sigmas / curve.etas for curve in (self.air, self.gel))
-        return self.ratio * np.hypot(of_air, of_gel)
+    def etas(self) -> Array:
+        """(2,) efficiencies of air and gel."""
+        return self._fitted[0][:2]
+
+    @property
+    def eta_sigmas(self) -> tuple[Array, Array]:
+        """(2,) errors of the efficiencies: from the signals' ratio, and Monte Carlo."""
+        _, monte_carlo, slopes = self._fitted
+        of_ratio = self.alpha_scat.contributions["statistical"]
+        return np.abs(slopes[:2]) * of_ratio, monte_carlo[:2]
+
+    @property
+    def ratio_slope_cm(self) -> float:
+        """dR / d alpha_scat."""
+        return float(self._fitted[2][2])
+
+    # curves of Figs. 3 and 4
+
+    @cached_property
+    def curves(self) -> tuple[Array, Array]:
+        """(3, points) efficiencies of air and gel and R at `CURVE_PER_CM`, and their errors."""
+        points = [self.at(float(a)) for a in CURVE_PER_CM]
+        return np.array([q.values for q in points]).T, np.array([q.sigmas for q in points]).T
 
     def smooth(self, alpha_scat_per_cm: Array) -> Array:
-        """R at many values, for drawing."""
-        return self.air.smooth(alpha_scat_per_cm) / self.gel.smooth(alpha_scat_per_cm)
-
-
-def eta_curves(simulated: Simulated) -> tuple[EtaCurve, ...]:
-    """Fig. 3: three transmittances, two couplings, polarisation followed or not."""
-    return tuple(EtaCurve(c, line) for c in simulated.couplings.values() for line in p.TABLE_1)
-
-
-def ratio_curves(curves: tuple[EtaCurve, ...]) -> tuple[RatioCurve, ...]:
-    """Fig. 4 from the curves of Fig. 3, in their order."""
-    by_coupling = {(c.coupling.name, c.coupling.polarised, c.line): c for c in curves}
-    return tuple(
-        RatioCurve(air, by_coupling[GEL, polarised, line])
-        for (name, polarised, line), air in by_coupling.items()
-        if name == AIR
-    )
+        """(3, points) at many values, for drawing."""
+        responses, alpha_abs = self.couplings.responses, self.printed.alpha_abs_per_cm.value
+        weights = responses.grid.weights_at(alpha_scat_per_cm, np.array([alpha_abs]))
+        air, gel = np.exp(responses.log_eta.reshape(2, -1) @ weights.T)
+        return np.array([air, gel, air / gel])

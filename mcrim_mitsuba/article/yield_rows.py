@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from mcrim_mitsuba.article import published as p
 from mcrim_mitsuba.article.arithmetic import (
@@ -18,30 +15,21 @@ from mcrim_mitsuba.article.arithmetic import (
     relative_yield,
     with_eta_error,
 )
-from mcrim_mitsuba.article.efficiency_rows import (
-    Fits,
-    FittedLine,
-    largest_eta_deviation,
-    nominal_of,
-    wrapped_spread,
-)
+from mcrim_mitsuba.article.efficiency_rows import largest_eta_deviation, wrapped_spread
 from mcrim_mitsuba.article.published import AGREEMENT_SIGMAS, ArticleRow, compare, from_printed
-from mcrim_mitsuba.article.simulated import DEFAULT_PHOTONS, DEFAULT_WRAP_REFLECTANCE, Simulated
-from mcrim_mitsuba.campaign.campaign import Campaign, read_campaign
+from mcrim_mitsuba.article.simulated import (
+    DEFAULT_PHOTONS,
+    DEFAULT_WRAP_REFLECTANCE,
+    Simulated,
+    article_campaign,
+)
 from mcrim_mitsuba.campaign.known_physics import KnownCrystal
-from mcrim_mitsuba.campaign.parameter import SCALE
-from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, COEFFICIENTS
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.efficiency.eta_surface import EtaSurface
-from mcrim_mitsuba.efficiency.surface import EtaPoint
 from mcrim_mitsuba.inference.corrections import Neglected, NeglectWork
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
-from mcrim_mitsuba.inference.fit import Calibration, fit_model
-from mcrim_mitsuba.inference.model import Prediction, free_parameters
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
 from mcrim_mitsuba.optics.fresnel import reflectance
-from mcrim_mitsuba.scene.shipped import scene_path
 
 
 @dataclass(frozen=True)
@@ -58,20 +46,28 @@ class LightYields:
     eta_error: float
 
 
-def light_yields(simulated: Simulated, fits: Fits) -> LightYields:
+def light_yields(simulated: Simulated) -> LightYields:
     """All light yields with efficiencies that follow polarisation."""
-    lines = fits[True]
-    nominal = nominal_of(lines)
-    eta_error = largest_eta_deviation(lines)
-    alpha_abs, alpha_scat = p.NOMINAL.alpha_abs_per_cm.value, p.ALPHA_SCAT.value
+    eta_error = largest_eta_deviation([line for line in simulated.lines if line.polarised])
+    nominal = article_campaign(p.NOMINAL.alpha_abs_per_cm.value)
+    fitted = simulated.couplings[True].fit(nominal).parameters[LIGHT_YIELD]
+    parts = fitted.contributions
+    point = simulated.nominal.at(p.ALPHA_SCAT.value)
     air, gel = (
-        _with_errors(coupling.at(alpha_scat, alpha_abs), eta_error)
-        for coupling in simulated.pair(True)
+        Uncertain(eta, {"monte_carlo": sigma}, {"eta": eta * eta_error})
+        for eta, sigma in zip(point.values[:2], point.sigmas[:2], strict=True)
     )
     cawo4 = simulated.cawo4
     signal_air, signal_gel = SIGNALS
     return LightYields(
-        fitted=_fitted_yield(nominal, eta_error),
+        fitted=Uncertain(
+            fitted.value,
+            {"counts": parts["statistical"], "monte_carlo": parts["monte_carlo"]},
+            {
+                "eta": fitted.value * eta_error,
+                "detector_efficiency": parts["detector_efficiency"],
+            },
+        ),
         at_article_point=(absolute_yield(signal_air, air), absolute_yield(signal_gel, gel)),
         relative=relative_yield(
             air,
@@ -79,31 +75,6 @@ def light_yields(simulated: Simulated, fits: Fits) -> LightYields:
             replace(with_eta_error(cawo4.eta), statistical={"monte_carlo": cawo4.eta_sigma}),
         ),
         eta_error=eta_error,
-    )
-
-
-def _with_errors(point: EtaPoint, relative: float) -> Uncertain:
-    """Monte Carlo error as the statistical one, the transmittance's as the systematic one."""
-    return Uncertain(point.eta, {"monte_carlo": point.sigma}, {"eta": point.eta * relative})
-
-
-def _fitted_yield(fit: FittedLine, eta_error: float) -> Uncertain:
-    """Y at our alpha_scat, which is itself found from the two signals.
-
-    With s = d log(eta_air) / d log(R) at the solution, Y = N_air / (epsilon eta_air(R) E)
-    gives d log(Y) = (1 - s) d log(N_air) + s d log(N_gel), from either coupling.
-    """
-    air, gel = SIGNALS
-    ours = absolute_yield(air, _with_errors(fit.air, eta_error))
-    s = fit.air_per_ratio
-    _, monte_carlo = fit.eta_sigma(fit.air)
-    statistical = {
-        "counts, air": (1 - s) * air.statistical_sigma / air.value,
-        "counts, gel": s * gel.statistical_sigma / gel.value,
-        "monte_carlo": monte_carlo / fit.air.eta,
-    }
-    return replace(
-        ours, statistical={name: ours.value * part for name, part in statistical.items()}
     )
 
 
@@ -238,77 +209,12 @@ def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
 # The error budget of Sec. 6.3 by the campaign's fit: one likelihood for all its parts.
 
 
-def article_campaign(alpha_abs_per_cm: float, sigma_per_cm: float | None) -> Campaign:
-    """The article's two readings, with a prior on the absorption; held where sigma is None."""
-    campaign = read_campaign(scene_path("camoo4_campaign.toml"))
-    absorption = replace(
-        campaign.parameters[ALPHA_ABS],
-        start=alpha_abs_per_cm,
-        prior=None if sigma_per_cm is None else alpha_abs_per_cm,
-        prior_sigma=sigma_per_cm,
-        fixed=sigma_per_cm is None,
-    )
-    return replace(campaign, parameters={**campaign.parameters, ALPHA_ABS: absorption})
-
-
-class CouplingsModel:
-    """The article's two readings from its surfaces; a model as `inference.model.Model` has it."""
-
-    def __init__(self, campaign: Campaign, surfaces: Sequence[EtaSurface]) -> None:
-        self.campaign, self._surfaces = campaign, surfaces
-        self.readings = campaign.measurements.readings
-        grid = surfaces[0].grid
-        self.free = free_parameters(
-            campaign,
-            {ALPHA_SCAT: grid.alpha_scat_range_per_cm, ALPHA_ABS: grid.alpha_abs_range_per_cm},
-            "the simulated photons tell about {:g}..{:g} only",
-            "simulate scattering coefficients within min and max",
-        )
-
-    def predict(self, theta: Array, *, check: bool = False, covariance: bool = False) -> Prediction:
-        values = {f.name: float(v) for f, v in zip(self.free, theta, strict=True)}
-        scale = values.pop(SCALE)
-        coefficients = {n: values.get(n, self.campaign.parameters[n].start) for n in COEFFICIENTS}
-        points = [surface.evaluate(**coefficients, check=check) for surface in self._surfaces]
-        eta, sigma = np.array([(point.eta, point.sigma) for point in points]).T
-        # the scale is in no surface's gradient
-        names = [parameter.name for parameter in self.free]
-        slopes = np.array([[point.gradient.get(name, 0.0) for name in names] for point in points])
-        is_scale = np.array([float(name == SCALE) for name in names])
-        return Prediction(
-            scale=scale,
-            eta=eta,
-            eta_slopes=slopes,
-            signal=scale * eta,
-            signal_slopes=scale * slopes + np.outer(eta, is_scale),
-            signal_per_eta=np.full(len(eta), scale),
-            eta_sigma=sigma,
-            interpolation_error=np.zeros(len(eta)),
-            # the couplings have photons of their own
-            eta_errors=np.diag(sigma) if covariance else None,
-        )
-
-    def predict_many(self, thetas: Array) -> Array:
-        return np.array([self.predict(theta).signal for theta in thetas])
-
-
-def fit_article(
-    simulated: Simulated, alpha_abs_per_cm: float, sigma_per_cm: float | None = None
-) -> Calibration:
-    """Fit the article's campaign to its simulations, polarisation followed."""
-    campaign = article_campaign(alpha_abs_per_cm, sigma_per_cm)
-    surfaces = {coupling.n_gap: coupling.surface for coupling in simulated.pair(True)}
-    media = (float(reading.parameters["n_gap"]) for reading in campaign.measurements.readings)
-    model = CouplingsModel(campaign, [surfaces[n_gap] for n_gap in media])
-    return fit_model(model, profile=False)
-
-
 def budget_rows(simulated: Simulated) -> list[ArticleRow]:
     """What makes up the error of the light yield, if Table 1's transmittances are its range."""
     absorptions = [line.alpha_abs_per_cm.value for line in p.TABLE_1]
     sigma = (max(absorptions) - min(absorptions)) / 2
-    fit = fit_article(simulated, p.NOMINAL.alpha_abs_per_cm.value, sigma)
-    light_yield = fit.parameters[LIGHT_YIELD]
+    campaign = article_campaign(p.NOMINAL.alpha_abs_per_cm.value, sigma)
+    light_yield = simulated.couplings[True].fit(campaign).parameters[LIGHT_YIELD]
     percent = {
         name: 100 * part / light_yield.value for name, part in light_yield.contributions.items()
     }
@@ -345,7 +251,7 @@ def left_out(run: Run) -> tuple[Neglected, ...]:
     Parameters as `simulated.simulate_article`.
     """
     photons = max(1, round(_SHARE * run.photons_or(DEFAULT_PHOTONS)))
-    campaign = article_campaign(p.NOMINAL.alpha_abs_per_cm.value, None)
+    campaign = article_campaign(p.NOMINAL.alpha_abs_per_cm.value)
     scene = campaign.scene.with_overrides({"polarization": True})
     work = NeglectWork(
         replace(campaign, scene=scene),

@@ -28,7 +28,7 @@ from mcrim_mitsuba.efficiency.eta_grid import (
     table_of,
 )
 from mcrim_mitsuba.efficiency.proposals import SMALLEST_PER_CM, choose_proposals
-from mcrim_mitsuba.efficiency.surface import Coefficients, EfficiencySurface, EtaPoint
+from mcrim_mitsuba.efficiency.surface import Coefficients, EtaPoint
 from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.runs.executors import Content, Finished, Job, current_executor
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned
@@ -54,14 +54,14 @@ _LEAST_PER_CM = 0.01
 _LAYOUT = 1
 
 
-class EtaSurface(EfficiencySurface):
+class EtaSurface:
     """The light collection efficiency of one configuration over a range of coefficients.
 
     The statistical error is the spread between independent batches of photons.
     """
 
     def __init__(self, grid: Grid, table: EtaGrid) -> None:
-        self.grid, self._table = grid, table
+        self.grid, self.table = grid, table
 
     @classmethod
     def of(cls, grid: Grid, *records: PhotonRecords) -> EtaSurface:
@@ -71,6 +71,7 @@ class EtaSurface(EfficiencySurface):
 
     @property
     def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
+        """Range of alpha_scat in which the surface may be asked."""
         return self.grid.alpha_scat_range_per_cm
 
     def evaluate(
@@ -80,13 +81,18 @@ class EtaSurface(EfficiencySurface):
         *,
         check: bool = True,
     ) -> EtaPoint:
+        """Efficiency, its error and its gradient at one point.
+
+        Raises InputError outside the surface's range, and where its photons say too little; a
+        search that only passes through may do without this `check`.
+        """
         point = alpha_scat_per_cm, alpha_abs_per_cm
         self._refuse_out_of_range(*point)
         place = float(self.grid.place_of_scattering(np.array(alpha_scat_per_cm)))
         across = float(self.grid.place_of_absorption(np.array(alpha_abs_per_cm)))
         scattering, by_scattering = self.grid.scattering.weights(place)
         absorption, by_absorption = self.grid.absorption.weights(across)
-        log_eta = self._table.log_eta
+        log_eta = self.table.log_eta
         eta = math.exp(scattering @ log_eta @ absorption)
         sigma = float(self.relative_sigmas([point])[0])
         if check and not sigma < _LARGEST_ERROR:
@@ -112,6 +118,7 @@ class EtaSurface(EfficiencySurface):
             return None
 
     def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
+        """Monte Carlo covariance of eta at two points, each a value for every parameter."""
         points = [(point[ALPHA_SCAT], point[ALPHA_ABS]) for point in (first, second)]
         batches = self.batches(points)
         products = np.prod(batches - batches.mean(axis=0), axis=1)
@@ -124,7 +131,7 @@ class EtaSurface(EfficiencySurface):
     def batches(self, points: Sequence[Coefficients]) -> NDArray[np.float64]:
         """(batches, points) eta as every batch alone finds it."""
         weights = self._weights(points)
-        flat = self._table.deviations.reshape(len(self._table.deviations), -1)
+        flat = self.table.deviations.reshape(len(self.table.deviations), -1)
         return self._etas_by(weights) * (1.0 + flat @ weights.T)
 
     def relative_sigmas(self, points: Sequence[Coefficients]) -> NDArray[np.float64]:
@@ -138,7 +145,7 @@ class EtaSurface(EfficiencySurface):
 
     def _etas_by(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """(points,) eta by the weights of the nodes."""
-        return np.exp(weights @ self._table.log_eta.ravel())
+        return np.exp(weights @ self.table.log_eta.ravel())
 
     def _refuse_out_of_range(self, *point: float) -> None:
         """Refuse coefficients that were not simulated."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mcrim_mitsuba.effects.effect import EffectParameter
-from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, Grid
+from mcrim_mitsuba.efficiency.eta_grid import EtaGrid, Grid
 from mcrim_mitsuba.efficiency.surface import Cubics, Lagrange
 
 
@@ -209,7 +209,8 @@ def errors_of(deviations: NDArray) -> NDArray[np.float64]:
 
     Their products E E^T are the covariance.
     """
-    return np.asarray(deviations.T, np.float64) / math.sqrt(BATCHES * (BATCHES - 1))
+    batches = len(deviations)
+    return np.asarray(deviations.T, np.float64) / math.sqrt(batches * (batches - 1))
 
 
 def held_at(

@@ -1,6 +1,4 @@
-"""What every surface of eta can be asked, and interpolation between simulations.
-
-Interpolation on a line: weights that turn values at nodes into values between them.
+"""Interpolation on a line: weights that turn values at nodes into values between them.
 
 Polynomials in their barycentric form: J.-P. Berrut and L. N. Trefethen, SIAM Review 46 (2004) 501.
 Through Chebyshev nodes their error falls geometrically for smooth functions (L. N. Trefethen,
@@ -9,9 +7,8 @@ Approximation Theory and Approximation Practice, chapters 2 and 8).
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,13 +104,6 @@ def chebyshev_nodes(low: float, high: float, count: int) -> NDArray[np.float64]:
     return middle - half * np.cos(np.pi * np.arange(count) / max(count - 1, 1))
 
 
-# The light collection efficiency as a function: what all surfaces can be asked, and those in
-# further scene parameters.
-#
-# What cannot be reweighted (an index, the gap's thickness) is simulated at Chebyshev nodes, and log
-# eta is a polynomial between them.
-
-
 #: alpha_scat and alpha_abs, 1/cm.
 Coefficients = tuple[float, float]
 
@@ -130,30 +120,3 @@ class EtaPoint:
     #: Estimated size of the error of interpolating between simulations, not part of
     #: `sigma`; 0 where nothing was interpolated.
     interpolation_error: float = 0.0
-
-
-class EfficiencySurface(ABC):
-    """The light collection efficiency of one configuration as a function of its unknowns."""
-
-    @property
-    @abstractmethod
-    def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
-        """Range of alpha_scat in which the surface may be asked; its lower end is above 0."""
-
-    @abstractmethod
-    def evaluate(
-        self,
-        alpha_scat_per_cm: float,
-        alpha_abs_per_cm: float,
-        *,
-        check: bool = True,
-    ) -> EtaPoint:
-        """Efficiency, its error and its gradient at one point.
-
-        Raises InputError outside the surface's range, and where its photons say too little; a
-        search that only passes through may do without this `check`.
-        """
-
-    @abstractmethod
-    def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
-        """Monte Carlo covariance of eta at two points, each a value for every parameter."""

@@ -20,6 +20,5 @@ The path of a campaign, a module per step:
 - `repair`: the mended campaign and scene, written.
 
 Besides: `budget` (where errors come from, with what the model leaves out: `corrections`, and
-`deposit_shift` for the places where gammas stop), `plan` (what to measure), and `ratio` (the
-article's own method).
+`deposit_shift` for the places where gammas stop), and `plan` (what to measure).
 """

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
-from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint, Lagrange
+from mcrim_mitsuba.efficiency.surface import EtaPoint, Lagrange
 from mcrim_mitsuba.inference.model import (
     Prediction,
     free_parameters,
@@ -90,6 +91,30 @@ def axes_for(ranges: Mapping[str, tuple[float, float]]) -> tuple[InterpolationAx
             raise InputError(f"{name} has the range {low:g}..{high:g}", mend)
     count = _NODES[len(ranges)]
     return tuple(InterpolationAxis(name, low, high, count) for name, (low, high) in ranges.items())
+
+
+class EfficiencySurface(Protocol):
+    """The light collection efficiency of one configuration as a function of its unknowns."""
+
+    @property
+    def alpha_scat_bounds_per_cm(self) -> tuple[float, float]:
+        """Range of alpha_scat in which the surface may be asked; its lower end is above 0."""
+
+    def evaluate(
+        self,
+        alpha_scat_per_cm: float,
+        alpha_abs_per_cm: float,
+        *,
+        check: bool = True,
+    ) -> EtaPoint:
+        """Efficiency, its error and its gradient at one point.
+
+        Raises InputError outside the surface's range, and where its photons say too little; a
+        search that only passes through may do without this `check`.
+        """
+
+    def covariance(self, first: Mapping[str, float], second: Mapping[str, float]) -> float:
+        """Monte Carlo covariance of eta at two points, each a value for every parameter."""
 
 
 class InterpolatedSurface(EfficiencySurface):

@@ -6,19 +6,19 @@ the bench (float64, analytic geometry), whose alpha_scat is good to 0.003 /cm an
 """
 
 import csv
+import dataclasses
 import math
 from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from places import tables_of
 from refusals import refusal
+from scipy import optimize
 
 from mcrim_mitsuba.article import arithmetic, contradiction, simulated, yield_rows
 from mcrim_mitsuba.article import efficiency_rows as table1
 from mcrim_mitsuba.article import published as p
-from mcrim_mitsuba.article import yield_rows as budget_rows
 from mcrim_mitsuba.article.efficiency_rows import position_of_maximum
 from mcrim_mitsuba.article.published import (
     AGREES,
@@ -30,13 +30,13 @@ from mcrim_mitsuba.article.published import (
     printed_range,
 )
 from mcrim_mitsuba.article.reproduce import reproduce_article
+from mcrim_mitsuba.article.simulated import article_campaign
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
-from mcrim_mitsuba.efficiency.eta_surface import record_surface
 from mcrim_mitsuba.efficiency.simulate import collect
-from mcrim_mitsuba.efficiency.surface import EfficiencySurface, EtaPoint
-from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
+from mcrim_mitsuba.inference.corrections import Quantities
+from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.laboratory.error_budget import Uncertain
 from mcrim_mitsuba.optics.slab_transmittance import clear_limit
 from mcrim_mitsuba.scene.scene_file import read_scene
@@ -154,14 +154,14 @@ def test_light_per_face_refuses_three_cones_at_once():
 
 
 def test_scattering_coefficients_agree_with_an_independent_calculation(result):
-    assert len(result.fits) == len(ALPHA_SCAT_REFERENCE)
-    for fit in result.fits:
-        expected = ALPHA_SCAT_REFERENCE[fit.polarised, fit.line.transmittance_percent.value]
-        allowed = 0.012 + 2 * fit.solution.monte_carlo_sigma
-        assert abs(fit.solution.value - expected) < allowed, fit
-        assert fit.solution.monte_carlo_sigma < 0.02
-        # the curve that is solved is the surface itself
-        assert fit.air.eta / fit.gel.eta == pytest.approx(p.RATIO.value, abs=2e-6)
+    assert len(result.lines) == len(ALPHA_SCAT_REFERENCE)
+    for line in result.lines:
+        expected = ALPHA_SCAT_REFERENCE[line.polarised, line.printed.transmittance_percent.value]
+        monte_carlo = line.alpha_scat.contributions["monte_carlo"]
+        assert abs(line.alpha_scat.value - expected) < 0.012 + 2 * monte_carlo, line
+        assert monte_carlo < 0.02
+        air, gel = line.etas
+        assert air / gel == pytest.approx(p.RATIO.value, abs=2e-6)
 
 
 def test_error_of_alpha_scat_is_the_article_s(result):
@@ -267,47 +267,39 @@ def test_what_the_article_leaves_out_has_rows(result):
         assert 0 < row(result.rows, f"error of eta_air by {what}").ours < 0.1
 
 
-def test_table_1_is_a_special_case_of_the_campaigns_fit(scenes):
-    """With the absorption held, two readings fix alpha_scat as their ratio does."""
-    bench = read_scene(scenes / "camoo4.xml")
-    points = [(a_s, a_a) for a_s in (0.1, 2.0) for a_a in (0.014, 0.08)]
-    couplings = []
-    for i, (name, n_gap) in enumerate(simulated.COUPLINGS.items()):
-        coupled, run = bench.with_overrides({"n_gap": n_gap}), Run(300_000, seed=i, check=False)
-        couplings.append(
-            simulated.Coupling(name, True, record_surface(coupled, points, run=run)[0])
-        )
-    pair = SimpleNamespace(pair=lambda polarised: couplings)
-    air, gel = (coupling.surface for coupling in couplings)
+def test_two_readings_fix_scattering_as_their_ratio_does(result):
+    """With the absorption held; R of the two signals is 0.1 % beside the printed one."""
+    couplings = next(line.couplings for line in result.lines if line.polarised)
     for line in p.TABLE_1:
         alpha_abs = line.alpha_abs_per_cm.value
-        fitted = budget_rows.fit_article(pair, alpha_abs)
+        found = couplings.fit(article_campaign(alpha_abs)).parameters[ALPHA_SCAT]
         ratio = p.SIGNAL_AIR.value / p.SIGNAL_GEL.value
-        solution = alpha_scat_from_ratio(air, gel, alpha_abs, ratio, 0.01, (0.1, 1.4))
-        found = fitted.parameters["alpha_scat_per_cm"]
-        assert found.value == pytest.approx(solution.value, rel=1e-3)
+
+        def beyond(alpha_scat, alpha_abs=alpha_abs, ratio=ratio):
+            return couplings.at(alpha_scat, alpha_abs).values[2] - ratio
+
+        assert found.value == pytest.approx(optimize.brentq(beyond, 0.1, 1.4), rel=1e-3)
         assert found.contributions["prior"] == 0
 
 
 def test_statistical_error_of_the_yield_is_that_of_repeated_fits(result):
-    fit = next(f for f in result.fits if f.polarised and f.line == p.NOMINAL)
-    curve = next(c for c in result.ratio_curves if c.polarised and c.line == p.NOMINAL)
-    alpha_abs = p.NOMINAL.alpha_abs_per_cm.value
+    couplings = next(line.couplings for line in result.lines if line.polarised)
+    campaign = article_campaign(p.NOMINAL.alpha_abs_per_cm.value)
 
-    def log_yield(air, gel):
-        ratio = p.RATIO.value * (air / p.SIGNAL_AIR.value) / (gel / p.SIGNAL_GEL.value)
-        surfaces = curve.air.coupling.surface, curve.gel.coupling.surface
-        found = alpha_scat_from_ratio(*surfaces, alpha_abs, ratio, 0.01, (0.1, 2.0))
-        return math.log(air / surfaces[0].evaluate(found.value, alpha_abs).eta)
+    def log_yield(*signals):
+        pairs = zip(campaign.measurements.readings, signals, strict=True)
+        readings = tuple(dataclasses.replace(r, signal=signal) for r, signal in pairs)
+        measured = dataclasses.replace(campaign.measurements, readings=readings)
+        found = couplings.fit(dataclasses.replace(campaign, measurements=measured))
+        return math.log(found.parameters[LIGHT_YIELD].value)
 
     air, gel = p.SIGNAL_AIR, p.SIGNAL_GEL
     moved = math.hypot(
         log_yield(air.value + 0.1, gel.value) - log_yield(air.value - 0.1, gel.value),
         log_yield(air.value, gel.value + 0.2) - log_yield(air.value, gel.value - 0.2),
     )  # the two steps are half of the errors 0.2 and 0.4 to each side
-    _, monte_carlo = fit.eta_sigma(fit.air)
-    expected = math.hypot(moved, monte_carlo / fit.air.eta)
     fitted = result.yields.fitted
+    expected = math.hypot(moved, fitted.statistical["monte_carlo"] / fitted.value)
     assert fitted.statistical_sigma / fitted.value == pytest.approx(expected, rel=0.03)
 
 
@@ -321,36 +313,25 @@ def test_yields_that_disagree_are_called_so():
     assert " agree" in sentence and "1.0 standard errors" in sentence
 
 
-class Hill(EfficiencySurface):
-    """A surface with its maximum at 0.35 /cm and known noise at every point it is asked for."""
-
-    def __init__(self, noise, sigma):
-        self.noise, self.sigma_value = noise, sigma
-
-    @property
-    def alpha_scat_bounds_per_cm(self):
-        return 0.01, 2.0
-
-    def evaluate(self, alpha_scat_per_cm, alpha_abs_per_cm, *, check=True):
-        x = math.log(alpha_scat_per_cm / 0.35)
-        place = table1.PEAK_POINTS_PER_CM.index(alpha_scat_per_cm)
-        eta = 0.43 - 0.015 * x**2 - 0.004 * x**3 + self.noise[place]
-        return EtaPoint(eta, self.sigma_value, {})
-
-    def covariance(self, first, second):
-        # half of the variance is common to all points
-        same = first[ALPHA_SCAT] == second[ALPHA_SCAT]
-        return self.sigma_value**2 * (1.0 if same else 0.5)
+def hill(noise):
+    """Points of a curve with its maximum at 0.35 /cm, and (batches, points) deviations."""
+    x = np.log(np.array(table1.PEAK_POINTS_PER_CM) / 0.35)
+    etas = 0.43 - 0.015 * x**2 - 0.004 * x**3 + noise.mean(axis=0)
+    columns = zip(etas, noise.T - noise.T.mean(axis=1, keepdims=True), strict=True)
+    return [Quantities((), np.array([eta]), of[:, None], np.empty(0)) for eta, of in columns]
 
 
 def test_error_of_the_maximum_is_the_spread_of_repetitions():
-    sigma, points = 1e-4, len(table1.PEAK_POINTS_PER_CM)
-    exact, claimed = position_of_maximum(Hill(np.zeros(points), sigma), 0.039)
+    sigma, points, batches = 1e-4, len(table1.PEAK_POINTS_PER_CM), 32
+    exact, _ = position_of_maximum(hill(np.zeros((batches, points))), 0)
     assert exact == pytest.approx(0.35, rel=1e-9)
     rng = np.random.default_rng(5)
-    noise = sigma * math.sqrt(0.5) * (rng.normal(size=(400, points)) + rng.normal(size=(400, 1)))
-    spread = np.std([position_of_maximum(Hill(n, sigma), 0.039)[0] for n in noise])
-    assert claimed == pytest.approx(spread, rel=0.15)  # 400 draws: 3.5 %
+    # half of the variance is common to all points
+    shape, common = (400, batches, points), (400, batches, 1)
+    noise = sigma * math.sqrt(0.5 * batches) * (rng.normal(size=shape) + rng.normal(size=common))
+    places, claimed = np.transpose([position_of_maximum(hill(of), 0) for of in noise])
+    # 400 draws: 3.5 %
+    assert np.sqrt(np.mean(claimed**2)) == pytest.approx(np.std(places), rel=0.15)
 
 
 def test_rows_come_in_the_article_s_order(result):

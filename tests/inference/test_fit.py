@@ -15,7 +15,7 @@ import pytest
 from formula_surfaces import FormulaSurface, air, couplings, gel, of_index
 from places import cases_of
 from refusals import refusal
-from scipy import stats
+from scipy import optimize, stats
 from trials.surface_model import CampaignModel, InterpolatedSurface, axes_for
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
@@ -27,7 +27,6 @@ from mcrim_mitsuba.efficiency.eta_surface import EtaSurface
 from mcrim_mitsuba.efficiency.proposals import choose_proposals
 from mcrim_mitsuba.inference.drivers import find_minima, minuit
 from mcrim_mitsuba.inference.fit import fit_model
-from mcrim_mitsuba.inference.ratio import alpha_scat_from_ratio
 from mcrim_mitsuba.inference.statistic import ErrorMatrices, Statistic, Weights
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords
@@ -876,56 +875,86 @@ def test_calibration_on_photon_records(campaign):
 # ---- the article's method ---------------------------------------------------------------
 
 
-def test_ratio_inverts():
-    one, two = FormulaSurface(air, 0.003), FormulaSurface(gel, 0.004)
+def fit_ratio(campaign, of_gap, alpha_abs, ratio, ratio_sigma, bounds, inverse=False):
+    """alpha_scat from a ratio of two readings: the second one is taken as exact."""
+    readings = (f"{ratio},{ratio_sigma}", "1.0,1e-4")
+    rows = "label,signal,sigma,n_gap\n" + "".join(
+        f"r{n},{reading},{n}\n"
+        for n, reading in zip((1.46, 1.0) if inverse else (1.0, 1.46), readings, strict=True)
+    )
+    scattering = "[parameters.alpha_scat_per_cm]\nstart = {}\nmin = {}\nmax = {}\n"
+    absorption = f"[parameters.alpha_abs_per_cm]\nstart = {alpha_abs}\nfixed = true\n"
+    text = scattering.format(math.sqrt(math.prod(bounds)) if min(bounds) > 0 else 0.5, *bounds)
+    return fit_campaign(campaign(text + absorption, rows), lambda p: of_gap[p["n_gap"]])
+
+
+def test_ratio_inverts(campaign):
+    of_gap = {1.0: FormulaSurface(air, 0.003), 1.46: FormulaSurface(gel, 0.004)}
     ratio = air(0.3, 0.02) / gel(0.3, 0.02)
-    solution = alpha_scat_from_ratio(one, two, 0.02, ratio, 0.01, (0.01, 2.0))
-    assert solution.value == pytest.approx(0.3, rel=1e-6)
+    found = fit_ratio(campaign, of_gap, 0.02, ratio, 0.01, (0.01, 2.0)).parameters[ALPHA_SCAT]
+    # a fit ends within so much of its error
+    assert found.value == pytest.approx(0.3, abs=2e-4 * found.sigma)
     slope = (air(0.301, 0.02) / gel(0.301, 0.02) - air(0.299, 0.02) / gel(0.299, 0.02)) / 0.002
-    assert solution.statistical_sigma == pytest.approx(0.01 / slope, rel=1e-4)
-    assert solution.monte_carlo_sigma == pytest.approx(0.005 * ratio / slope, rel=1e-4)
-    for end, sign in ((solution.lower, -1), (solution.upper, 1)):
-        assert air(end, 0.02) / gel(end, 0.02) == pytest.approx(ratio + sign * 0.01, rel=1e-6)
-    # the inverse ratio falls: the same ends, and None where the bounds come first
-    falling = alpha_scat_from_ratio(two, one, 0.02, 1 / ratio, 0.01 / ratio**2, (0.29, 2.0))
-    assert falling.value == pytest.approx(0.3, rel=1e-6)
-    assert falling.lower is None
-    assert falling.upper == pytest.approx(solution.upper, rel=0.02)
+    assert found.contributions["statistical"] == pytest.approx(0.01 / slope, rel=1e-4)
+    assert found.contributions["monte_carlo"] == pytest.approx(0.005 * ratio / slope, rel=1e-4)
+    exact = {1.0: FormulaSurface(air), 1.46: FormulaSurface(gel)}
+    found = fit_ratio(campaign, exact, 0.02, ratio, 0.01, (0.01, 2.0)).parameters[ALPHA_SCAT]
+    for end, sign in ((found.lower, -1), (found.upper, 1)):
+        assert air(end, 0.02) / gel(end, 0.02) == pytest.approx(ratio + sign * 0.01, rel=1e-5)
+    # the inverse ratio falls: the same ends, and the bound where it comes first
+    inverse = 1 / ratio, 0.01 / ratio**2
+    fit = fit_ratio(campaign, exact, 0.02, *inverse, (0.29, 2.0), inverse=True)
+    falling = fit.parameters[ALPHA_SCAT]
+    assert falling.value == pytest.approx(0.3, abs=2e-4 * falling.sigma)
+    assert falling.lower == 0.29
+    assert f"the interval of {ALPHA_SCAT} is cut off at the bound min = 0.29" in fit.notes
+    assert falling.upper == pytest.approx(found.upper, rel=0.02)
 
 
-def test_ratio_agrees_with_the_fit(campaign):
+def test_two_readings_are_their_ratio(campaign):
     held = "[parameters.alpha_abs_per_cm]\nstart = 0.039\nfixed = true\n"
     fit = fit_campaign(campaign(ALPHA + held), couplings(0.002)).parameters[ALPHA_SCAT]
     ratio = 14.3 / 24.5
     sigma = ratio * math.hypot(0.2 / 14.3, 0.4 / 24.5)
-    surfaces = FormulaSurface(air, 0.002), FormulaSurface(gel, 0.002)
-    solution = alpha_scat_from_ratio(*surfaces, 0.039, ratio, sigma, (0.01, 2.0))
-    assert fit.value == pytest.approx(solution.value, rel=1e-4)
-    assert fit.contributions["statistical"] == pytest.approx(solution.statistical_sigma, rel=1e-3)
-    assert fit.contributions["monte_carlo"] == pytest.approx(solution.monte_carlo_sigma, rel=1e-3)
+
+    def beyond(a_s):
+        return air(a_s, 0.039) / gel(a_s, 0.039) - ratio
+
+    solution = optimize.brentq(beyond, 0.01, 2.0)
+    slope = (beyond(solution + 1e-4) - beyond(solution - 1e-4)) / 2e-4
+    assert fit.value == pytest.approx(solution, rel=1e-4)
+    assert fit.contributions["statistical"] == pytest.approx(sigma / slope, rel=1e-3)
+    monte_carlo = ratio * math.hypot(0.002, 0.002) / slope
+    assert fit.contributions["monte_carlo"] == pytest.approx(monte_carlo, rel=1e-3)
 
 
-def test_ratio_refusals():
-    surfaces = FormulaSurface(air), FormulaSurface(gel)
-    with pytest.raises(InputError, match=r"the ratio 0.9: the model reaches 0\.3\d+\.\.0\.\d+"):
-        alpha_scat_from_ratio(*surfaces, 0.02, 0.9, 0.01, (0.01, 2.0))
-    refused = refusal(alpha_scat_from_ratio, *surfaces, 0.02, 0.5, 0.01, (0.0, 2.0))
-    assert "two finite bounds above 0" in refused
+def test_what_a_ratio_does_not_tell_is_said(campaign):
+    of_gap = {1.0: FormulaSurface(air), 1.46: FormulaSurface(gel)}
+    fit = fit_ratio(campaign, of_gap, 0.02, 0.9, 0.01, (0.01, 2.0))
+    expected = "alpha_scat_per_cm ended at its bound max = 2; the readings ask for more scattering"
+    assert fit.notes[0].startswith(expected)
+    refused = refusal(fit_ratio, campaign, of_gap, 0.02, 0.5, 0.01, (2.0, 0.0))
+    assert "min" in refused and "max" in refused
     # gel alone rises and falls
-    flat = FormulaSurface(lambda a_s, a_a: 0.5)
-    with pytest.raises(InputError, match=r"2 values of alpha_scat .*: 0\.3, "):
-        alpha_scat_from_ratio(surfaces[1], flat, 0.0, gel(0.3, 0.0) / 0.5, 0.001, (0.01, 10.0))
+    flat = {1.0: FormulaSurface(gel), 1.46: FormulaSurface(lambda a_s, a_a: 0.5)}
+    fit = fit_ratio(campaign, flat, 0.0, gel(0.3, 0.0) / 0.5, 0.001, (0.01, 10.0))
+    places = [
+        fit.values[ALPHA_SCAT],
+        float(fit.notes[0].split("alpha_scat_per_cm = ")[1].split(",")[0]),
+    ]
+    assert fit.notes[0].startswith("a second solution, chi2 0.00 higher")
+    assert min(places) == pytest.approx(0.3, rel=1e-3) and max(places) > 1.0
 
 
-def test_ratio_leaves_out_what_the_simulation_does_not_know():
+def test_ratio_leaves_out_what_the_simulation_does_not_know(campaign):
     surface = EtaSurface.of(GRID, toy_records(np.random.default_rng(9)))
-    one = FormulaSurface(lambda a_s, a_a: 0.5)
+    of_gap = {1.0: surface, 1.46: FormulaSurface(lambda a_s, a_a: 0.5)}
     ratio = surface.evaluate(0.6, 0.02).eta / 0.5
     # at 0.001 the records say nothing
-    solution = alpha_scat_from_ratio(surface, one, 0.02, ratio, 0.01, (0.001, 1.0))
-    assert solution.value == pytest.approx(0.6, rel=1e-6)
-    bounds = (0.0001, 0.001)
-    assert "outside" in refusal(alpha_scat_from_ratio, surface, one, 0.02, ratio, 0.01, bounds)
+    fit = fit_ratio(campaign, of_gap, 0.02, ratio, 0.01, (0.001, 1.0))
+    assert fit.values[ALPHA_SCAT] == pytest.approx(0.6, rel=1e-6)
+    told = refusal(fit_ratio, campaign, of_gap, 0.02, ratio, 0.01, (0.0001, 0.001))
+    assert "the simulated photons tell about" in told
 
 
 class Kinked:
