@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     import xarray
 
     from mcrim_mitsuba.transport.arrivals import DetectorPlane
+    from mcrim_mitsuba.transport.launch_plan import FateTally
+    from mcrim_mitsuba.transport.loop import Launch
     from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Photons of `follow_light` unless asked otherwise.
@@ -73,32 +75,32 @@ class Binned:
 
 
 class Bins:
-    """Weight in bins, with its spread between batches, over launches: see `FateTally`."""
+    """Weight in bins along axes, with its spread between batches, over launches: see `FateTally`.
 
-    def __init__(self, bins: int) -> None:
-        self._bins = bins
-        self._sums, self._squares = np.zeros(bins), np.zeros(bins)
+    Every axis has (bins + 1,) evenly rising edges.
+    """
 
-    def add(
-        self,
-        cells: NDArray[np.int64],
-        weight: Array,
-        batch: NDArray[np.int64],
-        photons_per_batch: NDArray[np.int64],
-    ) -> None:
-        """Take in a launch's detected photons."""
-        batches = len(photons_per_batch)
-        sums = np.bincount(batch * self._bins + cells, weight, batches * self._bins)
-        sums = sums.reshape(batches, self._bins)
+    def __init__(self, *edges: Array) -> None:
+        self._edges, self._shape = edges, tuple(len(along) - 1 for along in edges)
+        self._sums, self._squares = np.zeros(self._shape), np.zeros(self._shape)
+
+    def add(self, launch: Launch, *values: Array) -> None:
+        """Take in a launch's detected photons, by their (detected,) values along the axes."""
+        records, photons = launch.records, launch.photons_per_batch
+        shape = len(photons), *self._shape
+        places = (bin_of(along, edges) for along, edges in zip(values, self._edges, strict=True))
+        cells = np.ravel_multi_index((records["batch"].astype(np.int64), *places), shape)
+        sums = np.bincount(cells, records["w"].astype(float), math.prod(shape)).reshape(shape)
         self._sums += sums.sum(axis=0)
-        self._squares += (np.square(sums) / photons_per_batch[:, None]).sum(axis=0)
+        self._squares += (np.square(sums).T / photons).T.sum(axis=0)
 
-    def binned(self, size: Array, photons: int, batches: int) -> Binned:
-        """Light of all launches in the bins; `size` gives their shape."""
+    def binned(self, size: Array, tally: FateTally) -> Binned:
+        """Light of all launches in the bins, which cover so much."""
+        photons, batches = tally.photons, tally.batches
         spread = np.maximum(self._squares - np.square(self._sums) / photons, 0.0)
         sigma = np.sqrt(spread / max(batches - 1, 1) / photons)
         sigma = np.where((self._sums == 0.0) | (batches < 2), 1.0 / photons, sigma)
-        return Binned((self._sums / photons).reshape(size.shape), sigma.reshape(size.shape), size)
+        return Binned(self._sums / photons, sigma, size)
 
 
 def bin_of(values: Array, edges: Array) -> NDArray[np.int64]:
@@ -156,19 +158,13 @@ def follow_light(simulation: Simulation, *, run: Run = Run()) -> Light:
     x_edges, y_edges = (np.linspace(-h, h, n + 1) for h, n in zip(half, cells, strict=True))
     radius_edges = np.linspace(0.0, float(np.linalg.norm(half)), RINGS + 1)
     angle_edges = np.arange(0.0, 90.0 + ANGLE_BIN_DEG / 2, ANGLE_BIN_DEG)
-    on_map, on_rings, at_angles = (
-        Bins(bins) for bins in (cells.prod(), RINGS, len(angle_edges) - 1)
-    )
+    on_map, on_rings, at_angles = Bins(y_edges, x_edges), Bins(radius_edges), Bins(angle_edges)
     for launch, tally, place in arrivals.arrivals(simulation, photons, seed=run.seed):
         x, y = plane.coordinates(place).T
-        column, row = bin_of(x, x_edges), bin_of(y, y_edges)
-        weight, angle = (launch.records[n].astype(float) for n in ("w", "arrival_angle_deg"))
-        rest = weight, launch.records["batch"].astype(np.int64), launch.photons_per_batch
-        on_map.add(row * cells[0] + column, *rest)
-        on_rings.add(bin_of(np.hypot(x, y), radius_edges), *rest)
-        at_angles.add(bin_of(angle, angle_edges), *rest)
+        on_map.add(launch, y, x)
+        on_rings.add(launch, np.hypot(x, y))
+        at_angles.add(launch, launch.records["arrival_angle_deg"].astype(float))
         run.tell("following the light", min(tally.photons, photons), photons)
-    so_many = tally.photons, tally.batches
     interfaces = interfaces_of(simulation.file, model)
     return Light(
         eta=tally.eta,
@@ -177,11 +173,11 @@ def follow_light(simulation: Simulation, *, run: Run = Run()) -> Light:
         budget_sigma=tally.budget_sigma,
         x_edges_mm=x_edges,
         y_edges_mm=y_edges,
-        map=on_map.binned(plane.cell_areas(x_edges, y_edges), *so_many),
+        map=on_map.binned(plane.cell_areas(x_edges, y_edges), tally),
         radius_edges_mm=radius_edges,
-        radius=on_rings.binned(plane.ring_areas(radius_edges), *so_many),
+        radius=on_rings.binned(plane.ring_areas(radius_edges), tally),
         angle_edges_deg=angle_edges,
-        angle=at_angles.binned(np.diff(angle_edges), *so_many),
+        angle=at_angles.binned(np.diff(angle_edges), tally),
         largest_angle_deg=arrivals.largest_angle_deg(model, interfaces, plane),
         crystal_mm=arrivals.outline_of(model, simulation.crystal.volume, plane),
         masks_mm=arrivals.masks_of(model, plane),
@@ -352,14 +348,11 @@ def map_eta(simulation: Simulation, cells: Sequence[int] = CELLS, *, run: Run = 
         problem = f"{photons:,} photons are {photons / number:.3g} in each of {number:,} cells"
         raise InputError(problem, f"follow {_FEWEST_PER_CELL * number:,} at least")
     inside = simulation.crystal.part_inside(edges)
-    bins = Bins(number)
+    bins = Bins(*edges)
     for launch, tally, place in arrivals.births(simulation, photons, seed=run.seed):
-        cell = [bin_of(x, e) for x, e in zip(place.T, edges, strict=True)]
-        weight, batch = launch.records["w"].astype(float), launch.records["batch"].astype(np.int64)
-        cell_number = np.ravel_multi_index(cell, inside.shape)
-        bins.add(cell_number, weight, batch, launch.photons_per_batch)
+        bins.add(launch, *place.T)
         run.tell("mapping births", min(tally.photons, photons), photons)
-    light = bins.binned(inside, tally.photons, tally.batches)
+    light = bins.binned(inside, tally)
     born = inside * simulation.crystal.birth_density(edges)
     # births are even enough over cells that a detected photon says where light was born, too
     with np.errstate(invalid="ignore"):

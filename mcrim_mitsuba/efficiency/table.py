@@ -28,7 +28,6 @@ from mcrim_mitsuba.efficiency.eta_surface import (
     MOST_PHOTONS,
     EtaRequest,
     EtaRun,
-    EtaSurface,
     record_surfaces,
 )
 from mcrim_mitsuba.efficiency.proposals import SMALLEST_PER_CM
@@ -143,9 +142,8 @@ def eta_table(
     grid = TableGrid.of(file, axes)
     precision = run.precision
     run = replace(run, photons=run.photons_or(MOST_PHOTONS if precision else DEFAULT_PHOTONS))
-    answers = _answer_all(file, grid, run)
-    values = np.array([answers[key].values[p] for key in grid.configurations for p in grid.points])
-    work = [part for answer in answers.values() for part in answer.work]
+    answers, work, notes = _answer_all(file, grid, run)
+    values = np.array([answers[key, p] for key in grid.configurations for p in grid.points])
     table = EtaTable(
         axes=grid.axes,
         eta=values[:, 0].reshape(grid.shape),
@@ -156,14 +154,13 @@ def eta_table(
         parameters=dict(file.parameters),
         scene_hash=file.content_hash,
         # what goes wrong with the cache goes wrong every time
-        notes=tuple(dict.fromkeys(n for answer in answers.values() for n in answer.notes)),
+        notes=tuple(dict.fromkeys(notes)),
     )
     notes = []
     if alone := [part.photons for part in work if isinstance(part, SimulationResult)]:
-        points = len(answers) * len(dict.fromkeys(grid.points))
         notes.append(
-            f"{len(alone)} of {points} points, about which photon records say too little, were "
-            f"simulated on their own: {sum(alone):,} of {table.photons:,} photons"
+            f"{len(alone)} of {len(answers)} points, about which photon records say too little, "
+            f"were simulated on their own: {sum(alone):,} of {table.photons:,} photons"
         )
     worst = table.largest_relative_sigma
     if precision and worst > 1.2 * precision:
@@ -215,93 +212,67 @@ class TableGrid:
         return tuple(map(len, self.axes.values()))
 
 
-@dataclass(frozen=True)
-class _Answer:
-    """Eta of one configuration at all points, and what was simulated for it."""
-
-    #: Eta and its error by point.
-    values: dict[Coefficients, tuple[float, float]]
-    work: tuple[EtaRun | SimulationResult, ...]
-    notes: tuple[str, ...]
+#: Values of a configuration's parameters, and coefficients there.
+_Place = tuple[tuple[Value, ...], Coefficients]
 
 
-def _answer_all(file: SceneFile, grid: TableGrid, run: Run) -> dict[tuple[Value, ...], _Answer]:
-    """Answers by configuration: the records of all are simulated together."""
+def _answer_all(
+    file: SceneFile, grid: TableGrid, run: Run
+) -> tuple[dict[_Place, tuple[float, float]], list[EtaRun | SimulationResult], list[str]]:
+    """Eta and its error at all places, what was simulated for them, and notes.
+
+    From photon records, of all configurations together, where these tell enough; else a point is
+    simulated alone.
+    """
     points = list(dict.fromkeys(grid.points))
-    configurations = {
-        key: Configuration.of(file, dict(zip(grid.outer, key, strict=True)))
-        for key in dict.fromkeys(grid.configurations)
-    }
     # no scattering at all is far from any other on a logarithmic scale
     groups = {
         "": [point for point in points if point[0] >= SMALLEST_PER_CM],
         ", without scattering": [point for point in points if point[0] == 0.0],
     }
+    benches = {}
+    for key in dict.fromkeys(grid.configurations):
+        values = dict(zip(grid.outer, key, strict=True))
+        words = (
+            f"{n} = {v:g}" if isinstance(v, float) else f"{n} = {v}" for n, v in values.items()
+        )
+        bench = file.with_overrides(values)
+        benches[key] = bench, ", ".join(words) or bench.path.name
     wishes = [
-        (key, EtaRequest(f"{configuration.name}{words}", configuration.file, group, run))
-        for key, configuration in configurations.items()
+        (key, EtaRequest(f"{name}{words}", bench, group, run))
+        for key, (bench, name) in benches.items()
         for words, group in groups.items()
         if group
     ]
     recorded = record_surfaces([wish for _, wish in wishes])
-    of_configuration: dict[tuple[Value, ...], list[tuple[EtaSurface, EtaRun]]] = {}
-    for (key, _), pair in zip(wishes, recorded, strict=True):
-        of_configuration.setdefault(key, []).append(pair)
-    return {
-        key: configuration.answer(points, of_configuration.get(key, []), run)
-        for key, configuration in configurations.items()
-    }
+    work: list[EtaRun | SimulationResult] = [behind for _, behind in recorded]
+    notes = [note for _, behind in recorded for note in behind.notes]
+    answers = {}
+    for (key, wish), (surface, _) in zip(wishes, recorded, strict=True):
+        for point in wish.points:
+            if (answer := surface.answer(point)) is not None:
+                answers[key, point] = answer.eta, answer.sigma
+    for (key, (bench, name)), point in itertools.product(benches.items(), points):
+        if (key, point) not in answers:
+            result = _simulate(bench, name, point, run)
+            answers[key, point] = result.eta, result.eta_sigma
+            work.append(result)
+            a_s, a_a = point
+            place = f"{name}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
+            notes += [f"{place}: {note}" for note in result.notes]
+    return answers, work, notes
 
 
-@dataclass(frozen=True)
-class Configuration:
-    """The bench of a scene with the values of some parameters."""
+def _simulate(bench: SceneFile, name: str, point: Coefficients, run: Run) -> SimulationResult:
+    """One point alone."""
+    from mcrim_mitsuba.transport.simulation import Simulation
 
-    file: SceneFile
-    #: These values in words; the scene's name where there are none.
-    name: str
-
-    @classmethod
-    def of(cls, file: SceneFile, values: Mapping[str, Value]) -> Configuration:
-        """A scene with other values of parameters."""
-        words = (
-            f"{n} = {v:g}" if isinstance(v, float) else f"{n} = {v}" for n, v in values.items()
-        )
-        return cls(file.with_overrides(values), ", ".join(words) or file.path.name)
-
-    def answer(
-        self,
-        points: list[Coefficients],
-        recorded: Sequence[tuple[EtaSurface, EtaRun]],
-        run: Run,
-    ) -> _Answer:
-        """Eta at the points: from photon records where these tell enough, else simulated alone."""
-        work: list[EtaRun | SimulationResult] = [behind for _, behind in recorded]
-        notes = [note for _, behind in recorded for note in behind.notes]
-        values = {}
-        for point in points:
-            answers = (surface.answer(point) for surface, _ in recorded)
-            answer = next((eta_point for eta_point in answers if eta_point), None)
-            if answer is None:
-                result = self._simulate(point, run)
-                values[point] = result.eta, result.eta_sigma
-                work.append(result)
-                a_s, a_a = point
-                place = f"{self.name}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
-                notes += [f"{place}: {note}" for note in result.notes]
-            else:
-                values[point] = answer.eta, answer.sigma
-        return _Answer(values, tuple(work), tuple(notes))
-
-    def _simulate(self, point: Coefficients, run: Run) -> SimulationResult:
-        from mcrim_mitsuba.transport.simulation import Simulation
-
-        coefficients = dict(zip(COEFFICIENTS, point, strict=True))
-        simulation = Simulation(self.file, coefficients, variant=run.variant, threads=run.threads)
-        result = collect(simulation, run=run, what=self.name)
-        if result.interrupted:
-            raise KeyboardInterrupt  # one point cut short is no table
-        return result
+    coefficients = dict(zip(COEFFICIENTS, point, strict=True))
+    simulation = Simulation(bench, coefficients, variant=run.variant, threads=run.threads)
+    result = collect(simulation, run=run, what=name)
+    if result.interrupted:
+        raise KeyboardInterrupt  # one point cut short is no table
+    return result
 
 
 def _values_as_in(file: SceneFile, name: str, values: Sequence[Value]) -> tuple[Value, ...]:
