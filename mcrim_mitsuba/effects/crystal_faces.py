@@ -358,14 +358,14 @@ def edit_edge_chamfer(editor: SceneEditor) -> None:
     bubble = [part for name in ("cut", "index") if (part := sides[0].named(name)) is not None]
     rim = "".join(f"\n  {editor.source(part)}" for part in bubble)
     editor.insert_after(
-        max(faces, key=lambda face: face.start),
+        max(faces, key=editor.shapes.index),
         f"""<!-- The twelve bevelled edges -->
 <shape type="chamfers" id="crystal_chamfers">
   <float name="width" value="$crystal_width_mm"/>
   <float name="height" value="$crystal_height_mm"/>
   <float name="leg" value="$chamfer_mm"/>
   {crystal_to_air}
-  <ref name="interior" id="{editor.crystal.attributes["id"]}"/>
+  <ref name="interior" id="{editor.crystal.attrib["id"]}"/>
 </shape>
 
 <!-- The rim of the gap that the crystal no longer covers -->
@@ -373,7 +373,7 @@ def edit_edge_chamfer(editor: SceneEditor) -> None:
   <float name="outer_width" value="$crystal_width_mm"/>
   <float name="rim" value="$chamfer_mm"/>{rim}
   {gap_to_air}
-  <ref name="interior" id="{editor.gap.attributes["id"]}"/>
+  <ref name="interior" id="{editor.gap.attrib["id"]}"/>
 </shape>""",
     )
 

@@ -38,11 +38,10 @@ def edit_gap_index(editor: SceneEditor) -> None:
     """Add the offset to every face that has the gap's index."""
     borders = [
         (bsdf, offset)
-        for bsdf in editor.root.walk()
+        for bsdf in editor.root.iter("bsdf")
         for index, offset in _OFFSETS.items()
-        if bsdf.tag == "bsdf"
-        and bsdf.type in INTERFACES
-        and bsdf.child("float", name=index, value="$n_gap") is not None
+        if bsdf.type in INTERFACES
+        and bsdf.find(f"float[@name='{index}'][@value='$n_gap']") is not None
     ]
     for bsdf, offset in borders:
         polish(editor, bsdf, offset, "$gap_index_offset")
@@ -258,7 +257,7 @@ def edit_round_bubble(editor: SceneEditor) -> None:
         WIDTH,
         *([editor.source(offset)] if offset is not None else []),
         worn_towards_air(editor, sides, "the gap's sides"),
-        f'<ref name="interior" id="{editor.gap.attributes["id"]}"/>',
+        f'<ref name="interior" id="{editor.gap.attrib["id"]}"/>',
     ]
     xml = element('shape type="round_wall" id="bubble_wall"', parts)
     editor.insert_shape(f"<!-- the wall of the bubble -->\n{xml}", after=sides[-1])
@@ -337,9 +336,9 @@ def _interface(editor: SceneEditor, bottom: Node, side: Node) -> str:
     if below is None or beside is None or not {below, beside} <= set(editor.crystal_polish):
         problem = f"{bottom.label} or {side.label} does not wear a dielectric"
         raise editor.refusal(problem, "only faces of plain polish can be changed", bottom)
-    name = _WET + "_side" * beside.attributes.get("id", "").endswith("_side")
+    name = _WET + "_side" * beside.get("id", "").endswith("_side")
     editor.refuse_id(name)
-    kept = [part for part in below.elements if part.attributes.get("name") != _ROUGH]
+    kept = [part for part in below.elements if part.get("name") != _ROUGH]
     parts = [editor.source(part) for part in [*kept, beside.named(_ROUGH)] if part is not None]
     plugin = "polish" if len(parts) > 2 else "dielectric"
     editor.insert_after(below, element(f'bsdf type="{plugin}" id="{name}"', parts))
@@ -348,7 +347,7 @@ def _interface(editor: SceneEditor, bottom: Node, side: Node) -> str:
 
 def _split(editor: SceneEditor, face: Node, wet: str) -> None:
     """Leave the wet part out of a side and make it a face of its own, towards the liquid."""
-    name = f"{face.attributes['id']}_wet"
+    name = f"{face.attrib['id']}_wet"
     editor.refuse_id(name)
     make_panel(editor, face, _LEVEL.format("above", INDEX_OF_PART))
     trim, transform = face.named("trim"), face.named("to_world")
@@ -358,7 +357,7 @@ def _split(editor: SceneEditor, face: Node, wet: str) -> None:
         *_LEVEL.format("below", INDEX_OF_PART).split("\n"),
         editor.source(transform),
         f'<ref id="{wet}"/>',
-        f'<ref name="interior" id="{editor.crystal.attributes["id"]}"/>',
+        f'<ref name="interior" id="{editor.crystal.attrib["id"]}"/>',
         f'<ref name="exterior" id="{_LIQUID}"/>',
     ]
     editor.insert_after(face, element(f'shape type="panel" id="{name}"', parts))

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
-from lxml import etree
 
 from mcrim_mitsuba.core.errors import said_by
 from mcrim_mitsuba.core.numbers import Value, parse_number
@@ -74,7 +73,7 @@ def set_detector(editor: SceneEditor, name: str, value: str, *, sends_back: bool
     """
     set_part(editor, editor.detectors, name, f'<float name="{name}" value="{value}"/>')
     for shape in editor.shapes if sends_back else ():
-        if any(part in editor.detectors for part in shape.walk()):
+        if any(part in editor.detectors for part in shape.iter()):
             editor.reword(shape, "window, black", "window")
 
 
@@ -96,7 +95,7 @@ def set_part(editor: SceneEditor, bsdfs: Iterable[Node], name: str, xml: str) ->
             what = "detector" if bsdf in editor.detectors else "mask"
             problem = f"the {what} has its {name} already"
             raise editor.refusal(problem, "change this number instead", part)
-        numbers = [part for part in bsdf.elements if "name" in part.attributes]
+        numbers = [part for part in bsdf.elements if "name" in part.attrib]
         if numbers:
             editor.insert_after(numbers[-1], xml)
         else:
@@ -116,13 +115,13 @@ def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
     What the plugin ``polish`` does not know is refused.
     """
     for index in INDICES:
-        if bsdf.child("float", name=index) is None:
+        if bsdf.find(f"float[@name='{index}']") is None:
             problem = f"{bsdf.label} gives no number for {index}"
             raise editor.refusal(problem, f'write <float name="{index}" value="..."/>', bsdf)
     for part in bsdf.elements:
-        if part.attributes.get("name") not in INDICES + _FURTHER:
+        if part.get("name") not in INDICES + _FURTHER:
             raise editor.refusal(
-                f"{bsdf.label} has {part.attributes.get('name', part.tag)}, which an interface "
+                f"{bsdf.label} has {part.get('name', part.tag)}, which an interface "
                 "with real polish has not",
                 "remove it",
                 part,
@@ -153,7 +152,7 @@ def roughen(editor: SceneEditor, side: str, alpha: str) -> None:
     copies: dict[Node, str] = {}
     for face in faces:
         bsdf = editor.bsdf(face)
-        if bsdf is None or bsdf not in editor.crystal_polish or "id" not in bsdf.attributes:
+        if bsdf is None or bsdf not in editor.crystal_polish or "id" not in bsdf.attrib:
             raise editor.refusal(
                 f"{face.label} does not wear a dielectric with an id",
                 "only faces of plain polish can be changed",
@@ -162,7 +161,7 @@ def roughen(editor: SceneEditor, side: str, alpha: str) -> None:
         if bsdf not in copies:
             copies[bsdf] = rough_copy(editor, bsdf, side, f"${alpha}")
         for ref in face.elements:
-            if ref.tag == "ref" and editor.by_id.get(ref.attributes["id"]) is bsdf:
+            if ref.tag == "ref" and editor.by_id.get(ref.attrib["id"]) is bsdf:
                 editor.set_attribute(ref, "id", copies[bsdf])
     for bsdf in copies:
         # what no face wears any more
@@ -194,7 +193,7 @@ def _faces_of_any_form(editor: SceneEditor, side: str) -> list[Node]:
 
 def rough_copy(editor: SceneEditor, bsdf: Node, side: str, alpha: str) -> str:
     """Id of a copy of an interface, put beside it, with the facets of a side of the crystal."""
-    name = f"{bsdf.attributes['id']}_{side}"
+    name = f"{bsdf.attrib['id']}_{side}"
     editor.refuse_id(name)
     parts = [editor.source(part) for part in bsdf.elements]
     parts.append(f'<float name="roughness_alpha" value="{alpha}"/>')
@@ -285,7 +284,7 @@ def change_gap_sides(editor: SceneEditor, numbers: str) -> None:
         f'<float name="thickness" value="${GAP}"/>',
         numbers,
         worn_towards_air(editor, [first], "the gap's sides"),
-        f'<ref name="interior" id="{editor.gap.attributes["id"]}"/>',
+        f'<ref name="interior" id="{editor.gap.attrib["id"]}"/>',
     ]
     editor.replace(first, element('shape type="gap_sides" id="gap_sides"', parts))
     for other in others:
@@ -321,12 +320,12 @@ def part_gap(editor: SceneEditor, cut: str, liquid: str, air: str) -> None:
     sides = [face for name, faces in box.items() if name != "bottom" for face in faces]
     to_air = worn_towards_air(editor, sides, "the crystal's other faces")
     worn = editor.bsdf(bottom)
-    if worn is not None and worn.attributes.get("id", "").endswith("_bottom"):
+    if worn is not None and worn.get("id", "").endswith("_bottom"):
         # what is rough under the liquid is rough under the bubble
         smooth = editor.by_id[to_air.split('"')[1]]
         alpha = worn.named("roughness_alpha")
         assert alpha is not None  # `rough_copy` made it
-        copy = rough_copy(editor, smooth, "bottom", alpha.attributes["value"])
+        copy = rough_copy(editor, smooth, "bottom", alpha.attrib["value"])
         to_air = f'<ref id="{copy}"/>'
     beside = [s for s in editor.shapes if s.type == "frame" and editor.window in editor.media(s)]
     window_to_air = worn_towards_air(editor, beside, "the window's entrance face")
@@ -344,7 +343,7 @@ def part_gap(editor: SceneEditor, cut: str, liquid: str, air: str) -> None:
             *(number.format(air) for number in numbers),
             editor.source(transform),
             bsdf,
-            f'<ref name="interior" id="{interior.attributes["id"]}"/>',
+            f'<ref name="interior" id="{interior.attrib["id"]}"/>',
         ]
         xml = element(f'shape type="panel" id="{name}"', parts)
         editor.insert_after(face, f"<!-- the part of it that lies on the air bubble -->\n{xml}")
@@ -353,13 +352,13 @@ def part_gap(editor: SceneEditor, cut: str, liquid: str, air: str) -> None:
 def worn_towards_air(editor: SceneEditor, shapes: list[Node], what: str) -> str:
     """``<ref>`` to the smoothest bsdf that faces with nothing in front of them wear, with an id."""
     worn = [editor.bsdf(s) for s in shapes if editor.medium(s, "exterior") is None]
-    named = [b for b in worn if b and "id" in b.attributes and b.parent is editor.root]
+    named = [b for b in worn if b is not None and "id" in b.attrib and b.getparent() is editor.root]
     if not named:
         problem = f"no bsdf with an id is worn by {what} towards air"
         raise editor.refusal(problem, "give it an id at the top level")
     # roughness of some faces is theirs alone
     chosen = min(named, key=lambda bsdf: bsdf.named("roughness_alpha") is not None)
-    return f'<ref id="{chosen.attributes["id"]}"/>'
+    return f'<ref id="{chosen.attrib["id"]}"/>'
 
 
 def _sides(
@@ -392,9 +391,7 @@ def _sides(
     return sides
 
 
-def _covered(
-    shape: etree._Element, names: Iterable[str], half: float, low: float, high: float
-) -> set[str]:
+def _covered(shape: Node, names: Iterable[str], half: float, low: float, high: float) -> set[str]:
     """Which sides of the box a rectangle covers, its normal outwards: one, or none."""
     corners = _corners(shape)
     if corners is None:
@@ -414,7 +411,7 @@ def _covered(
 
 def _two_states(
     editor: SceneEditor,
-) -> Iterator[tuple[dict[str, Value], dict[Node, etree._Element]]]:
+) -> Iterator[tuple[dict[str, Value], dict[Node, Node]]]:
     """Parameters and elements of the scene, and the same with everything stretched."""
     as_written = editor.scene.parameters
     stretched: dict[str, Value] = {
@@ -436,7 +433,7 @@ def _own_x_is_right(editor: SceneEditor, node: Node) -> bool:
     return bool(along[0] > 0.5 * np.linalg.norm(along))
 
 
-def _corners(shape: etree._Element) -> np.ndarray | None:
+def _corners(shape: Node) -> np.ndarray | None:
     """Corners (4, 3) of a rectangle, mm, against the clock seen from its front."""
     transform = shape.find("transform")
     matrix = np.eye(4) if transform is None else _matrix(transform)
@@ -446,7 +443,7 @@ def _corners(shape: etree._Element) -> np.ndarray | None:
     return (corners @ matrix.T)[:, :3]
 
 
-def _matrix(transform: etree._Element) -> np.ndarray | None:
+def _matrix(transform: Node) -> np.ndarray | None:
     """4 x 4 matrix of translations, scalings and rotations; None if there is more in it."""
     total = np.eye(4)
     try:

@@ -30,7 +30,7 @@ def edit_top_reflector(editor: SceneEditor) -> None:
             raise editor.refusal(problem, "change its reflectance instead", shape)
     editor.refuse_id("top_reflector")
     box = crystal_box(editor)
-    last = max((face for faces in box.values() for face in faces), key=lambda face: face.start)
+    last = max((face for faces in box.values() for face in faces), key=editor.shapes.index)
     editor.insert_shape(
         """<!-- A white reflector exactly over the top face, behind 0.01 mm of air -->
 <shape type="rectangle" id="top_reflector">
@@ -90,24 +90,24 @@ def edit_mask_on_detector(editor: SceneEditor) -> None:
     """Take the mask off the window's entrance face and lay it on the detector."""
     detectors, masks = editor.detectors, editor.masks
     for detector in detectors:
-        if detector.parent in masks:
+        if detector.getparent() in masks:
             raise editor.refusal("the mask lies on the detector", "nothing to add", detector)
     if not masks:
         raise editor.refusal("the scene has no mask", "let the window wear an aperture")
     # the properties of the hole; the interface in it is no property
-    holes = [[part for part in mask.elements if "name" in part.attributes] for mask in masks]
+    holes = [[part for part in mask.elements if "name" in part.attrib] for mask in masks]
     texts = [[editor.source(part) for part in hole] for hole in holes]
     for mask, text in zip(masks, texts, strict=True):
         if text != texts[0]:
             problem = "the masks have different holes"
             raise editor.refusal(problem, "only one hole can be moved", mask)
-        inner = mask.child("bsdf")
+        inner = mask.find("bsdf")
         if inner is None or len(editor.targets(mask, "bsdf")) != 1:
             problem = f"{mask.label} does not hold its interface"
             raise editor.refusal(problem, "nest the <bsdf> in it", mask)
         _take_off(editor, mask, inner)
     for part in holes[0]:
-        for word in part.attributes.values():
+        for word in part.attrib.values():
             if word.startswith("$"):
                 declared = editor.default(word[1:])
                 editor.reword(declared, "on the window's entrance face", "on the detector")
@@ -131,7 +131,7 @@ def _put_on(editor: SceneEditor, detector: Node, hole: list[str]) -> None:
 
 
 def _id_of(node: Node) -> str:
-    return f' id="{node.attributes["id"]}"' if "id" in node.attributes else ""
+    return f' id="{node.attrib["id"]}"' if "id" in node.attrib else ""
 
 
 def weight_mask_on_detector(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:

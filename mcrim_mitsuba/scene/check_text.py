@@ -8,16 +8,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import LARGEST_INDEX, judge, parse_number
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.scene.xml_tree import misled, misspelt
-
-if TYPE_CHECKING:
-    from lxml import etree
-
+from mcrim_mitsuba.scene.xml_tree import Node, misled, misspelt
 
 #: Index of refraction above which a volume holds a liquid or a solid.
 FILLED_ABOVE = 1.0005
@@ -121,41 +116,21 @@ NAMED_INDICES = {
 _WITH_INDICES = {"dielectric", "polish", "roughdielectric", "thindielectric"}
 
 
-def shape_elements(file: SceneFile) -> list:
-    """The scene's own ``<shape>`` elements, in document order."""
-    return [element for element in file.root if element.tag == "shape"]
+def _dielectric_of(file: SceneFile, shape: Node) -> Node | None:
+    """The bsdf of a face that carries indices."""
+    worn = file.parts.worn_by(shape)
+    return next((bsdf for bsdf in worn if bsdf.type in _WITH_INDICES), None)
 
 
-def bsdf_of(file: SceneFile, shape: etree._Element) -> etree._Element | None:
-    """The ``<bsdf>`` element that a shape wears, nested or referred to; ``None`` if it has none."""
-    by_id = {e.get("id"): e for e in file.root.iter("bsdf") if e.get("id")}
-    for child in shape:
-        if child.tag == "bsdf":
-            return child
-        if child.tag == "ref" and child.get("id") in by_id:
-            return by_id[child.get("id")]
-    return None
-
-
-def _dielectric_within(file: SceneFile, bsdf: etree._Element) -> etree._Element | None:
-    """The BSDF that carries indices, the element itself or one nested in or referred to by it."""
-    if bsdf.get("type") in _WITH_INDICES:
-        return bsdf
-    nested = bsdf_of(file, bsdf)
-    return None if nested is None else _dielectric_within(file, nested)
-
-
-def indices_of(file: SceneFile, shape: etree._Element) -> tuple[float, float] | None:
+def indices_of(file: SceneFile, shape: Node) -> tuple[float, float] | None:
     """Index behind and in front of a face, or ``None`` where it has none."""
-    bsdf = bsdf_of(file, shape)
-    element = None if bsdf is None else _dielectric_within(file, bsdf)
+    element = _dielectric_of(file, shape)
     if element is None:
         return None
-    parts = {child.get("name"): child for child in element}
     indices = []
     # Mitsuba's own defaults; `problems_of_text` tells the user to write them out.
     for side, default in (("int", "bk7"), ("ext", "air")):
-        index, offset = parts.get(f"{side}_ior"), parts.get(f"{side}_offset")
+        index, offset = element.named(f"{side}_ior"), element.named(f"{side}_offset")
         value = NAMED_INDICES[default]
         if index is not None:
             text = index.get("value", "")
@@ -189,7 +164,7 @@ def _problems_of_words(file: SceneFile) -> list[SceneProblem]:
     slips = [(e, *slip) for e in file.root.iterdescendants() if (slip := misspelt(e)) is not None]
     return [
         SceneProblem("file", text, mend, *file.place_of(element))
-        for element, text, mend in (*slips, *misled(file.root))
+        for element, text, mend in (*slips, *misled(file.parts))
     ]
 
 
@@ -242,10 +217,10 @@ def _problems_of_rotations(file: SceneFile) -> list[SceneProblem]:
 def _problems_of_faces(file: SceneFile) -> list[SceneProblem]:
     """Faces whose optical surface is missing, half written or out of range."""
     problems = []
-    for shape in shape_elements(file):
-        name, bsdf = shape.get("id"), bsdf_of(file, shape)
-        if name and bsdf is not None:
-            if (element := _dielectric_within(file, bsdf)) is not None:
+    for shape in file.parts.shapes:
+        name = shape.get("id")
+        if name and file.parts.bsdf(shape) is not None:
+            if (element := _dielectric_of(file, shape)) is not None:
                 problems += _problems_of_dielectric(file, element, name)
             continue
         text, mend = "this shape has no id", 'give it one: <shape id="...">'
@@ -257,23 +232,21 @@ def _problems_of_faces(file: SceneFile) -> list[SceneProblem]:
     return list(dict.fromkeys(problems))
 
 
-def _problems_of_dielectric(
-    file: SceneFile, element: etree._Element, shape: str
-) -> list[SceneProblem]:
+def _problems_of_dielectric(file: SceneFile, element: Node, shape: str) -> list[SceneProblem]:
     """Indices of a dielectric that the scene does not write, or that no medium has."""
-    written = {child.get("name"): child for child in element}
     who = f"bsdf {element.get('id')!r}" if element.get("id") else f"the bsdf of {shape}"
     problems = []
     for side, default in (("int_ior", "1.5046"), ("ext_ior", "1.000277")):
-        if side not in written:
+        index = element.named(side)
+        if index is None:
             text = f"{who} does not say its {side}: Mitsuba would take {default}"
             mend = f'write <float name="{side}" value="..."/> (1.0 for air)'
             problems.append(SceneProblem("index", text, mend, *file.place_of(element)))
             continue
-        if written[side].tag != "float":
+        if index.tag != "float":
             continue
-        path, line = file.place_of(written[side])
-        text = written[side].get("value", "")
+        path, line = file.place_of(index)
+        text = index.get("value", "")
         if "@" in text:
             raise InputError(
                 f"{who} has {side} = '{text}': only parameters can name a material",

@@ -10,24 +10,29 @@ import functools
 import itertools
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from xml.parsers import expat
+from typing import NamedTuple
 from xml.sax.saxutils import escape
 
-import numpy as np
 from lxml import etree
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value, value_text
 from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.xml_tree import (
+    Node,
+    SceneParts,
+    Span,
+    comment_after,
+    comment_before,
+    parse_scene_xml,
+    spans_of,
+)
 
-_COMMENT = "!--"
 _BYTE_ORDER_MARK = "\ufeff"
-_DECLARATION = re.compile(r"\s*(<\?xml.*?\?>)?\s*", re.DOTALL)
+#: What may be above the first comment or element.
+_HEAD = re.compile(rf"{_BYTE_ORDER_MARK}?\s*(?:<\?xml.*?\?>)?\s*", re.DOTALL)
 _ENCODING = re.compile(r"encoding\s*=\s*[\"']([^\"']+)[\"']")
-# a > within quotes does not end it
-_START_TAG = re.compile(r"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
 _ATTRIBUTE = re.compile(r"\s*([^\s=/>]+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 _READABLE = ("utf-8", "utf8", "us-ascii", "ascii")
 #: Bsdfs that are a clear interface with an index on either side.
@@ -36,65 +41,11 @@ INTERFACES = ("dielectric", "polish")
 INDICES = ("int_ior", "ext_ior")
 
 
-@dataclass(eq=False)
-class Node:
-    """An element (or a comment) of the text."""
-
-    #: ``!--`` for a comment.
-    tag: str
-    #: As written, ``$name`` not substituted.
-    attributes: dict[str, str]
-    parent: Node | None
-    #: Where it begins, and where the text behind it begins.
-    start: int
-    #: Where its content begins and its end tag does; both `end` for ``<a/>``.
-    inside: int = 0
-    close: int = 0
-    end: int = 0
-    children: list[Node] = field(default_factory=list)
-
-    @property
-    def elements(self) -> list[Node]:
-        """Children that are no comments."""
-        return [child for child in self.children if child.tag != _COMMENT]
-
-    @property
-    def type(self) -> str:
-        """Which plugin it is; empty for other elements."""
-        return self.attributes.get("type", "")
-
-    @property
-    def label(self) -> str:
-        """The element's id, or what it is."""
-        return self.attributes.get("id") or f"the <{self.tag}> of type {self.type}"
-
-    @property
-    def neighbours(self) -> tuple[Node | None, Node | None]:
-        """The elements or comments before and after it in its parent."""
-        siblings = self.parent.children if self.parent is not None else [self]
-        place, around = siblings.index(self), [None, *siblings, None]
-        return around[place], around[place + 2]
-
-    def walk(self) -> Iterator[Node]:
-        """The element itself and all below it, in document order."""
-        yield self
-        for child in self.elements:
-            yield from child.walk()
-
-    def child(self, tag: str, **attributes: str) -> Node | None:
-        """The first child element of this tag with these attributes."""
-        for node in self.elements:
-            if node.tag == tag and attributes.items() <= node.attributes.items():
-                return node
-        return None
-
-    def named(self, name: str) -> Node | None:
-        """The property of this name, whatever its kind."""
-        return next((node for node in self.elements if node.attributes.get("name") == name), None)
+#: Elements and comments, and where they stand in a text.
+_Spans = Mapping[etree._Element, Span]
 
 
-@dataclass(frozen=True)
-class _Piece:
+class _Piece(NamedTuple):
     """A stretch of a file: ``text[start:end]`` of the file at `path`."""
 
     path: Path
@@ -103,7 +54,7 @@ class _Piece:
     end: int
 
 
-class SceneEditor:
+class SceneEditor(SceneParts):
     """A scene's text, the parts of the bench in it, and the changes to be made.
 
     Included files are seen as if they stood in the scene. If a change touches what stands in an
@@ -111,7 +62,7 @@ class SceneEditor:
     stay what they are. XML that is put in is written with ``\\n`` and two blanks per level; it
     gets the line ends and the indentation of its new place.
 
-    `values` are those of the effect's parameters, `root` is ``<scene>``.
+    `values` are those of the effect's parameters, `root` is ``<scene>`` with ``$name`` as written.
 
     Raises InputError if a file of the scene is not UTF-8.
     """
@@ -124,11 +75,13 @@ class SceneEditor:
         # where each piece ends in the flat text
         self._ends = list(itertools.accumulate(p.end - p.start for p in self._pieces))
         self._text = "".join(piece.text[piece.start : piece.end] for piece in self._pieces)
-        self.root = _parse(self._text, scene.path)
+        super().__init__(parse_scene_xml(self._text.encode(), scene.path))
+        # as keys the elements stay the same objects, see `SceneFile`
+        self._spans = spans_of(self.root, self._text)
         self._splices: list[tuple[int, int, str]] = []
         self._first: dict[Node, list[str]] = {}
         self._last: dict[Node, list[str]] = {}
-        self._resolved: dict[tuple, dict[Node, etree._Element]] = {}
+        self._resolved: dict[tuple, dict[Node, Node]] = {}
         self._newline = "\r\n" if "\r\n" in self._main else "\n"
         # the blanks of one level
         indentations = map(self._indentation, self.root.elements)
@@ -136,54 +89,10 @@ class SceneEditor:
 
     # ------------------------------- finding parts of the bench -------------------------------
 
-    def all(self, tag: str, plugin: str) -> list[Node]:
-        """Elements of this tag and type, in document order."""
-        return [node for node in self.root.walk() if node.tag == tag and node.type == plugin]
-
-    @functools.cached_property
-    def by_id(self) -> dict[str, Node]:
-        """Elements by id, aliases included."""
-        nodes = {}
-        for node in self.root.walk():
-            if "id" in node.attributes and node.tag not in ("ref", "alias"):
-                nodes[node.attributes["id"]] = node
-        for node in self.root.walk():
-            if node.tag == "alias" and node.attributes.get("id") in nodes:
-                nodes[node.attributes.get("as", "")] = nodes[node.attributes["id"]]
-        return nodes
-
-    @functools.cached_property
-    def shapes(self) -> list[Node]:
-        """The shapes of the scene, in their order."""
-        return [node for node in self.root.elements if node.tag == "shape"]
-
-    def targets(self, node: Node, tag: str) -> list[Node]:
-        """Elements of a tag that a node holds, or points at with ``<ref>``."""
-        nodes = (
-            self.by_id.get(inner.attributes.get("id", "")) if inner.tag == "ref" else inner
-            for inner in node.elements
-        )
-        return [inner for inner in nodes if inner is not None and inner.tag == tag]
-
-    def medium(self, shape: Node, side: str) -> Node | None:
-        """The medium on the ``interior`` or ``exterior`` side of a shape; None for air."""
-        named = shape.named(side)
-        if named is not None and named.tag == "ref":
-            named = self.by_id.get(named.attributes.get("id", ""))
-        return named if named is not None and named.tag == "medium" else None
-
-    def media(self, shape: Node) -> tuple[Node | None, Node | None]:
-        """Media behind and in front of a shape."""
-        return self.medium(shape, "interior"), self.medium(shape, "exterior")
-
     def _beside(self, shapes: list[Node], *without: Node) -> list[Node]:
         """Media that shapes border, each once, those known already left out."""
         media = {medium for shape in shapes for medium in self.media(shape)}
         return [medium for medium in media if medium is not None and medium not in without]
-
-    def bsdf(self, shape: Node) -> Node | None:
-        """What a shape wears."""
-        return next(iter(self.targets(shape, "bsdf")), None)
 
     @functools.cached_property
     def emitter(self) -> Node:
@@ -254,14 +163,9 @@ class SceneEditor:
                 for bsdf in self.worn_by(shape) if medium in media else ():
                     number = bsdf.named(index) if bsdf.type in INTERFACES else None
                     if number is not None:
-                        return number.attributes["value"]
+                        return number.attrib["value"]
         problem = "no interface says the index of what is before the detector"
         raise self.refusal(problem, "name the window's medium on its faces", detector)
-
-    def worn_by(self, node: Node) -> list[Node]:
-        """The bsdfs that a shape, or a bsdf, wears, those within them too."""
-        worn = self.targets(node, "bsdf")
-        return [bsdf for outer in worn for bsdf in (outer, *self.worn_by(outer))]
 
     @functools.cached_property
     def masks(self) -> list[Node]:
@@ -292,13 +196,13 @@ class SceneEditor:
                     )
         return list(interfaces)
 
-    def resolved(self, overrides: Mapping[str, Value] | None = None) -> dict[Node, etree._Element]:
+    def resolved(self, overrides: Mapping[str, Value] | None = None) -> dict[Node, Node]:
         """Every element with ``$name`` put in, at other parameters perhaps."""
         key = tuple(sorted((overrides or {}).items()))
         if key not in self._resolved:
-            flat = self.scene.edited(self._text).with_overrides(overrides or {})
-            nodes = (node for node in self.root.walk() if node.tag != "default")
-            elements = flat.root.iter(etree.Element)
+            scene = self.scene.with_overrides(overrides) if overrides else self.scene
+            nodes = (node for node in self.root.iter(etree.Element) if node.tag != "default")
+            elements = scene.root.iter(etree.Element)
             self._resolved[key] = dict(zip(nodes, elements, strict=True))
         return self._resolved[key]
 
@@ -306,7 +210,8 @@ class SceneEditor:
 
     def source(self, node: Node) -> str:
         """The text of a node, as `insert_after` takes it."""
-        text = self._text[node.start : node.end].replace("\r\n", "\n")
+        span = self._spans[node]
+        text = self._text[span.start : span.end].replace("\r\n", "\n")
         first, *lines = text.replace("\n" + (self._indentation(node) or ""), "\n").split("\n")
         for number, line in enumerate(lines):
             levels = 0
@@ -323,7 +228,7 @@ class SceneEditor:
 
     def set_attribute(self, node: Node, name: str, value: str) -> None:
         """Give an attribute, which must be there, another value."""
-        position = node.start + 1 + len(node.tag)
+        position = self._spans[node].start + 1 + len(str(node.tag))
         while match := _ATTRIBUTE.match(self._text, position):
             if match.group(1) == name:
                 start, end = match.span(2)
@@ -347,68 +252,67 @@ class SceneEditor:
         if indentation is None:
             self._splices.append((end, end, xml))
             return
-        between = self._text[: _start_with_comment(self._text, node)]
+        between = self._text[: _start_with_comment(self._spans, node)]
         blank = "\n" if between[len(between.rstrip()) :].count("\n") > 1 else ""
         self._splices.append((end, end, f"{blank}\n" + self._block(xml, indentation)))
 
     def insert_shape(self, xml: str, after: Node) -> None:
         """Put a shape after another one; at the scene's end if that one is included."""
-        is_in_scene = self._in_scene_itself(after.start, after.end) is not None
-        self.insert_after(after if is_in_scene else self.root.elements[-1], xml)
+        self.insert_after(after if self._is_in_scene_itself(after) else self.root.elements[-1], xml)
 
     def replace(self, node: Node, xml: str) -> None:
         """Put XML in the place of an element (or of a comment)."""
-        block = self._block(xml, self._indentation(node) or "")
-        self._splices.append((node.start, node.end, block.lstrip(" \t")))
+        span, block = self._spans[node], self._block(xml, self._indentation(node) or "")
+        self._splices.append((span.start, span.end, block.lstrip(" \t")))
 
     def remove(self, node: Node) -> None:
         """Take an element out, and the blanks before it."""
-        start = len(self._text[: node.start].rstrip())
-        self._splices.append((start, node.end, ""))
+        span = self._spans[node]
+        self._splices.append((len(self._text[: span.start].rstrip()), span.end, ""))
 
     def declare(self, name: str, value: float | str, comment: str) -> None:
         """Add a ``<default>`` at the end of the scene's own first block of them."""
         xml = f'<!-- {escape(comment)} -->\n<default name="{name}" value="{value_text(value)}"/>'
-        block: list[Node] = []
+        last: Node | None = None
         for node in self.root.elements:
-            if node.tag != "default" or self._in_scene_itself(node.start, node.end) is None:
+            if node.tag != "default" or not self._is_in_scene_itself(node):
                 break
-            block.append(node)
-        if block:
-            end = self._end_with_comment(block[-1])
-            indented = self._block(xml, self._indentation(block[-1]) or self._unit)
-            self._splices.append((end, end, f"\n{indented}"))
-        else:
+            last = node
+        if last is None:
             self.insert_first(self.root, xml)
+        else:
+            end = self._end_with_comment(last)
+            indented = self._block(xml, self._indentation(last) or self._unit)
+            self._splices.append((end, end, f"\n{indented}"))
 
     def set_default(self, name: str, value: float | bool | str) -> None:
         """Give a declared parameter another value, in the scene itself."""
         node = self.default(name)
-        if self._in_scene_itself(node.start, node.end) is None:
+        if self._is_in_scene_itself(node):
+            self.set_attribute(node, "value", value_text(value))
+        else:
             # an included file's: the first default wins, so one above it does
             self.declare(name, value, self.scene.defaults[name].comment or name)
-        else:
-            self.set_attribute(node, "value", value_text(value))
 
     def default(self, name: str) -> Node:
         """The ``<default>`` that a parameter's value comes from; KeyError if there is none."""
-        for node in self.root.walk():
-            if node.tag == "default" and node.attributes.get("name") == name:
+        for node in self.root.iter("default"):
+            if node.get("name") == name:
                 return node
         raise KeyError(name)
 
     def reword(self, node: Node, old: str, new: str) -> None:
         """Replace words, if they are there, in the comment before an element."""
-        before, _ = node.neighbours
-        if before is not None and before.tag == _COMMENT:
-            place = self._text.find(old, before.start, before.end)
+        before: etree._Element | None = node.getprevious()
+        if isinstance(before, etree._Comment):
+            place = self._text.find(old, *self._spans[before][::3])
             if place >= 0:
                 self._splices.append((place, place + len(old), new))
 
     def set_comment(self, node: Node, words: str) -> None:
         """Give the comment directly above an element, if there is one, other words."""
-        start = _start_with_comment(self._text, node)
-        if start < node.start:
+        start = _start_with_comment(self._spans, node)
+        if start < self._spans[node].start:
             end = self._text.index("-->", start) + 3
             self._splices.append((start, end, f"<!-- {words} -->"))
 
@@ -435,7 +339,7 @@ class SceneEditor:
         """The error to raise about an element, with its file and line."""
         if node is None:
             return InputError(problem, mend, path=self.scene.path)
-        path, line = self._place(node.start)
+        path, line = self._place(self._spans[node].start)
         return InputError(problem, mend, path=path, line=line)
 
     # ----------------------------------- text and positions -----------------------------------
@@ -445,41 +349,38 @@ class SceneEditor:
 
         Defaults that have lost against one of the same name before them are left out.
         """
-        text = _text_of(self.scene, path)
-        root = _parse(text, path)
-        if path == self.scene.path:
-            place, end = 0, len(text)
-            cuts: list[tuple[int, int, Node | None]] = []
-        else:
+        text, root = _text_of(self.scene, path), parse_scene_xml(self.scene.source(path), path)
+        spans = spans_of(root, text)
+        place, end, head = 0, len(text), _HEAD.match(text)
+        if path != self.scene.path:
             # the comments above <scene>, and what is in it
-            without_mark = text.removeprefix(_BYTE_ORDER_MARK)
-            place = len(text) - len(without_mark) + len(_declaration(without_mark))
-            end = len(text[: root.close].rstrip())
-            cuts = [(len(text[: root.start].rstrip()), root.inside, None)]
-            if place == root.start:
-                content = text[root.inside :]
-                cuts = [(place, root.inside + len(content) - len(content.lstrip()), None)]
-        for node in root.walk():
-            if node.tag == "default":
-                name = node.attributes.get("name", "")
-                if name in declared:
-                    first = _start_with_comment(text, node)
-                    cuts.append((len(text[:first].rstrip()), node.end, None))
+            span, place = spans[root], head.end() if head else 0
+            above, content = (
+                text[place : span.start].rstrip(),
+                text[span.inside : span.close].rstrip(),
+            )
+            yield _Piece(path, text, place, place + len(above))
+            place, end = span.inside, span.inside + len(content)
+            if not above:
+                place += len(content) - len(content.lstrip())
+        for node in root.iter("default", "include"):
+            if node.tag == "include":
+                yield _Piece(path, text, place, spans[node].start)
+                yield from self._flatten(self._included(node, path), declared)
+            elif (name := node.get("name", "")) not in declared:
                 declared.add(name)
-            elif node.tag == "include":
-                cuts.append((node.start, node.end, node))
-        for start, stop, include in cuts:
-            yield _Piece(path, text, place, start)
-            if include is not None:
-                yield from self._flatten(self._included(include, path, text), declared)
-            place = stop
+                continue
+            else:
+                start = len(text[: _start_with_comment(spans, node)].rstrip())
+                yield _Piece(path, text, place, max(place, start))
+            place = spans[node].end
         yield _Piece(path, text, place, end)
 
-    def _included(self, include: Node, path: Path, text: str) -> Path:
-        name = include.attributes["filename"]
+    def _included(self, include: Node, path: Path) -> Path:
+        name = include.attrib["filename"]
         if "$" in name:
             problem = f"the name {name} of an included file is a parameter"
-            line = text.count("\n", 0, include.start) + 1
+            line = include.sourceline
             raise InputError(problem, "write the name itself", path=path, line=line)
         return path.parent / name
 
@@ -498,6 +399,10 @@ class SceneEditor:
             if inside and piece.path == self.scene.path:
                 return start + shift, end + shift
         return None
+
+    def _is_in_scene_itself(self, node: Node) -> bool:
+        """Whether an element stands in the scene's own file."""
+        return self._in_scene_itself(*self._spans[node][::3]) is not None
 
     def _refuse_inclusion(self, position: int) -> None:
         """Refuse to write included files into the scene where their own paths would change."""
@@ -518,10 +423,10 @@ class SceneEditor:
             if not node.elements:
                 yield self._filled(node, "\n".join([*first, *last]))
                 continue
-            at_end = self._end_with_comment(node.elements[-1])
+            begin, end = node.elements[0], node.elements[-1]
             for parts, beside, place in (
-                (first, node.elements[0], node.inside),
-                (last, node.elements[-1], at_end),
+                (first, begin, self._spans[node].inside),
+                (last, end, self._end_with_comment(end)),
             ):
                 if parts:
                     inner = self._indentation(beside)
@@ -530,15 +435,14 @@ class SceneEditor:
 
     def _filled(self, node: Node, xml: str) -> tuple[int, int, str]:
         """The splice that gives an element without elements a content."""
-        indentation = self._indentation(node)
+        span, indentation = self._spans[node], self._indentation(node)
         block = xml if indentation is None else f"\n{self._block(xml, indentation + self._unit)}"
         after = "" if indentation is None else f"\n{indentation}"
-        if node.inside < node.end:
+        if span.inside < span.end:
             # a comment may be in it, and blanks
-            end = len(self._text[: node.close].rstrip())
-            return end, node.close, block + after
-        start = len(self._text[: node.end - 2].rstrip())
-        return start, node.end, f">{block}{after}</{node.tag}>"
+            return len(self._text[: span.close].rstrip()), span.close, block + after
+        start = len(self._text[: span.end - 2].rstrip())
+        return start, span.end, f">{block}{after}</{node.tag!s}>"
 
     def _block(self, xml: str, indentation: str) -> str:
         """XML with the scene's indentation."""
@@ -550,33 +454,20 @@ class SceneEditor:
 
     def _indentation(self, node: Node) -> str | None:
         """The blanks before a node; None if it is not the first on its line."""
-        line = self._text[self._text.rfind("\n", 0, node.start) + 1 : node.start]
+        start = self._spans[node].start
+        line = self._text[self._text.rfind("\n", 0, start) + 1 : start]
         return None if line.strip() else line
 
     def _end_with_comment(self, node: Node) -> int:
         """Where a node ends, or the comment after it on its line."""
-        _, after = node.neighbours
-        if after is not None and after.tag == _COMMENT:
-            between = self._text[node.end : after.start]
-            if not between.strip() and "\n" not in between:
-                return after.end
-        return node.end
+        after = comment_after(node)
+        return self._spans[node if after is None else after].end
 
 
-def _start_with_comment(text: str, node: Node) -> int:
+def _start_with_comment(spans: _Spans, node: Node) -> int:
     """Where the comment directly above a node starts, or the node."""
-    comment, _ = node.neighbours
-    if comment is not None and comment.tag == _COMMENT:
-        between = text[comment.end : node.start]
-        own_line = not text[text.rfind("\n", 0, comment.start) + 1 : comment.start].strip()
-        if not between.strip() and between.count("\n") == 1 and own_line:
-            return comment.start
-    return node.start
-
-
-def _declaration(text: str) -> str:
-    """``<?xml ... ?>`` at the begin of a text; empty where there is none."""
-    return match.group() if (match := _DECLARATION.match(text)) else ""
+    above = comment_before(node)
+    return spans[node if above is None else above].start
 
 
 def _text_of(scene: SceneFile, path: Path) -> str:
@@ -588,58 +479,7 @@ def _text_of(scene: SceneFile, path: Path) -> str:
         text = scene.source(path).decode()
     except UnicodeDecodeError:
         raise refused from None
-    declared = _ENCODING.search(_declaration(text.removeprefix(_BYTE_ORDER_MARK)))
+    declared = _ENCODING.search(text, 0, text.find("?>") + 1)
     if (declared is not None and declared.group(1).lower() not in _READABLE) or "\0" in text:
         raise refused
     return text
-
-
-def _parse(text: str, path: Path) -> Node:
-    """``<scene>`` of a text, with everything's position."""
-    data = text.encode()
-    # the parser counts bytes: the character that each begins, or belongs to
-    characters = np.cumsum(np.frombuffer(data, np.uint8) & 0xC0 != 0x80) - 1
-    parser = expat.ParserCreate()
-    top = Node("", {}, None, 0)
-    stack = [top]
-
-    def place() -> int:
-        return int(characters[parser.CurrentByteIndex])
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        node = Node(tag, attributes, stack[-1], place())
-        tag_text = _START_TAG.match(text, node.start)
-        assert tag_text is not None  # the parser has just read one
-        node.inside = tag_text.end()
-        stack[-1].children.append(node)
-        stack.append(node)
-
-    def end(_tag: str) -> None:
-        node = stack.pop()
-        if text.endswith("/>", 0, node.inside):
-            node.close = node.end = node.inside
-        else:
-            node.close = place()
-            node.end = text.index(">", node.close) + 1
-
-    def comment(_words: str) -> None:
-        node = Node(_COMMENT, {}, stack[-1], place())
-        node.inside = node.close = node.end = text.index("-->", node.start) + 3
-        stack[-1].children.append(node)
-
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.CommentHandler = comment
-    try:
-        parser.Parse(data, True)
-    except expat.ExpatError as error:
-        # libxml2, which read the scene, takes more letters for those of names
-        raise InputError(
-            f"this scene cannot be edited: {expat.ErrorString(error.code)}",
-            "write names of elements and attributes in letters, digits and _",
-            path=path,
-            line=error.lineno,
-            column=error.offset + 1,
-        ) from None
-    root = top.elements[0]
-    root.parent = None
-    return root

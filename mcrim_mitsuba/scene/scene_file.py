@@ -23,7 +23,13 @@ from mcrim_mitsuba.core.files import BYTES_PER_MB, is_there, look_around, read_b
 from mcrim_mitsuba.core.numbers import Value, unit_of, value_text
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.scene.values import MaterialIndex, parse_like, parse_material, parse_value
-from mcrim_mitsuba.scene.xml_tree import comment_of, misspelt, parse_scene_xml
+from mcrim_mitsuba.scene.xml_tree import (
+    Node,
+    SceneParts,
+    comment_of,
+    misspelt,
+    parse_scene_xml,
+)
 
 _LIMIT_MB = 5
 #: What few lines may grow to by includes in includes and parameters in parameters: a bench has
@@ -81,15 +87,20 @@ class SceneFile:
     unused: tuple[str, ...]
     #: ``<scene>`` with every ``$name`` substituted, includes put in place, and without
     #: comments and ``<default>``; read it, do not change it.
-    root: etree._Element = field(repr=False)
+    root: Node = field(repr=False)
     # lxml makes a new Python object per visit unless somebody holds the old one: as keys
     # the elements stay the same objects, so looking one up works
-    _files: dict[etree._Element, Path] = field(repr=False)
+    _files: dict[Node, Path] = field(repr=False)
     _sources: dict[Path, bytes] = field(repr=False)
     _indices: _Indices = field(repr=False)
     _unwritten: bytes | None = field(default=None, repr=False)
 
-    def place_of(self, element: etree._Element) -> tuple[Path, int | None]:
+    @functools.cached_property
+    def parts(self) -> SceneParts:
+        """What the elements of `root` are to each other."""
+        return SceneParts(self.root)
+
+    def place_of(self, element: Node) -> tuple[Path, int | None]:
         """File and line where an element of `root` starts."""
         return self._files[element], element.sourceline
 
@@ -162,7 +173,7 @@ class SceneFile:
         named = (file for _, files in self.naming() for file in files)
         return tuple(dict.fromkeys([self.path, *self.included, *self._sources, *named]))
 
-    def naming(self) -> Iterator[tuple[etree._Element, list[Path]]]:
+    def naming(self) -> Iterator[tuple[Node, list[Path]]]:
         """Elements that name files (meshes, spectra), with these in every folder of Mitsuba's."""
         home = self.path.parent
         folders = [home, *(home / e.get("value", "") for e in self.root.iter("path")), Path()]
@@ -215,7 +226,7 @@ class SceneFile:
             return self.content_hash
         return etree.tostring(self.root)
 
-    def _digest_of(self, named: Path, element: etree._Element) -> bytes:
+    def _digest_of(self, named: Path, element: Node) -> bytes:
         """SHA-256 of a file that an element names."""
         path, line = self.place_of(element)
         try:
@@ -331,12 +342,12 @@ class _Assembly:
     materials: dict[str, MaterialIndex] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)  # name -> text that replaces $name
     used: set[str] = field(default_factory=set)
-    files: dict[etree._Element, Path] = field(default_factory=dict)
+    files: dict[Node, Path] = field(default_factory=dict)
     included: int = 0
     references: int = 0  # places of parameters, and the characters that they brought
     characters: int = 0
 
-    def load(self, path: Path, chain: tuple[Path, ...]) -> etree._Element:
+    def load(self, path: Path, chain: tuple[Path, ...]) -> Node:
         """Root of one file, processed; `chain` holds the files that include it."""
         key = resolved(path)
         if key not in self.sources:
@@ -348,7 +359,7 @@ class _Assembly:
 
     def process(
         self,
-        parent: etree._Element,
+        parent: Node,
         path: Path,
         chain: tuple[Path, ...],
         declared: dict[str, int | None],
@@ -375,7 +386,7 @@ class _Assembly:
             parent.remove(child)
 
     def declare(
-        self, element: etree._Element, declared: dict[str, int | None], place: dict[str, Any]
+        self, element: Node, declared: dict[str, int | None], place: dict[str, Any]
     ) -> None:
         """Take note of a ``<default>`` and of the text that stands for it from here on."""
         if (slip := misspelt(element)) is not None:
@@ -501,9 +512,7 @@ class _Assembly:
         used = any(uses.search(source) for source in self.sources.values())
         return None if used else self.defaults[alike]
 
-    def include(
-        self, element: etree._Element, chain: tuple[Path, ...], place: dict[str, Any]
-    ) -> None:
+    def include(self, element: Node, chain: tuple[Path, ...], place: dict[str, Any]) -> None:
         """Put the content of an included file in the place of its ``<include>``."""
         filename = element.get("filename")
         if not filename:
@@ -527,8 +536,7 @@ class _Assembly:
                 "put the parts into fewer files",
                 **place,
             )
-        content = self.load(target, chain)
-        for child in list(content)[::-1]:
+        for child in list(self.load(target, chain))[::-1]:
             element.addnext(child)
         parent = element.getparent()
         assert parent is not None  # an <include> is not the outermost element

@@ -13,9 +13,10 @@ import re
 from collections.abc import Iterator, Mapping
 
 from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.scene.check_text import bsdf_of, indices_of, is_filled, shape_elements
-from mcrim_mitsuba.scene.editor import Node, SceneEditor
+from mcrim_mitsuba.scene.check_text import indices_of, is_filled
+from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.xml_tree import Node
 
 BEAM_DIAMETER = "beam_diameter_mm"
 BEAM_AXIS = "beam_axis"
@@ -116,7 +117,7 @@ def spectrophotometer_of(bench: SceneFile) -> SceneFile:
     unused = [name for name in bench.defaults if name not in used]
     for node in (*others, *map(editor.default, unused)):
         editor.remove(node)
-    editor.replace(editor.emitter, _BEAM.format(crystal=crystal.attributes["id"]))
+    editor.replace(editor.emitter, _BEAM.format(crystal=crystal.attrib["id"]))
     editor.insert_last(editor.root, _DETECTOR)
     for name, value in BEAM_PARAMETERS.items():
         assert not isinstance(value, bool)
@@ -138,12 +139,12 @@ def _walk(node: Node, without: list[Node]) -> Iterator[Node]:
 
 def _names_in(node: Node) -> set[str]:
     """Parameters that an element names."""
-    return {name for text in node.attributes.values() for name in _PARAMETER.findall(text)}
+    return {name for text in node.attrib.values() for name in _PARAMETER.findall(text)}
 
 
 def _refuse_liquids(derived: SceneFile, editor: SceneEditor) -> None:
     """Refuse a beam's scene in which a shape still touches a liquid."""
-    for shape in shape_elements(derived):
+    for shape in derived.parts.shapes:
         indices = indices_of(derived, shape)
         if indices is not None and is_filled(min(indices)):
             raise editor.refusal(
@@ -160,8 +161,8 @@ def scattered_share(scene: SceneFile, acceptance_deg: float) -> float | None:
     crystal. None where that form does not hold at all: faces that are not of plain polish, or a
     medium that scatters to some sides more than to others.
     """
-    faces = [shape for shape in shape_elements(scene) if shape.get("type") != "beam_detector"]
-    worn = [bsdf_of(scene, face) for face in faces]
+    faces = [shape for shape in scene.parts.shapes if shape.get("type") != "beam_detector"]
+    worn = [scene.parts.bsdf(face) for face in faces]
     indices = [indices_of(scene, face) for face in faces]
     even = all(medium.find("phase") is None for medium in scene.root.iter("medium"))
     plain = all(bsdf is not None and bsdf.get("type") == "dielectric" for bsdf in worn)

@@ -1,4 +1,4 @@
-"""The XML of a scene: one file parsed safely, with the line of every element; its words.
+"""The XML of a scene: one file parsed safely, where its elements stand, its parts; its words.
 
 The words are those of the parser of Mitsuba 3.9.1. It refuses others too, but says nothing of what
 was meant, and only after what is missing for a misspelt word has been found missing.
@@ -6,12 +6,13 @@ was meant, and only after what is missing for a misspelt word has been found mis
 
 from __future__ import annotations
 
+import codecs
 import copy
 import functools
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from xml.parsers import expat
+from typing import NamedTuple
 
 from lxml import etree
 
@@ -25,9 +26,36 @@ _MOST_TAGS = 200_000
 _MOST_ATTRIBUTES = 100
 _MEANT = "is this the scene you meant?"
 _POSITION = re.compile(r", line \d+, column \d+$")
+# a > within quotes does not end a tag
+_MARKUP = re.compile(
+    r"<!--.*?-->|<\?.*?\?>|<!\[CDATA\[.*?\]\]>|<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>", re.DOTALL
+)
 
 
-def parse_scene_xml(data: bytes, path: Path) -> etree._Element:
+class Node(etree.ElementBase):
+    """An element of a scene, an lxml element; ``$name`` is put in, or stands as it is written."""
+
+    @property
+    def elements(self) -> list[Node]:
+        """Children that are no comments."""
+        return list(self.iterchildren(etree.Element))
+
+    @property
+    def type(self) -> str:
+        """Which plugin it is; empty for other elements."""
+        return self.get("type", "")
+
+    @property
+    def label(self) -> str:
+        """The element's id, or what it is."""
+        return self.get("id") or f"the <{self.tag!s}> of type {self.type}"
+
+    def named(self, name: str) -> Node | None:
+        """The property of this name, whatever its kind."""
+        return self.find(f"*[@name='{name}']")
+
+
+def parse_scene_xml(data: bytes, path: Path) -> Node:
     """Root ``<scene>`` of one file's content, in any encoding; nothing outside of it is read.
 
     ``sourceline`` of every element is the line of its opening ``<``.
@@ -40,13 +68,14 @@ def parse_scene_xml(data: bytes, path: Path) -> etree._Element:
 
 
 @functools.lru_cache(maxsize=8)
-def _parsed(data: bytes, path: Path) -> etree._Element:
+def _parsed(data: bytes, path: Path) -> Node:
     """The root, of scenes that differ in their parameters once."""
     if data.count(b"<") > _MOST_TAGS:
         raise InputError(f"more than {_MOST_TAGS:,} tags", _MEANT, path=path)
-    parser = etree.XMLParser(
+    parser: etree.XMLParser[Node] = etree.XMLParser(
         resolve_entities=False, load_dtd=False, no_network=True, huge_tree=False
     )
+    parser.set_element_class_lookup(etree.ElementDefaultClassLookup(element=Node))
     try:
         root = etree.fromstring(data, parser)
     except etree.XMLSyntaxError as error:
@@ -105,17 +134,45 @@ _MENDS = (
 )
 
 
-def _mark_start_lines(root: etree._Element, data: bytes) -> None:
+def _mark_start_lines(root: Node, data: bytes) -> None:
     """Replace ``sourceline``, where libxml2 has the end of the start tag, by its beginning."""
-    lines: list[int] = []
-    parser = expat.ParserCreate()
-    parser.StartElementHandler = lambda *_: lines.append(parser.CurrentLineNumber)
+    wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        parser.Parse(data, True)
-    except (expat.ExpatError, LookupError, ValueError):
+        text = data.decode("utf-16" if wide else root.getroottree().docinfo.encoding or "utf-8")
+    except (LookupError, ValueError):
         return  # an encoding that only libxml2 knows: its own lines have to do
-    for element, line in zip(root.iter(etree.Element), lines, strict=True):
+    line, counted, end = 1, 0, "\n" if "\n" in text else "\r"
+    for element, span in spans_of(root, text).items():
+        line, counted = line + text.count(end, counted, span.start), span.start
         element.sourceline = line  # type: ignore[misc]  # lxml lets it be set
+
+
+class Span(NamedTuple):
+    """Where an element, or a comment, stands in the text of its file."""
+
+    start: int
+    #: Where its content begins and its end tag does; both `end` for ``<a/>``.
+    inside: int
+    close: int
+    #: Where the text behind it begins.
+    end: int
+
+
+def spans_of(root: etree._Element, text: str) -> dict[etree._Element, Span]:
+    """Where elements and comments stand in the text that they were read from, in its order."""
+    nodes, opened = root.iter(), list[etree._Element]()
+    spans: dict[etree._Element, Span] = {}
+    for mark in _MARKUP.finditer(text):
+        start, end = mark.span()
+        if text.startswith("</", start):
+            node = opened.pop()
+            spans[node] = spans[node]._replace(close=start, end=end)
+        elif text[start + 1] not in "!?" or (opened and not text.startswith("<![", start)):
+            node = next(nodes)
+            spans[node] = Span(start, end, end, end)
+            if text[start + 1] not in "!?" and text[end - 2] != "/":
+                opened.append(node)
+    return spans
 
 
 def comment_of(element: etree._Element) -> str:
@@ -123,25 +180,86 @@ def comment_of(element: etree._Element) -> str:
 
     Runs of blanks are made one; empty if there is no such comment.
     """
+    comment = comment_after(element)
+    if comment is None:
+        comment = comment_before(element)
+    return "" if comment is None else " ".join((comment.text or "").split())
+
+
+def comment_after(element: etree._Element) -> etree._Element | None:
+    """The comment that ends an element's line."""
     after = element.getnext()
-    if isinstance(after, etree._Comment) and "\n" not in (element.tail or ""):
-        return _words(after)
+    beside = isinstance(after, etree._Comment) and "\n" not in (element.tail or "")
+    return after if beside else None
+
+
+def comment_before(element: etree._Element) -> etree._Element | None:
+    """The comment directly before an element, if it does not end the line of another one."""
     before = element.getprevious()
     if not isinstance(before, etree._Comment) or (before.tail or "").count("\n") > 1:
-        return ""
-    # a comment that ends the line of another element explains that one
+        return None
     neighbour: etree._Element | None = before.getprevious()
-    if (
-        neighbour is not None
-        and not isinstance(neighbour, etree._Comment)
-        and "\n" not in (neighbour.tail or "")
-    ):
-        return ""
-    return _words(before)
+    if neighbour is None or isinstance(neighbour, etree._Comment):
+        return before
+    return None if comment_after(neighbour) is before else before
 
 
-def _words(comment: etree._Element) -> str:
-    return " ".join((comment.text or "").split())
+# What the elements of a scene are to each other.
+
+
+class SceneParts:
+    """Shapes of a scene, what they wear and border, each where it stands or where a ref leads."""
+
+    def __init__(self, root: Node) -> None:
+        self.root = root
+
+    def all(self, tag: str, plugin: str) -> list[Node]:
+        """Elements of this tag and type, in document order."""
+        return [node for node in self.root.iter(tag) if node.type == plugin]
+
+    @functools.cached_property
+    def by_id(self) -> dict[str, Node]:
+        """Elements by id, aliases included."""
+        others = ("ref", "alias")
+        nodes = {n.get("id", ""): n for n in self.root.iter(etree.Element) if n.tag not in others}
+        for alias in self.root.iter("alias"):
+            if (name := alias.get("id", "")) in nodes:
+                nodes[alias.get("as", "")] = nodes[name]
+        nodes.pop("", None)
+        return nodes
+
+    @functools.cached_property
+    def shapes(self) -> list[Node]:
+        """The shapes of the scene, in their order."""
+        return self.root.findall("shape")
+
+    def target(self, node: Node) -> Node | None:
+        """The element itself, or the one that a ``<ref>`` points at."""
+        return self.by_id.get(node.get("id", "")) if node.tag == "ref" else node
+
+    def targets(self, node: Node, tag: str) -> list[Node]:
+        """Elements of a tag that a node holds, or points at with ``<ref>``."""
+        nodes = map(self.target, node.elements)
+        return [inner for inner in nodes if inner is not None and inner.tag == tag]
+
+    def medium(self, shape: Node, side: str) -> Node | None:
+        """The medium on the ``interior`` or ``exterior`` side of a shape; None for air."""
+        named = shape.named(side)
+        named = None if named is None else self.target(named)
+        return named if named is not None and named.tag == "medium" else None
+
+    def media(self, shape: Node) -> tuple[Node | None, Node | None]:
+        """Media behind and in front of a shape."""
+        return self.medium(shape, SIDES[0]), self.medium(shape, SIDES[1])
+
+    def bsdf(self, shape: Node) -> Node | None:
+        """What a shape wears."""
+        return next(iter(self.targets(shape, "bsdf")), None)
+
+    def worn_by(self, node: Node) -> list[Node]:
+        """The bsdfs that a shape, or a bsdf, wears, those within them too."""
+        worn = self.targets(node, "bsdf")
+        return [bsdf for outer in worn for bsdf in (outer, *self.worn_by(outer))]
 
 
 # Elements, their attributes, and the plugins that a bench is made of.
@@ -200,17 +318,16 @@ def misspelt(element: etree._Element) -> tuple[str, str] | None:
     return None
 
 
-def misled(root: etree._Element) -> Iterator[tuple[etree._Element, str, str]]:
+def misled(parts: SceneParts) -> Iterator[tuple[Node, str, str]]:
     """Every ``<ref>`` to nothing, or to a volume on no side; what is wrong, how to mend it."""
-    ids = {e.get("id"): str(e.tag) for e in root.iter() if e.tag not in ("ref", "alias")}
-    names = {*ids, *(e.get("as") for e in root.iter("alias"))}
-    of_shapes = set(root.iterfind("shape/ref"))
-    for element in root.iter("ref"):
-        if (name := element.get("id", "")) not in names:
+    of_shapes = set(parts.root.iterfind("shape/ref"))
+    for element in parts.root.iter("ref"):
+        name, target = element.get("id", ""), parts.target(element)
+        if target is None:
             # what carries light's surfaces and volumes, not the shapes that wear them
-            meant = [id_ for id_, tag in ids.items() if id_ and tag != "shape"]
+            meant = [id_ for id_, node in parts.by_id.items() if node.tag != "shape"]
             yield element, f"{name!r} is the id of nothing in this scene", did_you_mean(name, meant)
-        elif ids.get(name) == "medium" and element in of_shapes:
+        elif target.tag == "medium" and element in of_shapes:
             if (side := element.get("name", "")) not in SIDES:
                 problem = f"the volume {name!r} is on no side of this shape: name={side!r}"
                 yield element, problem, did_you_mean(side, SIDES)

@@ -74,7 +74,7 @@ def check_simulation(simulation: Simulation, *, light: bool = True) -> CheckRepo
 
 def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:
     """Every face with the volumes and indices on its two sides, in the order of the surfaces."""
-    elements = {e.get("id"): e for e in check_text.shape_elements(file)}
+    elements = {e.get("id"): e for e in file.parts.shapes}
     faces = []
     for surface in model.surfaces:
         element = elements[surface.name]

@@ -372,7 +372,8 @@ def test_names_and_numbers_that_netcdf_cannot_hold(tmp_path):
 def test_scenes_that_cannot_be_edited(scenes, tmp_path):
     text = (scenes / "camoo4.xml").read_text()
     odd = read_scene(scene(tmp_path, text.replace("</scene>", "<scale１/></scene>")))
-    assert "cannot be edited" in refusal(effects.add, "edge_chamfer", odd)
+    # an element that no scene has is the check's to refuse, and stays as it is
+    assert "<scale１/></scene>" in effects.add("edge_chamfer", odd)
     still = re.sub(r'<rotate x="1"', '<rotate x="0"', text)
     for turned in (
         still,

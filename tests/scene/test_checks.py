@@ -79,9 +79,9 @@ def test_shapes_without_id_or_surface_are_told(tmp_path):
 
 def test_surfaces_and_indices_of_faces():
     scene = read_scene(BENCH, {"n_gap": 1.46})
-    shapes = {shape.get("id"): shape for shape in check_text.shape_elements(scene)}
+    shapes = {shape.get("id"): shape for shape in scene.parts.shapes}
     bottom = shapes["crystal_bottom"]
-    assert check_text.bsdf_of(scene, bottom).get("id") == "crystal_to_gap"
+    assert scene.parts.bsdf(bottom).get("id") == "crystal_to_gap"
     assert check_text.indices_of(scene, bottom) == (2.01, 1.46)
     assert check_text.indices_of(scene, shapes["crystal_top"]) == (2.01, 1.0)
     assert None in [check_text.indices_of(scene, shape) for shape in shapes.values()]
@@ -105,6 +105,40 @@ def test_xml_keeps_the_line_where_an_element_starts():
     root.clear()
     again = xml_tree.parse_scene_xml(f"{HEAD}\n<shape\n  type='disk'\n/></scene>".encode(), BENCH)
     assert len(again) == 1
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "iso-8859-1"])
+@pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
+def test_lines_are_those_of_the_file_in_any_encoding(encoding, line_end):
+    head = (
+        f'<?xml version="1.0" encoding="{encoding.removesuffix("-sig")}"?>\n<!-- é > " -->\n{HEAD}'
+    )
+    text = head + "<!-- <a/> -->\n<![CDATA[ <b>\n ]]><c\n d='>'\n/>\n<?e <f>?><g\n/></scene>"
+    root = xml_tree.parse_scene_xml(text.replace("\n", line_end).encode(encoding), BENCH)
+    assert [node.sourceline for node in root.iter("scene", "c", "g")] == [3, 5, 8]
+
+
+def test_elements_and_comments_know_where_they_stand():
+    text = f"<!-- <a/> -->{HEAD}<!-- > --><b c='>'/> <d><![CDATA[<e>]]></d></scene>\n<!-- -->"
+    root = xml_tree.parse_scene_xml(text.encode(), BENCH)
+    spans = xml_tree.spans_of(root, text)
+    assert [text[span.start : span.end] for span in spans.values()] == [
+        text[13:-9],
+        "<!-- > -->",
+        "<b c='>'/>",
+        "<d><![CDATA[<e>]]></d>",
+    ]
+    b, d = root.elements
+    assert isinstance(spans[b], xml_tree.Span) and spans[b].inside == spans[b].close == spans[b].end
+    assert text[spans[d].inside : spans[d].close] == "<![CDATA[<e>]]>"
+    assert xml_tree.comment_before(b) is root[0] and xml_tree.comment_after(root[0]) is None
+
+
+def test_references_lead_through_aliases_to_the_same_element():
+    parts = read_scene(BENCH).parts
+    parts.root.append(parts.root.makeelement("alias", {"id": "gap", "as": "other"}))
+    reference = parts.root.makeelement("ref", {"id": "other"})
+    assert parts.target(reference) is parts.by_id["gap"] and parts.target(parts.root) is parts.root
 
 
 @pytest.mark.parametrize(
@@ -154,7 +188,8 @@ def test_references_to_nothing_or_on_no_side():
         '<scene><medium type="bulk" id="m"/><alias id="m" as="n"/><shape type="disk" id="s">'
         '<ref id="q"/><ref id="m"/><ref name="interior" id="n"/></shape></scene>'
     )
-    assert [(e.get("id"), problem) for e, problem, _ in xml_tree.misled(root)] == [
+    parts = xml_tree.SceneParts(root)
+    assert [(e.get("id"), problem) for e, problem, _ in xml_tree.misled(parts)] == [
         ("q", "'q' is the id of nothing in this scene"),
         ("m", "the volume 'm' is on no side of this shape: name=''"),
     ]

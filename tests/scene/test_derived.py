@@ -9,7 +9,7 @@ from refusals import refusal
 
 from mcrim_mitsuba.optics.spectrum import Spectrum
 from mcrim_mitsuba.scene import shipped
-from mcrim_mitsuba.scene.check_text import indices_of, shape_elements
+from mcrim_mitsuba.scene.check_text import indices_of
 from mcrim_mitsuba.scene.emitted_light import Colours, EmittedLight, read_light
 from mcrim_mitsuba.scene.scene_file import ScenePlan, read_scene
 from mcrim_mitsuba.scene.spectrophotometer import (
@@ -67,12 +67,12 @@ def test_a_plan_is_put_together_when_it_is_needed(bench):
 
 def test_the_beam_s_scene_is_the_crystal_alone_in_air(bench):
     derived = spectrophotometer_of(bench.with_overrides({"n_gap": 1.46, "n_crystal": 1.9}))
-    assert {shape.get("id") for shape in shape_elements(derived)} >= {
+    assert {shape.get("id") for shape in derived.parts.shapes} >= {
         "crystal_top",
         "beam_detector",
     }
-    assert not any("window" in (shape.get("id") or "") for shape in shape_elements(derived))
-    faces = [indices_of(derived, shape) for shape in shape_elements(derived)]
+    assert not any("window" in (shape.get("id") or "") for shape in derived.parts.shapes)
+    faces = [indices_of(derived, shape) for shape in derived.parts.shapes]
     assert set(faces) == {(1.9, 1.0), None}
     assert derived.parameters.items() >= BEAM_PARAMETERS.items()
     assert "n_window" not in derived.parameters

@@ -8,8 +8,9 @@ from places import SCENES
 from refusals import refusal
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.scene.editor import Node, SceneEditor
+from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.scene.xml_tree import Node
 
 BENCH = SCENES / "camoo4.xml"
 
@@ -54,20 +55,19 @@ def test_parts_of_the_bench_are_found_by_what_they_are(editor):
     assert editor.before(detector) == {editor.window}
     assert editor.index_before(detector) == "$n_window"
     assert editor.masks == editor.all("bsdf", "aperture") and len(editor.masks) == 2
-    assert editor.default("gap_mm").attributes["value"] == "0.05"
+    assert editor.default("gap_mm").attrib["value"] == "0.05"
     with pytest.raises(KeyError):
         editor.default("nothing")
 
 
 def test_nodes_know_their_neighbours(editor):
     top = editor.by_id["crystal_top"]
-    assert isinstance(top, Node) and top.parent is editor.root
-    assert top in editor.root.elements and top in list(editor.root.walk())
+    assert isinstance(top, Node) and top.getparent() is editor.root
+    assert top in editor.root.elements and top in list(editor.root.iter())
     transform = top.named("to_world")
-    assert transform is top.child("transform", name="to_world") and transform.parent is top
-    assert top.child("transform", name="other") is None and top.named("other") is None
-    before, after = transform.neighbours
-    assert before is None and after in top.elements
+    assert transform is top.find("transform[@name='to_world']") and transform.getparent() is top
+    assert top.find("transform[@name='other']") is None and top.named("other") is None
+    assert transform.getprevious() is None and transform.getnext() in top.elements
     assert transform.label == "the <transform> of type " and top.label == "crystal_top"
 
 
@@ -129,7 +129,7 @@ def test_changes_that_overlap_are_our_fault(editor):
 
 def test_names_are_put_in_at_other_parameters_too(editor):
     last = editor.shapes[-1]
-    assert editor.resolved()[last].get("id") == last.attributes["id"]
+    assert editor.resolved()[last].get("id") == last.attrib["id"]
     gap = editor.by_id["crystal_to_gap"]
     values = [
         editor.resolved({"n_gap": n})[gap].findall("float")[1].get("value") for n in (1.2, 1.4)
@@ -183,6 +183,22 @@ def test_an_included_file_stays_until_a_change_stands_in_it(tmp_path):
     assert after.count('name="gap_mm"') == 1
     assert '  <medium type="bulk" id="gap">\n    <float name="y" value="1"/>\n  </medium>' in after
     assert editor.refusal("p", "m", editor.gap).place == f"{tmp_path / 'part.xml'}, line 5"
+
+
+def test_defaults_that_have_lost_are_left_out_wherever_they_stand(tmp_path):
+    """One that was the first in an included file moved all that was changed behind it."""
+    (tmp_path / "part.xml").write_text(PART.replace("<!-- the volumes -->\n", ""))
+    text = BENCH.read_text().replace('  <medium type="bulk" id="gap"/>\n', "")
+    include = '  <include filename="part.xml"/>\n'
+    first = '<scene version="3.0.0">\n'
+    for place, kept in (("</scene>", "0.05"), (first, "9")):
+        whole = text.replace(place, first + include if place == first else include + place)
+        editor = edited(whole, tmp_path)
+        editor.insert_last(editor.gap, '<float name="y" value="1"/>')
+        scene = editor.scene.edited(editor.finished())
+        assert scene.parameters["gap_mm"] == editor.scene.parameters["gap_mm"] == float(kept)
+        assert editor.finished().count('name="gap_mm"') == 1
+        assert scene.root.find("medium[@id='gap']/float").get("name") == "y"
 
 
 def test_an_included_file_of_another_folder_is_not_written_into_the_scene(tmp_path):
