@@ -28,50 +28,12 @@ from mcrim_mitsuba.effects.effect import Effect, function_of
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
-#: Effects of the package by name, in the order of the catalogue.
+#: Effects of the package by name: those of each part of the bench, as they stand in its module.
 BUILT_IN = {
     effect.name: effect
-    for effect in (
-        crystal.POLARIZATION,
-        crystal.ANISOTROPIC_SCATTERING,
-        crystal.RAYLEIGH_SCATTERING,
-        crystal.SCATTERING_GRADIENT,
-        crystal.SPECTRAL_SCATTERING,
-        crystal.SOURCE_DEPTH,
-        crystal.SIDE_SOURCE,
-        crystal_faces.SURFACE_ROUGHNESS,
-        crystal_faces.SURFACE_HAZE,
-        crystal_faces.TOP_ROUGHNESS,
-        crystal_faces.SIDE_ROUGHNESS,
-        crystal_faces.BOTTOM_ROUGHNESS,
-        crystal_faces.GROUND,
-        crystal_faces.GROUND_TOP,
-        crystal_faces.GROUND_SIDE,
-        crystal_faces.GROUND_BOTTOM,
-        crystal_faces.SURFACE_ABSORPTION,
-        crystal.CRYSTAL_INDEX,
-        gap.GAP_INDEX,
-        gap.GAP_THICKNESS,
-        gap.GAP_ABSORPTION,
-        gap.GAP_BUBBLE,
-        gap.GAP_BUBBLE_ROUND,
-        gap.GEL_CREEP,
-        surroundings.TOP_REFLECTOR,
-        detector.PHOTOCATHODE_FILM,
-        detector.DETECTOR_REFLECTION,
-        detector.DETECTOR_SPECULAR,
-        detector.DETECTOR_ANGLE,
-        detector.DETECTOR_RADIUS,
-        surroundings.APERTURE_AT_DETECTOR,
-        surroundings.MASK_OFFSET,
-        surroundings.HOUSING_REFLECTION,
-        crystal_faces.EDGE_CHAMFER,
-        surroundings.FORWARD_BEAM,
-        readings.BACKGROUND,
-        readings.SATURATION,
-        readings.GAIN_DRIFT,
-        readings.SAMPLE_SCALE,
-    )
+    for part in (crystal, crystal_faces, gap, surroundings, detector, readings)
+    for effect in vars(part).values()
+    if isinstance(effect, Effect)
 }
 #: Entry points of installed distributions: an `Effect` each, or a module with `EFFECT`.
 ENTRY_POINTS = "mcrim_mitsuba.effects"

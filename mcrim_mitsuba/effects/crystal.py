@@ -247,14 +247,6 @@ CRYSTAL_INDEX = Effect(
 )
 
 
-def birth_weight(depths_mm: np.ndarray, length_mm: float, depth_mm: float) -> np.ndarray:
-    """Density of births at depths behind a face, exp(-t/depth) up to a length, over an even one."""
-    lengths = length_mm / depth_mm
-    if lengths < 1e-9:
-        return np.ones(len(depths_mm))
-    return lengths / -np.expm1(-lengths) * np.exp(-depths_mm.astype(np.float64) / depth_mm)
-
-
 _GAMMAS = (
     "J. H. Hubbell and S. M. Seltzer, Tables of X-Ray Mass Attenuation Coefficients, NISTIR 5632 "
     "(1995)"
@@ -278,16 +270,25 @@ def births_behind(name: str, what: str) -> EffectParameter:
     )
 
 
-def edit_source_depth(editor: SceneEditor) -> None:
-    """Let the births fall with the depth below the top."""
-    set_numbers(editor, editor.emitter, "source_depth_mm")
-    editor.reword(editor.emitter, "everywhere in the crystal", "near the top of the crystal")
+def edit_births(editor: SceneEditor, name: str, face: str) -> None:
+    """Let the births fall with the depth below a face, by the effect's parameter of this name."""
+    set_numbers(editor, editor.emitter, name)
+    editor.reword(editor.emitter, "everywhere in the crystal", f"near the {face} of the crystal")
 
 
-def weight_source_depth(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
-    """Density exp(-t/d) / (d (1 - exp(-H/d))) at the depth t below the top, over 1/H."""
-    height_mm, depth_mm = float(parameters["crystal_height_mm"]), values["source_depth_mm"]
-    return birth_weight(columns["birth_depth_mm"], height_mm, depth_mm)
+def weight_births(
+    columns: Columns, values: Values, parameters: Parameters, *, name: str, column: str, length: str
+) -> np.ndarray:
+    """Density exp(-t/d) / (d (1 - exp(-L/d))) at the depth t below a face, over 1/L.
+
+    d is the effect's parameter of this `name`, t a column of the records, L the scene's `length`.
+    """
+    depth_mm = values[name]
+    lengths = float(parameters[length]) / depth_mm
+    if lengths < 1e-9:
+        return np.ones(len(columns[column]))
+    births = np.exp(-columns[column].astype(np.float64) / depth_mm)
+    return lengths / -np.expm1(-lengths) * births
 
 
 SOURCE_DEPTH = Effect(
@@ -308,22 +309,12 @@ SOURCE_DEPTH = Effect(
     parameters=(births_behind("source_depth_mm", "Depth below the top"),),
     excludes=("side_source",),
     needs=("crystal_height_mm",),
-    edit=edit_source_depth,
+    edit=partial(edit_births, name="source_depth_mm", face="top"),
     columns=("birth_depth_mm",),
-    weight=weight_source_depth,
+    weight=partial(
+        weight_births, name="source_depth_mm", column="birth_depth_mm", length="crystal_height_mm"
+    ),
 )
-
-
-def edit_side_source(editor: SceneEditor) -> None:
-    """Let the births fall with the distance from the left side."""
-    set_numbers(editor, editor.emitter, "side_depth_mm")
-    editor.reword(editor.emitter, "everywhere in the crystal", "near the left side of the crystal")
-
-
-def weight_side_source(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
-    """Density exp(-t/d) / (d (1 - exp(-W/d))) at t = x + W/2, over 1/W."""
-    width_mm, depth_mm = float(parameters["crystal_width_mm"]), values["side_depth_mm"]
-    return birth_weight(columns["birth_side_mm"], width_mm, depth_mm)
 
 
 SIDE_SOURCE = Effect(
@@ -344,7 +335,9 @@ SIDE_SOURCE = Effect(
     parameters=(births_behind("side_depth_mm", "Depth behind the left side"),),
     excludes=("source_depth",),
     needs=("crystal_width_mm",),
-    edit=edit_side_source,
+    edit=partial(edit_births, name="side_depth_mm", face="left side"),
     columns=("birth_side_mm",),
-    weight=weight_side_source,
+    weight=partial(
+        weight_births, name="side_depth_mm", column="birth_side_mm", length="crystal_width_mm"
+    ),
 )

@@ -27,12 +27,21 @@ FACETS = (
 
 #: Alpha up to which a face may still be called polished.
 POLISHED = 0.05
+#: Sides of the crystal, as of `roughen`, in words.
+_SIDES = {"top": "top face", "side": "side faces", "bottom": "bottom face"}
+_ROUGH = tuple(f"{side}_roughness" for side in _SIDES)
+_GROUND = tuple(f"ground_{side}" for side in _SIDES)
 
 
-def facets_of(name: str, what: str, *, ground: bool) -> EffectParameter:
-    """Width of the facets of faces, called `what`: ground ones, or of a polish that may be poor."""
-    kind = "ground and not polished (GGX)," if ground else "(GGX),"
-    meaning = f"Roughness of the crystal's {what}, {kind} the tangent of a typical tilt"
+def facets_of(
+    name: str, what: str, *, ground: bool, start: float = 0.1, most: float = 0.5
+) -> EffectParameter:
+    """Width of the facets of faces, called `what`: ground ones, or of a polish that may be poor.
+
+    A fit of the latter begins at `start` and ends at `most`.
+    """
+    kind = ", ground and not polished" if ground else ""
+    meaning = f"Roughness of the crystal's {what}{kind} (GGX), the tangent of a typical tilt"
     if ground:
         return EffectParameter(
             name=name,
@@ -49,18 +58,19 @@ def facets_of(name: str, what: str, *, ground: bool) -> EffectParameter:
         name=name,
         meaning=meaning,
         minimum=0.0,
-        maximum=0.5,
-        start=0.1,
+        maximum=most,
+        start=start,
         plausible=(0.0, POLISHED),
-        nodes=(0.012, 0.035, 0.08, 0.16, 0.3, 0.5),
+        nodes=tuple(node for node in (0.012, 0.035, 0.08, 0.16, 0.3, 0.5) if node <= most),
+        # trapped light meets many facets: it is freed by small slopes already
         coordinate="logarithmic",
         scale=0.03,
     )
 
 
-def one_side(side: str, what: str, *, ground: bool, look: str, physics: str) -> Effect:
-    """An effect: a side of the crystal (as of `roughen`), called `what`, is rough, or ground."""
-    rough, dull = f"{side}_roughness", f"ground_{side}"
+def one_side(side: str, *, ground: bool, look: str, physics: str) -> Effect:
+    """An effect: one of `_SIDES` of the crystal is rough, or ground."""
+    rough, dull, what = f"{side}_roughness", f"ground_{side}", _SIDES[side]
     name, other = (dull, rough) if ground else (rough, dull)
     return Effect(
         name=name,
@@ -92,24 +102,8 @@ SURFACE_ROUGHNESS = Effect(
         "has alpha of 0.05 at most: see ground."
     ),
     source=FACETS,
-    parameters=(
-        EffectParameter(
-            name="roughness_alpha",
-            meaning="Roughness of the crystal's faces (GGX), the tangent of a typical tilt",
-            minimum=0.0,
-            maximum=0.3,
-            start=0.05,
-            plausible=(0.0, POLISHED),
-            nodes=(0.012, 0.035, 0.08, 0.16, 0.3),
-            # trapped light meets many facets: it is freed by small slopes already
-            coordinate="logarithmic",
-            scale=0.03,
-        ),
-    ),
-    excludes=(
-        *("top_roughness", "side_roughness", "bottom_roughness"),
-        *("ground", "ground_top", "ground_side", "ground_bottom"),
-    ),
+    parameters=(facets_of("roughness_alpha", "faces", ground=False, start=0.05, most=0.3),),
+    excludes=(*_ROUGH, "ground", *_GROUND),
     edit=partial(polish_crystal, name="roughness_alpha", value="$roughness_alpha"),
 )
 
@@ -163,7 +157,6 @@ SURFACE_HAZE = Effect(
 
 TOP_ROUGHNESS = one_side(
     "top",
-    "top face",
     ground=False,
     look=(
         "Look at the reflection of a lamp in the top face. Put a drop of oil on it: the readings "
@@ -180,7 +173,6 @@ TOP_ROUGHNESS = one_side(
 
 SIDE_ROUGHNESS = one_side(
     "side",
-    "side faces",
     ground=False,
     look=(
         "Look at the reflection of a lamp in the sides, and measure the transmittance through "
@@ -197,7 +189,6 @@ SIDE_ROUGHNESS = one_side(
 
 BOTTOM_ROUGHNESS = one_side(
     "bottom",
-    "bottom face",
     ground=False,
     look=(
         "Take the crystal off and look at the reflection of a lamp in its bottom face: "
@@ -228,17 +219,13 @@ GROUND = Effect(
     ),
     source=FACETS,
     parameters=(facets_of("ground_alpha", "faces", ground=True),),
-    excludes=(
-        *("surface_roughness", "top_roughness", "side_roughness", "bottom_roughness"),
-        *("ground_top", "ground_side", "ground_bottom"),
-    ),
+    excludes=("surface_roughness", *_ROUGH, *_GROUND),
     edit=partial(polish_crystal, name="roughness_alpha", value="$ground_alpha"),
 )
 
 
 GROUND_TOP = one_side(
     "top",
-    "top face",
     ground=True,
     look=(
         "Look at the top face with a loupe: if it is ground it is dull. Put a drop of oil on it: "
@@ -254,7 +241,6 @@ GROUND_TOP = one_side(
 
 GROUND_SIDE = one_side(
     "side",
-    "side faces",
     ground=True,
     look=(
         "Look at the sides with a loupe: if they are ground they are dull, and nothing is seen "
@@ -270,7 +256,6 @@ GROUND_SIDE = one_side(
 
 GROUND_BOTTOM = one_side(
     "bottom",
-    "bottom face",
     ground=True,
     look=(
         "Take the crystal off and look at its bottom face with a loupe: a ground one is dull, "

@@ -79,8 +79,8 @@ class SceneEditor(SceneParts):
         # as keys the elements stay the same objects, see `SceneFile`
         self._spans = spans_of(self.root, self._text)
         self._splices: list[tuple[int, int, str]] = []
-        self._first: dict[Node, list[str]] = {}
-        self._last: dict[Node, list[str]] = {}
+        # what goes to the beginning of an element, and to its end
+        self._inner: dict[Node, tuple[list[str], list[str]]] = {}
         self._resolved: dict[tuple, dict[Node, Node]] = {}
         self._newline = "\r\n" if "\r\n" in self._main else "\n"
         # the blanks of one level
@@ -239,11 +239,11 @@ class SceneEditor(SceneParts):
 
     def insert_first(self, node: Node, xml: str) -> None:
         """Put XML at the beginning of an element; several in the order of the calls."""
-        self._first.setdefault(node, []).append(xml)
+        self._inner.setdefault(node, ([], []))[0].append(xml)
 
     def insert_last(self, node: Node, xml: str) -> None:
         """Put XML at the end of an element; several in the order of the calls."""
-        self._last.setdefault(node, []).append(xml)
+        self._inner.setdefault(node, ([], []))[1].append(xml)
 
     def insert_after(self, node: Node, xml: str) -> None:
         """Put XML after an element, with a blank line between if there is one before it."""
@@ -418,8 +418,7 @@ class SceneEditor(SceneParts):
 
     def _insertions(self) -> Iterator[tuple[int, int, str]]:
         """Splices of what goes into elements."""
-        for node in {**self._first, **self._last}:
-            first, last = self._first.get(node, []), self._last.get(node, [])
+        for node, (first, last) in self._inner.items():
             if not node.elements:
                 yield self._filled(node, "\n".join([*first, *last]))
                 continue

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+
+from lxml import etree
 
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.scene.check_text import indices_of, is_filled
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.scene.xml_tree import Node
 
 BEAM_DIAMETER = "beam_diameter_mm"
 BEAM_AXIS = "beam_axis"
@@ -112,8 +113,10 @@ def spectrophotometer_of(bench: SceneFile) -> SceneFile:
     kept = {crystal, editor.emitter, *faces, *worn}
     others = [node for node in editor.root.elements if node.tag in ("bsdf", "medium", "shape")]
     others = [node for node in others if node not in kept]
-    remaining = _walk(editor.root, [*others, editor.emitter])
-    used = {*_SIZES, *(name for node in remaining for name in _names_in(node))}
+    gone = {inner for node in (*others, editor.emitter) for inner in node.iter()}
+    remaining = (node for node in editor.root.iter(etree.Element) if node not in gone)
+    words = (word for node in remaining for word in node.attrib.values())
+    used = {*_SIZES, *(name for word in words for name in _PARAMETER.findall(word))}
     unused = [name for name in bench.defaults if name not in used]
     for node in (*others, *map(editor.default, unused)):
         editor.remove(node)
@@ -127,19 +130,6 @@ def spectrophotometer_of(bench: SceneFile) -> SceneFile:
         derived = derived.with_overrides({GAP_INDEX: 1.0})
     _refuse_liquids(derived, editor)
     return derived
-
-
-def _walk(node: Node, without: list[Node]) -> Iterator[Node]:
-    """An element and those below it, some of them left out with all that is in them."""
-    yield node
-    for child in node.elements:
-        if child not in without:
-            yield from _walk(child, without)
-
-
-def _names_in(node: Node) -> set[str]:
-    """Parameters that an element names."""
-    return {name for text in node.attrib.values() for name in _PARAMETER.findall(text)}
 
 
 def _refuse_liquids(derived: SceneFile, editor: SceneEditor) -> None:
