@@ -78,7 +78,12 @@ class SectionAxes:
     """Axes with the cross-section, and a grid of cells on which labels find free places."""
 
     def __init__(
-        self, ax: Axes, cut: CrossSection, model: SceneModel, interfaces: Sequence[Interface]
+        self,
+        ax: Axes,
+        cut: CrossSection,
+        model: SceneModel,
+        interfaces: Sequence[Interface],
+        colours: Sequence[str] = COLOURS,
     ) -> None:
         self.ax, self.cut, self.model, self.indices = ax, cut, model, volume_indices(interfaces)
         self.box = ax.get_window_extent()
@@ -88,7 +93,7 @@ class SectionAxes:
         self.crossed = np.zeros(shape, dtype=bool)
         rows, columns = np.ogrid[0.5 : shape[0], 0.5 : shape[1]]
         for region in cut.regions:
-            ax.fill(*region.outline.T, color=COLOURS[region.volume % len(COLOURS) - 1], lw=0.2)
+            ax.fill(*region.outline.T, color=colours[region.volume % len(colours) - 1], lw=0.2)
             low, high = np.split(self.cells(region.outline), 2)
             low, high = (
                 np.interp(columns, side[:, 0], side[:, 1], np.inf, np.inf)
@@ -502,7 +507,7 @@ def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ..
     (middle_x, _, middle_z), (wide, _, tall) = np.array(box.center()), np.array(box.extents())
     per_mm = min((inner_in - 2.0) / wide, 4.6 / tall)  # with inches of air for labels
     main_in = max(tall * per_mm + 1.5, 2.9)
-    view = _closer_view(cut, crystal.volume)
+    view = closer_view(cut, crystal.volume)
     times = round(_DETAIL_IN / 2 / view[2] / per_mm, 1)
     below_in, frame = _MARGIN_IN, None
     if times > 1.3:
@@ -582,7 +587,7 @@ def _write_above(figure: Figure, file: SceneFile, handles: Sequence[Line2D]) -> 
         )
 
 
-def _closer_view(cut: CrossSection, crystal: int) -> tuple[float, float, float]:
+def closer_view(cut: CrossSection, crystal: int) -> tuple[float, float, float]:
     """x, z, half height (mm) around the thinnest volume or layer at the crystal's lower edge."""
     boxes = {
         r.volume: (cut.corners(r.volume).min(axis=0), cut.corners(r.volume).max(axis=0))

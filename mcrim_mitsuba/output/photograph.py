@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import io
+import itertools
 import json
 import subprocess
 import sys
@@ -13,13 +14,14 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgba
+from matplotlib.colors import to_hex, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
+from matplotlib.text import Text
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, QhullError
 
@@ -27,12 +29,14 @@ from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.files import attributes, refuse_suffix, write_bytes
 from mcrim_mitsuba.core.numbers import Value, said
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.output.cross_section import SectionAxes, closer_view
 from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.check import interfaces_of, volume_indices
-from mcrim_mitsuba.transport.cut import Block, lower_edge
+from mcrim_mitsuba.transport.cut import cross_section
 from mcrim_mitsuba.transport.photograph_parts import (
+    TINTS,
     BenchPart,
     Body,
     Camera,
@@ -41,7 +45,10 @@ from mcrim_mitsuba.transport.photograph_parts import (
     framed,
     raised,
 )
-from mcrim_mitsuba.transport.scene_model import SceneModel
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.scene.check_text import Interface
+    from mcrim_mitsuba.transport.simulation import Simulation
 
 #: Pixels of the sheet.
 WIDTH = 1800
@@ -80,6 +87,11 @@ class Photo:
     def at(self, points: ArrayLike) -> np.ndarray:
         """Pixels of the sheet, shape (..., 2), of points of the photograph's scene."""
         return self.camera.project(points) + np.array([self.left, self.top])
+
+    def per_mm(self, place_mm: np.ndarray) -> float:
+        """Pixels per mm at a place, (3,) in mm, across the line of sight."""
+        across, _, _ = self.camera.axes
+        return float(np.ptp(self.at([place_mm, place_mm + across])[:, 0]))
 
 
 class Sheet:
@@ -120,8 +132,15 @@ class Sheet:
         """Write at a place (pixels)."""
         usual: dict[str, Any] = {"color": INK, "va": "top", "linespacing": 1.25}
         artist = self.axes.text(x, y, text, size=size, parse_math=False, **usual | style)
-        box, high = artist.get_window_extent(), self.pixels.shape[0]
-        self.labels.append(Label(text, (box.x0, high - box.y1, box.x1, high - box.y0), target))
+        self.note([artist], target)
+
+    def note(self, artists: Iterable[Text], target: tuple[float, float] | None = None) -> None:
+        """Keep the places of texts."""
+        high = self.pixels.shape[0]
+        for artist in artists:
+            box = artist.get_window_extent()
+            place = (box.x0, high - box.y1, box.x1, high - box.y0)
+            self.labels.append(Label(artist.get_text(), place, target))
 
     def line(self, points: ArrayLike) -> None:
         """A line through (points, 2) places of the sheet."""
@@ -197,19 +216,9 @@ def caption(sheet: Sheet, place: tuple[float, float], text: str) -> None:
     sheet.text(sheet.scale * (place[0] + 24), sheet.scale * (place[1] + 8), text, 13, weight="bold")
 
 
-def magnification(bench: Photo, edge: Photo, block: Block) -> float:
-    """How much larger a millimetre at the lower edge is than in the picture of the bench."""
-    step = 0.5 * block.height_mm
-    ends = [raised(block.centre_mm, side * step) for side in (-1, 1)]
-    edge_ends = edge.at(np.array([(0.0, 0.0, -0.5), (0.0, 0.0, 0.5)]))
-    return float(
-        np.linalg.norm(np.diff(edge_ends, axis=0)) / np.linalg.norm(np.diff(bench.at(ends), axis=0))
-    )
-
-
-def label_bench(sheet: Sheet, panel: Photo, block: Block) -> None:
-    """A ring around what the block below was cut out of."""
-    x, y = panel.at(block.centre_mm)
+def label_bench(sheet: Sheet, panel: Photo, place_mm: np.ndarray) -> None:
+    """A ring around the place that is enlarged below."""
+    x, y = panel.at(place_mm)
     sheet.axes.add_patch(Circle((x, y), 13 * sheet.scale, fill=False, ec=INK, lw=1.6))
     camera = panel.camera
     end = (panel.left + 0.74 * camera.width, panel.top + 0.93 * camera.height)
@@ -217,55 +226,34 @@ def label_bench(sheet: Sheet, panel: Photo, block: Block) -> None:
     sheet.text(end[0] + 6 * sheet.scale, end[1] - 9 * sheet.scale, "enlarged below", 11.5)
 
 
-def label_layers(
-    sheet: Sheet, panel: Photo, block: Block, model: SceneModel, indices: Mapping[str, float]
-) -> None:
-    """Names of the layers at the left of the block, with arrows across the thin ones."""
-    scale, rows = sheet.scale, []
-    for layer in reversed(block.layers):
-        volume = model.volumes[layer.volume].name if layer.volume else "air"
-        index, edge = indices.get(volume), panel.at(layer.edge)
-        text = volume + (f", n = {index:g}" if index else "")
-        if index is not None and not is_filled(index):
-            text += " (air)"
-        thin = layer.thickness_mm is not None
-        if thin:
-            text += f"\n{layer.thickness_mm:.3g} mm"
-        rows.append((edge, text, thin, (22 + 21 * thin) * scale))
-    tops = [edge[:, 1].mean() - high / 2 for edge, *_, high in rows]
-    places = apart(
-        tops,
-        [high for *_, high in rows],
-        panel.top + 40 * scale,
-        panel.top + panel.camera.height - 8 * scale,
-    )
-    for (edge, text, thin, high), top in zip(rows, places, strict=True):
-        middle = edge.mean(axis=0)
-        right = min(edge[:, 0]) - 34 * scale
-        sheet.text(right - 8 * scale, top, text, 13, ha="right")
-        sheet.line([(right, top + high / 2), middle - (16 * scale, 0)])
-        if thin:
-            style = {"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0, "color": INK, "lw": 1.3}
-            begin, end = edge - (10 * scale, 0)
-            sheet.axes.annotate("", begin, end, arrowprops=style)
+def draw_edge(
+    sheet: Sheet, simulation: Simulation, interfaces: Sequence[Interface]
+) -> tuple[np.ndarray, float]:
+    """The cross-section around the crystal's lower edge, in the colours of the photographs.
 
-
-def label_sheets(sheet: Sheet, panel: Photo, block: Block) -> None:
-    """Names of masks, detectors and reflectors at the right of the block."""
-    scale = sheet.scale
-    right = panel.at(block.points)[:, 0].max() + 30 * scale
-    rows = [(tuple(panel.at(point)), name) for name, point in block.sheets.items()]
-    rows.sort(key=lambda row: row[0][1])
-    high = 26 * scale
-    places = apart(
-        [y - high / 2 for (_, y), _ in rows],
-        [high] * len(rows),
-        panel.top + 40 * scale,
-        panel.top + panel.camera.height,
-    )
-    for (target, name), top in zip(rows, places, strict=True):
-        sheet.text(right, top, shortened(name, 14), 13, target=target)
-        sheet.line([(right - 5 * scale, top + high / 2), target])
+    Returns its middle, (3,) in mm, and its pixels per mm.
+    """
+    model, crystal = simulation.model, simulation.crystal
+    cut = cross_section(model, float(crystal.lower[1] + crystal.upper[1]) / 2)
+    x, z, half = closer_view(cut, crystal.volume)
+    half = min(half, _CLOSE * float(np.ptp(cut.corners(crystal.volume))))
+    left, top, wide, high = _EDGE
+    place = (left / WIDTH, 1.0 - (top + high) / HEIGHT, wide / WIDTH, high / HEIGHT)
+    aside = half * wide / high
+    axes = sheet.figure.add_axes(place, xlabel="x (mm)", ylabel="z (mm)")
+    axes.set(xlim=(x - aside, x + aside), ylim=(z - half, z + half))
+    indices = volume_indices(interfaces)
+    colours = [
+        to_hex(np.clip(_tone(np.array(tint) ** 2), 0.0, 1.0))
+        if is_filled(indices.get(volume.name, np.inf))
+        else "none"
+        for volume, tint in zip(model.volumes[1:], itertools.cycle(TINTS), strict=False)
+    ]
+    section = SectionAxes(axes, cut, model, interfaces, colours)
+    section.measure()
+    section.label(brief=True)
+    sheet.note(text for text in axes.texts if text.get_text())
+    return np.array([x, cut.y_mm, z]), sheet.scale * high / (2 * half)
 
 
 def label_parts(
@@ -307,12 +295,15 @@ def label_parts(
 #: Variants that know colours.
 VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 #: Light paths per pixel.
-SAMPLES = 12
+SAMPLES = 24
 #: Left, top, width and height of the photographs of the bench, of its lower edge and of its
 #: parts, in pixels of the full sheet; what is right of the parts belongs to their labels.
 BENCH_PANEL = (0, 100, 890, 590)
-_EDGE = (0, 690, 890, 460)
+_EDGE = (90, 740, 780, 350)
 _PARTS = (870, 100, 660, 1050)
+_EDGE_CAPTION = (0, 690)
+#: The most of the crystal's size that half the height of its enlarged edge shows.
+_CLOSE = 0.1
 _FIELD_DEG = 20.0
 #: Margins of the photograph of the parts: left, right, top and bottom, over its size.
 _MARGINS = (0.09, 0.1, 0.06, 0.06)
@@ -405,15 +396,14 @@ def render(
 
     with placed(path=file.path):
         triangles = surface_triangles(model)
-    indices = volume_indices(interfaces_of(file, model))
+    interfaces = interfaces_of(file, model)
+    indices = volume_indices(interfaces)
     whole = PhotographedBench(model, triangles, indices)
     parts, bench = whole.parts(), whole.assembled()
-    block = lower_edge(model, simulation.crystal, indices)
     samples, sheet = samples or SAMPLES, Sheet(scale)
     lifts, view = _taken_apart(sheet, parts)
     panels = [
         _panel(sheet, BENCH_PANEL, _corners(bench), (0.62, -1.0, 0.5), (0.07, 0.07, 0.1, 0.07)),
-        _panel(sheet, _EDGE, block.points, (0.42, -1.0, 0.42), (0.28, 0.16, 0.16, 0.08)),
         view,
     ]
     apart = [
@@ -421,13 +411,11 @@ def render(
         for part, lift in zip(parts, lifts, strict=True)
         for body in part.bodies
     ]
-    bodies = [bench, block.bodies, apart]
-    _expose(sheet, bodies, panels, samples, run)
-    _write_titles(sheet, file, magnification(panels[0], panels[1], block), scale)
-    label_bench(sheet, panels[0], block)
-    label_layers(sheet, panels[1], block, model, indices)
-    label_sheets(sheet, panels[1], block)
-    label_parts(sheet, panels[2], parts, lifts)
+    _expose(sheet, [bench, apart], panels, samples, run)
+    place_mm, per_mm = draw_edge(sheet, simulation, interfaces)
+    _write_titles(sheet, file, per_mm / panels[0].per_mm(place_mm), scale)
+    label_bench(sheet, panels[0], place_mm)
+    label_parts(sheet, panels[1], parts, lifts)
     return Rendering(
         pixels=sheet.finished(),
         labels=tuple(sheet.labels),
@@ -470,7 +458,7 @@ def _write_titles(sheet: Sheet, file: SceneFile, times: float, scale: float) -> 
     sheet.text(24 * scale, 56 * scale, parameters, 9.5, color=QUIET)
     caption(sheet, BENCH_PANEL[:2], "The bench as it stands")
     enlarged = f"enlarged {float(f'{times:.2g}'):g} times"
-    caption(sheet, _EDGE[:2], f"The crystal's lower edge, cut open, {enlarged}")
+    caption(sheet, _EDGE_CAPTION, f"The crystal's lower edge, cut open, {enlarged}")
     caption(sheet, (_PARTS[0] + 24, _PARTS[1]), "The parts, moved apart, to scale")
 
 

@@ -1,19 +1,19 @@
-"""Photographs bodies in a studio of Mitsuba's: a white floor, a soft sky and two soft boxes."""
+"""Photographs bodies in a studio of Mitsuba's, by its path tracer: a white floor, a soft sky."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from scipy.ndimage import uniform_filter
+from scipy.signal import wiener
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import signals_wait
-from mcrim_mitsuba.transport.bulk import GENERATORS, HASH_ROUNDS, seed_words
-from mcrim_mitsuba.transport.conversion import opaque, opaque_vector
+from mcrim_mitsuba.transport.bulk import seed_words
 from mcrim_mitsuba.transport.photograph_parts import (
     GLASS,
     GLOSSY,
@@ -105,22 +105,19 @@ def _orderly(corners, normals) -> Triangles:
 FLOOR = 0.75
 #: Interfaces that light meets before it is given up.
 DEEPEST = 24
-#: Paths that carry less than this part of the light end.
-DARKEST = 0.01
-#: Light paths that run together: pixels times samples.
-MOST_LANES = 2_000_000
-#: Where the light comes from that gives matte bodies their shading.
-_KEY = (-0.64, -0.48, 0.6)
-#: Radiance that an empty floor sends to all sides: the mean of the lighting sky over the cosine.
-_FLOOR_RADIANCE = FLOOR * (1.0 + 0.5 * _KEY[2] * 2.0 / 3.0)
-#: Pixels between the taps of the smoothing.
-_STEPS = (1, 2, 4)
-#: Weights of the taps: a cubic spline.
-_SPLINE = (0.375, 0.25, 0.0625)
-#: Squares of differences that count as noise, over the noise of the two pixels.
-_TOLERANCE = 6.0
+#: Light paths per pixel that run together, and fill it evenly.
+TOGETHER = 12
 #: Ratios of indices closer to 1 than this do not refract.
 _ALIKE = 1e-4
+#: Pixels over which noise is averaged, and over which it is measured.
+_SMOOTH = 5
+_MEASURED = 7
+#: What may be noise, over what was measured: the variance of few pixels is not known well.
+_NOISE = 1.5
+#: Rows of the picture of the sky, and its columns.
+_SKY = (128, 256)
+#: Where the sky is brightest.
+_KEY = (-0.64, -0.48, 0.6)
 
 
 def photograph(
@@ -139,7 +136,7 @@ def photograph(
     floor_z_mm : float
         Height of the floor, which must lie below all bodies.
     samples : int
-        Light paths per pixel.
+        Light paths per pixel; many are rounded up to a multiple of `TOGETHER`.
     progress : callable, optional
         ``progress(done, total)`` in samples per pixel.
 
@@ -148,151 +145,83 @@ def photograph(
     ndarray of float32, shape (height, width, 3)
         Linear red, green and blue. The same seed gives the same numbers.
     """
-    scene = _studio(bodies, camera, floor_z_mm)
-    pixels = camera.width * camera.height
-    at_once = max(1, min(samples, MOST_LANES // pixels))
-    total, squares, done = np.zeros((3, pixels)), np.zeros(pixels), 0
-    while done < samples:
-        now = min(at_once, samples - done)
-        light = _light(scene, camera, opaque([done], mi.UInt32), now, seed)
-        # sums of neighbours in a fixed order: the same seed gives the same picture
-        total += np.array([np.array(dr.block_sum(part, now), dtype=float) for part in light])
-        squares += np.array(dr.block_sum(dr.square(_grey(light)), now), dtype=float)
-        done += now
+    sky, floor_light = _sky()
+    scene = _studio(bodies, camera, floor_z_mm, sky)
+    at_once = TOGETHER if samples >= 2 * TOGETHER else 1
+    count = -(-samples // at_once)
+    total = squares = np.zeros(())
+    for number, word in enumerate(seed_words(count, seed), start=1):
+        light = _exposed(scene, at_once, word)
+        total, squares = total + light, squares + light**2
         if progress is not None:
-            progress(done, samples)
-    mean = total / samples
-    variance = (squares / samples - np.array(_grey(mean)) ** 2) / samples
-    guide = _what_is_seen(scene, camera)
-    smooth = _smoothed(mean, np.maximum(variance, 0.0), guide, camera)
-    return (smooth / _FLOOR_RADIANCE).T.reshape(camera.height, camera.width, 3).astype(np.float32)
-
-
-def _grey(light):
-    return (light[0] + light[1] + light[2]) / 3.0
-
-
-def _what_is_seen(scene, camera: Camera):
-    """A number (UInt32) for every pixel that tells which flat face lies in its middle."""
-    pixel = dr.arange(mi.UInt32, camera.width * camera.height)
-    si = scene.ray_intersect(_rays(camera, pixel, mi.Point2f(0.5)), mi.RayFlags.Minimal, False)
-    word = dr.reinterpret_array(mi.UInt32, si.shape)
-    for part in si.n:
-        word = 31 * word + mi.UInt32(mi.Int32(dr.round(8.0 * part)) + 8)
-    return dr.select(si.is_valid(), word, 0)
-
-
-def _smoothed(mean: np.ndarray, variance: np.ndarray, guide, camera: Camera) -> np.ndarray:
-    """Noise taken out, edges kept: an a-trous filter that knows the noise of every pixel.
-
-    Pixels of the same face that differ by no more than their noise are averaged (H. Dammertz et
-    al., HPG 2010; C. Schied et al., HPG 2017). Shapes (3, pixels) and (pixels,).
-    """
-    variance = uniform_filter(variance.reshape(camera.height, camera.width), 5).ravel()
-    light = mi.Color3f(mean.astype(np.float32))
-    noise = mi.Float(variance.astype(np.float32))
-    pixel = dr.arange(mi.UInt32, len(variance))
-    wide, high = (opaque([side], mi.Int32) for side in (camera.width, camera.height))
-    x, y = mi.Int32(pixel) % wide, mi.Int32(pixel) // wide
-    for step in (opaque([step], mi.Int32) for step in _STEPS):
-        total, weights, noises = mi.Color3f(0.0), mi.Float(0.0), mi.Float(0.0)
-        for dy, dx in itertools.product(range(-2, 3), repeat=2):
-            at_x, at_y = x + dx * step, y + dy * step
-            there = (at_x >= 0) & (at_x < wide) & (at_y >= 0) & (at_y < high)
-            index = mi.UInt32(at_y * wide + at_x)
-            there &= dr.gather(mi.UInt32, guide, index, there) == guide
-            other = dr.gather(mi.Color3f, light, index, there)
-            other_noise = dr.gather(mi.Float, noise, index, there)
-            tolerance = _TOLERANCE * (noise + other_noise) + 1e-7
-            difference = dr.squared_norm(other - light) / tolerance
-            weight = _SPLINE[abs(dy)] * _SPLINE[abs(dx)] * dr.exp(-difference)
-            weight = dr.select(there, weight, 0.0)
-            total += weight * other
-            weights += weight
-            noises += dr.square(weight) * other_noise
-        light, noise = total / weights, noises / dr.square(weights)
-        dr.eval(light, noise)
-    return np.array(light, dtype=float)
+            progress(min(number * at_once, samples), samples)
+    mean = total / count
+    if count > 1:
+        # how much exposures differ is the noise that the filter takes out, of each pixel its own
+        noise: Any = np.maximum(squares / count - mean**2, 0.0) / (count - 1)
+        noise = _NOISE * uniform_filter(noise, (_MEASURED, _MEASURED, 0)) + 1e-9
+        with np.errstate(divide="ignore"):
+            mean = np.dstack([wiener(mean[..., i], _SMOOTH, noise[..., i]) for i in range(3)])
+    return (mean / floor_light).astype(np.float32)
 
 
 @signals_wait()
-def _light(scene, camera: Camera, first, samples: int, seed: int):
-    """What light paths from all pixels bring (Color3f), the samples of a pixel side by side."""
-    lanes = camera.width * camera.height * samples
-    lane, per_pixel = dr.arange(mi.UInt32, lanes), opaque([samples], mi.UInt32)
-    numbers = _Numbers(lane // per_pixel, first + lane % per_pixel, seed)
-    ray = _rays(camera, lane // per_pixel, numbers.pair(0))
-    throughput, light = mi.Color3f(1.0), mi.Color3f(0.0)
-    depth, active = mi.UInt32(0), mi.Mask(True)
-    context = mi.BSDFContext()
-
-    def follow(ray, throughput, light, depth, matte, active):
-        si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=False, active=active)
-        sky = dr.select(matte, _lighting_sky(ray.d), _seen_sky(ray.d))
-        light = light + dr.select(active & ~si.is_valid(), throughput * sky, 0.0)
-        active = active & si.is_valid()
-        sample, weight = si.bsdf().sample(
-            context, si, numbers.one(2 + 3 * depth), numbers.pair(3 + 3 * depth), active
-        )
-        matte |= active & mi.has_flag(sample.sampled_type, mi.BSDFFlags.DiffuseReflection)
-        ray = si.spawn_ray(si.to_world(sample.wo))
-        throughput, depth = throughput * weight, depth + 1
-        active &= (depth < DEEPEST) & (dr.max(throughput) > DARKEST)
-        return ray, throughput, light, depth, matte, active
-
-    state = (ray, throughput, light, depth, mi.Mask(False), active)
-    return dr.while_loop(state, lambda *state: state[-1], follow, label="picture")[2]
+def _exposed(scene, samples: int, word: int) -> np.ndarray:
+    """What so many light paths per pixel bring, float64, shape (height, width, 3)."""
+    return np.array(mi.render(scene, spp=samples, seed=word), dtype=float)
 
 
-class _Numbers:
-    """Evenly spread random numbers of every sample of every pixel (UInt32 both).
+def _sky() -> tuple[np.ndarray, float]:
+    """Radiance of the sky, from the zenith down and around, and of the floor below it.
 
-    The first dimensions of a pixel's samples are a shifted lattice (see `bulk`), so that they
-    fill lens, first bounces and the choices at them evenly; the others are random.
+    It is so soft that what is matte needs few light paths, and dark below, which glass shows.
     """
-
-    def __init__(self, pixel, sample, seed: int) -> None:
-        words = [opaque([word], mi.UInt32) for word in seed_words(2, seed)]
-        self._pixel, self._salt = pixel ^ words[0], words[1]
-        self._sample, self._mirrored = sample, dr.brev(sample)
-        self._generators = opaque(GENERATORS, mi.UInt32)
-
-    def one(self, dimension):
-        """A number (Float in [0, 1)) of a dimension (int or UInt32)."""
-        dimension = mi.UInt32(dimension)
-        even = dimension < len(GENERATORS)
-        generator = dr.gather(mi.UInt32, self._generators, dimension, even)
-        offset = dr.select(even, 0, self._sample * mi.UInt32(0x9E3779B9))
-        shift, _ = mi.sample_tea_32(self._pixel ^ offset, self._salt + dimension, HASH_ROUNDS)
-        return mi.Float((shift + self._mirrored * generator) >> 8) * 2.0**-24
-
-    def pair(self, dimension):
-        """Those of a dimension and of the next one (Point2f)."""
-        return mi.Point2f(self.one(dimension), self.one(mi.UInt32(dimension) + 1))
-
-
-def _rays(camera: Camera, pixel, jitter):
-    """Rays (Ray3f) through pixels (UInt32), at a place in each (Point2f)."""
-    # numbers of the camera as tables: one compiled kernel serves all of them
-    wide, half_high = opaque([camera.width], mi.UInt32), opaque([camera.height / 2])
-    x = mi.Float(pixel % wide) + jitter.x - mi.Float(wide) / 2
-    y = mi.Float(pixel // wide) + jitter.y - half_high
-    right, up, ahead, eye = map(opaque_vector, (*camera.axes, camera.eye))
-    scale = opaque([camera.half_width / (camera.width / 2)])
-    direction = dr.normalize(ahead + scale * (x * right - y * up))
-    return mi.Ray3f(mi.Point3f(eye), direction)
+    from_zenith, azimuth = (np.pi * (np.arange(n) + 0.5) / _SKY[0] for n in _SKY)
+    up, level = np.cos(from_zenith)[:, None], np.sin(from_zenith)[:, None]
+    x, y, z = _KEY
+    key = np.clip(level * (x * np.sin(azimuth) + y * np.cos(azimuth)) + z * up, 0.0, 1.0)
+    dark = np.clip((12.0 - np.degrees(np.arcsin(up))) / 10.0, 0.0, 1.0)
+    sky = 0.75 + 0.3 * np.maximum(up, 0.0) - 0.6 * dark + 0.8 * key**4
+    lights = np.broadcast_to(np.maximum(up, 0.0) * level, sky.shape)
+    return sky, FLOOR * float(np.average(sky, weights=lights))
 
 
 @signals_wait()
-def _studio(bodies: Sequence[Body], camera: Camera, floor_z_mm: float):
-    """The scene of Mitsuba's."""
+def _studio(bodies: Sequence[Body], camera: Camera, floor_z_mm: float, sky: np.ndarray):
+    """The scene of Mitsuba's: bodies on a white floor below a sky, and a camera."""
     points = np.concatenate([body.triangles.corners.reshape(-1, 3) for body in bodies])
     reach = float(np.abs(points).max() + np.abs(camera.target).max())
-    to_world = mi.ScalarTransform4f().translate([0, 0, floor_z_mm]).scale(1e3 * reach)
-    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": FLOOR}}
+    placed = mi.ScalarTransform4f()
+    eye, target = camera.eye.tolist(), camera.target.tolist()
     described = {
         "type": "scene",
-        "floor": {"type": "rectangle", "to_world": to_world, "bsdf": white},
+        # no path is ended by chance: that is noise
+        "integrator": {"type": "path", "max_depth": DEEPEST, "rr_depth": DEEPEST + 1},
+        "floor": {
+            "type": "rectangle",
+            "to_world": placed.translate([0, 0, floor_z_mm]).scale(1e3 * reach),
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": FLOOR}},
+        },
+        "sky": {
+            "type": "envmap",
+            "bitmap": mi.Bitmap(np.dstack([sky] * 3).astype(np.float32)),
+            "to_world": placed.rotate([1, 0, 0], 90),
+        },
+        "camera": {
+            "type": "perspective",
+            "fov": camera.field_deg,
+            "to_world": placed.look_at(eye, target, [0, 0, 1]),
+            "sampler": {"type": "multijitter", "sample_count": TOGETHER},
+            "film": {
+                "type": "hdrfilm",
+                "width": camera.width,
+                "height": camera.height,
+                "pixel_format": "rgb",
+                "component_format": "float32",
+                # each light path counts in its own pixel: sums are the same each time
+                "rfilter": {"type": "box"},
+            },
+        },
     }
     finishes: dict[Finish, object] = {}
     for number, body in enumerate(bodies):
@@ -334,26 +263,3 @@ def _bsdf(finish: Finish) -> dict:
         MATTE: {"type": "diffuse", "reflectance": colour},
     }
     return {"type": "twosided", "bsdf": sides[finish.kind]}
-
-
-def _seen_sky(direction):
-    """Radiance (Float) of the studio as glass and gloss reflect it: soft boxes, dark below."""
-    elevation = dr.rad2deg(dr.asin(dr.clip(direction.z, -1.0, 1.0)))
-    azimuth = dr.rad2deg(dr.atan2(direction.x, direction.y))  # from +y over +x; camera at -y
-    sky = 0.75 + 0.3 * dr.maximum(direction.z, 0.0) - 0.6 * _step(12.0 - elevation, 10.0)
-
-    def box(low, high, left, right):
-        inside = _step(elevation - low, 6.0) * _step(high - elevation, 6.0)
-        return inside * _step(azimuth - left, 6.0) * _step(right - azimuth, 6.0)
-
-    return sky + 2.5 * box(30.0, 70.0, -110.0, -40.0) + 1.2 * box(15.0, 55.0, 60.0, 105.0)
-
-
-def _step(value, width: float):
-    """From 0 at a value of 0 to 1 at this width."""
-    return dr.clip(value / width, 0.0, 1.0)
-
-
-def _lighting_sky(direction):
-    """Radiance (Float) as it lights what is matte: without the boxes' edges, and so their noise."""
-    return 1.0 + 0.5 * dr.dot(direction, mi.Vector3f(*_KEY))
