@@ -60,6 +60,7 @@ def _index_of(n: Index, emission: Spectrum | None, wavelength_nm: float | None) 
 
 
 def _slab_of_number(transmittance: float, n: float, thickness_mm: float) -> _SlabReading:
+    """Absorption of a slab from one transmittance, without a wavelength."""
     by_transmittance, by_n = absorption_derivatives(transmittance, n, thickness_mm)
     alpha = apparent_absorption(transmittance, n, thickness_mm)
     beside = _beside_clear(transmittance, n)
@@ -78,9 +79,9 @@ def _slab_at(
     sigma, sigmas = transmittance.sigma_at(wavelength_nm), transmittance.sigmas
     if sigma is None or sigmas is None:
         return slab
-    change = abs(slab.by_transmittance)
-    shared = change * float(np.interp(wavelength_nm, transmittance.wavelength_nm, sigmas))
-    return replace(slab, points_sigma_per_cm=change * sigma, points_shared_per_cm=shared)
+    slope = abs(slab.by_transmittance)
+    shared = slope * float(np.interp(wavelength_nm, transmittance.wavelength_nm, sigmas))
+    return replace(slab, points_sigma_per_cm=slope * sigma, points_shared_per_cm=shared)
 
 
 def _slab_over(
@@ -92,6 +93,7 @@ def _slab_over(
     mean = weighted_mean(emission, curve, "the transmittance")
     by_transmittance, by_n = absorption_derivatives(measured, indices, thickness_mm)
     weights = mean.quantity_derivatives
+    # the worst of the readings that the mean rests on
     above = np.where(weights > 0, measured - clear_limit(indices), -np.inf)
     i = int(np.argmax(above))
     beside = _beside_clear(float(measured[i]), float(indices[i]))
@@ -109,6 +111,7 @@ def _slab_over(
 
 
 def _beside_clear(measured: float, n: float) -> str:
+    """A reading beside the highest that a slab can have, in words."""
     return (
         f"{100 * measured:.4g} % transmitted is more than the {100 * float(clear_limit(n)):.4g} % "
         f"of a slab with n = {n:.4g} that absorbs nothing"
@@ -127,32 +130,34 @@ def _curve(
     Around `inside_nm` as far as light gets through, and no further than the emission: beyond it
     the index may be unknown.
     """
-    places, readings = transmittance.wavelength_nm, transmittance.values
+    nm, readings = transmittance.wavelength_nm, transmittance.values
     opaque = transmittance.refusal(
         f"no light gets through the sample at {inside_nm:g} nm",
         "measure a thinner sample, or subtract the right dark signal",
     )
     if not transmittance.at(inside_nm) > 0:
         raise opaque
-    first, last = 0, places.size - 1
+    # from the last point at or before the emission's beginning to the first at or behind its end
+    first, last = 0, nm.size - 1
     if emission is not None:
-        first = max(first, int(np.searchsorted(places, emission.first_nm, side="right")) - 1)
-        last = min(last, int(np.searchsorted(places, emission.last_nm)))
+        first = max(first, int(np.searchsorted(nm, emission.first_nm, side="right")) - 1)
+        last = min(last, int(np.searchsorted(nm, emission.last_nm)))
+    # between the nearest dark points on either side
     dark = np.flatnonzero(readings <= 0)
-    below, above = dark[places[dark] < inside_nm], dark[places[dark] > inside_nm]
+    below, above = dark[nm[dark] < inside_nm], dark[nm[dark] > inside_nm]
     first = max(first, int(below[-1]) + 1 if below.size else first)
     last = min(last, int(above[0]) - 1 if above.size else last)
     if last <= first:
         raise opaque
     part = slice(first, last + 1)
-    places, measured = places[part], readings[part]
-    indices = np.asarray(n(places), float) if callable(n) else np.full(places.shape, float(n))
+    nm, measured = nm[part], readings[part]
+    indices = np.asarray(n(nm), float) if callable(n) else np.full(nm.shape, float(n))
     alpha = apparent_absorption(measured, indices, thickness_mm)
     sigmas = None
     if transmittance.sigmas is not None:
         by_transmittance, _ = absorption_derivatives(measured, indices, thickness_mm)
         sigmas = np.abs(by_transmittance) * transmittance.sigmas[part]
-    return Spectrum(places, alpha, sigmas, transmittance.name), measured, indices
+    return Spectrum(nm, alpha, sigmas, transmittance.name), measured, indices
 
 
 TRANSMITTANCE = "transmittance"
@@ -172,7 +177,7 @@ _DARK = (
     "only {:.2g} % of the light crosses the sample: make sure that the transmittance is no "
     "absorbance, and is of full transmission"
 )
-# readings have few digits
+# Of a coefficient, 1/cm: readings have few digits.
 _ROUNDING = 1e-9
 
 
@@ -342,28 +347,28 @@ def _contributions(
 
 
 def _notes_on_errors(
-    slabs: Sequence[_SlabReading], shared_sigma: float, own_per_cm: float, sigma_per_cm: float
+    slabs: Sequence[_SlabReading], readings_sigma: float, part_per_cm: float, sigma_per_cm: float
 ) -> list[str]:
-    """What the error of the transmittance does not hold."""
-    if not own_per_cm > 0:
+    """What the error of the transmittance, `part_per_cm` of the coefficient's, does not hold."""
+    if not part_per_cm > 0:
         return [
             "the transmittance comes without errors: none of it is counted; state the one that all "
             "readings share (transmittance_sigma, --sigma)"
         ]
     shared_per_cm = float(np.mean([slab.points_shared_per_cm for slab in slabs]))
-    whole = math.sqrt(sigma_per_cm**2 + max(shared_per_cm**2 - own_per_cm**2, 0.0))
-    if shared_sigma > 0 or whole < (1 + _WORTH_SAYING) * sigma_per_cm:
+    whole = math.sqrt(sigma_per_cm**2 + max(shared_per_cm**2 - part_per_cm**2, 0.0))
+    if readings_sigma > 0 or whole < (1 + _WORTH_SAYING) * sigma_per_cm:
         return []
     return [
         "errors of the transmittance's points are taken as independent, "
-        f"{own_per_cm:.2g} /cm together; if all points share them they are worth "
+        f"{part_per_cm:.2g} /cm together; if all points share them they are worth "
         f"{shared_per_cm:.2g} /cm: then state that as the error of all readings "
         "(transmittance_sigma, --sigma)"
     ]
 
 
 def _held(slabs: Sequence[_SlabReading], sigma: float) -> tuple[float, list[str]]:
-    """The mean coefficient, 0 at least, and a note where it was held there."""
+    """The mean coefficient, 0 at least, and a note if it was held there; refused far below 0."""
     alpha = float(np.mean([slab.alpha_per_cm for slab in slabs]))
     if alpha >= -_ROUNDING:
         return max(alpha, 0.0), []

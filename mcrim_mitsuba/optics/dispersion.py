@@ -118,11 +118,12 @@ class Dispersion:
     def group_index(self, wavelength_nm: ArrayLike, material: str) -> Array:
         """n - lambda dn/dlambda, the speed of light in vacuum over that of a pulse.
 
-        Parameters and errors as `index`.
+        Raises InputError if a wavelength is outside the range; it names the `material`.
         """
         index, um = self.index(wavelength_nm, material), np.asarray(wavelength_nm) / NM_PER_UM
-        ends = (self.formula(um * (1.0 + step)) for step in (_STEP, -_STEP))
-        return index - np.subtract(*ends) / (2.0 * _STEP)
+        above, below = (self.formula(um * (1.0 + step)) for step in (_STEP, -_STEP))
+        # relative steps: lambda dn/dlambda is dn by them
+        return index - (above - below) / (2.0 * _STEP)
 
 
 #: Relative step of a derivative by the wavelength: right to 1e-9, also beside a range's end.
@@ -150,6 +151,7 @@ def indices_of_light(n_ordinary: float, n_extraordinary: float) -> tuple[Array, 
 
     Raises InputError if an index is below 1.
     """
+    # cosines of the angle to the axis from 0 to 1; weights sum to 2, half of the light has them
     nodes, weights = np.polynomial.legendre.leggauss(_DIRECTIONS)
     extraordinary = extraordinary_index(n_ordinary, n_extraordinary, (1.0 + nodes) / 2)
     return np.array([n_ordinary, *extraordinary]), np.array([0.5, *(weights / 4)])

@@ -82,14 +82,12 @@ def index_over(name: str, emission: Spectrum) -> IndexOverBand:
     emission = replace(emission, wavelength_nm=grid, values=emission.at(grid), sigmas=None)
 
     def mean_of(ray: Dispersion) -> float:
-        def held(wavelength_nm: Array) -> Array:
-            return ray.index(np.clip(wavelength_nm, shortest, longest), medium.name)
+        """Of one ray's index, beyond the range of both that at its end."""
+        return average_over(
+            emission, lambda nm: ray.index(np.clip(nm, shortest, longest), medium.name)
+        )[0]
 
-        return average_over(emission, held)[0]
-
-    outside, _ = average_over(
-        emission, lambda at_nm: ((at_nm < shortest) | (at_nm > longest)).astype(float)
-    )
+    outside, _ = average_over(emission, lambda nm: ((nm < shortest) | (nm > longest)).astype(float))
     if outside > LARGEST_OUTSIDE:
         raise emission.refusal(
             f"{100 * outside:.0f} % of the emission is outside {shortest:g} to {longest:g} nm, "
@@ -97,29 +95,29 @@ def index_over(name: str, emission: Spectrum) -> IndexOverBand:
             "give the index as a number, or of a material that is known over the whole band",
         )
     mean, spread = average_over(emission, medium.held_index)
-    missing = 0.0
+    change_beyond = 0.0
     if outside > 0:
-        missing, _ = average_over(emission, lambda at_nm: _beyond_the_end(medium, at_nm))
+        change_beyond, _ = average_over(emission, lambda nm: _beyond_the_end(medium, nm))
     return IndexOverBand(
         material=medium,
         mean=mean,
         spread=spread,
         ordinary_mean=mean_of(medium.ordinary),
         extraordinary_mean=None if medium.extraordinary is None else mean_of(medium.extraordinary),
-        mean_wavelength_nm=average_over(emission, lambda at_nm: at_nm)[0],
+        mean_wavelength_nm=average_over(emission, lambda nm: nm)[0],
         outside=outside,
-        outside_sigma=abs(missing),
+        outside_sigma=abs(change_beyond),
     )
 
 
 def _beyond_the_end(medium: Material, wavelength_nm: Array) -> Array:
     """What a straight line beyond the nearer end of the range adds to the index there."""
     shortest, longest = medium.range_nm
-    step_nm = 1.0
-    at_ends = medium.index([shortest, shortest + step_nm, longest - step_nm, longest])
-    first, last = np.diff(at_ends)[[0, -1]] / step_nm
+    # slopes over the first and the last nanometre of the range
+    at_ends = medium.index([shortest, shortest + 1.0, longest - 1.0, longest])
+    first_slope, last_slope = np.diff(at_ends)[[0, -1]]
     beyond = wavelength_nm - np.clip(wavelength_nm, shortest, longest)
-    return beyond * np.where(beyond < 0, first, last)
+    return beyond * np.where(beyond < 0, first_slope, last_slope)
 
 
 #: Where there is no spectrum: a Gaussian band, its maximum and its full width at half maximum, of
@@ -191,22 +189,23 @@ def indices_over_band(
             origin += " as the tube sees it"
     over = index_over(medium.name, emission)
     steps = math.ceil((emission.last_nm - emission.first_nm) / _STEP_NM)
-    at = np.linspace(emission.first_nm, emission.last_nm, steps + 1)
-    parts = np.clip(np.interp(at, emission.wavelength_nm, emission.values), 0.0, None)
-    return BandIndices(over, medium.held_index(at), parts / parts.sum(), origin)
+    nm = np.linspace(emission.first_nm, emission.last_nm, steps + 1)
+    # noise about 0 is no light
+    parts = np.clip(np.interp(nm, emission.wavelength_nm, emission.values), 0.0, None)
+    return BandIndices(over, medium.held_index(nm), parts / parts.sum(), origin)
 
 
 def _gaussian(medium: Material, wavelength_nm: float | None) -> tuple[Spectrum, str]:
-    """A Gaussian band, and what it is in words."""
-    usual, width = USUAL_BANDS_NM.get(medium.name, (None, _USUAL_WIDTH_NM))
+    """A Gaussian band at a wavelength, or where the material usually emits; its origin in words."""
+    usual, fwhm = USUAL_BANDS_NM.get(medium.name, (None, _USUAL_WIDTH_NM))
     maximum = usual if wavelength_nm is None else wavelength_nm
     if maximum is None:
         mend = "give its emission (--emission) or the maximum of its band (--wavelength-nm)"
         raise InputError(f"nothing tells where {medium.name} emits", mend)
-    at = maximum + width * np.linspace(-WIDTHS, WIDTHS, round(2 * WIDTHS * width / _STEP_NM) + 1)
-    values = np.exp(-4.0 * math.log(2.0) * ((at - maximum) / width) ** 2)
-    words = f"an assumed Gaussian band about {maximum:g} nm, {width:g} nm wide"
-    return Spectrum(at, values), words
+    nm = maximum + fwhm * np.linspace(-WIDTHS, WIDTHS, round(2 * WIDTHS * fwhm / _STEP_NM) + 1)
+    values = np.exp(-4.0 * math.log(2.0) * ((nm - maximum) / fwhm) ** 2)
+    words = f"an assumed Gaussian band about {maximum:g} nm, {fwhm:g} nm wide"
+    return Spectrum(nm, values), words
 
 
 def scattering_of_colours(
@@ -214,8 +213,9 @@ def scattering_of_colours(
 ) -> tuple[Array, Array]:
     """Parts of the light of a Gaussian band, and scattering over that at its maximum.
 
-    alpha_scat goes as wavelength to the power of -exponent; the band is cut off at `WIDTHS`.
-    By Gauss and Legendre: means of what is smooth over the band are right to 1e-5.
+    alpha_scat goes as wavelength to the power of -exponent; the band, whose full width at half
+    maximum is `bandwidth_nm`, is cut off at `WIDTHS`. By Gauss and Legendre: means of what is
+    smooth over the band are right to 1e-5.
 
     Returns
     -------
@@ -223,7 +223,8 @@ def scattering_of_colours(
         Parts sum to 1.
     """
     x, weights = np.polynomial.legendre.leggauss(_POINTS)
+    # in standard deviations of the band
     z = WIDTHS * FWHM * x
     parts = weights * np.exp(-0.5 * z**2)
-    relative = 1.0 + z / FWHM * bandwidth_nm / wavelength_nm
-    return parts / parts.sum(), relative**-exponent
+    wavelengths_over_maximum = 1.0 + z / FWHM * bandwidth_nm / wavelength_nm
+    return parts / parts.sum(), wavelengths_over_maximum**-exponent

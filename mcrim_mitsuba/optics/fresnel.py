@@ -63,9 +63,11 @@ def _ratio(a: NDArray, b: NDArray) -> NDArray[np.complex128]:
 
 
 def reflectance(cos_i: ArrayLike, n_from: ArrayLike, n_to: ArrayLike) -> Array:
-    """Power reflectance of unpolarised light, ``(|r_s|^2 + |r_p|^2)/2``; errors as `amplitudes`.
+    """Power reflectance of unpolarised light, ``(|r_s|^2 + |r_p|^2)/2``.
 
     It is exactly 1 in total internal reflection.
+
+    Raises InputError if a cosine is outside [0, 1] or an index is not above 0.
     """
     r_s, r_p = amplitudes(cos_i, n_from, n_to)
     mean = (np.abs(r_s) ** 2 + np.abs(r_p) ** 2) / 2

@@ -144,6 +144,7 @@ def attenuation_length_mm(
     def per_cm(
         kind: str, energy_eV: float = energy_keV * _EV_PER_KEV, elements: Iterable[str] = masses
     ) -> float:
+        """Coefficient of one process by some of the elements; without them by all."""
         per_element = (
             masses[name] * float(xraydb.mu_elam(name, energy_eV, kind=kind)) for name in elements
         )
@@ -175,6 +176,7 @@ def _escaping(
         edge = xraydb.xray_edge(element, "K")
         if edge.energy >= length.energy_keV * _EV_PER_KEV:
             continue
+        # gammas that this element absorbs in its K shell, and that shine
         share = per_cm("photo", elements=(element,)) / length.per_cm
         share *= (1.0 - 1.0 / edge.jump_ratio) * edge.fyield
         for line in xraydb.xray_lines(element, "K").values():

@@ -61,7 +61,10 @@ class Material:
         return (2.0 * ordinary + self.extraordinary.index(wavelength_nm, self.name)) / 3.0
 
     def group_index(self, wavelength_nm: ArrayLike) -> Array:
-        """n - lambda dn/dlambda of `index`; parameters and errors as there."""
+        """n - lambda dn/dlambda; of a birefringent crystal the mean (2 n_o + n_e) / 3.
+
+        Raises InputError if a wavelength is outside the range of the formula.
+        """
         ordinary = self.ordinary.group_index(wavelength_nm, self.name)
         if self.extraordinary is None:
             return ordinary
@@ -75,36 +78,38 @@ class Material:
         return not (isinstance(formula, Cauchy) and len(formula.coefficients) == 1)
 
     def held_index(self, wavelength_nm: ArrayLike) -> Array:
-        """`index`, and beyond the ends of its range that at the end."""
+        """Index of refraction; beyond the range of its formula that at the nearer end."""
         return self.index(np.clip(wavelength_nm, *self.range_nm))
 
     def birefringence(self, wavelength_nm: ArrayLike) -> Array:
-        """n_e - n_o; 0 where there is none. Parameters and errors as `index`."""
+        """n_e - n_o, 0 without a second ray; refuses wavelengths outside the formula's range."""
         ordinary = self.ordinary.index(wavelength_nm, self.name)
         if self.extraordinary is None:
             return np.zeros_like(ordinary)
         return self.extraordinary.index(wavelength_nm, self.name) - ordinary
 
     def ray(self, suffix: str) -> Material:
-        """One ray, ``o`` or ``e``, of a birefringent crystal, which it must be."""
+        """One ray of a birefringent crystal: `suffix` ``o`` the ordinary, ``e`` the other."""
         kind = {"o": "ordinary", "e": "extraordinary"}[suffix]
         name, what = f"{self.name}_{suffix}", f"{self.what}, {kind} ray"
         return replace(self, name=name, what=what, ordinary=getattr(self, kind), extraordinary=None)
 
 
 def _formula(entries: dict[str, Any]) -> Formula:
-    """The dispersion formula that has these parameters."""
-    given: dict[str, Any] = {
+    """The dispersion formula that has these parameters: Cauchy's, a gas's or Sellmeier's."""
+    parameters: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value for name, value in entries.items()
     }
-    if "wavelengths_um" in given:
-        given["squares_um2"] = tuple(length_um**2 for length_um in given.pop("wavelengths_um"))
-    if "coefficients" in given:
-        return Cauchy(**given)
-    return Gas(**given) if "strengths_per_um2" in given else Sellmeier(**given)
+    if "wavelengths_um" in parameters:
+        wavelengths_um = parameters.pop("wavelengths_um")
+        parameters["squares_um2"] = tuple(length_um**2 for length_um in wavelengths_um)
+    if "coefficients" in parameters:
+        return Cauchy(**parameters)
+    return Gas(**parameters) if "strengths_per_um2" in parameters else Sellmeier(**parameters)
 
 
 def _read_materials() -> Iterator[Material]:
+    """The catalogue's materials, from the TOML file beside this module."""
     text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
     for name, entries in tomllib.loads(text).items():
         limits_nm = entries.pop("range_nm")
@@ -156,5 +161,6 @@ def chemical_formula(name: str) -> str:
 
 def density_of(formula: str) -> float | None:
     """Density in g/cm3 of the material of a chemical formula; None if there is none."""
+    # of several of one formula the first counts
     by_formula = {medium.formula: medium.density_g_per_cm3 for medium in MATERIALS[::-1]}
     return by_formula.get(formula.strip())

@@ -105,6 +105,7 @@ def apparent_absorption(measured: ArrayLike, n: ArrayLike, thickness_mm: float) 
         raise InputError("a measured transmittance is not above 0", "give a thinner sample's")
     if not thickness_mm > 0:
         raise InputError("the thickness is not above 0", "give it in mm")
+    # + 0.0 turns the -0.0 of a perfectly clear sample into 0.0
     return -np.log(_internal(measured, n)) * MM_PER_CM / thickness_mm + 0.0
 
 
@@ -124,7 +125,7 @@ def absorption_derivatives(
 
 
 def _internal(measured: Array, n: ArrayLike) -> Array:
-    """The root of `internal_transmittance`, of any reading above 0."""
+    """Transmittance T of the bulk behind a reading M: root of R^2 M T^2 + (1-R)^2 T - M = 0."""
     face = _face_reflectance(n)
     clear = (1 - face) ** 2
     return 2 * measured / (clear + np.sqrt(clear**2 + (2 * face * measured) ** 2))

@@ -29,11 +29,11 @@ class _Interpolation:
         self._share = (places - points[self._left]) / step
 
     def at(self, values: Array) -> Array:
-        """The matrix times values."""
+        """Values at the places, from those at the grid's points: the matrix times these."""
         return (1 - self._share) * values[self._left] + self._share * values[self._left + 1]
 
     def back(self, weights: Array) -> Array:
-        """The transposed matrix times weights."""
+        """Weights of the grid's points, from those of the places: the transposed matrix."""
         left = np.bincount(self._left, (1 - self._share) * weights, self._count)
         right = np.bincount(self._left + 1, self._share * weights, self._count)
         return np.asarray(left + right, float)
@@ -59,6 +59,7 @@ def _product_weights(grid: Array, values: Array) -> Array:
 
 def _integral_of_square(grid: Array, weight: Array, values: Array) -> float:
     """Integral of a weight times values squared, both straight between the grid's points."""
+    # three places between each two points, (points - 1, 3): the product is a cubic there
     share = (1 + _GAUSS) / 2
     w = weight[:-1, None] * (1 - share) + weight[1:, None] * share
     v = values[:-1, None] * (1 - share) + values[1:, None] * share
@@ -156,12 +157,12 @@ def detected_light(emission: Spectrum, quantum_efficiency: Spectrum) -> Spectrum
     wavelength, s the emission and e the efficiency (Eqs. 2 and 3 of the article). The efficiency
     is 0 beyond its points. The emission's errors are not carried on.
     """
-    at = np.union1d(emission.wavelength_nm, quantum_efficiency.wavelength_nm)
-    at = at[(emission.first_nm <= at) & (at <= emission.last_nm)]
+    nm = np.union1d(emission.wavelength_nm, quantum_efficiency.wavelength_nm)
+    nm = nm[(emission.first_nm <= nm) & (nm <= emission.last_nm)]
     efficiency = np.interp(
-        at, quantum_efficiency.wavelength_nm, quantum_efficiency.values, left=0.0, right=0.0
+        nm, quantum_efficiency.wavelength_nm, quantum_efficiency.values, left=0.0, right=0.0
     )
-    return Spectrum(at, emission.at(at) * efficiency, name=emission.name)
+    return Spectrum(nm, emission.at(nm) * efficiency, name=emission.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,6 +201,7 @@ def weighted_mean(emission: Spectrum, quantity: Spectrum, what: str = "the curve
     grid = common_grid(emission, quantity)
     of_emission = _Interpolation(emission.wavelength_nm, grid)
     of_quantity = _Interpolation(quantity.wavelength_nm, grid)
+    # the emission s and the quantity q on one grid
     s, q = of_emission.at(emission.values), of_quantity.at(quantity.values)
     area = _integral(grid, s)
     value = float(s @ _product_weights(grid, q)) / area
@@ -209,6 +211,7 @@ def weighted_mean(emission: Spectrum, quantity: Spectrum, what: str = "the curve
     variance = _integral_of_square(grid, s, q - value) / area
     return WeightedMean(
         value=value,
+        # noise of the emission below 0 may make it negative
         spread=math.sqrt(max(variance, 0.0)),
         quantity_sigma=_propagated(by_quantity, quantity.sigmas),
         emission_sigma=_propagated(by_emission, emission.sigmas),
@@ -235,6 +238,7 @@ def average_over(emission: Spectrum, function: Callable[[Array], Array]) -> tupl
     values = np.asarray(function(places.ravel()), dtype=np.float64)
     weights = (emission.at(places) * step * _GAUSS_WEIGHTS / 2).ravel()
     mean = float(weights @ values / weights.sum())
+    # noise of the emission below 0 may make it negative
     variance = float(weights @ (values - mean) ** 2 / weights.sum())
     return mean, math.sqrt(max(variance, 0.0))
 
@@ -254,6 +258,7 @@ def cut_off_note(emission: Spectrum) -> str | None:
 
 
 def _area(emission: Spectrum) -> float:
+    """Integral of an emission; raises InputError if it is not above 0."""
     area = _integral(emission.wavelength_nm, emission.values)
     if not area > 0:
         problem = "the emission has no area"
@@ -306,4 +311,5 @@ def common_grid(first: Spectrum, second: Spectrum) -> Array:
 
 
 def _propagated(derivatives: Array, sigmas: Array | None) -> float | None:
+    """Standard error by independent errors of points; None where these are not known."""
     return None if sigmas is None else float(np.linalg.norm(derivatives * sigmas))

@@ -125,8 +125,9 @@ def _refuse_range(table: DataTable, column: int, given: Array, wavelengths: Arra
 
 
 def _ordered(table: DataTable, column: int, given: Array, wavelengths: Array) -> NDArray[np.int64]:
-    """Rows by ascending wavelength, repeated ones once."""
+    """Rows by ascending wavelength, repeated ones once; refuses rows without an order."""
     steps = np.diff(given)
+    # by most of the steps: the others are named as wrong
     direction = 1.0 if np.count_nonzero(steps > 0) >= np.count_nonzero(steps < 0) else -1.0
     for i in np.flatnonzero(direction * steps <= 0):
         row = int(i) + 1
@@ -144,7 +145,7 @@ def _ordered(table: DataTable, column: int, given: Array, wavelengths: Array) ->
 def _notes_on_gaps(
     table: DataTable, column: int, wavelengths: Array, rows: NDArray[np.int64]
 ) -> tuple[str, ...]:
-    """Refuses gaps in which a straight line is no curve; names smaller ones."""
+    """Refuse gaps in which a straight line is no curve, and name smaller ones in a note."""
     steps = np.diff(wavelengths)
     if not steps.size:
         return ()
@@ -234,9 +235,9 @@ _WANTED = {
 
 
 def read_spectra(paths: Sequence[str | Path], kind: Kind) -> list[Spectrum]:
-    """Read measurements of one kind, which are different ones; see `read_spectrum`.
+    """Read and check several measurements of one kind, efficiencies as fractions.
 
-    Raises InputError also if two are one file, or alike byte for byte.
+    Raises InputError if one cannot be used, or two are one file or alike byte for byte.
     """
     spectra = [read_spectrum(path, kind) for path in paths]
     duplicates = first_duplicates([Path(path) for path in paths])
@@ -268,15 +269,15 @@ def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
         ``quantum_efficiency``, ``transmittance``: fractions, or % where the name says so.
     """
     table = read_data_table(path, roles=("wavelength", "value", "sigma"))
-    places, value, sigma = _columns(table)
+    wavelength, value, sigma = _columns(table)
     _refuse_foreign(table, value, kind)
-    axis = _read_axis(table, places)
+    axis = _read_axis(table, wavelength)
     if axis.rows.size < _FEWEST_POINTS:
         problem = f"only {counted(axis.rows.size, 'point')}"
         raise InputError(problem, f"a spectrum has {_FEWEST_POINTS} at least", path=table.path)
     sigmas = None if sigma is None else _sigmas(table, value, sigma, kind)
     scale, notes = (
-        _emission(table, places, value, sigmas, axis)
+        _emission(table, wavelength, value, sigmas, axis)
         if kind == "emission"
         else (_scale(table, value, kind), axis.notes)
     )
@@ -286,27 +287,27 @@ def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
 
 
 def _columns(table: DataTable) -> tuple[int, int, int | None]:
-    """Which columns are the wavelength, the value and its error."""
+    """Columns of the wavelength, else the first; of the value; and of its error, or None."""
     count = table.values.shape[1]
     names = table.names or ("",) * count
     if count == 1:
         mend = "write the wavelength in nm before each value"
         raise InputError("one column of numbers", mend, path=table.path, line=int(table.lines[0]))
-    lengths = [
+    wavelengths = [
         i
         for i in range(count)
         if table.units[i] in ("nm", "µm", "Å", "eV", "1/cm") or _WAVELENGTH_TITLE.search(names[i])
     ]
-    if len(lengths) > 1:
+    if len(wavelengths) > 1:
         mend = "keep one of them, and give each spectrum a file of its own"
-        raise InputError(f"{len(lengths)} columns are wavelengths", mend, path=table.path)
-    places = lengths[0] if lengths else 0
-    others = [i for i in range(count) if i != places]
+        raise InputError(f"{len(wavelengths)} columns are wavelengths", mend, path=table.path)
+    wavelength = wavelengths[0] if wavelengths else 0
+    others = [i for i in range(count) if i != wavelength]
     if count == 2:
-        return places, others[0], None
+        return wavelength, others[0], None
     errors = [i for i in others if _SIGMA.search(names[i])]
     if count == 3 and len(errors) == 1:
-        return places, next(i for i in others if i != errors[0]), errors[0]
+        return wavelength, next(i for i in others if i != errors[0]), errors[0]
     raise InputError(
         f"{count} columns" + (", and none is named as an error" if count == 3 else ""),
         "keep wavelength and value, and if it is known the value's standard error in a third "
@@ -337,15 +338,15 @@ def _refuse_foreign(table: DataTable, value: int, kind: Kind) -> None:
 
 
 def _sigmas(table: DataTable, value: int, sigma: int, kind: Kind) -> Array:
-    """(rows,) standard errors in the table's unit of the values."""
+    """(rows,) standard errors in the values' unit; refuses those that such values cannot have."""
     sigmas = _in_unit_of_value(table, value, sigma, kind)
     values = table.values[:, value]
     full = np.inf if kind == "emission" else 100.0 if table.units[value] == "%" else 1.0
-    wrong = sigmas > np.minimum(_LARGEST_ERROR[kind] * np.abs(values), full)
-    high = values > _HIGH * values.max()
     impossible = sigmas > full
-    if np.any(impossible) or np.count_nonzero(wrong & high) > np.count_nonzero(high) / 2:
-        row = int(np.argmax(impossible if np.any(impossible) else wrong & high))
+    high = values > _HIGH * values.max()
+    unlikely = high & (sigmas > np.minimum(_LARGEST_ERROR[kind] * np.abs(values), full))
+    if np.any(impossible) or np.count_nonzero(unlikely) > np.count_nonzero(high) / 2:
+        row = int(np.argmax(impossible if np.any(impossible) else unlikely))
         problem = f"an error of {sigmas[row]:g} for a value of {values[row]:g}"
         mend = "give standard errors in the value's unit, or write 'relative sigma (%)'"
         raise table.refusal(row, sigma, problem, mend)
@@ -353,7 +354,7 @@ def _sigmas(table: DataTable, value: int, sigma: int, kind: Kind) -> Array:
 
 
 def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> Array:
-    """The column of errors, converted if it is relative."""
+    """The errors, converted if relative; refuses other than standard errors in the value's unit."""
     sigmas = table.values[:, sigma]
     assert table.names is not None  # a column of errors is found by its name
     title = table.names[sigma]
@@ -377,31 +378,31 @@ def _in_unit_of_value(table: DataTable, value: int, sigma: int, kind: Kind) -> A
 
 
 def _emission(
-    table: DataTable, places: int, value: int, sigmas: Array | None, axis: _WavelengthAxis
+    table: DataTable, wavelength: int, value: int, sigmas: Array | None, axis: _WavelengthAxis
 ) -> tuple[Array, tuple[str, ...]]:
     """What turns intensities of an emission into photons per nm, (points,), and all notes.
 
     Raises InputError if no intensity is above 0, or one is below 0 by more than noise.
     """
-    given = table.values[:, value]
-    highest = float(given.max())
+    intensities = table.values[:, value]
+    highest = float(intensities.max())
     if not highest > 0:
         mend = "subtract the background once, and give the light as positive"
-        raise table.refusal(int(np.argmax(given)), value, "no intensity is above 0", mend)
-    noise = np.full(given.shape, _NOISE_OF_EMISSION * highest)
+        raise table.refusal(int(np.argmax(intensities)), value, "no intensity is above 0", mend)
+    noise = np.full(intensities.shape, _NOISE_OF_EMISSION * highest)
     if sigmas is not None:
         noise = np.maximum(noise, np.minimum(_NOISE_SIGMAS * sigmas, _MOST_NOISE * highest))
-    below = given < -noise
+    below = intensities < -noise
     if np.any(below):
         row = int(np.argmax(below))
         raise table.refusal(
             row,
             value,
-            f"{given[row]:g} is below 0 by more than {100 * _NOISE_OF_EMISSION:g} % of the maximum "
-            f"{highest:g}",
+            f"{intensities[row]:g} is below 0 by more than {100 * _NOISE_OF_EMISSION:g} % of the "
+            f"maximum {highest:g}",
             "subtract the right background, or cut the spectrum there",
         )
-    unit, notes, file = table.units[places], list(axis.notes), table.path.name
+    unit, notes, file = table.units[wavelength], list(axis.notes), table.path.name
     if unit in _RECIPROCAL:
         converted = f"intensities are taken per {unit} and were converted to intensities per nm"
         notes.append(f"{file}: {converted}")
@@ -413,14 +414,14 @@ def _emission(
 
 def photons_over_emission(table: DataTable, value: int, wavelength_nm: Array) -> Array | float:
     """What turns an emission into photons, up to a constant: 1, or (points,) that rise with nm.
-
-    Raises InputError if neither the column's name nor a comment says photons or power.
+    Raises InputError if neither the column's name and unit nor comments say photons or power.
     """
     title = " ".join(filter(None, (table.names[value] if table.names else "", table.units[value])))
     comments = [text for text in table.comments for text in _PER_NM.findall(text)]
     for texts in ([title], comments):
         photons, power = (any(map(word.search, texts)) for word in (_PHOTONS, _POWER))
         if photons != power:
+            # a photon's energy goes as 1 / wavelength; 1 in the middle of the table
             return 1.0 if photons else 2.0 * wavelength_nm / (wavelength_nm[0] + wavelength_nm[-1])
     mend = "name the column such as 'emission (photons/nm)' or 'emission (mW/nm)'"
     problem = "nothing says whether the emission is photons or power per nm"
@@ -428,33 +429,33 @@ def photons_over_emission(table: DataTable, value: int, wavelength_nm: Array) ->
 
 
 def _scale(table: DataTable, value: int, kind: Kind) -> float:
-    """What makes fractions of the values, which it checks."""
-    given, unit = table.values[:, value], table.units[value]
-    largest = int(np.argmax(given))
+    """What makes fractions of the values, 1 or 0.01; refuses values outside 0..1, unsure units."""
+    values, unit = table.values[:, value], table.units[value]
+    row, smallest = int(np.argmax(values)), int(np.argmin(values))
+    largest = values[row]
     lowest = -_NOISE_OF_TRANSMITTANCE if kind == "transmittance" else 0.0
     full = 100.0 if unit == "%" else 1.0
-    if given[largest] > full:
-        if unit is None and given[largest] <= 100:
-            problem = f"{given[largest]:g} is more than 1, and no unit is given"
-            name = "T (%)" if kind == "transmittance" else "QE (%)"
-            mend = f"write % in the column's name, such as {name}"
-            raise table.refusal(largest, value, problem, mend)
+    if largest > full and unit is None and largest <= 100:
+        problem = f"{largest:g} is more than 1, and no unit is given"
+        name = "T (%)" if kind == "transmittance" else "QE (%)"
+        mend = f"write % in the column's name, such as {name}"
+        raise table.refusal(row, value, problem, mend)
+    if largest > full:
         percent = " %" if unit == "%" else ""
-        problem = f"{given[largest]:g}{percent} is more than {full:g}{percent}"
+        problem = f"{largest:g}{percent} is more than {full:g}{percent}"
         mend = "correct it; if a baseline drifted, measure it again"
-        raise table.refusal(largest, value, problem, mend)
-    smallest = int(np.argmin(given))
-    if given[smallest] < lowest * full:
-        do = "write 0" if kind == "quantum_efficiency" else "subtract the right dark signal"
-        problem = f"{given[smallest]:g} is negative"
-        raise table.refusal(smallest, value, problem, f"{do}, or cut the curve there")
-    if not given[largest] > 0:
-        raise table.refusal(largest, value, "no value is above 0", "check the column")
+        raise table.refusal(row, value, problem, mend)
+    if values[smallest] < lowest * full:
+        mend = "write 0" if kind == "quantum_efficiency" else "subtract the right dark signal"
+        problem = f"{values[smallest]:g} is negative"
+        raise table.refusal(smallest, value, problem, f"{mend}, or cut the curve there")
+    if not largest > 0:
+        raise table.refusal(row, value, "no value is above 0", "check the column")
     if unit is None and any(map(_SAYS_PERCENT.search, table.comments)):
         problem = "a comment says %, and the column's name does not"
         raise table.refusal(None, value, problem, "name the column with its unit: fraction or %")
-    if unit == "%" and given[largest] <= 1:
-        problem = f"the largest value is {given[largest]:g} %: these look like fractions"
+    if unit == "%" and largest <= 1:
+        problem = f"the largest value is {largest:g} %: these look like fractions"
         mend = "remove the % from the column's name, or give per cent"
-        raise table.refusal(largest, value, problem, mend)
+        raise table.refusal(row, value, problem, mend)
     return 1 / full

@@ -54,8 +54,7 @@ def cathode_index(wavelength_nm: float) -> complex:
     if not wavelengths[0] <= wavelength_nm <= wavelengths[-1]:
         problem = f"wavelength_nm = {wavelength_nm:g}: the photocathode's index is not known there"
         raise InputError(problem, f"give {wavelengths[0]:g} to {wavelengths[-1]:g} nm")
-    at = (np.interp(wavelength_nm, wavelengths, values) for values in (n, k))
-    return complex(*(float(value) for value in at))
+    return complex(*(float(np.interp(wavelength_nm, wavelengths, part)) for part in (n, k)))
 
 
 @dataclass(frozen=True)
@@ -80,12 +79,14 @@ class ThinFilm:
         film, vacuum = complex(self.index) / self.window_index, 1.0 / self.window_index
         sine2 = (1.0 - cosine) * (1.0 + cosine)
         inside, beyond = (np.sqrt(np.asarray(m**2 - sine2, dtype=complex)) for m in (film, vacuum))
+        # what a wave's field becomes on its way across the film
         across = np.exp(2j * math.pi * self.wavelengths * self.window_index * inside)
         reflectances, transmittances = [], []
-        # s and p polarised: admittances of window, film and vacuum, in units of the window's index
-        for of_film, of_vacuum in ((1.0, 1.0), (film**2, vacuum**2)):
-            a, b, c = cosine, inside / of_film, beyond / of_vacuum
-            # at grazing incidence all is reflected
+        # s, then p polarised
+        for film_square, vacuum_square in ((1.0, 1.0), (film**2, vacuum**2)):
+            # admittances of window, film and vacuum, in units of the window's index
+            a, b, c = cosine, inside / film_square, beyond / vacuum_square
+            # amplitudes at the two faces; at grazing incidence all is reflected
             front, back = (a - b) / (a + b), (b - c) / (b + c)
             round_trip = 1.0 + front * back * across**2
             reflected = (front + back * across**2) / round_trip
@@ -103,5 +104,5 @@ class ThinFilm:
 
     @property
     def head_on(self) -> float:
-        """`absorptance` at normal incidence."""
+        """Part of the light that the film absorbs at normal incidence."""
         return float(self.absorptance(1.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import textwrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -65,16 +65,16 @@ def draw_budget(calibration: Calibration) -> style.Drawing:
             name,
             estimate.value,
             *part,
-            100 * part[-1] / abs(estimate.value) if estimate.value else None,
+            100 * part.sigma / abs(estimate.value) if estimate.value else None,
         )
         for name, estimate in fitted
         if estimate.at_bound is None
         for part in contributions(estimate)
     ]
-    columns = ("parameter", "value", "origin", "kind", "sigma", "percent_of_value")
+    columns = ("parameter", "value", *ErrorPart._fields, "percent_of_value")
     if not fitted:
-        nothing = style.said_alone("nothing was fitted: there are no errors")
-        return style.Drawing(nothing, columns, rows)
+        sentence = style.sentence_instead("nothing was fitted: there are no errors")
+        return style.Drawing(sentence, columns, rows)
     down, across = style.panels_of(len(fitted))
     figure = style.canvas(max(_BUDGET_WIDE * across + 1.3, 7.2), _HIGH * down + 0.9)
     for axes, (name, estimate) in zip(style.panels(figure, len(fitted)), fitted, strict=True):
@@ -90,25 +90,34 @@ def draw_budget(calibration: Calibration) -> style.Drawing:
     return style.Drawing(figure, columns, rows)
 
 
-def contributions(estimate: ParameterEstimate) -> list[tuple[str, str, float]]:
-    """(origin, kind, sigma) of every contribution that a parameter has, sums last.
+class ErrorPart(NamedTuple):
+    """What one origin adds to a parameter's error, in quadrature."""
 
-    ``systematic, together`` is there where more than one is; ``total`` always. Contributions
-    add up in quadrature.
+    origin: str
+    #: `STATISTICAL`, `SYSTEMATIC` or `TOTAL`.
+    kind: str
+    #: In the parameter's unit.
+    sigma: float
+
+
+def contributions(estimate: ParameterEstimate) -> list[ErrorPart]:
+    """All parts of a parameter's error, sums last.
+
+    ``systematic, together`` is there where more than one is systematic; ``total`` always.
     """
     parts = [
-        (name, kind, estimate.contributions[origin])
+        ErrorPart(name, kind, estimate.contributions[origin])
         for origin, (name, kind) in _ORIGINS.items()
         if estimate.contributions.get(origin)
     ]
-    systematic = [sigma for _, kind, sigma in parts if kind == SYSTEMATIC]
+    systematic = [part.sigma for part in parts if part.kind == SYSTEMATIC]
     if len(systematic) > 1:
-        parts.append(("systematic, together", SYSTEMATIC, math.hypot(*systematic)))
-    return [*parts, ("total", TOTAL, estimate.sigma)]
+        parts.append(ErrorPart("systematic, together", SYSTEMATIC, math.hypot(*systematic)))
+    return [*parts, ErrorPart("total", TOTAL, estimate.sigma)]
 
 
 def _draw_contributions(axes: Axes, name: str, estimate: ParameterEstimate) -> None:
-    """A parameter's errors by origin as bars, in per cent where the value is above its error."""
+    """A parameter's errors as bars, in per cent if the value is larger; at a bound in words."""
     axes.set_title(style.parameter_title(name), loc="left", fontsize=11)
     if estimate.at_bound is not None:
         axes.text(0.02, 0.5, estimate_text(estimate), transform=axes.transAxes, color=style.GREY)
@@ -116,10 +125,11 @@ def _draw_contributions(axes: Axes, name: str, estimate: ParameterEstimate) -> N
         return
     in_percent = abs(estimate.value) > estimate.sigma
     parts = contributions(estimate)
-    sizes = [100 * sigma / abs(estimate.value) if in_percent else sigma for _, _, sigma in parts]
-    for place, ((_, kind, _), size) in enumerate(zip(parts, sizes, strict=True)):
-        _bar(axes, place, kind, size, f"{number(size)} %" if in_percent else number(size))
-    axes.set_yticks(range(len(parts)), [origin for origin, _, _ in parts], fontsize=10)
+    factor = 100 / abs(estimate.value) if in_percent else 1.0
+    sizes = [factor * part.sigma for part in parts]
+    for place, (part, size) in enumerate(zip(parts, sizes, strict=True)):
+        _bar(axes, place, part.kind, size, f"{number(size)} %" if in_percent else number(size))
+    axes.set_yticks(range(len(parts)), [part.origin for part in parts], fontsize=10)
     axes.set(ylim=(max(len(parts), _FEWEST_ROWS) - 0.5, -0.5), xlim=(0, 1.28 * max(sizes)))
     axes.set_xlabel(
         f"{'% of' if in_percent else 'own unit;'} {estimate_text(estimate)}",
@@ -131,20 +141,20 @@ def _draw_contributions(axes: Axes, name: str, estimate: ParameterEstimate) -> N
 
 
 def _bar(axes: Axes, place: int, kind: str, size: float, text: str, colour: str = "black") -> None:
-    """A bar with what it stands for behind its end."""
+    """A bar in the look of its kind, with what it stands for at the right of its end."""
     axes.barh(place, size, height=0.66, lw=1, **_STYLES[kind])
-    style.behind(axes, text, (size, place), color=colour)
+    style.text_after_bar(axes, text, (size, place), color=colour)
 
 
 def _spelled_out(light: ParameterEstimate) -> str:
-    """How the light yield's error adds up."""
-    parts = [
-        (origin, 100 * sigma / light.value)
-        for origin, _, sigma in contributions(light)
-        if origin not in ("systematic, together", "total")
-    ]
-    words = ", ".join(f"{origin} {number(percent)} %" for origin, percent in parts)
-    squares = " + ".join(f"{number(percent)}²" for _, percent in parts)
+    """How the light yield's error adds up, in two lines: parts in words, and their squares."""
+    percent_by_origin = {
+        part.origin: number(100 * part.sigma / light.value)
+        for part in contributions(light)
+        if part.origin not in ("systematic, together", "total")
+    }
+    words = ", ".join(f"{origin} {size} %" for origin, size in percent_by_origin.items())
+    squares = " + ".join(f"{size}²" for size in percent_by_origin.values())
     total = 100 * light.sigma / light.value
     return f"Light yield {estimate_text(light)} ph/keV: {words}\n√({squares}) % = {number(total)} %"
 
@@ -165,29 +175,32 @@ _LEAST_PERCENT = 0.005
 def _neglected_numbers(budget: Budget) -> style.Numbers:
     """Of all quantities: contributions, sums, what is left out."""
     rows: list[tuple] = []
+    no_shift = (None, None, None)
     for name, total in budget.totals.items():
-        percent = 100 / abs(total.value)
-        errors = [
-            *(
-                (row.name, row.kind, 100 * abs(row.relative), row.by)
-                for row in budget.contributions[name].contributions
-            ),
-            ("total", TOTAL, percent * total.sigma, ""),
-            ("total, with what is left out", TOTAL, percent * total.sigma_with_neglected, ""),
+        per_cent = 100 / abs(total.value)
+        rows += [
+            (name, total.value, part.name, part.kind, 100 * abs(part.relative), *no_shift, part.by)
+            for part in budget.contributions[name].contributions
         ]
-        rows += [(name, total.value, *cells, None, None, None, by) for *cells, by in errors]
+        rows += [
+            (name, total.value, words, TOTAL, per_cent * sigma, *no_shift, "")
+            for words, sigma in (
+                ("total", total.sigma),
+                ("total, with what is left out", total.sigma_with_neglected),
+            )
+        ]
         for piece in budget.pieces:
-            moved = piece.refitted[name]
+            shift = piece.refitted[name]
             rows.append(
                 (
                     name,
                     total.value,
                     piece.title,
                     _kind(piece),
-                    percent * moved.as_error,
-                    100 * moved.relative,
-                    percent * moved.monte_carlo_sigma,
-                    percent * moved.size_sigma,
+                    per_cent * shift.as_error,
+                    100 * shift.relative,
+                    per_cent * shift.monte_carlo_sigma,
+                    per_cent * shift.size_sigma,
                     piece.mend,
                 )
             )
@@ -202,6 +215,15 @@ def _kind(piece: Neglected) -> str:
     return _CORRECTION if piece.correction else SYSTEMATIC
 
 
+class _BudgetRow(NamedTuple):
+    """A contribution to several quantities."""
+
+    name: str
+    kind: str
+    #: By quantity: length in per cent of it, and text.
+    bars: dict[str, tuple[float, str]]
+
+
 @style.styled
 def draw_neglected(budget: Budget) -> style.Drawing:
     """The whole error budget of a campaign, what its model leaves out included.
@@ -210,61 +232,62 @@ def draw_neglected(budget: Budget) -> style.Drawing:
     """
     names, numbers = [n for n in budget.main if n in budget.totals], _neglected_numbers(budget)
     if not names:
-        nothing = style.said_alone("a parameter ended at its bound: no budget")
-        return style.Drawing(nothing, *numbers)
+        sentence = style.sentence_instead("a parameter ended at its bound: no budget")
+        return style.Drawing(sentence, *numbers)
     rows = _rows(budget, names)
     figure = style.canvas(_NAMES + _NEGLECTED_WIDE * len(names), 1.5 + _ROW * len(rows))
-    every = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
-    for axes, name in zip(every, names, strict=True):
+    all_axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+    for axes, name in zip(all_axes, names, strict=True):
         total = budget.totals[name]
-        drawn = [
-            (place, kind, *sizes[name])
-            for place, (_, kind, sizes) in enumerate(rows)
-            if name in sizes
-        ]
-        for place, kind, size, text in drawn:
-            _bar(axes, place, kind, size, text, style.GREY if size < _LEAST_PERCENT else "black")
-        longest = max((size for *_, size, _ in drawn), default=1.0)
+        for place, row in enumerate(rows):
+            if name in row.bars:
+                length, text = row.bars[name]
+                colour = style.GREY if length < _LEAST_PERCENT else "black"
+                _bar(axes, place, row.kind, length, text, colour)
+        # room at the right for the texts
+        longest = max((row.bars[name][0] for row in rows if name in row.bars), default=1.0)
         axes.set_xlim(0, 1.42 * longest if math.isfinite(longest) and longest else 1.0)
         style.open_axes(axes, "x")
         axes.tick_params(axis="y", length=0)
         title = style.parameter_title(name).replace("(photons per keV)", "(ph/keV)")
         axes.set_title(title, loc="left", fontsize=11)
         axes.set_xlabel(f"% of {pdg(total.value, total.sigma)}", fontsize=10)
-    every[0].set_yticks(range(len(rows)), [row[0] for row in rows], fontsize=10)
-    every[0].set_ylim(len(rows) - 0.5, -0.5)
-    kinds = {kind for _, kind, _ in rows}
+    all_axes[0].set_yticks(range(len(rows)), [row.name for row in rows], fontsize=10)
+    all_axes[0].set_ylim(len(rows) - 0.5, -0.5)
+    kinds = {row.kind for row in rows}
     handles = [Patch(label=kind, **look) for kind, look in _STYLES.items() if kind in kinds]
     style.legend_of(figure, handles, "lower center", 4)
     return style.Drawing(figure, *numbers)
 
 
-def _rows(budget: Budget, names: list[str]) -> list[tuple[str, str, dict[str, tuple]]]:
-    """Name, kind, and per quantity (length of the bar, its text), all in per cent."""
-    rows: dict[str, tuple[str, dict[str, tuple]]] = {}
+def _rows(budget: Budget, names: list[str]) -> list[_BudgetRow]:
+    """Contributions, the total, errors left out, and corrections with the sign of their shift."""
+    contributions: dict[str, _BudgetRow] = {}
     # the light yield, last, puts the rows in order
     for name in reversed(names):
-        for row in budget.contributions[name].contributions:
-            size = 100 * abs(row.relative)
-            rows.setdefault(row.name, (row.kind, {}))[1][name] = size, f"{number(size, 2)} %"
-    bars = [(name.replace("_", " "), kind, sizes) for name, (kind, sizes) in rows.items()]
+        for part in budget.contributions[name].contributions:
+            row = _BudgetRow(part.name.replace("_", " "), part.kind, {})
+            length = 100 * abs(part.relative)
+            bars = contributions.setdefault(part.name, row).bars
+            bars[name] = length, f"{number(length, 2)} %"
     totals = {n: 100 * t.sigma / abs(t.value) for n, t in budget.totals.items()}
-    bars.append(("total", TOTAL, {n: (size, f"{number(size)} %") for n, size in totals.items()}))
-    # corrections last; what makes all of them together is one
+    total_bars = {n: (length, f"{number(length)} %") for n, length in totals.items()}
+    rows = [*contributions.values(), _BudgetRow("total", TOTAL, total_bars)]
+    # corrections last; `pieces` has among them all corrections at once
     for piece in (
         *(p for p in budget.neglected if not p.correction),
         *(p for p in budget.pieces if p.correction),
     ):
-        sizes = {}
-        for name, moved in piece.refitted.items():
-            if moved.before and piece.correction:
-                sizes[name] = abs(100 * moved.relative), f"{100 * moved.relative:+.2g} %"
-            elif moved.before:
-                size = 100 * moved.as_error / abs(moved.before)
-                sizes[name] = size, f"{number(size, 2)} %" if size > _LEAST_PERCENT else "0"
+        bars = {}
+        for name, shift in piece.refitted.items():
+            if shift.before and piece.correction:
+                bars[name] = abs(100 * shift.relative), f"{100 * shift.relative:+.2g} %"
+            elif shift.before:
+                length = 100 * shift.as_error / abs(shift.before)
+                bars[name] = length, f"{number(length, 2)} %" if length > _LEAST_PERCENT else "0"
         title = piece.title if piece.correction else f"{piece.title} (left out)"
-        bars.append((title, _kind(piece), sizes))
-    return bars
+        rows.append(_BudgetRow(title, _kind(piece), bars))
+    return rows
 
 
 # The light yield's error over events, by couplings.
@@ -272,6 +295,8 @@ def _rows(budget: Budget, names: list[str]) -> list[tuple[str, str, dict[str, tu
 
 _COLOURS = (style.DARK, style.WARM, style.LIGHT)
 _LINES = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (5, 1.5, 1, 1.5)))
+#: A set of couplings: places in `Planning.candidates`.
+_Couplings = tuple[int, ...]
 #: Curves that differ by no more than this part of themselves are drawn as one.
 _ON_EACH_OTHER = 0.06
 
@@ -286,37 +311,27 @@ def draw_plan(planning: Planning) -> style.Drawing:
     figure = style.canvas(10.4, 4.6)
     statistical, total = figure.subplots(1, 2)
     mountings = (planning.cheapest or planning.cheapest_statistical or planning.plans[-1]).mountings
-    plans: dict[tuple[int, ...], list[Plan]] = {}
+    plans: dict[_Couplings, list[Plan]] = {}
     for plan in sorted(planning.plans, key=lambda p: p.events):
         if plan.mountings == mountings:
             plans.setdefault(plan.configurations, []).append(plan)
-    best = sorted(plans, key=lambda chosen: plans[chosen][-1].light_yield.of_plan)
-    # per set of couplings (2, events) percentages, and those whose curves would lie on its own
+    # the set whose plan of most events is the most precise first
+    best = sorted(plans, key=lambda couplings: plans[couplings][-1].light_yield.of_plan)
+    # (2, events) each: statistical part and whole, per cent
     curves = {
-        chosen: 100.0
-        * np.array([(p.light_yield.statistical, p.light_yield.total) for p in plans[chosen]]).T
-        for chosen in best
+        couplings: 100.0
+        * np.array([(p.light_yield.statistical, p.light_yield.total) for p in plans[couplings]]).T
+        for couplings in best
     }
-
-    def covers(drawn: tuple[int, ...], chosen: tuple[int, ...]) -> bool:
-        curve, other = curves[drawn], curves[chosen]
-        return curve.shape == other.shape and np.allclose(
-            other, curve, rtol=_ON_EACH_OTHER, atol=0.0
-        )
-
-    alike: dict[tuple[int, ...], int] = {}
-    for chosen in best:
-        drawn = next((twin for twin in alike if covers(twin, chosen)), chosen)
-        alike[drawn] = alike.get(drawn, -1) + 1
     looks = itertools.product(_LINES, _COLOURS)
-    for (chosen, others), (line, colour) in zip(alike.items(), looks, strict=False):
+    drawn = _without_covered(curves)
+    for (couplings, covered), (line, colour) in zip(drawn.items(), looks, strict=False):
         look = {"color": colour, "ls": line, "lw": 1.6, "marker": "o", "ms": 3.5}
-        events = [plan.events for plan in plans[chosen]]
-        label = style.shortened(planning.name(chosen), 44) + (
-            f", and {others} alike" * (others > 0)
-        )
-        statistical.plot(events, curves[chosen][0], label=label, **look)
-        total.plot(events, curves[chosen][1], **look)
+        events = [plan.events for plan in plans[couplings]]
+        label = style.shortened(planning.name(couplings), 44)
+        label += f", and {covered} alike" if covered else ""
+        statistical.plot(events, curves[couplings][0], label=label, **look)
+        total.plot(events, curves[couplings][1], **look)
     _finish_plan(statistical, total, planning.wanted)
     times = counted(mountings, "mounting")
     figure.suptitle(f"{times} of each coupling", x=0.01, ha="left", fontsize=11)
@@ -333,8 +348,25 @@ def draw_plan(planning: Planning) -> style.Drawing:
     return style.Drawing(figure, *numbers)
 
 
+def _without_covered(curves: dict[_Couplings, np.ndarray]) -> dict[_Couplings, int]:
+    """Sets of couplings that are drawn, and how many others' curves would lie on each one's."""
+    drawn: dict[_Couplings, int] = {}
+    for couplings, curve in curves.items():
+        covering = (
+            other
+            for other in drawn
+            if curves[other].shape == curve.shape
+            and np.allclose(curve, curves[other], rtol=_ON_EACH_OTHER, atol=0.0)
+        )
+        if (other := next(covering, None)) is None:
+            drawn[couplings] = 0
+        else:
+            drawn[other] += 1
+    return drawn
+
+
 def _finish_plan(statistical: Axes, total: Axes, wanted: float) -> None:
-    """Axes, titles and what is wanted, a relative error."""
+    """Axes, titles and a line at the wanted error of the light yield, a fraction of it."""
     for axes, title in ((statistical, "statistical part"), (total, "statistical and systematic")):
         axes.axhline(100 * wanted, color=style.GREY, lw=1, ls="--", zorder=1)
         axes.set(xscale="log", xlabel="events in the band, per mounting")

@@ -1,6 +1,6 @@
-"""What the public functions on campaigns give: typed results, see `registry.Result`.
+"""What the public functions on campaigns give: typed results that show and export themselves.
 
-Each is what a function of `inference` found, with what is needed to show it; `of` makes it.
+Each is what a function of `inference` gave, with what is needed to show it; `of` makes it.
 """
 
 from __future__ import annotations
@@ -93,6 +93,7 @@ class FittedResult(CampaignShown):
     Where a campaign does not fit one of them, asking for it is an AttributeError.
     """
 
+    # a type checker shall refuse attributes that are not declared
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> FittedParameter:
@@ -103,7 +104,8 @@ class FittedResult(CampaignShown):
         return sorted(set(super().__dir__()) - absent)
 
     def _fitted(self, name: str) -> FittedParameter:
-        # not while it is copied or unpickled
+        """A fitted parameter by its name; an AttributeError says which were fitted."""
+        # while a result is copied or unpickled it has none
         parameters = self.__dict__.get("parameters", {})
         if name in parameters:
             return FittedParameter(**fields_of(parameters[name]), name=name)
@@ -139,7 +141,7 @@ class FitResult(FittedResult, Calibration):
     seconds: float
 
     def numbers(self) -> dict[str, Any]:
-        """As `Calibration.numbers`, with the ends of the 95 % intervals."""
+        """The fit for JSON, with the ends of the 95 % intervals."""
         document = super().numbers()
         for profile in self.profiles:
             ends = zip(("lower_95", "upper_95"), profile.interval_95, strict=True)

@@ -24,7 +24,7 @@ from matplotlib.text import Text
 from scipy.ndimage import binary_erosion
 
 from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
-from mcrim_mitsuba.core.numbers import said
+from mcrim_mitsuba.core.numbers import MM_PER_CM, said
 from mcrim_mitsuba.output.figure_style import fate_style, ordered
 from mcrim_mitsuba.transport.check import volume_indices
 from mcrim_mitsuba.transport.cut import CrossSection, cross_section, masked
@@ -75,7 +75,10 @@ _PLACING = _Placing()
 
 
 class SectionAxes:
-    """Axes with the cross-section, and a grid of cells on which labels find free places."""
+    """Axes with the cross-section, and a grid of cells on which labels find free places.
+
+    Arrays of the grid have (rows, columns); places on it are columns and rows, as x and z.
+    """
 
     def __init__(
         self,
@@ -87,69 +90,90 @@ class SectionAxes:
     ) -> None:
         self.ax, self.cut, self.model, self.indices = ax, cut, model, volume_indices(interfaces)
         self.box = ax.get_window_extent()
+        #: Lines (mm, shape (n, 2)) that have a label, by its text.
         self.named: dict[str, list[np.ndarray]] = {}
         shape = int(self.box.height // _CELL) + 1, int(self.box.width // _CELL) + 1
+        #: Of each cell: the volume there, 0 for air; what labels must and what they should avoid.
         self.owner, self.taken = np.zeros(shape, dtype=int), np.zeros(shape, dtype=bool)
         self.crossed = np.zeros(shape, dtype=bool)
-        rows, columns = np.ogrid[0.5 : shape[0], 0.5 : shape[1]]
-        for region in cut.regions:
-            ax.fill(*region.outline.T, color=colours[region.volume % len(colours) - 1], lw=0.2)
-            low, high = np.split(self.cells(region.outline), 2)
+        self._fill_volumes(colours)
+        self._draw_faces(interfaces)
+
+    def _fill_volumes(self, colours: Sequence[str]) -> None:
+        """Colour the volumes, and note which cells they have."""
+        rows, columns = (places + 0.5 for places in np.ogrid[*map(slice, self.owner.shape)])
+        for region in self.cut.regions:
+            colour = colours[region.volume % len(colours) - 1]
+            self.ax.fill(*region.outline.T, color=colour, lw=0.2)
+            # the first half of an outline is its lower edge, the second its upper one, backwards;
+            # no cell lies above infinity, beside the region
+            lower, upper = np.split(self.in_cells(region.outline), 2)
             low, high = (
-                np.interp(columns, side[:, 0], side[:, 1], np.inf, np.inf)
-                for side in (low, high[::-1])
+                np.interp(columns, edge[:, 0], edge[:, 1], np.inf, np.inf)
+                for edge in (lower, upper[::-1])
             )
             self.owner[(low < rows) & (rows < high)] = region.volume
+
+    def _draw_faces(self, interfaces: Sequence[Interface]) -> None:
+        """Draw lines where the plane cuts faces, hatched behind reflectors, and the black mask."""
         styles = {
             "dielectric": (INK, 0.8),
             "diffuse reflector": (INK, 1.5),
             "detector": (_DETECTOR, 5.0),
         }
-        band = 16 * np.diff(ax.get_ylim()) / self.box.height  # mm: as thick as 16 pixels
-        for trace in cut.traces:
-            face, kind = model.surfaces[trace.surface], interfaces[trace.surface].kind
+        band = 16 * np.diff(self.ax.get_ylim()) / self.box.height  # mm: as thick as 16 pixels
+        for trace in self.cut.traces:
+            face, kind = self.model.surfaces[trace.surface], interfaces[trace.surface].kind
             text, percent = kind, 100 * face.reflectance
             if percent > 0:
                 text = f"{face.name}: {kind}, {percent:.3g} %"
                 far = trace.points[::-1] + band * trace.back
-                ax.fill(*np.vstack([trace.points, far]).T, fc="white", ec=INK, hatch="/" * 6, lw=0)
+                outline = np.vstack([trace.points, far])
+                self.ax.fill(*outline.T, fc="white", ec=INK, hatch="/" * 6, lw=0)
                 self.line(far, "none", 0.0)
             if kind != "dielectric":
                 self.named.setdefault(text, []).append(trace.points)
             self.line(trace.points, *styles.get(kind, (_OTHER, 3.0)))
-        for trace in masked(model, cut):
-            radius = model.surfaces[trace.surface].aperture_radius_mm
+        for trace in masked(self.model, self.cut):
+            radius = self.model.surfaces[trace.surface].aperture_radius_mm
             self.named.setdefault(f"black mask, hole radius {radius:g} mm", []).append(trace.points)
             self.line(trace.points, "black", 5.0)
 
-    def cells(self, points: np.ndarray) -> np.ndarray:
+    def in_cells(self, points: np.ndarray) -> np.ndarray:
         """Points (mm) in units of cells from the lower left corner, shape (n, 2)."""
         return (self.ax.transData.transform(points) - self.box.p0) / _CELL
 
-    def on(self, points: np.ndarray) -> np.ndarray:
-        """Columns and rows, shape (n, 2), of the cells that a line goes through."""
+    def cells_of(self, line: np.ndarray) -> np.ndarray:
+        """Columns and rows, shape (n, 2), of the cells that a line (mm, (n, 2)) goes through."""
         shape = np.array(self.owner.shape[::-1])
-        ends = np.clip(self.cells(points), -10, shape + 10)
+        # far ends may lie anywhere outside: ten cells beyond the grid are enough
+        ends = np.clip(self.in_cells(line), -10, shape + 10)
         parts = [np.linspace(a, b, 2 + int(np.abs(b - a).max())) for a, b in pairwise(ends)]
         cells = np.floor(np.concatenate(parts)).astype(int)
         return cells[((cells >= 0) & (cells < shape)).all(axis=1)]
+
+    def _mark(self, grid: np.ndarray, line: np.ndarray) -> None:
+        """Set the cells of a grid (bool) that a line (mm, shape (n, 2)) goes through."""
+        columns, rows = self.cells_of(line).T
+        grid[rows, columns] = True
 
     def line(self, points: np.ndarray, colour: str, width: float) -> None:
         """Draw a line (mm, shape (n, 2)) that labels stay clear of."""
         points = np.round(points, 5)  # single precision would make a straight line wriggle
         self.ax.plot(*points.T, color=colour, lw=width, solid_capstyle="butt")
-        self.taken[tuple(self.on(points).T[::-1])] = True
+        self._mark(self.taken, points)
 
-    def cross(self, points: np.ndarray) -> None:
-        """Let labels avoid a line (mm, shape (n, 2)) where they can, and its ends always."""
-        self.crossed[tuple(self.on(points).T[::-1])] = True
-        for x, z in self.cells(points[[0, -1]]).astype(int).clip(0):
-            self.taken[max(z - 3, 0) : z + 4, max(x - 3, 0) : x + 4] = True
+    def avoid(self, path: np.ndarray) -> None:
+        """Let labels avoid a path (mm, shape (n, 2)) where they can, and its ends always."""
+        self._mark(self.crossed, path)
+        for column, row in self.in_cells(path[[0, -1]]).astype(int).clip(0):
+            self.taken[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4] = True
 
     def measure(self) -> None:
-        """Arrows with dimensions across all that begins and ends in view on two lines."""
+        """Draw arrows with dimensions across all that begins and ends in view on two lines."""
         limits = np.array([self.ax.get_xlim(), self.ax.get_ylim()])
-        for axis, share in ((0, 0.49), (1, 0.8)):  # beside the crystal's edge, and above it
+        # an upright line beside the crystal's edge (x is fixed), and a level one above it
+        for axis, share in ((0, 0.49), (1, 0.8)):
             at, (low, high) = limits[axis] @ (1 - share, share), limits[1 - axis]
             levels = self.cut.levels(at, axis)
             for ends in pairwise(levels[(levels > low) & (levels < high)]):
@@ -157,35 +181,41 @@ class SectionAxes:
                 arrow = {"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0}
                 self.ax.annotate("", line[0], line[1], arrowprops=arrow)
                 self.line(line, "none", 0.0)
-                cell = self.cells(line).mean(axis=0).astype(int)
-                volume = self.owner[cell[1], cell[0]]
+                column, row = middle = self.in_cells(line).mean(axis=0).astype(int)
+                volume = self.owner[row, column]
                 text = f"{np.ptp(ends):.3g} mm" if volume else f"air, {np.ptp(ends):.3g} mm"
-                self.place([text], cell[None], volume, beside=True, leader=False)
+                self.place([text], middle[None], volume, beside=True, leader=False)
 
     def label(self, brief: bool = False) -> None:
-        """Name everything in view."""
-        outside = [([t], np.vstack([*map(self.on, lines)]), 0) for t, lines in self.named.items()]
+        """Name everything in view: volumes inside if there is room, all else beside by a leader."""
+        # texts, cells that a leader may point to, and the volume that it may go through
+        beside = [
+            ([text], np.vstack([*map(self.cells_of, lines)]), 0)
+            for text, lines in self.named.items()
+        ]
         for volume in sorted({region.volume for region in self.cut.regions}):
-            texts, its_cells = self.texts(volume, brief), self.owner == volume
-            if not its_cells.any() or not self.place(
-                texts, np.argwhere(its_cells)[:, ::-1], volume
-            ):
-                cells = np.argwhere(binary_erosion(its_cells, iterations=3))[:, ::-1]
-                cells = cells if len(cells) else self.on(self.cut.corners(volume))  # it is thin
-                outside.append((texts, cells, volume))
-        for texts, cells, volume in outside:
+            texts, inside = self.texts(volume, brief), self.owner == volume
+            if not self.place(texts, np.argwhere(inside)[:, ::-1], volume):
+                # cells that are not at its edge, unless it is thin
+                cells = np.argwhere(binary_erosion(inside, iterations=3))[:, ::-1]
+                cells = cells if len(cells) else self.cells_of(self.cut.corners(volume))
+                beside.append((texts, cells, volume))
+        for texts, cells, volume in beside:
             self.place(texts, cells, volume, beside=True)
         self.place(["air, n = 1"], np.array([self.owner.shape[::-1]]), 0)
 
     def texts(self, volume: int, brief: bool) -> list[str]:
-        """What to say of a volume, the longest first."""
+        """What to say of a volume, longest first: its size if `brief`, else coefficients too."""
         medium, (wide, tall) = self.model.volumes[volume], np.ptp(self.cut.corners(volume), axis=0)
         index, size = self.indices.get(medium.name), f"{wide:.4g} mm wide, {tall:.4g} mm high"
         name = medium.name + (f", n = {index:g}" if index else "")
-        scat, absorption = 10 * medium.alpha_scat_per_mm, 10 * medium.alpha_abs_per_mm
-        more = f"scatters {scat:.4g} /cm", f"absorbs {absorption:.4g} /cm"
-        full = ["\n".join([name, size, *more]), ", ".join([name, *more])]
-        return [f"{name}, {size}", name] if brief or not (scat or absorption) else full
+        scattering, absorption = (
+            MM_PER_CM * alpha for alpha in (medium.alpha_scat_per_mm, medium.alpha_abs_per_mm)
+        )
+        if brief or not (scattering or absorption):
+            return [f"{name}, {size}", name]
+        coefficients = f"scatters {scattering:.4g} /cm", f"absorbs {absorption:.4g} /cm"
+        return ["\n".join([name, size, *coefficients]), ", ".join([name, *coefficients])]
 
     def place(
         self,
@@ -197,7 +227,8 @@ class SectionAxes:
     ) -> bool:
         """Write the first text that fits, near to one of the cells `targets`, shape (n, 2).
 
-        It lies in `volume`, or (`beside`) in air too, with a leader. False if there is no place.
+        It lies in `volume` near the middle of the targets, or (`beside`) in air too near one of
+        them, with a leader to it. False if there is no target or no place.
         """
         if not len(targets):
             return False
@@ -208,22 +239,23 @@ class SectionAxes:
             artist = self._text(text)
             w, h = size = (artist.get_window_extent().size + 2 * _CLEAR).astype(int) // _CELL + 1
             # lower left corners of rectangles that are free, (places, 1, 2)
-            low = np.argwhere(_within(room, w, h) == w * h)[:, None, ::-1]
+            low = np.argwhere(_count_in_rectangles(room, w, h) == w * h)[:, None, ::-1]
             if not len(low):
                 artist.remove()
                 continue
             low = low[:: len(low) // _PLACING.most_places + 1] if beside else low
-            # from the point of the text's rectangle that is next to the target, or its middle
+            # (places, targets, 2): the point of the text's rectangle that is next to the target, or
+            # its middle
             start = np.clip(targets, low, low + size - 1) if beside else low + size / 2
             cost = np.linalg.norm(start - targets, axis=2)
             if beside and leader:
                 cost = self._cost_of_leader(start, targets, volume)
-            on_paths = _within(self.crossed, w, h)[low[..., 1], low[..., 0]]
+            on_paths = _count_in_rectangles(self.crossed, w, h)[low[..., 1], low[..., 0]]
             cost = cost + _PLACING.on_path * on_paths
-            spot, target = np.unravel_index(cost.argmin(), cost.shape)
-            (column, row), corner = low[spot, 0], low[spot, 0] + _CLEAR / _CELL
-            ends = np.array([corner, start[spot, target], targets[target]]) * _CELL + self.box.p0
-            corner, *link = self.ax.transData.inverted().transform(ends)
+            best, target = np.unravel_index(cost.argmin(), cost.shape)
+            (column, row), corner = low[best, 0], low[best, 0] + _CLEAR / _CELL
+            points = np.array([corner, start[best, target], targets[target]]) * _CELL + self.box.p0
+            corner, *link = self.ax.transData.inverted().transform(points)
             artist.set_position(corner)
             if beside and leader:
                 self._draw_leader(np.array(link), targets[target].astype(int))
@@ -250,22 +282,23 @@ class SectionAxes:
         height = np.abs(start - targets)[..., 1]
         cost = np.abs(length - _PLACING.leader) + np.maximum(_PLACING.height - height, 0)
         for share in np.linspace(0, _PLACING.looked_at, _PLACING.points):
-            at = (start + share * (targets - start)).astype(int)
-            at = at[..., 1], at[..., 0]
-            meets = self.taken[at] | ~np.isin(self.owner[at], (0, volume))
-            cost += _PLACING.on_something * meets
+            columns, rows = np.moveaxis((start + share * (targets - start)).astype(int), -1, 0)
+            elsewhere = ~np.isin(self.owner[rows, columns], (0, volume))
+            cost += _PLACING.on_something * (self.taken[rows, columns] | elsewhere)
         return cost
 
     def _draw_leader(self, link: np.ndarray, end: np.ndarray) -> None:
         """Draw a leader (mm, shape (2, 2)) and keep the cells around its end, (2,), free."""
         self.line(link, INK, 0.8)
         self.ax.plot(*link[1], "o", color=INK, markersize=4, markeredgecolor="white")
-        (x, z), near = end, _PLACING.around_end
-        self.taken[max(z - near, 0) : z + near + 1, max(x - near, 0) : x + near + 1] = True
+        (column, row), near = end, _PLACING.around_end
+        rows, columns = (slice(max(i - near, 0), i + near + 1) for i in (row, column))
+        self.taken[rows, columns] = True
 
 
-def _within(cells: np.ndarray, wide: int, tall: int) -> np.ndarray:
+def _count_in_rectangles(cells: np.ndarray, wide: int, tall: int) -> np.ndarray:
     """How many of `cells` (bool) are set in the rectangle above and to the right of each."""
+    # by sums over all cells to the left and below, of which four tell a rectangle's
     sums = np.pad(cells.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     return sums[tall:, wide:] - sums[:-tall, wide:] - sums[tall:, :-wide] + sums[:-tall, :-wide]
 
@@ -310,11 +343,10 @@ def chosen_paths(
 ) -> tuple[tuple[DrawnTrail, ...], dict[str, float]]:
     """Paths to be drawn, and the share of the light of every fate that is shown.
 
-    The same for the same scene. Among a fate's photons those are chosen that take few flights, or
-    as many as is typical, stay near the plane of the picture and keep away from other paths.
-
-    One path goes through `view`, lowest and highest x and z (mm) of what is enlarged, shape (2, 2),
-    if it can.
+    The same for the same scene. Of each fate a path of few flights is chosen, and of common fates
+    one that has as many as is typical; they stay near the plane of the picture and keep away from
+    other paths. One path goes through `view`, lowest and highest x and z (mm) of what is enlarged,
+    shape (2, 2), if it can.
     """
     from mcrim_mitsuba.transport.collection import follow_trails
 
@@ -326,7 +358,6 @@ def chosen_paths(
         numbers = np.flatnonzero(trails.fates == fate)
         lines = [_line(trails.trail(number), size) for number in numbers.tolist()]
         flights = trails.flights[numbers]
-        # one path that is easily followed, and of common fates a typical one
         wanted_flights = [_WANTED_FLIGHTS]
         if shares[fate] >= COMMON_SHARE:
             wanted_flights.append(np.median(flights))
@@ -339,6 +370,7 @@ def chosen_paths(
             best = np.argsort(costs, kind="stable")[:_CANDIDATES]
             apart = [costs[i] + _nearness(lines[i][:, [0, 2]], paths, size) for i in best]
             chosen = best[int(np.argmin(apart))]
+            # it is not chosen twice
             points, trapped = lines.pop(chosen), bool(flights[chosen] > MOST_FLIGHTS)
             flights = np.delete(flights, chosen)
             if view is not None and _through([points], view)[0]:
@@ -348,7 +380,7 @@ def chosen_paths(
 
 
 def _line(trail: Trail, size: float) -> np.ndarray:
-    """Points (x, y, z) of a trail as it is drawn."""
+    """Points (x, y, z) of a trail as it is drawn: cut off where it is long, out of the scene."""
     if trail.flights > MOST_FLIGHTS:
         return trail.points[: MOST_FLIGHTS + 1]
     if trail.fate == "escaped":
@@ -365,7 +397,7 @@ def _segments(lines: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def _costs_alone(lines: list[np.ndarray], middle: float, size: float) -> np.ndarray:
-    """What speaks against drawing each line: y that the picture hides, and too short a length."""
+    """What speaks against each line: far from y = `middle`, much that is hidden, too short."""
     begin, end, owner = _segments(lines)
     steps = end - begin
     length, seen = (
@@ -373,6 +405,7 @@ def _costs_alone(lines: list[np.ndarray], middle: float, size: float) -> np.ndar
         for part in (steps, steps[:, ::2])
     )
     aside = np.array([np.abs(line[:, 1] - middle).max() for line in lines]) / size
+    # a path that ends where it began has no length
     hidden = 1.5 * (1.0 - seen / np.maximum(length, 1e-9 * size))
     return aside + hidden + 3.0 * np.maximum(0.0, _SEEN - seen / size)
 
@@ -381,8 +414,10 @@ def _through(lines: list[np.ndarray], view: np.ndarray) -> np.ndarray:
     """Whether each line goes through a rectangle in x and z, shape (lines,), bool."""
     begin, end, owner = _segments(lines)
     begin, step = begin[:, ::2], (end - begin)[:, ::2]
+    # (2, segments, 2): where along a segment it meets the borders, 0 at its begin and 1 at its end
     with np.errstate(divide="ignore", invalid="ignore"):
         crossings = (view[:, None] - begin) / step
+    # inside are those that have entered both strips, in x and in z, and left neither
     enter = np.nanmax(crossings.min(axis=0), axis=1)
     leave = np.nanmin(crossings.max(axis=0), axis=1)
     met = (enter < leave) & (leave > 0.0) & (enter < 1.0)
@@ -391,17 +426,17 @@ def _through(lines: list[np.ndarray], view: np.ndarray) -> np.ndarray:
 
 def _nearness(points: np.ndarray, others: list[DrawnTrail], size: float) -> float:
     """How close a line (x, z) comes to the paths that are there, and their ends to each other."""
-    places, cost = _sampled(points), 0.0
+    samples, cost = _sampled(points), 0.0
     for other in others:
-        there = _sampled(other.points)
-        away = np.linalg.norm(places[:, None] - there, axis=2).min(axis=1) / size
-        ends = np.linalg.norm(places[-1] - there[-1]) / size
+        other_samples = _sampled(other.points)
+        away = np.linalg.norm(samples[:, None] - other_samples, axis=2).min(axis=1) / size
+        ends = np.linalg.norm(samples[-1] - other_samples[-1]) / size
         cost += 0.5 * float(np.exp(-8.0 * away).mean()) + 0.3 * float(np.exp(-6.0 * ends))
     return cost
 
 
 def _sampled(points: np.ndarray) -> np.ndarray:
-    """Points along a line, shape (n, 2)."""
+    """Points along a line, six on each of its segments, shape (n, 2)."""
     share = np.linspace(0.0, 1.0, 6)[:, None]
     return np.vstack([a + share * (b - a) for a, b in pairwise(points)])
 
@@ -440,6 +475,7 @@ def _end(fate: str, trapped: bool, points: np.ndarray | None = None) -> dict[str
     marker: str | tuple[int, int, float] = style.marker
     if fate == "escaped" and points is not None:
         across, up = points[-1] - points[-2]
+        # three corners, a plain polygon, turned from pointing upwards
         marker = (3, 0, float(np.degrees(np.arctan2(up, across))) - 90.0)
     face = "white" if trapped else style.line
     return {
@@ -507,13 +543,13 @@ def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ..
     (middle_x, _, middle_z), (wide, _, tall) = np.array(box.center()), np.array(box.extents())
     per_mm = min((inner_in - 2.0) / wide, 4.6 / tall)  # with inches of air for labels
     main_in = max(tall * per_mm + 1.5, 2.9)
-    view = closer_view(cut, crystal.volume)
-    times = round(_DETAIL_IN / 2 / view[2] / per_mm, 1)
+    closer_x, closer_z, closer_half = closer_view(cut, crystal.volume)
+    times = round(_DETAIL_IN / 2 / closer_half / per_mm, 1)
     below_in, frame = _MARGIN_IN, None
-    if times > 1.3:
+    if times > 1.3:  # else the second panel would show hardly more
         below_in += _DETAIL_IN + 0.9
-        reach = view[2] * np.array([inner_in / _DETAIL_IN, 1.0])
-        frame = np.array([view[:2] - reach, view[:2] + reach])
+        reach = closer_half * np.array([inner_in / _DETAIL_IN, 1.0])
+        frame = np.array([closer_x, closer_z]) + np.multiply.outer([-1, 1], reach)
     paths, shares = chosen_paths(simulation, frame)
     handles = _handles(paths, shares)
     height_in = below_in + main_in + 1.75 + 0.22 * -(-len(handles) // _PER_ROW)
@@ -524,6 +560,7 @@ def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ..
     def panel(
         bottom_in: float, tall_in: float, x: float, z: float, half: float, title: str
     ) -> SectionAxes:
+        """Axes so high above the figure's lower edge, and so tall, about x and z +- half (mm)."""
         place = np.array([_MARGIN_IN, bottom_in, inner_in, tall_in])
         ax = figure.add_axes(place / np.tile([_WIDTH_IN, height_in], 2), xlabel="x (mm)")
         wide = half * inner_in / tall_in
@@ -532,7 +569,7 @@ def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ..
         section = SectionAxes(ax, cut, model, interfaces)
         for path in paths:
             draw_path(ax, path)
-            section.cross(path.points)
+            section.avoid(path.points)
         return section
 
     title = f"Vertical plane y = {cut.y_mm:.3g} mm, to scale"
@@ -541,9 +578,10 @@ def cross_section_figure(simulation: Simulation, interfaces: tuple[Interface, ..
     main = panel(below_in, main_in, middle_x, middle_z, main_in / 2 / per_mm, title)
     if frame is not None:
         title = f"The frame above, enlarged {times:g} times, alike in both directions"
-        detail = panel(_MARGIN_IN, _DETAIL_IN, *view, title)
+        detail = panel(_MARGIN_IN, _DETAIL_IN, closer_x, closer_z, closer_half, title)
         detail.measure()
         detail.label(brief=True)
+        # corners come from left to right, the lower one first: here they go around
         rim = detail.ax.viewLim.corners()[[0, 1, 3, 2, 0]]
         main.line(rim, _FRAME, 1.5)
         main.named[f"enlarged {times:g} times below"] = [rim]
@@ -588,7 +626,7 @@ def _write_above(figure: Figure, file: SceneFile, handles: Sequence[Line2D]) -> 
 
 
 def closer_view(cut: CrossSection, crystal: int) -> tuple[float, float, float]:
-    """x, z, half height (mm) around the thinnest volume or layer at the crystal's lower edge."""
+    """x, z, half the height (mm) about the thinnest volume or layer at the crystal's lower edge."""
     boxes = {
         r.volume: (cut.corners(r.volume).min(axis=0), cut.corners(r.volume).max(axis=0))
         for r in cut.regions
@@ -596,7 +634,9 @@ def closer_view(cut: CrossSection, crystal: int) -> tuple[float, float, float]:
     if crystal not in boxes:  # it is not closed: nothing to be seen
         return 0.0, 0.0, np.inf
     (_, bottom), size, outline = boxes[crystal][0], np.ptp(boxes[crystal]), cut.corners(crystal)
+    # the lower edge's right end; tolerances are of the single precision of the scene
     x = outline[outline[:, 1] <= bottom + 1e-6 * size, 0].max()
+    # thickness, lowest and highest corner: of volumes area over length
     layers = [(cut.area(v) / np.ptp(box, axis=0).max(), *box) for v, box in boxes.items()]
     below = cut.levels(x - 1e-3 * size, 0)
     below = below[below < bottom - 1e-4 * size]

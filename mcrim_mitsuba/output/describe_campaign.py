@@ -1,8 +1,9 @@
-"""Results on campaigns described; see `description`.
+"""Results on campaigns described as tables and sentences, which terminal, report and page show.
 
 What is known of a fitted parameter, a reading, an explanation, a limit, a proposal, a step of a
 repair or a part of an error is worded by one function. Results, the report and the page are lists
-of what these give.
+of what these give. A `Cell` is a text with the number behind it and its error, which data frames
+have; a `Column` says what it shows of a record.
 """
 
 from __future__ import annotations
@@ -73,10 +74,10 @@ if TYPE_CHECKING:
 
 def _spent(result: CampaignShown) -> dict[str, Any]:
     """What a result rests on, and what the reader must know: options of `described`."""
-    spent = result.provenance
+    work = result.provenance
     return {
-        "spent": f"{spent.photons:,} photons ({spent.cached_photons:,} of the cache), seed "
-        f"{spent.seed}, {spent.seconds:.1f} s",
+        "spent": f"{work.photons:,} photons ({work.cached_photons:,} of the cache), seed "
+        f"{work.seed}, {work.seconds:.1f} s",
         "notes": result.notes,
     }
 
@@ -89,6 +90,7 @@ _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 
 
 def _title(name: str) -> Cell:
+    """A fitted parameter in words, and its name for data frames."""
     return Cell(sentences.title_of(name), name)
 
 
@@ -106,12 +108,13 @@ def parameters_table(
     profiles: Iterable[Profile] = (),
     meanings: Mapping[str, str] | None = None,
 ) -> Table:
-    """Every parameter with its error and its interval.
+    """Every parameter with its error and its 68.3 % interval.
 
-    With `meanings`, none of which need be there, both kinds of errors are shown too. Data frames
-    have them anyhow, and the ends of intervals, those of 95 % too where there are profiles.
+    With `meanings` by parameter, which may be an empty mapping, the statistical and the systematic
+    error are shown too. Data frames have them anyhow, and the ends of intervals, those of 95 % too
+    where there are profiles.
     """
-    wider = {profile.name: profile.interval_95 for profile in profiles}
+    intervals_95 = {profile.name: profile.interval_95 for profile in profiles}
     columns = (
         "parameter",
         *([Column("meaning", left=True)] if meanings else []),
@@ -123,13 +126,13 @@ def parameters_table(
     )
     rows = []
     for name, estimate in parameters.items():
-        parts: tuple[float | None, ...] = (None, None)
+        errors: tuple[float | None, ...] = (None, None)
         if estimate.at_bound is None and estimate.contributions:
-            parts = sentences.errors_apart(estimate)
-        ends = (estimate.lower, estimate.upper, *wider.get(name, (None, None)))
+            errors = sentences.errors_apart(estimate)
+        ends = (estimate.lower, estimate.upper, *intervals_95.get(name, (None, None)))
         cells = (
             estimated(estimate),
-            *(shown(part, lambda p: "" if p is None else number(p, 2)) for part in parts),
+            *(shown(error, lambda e: "" if e is None else number(e, 2)) for error in errors),
             sentences.interval(estimate),
             *(Cell("", end) for end in ends),
         )
@@ -138,12 +141,12 @@ def parameters_table(
 
 
 def _shapes(profiles: Iterable[Profile]) -> Iterator[Piece]:
-    """What intervals say besides the errors."""
+    """A line for each 95 % interval that its standard error does not tell."""
     return (strong(f"- {words}") for words in sentences.shapes(profiles))
 
 
 def _origins(fit: Calibration) -> Iterator[Piece]:
-    """Where the errors of a fit come from."""
+    """Where the errors of a fit come from; parameters at a bound have none that mean anything."""
     columns = ("parameter", *(name.replace("_", " ") for name in _ORIGINS))
     contributions = {
         name: {} if estimate.at_bound else estimate.contributions
@@ -166,17 +169,17 @@ def _origins(fit: Calibration) -> Iterator[Piece]:
 # A reading beside what a model predicts.
 
 
-def _signal(reading: FittedRow, value: str, sigma: str) -> Cell:
-    numbers = getattr(reading, value), getattr(reading, sigma)
-    return Cell(sentences.signal_text(reading.of_beam, *numbers), *numbers)
+def _signal(of_beam: bool, value: float, sigma: float) -> Cell:
+    return Cell(sentences.signal_text(of_beam, value, sigma), value, sigma)
 
 
 _READING = (
     Column("reading", of=sentences.reading_label),
-    Column("measured", of=lambda reading: _signal(reading, "measured", "sigma")),
-    Column("model", of=lambda reading: _signal(reading, "model", "model_sigma")),
+    Column("measured", of=lambda row: _signal(row.of_beam, row.measured, row.sigma)),
+    Column("model", of=lambda row: _signal(row.of_beam, row.model, row.model_sigma)),
     Column("pull", form="+.2f"),
 )
+# a closed form, such as that of a beam, has no error
 _ETA = Column(
     "eta (simulation's error)",
     "eta",
@@ -217,7 +220,7 @@ def compared_readings(comparison: Comparison) -> Table:
 
 
 def misfit_pieces(comparison: Comparison) -> list[Piece]:
-    """What chi2 says, and where the misfit lies."""
+    """What chi2 says, which readings and trends carry the misfit, and what may have taken it up."""
     fails = sentences.fails(comparison)
     return [
         strong(sentences.quality(comparison)),
@@ -241,15 +244,16 @@ def suspects_pieces(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
 
 def of_fit(fit: FitResult) -> Description:
     """Parameters, where their errors come from, readings beside the model, what it took."""
-    light = fit.parameters.get(LIGHT_YIELD)
-    doubt = ", but the model does not describe the readings" if sentences.fails(fit) else ""
-    result = light and f"Light yield: {sentences.estimate_text(light)} ph/keV{doubt}"
+    light, result = fit.parameters.get(LIGHT_YIELD), ""
+    if light is not None:
+        doubt = ", but the model does not describe the readings" if sentences.fails(fit) else ""
+        result = f"Light yield: {sentences.estimate_text(light)} ph/keV{doubt}"
     chance = "no p-value without degrees of freedom"
     if fit.p_value is not None:
         chance = p_equals(fit.p_value)
     return described(
         "fit of a campaign",
-        strong(result or ""),
+        strong(result),
         parameters_table(fit.parameters, fit.profiles),
         _shapes(fit.profiles),
         _origins(fit),
@@ -274,7 +278,8 @@ def of_comparison(comparison: ComparisonResult) -> Description:
 
 # Hypotheses, and fits of the page, side by side.
 
-_OF_HYPOTHESES = (
+#: What the columns of the table of hypotheses mean.
+_LEGEND_OF_HYPOTHESES = (
     "ln evidence: natural logarithm of the likelihood averaged over plausible sizes, less that of "
     "the best; probability: among those compared, each as likely as the others before the "
     "readings; left out: rms error on readings left out of the fit, in standard errors; light "
@@ -289,7 +294,7 @@ _FIGURES = (
 
 
 def _log_evidence(hypothesis: FittedHypothesis) -> Cell:
-    """The best is what the others are compared with."""
+    """Relative to the best hypothesis, which has 0 without an error."""
     value, sigma = hypothesis.log_evidence, hypothesis.log_evidence_sigma
     return measured(value, sigma) if sigma else Cell("0", value)
 
@@ -313,33 +318,32 @@ _FIGURES_OF_HYPOTHESES = (
 def side_by_side(
     title: str, columns: Iterable[Column], beside: Mapping[str, Any], first: str | Column = ""
 ) -> Table:
-    """A column for each of several records, by name; a row for each of what others have as columns.
+    """A table turned round: a column for each record of `beside`, a row for each of `columns`.
 
-    Rows that say nothing of any are left out.
+    `beside` has the records by what their columns are called; the column of titles is `first`. Rows
+    that say nothing of any record are left out.
     """
     rows = (row(column.title, *map(column.cell, beside.values())) for column in columns)
-    told = (line for line in rows if any(cell.text for cell in line.cells[1:]))
-    return table(title, (first, *beside), told)
+    filled = (line for line in rows if any(cell.text for cell in line.cells[1:]))
+    return table(title, (first, *beside), filled)
 
 
 def sizes_beside(
     beside: Mapping[str, Any], without: Sequence[str] = (), *, typed: bool = False
 ) -> Table:
-    """Parameters of several fits beside each other; what one holds is said, ids if `typed`."""
+    """Parameters of several fits beside each other, those that a fit holds too; ids if `typed`."""
+
+    def held(fit: Any) -> Mapping[str, float]:
+        return getattr(fit, "fixed", {})  # hypotheses have none
 
     def cell(fit: Any, name: str) -> Cell:
-        fixed = getattr(fit, "fixed", {})
-        if name in fixed:
-            return Cell(f"{fixed[name]:.4g}, held", fixed[name])
+        if name in held(fit):
+            return Cell(f"{held(fit)[name]:.4g}, held", held(fit)[name])
         return estimated(fit.parameters.get(name))
 
     fits = beside.values()
-    names = dict.fromkeys(
-        name
-        for fit in fits
-        for name in (*fit.parameters, *getattr(fit, "fixed", {}))
-        if name not in without
-    )
+    every_name = dict.fromkeys(name for fit in fits for name in (*fit.parameters, *held(fit)))
+    names = [name for name in every_name if name not in without]
     rows = ((_title(name), *(cell(fit, name) for fit in fits), *([name] * typed)) for name in names)
     return table("sizes", ("parameter", *beside, *([_TYPED] * typed)), rows)
 
@@ -348,19 +352,20 @@ def of_hypotheses(compared: HypothesesResult) -> Description:
     """The verdict, what the readings say of each hypothesis, sizes, pulls and predictions."""
     beside = {hypothesis.name: hypothesis for hypothesis in compared.hypotheses}
     most, pulls, predictions = sentences.most_apart(compared), [], []
-    for of_all in zip(*(hypothesis.rows for hypothesis in compared.hypotheses), strict=True):
-        label, measured_cell, *_ = (column.cell(of_all[0]) for column in _READING)
-        far, leads = compared.apart[of_all[0].label], of_all[0].label in most
-        values = (shown(reading.pull, "+.2f") for reading in of_all)
-        pulls.append(row(label, *values, shown(far, ".1f"), strong=leads))
-        values = (Cell(sentences.prediction_text(x), x.model, x.model_sigma) for x in of_all)
-        predictions.append(row(label, measured_cell, *values, strong=leads))
+    # one reading after the other, each beside the predictions of all hypotheses
+    for readings in zip(*(hypothesis.rows for hypothesis in compared.hypotheses), strict=True):
+        label, measured_cell, *_ = (column.cell(readings[0]) for column in _READING)
+        apart, leads = compared.apart[readings[0].label], readings[0].label in most
+        cells = (shown(reading.pull, "+.2f") for reading in readings)
+        pulls.append(row(label, *cells, shown(apart, ".1f"), strong=leads))
+        cells = (Cell(sentences.prediction_text(x), x.model, x.model_sigma) for x in readings)
+        predictions.append(row(label, measured_cell, *cells, strong=leads))
     return described(
         "hypotheses side by side",
         strong(f"{sentences.verdict_words(compared.verdict)}: {compared.reason}"),
-        (f"{name}: {sentences.hypothesis_text(given)}" for name, given in beside.items()),
+        (f"{name}: {sentences.hypothesis_text(fitted)}" for name, fitted in beside.items()),
         side_by_side("hypotheses", _FIGURES_OF_HYPOTHESES, beside, Column("", "quantity")),
-        _OF_HYPOTHESES,
+        _LEGEND_OF_HYPOTHESES,
         sizes_beside(beside, (LIGHT_YIELD,)),
         strong(sentences.apart_text(compared)),
         table("pulls", ("reading", *beside, "apart"), pulls),
@@ -374,7 +379,8 @@ def of_hypotheses(compared: HypothesesResult) -> Description:
 
 _ID = Column("id", "effect", left=True, small=True)
 _LIGHT = Column("light yield", LIGHT_YIELD)
-_EXPLANATION = (
+#: What the columns of tables of explanations mean.
+_LEGEND_OF_EXPLANATIONS = (
     "probability: among all that was tried and nothing, averaged over plausible sizes; light "
     "yield: photons per keV, and its change; gain: fall of chi2, with the simulation's error; p, "
     "fit: of the fit with the effect; left out: rms error on readings left out of the fit, in "
@@ -383,6 +389,7 @@ _EXPLANATION = (
 
 
 def _size(candidate: Candidate) -> Cell:
+    """All sizes of an effect or a pair; a data frame has a row for each."""
     cells = [estimated(estimate) for estimate in candidate.sizes.values()]
     sigmas = tuple(cell.sigma for cell in cells if not isinstance(cell.sigma, tuple))
     values = tuple(cell.value for cell in cells)
@@ -390,12 +397,13 @@ def _size(candidate: Candidate) -> Cell:
 
 
 def _yield_with(candidate: Candidate) -> Cell:
+    """The light yield with an effect, and by how much it differs from that without."""
     light = candidate.light_yield_ph_per_keV
     if not light:
         return Cell("")
     change = light.get("change")
-    changed = "" if change is None else f" ({sentences.change_text(change)})"
-    return Cell(number(light["value"]) + changed, light["value"], light.get("sigma"))
+    in_brackets = "" if change is None else f" ({sentences.change_text(change)})"
+    return Cell(number(light["value"]) + in_brackets, light["value"], light.get("sigma"))
 
 
 def _gain(candidate: Candidate) -> Cell:
@@ -404,26 +412,24 @@ def _gain(candidate: Candidate) -> Cell:
 
 
 def candidates_table(diagnosis: Diagnosis, candidates: Sequence[Candidate], title: str) -> Table:
-    """Effects, or pairs of them, as explanations; bold what leads."""
+    """Effects, or pairs of them, as explanations; bold what leads; yields where they are known."""
     leading, probabilities = sentences.leading_candidates(diagnosis), diagnosis.probabilities
-    # a scale is no light yield
-    dark = all(candidate.light_yield_ph_per_keV is None for candidate in candidates)
+    no_light_yield = all(candidate.light_yield_ph_per_keV is None for candidate in candidates)
+
+    def title_cell(candidate: Candidate) -> str:
+        return capital(" + ".join(sentences.titles_of(diagnosis, candidate.effects)))
+
+    def probability_cell(candidate: Candidate) -> Cell | str:
+        p = probabilities.get(candidate.effect)
+        return "" if p is None else shown(p, probability)
+
     columns = (
-        Column(
-            "effect",
-            "title",
-            of=lambda c: capital(" + ".join(sentences.titles_of(diagnosis, c.effects))),
-        ),
-        Column(
-            "probability",
-            of=lambda c: (
-                shown(probabilities[c.effect], probability) if c.effect in probabilities else ""
-            ),
-        ),
+        Column("effect", "title", of=title_cell),
+        Column("probability", of=probability_cell),
         Column("", "parameter", of=lambda c: Cell("", tuple(c.sizes) or None), hidden=True),
         Column("size", of=_size, left=True),
         Column("plausible?", "plausibility", of=sentences.plausibility, left=True),
-        replace(_LIGHT, of=_yield_with, hidden=dark),
+        replace(_LIGHT, of=_yield_with, hidden=no_light_yield),
         Column("gain in chi2", "delta_chi2", of=_gain),
         Column("p, fit", "p_value", p_text),
         Column("left out", "left_out_error", number),
@@ -444,7 +450,7 @@ def explanation_pieces(diagnosis: Diagnosis) -> list[Piece]:
     """What columns of explanations mean, families of effects, and what is alike."""
     families = f"By family: {sentences.family_probabilities(diagnosis)}"
     return [
-        _EXPLANATION if diagnosis.candidates else "",
+        _LEGEND_OF_EXPLANATIONS if diagnosis.candidates else "",
         families if diagnosis.families else "",
         sentences.mistakable(diagnosis),
     ]
@@ -474,21 +480,19 @@ def others_table(diagnosis: Diagnosis) -> Table:
     return records("with each of the explanations", columns, candidates)
 
 
-def _brief(given: Table, diagnosis: Diagnosis) -> Iterator[Piece]:
-    """A table of effects, of which people see those that matter, and how many they do not see."""
-    behind = {
-        candidate.effect
-        for candidate in (
-            *diagnosis.candidates[sentences.MOST_EFFECTS :],
-            *diagnosis.pairs[sentences.MOST_PAIRS :],
-        )
-    } - {candidate.effect for candidate in sentences.leading_candidates(diagnosis)}
+def _brief(effects: Table, diagnosis: Diagnosis) -> Iterator[Piece]:
+    """A table of effects, ids in its last column, of which likely ones are seen; how many not."""
+    unlikely = (
+        *diagnosis.candidates[sentences.MOST_EFFECTS :],
+        *diagnosis.pairs[sentences.MOST_PAIRS :],
+    )
+    leading = {candidate.effect for candidate in sentences.leading_candidates(diagnosis)}
+    hidden = {candidate.effect for candidate in unlikely} - leading
     rows = [
-        # a limit is named EFFECT or EFFECT.PARAMETER
-        replace(line, hidden=str(line.cells[-1].value).partition(".")[0] in behind)
-        for line in given.rows
+        replace(line, hidden=str(line.cells[-1].value).partition(".")[0] in hidden)
+        for line in effects.rows
     ]
-    yield replace(given, rows=tuple(rows))
+    yield replace(effects, rows=tuple(rows))
     if more := sum(line.hidden for line in rows):
         yield (
             f"and {more} more, less likely than these: the file of --json has all {len(rows)}, "
@@ -499,20 +503,25 @@ def _brief(given: Table, diagnosis: Diagnosis) -> Iterator[Piece]:
 def limits_table(diagnosis: Diagnosis) -> Table:
     """How large each effect may be, where the readings need none."""
     columns = (
-        Column("effect", "title", of=lambda n: capital(sentences.in_words(diagnosis, [n[0]]))),
-        Column("", "lower", of=lambda n: Cell("", n[1].lower), hidden=True),
-        Column("size", "upper", of=lambda n: Cell(sentences.limit_text(n[1]), n[1].upper)),
-        Column("", "excluded", of=lambda n: Cell("", n[1].excluded), hidden=True),
-        Column(
-            "parameter",
-            of=lambda n: Cell(n[1].parameter or "on or off", n[1].parameter),
-            left=True,
-            small=True,
-        ),
-        replace(_ID, of=lambda n: n[0]),
+        Column("effect", "title"),
+        Column("", "lower", hidden=True),
+        Column("size", "upper"),
+        Column("", "excluded", hidden=True),
+        Column("parameter", left=True, small=True),
+        _ID,
     )
-    limits = diagnosis.upper_limits.items()
-    return records("what the readings allow, 95 % confidence", columns, limits)
+    rows = (
+        (
+            capital(sentences.in_words(diagnosis, [effect])),
+            Cell("", limit.lower),
+            Cell(sentences.limit_text(limit), limit.upper),
+            Cell("", limit.excluded),
+            Cell(limit.parameter or "on or off", limit.parameter),
+            effect,
+        )
+        for effect, limit in diagnosis.upper_limits.items()
+    )
+    return table("what the readings allow, 95 % confidence", columns, rows)
 
 
 def proposals_table(diagnosis: Diagnosis) -> Table:
@@ -558,7 +567,7 @@ def of_diagnosis(diagnosis: DiagnosisResult) -> Description:
 
 
 def of_repair(diagnosis: RepairResult, *, with_steps: bool = True) -> Description:
-    """The steps, the verdict, and the fit with all effects simulated together."""
+    """The steps, the verdict, and the fit with all effects together, or that none was added."""
     fit = diagnosis.calibration
     undetermined, outcome = "", list[Piece]([strong("Nothing was added, and no file written.")])
     if diagnosis.undetermined:
@@ -588,7 +597,7 @@ def of_repair(diagnosis: RepairResult, *, with_steps: bool = True) -> Descriptio
 
 
 def steps_table(steps: Iterable[RepairStep]) -> Table:
-    """How the misfit falls while effects are added."""
+    """How the misfit falls while effects are added: a step a row, its fit and two parameters."""
     steps = tuple(steps)
     light = LIGHT_YIELD if any(LIGHT_YIELD in step.parameters for step in steps) else SCALE
 
@@ -616,11 +625,12 @@ def steps_table(steps: Iterable[RepairStep]) -> Table:
 
 
 def step_text(step: RepairStep) -> str:
-    """The row of a step in one line."""
-    given = steps_table([step])
-    named = zip(given.columns, given.rows[0].cells, strict=True)
-    (_, added), *others = ((column.title, cell.text) for column, cell in named)
-    return f"step {step.step}, {added}: {', '.join(f'{title} {text}' for title, text in others)}"
+    """A step of a repair in one line, while it is under way."""
+    steps = steps_table([step])
+    added, *cells = (cell.text for cell in steps.rows[0].cells)
+    titles = (column.title for column in steps.columns[1:])
+    texts = (f"{title} {text}" for title, text in zip(titles, cells, strict=True))
+    return f"step {step.step}, {added}: {', '.join(texts)}"
 
 
 def of_report(report: ReportResult) -> Description:
@@ -664,9 +674,9 @@ def of_budget(errors: BudgetResult) -> Description:
 
 
 def contributions_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table:
-    """A row per contribution, a column per budget, sums last; per cent of each value.
+    """A row per contribution, a column per budget of `budgets`, sums last; per cent of each value.
 
-    The last budget puts the rows in order.
+    Budgets are by the name of their quantity; the last one puts the rows in order.
     """
     contributions: dict[str, Contribution] = {}
     for budget in reversed(list(budgets.values())):
@@ -682,21 +692,23 @@ def contributions_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table
         )
         for name, part in contributions.items()
     )
+    words = ("kind", "reducible", "by")
     sums = (
         row(
             name,
             *(_percent_cell(getattr(budget, name)) for budget in budgets.values()),
-            *[""] * 3,
+            *[""] * len(words),
             strong=True,
         )
         for name in ("statistical", "systematic", "total")
     )
-    left = (Column(name, left=True) for name in ("kind", "reducible", "by"))
+    left = (Column(name, left=True) for name in words)
     values = (Column(f"{sentences.quantity(name)}, %", f"{name}, %") for name in budgets)
     return table(title, ("contribution", *values, *left), rows, sums)
 
 
 def _part(name: str, budget: ErrorBudget) -> Cell:
+    """A contribution to a budget; empty where the budget has none of that name."""
     relative = next((part.relative for part in budget.contributions if part.name == name), None)
     if relative is None:
         return Cell("")
@@ -708,15 +720,19 @@ def _percent_cell(fraction: float) -> Cell:
 
 
 def _shifts(errors: Budget) -> Iterator[Piece]:
-    """What every piece of neglected physics does, at fixed coefficients and refitted."""
+    """What each piece of neglected physics does, at fixed coefficients and refitted; what helps."""
     kinds = (
         ("at_fixed", "at the coefficients that were fitted"),
         ("refitted", "with everything fitted again"),
     )
-    for kind, how in kinds if errors.pieces else ():
-        moved = getattr(errors.pieces[0], kind)
-        # fitted again, the ratio is that of the readings
-        names = [n for n in moved if n in errors.main or (kind == "at_fixed" and " / " in n)]
+    for kind, condition in kinds if errors.pieces else ():
+        # besides the main quantities the ratio of two efficiencies: fitted again, it is that of
+        # the readings
+        names = [
+            name
+            for name in getattr(errors.pieces[0], kind)
+            if name in errors.main or (kind == "at_fixed" and " / " in name)
+        ]
         rows = (
             row(
                 piece.title,
@@ -725,9 +741,9 @@ def _shifts(errors: Budget) -> Iterator[Piece]:
             )
             for piece in errors.pieces
         )
-        title = f"what the model leaves out would move, %, {how}"
-        moves = (Column(sentences.quantity(name), name) for name in names)
-        yield table(title, ("left out", *moves), rows)
+        title = f"what the model leaves out would move, %, {condition}"
+        quantities = (Column(sentences.quantity(name), name) for name in names)
+        yield table(title, ("left out", *quantities), rows)
     if errors.pieces:
         yield (
             "Errors: of the simulation, by the differences of its batches with and without; then "
@@ -741,7 +757,7 @@ def _shifts(errors: Budget) -> Iterator[Piece]:
 
 
 def _shift(shift: Shift) -> Cell:
-    """``-4.62 ± 0.08 ± 0.05``: a shift in per cent with its errors."""
+    """``-4.62 ± 0.08 ± 0.05``: a shift in per cent, with its errors by simulation and by size."""
     per_cent = 100 / abs(shift.before)
     sigmas = [shift.monte_carlo_sigma, *([shift.size_sigma] if shift.size_sigma else [])]
     rounded = [max(per_cent * sigma, _LEAST_PERCENT) for sigma in sigmas]
@@ -757,21 +773,20 @@ def _totals(errors: Budget) -> Iterator[Piece]:
     """The values as they are, and as they ought to be."""
     if not errors.totals:
         return
-    shown_with = {
-        "as fitted": ("value", "sigma"),
-        "and what is left out for good": ("value", "sigma_with_neglected"),
-    }
-    if errors.together is not None:
-        shown_with["corrected"] = "corrected", "corrected_sigma"
-    rows = (
-        (
+    corrected = errors.together is not None
+    columns = ["quantity", "as fitted", "and what is left out for good", "corrected"]
+    rows = []
+    for name in errors.main:
+        total = errors.totals[name]
+        cells = [
             _title(name),
-            *(_two_digits(*attrgetter(*pair)(errors.totals[name])) for pair in shown_with.values()),
-        )
-        for name in errors.main
-    )
-    yield table("results, with all errors", ("quantity", *shown_with), rows)
-    if errors.together is not None:
+            _two_digits(total.value, total.sigma),
+            _two_digits(total.value, total.sigma_with_neglected),
+            _two_digits(total.corrected, total.corrected_sigma),
+        ]
+        rows.append(cells if corrected else cells[:-1])
+    yield table("results, with all errors", columns if corrected else columns[:-1], rows)
+    if corrected:
         yield (
             "A correction is no error: make it in the scene or the campaign. The errors of "
             "corrected values have those of the corrections' sizes in them."
@@ -786,9 +801,9 @@ def _corrections(errors: Budget) -> Table | None:
     rows = []
     for correction in errors.corrections:
         factor = 1.0 if correction.applied else 1.0 + correction.relative
-        moved = shown(100 * correction.relative, "+.2f")
+        shift = shown(100 * correction.relative, "+.2f")
         value = _two_digits(factor * light.value, factor * light.sigma)
-        rows.append((correction.name, moved, "yes" if correction.applied else "no", value))
+        rows.append((correction.name, shift, "yes" if correction.applied else "no", value))
     columns = ("correction", "moves it by, %", "is in it", "light yield with it (ph/keV)")
     return table("the absolute light yield", columns, rows)
 
@@ -800,15 +815,15 @@ def not_modelled() -> list[tuple[str, str, str]]:
 
 
 def _places(errors: Budget) -> Iterator[Piece]:
-    """What it does to readings where gammas stop."""
+    """What it does to the light yield where gammas stop, instead of everywhere, by a map."""
     if errors.places is None:
         return
     everywhere, *_ = errors.places.shifts
 
     def cells(place: Any) -> Iterator[Cell]:
-        for moved in (place.eta_shift, place.yield_shift):
-            shift = measured(moved, place.sigma, 100.0)
-            yield Cell("") if place is everywhere else replace(shift, text=_signed(shift.text))
+        for shift in (place.eta_shift, place.yield_shift):
+            cell = measured(shift, place.sigma, 100.0)
+            yield Cell("") if place is everywhere else replace(cell, text=_signed(cell.text))
 
     columns = (
         "gammas stop",
@@ -831,7 +846,7 @@ def _places(errors: Budget) -> Iterator[Piece]:
 
 
 def _two_digits(value: float | None, sigma: float | None) -> Cell:
-    """Two digits of the error, so that a correction smaller than it is seen."""
+    """A value to two digits of its error, so that a correction smaller than it is seen."""
     if value is None or sigma is None:
         return Cell("")
     places = max(1 - math.floor(math.log10(sigma)), 0)
@@ -844,8 +859,8 @@ _MOST_PLANS = 16
 
 
 def of_plan(planning: Planning) -> Description:
-    """What would be measured, what errors plans would leave, and the cheapest plan."""
-    at = ", ".join(
+    """What would be measured, what relative errors plans would leave, and the cheapest plan."""
+    solution = ", ".join(
         f"{sentences.title_of(name)} {pdg(estimate.value, estimate.sigma)}"
         for name, estimate in planning.solution.items()
     )
@@ -874,10 +889,11 @@ def of_plan(planning: Planning) -> Description:
             "alpha_scat", of=lambda p: shown(p.alpha_scat.total, percent) if p.alpha_scat else ""
         ),
     )
-    assumed, sets = planning.conditions, "; ".join(map(planning.name, planning.undetermined))
+    assumed = planning.conditions
+    undetermined = "; ".join(map(planning.name, planning.undetermined))
     return described(
         "plan of a measurement",
-        f"At the campaign's solution: {at}",
+        f"At the campaign's solution: {solution}",
         records("what would be measured", signals, planning.candidates),
         records(
             "what readings without error would leave of the light yield's",
@@ -895,6 +911,6 @@ def of_plan(planning: Planning) -> Description:
         f"{assumed.minutes_per_mounting:g} minutes per mounting, a scatter of "
         f"{percent(assumed.mounting_scatter)} from mounting to mounting, and a spread of "
         f"{percent(assumed.intrinsic_spread)} of an event's light.",
-        f"Not enough to determine the parameters: {sets}" if sets else "",
+        f"Not enough to determine the parameters: {undetermined}" if undetermined else "",
         notes=planning.notes,
     )

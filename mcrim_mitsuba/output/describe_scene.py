@@ -1,12 +1,12 @@
-"""Results on scenes described: simulations, tables, checks, crosschecks; see `description`.
+"""Results on scenes described as tables and sentences: simulations, tables, checks, crosschecks.
 
-They stand apart from those on campaigns, whose sentences take half a second to import.
+They stand apart from those on campaigns, whose sentences take half a second to import. A `Cell` is
+a text with the number behind it and its error; a `Column` says what it shows of a record.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -63,10 +63,10 @@ def fate_words(fate: str) -> str:
 
 
 def of_simulation(result: LightResult) -> Description:
-    """Efficiency, and what becomes of the light."""
-    words = f"no photons, {result.seconds:.2f} s"
+    """Efficiency, and what becomes of the light; it may have been computed without photons."""
+    work = f"no photons, {result.seconds:.2f} s"
     if result.photons:
-        words = (
+        work = (
             f"{result.photons:,} photons, seed {result.seed}, {result.seconds:.1f} s, "
             f"{result.photons_per_second / 1e6:.2f} million photons/s"
         )
@@ -77,7 +77,7 @@ def of_simulation(result: LightResult) -> Description:
     )
     return described(
         "light collection efficiency",
-        f"eta = {pdg(result.eta, result.eta_sigma)}   ({words}, {result.transport})",
+        f"eta = {pdg(result.eta, result.eta_sigma)}   ({work}, {result.transport})",
         table(
             "where the light ends", ("fate", "fraction", Column("error", "fraction_sigma")), fates
         ),
@@ -110,15 +110,15 @@ def of_map(mapped: MapResult) -> Description:
 
 
 def of_spectrum(spectrum: SpectrumResult) -> Description:
-    """Means over the light, what one wavelength is off by, and some wavelengths."""
+    """Means over the light, what one wavelength is off by, and wavelengths, some of them seen."""
     light, count = spectrum.light, len(spectrum.light.wavelength_nm)
-    shown_places = set(np.linspace(0, count - 1, _MOST_WAVELENGTHS).astype(int).tolist())
+    seen = set(np.linspace(0, count - 1, _MOST_WAVELENGTHS).astype(int).tolist())
     rows = (
         row(
             shown(light.wavelength_nm[i], ".0f"),
             *(shown(values[i], ".4g") for values in light.parameters.values()),
             measured(float(spectrum.eta[i]), float(spectrum.eta_sigma[i])),
-            hidden=i not in shown_places,
+            hidden=i not in seen,
         )
         for i in range(count)
     )
@@ -144,14 +144,14 @@ def of_spectrum(spectrum: SpectrumResult) -> Description:
 
 
 def _means(spectrum: SpectrumResult) -> list[str]:
-    """The efficiency of the whole light, detected and emitted, and of one wavelength."""
+    """The efficiency of the whole light, as detected and as emitted, and of one wavelength."""
     light, benches = spectrum.light, len(spectrum.nodes_nm)
-    simulated = f"{counted(benches, 'simulation')}, {spectrum.photons:,} photons"
+    work = f"{counted(benches, 'simulation')}, {spectrum.photons:,} photons"
     if not spectrum.photons:
-        simulated = f"{'a bench' if benches == 1 else f'{benches} benches'} solved by modes"
+        work = f"{'a bench' if benches == 1 else f'{benches} benches'} solved by modes"
     lines = [
         f"eta = {pdg(spectrum.eta_detected, spectrum.eta_detected_sigma)} of the light as it is "
-        f"{'detected' if light.detected else 'emitted'} ({simulated})"
+        f"{'detected' if light.detected else 'emitted'} ({work})"
     ]
     if light.detected:
         arriving = measured(spectrum.efficiency_arriving, spectrum.efficiency_arriving_sigma, 100.0)
@@ -170,6 +170,7 @@ def _means(spectrum: SpectrumResult) -> list[str]:
     ]
 
 
+#: Of the times, what they are, and the attribute; its error ends in _sigma.
 _TIMES = {
     "mean": "mean_ps",
     "rms": "rms_ps",
@@ -188,9 +189,9 @@ def of_times(times: TimesResult) -> Description:
     """When detected light arrives, in which parts it was, and when the first photons do."""
     decay = times.decay_ns
     emitted = "all emitted at once" if decay is None else f"emitted with a decay of {decay:g} ns"
-    numbers = (
-        (what, measured(getattr(times, name), getattr(times, f"{name}_sigma")))
-        for what, name in _TIMES.items()
+    rows = (
+        (words, measured(getattr(times, name), getattr(times, f"{name}_sigma")))
+        for words, name in _TIMES.items()
     )
     births = (
         "light of one event is born everywhere in the crystal, or, as that of a gamma, at one "
@@ -199,7 +200,7 @@ def of_times(times: TimesResult) -> Description:
     return described(
         "arrival times of detected light",
         f"arrival of detected light, {emitted}: {times.photons:,} photons followed",
-        table("times", ("detected light", "ps"), numbers),
+        table("times", ("detected light", "ps"), rows),
         records("where light is meanwhile", _PARTS, times.parts),
         _first_photons(times),
         births if len(times.first) > 1 else "",
@@ -208,26 +209,27 @@ def of_times(times: TimesResult) -> Description:
 
 
 def _first_photons(times: TimesResult) -> Table:
-    """When the first photons of an event are detected, by where its light is born."""
+    """When the first photons of an event are detected: mean and rms by where its light is born."""
     columns: list[str | Column] = ["photon"]
-    values: list[tuple[np.ndarray, np.ndarray]] = []
+    times_and_errors: list[tuple[np.ndarray, np.ndarray]] = []
     for photons in times.first:
         name = photons.born.replace(" ", "_")
         for what in ("mean", "rms"):
             columns.append(Column(f"{photons.born}, {what} (ps)", f"{what}_ps_{name}"))
-            values.append((getattr(photons, f"{what}_ps"), getattr(photons, f"{what}_ps_sigma")))
+            error = getattr(photons, f"{what}_ps_sigma")
+            times_and_errors.append((getattr(photons, f"{what}_ps"), error))
     rows = (
         (
-            shown(place + 1, "d"),
-            *(measured(float(value[place]), float(sigma[place])) for value, sigma in values),
+            shown(i + 1, "d"),
+            *(measured(float(time[i]), float(error[i])) for time, error in times_and_errors),
         )
-        for place in range(len(times.first[0].mean_ps))
+        for i in range(len(times.first[0].mean_ps))
     )
     return table(f"first of {times.detected:,} detected photons", columns, rows)
 
 
 def of_table(tabulated: TableResult, *, written: str | None = None) -> Description:
-    """Points of a table; of one that was written to a file what it took alone."""
+    """The points of a table and what it took, or that alone if it was written to a file."""
 
     def axis(name: str) -> Column:
         def cell(point: dict[str, Any]) -> Cell:
@@ -236,7 +238,7 @@ def of_table(tabulated: TableResult, *, written: str | None = None) -> Descripti
 
         return Column(name, of=cell)
 
-    eta = Column("eta", of=lambda at: measured(*map(float, itemgetter("eta", "eta_sigma")(at))))
+    eta = Column("eta", of=lambda p: measured(float(p["eta"]), float(p["eta_sigma"])))
     photons = f"{tabulated.photons:,} photons ({tabulated.cached_photons:,} of the cache)"
     return described(
         "table of the light collection efficiency",
@@ -262,16 +264,14 @@ FACES = (
 def of_check(report: CheckResult, *, first: bool = True) -> Description:
     """What a scene means, its faces, and what is wrong with it.
 
-    The command raises the first problem, and shows the others.
+    Not the `first` problem where the command raises it; the others are shown.
     """
-    wrong = [
-        f"{'also: ' if place else ''}{problem}" for place, problem in enumerate(report.problems)
-    ]
+    problems = [f"{'also: ' if i else ''}{problem}" for i, problem in enumerate(report.problems)]
     return described(
         "check of a scene",
         listed(report.words),
         records("", FACES, report.interfaces),
-        wrong if first else wrong[1:],
+        problems if first else problems[1:],
         notes=report.notes,
     )
 

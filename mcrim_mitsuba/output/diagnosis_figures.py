@@ -58,34 +58,31 @@ _LEAST_PROBABILITY = 1e-3
 _LEAST_GAIN = 4.0
 #: For losses it reaches so much of that.
 _LOSSES = 0.6
-_STATISTICS = tuple(
-    (
-        "delta_chi2 delta_chi2_sigma chi2 ndf p_value p_gain p_global behind aicc left_out_error"
-    ).split()
+#: Of a candidate, columns of the CSV.
+_STATISTICS = (
+    *"delta_chi2 delta_chi2_sigma chi2 ndf".split(),
+    *"p_value p_gain p_global behind aicc left_out_error".split(),
 )
 
 
-_NO_SIZE: tuple[Any, ...] = (None, None, None)
-
-
 def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
-    """An effect's parameter a row; below them what is no effect."""
+    """A row for each parameter of each effect, or for an effect without; then what is no effect."""
     leading, statistics = leading_candidates(diagnosis), attrgetter(*_STATISTICS)
+    no_size: list[tuple] = [(None, None, None)]
     rows = [
         (
-            c.effect,
-            c in leading,
-            diagnosis.probabilities.get(c.effect),
-            *statistics(c),
-            name,
-            *numbers,
-            c.plausible,
-            c.at_bound,
-            (c.light_yield_ph_per_keV or {}).get("value"),
-            " ".join(c.mimics),
+            candidate.effect,
+            candidate in leading,
+            diagnosis.probabilities.get(candidate.effect),
+            *statistics(candidate),
+            *size,
+            candidate.plausible,
+            candidate.at_bound,
+            (candidate.light_yield_ph_per_keV or {}).get("value"),
+            " ".join(candidate.mimics),
         )
-        for c in (*diagnosis.candidates, *diagnosis.pairs)
-        for name, *numbers in [(n, k.value, k.sigma) for n, k in c.sizes.items()] or [_NO_SIZE]
+        for candidate in (*diagnosis.candidates, *diagnosis.pairs)
+        for size in [(n, e.value, e.sigma) for n, e in candidate.sizes.items()] or no_size
     ]
     columns = (
         "effect",
@@ -100,9 +97,10 @@ def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
         "light_yield_ph_per_keV",
         "mimics",
     )
-    probabilities, unknown = diagnosis.probabilities, [None] * (len(columns) - 3)
+    # these have a name and a probability alone
+    probabilities, empty = diagnosis.probabilities, [None] * (len(columns) - 3)
     rows += [
-        (name, False, probabilities[name], *unknown) for name in NO_EFFECTS if name in probabilities
+        (name, False, probabilities[name], *empty) for name in NO_EFFECTS if name in probabilities
     ]
     return columns, rows
 
@@ -126,12 +124,12 @@ class _Row:
 
 
 def _rows(diagnosis: Diagnosis) -> tuple[list[_Row], list[_Row]]:
-    """Effects, among them what is none and how likely it is; and the best pairs."""
+    """Single effects, among them what is no effect by its probability; and the best pairs."""
     leading, probabilities = leading_candidates(diagnosis), diagnosis.probabilities
     singles, pairs = (
         [
             _Row(
-                capital("\n+ ".join(map(_broken, titles_of(diagnosis, candidate.effects)))),
+                capital("\n+ ".join(map(_in_lines, titles_of(diagnosis, candidate.effects)))),
                 probabilities.get(candidate.effect),
                 candidate in leading,
                 candidate,
@@ -141,23 +139,22 @@ def _rows(diagnosis: Diagnosis) -> tuple[list[_Row], list[_Row]]:
         for candidates in (diagnosis.candidates, diagnosis.pairs[:MOST_PAIRS])
     )
     for name, words in NO_EFFECTS.items():
-        p = probabilities.get(name, 0.0)
-        if p >= _LEAST_PROBABILITY and (singles or pairs):
-            above = [at for at, row in enumerate(singles) if (row.probability or 0.0) > p]
+        p = probabilities.get(name)
+        if p is not None and p >= _LEAST_PROBABILITY and (singles or pairs):
+            above = [i for i, row in enumerate(singles) if row.probability and row.probability > p]
             singles.insert(max(above, default=-1) + 1, _Row(capital(words), p))
     return singles, pairs
 
 
-def _broken(title: str) -> str:
-    """A title in lines."""
+def _in_lines(title: str) -> str:
+    """A title of two lines at most."""
     return textwrap.fill(style.shortened(title, 2 * _LETTERS), _LETTERS)
 
 
 @style.styled
 def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
-    """Every effect alone, below the best pairs if they were tried.
-
-    `brief` leaves the sizes to a table beside it: it fits a narrow page.
+    """Effects by how likely they are and what they gain, single ones above the best pairs.
+    `brief` leaves the sizes to a table elsewhere: it fits a narrow page.
     """
     numbers, (singles, pairs) = _ranking_numbers(diagnosis), _rows(diagnosis)
     rows = [*singles, *pairs]
@@ -165,13 +162,14 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
         return style.Drawing(_nothing_tried(diagnosis), *numbers)
     # a row is as high as its effects, and its sizes, have lines
     table = [_beside(row, brief) for row in rows]
-    lines = [
+    further_lines = [
         max(text.count("\n") for text in (row.name, *texts))
         for row, texts in zip(rows, table, strict=True)
     ]
-    heights = 1 + _FURTHER_LINE * np.array(lines)
+    heights = 1 + _FURTHER_LINE * np.array(further_lines)
     edges = np.cumsum([0.0, *heights])
     places = edges[1:] - heights / 2
+    # a title and a text for each row; brief tables have the first column alone
     columns = list(zip(_BESIDE, *table, strict=False))
     widths = [
         _LABEL_PER_CHARACTER * max(len(line) for text in column for line in text.split("\n")) + 0.25
@@ -204,34 +202,34 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
             beside.text(
                 left, place, text, fontsize=9.5, va="center", parse_math=False, weight=row.weight
             )
-    leading = [row for row in rows if row.leading]
-    style.legend_of(figure, _handles(len(leading), threshold), "lower left", 2 if brief else 4)
+    leading = sum(row.leading for row in rows)
+    style.legend_of(figure, _handles(leading, threshold), "lower left", 2 if brief else 4)
     _title_ranking(figure, diagnosis)
     return style.Drawing(figure, *numbers)
 
 
+#: Titles of the columns beside the bars.
 _BESIDE = "p of the fit", "fitted size", "in words"
 
 
 def _beside(row: _Row, brief: bool) -> tuple[str, ...]:
-    """What stands beside a row's bars."""
+    """Texts of a row in the columns of `_BESIDE`, the first alone if `brief`."""
     candidate = row.candidate
-    texts = (
-        ("", "", "")
-        if candidate is None
-        else (p_text(candidate.p_value), size_text(candidate, "\n"), plausibility(candidate))
-    )
+    if candidate is None:  # it is no effect
+        texts = ("", "", "")
+    else:
+        texts = p_text(candidate.p_value), size_text(candidate, "\n"), plausibility(candidate)
     return texts[:1] if brief else texts
 
 
 def _draw_probabilities(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
-    """How likely each is, in words beside its bar."""
+    """How likely each row is, with the number at the right of its bar; pairs may have none."""
     for place, row in zip(places, rows, strict=True):
         p = row.probability
         if p is None:
             continue
         axes.barh(place, 100 * p, height=0.62, color=row.colour, edgecolor=style.DARK, lw=0.8)
-        style.behind(axes, probability(p), (100 * p, place), weight=row.weight)
+        style.text_after_bar(axes, probability(p), (100 * p, place), weight=row.weight)
     axes.set_xlim(0, 135)
     axes.set_xticks([0, 50, 100])
     axes.set_xlabel("probability, %")
@@ -239,17 +237,18 @@ def _draw_probabilities(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) ->
 
 
 def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
-    """Bars of gains; those of losses that would leave no room end at the axis, with their value."""
+    """Falls of chi2 with errors; a loss that leaves gains no room ends at the edge, in digits."""
     tried = [
         (place, row, row.candidate)
         for place, row in zip(places, rows, strict=True)
         if row.candidate is not None
     ]
     gains = [candidate.delta_chi2 + candidate.delta_chi2_sigma for _, _, candidate in tried]
+    # as far as the line of the threshold too, if it was drawn
     right = 1.08 * max(*gains, axes.dataLim.x1 if axes.lines else 0.0, _LEAST_GAIN)
     left = -_LOSSES * right
     for place, row, candidate in tried:
-        ends = candidate.delta_chi2 - candidate.delta_chi2_sigma < left
+        beyond = candidate.delta_chi2 - candidate.delta_chi2_sigma < left
         axes.barh(
             place,
             max(candidate.delta_chi2, left),
@@ -257,11 +256,11 @@ def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
             color=row.colour,
             edgecolor=style.DARK,
             lw=0.8,
-            xerr=None if ends else candidate.delta_chi2_sigma,
+            xerr=None if beyond else candidate.delta_chi2_sigma,
             error_kw={"ecolor": style.WARM, "capsize": 3, "lw": 1.5},
         )
-        if ends:
-            style.behind(axes, f"◂ {number(candidate.delta_chi2)}", (left, place))
+        if beyond:
+            style.text_after_bar(axes, f"◂ {number(candidate.delta_chi2)}", (left, place))
     lowest = min(candidate.delta_chi2 - candidate.delta_chi2_sigma for _, _, candidate in tried)
     axes.set_xlim(max(left, 1.08 * min(lowest, 0.0)), right)
     axes.axvline(0, color=style.GREY, lw=0.9)
@@ -287,7 +286,7 @@ def _nothing_tried(diagnosis: Diagnosis) -> Figure:
 
 
 def _handles(leading: int, threshold: bool) -> list[Artist]:
-    """The legend's entries: what bars are that lead, and what the dashed line is."""
+    """The legend's entries: what bars mean by their colours, and what the dashed line is."""
     handles: list[Artist] = []
     if leading:
         words = "leading: the data cannot tell these apart" if leading > 1 else "leading"
@@ -303,17 +302,17 @@ def _handles(leading: int, threshold: bool) -> list[Artist]:
 
 
 def _draw_threshold(axes: Axes, edges: np.ndarray, chi2: float, rows: Sequence[_Row]) -> bool:
-    """Gain with which a fit becomes acceptable; it depends on how many parameters are added."""
-    tried = [row.candidate for row in rows]
+    """Draw the gain that makes a fit acceptable, by its parameters; say whether one is needed."""
     needed = [
         math.nan
-        if candidate is None
-        else chi2 - (float(chdtri(candidate.ndf, ACCEPTABLE_P)) if candidate.ndf > 0 else 0.0)
-        for candidate in tried
+        if row.candidate is None
+        else chi2 - float(chdtri(row.candidate.ndf, ACCEPTABLE_P) if row.candidate.ndf > 0 else 0)
+        for row in rows
     ]
     if not any(gain > 0 for gain in needed):
         return False
     axes.plot(
+        # upright in each row, from its upper edge to its lower one
         np.repeat(needed, 2),
         np.repeat(edges, 2)[1:-1],
         color="black",
@@ -349,7 +348,7 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
         add the effects' responses.
     """
     stairs = [*steps, *([] if final is None else [final_step(steps[-1], final)])]
-    names = [style.shortened(added_text(stair), 36) for stair in stairs]
+    names = [style.shortened(added_text(step), 36) for step in stairs]
     width = max(9.0, 3.0 + 2.0 * len(stairs))
     figure = style.canvas(width, 8.6)
     grid = figure.subplots(3, 2, sharex=True)
@@ -361,14 +360,15 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
         (left_out, "rms error on readings left out", [s.left_out_error for s in stairs]),
     ):
         axes.axhline(1, color=style.GREY, lw=1, ls="--")
-        _stairs(
-            axes, stairs, heights, ["not computed" if h is None else number(h) for h in heights]
-        )
+        texts = ["not computed" if h is None else number(h) for h in heights]
+        _stairs(axes, stairs, heights, texts)
         axes.set_ylim(bottom=0)
         _staircase_title(axes, f"{title} (in σ; dashed: 1)")
-    of_light = LIGHT_YIELD if any(LIGHT_YIELD in s.parameters for s in stairs) else SCALE
-    _draw_parameter(light, stairs, of_light)
+    # a campaign without an absolute light yield has a scale
+    light_or_scale = LIGHT_YIELD if any(LIGHT_YIELD in s.parameters for s in stairs) else SCALE
+    _draw_parameter(light, stairs, light_or_scale)
     _draw_parameter(scattering, stairs, ALPHA_SCAT)
+    # where names are wider than a step of a panel, half the figure less its margin
     slanted = max(map(len, names)) * _STEP_PER_CHARACTER > (width / 2 - 0.8) / len(names)
     for axes in grid[-1]:
         axes.set_xticks(
@@ -385,16 +385,12 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
 
 
 def _staircase_numbers(stairs: Sequence[RepairStep]) -> style.Numbers:
-    """What is drawn of every step."""
-    further: dict[str, Any] = {"final_simulation": lambda stair: isinstance(stair, FinalStep)}
-    for name, column in (
-        (LIGHT_YIELD, "light_yield"),
-        (SCALE, "scale"),
-        (ALPHA_SCAT, "alpha_scat"),
-    ):
-        for at, ending in (("value", name.removeprefix(column)), ("sigma", "_sigma")):
-            further[column + ending] = lambda stair, name=name, at=at: getattr(
-                stair.parameters.get(name), at, None
+    """A step a row: its fit, and three parameters with their errors, empty where it lacks them."""
+    further: dict[str, Any] = {"final_simulation": lambda step: isinstance(step, FinalStep)}
+    for name, stem in ((LIGHT_YIELD, "light_yield"), (SCALE, "scale"), (ALPHA_SCAT, "alpha_scat")):
+        for column, field in ((name, "value"), (f"{stem}_sigma", "sigma")):
+            further[column] = lambda step, name=name, field=field: getattr(
+                step.parameters.get(name), field, None
             )
     names = "step added final_simulation chi2 ndf delta_chi2_sigma p_value rms_pull left_out_error"
     return style.numbers_of(stairs, names, **further)
@@ -402,10 +398,10 @@ def _staircase_numbers(stairs: Sequence[RepairStep]) -> style.Numbers:
 
 def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
     """chi2 per degree of freedom over the band where a right model's lies in two of three cases."""
-    spread = [math.sqrt(2 / s.ndf) if s.ndf > 0 else math.nan for s in steps]
-    for place, wide in enumerate(spread):
+    for place, step in enumerate(steps):
+        spread = math.sqrt(2 / step.ndf) if step.ndf > 0 else math.nan
         axes.fill_between(
-            [place - 0.5, place + 0.5], max(1 - wide, 0), 1 + wide, color=style.PALE, lw=0
+            [place - 0.5, place + 0.5], max(1 - spread, 0), 1 + spread, color=style.PALE, lw=0
         )
     heights = [s.chi2 / s.ndf if s.ndf > 0 else math.nan for s in steps]
     highest = max((height for height in heights if math.isfinite(height)), default=1.0)
@@ -421,33 +417,33 @@ def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
 
 
 def _draw_p_values(axes: Axes, steps: Sequence[RepairStep]) -> None:
-    """p-values, on a logarithmic axis."""
+    """p-values, on a logarithmic axis with some six ticks from 1 down to below the smallest."""
     heights = [math.nan if s.p_value is None else max(s.p_value, _SMALLEST_P) for s in steps]
     axes.axhline(ACCEPTABLE_P, color=style.GREY, lw=1, ls="--")
     axes.set_yscale("log")
     _stairs(axes, steps, heights, [p_text(s.p_value) for s in steps])
-    lowest = min((math.log10(h) for h in heights if math.isfinite(h)), default=0.0)
-    lowest = math.floor(min(lowest, -2.0)) - 1
+    smallest = min((h for h in heights if math.isfinite(h)), default=1.0)
+    # a power of ten below the smallest, or below 0.01
+    lowest = math.floor(min(math.log10(smallest), -2.0)) - 1
     # room for numbers above the points, but no ticks: there are no such probabilities
     axes.set_ylim(10.0 ** (1.1 * lowest), 10.0 ** (-0.2 * lowest))
-    axes.yaxis.set_major_locator(
-        FixedLocator([10.0**power for power in range(0, lowest - 1, -math.ceil(-lowest / 6))])
-    )
+    powers = range(0, lowest - 1, -math.ceil(-lowest / 6))
+    axes.yaxis.set_major_locator(FixedLocator([10.0**power for power in powers]))
     axes.yaxis.set_minor_locator(NullLocator())
     _staircase_title(axes, f"p-value (dashed: {ACCEPTABLE_P:g})")
 
 
 def _draw_parameter(axes: Axes, steps: Sequence[RepairStep], name: str) -> None:
-    """A fitted parameter with its errors; where it is at a bound, without."""
+    """A fitted parameter with its errors, without where it is at a bound; or that it is held."""
     estimates = [step.parameters.get(name) for step in steps]
     _staircase_title(axes, style.parameter_title(name))
     if not any(estimates):
         axes.text(0.5, 0.5, "not fitted", transform=axes.transAxes, ha="center", color=style.GREY)
         axes.set_yticks([])
         return
-    errors = [k.sigma if k and k.at_bound is None else 0.0 for k in estimates]
-    heights = [k.value if k else math.nan for k in estimates]
-    _stairs(axes, steps, heights, [estimate_text(k) if k else "" for k in estimates], errors)
+    heights = [e.value if e else None for e in estimates]
+    errors = [e.sigma if e and e.at_bound is None else 0.0 for e in estimates]
+    _stairs(axes, steps, heights, [estimate_text(e) if e else "" for e in estimates], errors)
 
 
 def _stairs(
@@ -457,7 +453,7 @@ def _stairs(
     texts: Sequence[str],
     errors: Sequence[float] | None = None,
 ) -> None:
-    """One value per step with its number, joined by a staircase."""
+    """One value per step with its text, at the bottom without a value, joined by a staircase."""
     finite = [math.nan if h is None or not math.isfinite(h) else h for h in heights]
     places = range(len(finite))
     axes.plot(places, finite, color=style.DARK, lw=1.2, drawstyle="steps-mid", zorder=3)

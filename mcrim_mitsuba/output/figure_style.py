@@ -62,9 +62,9 @@ _ACROSS = 3
 
 
 def panels_of(count: int) -> tuple[int, int]:
-    """Rows of nearly equal length, and panels in one."""
-    down = -(-count // _ACROSS)
-    return down, -(-count // down)
+    """How many rows panels stand in, of nearly equal length, and how many panels in a row."""
+    down = math.ceil(count / _ACROSS)
+    return down, math.ceil(count / down)
 
 
 def panels(figure: Figure, count: int, **options: Any) -> list[Axes]:
@@ -84,10 +84,10 @@ def open_axes(axes: Axes, grid: Literal["both", "x", "y"] = "both") -> None:
 
 
 def legend(axes: Axes, handles: Sequence[Artist] | None = None, **options: Any) -> None:
-    """A legend without a frame, which shows labels of users as they are."""
-    given = {} if handles is None else {"handles": handles}
-    frame = axes.legend(**given, **{"fontsize": 9.5, "frameon": False} | options)
-    for text in frame.get_texts():
+    """A legend without a frame, labels of users as they are; by default of all that has a label."""
+    entries = {} if handles is None else {"handles": handles}
+    box = axes.legend(**entries, **{"fontsize": 9.5, "frameon": False} | options)
+    for text in box.get_texts():
         text.set_parse_math(False)
 
 
@@ -112,14 +112,14 @@ def legend_of(
     figure.legend(handles=handles, ncols=ncols, **options | more)
 
 
-def behind(axes: Axes, text: str, end: tuple[float, float], **look: Any) -> None:
-    """A text behind the end of a bar."""
+def text_after_bar(axes: Axes, text: str, end: tuple[float, float], **look: Any) -> None:
+    """A text at the right of a bar's end, four points away; `end` is (x, y) in data units."""
     points: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 9.5}
     axes.annotate(text, end, (4, 0), **points, **look)
 
 
-def within(axes: Axes, text: str, middle: tuple[float, float], **look: Any) -> None:
-    """A text in the middle of a part of a bar."""
+def text_in_bar(axes: Axes, text: str, middle: tuple[float, float], **look: Any) -> None:
+    """A text in the middle of a part of a bar, which is (x, y) in data units."""
     axes.text(*middle, text, ha="center", va="center", fontsize=10, **look)
 
 
@@ -128,8 +128,8 @@ def band(axes: Axes, x: np.ndarray, y: np.ndarray, sigma: np.ndarray, **look: An
     axes.fill_between(x, y - sigma, y + sigma, lw=0, **look)
 
 
-def said_alone(text: str) -> Figure:
-    """What stands in place of a figure with nothing in it."""
+def sentence_instead(text: str) -> Figure:
+    """A figure of one sentence, which says why there is nothing to draw."""
     figure = canvas(6.0, 1.2)
     figure.text(0.02, 0.5, text, va="center")
     return figure
@@ -141,7 +141,8 @@ def shortened(name: str, most: int = 34) -> str:
     if len(name) <= most:
         return name
     head = most // 2
-    return f"{name[:head].rstrip()}…{name[head + 1 - most :].lstrip()}"
+    tail = most - head - 1  # the ellipsis is a character too
+    return f"{name[:head].rstrip()}…{name[-tail:].lstrip()}"
 
 
 def entitle(figure: Figure, words: str, weight: str = "bold") -> None:
@@ -154,6 +155,7 @@ def entitle(figure: Figure, words: str, weight: str = "bold") -> None:
         heading = figure.suptitle(text, x=0.01, ha="left", **look)
         if heading.get_window_extent().x1 <= figure.bbox.width or letters < _FEWEST_LETTERS:
             return
+        # too wide: the same again in lines that are a tenth shorter
         letters = letters * 9 // 10
 
 
@@ -195,9 +197,9 @@ def write_numbers(
 def numbers_of(
     records: Iterable[Any], names: str, **further: Callable[[Any], object]
 ) -> tuple[list[str], list[tuple[object, ...]]]:
-    """Numbers of records, a row each: attributes by their names, and what functions make of one.
-
-    Columns stand in the order of `names`; those of `further` that are not among them come last.
+    """Columns and rows of a CSV: attributes of records, and what functions make of a record.
+    Columns stand in the order of `names`, which blanks part; those of `further` that are not among
+    them come last.
     """
     columns = list(dict.fromkeys((*names.split(), *further)))
     cells = [further.get(name) or attrgetter(name) for name in columns]
@@ -205,11 +207,12 @@ def numbers_of(
 
 
 def numbers_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """The CSV of `write_numbers`."""
+    """The text of a CSV; what is not known or not finite is an empty cell."""
     return csv_lines(columns, (map(_cell, row) for row in rows))
 
 
 def _cell(value: object) -> object:
+    """A number to seven digits, empty where it is not finite; anything else as it is."""
     if isinstance(value, float):
         return f"{value:.7g}" if math.isfinite(value) else ""
     return value
@@ -224,10 +227,10 @@ class Drawing:
     rows: Sequence[Sequence[object]]
 
     def entitled(self, title: str) -> Drawing:
-        """The same with a title over it, and over what the figure says there itself."""
-        words_there = self.figure.get_suptitle()
-        words = "\n".join(filter(None, (shortened(title, _MOST_LETTERS), words_there)))
-        entitle(self.figure, words, "normal" if "\n" in words_there else "bold")
+        """Put a title over the figure, above what it says there itself; gives itself back."""
+        subtitle = self.figure.get_suptitle()
+        words = "\n".join(filter(None, (shortened(title, _MOST_LETTERS), subtitle)))
+        entitle(self.figure, words, "normal" if "\n" in subtitle else "bold")
         return self
 
     def save(self, path: str | Path) -> tuple[Path, Path]:
@@ -249,12 +252,13 @@ _KNOWN_PARAMETERS = {
 
 
 def parameter_title(name: str) -> str:
-    """A parameter with its unit; its own name where it has no other, which ends in the unit."""
+    """A parameter in words with its unit; others by their names, which end in the unit."""
+    # a $ would begin a formula
     return _KNOWN_PARAMETERS.get(name) or shortened(name, 44).replace("$", r"\$")
 
 
 def signal_title(unit: str, line_end: str = " ") -> str:
-    """What an axis of signals is called; an empty unit is not known."""
+    """What an axis of signals is called; where the unit is not known, `unit` is empty."""
     return f"signal{line_end}({shortened(unit or 'unit of the measurement file', 40)})"
 
 
@@ -282,6 +286,8 @@ class FateStyle:
 _DASHED = (0, (6, 1.5))
 _DOTTED = (0, (1.2, 1.2))
 _MIXED = (0, (4, 1.2, 1, 1.2))
+#: The fields of a `FateStyle` that `_LOOKS` gives, in this order; the last two where they differ.
+_OF_LOOK = ("line", "fill", "hatch", "marker", "dashes", "edge", "text")
 _LOOKS: dict[str, tuple[Any, ...]] = {
     "detected": (DARK, DARK, "", "o", "-", _INK, "white"),
     "absorbed_crystal": ("#7a1f5c", "#c9a0bd", "//", "X", _DASHED),
@@ -294,10 +300,10 @@ _LOOKS: dict[str, tuple[Any, ...]] = {
     "truncated": ("#3d3d3d", "#9a9a9a", "--", "*", ":"),
     "lost": ("#3d3d3d", "white", "**", "v", ":"),
 }
-_OF_LOOK = ("line", "fill", "hatch", "marker", "dashes", "edge", "text")
 
 
 def _style_of(fate: str, look: tuple[Any, ...]) -> FateStyle:
+    # a look may be shorter than the list of fields: the last ones have defaults
     return FateStyle(words=fate_words(fate), **dict(zip(_OF_LOOK, look, strict=False)))
 
 
@@ -305,17 +311,19 @@ _KNOWN_FATES = {fate: _style_of(fate, look) for fate, look in _LOOKS.items()}
 
 
 def fate_style(fate: str) -> FateStyle:
-    """That of a fate as in `results.SimulationResult.budget`; of any medium's absorption too."""
+    """How a fate is drawn, by its name in `SimulationResult.budget`."""
     if fate in _KNOWN_FATES:
         return _KNOWN_FATES[fate]
+    # absorbed in a medium that a user named
     return _style_of(fate, ("#004a7c", "#9cc7e0", "||", "d", _DASHED))
 
 
 def ordered(fates: Iterable[str]) -> list[str]:
     """Fates in the order of all figures: what is wanted first, what is wrong last."""
     places: dict[str, float] = {fate: place for place, fate in enumerate(_KNOWN_FATES)}
-    others = places["absorbed_aperture"] - 0.5
-    return sorted(set(fates), key=lambda fate: (places.get(fate, others), fate))
+    # media that users named stand behind the bench's own and before the mask
+    other_media = places["absorbed_aperture"] - 0.5
+    return sorted(set(fates), key=lambda fate: (places.get(fate, other_media), fate))
 
 
 # Transmittances beside signals of light: a second scale.
@@ -336,6 +344,6 @@ def units_of_signals(readings: Sequence[tuple[float, bool]]) -> np.ndarray:
 
 
 def second_scale(axes: Axes, unit: float) -> None:
-    """A scale of transmittances at the right, one of 1 being drawn at `unit`."""
-    to_and_fro = (lambda y: 100 * y / unit, lambda percent: percent * unit / 100)
-    axes.secondary_yaxis("right", functions=to_and_fro).set_ylabel("transmittance (%)")
+    """A scale of transmittances in per cent at the right; 100 % is at the height `unit`."""
+    there_and_back = (lambda y: 100 * y / unit, lambda percent: percent * unit / 100)
+    axes.secondary_yaxis("right", functions=there_and_back).set_ylabel("transmittance (%)")

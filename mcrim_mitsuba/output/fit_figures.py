@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -40,12 +40,7 @@ _SUSPECTS: dict[str, Any] = {
     "bad_reading": ("suspected bad reading", {"facecolor": "#f6dccd", "edgecolor": style.WARM}),
     "swapped_rows": (
         "suspected swap",
-        {
-            "facecolor": "none",
-            "edgecolor": style.WARM,
-            "hatch": "///",
-            "alpha": 0.55,
-        },
+        {"facecolor": "none", "edgecolor": style.WARM, "hatch": "///", "alpha": 0.55},
     ),
 }
 #: After a repair the suspicion is history.
@@ -62,19 +57,26 @@ _PER_READING = 0.46
 _PER_CHARACTER = 0.068
 #: Inches of the widest figure.
 _WIDEST = 26.0
+#: Inches at the left and right of the axes.
+_MARGINS = 1.6
+#: Columns of the CSV, which are fields of `FittedRow`.
 _MEASURED = "label use measured sigma"
 _PREDICTED = "model model_sigma pull"
-#: A name, a fit, how it looks, and how far beside the places of the readings it stands.
-_Series = tuple[str, Calibration | FittedHypothesis, dict[str, Any], float]
+
+
+class _Pulls(NamedTuple):
+    """A fit whose pulls are drawn."""
+
+    name: str
+    fit: Calibration | FittedHypothesis
+    look: dict[str, Any]
+    #: How far beside the places of the readings its marks stand.
+    shift: float = 0.0
 
 
 @style.styled
 def draw_comparison(
-    before: Calibration,
-    after: Calibration | None = None,
-    *,
-    added: str = "",
-    unit: str = "",
+    before: Calibration, after: Calibration | None = None, *, added: str = "", unit: str = ""
 ) -> style.Drawing:
     """Readings, predictions and pulls.
 
@@ -93,49 +95,56 @@ def draw_comparison(
     places = np.arange(len(before.rows))
     _draw_signals(upper, places, before, after, unit)
     name = "as it is" if isinstance(before, Comparison) else "fit"
-    series: list[_Series] = [(name, before, _AS_IT_IS, 0.0)]
+    fits = [_Pulls(name, before, _AS_IT_IS)]
     if after is not None:
         words = f"with {style.shortened(added, 56)}" if added else "mended"
-        series = [(name, before, _AS_IT_IS, -_APART), (words, after, _MENDED, _APART)]
-    _draw_pulls(lower, places, series)
+        fits = [_Pulls(name, before, _AS_IT_IS, -_APART), _Pulls(words, after, _MENDED, _APART)]
+    _draw_pulls(lower, places, fits)
     _mark_suspects(lower, places, before, mended=after is not None)
+    # of several suspicions on one reading the first, which is the strongest
     suspects = {
         label: suspect.kind for suspect in _suspects(before)[::-1] for label in suspect.labels
     }
     for row, tick in zip(before.rows, lower.get_xticklabels(), strict=True):
         if row.label in suspects:
             tick.set(fontweight="bold", color=style.WARM if after is None else style.GREY)
+    return style.Drawing(figure, *_comparison_numbers(before, after, suspects))
+
+
+def _comparison_numbers(
+    before: Calibration, after: Calibration | None, suspects: Mapping[str, str]
+) -> style.Numbers:
+    """A reading a row: what was measured, what was predicted before and after, and suspicions."""
     left_out = before.left_out_pulls if isinstance(before, Comparison) else {}
     mended = {row.label: row for row in after.rows} if after else {}
-    then: dict[str, Any] = {
+    columns_after: dict[str, Any] = {
         f"{name}_after": lambda row, name=name: getattr(mended.get(row.label), name, None)
         for name in _PREDICTED.split()
     }
-    numbers = style.numbers_of(
+    return style.numbers_of(
         before.rows,
         f"{_MEASURED} {_PREDICTED}",
         left_out_pull=lambda row: left_out.get(row.label),
         suspect=lambda row: suspects.get(row.label),
-        **then,
+        **columns_after,
     )
-    return style.Drawing(figure, *numbers)
 
 
 def _over_readings(
     rows: Sequence[FittedRow], heights: tuple[float, float]
 ) -> tuple[Figure, Axes, Axes]:
-    """A figure of two axes, one over the other, above the names of the readings."""
+    """Upper and lower axes, their heights in this ratio, over the names of the readings."""
     names = [style.shortened(row.label) for row in rows]
-    longest = max(map(len, names), default=0)
-    width = min(max(8.0, 1.6 + _PER_READING * len(names)), _WIDEST)
-    upright = longest * _PER_CHARACTER < 0.85 * (width - 1.6) / max(len(names), 1)
-    figure = style.canvas(width, 6.0 + (0.0 if upright else _PER_CHARACTER * longest))
+    longest_inches = _PER_CHARACTER * max(map(len, names), default=0)
+    width = min(max(8.0, _MARGINS + _PER_READING * len(names)), _WIDEST)
+    upright = longest_inches >= 0.85 * (width - _MARGINS) / max(len(names), 1)
+    figure = style.canvas(width, 6.0 + (longest_inches if upright else 0.0))
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=heights)
     crowded = _PER_READING * len(names) > _WIDEST
     lower.set_xticks(
         np.arange(len(names)),
         names,
-        rotation=0 if upright else 90,
+        rotation=90 if upright else 0,
         fontsize=5 if crowded else 9.5,
         parse_math=False,
     )
@@ -150,67 +159,58 @@ def draw_hypotheses(compared: SideBySide) -> style.Drawing:
     first, *others = hypotheses
     figure, upper, lower = _over_readings(first.rows, (1.3, 1))
     places = np.arange(len(first.rows))
-    aside = _BESIDE * (np.arange(len(hypotheses)) - 0.5 * (len(hypotheses) - 1))
-    looks = list(zip(hypotheses, _HYPOTHESES, aside.tolist(), strict=False))
-    _draw_pulls(
-        upper,
-        places,
-        [
-            (style.shortened(hypothesis.words, 56), hypothesis, look, at)
-            for hypothesis, look, at in looks
-        ],
-    )
+    # side by side, about the places of the readings
+    shifts = _BESIDE * (np.arange(len(hypotheses)) - 0.5 * (len(hypotheses) - 1))
+    fits = [
+        _Pulls(style.shortened(hypothesis.words, 56), hypothesis, look, shift)
+        for hypothesis, look, shift in zip(hypotheses, _HYPOTHESES, shifts.tolist(), strict=False)
+    ]
+    _draw_pulls(upper, places, fits)
     lower.axhline(0, color=style.GREY, lw=0.9)
     sigmas = np.array([row.sigma for row in first.rows])
-    of_first = np.array([row.model for row in first.rows])
-    far = {
-        hypothesis.name: (np.array([row.model for row in hypothesis.rows]) - of_first) / sigmas
-        for hypothesis in others
-    }
-    for hypothesis, look, at in looks[1:]:
+    first_model = np.array([row.model for row in first.rows])
+    for hypothesis, (_, fit, look, shift) in zip(others, fits[1:], strict=True):
+        differences = (np.array([row.model for row in fit.rows]) - first_model) / sigmas
         label = f"{hypothesis.name} − {first.name}"
-        lower.vlines(places + at, 0, far[hypothesis.name], color=look["color"], lw=1.1, zorder=3)
-        lower.plot(places + at, far[hypothesis.name], zorder=4, label=label, **look)
+        lower.vlines(places + shift, 0, differences, color=look["color"], lw=1.1, zorder=3)
+        lower.plot(places + shift, differences, zorder=4, label=label, **look)
     lower.set_ylabel("difference of predictions\n(standard errors)")
     style.open_axes(lower, "y")
     style.legend_above(lower, ncols=2, handlelength=1.8)
-    tables = {
-        hypothesis.name: style.numbers_of(hypothesis.rows, _PREDICTED) for hypothesis in hypotheses
-    }
+    # a reading a row; of each hypothesis the predictions, in columns that end in its name
     columns, rows = style.numbers_of(
         first.rows, _MEASURED, apart=lambda row: compared.apart[row.label]
     )
-    for name, (predicted, cells) in tables.items():
-        columns += [f"{column}_{name}" for column in predicted]
-        rows = [(*row, *more) for row, more in zip(rows, cells, strict=True)]
+    for hypothesis in hypotheses:
+        predicted, cells = style.numbers_of(hypothesis.rows, _PREDICTED)
+        columns += [f"{column}_{hypothesis.name}" for column in predicted]
+        rows = [(*row, *predictions) for row, predictions in zip(rows, cells, strict=True)]
     return style.Drawing(figure, columns, rows)
 
 
-def _suspects(before: Calibration) -> tuple[Suspect, ...]:
-    return before.suspects if isinstance(before, Comparison) else ()
+def _suspects(fit: Calibration) -> tuple[Suspect, ...]:
+    """Readings that may be wrong, of which only a comparison knows."""
+    return fit.suspects if isinstance(fit, Comparison) else ()
 
 
 def _draw_signals(
-    axes: Axes,
-    places: np.ndarray,
-    before: Calibration,
-    after: Calibration | None,
-    unit: str,
+    axes: Axes, places: np.ndarray, before: Calibration, after: Calibration | None, unit: str
 ) -> None:
-    """Readings with errors, and predictions as dashes."""
+    """Readings with errors, open if not used; predictions as dashes; beams by a second scale."""
     used = np.array([row.use for row in before.rows], bool)
-    units = style.units_of_signals([(row.measured, row.of_beam) for row in before.rows])
-    measured = units * [row.measured for row in before.rows]
-    sigma = units * [row.sigma for row in before.rows]
+    # 1 for light; the height at which a transmittance of 1 is drawn
+    factors = style.units_of_signals([(row.measured, row.of_beam) for row in before.rows])
+    measured = factors * [row.measured for row in before.rows]
+    sigma = factors * [row.sigma for row in before.rows]
     handles: list[Any] = []
     kinds = ((used, "black", "reading with its error"), (~used, "white", "reading not used"))
-    for which, face, label in kinds:
-        if which.any():
+    for chosen, face, label in kinds:
+        if chosen.any():
             handles.append(
                 axes.errorbar(
-                    places[which],
-                    measured[which],
-                    yerr=sigma[which],
+                    places[chosen],
+                    measured[chosen],
+                    yerr=sigma[chosen],
                     fmt="o",
                     ms=4.5,
                     color="black",
@@ -225,11 +225,11 @@ def _draw_signals(
         (before, "model", style.WARM, (0, (2.2, 1.2))),
         (after, "mended model", style.DARK, "-"),
     )
-    for fit, label, colour, look in fits:
+    for fit, label, colour, line_style in fits:
         if fit is None:
             continue
-        dash: dict[str, Any] = {"color": colour, "lw": 2, "ls": look}
-        models = units * [row.model for row in fit.rows]
+        dash: dict[str, Any] = {"color": colour, "lw": 2, "ls": line_style}
+        models = factors * [row.model for row in fit.rows]
         axes.hlines(models, places - _DASH, places + _DASH, zorder=4, **dash)
         handles.append(Line2D([], [], label=label, **dash))
     handles += _mark_suspects(axes, places, before, mended=after is not None)
@@ -238,20 +238,20 @@ def _draw_signals(
     style.open_axes(axes, "y")
     of_beam = [row.of_beam for row in before.rows]
     if any(of_beam):
-        style.second_scale(axes, float(units[of_beam.index(True)]))
+        style.second_scale(axes, float(factors[of_beam.index(True)]))
     style.legend_above(axes, handles, ncols=3, handlelength=1.8)
 
 
-def _draw_pulls(axes: Axes, places: np.ndarray, series: Sequence[_Series]) -> None:
-    """Residuals in standard errors over bands of one and two of them."""
+def _draw_pulls(axes: Axes, places: np.ndarray, fits: Sequence[_Pulls]) -> None:
+    """Residuals of fits in standard errors over bands of one and two of them."""
     axes.axhspan(-2, 2, color="0.93", lw=0)
     axes.axhspan(-1, 1, color="0.85", lw=0)
     axes.axhline(0, color=style.GREY, lw=0.9)
     handles, extent = [], 3.2
-    for name, fit, look, aside in series:
+    for name, fit, look, shift in fits:
         pulls = np.array([row.pull for row in fit.rows])
-        axes.vlines(places + aside, 0, pulls, color=look["color"], lw=1.1, zorder=3)
-        axes.plot(places + aside, pulls, zorder=4, **look)
+        axes.vlines(places + shift, 0, pulls, color=look["color"], lw=1.1, zorder=3)
+        axes.plot(places + shift, pulls, zorder=4, **look)
         extent = max(extent, 1.15 * float(np.abs(pulls).max(initial=0.0)))
         # an exact fit's chi2 is rounding
         label = f"{name}: χ² = {number(round(fit.chi2, 6))}, ndf {fit.ndf}"
@@ -268,7 +268,7 @@ def _draw_pulls(axes: Axes, places: np.ndarray, series: Sequence[_Series]) -> No
 def _mark_suspects(
     axes: Axes, places: np.ndarray, before: Calibration, *, mended: bool
 ) -> list[Patch]:
-    """Columns behind suspect readings, pale once mended; returns what the legend needs."""
+    """Draw a column behind each suspect reading, pale once mended; gives entries of the legend."""
     position = {row.label: place for row, place in zip(before.rows, places, strict=True)}
     handles = []
     for kind, (title, box) in _SUSPECTS.items():
@@ -313,6 +313,7 @@ def _profiles_numbers(profiles: Sequence[Profile]) -> style.Numbers:
     """The curves' points, then where they cross the levels."""
     rows = []
     for profile in profiles:
+        # what the point is, the parameter's value there, and by how much chi2 is above its least
         points = [("curve", *p) for p in zip(profile.values, profile.delta_chi2, strict=True)]
         for rise, level in _LEVELS:
             for side, value in zip(("lower", "upper"), profile.crossings(rise), strict=True):
@@ -327,23 +328,24 @@ def _profiles_numbers(profiles: Sequence[Profile]) -> style.Numbers:
 
 
 def _parabola(profile: Profile, values: np.ndarray) -> np.ndarray:
+    """The rise of chi2 that the standard error alone would have."""
     return ((values - profile.value) / profile.sigma) ** 2
 
 
 @style.styled
 def draw_profiles(profiles: Sequence[Profile]) -> style.Drawing:
-    """Profile likelihoods, see `inference.profiles.profiles_of`."""
+    """Profile likelihoods, a panel each: by how much chi2 rises over a parameter's values."""
     numbers = _profiles_numbers(profiles)
     if not profiles:
-        nothing = style.said_alone("nothing was fitted: there is no profile to draw")
-        return style.Drawing(nothing, *numbers)
-    # what all is done for comes first
+        sentence = style.sentence_instead("nothing was fitted: there is no profile to draw")
+        return style.Drawing(sentence, *numbers)
+    # the light yield first: it is what all is done for
     profiles = sorted(profiles, key=lambda profile: profile.name != LIGHT_YIELD)
     down, across = style.panels_of(len(profiles))
     figure = style.canvas(max(_WIDE * across, 7.2), _HIGH * down + 0.5)
     all_axes = style.panels(figure, len(profiles), sharey=True)
     for axes, profile in zip(all_axes, profiles, strict=True):
-        _draw(axes, profile)
+        _draw_profile(axes, profile)
     for axes in all_axes[::across]:
         axes.set_ylabel("Δχ² above the solution")
     handles: list[Artist] = [
@@ -358,11 +360,11 @@ def draw_profiles(profiles: Sequence[Profile]) -> style.Drawing:
     return style.Drawing(figure, *numbers)
 
 
-def _draw(axes: Axes, profile: Profile) -> None:
+def _draw_profile(axes: Axes, profile: Profile) -> None:
     """One profile with its parabola, its prior, its bounds and the levels of its intervals."""
-    # the curve, and a little beyond a bound that cuts it off
+    # a little beyond the curve's ends, where it may be cut off by a bound
     low, high = (float(value) for value in profile.values[[0, -1]])
-    margin = 0.05 * (high - low) or profile.sigma
+    margin = 0.05 * (high - low) if high > low else profile.sigma
     low, high = low - margin, high + margin
     fine = np.linspace(profile.values[0], profile.values[-1], 400)
     axes.plot(fine, profile.curve(fine), **_CURVE)
@@ -370,9 +372,9 @@ def _draw(axes: Axes, profile: Profile) -> None:
     axes.plot(wide, _parabola(profile, wide), **_PARABOLA)
     if profile.prior is not None and profile.prior_sigma is not None:
         axes.plot(wide, ((wide - profile.prior) / profile.prior_sigma) ** 2, **_PRIOR)
-    for end, side, value in zip(profile.ends, (low, high), profile.values[[0, -1]], strict=True):
-        if end is not None:
-            axes.axvspan(side, value, zorder=1, **_BOUND)
+    for end, edge, value in zip(profile.ends, (low, high), profile.values[[0, -1]], strict=True):
+        if end is not None:  # the curve ends there at a bound of the parameter
+            axes.axvspan(edge, value, zorder=1, **_BOUND)
     for rise, level in _LEVELS:
         axes.axhline(rise, color=style.GREY, lw=0.8)
         axes.text(
@@ -399,13 +401,15 @@ def _draw(axes: Axes, profile: Profile) -> None:
 
 
 def _interval(profile: Profile) -> str:
-    """``0.276 +0.034 −0.025``: the solution and the ends of the 68.3 % interval."""
-    ends = profile.crossings(ONE_SIGMA)
-    if ends[0] is None or ends[1] is None:
-        limits = [f"{s} {v:.4g}" for s, v in zip("><", ends, strict=True) if v is not None]
-        return f"{profile.value:.4g}" + (f" ({limits[0]}, 68.3 %)" if limits else "")
-    below, above = profile.value - ends[0], ends[1] - profile.value
+    """``0.276 +0.034 −0.025``: solution, 68.3 % interval; cut off ``0.05 (< 0.08, 68.3 %)``."""
+    lower, upper = profile.crossings(ONE_SIGMA)
+    if lower is None or upper is None:
+        limit = f" (> {lower:.4g}, 68.3 %)" if lower is not None else ""
+        limit = f" (< {upper:.4g}, 68.3 %)" if upper is not None else limit
+        return f"{profile.value:.4g}{limit}"
+    below, above = profile.value - lower, upper - profile.value
     value = pdg(profile.value, min(below, above))
+    # a common power of ten: the errors would have to share it
     if value.startswith("("):
         return f"{profile.value:.4g} +{above:.2g} −{below:.2g}"
     value, _, error = value.partition(" ± ")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,12 +25,7 @@ from mcrim_mitsuba.output import figure_style as style
 
 #: Of each group in turn; histograms of one group differ in their lines and markers.
 _COLOURS = (style.WARM, style.DARK, style.LIGHT, style.GREY)
-_LINES = (
-    ("-", "o"),
-    ((0, (6, 1.6)), "^"),
-    ((0, (1.6, 1.2)), "s"),
-    ((0, (6, 1.6, 1.4, 1.6)), "D"),
-)
+_LINES = (("-", "o"), ((0, (6, 1.6)), "^"), ((0, (1.6, 1.2)), "s"), ((0, (6, 1.6, 1.4, 1.6)), "D"))
 _FIT: dict[str, Any] = {"lw": 2.2, "zorder": 4}
 _THIN: dict[str, Any] = {"lw": 1.5, "zorder": 4}
 _BACKGROUND: dict[str, Any] = {"lw": 0.9, "ls": (0, (4, 2)), "zorder": 3}
@@ -57,24 +53,26 @@ class FittedHistogram(NamedTuple):
 
 
 def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> style.Numbers:
-    """A bin a row, with the fit where it was made."""
-    rows, of_peaks = [], "shape centroid centroid_sigma width chi2 ndf".split()
+    """A bin a row, with the fit where it was made, and in every row its peak."""
+    of_peak = "shape centroid centroid_sigma width chi2 ndf".split()
+    rows = []
     for name, histogram, peak, _ in fitted:
-        of_peak = [peak and getattr(peak, name) for name in of_peaks]
-        curves = np.full((2, len(histogram.photons)), np.nan)
+        fit, background = np.full((2, len(histogram.photons)), np.nan)
         if peak is not None:
             inside = (histogram.photons >= peak.low) & (histogram.photons <= peak.high)
-            curves[0, inside] = peak.counts_at(histogram.photons[inside])
-            curves[1, inside] = peak.background_at(histogram.photons[inside])
-        bins = zip(histogram.photons, histogram.counts.astype(int), *curves, strict=True)
-        rows += [(name, *of_bin, *of_peak) for of_bin in bins]
-    of_bins = "histogram photons_per_event events fitted fitted_background".split()
-    return of_bins + of_peaks, rows
+            fit[inside] = peak.counts_at(histogram.photons[inside])
+            background[inside] = peak.background_at(histogram.photons[inside])
+        peak_cells = [getattr(peak, field, None) for field in of_peak]
+        counts = histogram.counts.astype(int)
+        bins = zip(histogram.photons, counts, fit, background, strict=True)
+        rows += [(name, *bin_cells, *peak_cells) for bin_cells in bins]
+    columns = "histogram photons_per_event events fitted fitted_background".split()
+    return [*columns, *of_peak], rows
 
 
 @style.styled
 def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> style.Drawing:
-    """Histograms of photons per event with their peaks."""
+    """Histograms of photons per event with their peaks; higher pedestals go out of the picture."""
     figure = style.canvas(7.2 if len(fitted) <= _MOST_INSIDE else 10.4, 5.0)
     axes = figure.add_subplot()
     handles, tops = [], []
@@ -103,6 +101,7 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
         handles.append(Line2D([], [], color=style.GREY, label="linear background", **_BACKGROUND))
     top = _HISTOGRAM_ROOM * max(tops, default=1.0)
     highest = max((float(entry.histogram.counts.max()) for entry in fitted), default=1.0)
+    # without events a peak's height may be 0
     axes.set_ylim(0, max(top, 1.0) if highest > top else None)
     axes.set_xlim(left=min((float(entry.histogram.photons[0]) for entry in fitted), default=0.0))
     axes.set(xlabel="detected photons per event", ylabel="events per bin")
@@ -127,12 +126,13 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
 
 
 def _styles(groups: Sequence[str | None]) -> list[tuple[str, object, str]]:
-    """Colour, line and marker of each histogram."""
+    """Colour, line and marker of each histogram: a colour for each group, lines within it."""
+    # a histogram without a group is one by itself
     keys = [("", i) if group is None else (group, -1) for i, group in enumerate(groups)]
     distinct, styles = list(dict.fromkeys(keys)), []
     for i, key in enumerate(keys):
+        # colours that come again begin with another line
         again, colour = divmod(distinct.index(key), len(_COLOURS))
-        # colours that come again have other lines
         styles.append((_COLOURS[colour], *_LINES[(keys[:i].count(key) + again) % len(_LINES)]))
     return styles
 
@@ -181,32 +181,24 @@ _SEEN = 0.002
 
 
 def _efficiency_numbers(efficiency: DetectorEfficiency) -> style.Numbers:
-    """Points of both curves where both are; emission's highest value is 1, and errors stand at
-    the points that have them."""
+    """Both curves at the points of both, as far as both go; the emission's maximum is 1.
+
+    Errors stand at a curve's own points.
+    """
     rows = []
     emission, quantum_efficiency = efficiency.emission, efficiency.quantum_efficiency
     highest = float(emission.values.max())
-    emitted, detected = (
+    emission_sigma, qe_sigma = (
         dict(zip(curve.wavelength_nm.tolist(), curve.sigmas.tolist(), strict=True))
         if curve.sigmas is not None
         else {}
         for curve in (emission, quantum_efficiency)
     )
+    mean = (efficiency.value, efficiency.sigma)
     for nm in common_grid(emission, quantum_efficiency).tolist():
-        light, share = float(emission.at(nm)) / highest, float(quantum_efficiency.at(nm))
-        sigma = emitted[nm] / highest if nm in emitted else None
-        rows.append(
-            (
-                nm,
-                light,
-                sigma,
-                share,
-                detected.get(nm),
-                light * share,
-                efficiency.value,
-                efficiency.sigma,
-            )
-        )
+        light, qe = float(emission.at(nm)) / highest, float(quantum_efficiency.at(nm))
+        light_sigma = emission_sigma[nm] / highest if nm in emission_sigma else None
+        rows.append((nm, light, light_sigma, qe, qe_sigma.get(nm), light * qe, *mean))
     columns = (
         "wavelength_nm emission emission_sigma quantum_efficiency "
         "quantum_efficiency_sigma product weighted_mean weighted_mean_sigma"
@@ -216,7 +208,7 @@ def _efficiency_numbers(efficiency: DetectorEfficiency) -> style.Numbers:
 
 @style.styled
 def draw_efficiency(efficiency: DetectorEfficiency) -> style.Drawing:
-    """Emission, quantum efficiency and what Eq. 3 makes of them."""
+    """Emission, quantum efficiency and their weighted mean, by Eq. 3 of the article."""
     figure = style.canvas(7.2, 4.8)
     axes = figure.add_subplot()
     emission, curve = efficiency.emission, efficiency.quantum_efficiency
@@ -226,9 +218,10 @@ def draw_efficiency(efficiency: DetectorEfficiency) -> style.Drawing:
     top = 100 * float(max(curve.values[shown].max(initial=0), efficiency.value, *ends))
     axes.set(ylim=(0, _SPECTRUM_ROOM * top), xlim=(low, high))
     _shade_emission(axes, emission, top)
-    scale = efficiency.contributions[SCALE] / efficiency.value
+    # errors of the points, and the one of the tube's scale that they share
+    scale_sigma = efficiency.contributions[SCALE] / efficiency.value
     sigmas = np.zeros_like(curve.values) if curve.sigmas is None else curve.sigmas
-    band = 100 * np.hypot(sigmas, scale * curve.values)
+    band = 100 * np.hypot(sigmas, scale_sigma * curve.values)
     percent = 100 * curve.values
     style.band(axes, curve.wavelength_nm, percent, band, color=style.DARK, alpha=0.15, zorder=3)
     dots = "o" if np.count_nonzero(shown) <= 40 else ""
@@ -292,9 +285,9 @@ def draw_absorption(absorption: Absorption) -> style.Drawing:
     high = max(curve.last_nm for curve in absorption.curves)
     if emission is not None:
         low, high = max(low, _seen(emission)[0]), min(high, _seen(emission)[1])
-    seen_t, seen_alpha = [], []
-    for i, (measured, curve) in enumerate(zip(absorption.spectra, absorption.curves, strict=True)):
-        colour, line = _STYLES[i % len(_STYLES)]
+    seen_t, seen_alpha = [], []  # what the axes have to hold
+    pairs = zip(absorption.spectra, absorption.curves, strict=True)
+    for (measured, curve), (colour, line) in zip(pairs, itertools.cycle(_STYLES), strict=False):
         look = {"color": colour, "ls": line, "lw": 1.6, "zorder": 4}
         inside = (curve.wavelength_nm >= low) & (curve.wavelength_nm <= high)
         percent = 100 * measured.at(curve.wavelength_nm)
@@ -356,13 +349,14 @@ def _shade_emission(
 
 
 def _seen(emission: Spectrum) -> tuple[float, float]:
-    """Where an emission begins and ends."""
+    """Wavelengths (nm) at which an emission begins and ends: a point beyond what can be seen."""
     seen = np.flatnonzero(emission.values > _SEEN * emission.values.max())
     first, last = max(seen[0] - 1, 0), min(seen[-1] + 1, emission.values.size - 1)
     return float(emission.wavelength_nm[first]), float(emission.wavelength_nm[last])
 
 
 def _limits(n: Index, wavelength_nm: np.ndarray) -> np.ndarray:
+    """Transmittance of a sample that absorbs nothing."""
     return clear_limit(n(wavelength_nm) if callable(n) else np.full(wavelength_nm.shape, n))
 
 
@@ -373,7 +367,7 @@ MOST_HISTOGRAMS = 8
 
 
 def draw_raw_data(raw: RawData, kind: str) -> style.Drawing:
-    """One of the `RawData.kinds` of a campaign's raw data.
+    """A campaign's raw data of one kind: ``spectra``, ``transmittance`` or ``histograms``.
 
     Of too many histograms, the first mounting of every reading; the numbers are those of all.
     """
@@ -383,14 +377,14 @@ def draw_raw_data(raw: RawData, kind: str) -> style.Drawing:
     if kind == "transmittance":
         assert raw.absorption is not None
         return draw_absorption(raw.absorption)
-    every = [
+    histograms = [
         _fitted(label, m) for label, reading in raw.readings.items() for m in reading.mountings
     ]
-    shown = every
-    if len(every) > MOST_HISTOGRAMS:
+    shown = histograms
+    if len(histograms) > MOST_HISTOGRAMS:
         shown = [_fitted(label, reading.mountings[0]) for label, reading in raw.readings.items()]
     figure = draw_histograms(shown[:MOST_HISTOGRAMS]).figure
-    return style.Drawing(figure, *_histograms_numbers(every))
+    return style.Drawing(figure, *_histograms_numbers(histograms))
 
 
 def _fitted(label: str, mounting: Mounting) -> FittedHistogram:
@@ -414,48 +408,40 @@ _NARROW = 9.0
 
 @style.styled
 def draw_widths(widths: Mapping[str, Sequence[WidthParts]]) -> style.Drawing:
-    """Shares of the variance, which add, with the full widths at half maximum in them."""
-    several = [(name, width_parts) for name, parts in widths.items() for width_parts in parts]
-    figure = style.canvas(9.6, 1.5 + 0.55 * len(several))
+    """A bar for each histogram and place where gammas stop: shares of the variance, which add."""
+    rows = [(name, parts) for name, by_place in widths.items() for parts in by_place]
+    figure = style.canvas(9.6, 1.5 + 0.55 * len(rows))
     axes = figure.subplots()
     longest = 100.0
-    for row, (_, width_parts) in enumerate(several):
+    for row, (_, parts) in enumerate(rows):
         left = 0.0
-        for part, (_, fill, text) in _OF_WIDTHS.items():
-            width: Width = getattr(width_parts, part)
-            percent = 100.0 * (width.fwhm / width_parts.total.fwhm) ** 2
+        for origin, (_, fill, text_colour) in _OF_WIDTHS.items():
+            width: Width = getattr(parts, origin)
+            percent = 100.0 * (width.fwhm / parts.total.fwhm) ** 2
             axes.barh(row, percent, 0.62, left, color=fill, edgecolor="#222222", lw=0.8)
             if percent >= _NARROW:
                 words, middle = f"{100.0 * width.fwhm:.2g} %", left + percent / 2
-                style.within(axes, words, (middle, row), color=text)
+                style.text_in_bar(axes, words, (middle, row), color=text_colour)
             left += percent
+        # parts that are too wide for the peak reach beyond its 100 %
         longest = max(longest, left)
     names = [
-        f"{style.shortened(name, 26)}, FWHM {100 * width_parts.total.fwhm:.2g} %\n"
-        f"{style.shortened(width_parts.source)}: {100 * width_parts.place.fwhm:.2g} %"
-        for name, width_parts in several
+        f"{style.shortened(name, 26)}, FWHM {100 * parts.total.fwhm:.2g} %\n"
+        f"{style.shortened(parts.source)}: {100 * parts.place.fwhm:.2g} %"
+        for name, parts in rows
     ]
-    axes.set_yticks(range(len(several)), names, parse_math=False, fontsize=9.5)
+    axes.set_yticks(range(len(rows)), names, parse_math=False, fontsize=9.5)
     axes.tick_params(axis="y", length=0)
-    axes.set(ylim=(len(several) - 0.5, -0.5), xlabel="share of the peak's variance (%)")
+    axes.set(ylim=(len(rows) - 0.5, -0.5), xlabel="share of the peak's variance (%)")
     axes.set_xlim(0.0, longest)
     style.open_axes(axes, "x")
     handles = [
         Patch(fc=fill, ec="#222222", lw=0.8, label=words) for words, fill, _ in _OF_WIDTHS.values()
     ]
     style.legend_of(figure, handles, "upper center", 3, handlelength=1.8)
-    parts = ("total", *_OF_WIDTHS)
-    columns = [f"{part}_fwhm{ending}" for part in parts for ending in ("", "_sigma")]
-    rows = [
-        (
-            name,
-            width_parts.source,
-            *(
-                number
-                for part in parts
-                for number in (getattr(width_parts, part).fwhm, getattr(width_parts, part).sigma)
-            ),
-        )
-        for name, width_parts in several
-    ]
-    return style.Drawing(figure, ("histogram", "gammas_stop", *columns), rows)
+    columns, table = ["histogram", "gammas_stop"], [[name, parts.source] for name, parts in rows]
+    for origin in ("total", *_OF_WIDTHS):
+        columns += [f"{origin}_fwhm", f"{origin}_fwhm_sigma"]
+        for cells, (_, parts) in zip(table, rows, strict=True):
+            cells += [getattr(parts, origin).fwhm, getattr(parts, origin).sigma]
+    return style.Drawing(figure, columns, table)

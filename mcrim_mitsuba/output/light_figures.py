@@ -43,7 +43,7 @@ _UNIT = 1e3
 
 
 def _arrival_numbers(lights: Lights) -> style.Numbers:
-    """Light is a fraction of what is emitted."""
+    """A row for each bin of maps, radii and angles; light is a fraction of what is emitted."""
     columns = (
         "configuration part x_low_mm x_high_mm y_low_mm y_high_mm radius_low_mm "
         "radius_high_mm angle_low_deg angle_high_deg light light_sigma area_mm2 "
@@ -68,8 +68,8 @@ def _arrival_numbers(lights: Lights) -> style.Numbers:
                 }
                 if unit == "mm2":
                     row["area_mm2"] = binned.size[place]
-                for at, (axis, ends) in zip(place, edges.items(), strict=True):
-                    row |= {axis.format("low"): ends[at], axis.format("high"): ends[at + 1]}
+                for i, (column, borders) in zip(place, edges.items(), strict=True):
+                    row |= {column.format("low"): borders[i], column.format("high"): borders[i + 1]}
                 rows.append(tuple(map(row.get, columns)))
     return columns, rows
 
@@ -78,10 +78,8 @@ def _arrival_numbers(lights: Lights) -> style.Numbers:
 def draw_arrival(lights: Lights) -> style.Drawing:
     """Where and under which angle light reaches the detector, for 1 to `MOST_CONFIGURATIONS`.
 
-    Raises
-    ------
-    ValueError
-        If there are too many configurations, or none.
+    A map for each configuration, then the light over the radius and over the angle: in one line for
+    one configuration, else below the maps. Raises ValueError for too many configurations or none.
     """
     if not 1 <= len(lights) <= MOST_CONFIGURATIONS:
         raise ValueError(f"{len(lights)} configurations; give 1 to {MOST_CONFIGURATIONS}")
@@ -113,7 +111,7 @@ def draw_arrival(lights: Lights) -> style.Drawing:
 
 
 def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
-    """Maps side by side with one scale of colours."""
+    """Maps at these places of a grid, with one scale of colours."""
     # the brightest cells may be chance: the scale ends at what few exceed
     brightest = max(_UNIT * np.nanpercentile(light.map.density, 99.5) for _, light in lights)
     # as a photograph does: what is dim beside the crystal is seen as well
@@ -157,13 +155,22 @@ def _draw_line(
     axes: Axes, edges: np.ndarray, binned: Binned, *, color: str, ls: Any, label: str
 ) -> None:
     """A density as steps, with a band of one standard error."""
-    density, sigma = _UNIT * binned.density, _UNIT * binned.density_sigma
+    density = _UNIT * binned.density
     axes.stairs(density, edges, baseline=None, color=color, ls=ls, lw=1.6, label=label)
-    low, high = (np.append(band, band[-1]) for band in (density - sigma, density + sigma))
+    _band_of_steps(axes, edges, density, _UNIT * binned.density_sigma, color)
+
+
+def _band_of_steps(
+    axes: Axes, edges: np.ndarray, values: np.ndarray, sigma: np.ndarray, color: str
+) -> None:
+    """One standard error on either side of values in bins."""
+    # a point for each edge: the last bin's ends its step
+    low, high = (np.append(side, side[-1]) for side in (values - sigma, values + sigma))
     axes.fill_between(edges, low, high, step="post", color=color, alpha=0.25, lw=0)
 
 
 def _finish_radial(axes: Axes, lights: Lights) -> None:
+    """Axes and legend of light by its distance from the detector's centre."""
     axes.set_xlabel("distance from the detector's centre (mm)")
     axes.set_ylabel("detected light\n(10⁻³ of the emitted light per mm²)")
     axes.set(xlim=(0, max(_end_of_light(light) for _, light in lights)), ylim=(0, None))
@@ -172,7 +179,7 @@ def _finish_radial(axes: Axes, lights: Lights) -> None:
 
 
 def _end_of_light(light: Light) -> float:
-    """Radius (mm) beyond which next to no light arrives."""
+    """Radius (mm) beyond which next to no light arrives, and a bin more."""
     inside = np.cumsum(light.radius.light) < 0.9999 * light.radius.light.sum()
     return float(light.radius_edges_mm[1:][min(inside.sum() + 1, len(inside) - 1)])
 
@@ -214,6 +221,7 @@ def draw_map(mapped: EtaMap, spreads: Sequence[Spread]) -> style.Drawing:
         "rasterized": True,
     }
     flat = []
+    # the highest slice, one in the middle and the lowest: z are borders, one more than slices
     for place, k in enumerate(np.linspace(len(z) - 2, 0, _SLICES).round().astype(int)):
         axes = figure.add_subplot(grid[0, 2 * place : 2 * place + 2])
         mesh = axes.pcolormesh(x, y, shown[:, :, k].T, **look)
@@ -224,7 +232,7 @@ def draw_map(mapped: EtaMap, spreads: Sequence[Spread]) -> style.Drawing:
     bar = figure.colorbar(mesh, cax=flat[-1].inset_axes((1.06, 0.0, 0.06, 1.0)))
     bar.set_label("η (%) of light\nthat is born there")
     upright = figure.add_subplot(grid[1, :2])
-    middle = len(y) // 2 - (len(y) - 1) % 2
+    middle = (len(y) - 1) // 2
     upright.pcolormesh(x, z, shown[:, middle].T, **look)
     upright.set_title(f"y from {y[middle]:.3g} to {y[middle + 1]:.3g} mm", fontsize=11)
     upright.set(aspect="equal", xlabel="x (mm)", ylabel="z (mm)")
@@ -233,20 +241,20 @@ def draw_map(mapped: EtaMap, spreads: Sequence[Spread]) -> style.Drawing:
     columns = ("x_mm", "y_mm", "z_mm", "volume", "eta", "eta_sigma")
     rows = [
         (
-            *(float(c[i]) for c, i in zip(mapped.centres_mm, at, strict=True)),
-            *(float(table[at]) for table in (mapped.volume, mapped.eta, mapped.eta_sigma)),
+            *(float(c[i]) for c, i in zip(mapped.centres_mm, cell, strict=True)),
+            *(float(table[cell]) for table in (mapped.volume, mapped.eta, mapped.eta_sigma)),
         )
-        for at in np.ndindex(mapped.eta.shape)
-        if mapped.volume[at] > 0.0
+        for cell in np.ndindex(mapped.eta.shape)
+        if mapped.volume[cell] > 0.0
     ]
     return style.Drawing(figure, columns, rows)
 
 
 def _draw_heights(axes: Axes, mapped: EtaMap) -> None:
-    """Eta of slices, one above the other."""
-    part = mapped.volume.sum(axis=(0, 1))
-    eta = np.nansum(mapped.volume * mapped.eta, axis=(0, 1)) / part
-    sigma = np.sqrt(np.nansum((mapped.volume * mapped.eta_sigma) ** 2, axis=(0, 1))) / part
+    """Eta of horizontal slices over their height: means over the cells by volume."""
+    volume = mapped.volume.sum(axis=(0, 1))
+    eta = np.nansum(mapped.volume * mapped.eta, axis=(0, 1)) / volume
+    sigma = np.sqrt(np.nansum((mapped.volume * mapped.eta_sigma) ** 2, axis=(0, 1))) / volume
     axes.errorbar(
         100.0 * eta,
         mapped.centres_mm[2],
@@ -269,8 +277,8 @@ def _draw_spreads(axes: Axes, mapped: EtaMap, spreads: Sequence[Spread]) -> None
     for spread, colour, dashes in zip(spreads, _COLOURS, _LINES, strict=False):
         light = spread.light[mapped.volume > 0.0]
         percent = np.histogram(100.0 * eta, edges, weights=100.0 * light / light.sum())[0]
-        width = pdg(100.0 * spread.fwhm, 100.0 * FWHM * spread.relative_rms_sigma)
-        label = f"{style.shortened(spread.source, 40)}: FWHM {width} %"
+        fwhm = pdg(100.0 * spread.fwhm, 100.0 * FWHM * spread.relative_rms_sigma)
+        label = f"{style.shortened(spread.source, 40)}: FWHM {fwhm} %"
         axes.stairs(percent, edges, color=colour, ls=dashes, lw=1.6, label=label)
     below = f"η (%) where gammas stop\n(each ±{noise:.2g} by the simulation)"
     axes.set(xlabel=below, ylabel="light (% per bin)", ylim=(0, None))
@@ -285,34 +293,34 @@ def _draw_spreads(axes: Axes, mapped: EtaMap, spreads: Sequence[Spread]) -> None
 def draw_spectrum(spectrum: EtaSpectrum) -> style.Drawing:
     """Eta over the wavelength above; below, the light as it is emitted and as it is detected."""
     light = spectrum.light
-    at = light.wavelength_nm
+    nm = light.wavelength_nm
     figure = style.canvas(8.4, 6.4)
     above, below = figure.subplots(2, 1, sharex=True)
     eta, sigma = 100.0 * spectrum.eta, 100.0 * spectrum.eta_sigma
-    style.band(above, at, eta, sigma, color=style.DARK, alpha=0.25)
-    above.plot(at, eta, color=style.DARK, lw=1.8, label="by wavelength")
+    style.band(above, nm, eta, sigma, color=style.DARK, alpha=0.25)
+    above.plot(nm, eta, color=style.DARK, lw=1.8, label="by wavelength")
     mean = 100.0 * (spectrum.eta_detected if light.detected else spectrum.eta_emitted)
     words = "detected" if light.detected else "emitted"
     label = f"mean of the {words} light: {mean:.4g} %"
     above.axhline(mean, color=style.WARM, lw=1.4, ls=_LINES[1], label=label)
     above.axvline(light.mean_nm, **_LIMIT)
-    there = [light.mean_nm], [100.0 * spectrum.eta_at_mean]
     label = f"at {light.mean_nm:.0f} nm, the mean"
-    above.plot(*there, "o", ms=6, color=style.DARK, label=label)
+    eta_at_mean = 100.0 * spectrum.eta_at_mean
+    above.plot(light.mean_nm, eta_at_mean, "o", ms=6, color=style.DARK, label=label)
     above.set(ylabel="η (%)")
     emitted, detected = (v / v.max() for v in (light.emission, spectrum.detected_part))
-    below.plot(at, emitted, color=style.DARK, lw=1.8, label="emitted")
-    below.plot(at, detected, color=style.WARM, lw=1.8, ls=_LINES[1], label="detected")
+    below.plot(nm, emitted, color=style.DARK, lw=1.8, label="emitted")
+    below.plot(nm, detected, color=style.WARM, lw=1.8, ls=_LINES[1], label="detected")
     if light.detected:
         look: dict[str, Any] = {"color": style.GREY, "lw": 1.4, "ls": _LINES[2]}
-        below.plot(at, light.efficiency, label="the detector's efficiency", **look)
+        below.plot(nm, light.efficiency, label="the detector's efficiency", **look)
     below.axvline(light.mean_nm, **_LIMIT)
     below.set(xlabel="wavelength (nm)", ylabel="light over its maximum")
-    below.set(ylim=(0, None), xlim=(at[0], at[-1]))
+    below.set(ylim=(0, None), xlim=(nm[0], nm[-1]))
     for axes in (above, below):
         style.open_axes(axes)
         style.legend_above(axes, ncols=3, handlelength=2.6)
-    columns = {"wavelength_nm": at, "eta": spectrum.eta, "eta_sigma": spectrum.eta_sigma}
+    columns = {"wavelength_nm": nm, "eta": spectrum.eta, "eta_sigma": spectrum.eta_sigma}
     columns |= {"emission": light.emission, "efficiency": light.efficiency}
     columns |= {"detected_part": spectrum.detected_part, **light.parameters}
     rows = [tuple(map(float, row)) for row in zip(*columns.values(), strict=True)]
@@ -323,6 +331,7 @@ def draw_spectrum(spectrum: EtaSpectrum) -> style.Drawing:
 
 #: Times are shown in ns from here on.
 _LONG_PS = 10_000.0
+#: Of each place where an event's light is born: colour, marker, and shift from the photon's number.
 _OF_BIRTHS = ((style.DARK, "o", -0.12), (style.WARM, "s", 0.12))
 
 
@@ -333,32 +342,24 @@ def draw_times(times: ArrivalTimes) -> style.Drawing:
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
     _draw_histogram(left, times)
     _draw_first(right, times)
+    # rows of the histogram, then of the first photons: either kind leaves the other's columns empty
+    of_bin, of_photon = ("time_ps", "part", "part_sigma"), ("born", "photon")
     names = "mean_ps", "mean_ps_sigma", "rms_ps", "rms_ps_sigma"
-    columns = ("time_ps", "part", "part_sigma", "born", "photon", *names)
-    first = [
-        (
-            None,
-            None,
-            None,
-            photons.born,
-            place + 1,
-            *(float(getattr(photons, name)[place]) for name in names),
-        )
-        for photons in times.first
-        for place in range(len(photons.mean_ps))
-    ]
-    rows = [(*row, *(None,) * (1 + 1 + len(names))) for row in times.rows]
-    return style.Drawing(figure, columns, [*rows, *first])
+    rows: list[tuple] = [(*row, *[None] * len((*of_photon, *names))) for row in times.rows]
+    for photons in times.first:
+        for i in range(len(photons.mean_ps)):
+            values = (float(getattr(photons, name)[i]) for name in names)
+            rows.append((*[None] * len(of_bin), photons.born, i + 1, *values))
+    return style.Drawing(figure, (*of_bin, *of_photon, *names), rows)
 
 
 def _draw_histogram(axes: Axes, times: ArrivalTimes) -> None:
     """Arrival times as a histogram, with their mean and rise."""
     unit, per = ("ns", 1000.0) if times.edges_ps[-1] > _LONG_PS else ("ps", 1.0)
     edges = times.edges_ps / per
-    percent, sigma = 100.0 * times.part, 100.0 * times.part_sigma
+    percent = 100.0 * times.part
     axes.stairs(percent, edges, color=style.DARK, lw=1.6)
-    low, high = (np.append(band, band[-1]) for band in (percent - sigma, percent + sigma))
-    axes.fill_between(edges, low, high, step="post", color=style.DARK, alpha=0.25, lw=0)
+    _band_of_steps(axes, edges, percent, 100.0 * times.part_sigma, style.DARK)
     mean = f"{pdg(times.mean_ps / per, times.mean_ps_sigma / per)} {unit}"
     axes.axvline(
         times.mean_ps / per, color=style.WARM, lw=1.4, ls=(0, (5, 1.6)), label=f"mean, {mean}"
@@ -436,7 +437,7 @@ def draw_fates(lights: Lights) -> style.Drawing:
     axes.set_xlabel("share of the emitted light (%)")
     style.open_axes(axes, "x")
     axes.spines["left"].set_visible(False)
-    handles = [Patch(label=style.fate_style(fate).words, **_look(fate)) for fate in shown]
+    handles = [Patch(label=style.fate_style(fate).words, **_bar_look(fate)) for fate in shown]
     style.legend_of(
         figure,
         handles,
@@ -457,30 +458,32 @@ def draw_fates(lights: Lights) -> style.Drawing:
     )
 
 
-def _look(fate: str) -> dict[str, Any]:
+def _bar_look(fate: str) -> dict[str, Any]:
     look = style.fate_style(fate)
     return {"facecolor": look.fill, "edgecolor": look.edge, "hatch": look.hatch, "linewidth": 0.8}
 
 
 def _draw_bar(axes: Axes, row: int, light: Light, shown: Sequence[str]) -> None:
-    """One configuration's bar with its percentages."""
-    left, narrow = 0.0, []
+    """A configuration's bar with percentages, of narrow parts above it, of the narrowest none."""
+    left, narrow = 0.0, []  # where the next part begins; middles and texts of narrow parts
     for fate in shown:
         percent = 100 * light.budget.get(fate, 0.0)
-        axes.barh(row, percent, _HEIGHT, left, **_look(fate))
+        axes.barh(row, percent, _HEIGHT, left, **_bar_look(fate))
         middle, text = left + percent / 2, f"{percent:.1f} %"
         left += percent
         if percent >= _INSIDE:
             box = {"boxstyle": "round,pad=0.15", "fc": style.fate_style(fate).fill, "ec": "none"}
-            style.within(axes, text, (middle, row), color=style.fate_style(fate).text, bbox=box)
+            style.text_in_bar(
+                axes, text, (middle, row), color=style.fate_style(fate).text, bbox=box
+            )
         elif percent >= _LEAST:
             narrow.append((middle, text))
     top = row - _HEIGHT / 2
-    for (middle, text), at in zip(narrow, _apart([m for m, _ in narrow]), strict=True):
+    for (middle, text), x in zip(narrow, _apart([middle for middle, _ in narrow]), strict=True):
         axes.annotate(
             text,
             (middle, top),
-            (at, top - 0.13),
+            (x, top - 0.13),
             ha="center",
             va="center",
             fontsize=9,
@@ -494,6 +497,7 @@ def _apart(middles: Sequence[float]) -> list[float]:
     places: list[float] = []
     for middle in middles:
         places.append(max(middle, places[-1] + _LABEL if places else _LABEL / 2))
+    # those that were pushed beyond the bar's end come back, and push others to the left
     most = 100 - _LABEL / 2
     for i in reversed(range(len(places))):
         places[i] = min(places[i], most)
@@ -501,7 +505,9 @@ def _apart(middles: Sequence[float]) -> list[float]:
     return places
 
 
-#: Lines of a table's figure that can be told apart.
+# A table: lines of eta along its longest axis.
+
+#: Lines that can be told apart.
 MOST_LINES = 12
 _MARKERS = "os^vDPX*<>ph"
 
@@ -526,10 +532,11 @@ def lines_of_table(axes: Mapping[str, Sequence[Value]]) -> tuple[str, list[str],
 def draw_table(tabulated: EtaTable) -> style.Drawing:
     """Eta along the table's longest axis, a line for every combination of the other values.
 
-    Raises InputError as `lines_of_table`.
+    Raises InputError if there are more lines than can be told apart, or nothing varies.
     """
     along, others, lines = lines_of_table(tabulated.axes)
     place = list(tabulated.axes).index(along)
+    # (lines, points)
     etas, sigmas = (
         np.moveaxis(values, place, -1).reshape(lines, -1)
         for values in (tabulated.eta, tabulated.eta_sigma)
@@ -537,12 +544,13 @@ def draw_table(tabulated: EtaTable) -> style.Drawing:
     figure = style.canvas(7.2, 4.8)
     axes = figure.subplots()
     values = tabulated.axes[along]
-    numbers = not any(isinstance(value, str | bool) for value in values)
-    at = values if numbers else range(len(values))
+    numeric = not any(isinstance(value, str | bool) for value in values)
+    # what is no number, such as a material, stands evenly
+    places = values if numeric else range(len(values))
     combinations = product(*(tabulated.axes[name] for name in others))
     for line, combination in enumerate(combinations):
         axes.errorbar(
-            at,
+            places,
             etas[line],
             sigmas[line],
             label=", ".join(map(said, others, combination)),
@@ -551,8 +559,8 @@ def draw_table(tabulated: EtaTable) -> style.Drawing:
             lw=1.2,
             color=str(0.75 * line / lines) if lines > 4 else _COLOURS[line],
         )
-    if not numbers:
-        axes.set_xticks(at, [str(value) for value in values], parse_math=False)
+    if not numeric:
+        axes.set_xticks(places, [str(value) for value in values], parse_math=False)
     axes.set_xlabel(titled(along), parse_math=False)
     axes.set_ylabel("light collection efficiency")
     style.open_axes(axes)

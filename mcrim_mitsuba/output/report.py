@@ -28,11 +28,7 @@ from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import read_text, refuse_outputs, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
-from mcrim_mitsuba.core.rounding import (
-    number,
-    pdg,
-    short_text,
-)
+from mcrim_mitsuba.core.rounding import number, pdg, short_text
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.inference.diagnose import final_step
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
@@ -100,14 +96,16 @@ def of_drawing(name: str, drawing: style.Drawing, alt: str, **further: style.Num
     text = _PATHS.sub(lambda path: _FURTHER_DIGITS.sub(r"\1", path[0]), text)
     wide, high = (round(side * _PIXELS_PER_INCH) for side in drawing.figure.get_size_inches())
     tables = {"numbers": (drawing.columns, drawing.rows)} if drawing.columns else {}
-    numbers = []
-    for what, table in (tables | further).items():
-        source = data_uri(style.numbers_text(*table).encode(), "text/csv")
-        numbers.append((what, f"{name}-{what}" if further else name, source))
-    source = data_uri(text.encode(), "image/svg+xml")
-    return Picture(
-        name=name, alt=alt, source=source, width=wide, height=high, numbers=tuple(numbers)
+    numbers = tuple(
+        (
+            content,
+            f"{name}-{content}" if further else name,
+            data_uri(style.numbers_text(*table).encode(), "text/csv"),
+        )
+        for content, table in (tables | further).items()
     )
+    source = data_uri(text.encode(), "image/svg+xml")
+    return Picture(name=name, alt=alt, source=source, width=wide, height=high, numbers=numbers)
 
 
 def of_pixels(name: str, pixels: NDArray[np.uint8], alt: str) -> Picture:
@@ -205,18 +203,19 @@ _SHOWN = {
 
 
 def album_of(sections: Sections) -> dict[str, Picture]:
-    """The pictures by name; they are kept, so that they are drawn once."""
+    """The pictures by name; they are kept in the cache, so that they are drawn once."""
     if sections.drawn is not None:
         kept = json.loads(sections.drawn.arrays["pictures"].tobytes())
         return {name: Picture(**fields) for name, fields in kept.items()}
     pictures = _drawn(sections)
-    if "bench" in pictures:
+    if "bench" in pictures:  # else no photograph came, which may come another time
         content = json.dumps({name: asdict(picture) for name, picture in pictures.items()}).encode()
         sections.album.write(0, {"pictures": np.frombuffer(content, np.uint8)}, {})
     return pictures
 
 
 def _drawn(sections: Sections) -> dict[str, Picture]:
+    """All pictures by name: figures, where light arrives, and the bench's photograph."""
     drawings = _drawings(sections)
     pictures = {name: of_drawing(name, drawn, _SHOWN[name]) for name, drawn in drawings.items()}
     if sections.lights:
@@ -237,12 +236,10 @@ def _drawn(sections: Sections) -> dict[str, Picture]:
 
 
 def _drawings(sections: Sections) -> dict[str, style.Drawing]:
-    """By name, as in `_SHOWN`."""
+    """Figures by their names in `_SHOWN`, those that the campaign has a use for."""
     diagnosis, fit, baseline = sections.diagnosis, sections.calibration, sections.diagnosis.baseline
     unit = sections.campaign.unit
-    drawings = {
-        "comparison": draw_comparison(baseline, unit=unit),
-    }
+    drawings = {"comparison": draw_comparison(baseline, unit=unit)}
     if sections.bench.cross_section is not None:
         drawings["cross-section"] = style.Drawing(sections.bench.cross_section, (), ())
     if sections.campaign.raw is not None:
@@ -268,7 +265,7 @@ def _drawings(sections: Sections) -> dict[str, style.Drawing]:
 
 
 def _map(lights: Lights) -> style.Numbers:
-    """Light per mm2 and emitted photon on the detector: a line of a map a row, x along it."""
+    """Light per mm2 and emitted photon on the detector: below a row of x, a row for each y."""
     rows: list[tuple[object, ...]] = []
     for name, light in lights:
         x, y = (
@@ -277,8 +274,8 @@ def _map(lights: Lights) -> style.Numbers:
         )
         rows.append((name, "x (mm)", *x))
         rows += [
-            (name, at, *(float(f"{cell:.4g}") for cell in line))
-            for at, line in zip(y, light.map.density, strict=True)
+            (name, y_mm, *(float(f"{cell:.4g}") for cell in line))
+            for y_mm, line in zip(y, light.map.density, strict=True)
         ]
     widest = max((len(row) for row in rows), default=2) - 2
     return ("configuration", "y (mm)", *(f"light_per_mm2_{i + 1}" for i in range(widest))), rows
@@ -299,7 +296,7 @@ def brief(text: object, most: int = MOST_IN_A_TABLE) -> str:
 
 
 def said(text: object, most: int = MOST_IN_A_TABLE) -> Markup:
-    """The same as markup: isolated, so that its direction of writing stays its own."""
+    """A text in one line as markup: isolated, so that its direction of writing stays its own."""
     return Markup("<bdi>{}</bdi>").format(brief(text, most))
 
 
@@ -318,7 +315,7 @@ MOST_PRINTED = 8
 
 
 def render(sections: Sections) -> str:
-    """The page of a sections, complete."""
+    """The whole page of a report as HTML."""
     folder = resources.files("mcrim_mitsuba.output")
     style = (folder / "style.css").read_text(encoding="utf-8")
     pages = environment()
@@ -334,10 +331,9 @@ def render(sections: Sections) -> str:
     template = pages.get_template("template.html")
     raw, steps = sections.campaign.raw, sections.diagnosis.repair
     if sections.effects:
-        steps = (
-            *steps[: 1 if sections.chosen_by_hand else None],
-            final_step(steps[-1], sections.calibration),
-        )
+        # effects that the user chose were not added one by one
+        steps_before = steps[:1] if sections.chosen_by_hand else steps
+        steps = (*steps_before, final_step(steps[-1], sections.calibration))
     notes = dict.fromkeys((*sections.calibration.notes, *sections.repaired.provenance.notes))
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
     return template.render(
@@ -456,11 +452,12 @@ def _mended_with(repaired: Repaired, effects: tuple[str, ...]) -> Repaired:
     """The same campaign mended with other effects."""
     simulations, diagnosis = repaired.simulations, repaired.diagnosis
     candidate = diagnosis.candidate(effects)
-    fitted = candidate.parameters if candidate else {}
-    starts = {name: size.value for name, size in fitted.items()} or None
-    everything = tuple(dict.fromkeys((*diagnosis.titles, *effects)))
-    simulations.simulate(everything, look=set(everything) - {*effects})
-    fit = simulations.settled_fit(effects, starts)
+    # from where the diagnosis found them, if it tried them
+    starts = {n: size.value for n, size in candidate.parameters.items()} if candidate else {}
+    # all effects as the diagnosis had them: those that are added in full, others at a look
+    every_effect = tuple(dict.fromkeys((*diagnosis.titles, *effects)))
+    simulations.simulate(every_effect, look=set(every_effect) - {*effects})
+    fit = simulations.settled_fit(effects, starts or None)
     return replace(repaired, effects=effects, fit=fit, provenance=simulations.provenance())
 
 

@@ -127,10 +127,7 @@ def gather(
 ) -> Sections:
     """Gather what a report tells of a mended campaign; ``stage(what)`` is called on the way.
 
-    Raises
-    ------
-    InputError
-        If a file cannot be read any more, or the scene with the effects is not sound.
+    Raises InputError if a file cannot be read any more, or the scene with the effects is not sound.
     """
     calibration = repaired.fit
     campaign, run = repaired.simulations.campaign, repaired.simulations.run
@@ -142,9 +139,9 @@ def gather(
     sources = sources_of(campaign)
     album = RecordCache(_behind_pictures(repaired, sources, chosen_by_hand))
     drawn = album.read(0)
-    # a filled gap shows what may be in it
-    shown = campaign.with_effects(repaired.effects)
-    bench = describe(shown, scene, couplings[-1], run, draw=drawn is None)
+    with_effects = campaign.with_effects(repaired.effects)
+    # in the coupling of the highest index: a filled gap shows what may be in it
+    bench = describe(with_effects, scene, couplings[-1], run, draw=drawn is None)
     return Sections(
         repaired=repaired,
         efficiencies=efficiencies(calibration),
@@ -197,23 +194,25 @@ def scene_of_the_result(
 def _lights(
     couplings: Sequence[Reading], scene: SceneFile, run: Run, stage: Stage
 ) -> tuple[tuple[str, Light], ...]:
+    """Where the light of each coupling goes, by the label of a reading."""
     from mcrim_mitsuba.transport.simulation import Simulation
 
-    lights, of_lights = [], replace(run, photons=LIGHT_PHOTONS, progress=None)
+    lights, light_run = [], replace(run, photons=LIGHT_PHOTONS, progress=None)
     for reading in couplings:
         stage("where the light goes")
         simulation = Simulation(scene, reading.parameters, variant=run.variant, threads=run.threads)
-        lights.append((reading.label, follow_light(simulation, run=of_lights)))
+        lights.append((reading.label, follow_light(simulation, run=light_run)))
     return tuple(lights)
 
 
 def _couplings(campaign: Campaign) -> list[Reading]:
-    """The first reading of every coupling, from the lowest index to the highest."""
+    """First readings of couplings from the lowest index to the highest, at most `MOST_LIGHTS`."""
     nominal = campaign.scene.parameters.get(_COUPLING)
     first: dict[object, Reading] = {}
     light = [reading for reading in campaign.measurements.in_use if not reading.of_beam]
     for reading in light or campaign.measurements.in_use:
         first.setdefault(reading.parameters.get(_COUPLING, nominal), reading)
+    # the index is None in scenes that do not have it as a parameter
     ordered = [first[index] for index in sorted(first, key=lambda i: (i is None, i))]
     if len(ordered) <= MOST_LIGHTS:
         return ordered
@@ -223,6 +222,7 @@ def _couplings(campaign: Campaign) -> list[Reading]:
 
 
 def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
+    """Campaign and scene with the effects that were added, as changes of the files; or none."""
     if not repaired.effects:
         return ()
     target = campaign.path.with_name(f"{campaign.path.stem}_mended.toml")
@@ -272,13 +272,14 @@ def ratio_curve(fit: Calibration) -> RatioOfSignals | None:
     pair = _pair(model.campaign)
     if pair is None or ALPHA_SCAT not in fit.names:
         return None
+    first, second = pair
     readings = model.campaign.measurements.readings
     rows = [readings.index(reading) for reading in pair]
     index = fit.names.index(ALPHA_SCAT)
     theta = fit.theta.copy()
-    solution, free = float(theta[index]), model.free[index]
-    low, high = max(solution / _REACH, free.minimum), min(solution * _REACH, free.maximum)
-    if not 0 < low < high:
+    solution, bounds = float(theta[index]), model.free[index]
+    low, high = max(solution / _REACH, bounds.minimum), min(solution * _REACH, bounds.maximum)
+    if not 0 < low < high:  # the fit ended at 0
         return None
     alphas, eta, signals = np.geomspace(low, high, _POINTS), [], []
     for alpha in alphas:
@@ -286,16 +287,15 @@ def ratio_curve(fit: Calibration) -> RatioOfSignals | None:
         prediction = model.predict(theta)
         eta.append(prediction.eta[rows])
         signals.append(prediction.signal[rows])
-    first, second = pair
     measured = second.signal / first.signal
+    relative_sigma = math.hypot(first.sigma / first.signal, second.sigma / second.signal)
     return RatioOfSignals(
         labels=(first.label, second.label),
         alpha_scat_per_cm=alphas,
         eta=np.array(eta),
         ratio=np.array([s[1] / s[0] for s in signals]),
         measured=measured,
-        measured_sigma=measured
-        * math.hypot(first.sigma / first.signal, second.sigma / second.signal),
+        measured_sigma=measured * relative_sigma,
         solution_per_cm=solution,
     )
 
@@ -309,7 +309,7 @@ def _pair(campaign: Campaign) -> tuple[Reading, Reading] | None:
     def index(reading: Reading) -> float:
         return float(reading.parameters.get(_COUPLING, nominal[_COUPLING]))
 
-    def elsewhere(reading: Reading) -> dict:
+    def all_else(reading: Reading) -> dict:
         return {**nominal, **reading.parameters, _COUPLING: None, SAMPLE: reading.sample}
 
     light = [
@@ -318,7 +318,7 @@ def _pair(campaign: Campaign) -> tuple[Reading, Reading] | None:
         if not reading.of_beam and campaign.parameter_of(reading, ALPHA_SCAT) == ALPHA_SCAT
     ]
     pairs = (sorted(p, key=index) for p in itertools.combinations(light, 2))
-    alike = [(a, b) for a, b in pairs if index(b) > index(a) and elsewhere(a) == elsewhere(b)]
+    alike = [(a, b) for a, b in pairs if index(b) > index(a) and all_else(a) == all_else(b)]
     return max(alike, key=lambda pair: index(pair[1]) - index(pair[0]), default=None)
 
 
@@ -338,9 +338,11 @@ def efficiencies(fit: Calibration) -> tuple[Efficiency, ...]:
     """The efficiency of every reading, its error propagated from the fit."""
     model = fit.model
     slopes = model.predict(fit.theta).eta_slopes
-    fitted = np.einsum("ri,ij,rj->r", slopes, fit.covariance, slopes)
+    # of each reading s V s, s its slopes and V the covariance of the parameters
+    variances = np.einsum("ri,ij,rj->r", slopes, fit.covariance, slopes)
     values = []
-    for row, reading, variance in zip(fit.rows, model.readings, fitted, strict=True):
+    for row, reading, variance in zip(fit.rows, model.readings, variances, strict=True):
+        # rounding may leave a variance just below 0
         sigma = math.sqrt(max(variance, 0.0) + row.eta_sigma**2)
         values.append(Efficiency(row.label, dict(reading.parameters), row.eta, sigma))
     return tuple(values)
@@ -361,7 +363,7 @@ _LIMIT_MB = 10
 
 @dataclass(frozen=True, kw_only=True)
 class SourceFile:
-    """One file."""
+    """A file that a report has inside."""
 
     #: What it is for the campaign.
     role: str
@@ -379,23 +381,21 @@ class SourceFile:
 def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
     """The campaign, its measurements, its scene with what that includes, own effects, raw data.
 
-    Raises
-    ------
-    InputError
-        If a file cannot be read any more.
+    Of raw data the beginning alone is shown. Files for which there is no more room have no data.
+
+    Raises InputError if a file cannot be read any more.
     """
-    scene, measured, folder = campaign.scene, campaign.measurements.path, campaign.effects_folder
-    files = [
-        ("campaign", campaign.path, read_bytes(campaign.path, _LIMIT_MB)),
-        ("measurements", measured, read_bytes(measured, _LIMIT_MB)),
-        ("scene", scene.path, read_bytes(scene.path, _LIMIT_MB)),
-        *(("included by the scene", path, scene.source(path)) for path in scene.included),
-    ]
+
+    def read(role: str, path: Path) -> tuple[str, Path, bytes]:
+        return role, path, read_bytes(path, _LIMIT_MB)
+
+    scene, folder = campaign.scene, campaign.effects_folder
+    files = [read("campaign", campaign.path), read("measurements", campaign.measurements.path)]
+    files.append(read("scene", scene.path))
+    files += [("included by the scene", path, scene.source(path)) for path in scene.included]
     if campaign.spectrum is not None:
-        light = campaign.spectrum.path
-        files.append(("light over wavelengths", light, read_bytes(light, _LIMIT_MB)))
-    effects = () if folder is None else sorted(folder.glob("*.py"))
-    files += [("own effect", path, read_bytes(path, _LIMIT_MB)) for path in effects]
+        files.append(read("light over wavelengths", campaign.spectrum.path))
+    files += [read("own effect", path) for path in (sorted(folder.glob("*.py")) if folder else ())]
     raw = () if campaign.raw is None else campaign.raw.files
     shown = [MOST_CHARACTERS] * len(files) + [MOST_OF_RAW_DATA] * len(raw)
     files += [(file.role, file.path, read_bytes(file.path, LIMIT_MB)) for file in raw]
@@ -458,7 +458,9 @@ class BenchDescription:
 def describe(
     campaign: Campaign, scene: SceneFile, reading: Reading, run: Run, *, draw: bool
 ) -> BenchDescription:
-    """Look at a scene.
+    """What a scene means, its parameters, and if `draw` its cross-section and photograph.
+
+    Raises InputError if the scene is not sound.
 
     Parameters
     ----------
@@ -468,13 +470,6 @@ def describe(
         With these effects in it, at the fitted values.
     reading : Reading
         Whose configuration is drawn.
-    draw : bool
-        Whether there are to be a cross-section and a photograph.
-
-    Raises
-    ------
-    InputError
-        If the scene is not sound.
     """
     from mcrim_mitsuba.output.cross_section import cross_section_figure
     from mcrim_mitsuba.transport.check import check_simulation

@@ -1,4 +1,4 @@
-"""What the public functions on scenes give: typed results, see `registry.Result`.
+"""What the public functions on scenes give: typed results that show and export themselves.
 
 Each is what a function of `efficiency`, `reference` or `transport` computed, with what is needed
 to show it.
@@ -55,7 +55,7 @@ class LightResult(Result, SimulationResult):
         )
         photons = min(self.photons, MOST_FOR_FIGURES)
         light = follow_light(simulation, run=replace(run, photons=photons))
-        # the run's own numbers, also where it has more photons than are followed again
+        # with the run's own numbers: it may have more photons than are followed again
         names = ("eta", "eta_sigma", "budget", "budget_sigma", "photons")
         light = replace(light, **{name: getattr(self, name) for name in names})
         changed = [said(name, scene.parameters[name]) for name in scene.overrides]

@@ -25,11 +25,7 @@ from mcrim_mitsuba.core.rounding import (
 )
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
-from mcrim_mitsuba.inference.judgement import (
-    AMBIGUOUS,
-    MISSING_EFFECT,
-    UNEXPLAINED,
-)
+from mcrim_mitsuba.inference.judgement import AMBIGUOUS, MISSING_EFFECT, UNEXPLAINED
 from mcrim_mitsuba.inference.plan import (
     EFFICIENCY,
     EVENTS_ORIGIN,
@@ -84,14 +80,14 @@ def reading_label(reading: FittedRow | Reading) -> str:
 
 
 def added_text(step: RepairStep) -> str:
-    """What a step of a repair adds."""
+    """What a step of a repair adds: ``+ air bubble in the gap``, of the first ``as it came``."""
     if step.added is None:
         return step.title or "as it came"
     return f"+ {step.title or step.added}"
 
 
 def light_text(fit: Calibration) -> str:
-    """What is proportional to the light, the light yield or else the scale."""
+    """The fitted light yield with its error, else the scale; ``held`` where neither is fitted."""
     light = fit.parameters.get(LIGHT_YIELD, fit.parameters.get(SCALE))
     return "held" if light is None else estimate_text(light)
 
@@ -103,7 +99,7 @@ def size_text(candidate: Candidate, separator: str = "; ") -> str:
 
 
 def plausibility(candidate: Candidate) -> str:
-    """Whether a laboratory usually meets it at that size."""
+    """Whether a laboratory usually meets an effect at its fitted size; or that it has no size."""
     if not candidate.effect_parameters:
         return "on or off"
     if candidate.at_bound:
@@ -113,18 +109,18 @@ def plausibility(candidate: Candidate) -> str:
 
 
 def together(names: Sequence[str], word: str = "and") -> str:
-    """``a``, ``a and b``, ``a, b and c``."""
+    """Names, one at least, as a sentence has them: ``a``, ``a and b``, ``a, b and c``."""
     *first, last = names
     return f"{', '.join(first)} {word} {last}" if first else last
 
 
 def titles_of(diagnosis: Diagnosis, effects: Iterable[str]) -> list[str]:
-    """Effects in words; without any they are called by their ids."""
+    """Titles of effects, given by their ids; what has no title is called by its id."""
     return [diagnosis.titles.get(name, name) for name in effects]
 
 
 def in_words(diagnosis: Diagnosis, effects: Iterable[str]) -> str:
-    """``air bubble in the gap and bevel of the edges``."""
+    """Effects, given by their ids: ``air bubble in the gap and bevel of the edges``."""
     return together(titles_of(diagnosis, effects))
 
 
@@ -146,18 +142,16 @@ def signal_text(of_beam: bool, value: float, sigma: float | None) -> str:
 
 
 def beam_conflict(comparison: Comparison) -> list[str]:
-    """Where light and beam contradict each other, in sentences."""
-    pulls = {
-        row.label: comparison.left_out_pulls.get(row.label, 0.0)
-        for row in comparison.rows
-        if row.of_beam
-    }
+    """Where light and beam contradict each other, in sentences: none where the model fits."""
+    if not fails(comparison):
+        return []
+    beams = {row.label for row in comparison.rows if row.of_beam}
     return [
         f"the couplings and the beam pull apart: {label} was measured {abs(pull):.1f} standard "
         f"errors {'above' if pull > 0 else 'below'} what all other readings predict, which ask for "
         f"{'more' if pull > 0 else 'less'} to be lost in the crystal than the beam loses"
-        for label, pull in pulls.items()
-        if abs(pull) > _PULLS_APART and fails(comparison)
+        for label, pull in comparison.left_out_pulls.items()
+        if label in beams and abs(pull) > _PULLS_APART
     ]
 
 
@@ -167,9 +161,8 @@ _MOST_APART = 3
 
 def hypothesis_text(hypothesis: FittedHypothesis) -> str:
     """``mended.toml, with air bubble in the gap``: where a hypothesis is from, and its effects."""
-    added = (
-        f"with {together(hypothesis.titles)}" if hypothesis.titles else "nothing added to its scene"
-    )
+    titles = hypothesis.titles
+    added = f"with {together(titles)}" if titles else "nothing added to its scene"
     return added if hypothesis.campaign is None else f"{hypothesis.campaign}, {added}"
 
 
@@ -184,100 +177,99 @@ def prediction_text(row: FittedRow) -> str:
 
 
 def apart_text(compared: SideBySide) -> str:
-    """Where hypotheses differ most, in a sentence."""
-    first, *others = most_apart(compared)
+    """Where hypotheses differ most, with what they predict there, and where next, in a sentence."""
+    first, *next_labels = most_apart(compared)
+    # the same reading beside each hypothesis
     rows = [
         next(r for r in hypothesis.rows if r.label == first) for hypothesis in compared.hypotheses
     ]
     measured = signal_text(rows[0].of_beam, rows[0].measured, rows[0].sigma)
-    then = (
-        together([f"{label} ({compared.apart[label]:.1f})" for label in others]) if others else ""
-    )
-    return (
+    text = (
         f"They differ most at {first}: {together([prediction_text(row) for row in rows])} where "
         f"{measured} was measured, {compared.apart[first]:.1f} standard errors of the reading"
-        + (f"; then at {then}" if then else "")
     )
+    if not next_labels:
+        return text
+    further = [f"{label} ({compared.apart[label]:.1f})" for label in next_labels]
+    return f"{text}; then at {together(further)}"
 
 
 def likeliest_of(diagnosis: Diagnosis) -> Candidate | None:
-    """What is likeliest, if it is an effect or a pair."""
+    """What is likeliest, if it is an effect or a pair; else None."""
+    # probabilities come with the highest first
     name = next(iter(diagnosis.probabilities), None)
     tried = (*diagnosis.candidates, *diagnosis.pairs)
     return next((candidate for candidate in tried if candidate.effect == name), None)
 
 
 def averaged_yield(diagnosis: Diagnosis) -> str:
-    """The light yield over all that the readings allow, and beside it that of the likeliest.
-
-    Empty where the campaign does not say how to get it.
+    """The light yield over all that the readings allow, and beside it that of the best fit.
+    The best fit has the likeliest effects, if it is effects that are likeliest. Empty where the
+    campaign does not say how to get the light yield.
     """
     averaged = diagnosis.light_yield_averaged
     if averaged is None:
         return ""
-    names, p = next(iter(diagnosis.probabilities.items()))
-    likeliest = likeliest_of(diagnosis)
+    name, p = next(iter(diagnosis.probabilities.items()))
+    likeliest, likely = likeliest_of(diagnosis), f"({probability(p)})"
     estimate = diagnosis.baseline.parameters.get(LIGHT_YIELD)
-    alone, likely = "" if estimate is None else estimate_text(estimate), f"({probability(p)})"
-    least = f"{alone} with nothing missing {likely}"
+    best = "" if estimate is None else estimate_text(estimate)
     if likeliest is not None:
         if light := likeliest.light_yield_ph_per_keV:
-            alone = pdg(light["value"], light["sigma"])
-        least = f"{alone} with {in_words(diagnosis, likeliest.effects)} {likely}"
-    elif names != NOTHING_MISSING:
-        what = IN_NO_CATALOGUE if names == UNKNOWN else f"a {names}"
-        least = f"{alone} with nothing missing; the likeliest is {what} {likely}"
+            best = pdg(light["value"], light["sigma"])
+        best += f" with {in_words(diagnosis, likeliest.effects)} {likely}"
+    elif name == NOTHING_MISSING:
+        best += f" with nothing missing {likely}"
+    else:
+        what = IN_NO_CATALOGUE if name == UNKNOWN else f"a {name}"
+        best += f" with nothing missing; the likeliest is {what} {likely}"
     return (
         f"Light yield: {averaged}, averaged over all explanations and sizes that the readings "
-        f"allow: the one to quote; the best fit alone gives {least}"
+        f"allow: the one to quote; the best fit alone gives {best}"
     )
 
 
 def family_probabilities(diagnosis: Diagnosis) -> str:
     """``surface 91 %, housing 4 %; others < 0.1 % each``."""
-    words = {
-        IN_NO_CATALOGUE if likely.family == UNKNOWN else likely.family: probability(
-            likely.probability
-        )
+    probabilities = {
+        likely.family: probability(likely.probability)
         for likely in diagnosis.families
         if likely.family != NOTHING_MISSING
     }
     nothing = probability(diagnosis.probabilities.get(NOTHING_MISSING, 0.0))
-    named = [f"{family} {p}" for family, p in words.items() if not p.startswith("<")]
-    rest = "; others < 0.1 % each" if len(named) < len(words) else ""
-    return f"{', '.join([*named, f'nothing missing {nothing}'])}{rest}"
+    likely_families = [
+        f"{IN_NO_CATALOGUE if family == UNKNOWN else family} {p}"
+        for family, p in probabilities.items()
+        if not p.startswith("<")
+    ]
+    others = "; others < 0.1 % each" if len(likely_families) < len(probabilities) else ""
+    return f"{', '.join([*likely_families, f'nothing missing {nothing}'])}{others}"
 
 
 def mistakable(diagnosis: Diagnosis) -> str:
-    """What the leading effects could be mistaken for, those that are alike by family; or nothing.
+    """What the leading effects, all together, could be mistaken for, in a sentence; or nothing.
 
-    Said of all together.
+    Where these are too many to be named, those of one family are counted: ``surface (3)``.
     """
     leading = leading_candidates(diagnosis)
-    its_effects = dict.fromkeys(name for candidate in leading for name in candidate.effects)
-    others = [
-        n
-        for n in dict.fromkeys(m for candidate in leading for m in candidate.mimics)
-        if n not in its_effects
-    ]
+    leading_effects = dict.fromkeys(name for candidate in leading for name in candidate.effects)
+    mimics = dict.fromkeys(name for candidate in leading for name in candidate.mimics)
+    others = [name for name in mimics if name not in leading_effects]
     if not others:
         return ""
     families: dict[str, list[str]] = {}
-    for other in diagnosis.candidates:
-        if other.effect in others:
-            families.setdefault(other.family, []).append(other.effect)
-    alike = {name: names for name, names in families.items() if len(names) > 1}
-    if len(others) <= MOST_NAMED:
-        alike = {}
-    alike_words = ["each other"] if len(leading) > 1 else []
-    apart = [name for name in others if not any(name in some for some in alike.values())]
-    alike_words += titles_of(diagnosis, apart)
-    if alike:
-        alike_words.append(
-            f"one of {', '.join(f'{name} ({len(some)})' for name, some in alike.items())}"
-        )
-    words, alternatives = in_words(diagnosis, its_effects), together(alike_words, "or")
-    return f"By these readings {words} could be mistaken for {alternatives}."
+    for candidate in diagnosis.candidates if len(others) > MOST_NAMED else ():
+        if candidate.effect in others:
+            families.setdefault(candidate.family, []).append(candidate.effect)
+    counted_families = {name: effects for name, effects in families.items() if len(effects) > 1}
+    in_families = {name for effects in counted_families.values() for name in effects}
+    alternatives = ["each other"] if len(leading) > 1 else []
+    alternatives += titles_of(diagnosis, [name for name in others if name not in in_families])
+    if counted_families:
+        counts = (f"{name} ({len(effects)})" for name, effects in counted_families.items())
+        alternatives.append(f"one of {', '.join(counts)}")
+    words = in_words(diagnosis, leading_effects)
+    return f"By these readings {words} could be mistaken for {together(alternatives, 'or')}."
 
 
 def told_apart(diagnosis: Diagnosis, measurement: NextMeasurement) -> list[str]:
@@ -299,19 +291,19 @@ def not_tried(diagnosis: Diagnosis) -> list[str]:
 
 def how_to_look(diagnosis: Diagnosis) -> list[str]:
     """How to look for the leading effects without a fit, a sentence or two for each."""
-    named = {candidate.effect: candidate.look for candidate in diagnosis.candidates}
+    look = {candidate.effect: candidate.look for candidate in diagnosis.candidates}
     leading = dict.fromkeys(
         name for candidate in leading_candidates(diagnosis) for name in candidate.effects
     )
     return [
-        f"{capital(in_words(diagnosis, [name]))}: {named[name]}"
+        f"{capital(in_words(diagnosis, [name]))}: {look[name]}"
         for name in list(leading)[:MOST_NAMED]
-        if named.get(name)
+        if look.get(name)
     ]
 
 
 def set_aside_text(diagnosis: Diagnosis) -> str:
-    """Why a repair does not add what is likeliest; empty where it does."""
+    """Why a repair does not add what is likeliest, its size or a doubt; empty where it does."""
     names = diagnosis.set_aside
     if not names:
         return ""
@@ -329,7 +321,7 @@ def set_aside_text(diagnosis: Diagnosis) -> str:
 
 
 def suspicion(suspect: Suspect) -> str:
-    """What may be wrong with readings, in a sentence."""
+    """What may be wrong with readings, in a sentence: swapped, several wrong, or one."""
     gain = (
         f"chi2 falls by {number(suspect.delta_chi2)} to {number(suspect.chi2)} "
         f"(ndf {suspect.ndf}, {p_equals(suspect.p_value)})"
@@ -350,7 +342,7 @@ def verdict_words(verdict: str) -> str:
 
 
 def short_headline(diagnosis: Diagnosis) -> str:
-    """The verdict in a few words: ``Air bubble in the gap explains the misfit``."""
+    """The verdict in a few words: ``Air bubble in the gap explains the misfit``, ``Adequate``."""
     leading = leading_candidates(diagnosis)
     if diagnosis.verdict != MISSING_EFFECT or not leading:
         return verdict_words(diagnosis.verdict)
@@ -360,7 +352,7 @@ def short_headline(diagnosis: Diagnosis) -> str:
 
 
 def headline(diagnosis: Diagnosis) -> str:
-    """The verdict in a sentence."""
+    """The verdict in a sentence: an effect with its size and what is gained, or the reason."""
     leading = leading_candidates(diagnosis)
     if diagnosis.verdict != MISSING_EFFECT or not leading:
         return f"{short_headline(diagnosis)}: {diagnosis.reason}"
@@ -396,22 +388,20 @@ def quality(comparison: Comparison | Calibration) -> str:
 def misfit_shares(comparison: Comparison) -> dict[str, float]:
     """Every used reading's part of the sum of squared pulls, by label, the largest first."""
     squares = {row.label: row.pull**2 for row in comparison.rows if row.use}
-    total = sum(squares.values()) or 1.0
-    return {
-        label: square / total
-        for label, square in sorted(squares.items(), key=lambda item: -item[1])
-    }
+    total = sum(squares.values()) or 1.0  # an exact fit has no misfit to share out
+    largest_first = sorted(squares.items(), key=lambda item: -item[1])
+    return {label: square / total for label, square in largest_first}
 
 
 def carriers(comparison: Comparison) -> str:
     """The fewest readings that make up half of the squared pulls, in a sentence."""
     shares = misfit_shares(comparison)
     sums = list(itertools.accumulate(shares.values()))
-    enough = next((place for place, part in enumerate(sums) if part >= 0.5), len(sums) - 1)
-    named = [f"{label} ({100 * part:.0f} %)" for label, part in shares.items()][: enough + 1]
+    last = next((place for place, part in enumerate(sums) if part >= 0.5), len(sums) - 1)
+    readings = [f"{label} ({100 * part:.0f} %)" for label, part in shares.items()][: last + 1]
     return (
-        f"{100 * sums[enough]:.0f} % of the squared pulls are those of {len(named)} of "
-        f"{len(shares)} readings: {', '.join(named)}"
+        f"{100 * sums[last]:.0f} % of the squared pulls are those of {len(readings)} of "
+        f"{len(shares)} readings: {', '.join(readings)}"
     )
 
 
@@ -429,7 +419,7 @@ def trend_text(trend: Trend) -> str:
 
 
 def limit_text(limit: Limit) -> str:
-    """What adequate data allow at 95 % confidence."""
+    """What adequate data allow of an effect, 95 %: ``< 0.3``; without a size, what chi2 says."""
     if limit.parameter is None or limit.excluded:
         change = f"chi2 {'rises' if limit.delta_chi2 < 0 else 'falls'} by "
         change += number(abs(limit.delta_chi2))
@@ -462,23 +452,20 @@ _LIKE_PARABOLA = 2 / 3, 3 / 2
 def shapes(profiles: Iterable[Profile]) -> list[str]:
     """What the standard error does not tell: 95 % intervals that are not twice as wide as it."""
     lines = []
+    near, far = _LIKE_PARABOLA
     for profile in profiles:
-        ends = profile.interval_95
-        # nearer bounds cut the interval off, which is said elsewhere
-        bounds = (float(profile.values[place]) for place in (0, -1))
-        interval_68 = [
-            bound if end is None else end for end, bound in zip(ends, bounds, strict=True)
-        ]
-        widths = [abs(end - profile.value) / (_SIGMAS_95 * profile.sigma) for end in interval_68]
-        near, far = _LIKE_PARABOLA
+        # an end is None where a bound cuts the interval off: it ends there, and may be near
+        ends, bounds = profile.interval_95, profile.values[[0, -1]].tolist()
+        interval = [bound if end is None else end for end, bound in zip(ends, bounds, strict=True)]
+        parabola = [profile.value + sign * _SIGMAS_95 * profile.sigma for sign in (-1, 1)]
+        widths = [abs(end - profile.value) / (_SIGMAS_95 * profile.sigma) for end in interval]
         if any(
             width > far or (width < near and end is not None)
             for width, end in zip(widths, ends, strict=True)
         ):
-            usual = [profile.value + sign * _SIGMAS_95 * profile.sigma for sign in (-1, 1)]
             real, of_sigma = (
                 " to ".join(_value_of(pdg(end, profile.sigma)) for end in pair)
-                for pair in (interval_68, usual)
+                for pair in (interval, parabola)
             )
             lines.append(
                 f"{profile.name}: the 95 % interval is {real}, not {of_sigma} as "
@@ -505,54 +492,42 @@ _CALLED = {
     "source depth": "the depth of the source",
     "monte_carlo": "the simulation",
 }
-_WHICH = Contribution(
-    "which explanation is right",
-    0.0,
-    "systematic",
-    True,
-    by="a further reading that tells them apart",
-)
-_NO_EFFECT = Contribution("what is in no catalogue", 0.0, "systematic", False, by="")
 
 
 def title_of(name: str) -> str:
-    """A fitted parameter in words with its unit: ``light yield (ph/keV)``."""
-    if (sample := of_sample(name)) is not None:
-        words, bracket, unit = title_of(sample[0]).partition(" (")
-        return f"{words} of {sample[1]}{bracket}{unit}"
+    """A fitted parameter in words with its unit: ``light yield (ph/keV)``, ``scale of bar 2``."""
+    if (of_one_sample := of_sample(name)) is not None:
+        parameter, sample = of_one_sample
+        words, bracket, unit = title_of(parameter).partition(" (")
+        return f"{words} of {sample}{bracket}{unit}"
     # columns of tables are narrow
     return "light yield (ph/keV)" if name == LIGHT_YIELD else titled(name)
 
 
 def quantity(name: str) -> str:
-    """The same without the unit, of what is told in per cent."""
+    """A fitted parameter in words without its unit, for what is told in per cent."""
     return title_of(name).partition(" (")[0]
 
 
 def what_next(budget: ErrorBudget, of: str) -> str:
-    """The largest part of a result's error that can be lowered, and what does; or nothing."""
-    first = next(
-        (
-            contribution_part
-            for contribution_part in budget.contributions
-            if contribution_part.reducible
-        ),
-        None,
-    )
-    if first is None or not math.isfinite(budget.total) or not first.relative:
+    """The largest reducible part of the error of a result, named `of`, and what helps; or ""."""
+    # contributions come with the largest first
+    part = next((part for part in budget.contributions if part.reducible), None)
+    if part is None or not math.isfinite(budget.total) or not part.relative:
         return ""
-    origin, _, whose = first.name.partition(", ")
-    what = " of ".join(filter(None, (_CALLED.get(origin, origin), whose)))
-    part, whole = percent(abs(first.relative)), percent(budget.total)
+    # such as "counts, air": an origin, and whose it is
+    origin, _, owner = part.name.partition(", ")
+    what = " of ".join(filter(None, (_CALLED.get(origin, origin), owner)))
+    share, whole = percent(abs(part.relative)), percent(budget.total)
     verb = "simulate" if origin == "monte_carlo" else "measure"
     return (
-        f"What to {verb} next: {what}: {part.removesuffix(' %')} of the {of}'s {whole}, in "
-        f"quadrature. What helps: {first.by}."
+        f"What to {verb} next: {what}: {share.removesuffix(' %')} of the {of}'s {whole}, in "
+        f"quadrature. What helps: {part.by}."
     )
 
 
 def next_for_fit(fit: Calibration, priors: Iterable[str]) -> str:
-    """`what_next` by a fit, whose campaign has these priors; nothing where it has no errors."""
+    """What to measure next for a fit's light yield or scale; nothing where it has no error."""
     name = LIGHT_YIELD if LIGHT_YIELD in fit.parameters else SCALE
     estimate = fit.parameters.get(name)
     if estimate is None or estimate.at_bound is not None or not estimate.value:
@@ -562,21 +537,33 @@ def next_for_fit(fit: Calibration, priors: Iterable[str]) -> str:
 
 
 def next_for_average(diagnosis: Diagnosis) -> str:
-    """`what_next` for the averaged light yield; nothing where there is none."""
+    """What to measure next for the averaged light yield; nothing where there is none."""
     averaged, likeliest = diagnosis.light_yield_averaged, likeliest_of(diagnosis)
     parameters = diagnosis.baseline.parameters if likeliest is None else likeliest.parameters
     estimate = parameters.get(LIGHT_YIELD)
     if averaged is None or estimate is None or estimate.at_bound is not None or not estimate.sigma:
         return ""
-    # what the models have in common, as the likeliest shares it out
+    # the error of the fits, shared out as in the likeliest; then what there is between the fits
     of_fit, within = ErrorBudget(_parts(estimate, "prior")), averaged.within / averaged.value
     scaled = (
         replace(part, relative=part.relative * within / of_fit.total)
         for part in of_fit.contributions
     )
-    between, catalogue = averaged.between / averaged.value, averaged.catalogue / averaged.value
-    others = replace(_WHICH, relative=between), replace(_NO_EFFECT, relative=catalogue)
-    return what_next(ErrorBudget((*scaled, *others)), "averaged light yield")
+    between = Contribution(
+        name="which explanation is right",
+        relative=averaged.between / averaged.value,
+        kind="systematic",
+        reducible=True,
+        by="a further reading that tells them apart",
+    )
+    catalogue = Contribution(
+        name="what is in no catalogue",
+        relative=averaged.catalogue / averaged.value,
+        kind="systematic",
+        reducible=False,
+        by="",
+    )
+    return what_next(ErrorBudget((*scaled, between, catalogue)), "averaged light yield")
 
 
 def _parts(estimate: ParameterEstimate, prior: str) -> tuple[Contribution, ...]:
@@ -594,6 +581,7 @@ def _parts(estimate: ParameterEstimate, prior: str) -> tuple[Contribution, ...]:
 
 # Parts of an error that make less than this of its square are not named.
 _NAMED = 0.03
+# By origin, what lowers it.
 _MENDS = {
     EFFICIENCY: (
         "a detector whose quantum efficiency is calibrated better, or a comparison with a crystal "
@@ -614,33 +602,25 @@ _MENDS = {
 
 
 def verdict(planning: Planning) -> tuple[str, ...]:
-    """The cheapest plan, or what forbids the wanted error and by what that is reduced."""
+    """The cheapest plan; or what forbids the wanted error, and what of its statistical part."""
     wanted, plan = percent(planning.wanted), planning.cheapest
     if plan is not None:
         return (f"Cheapest plan for a light yield to {wanted}: {plan_text(planning, plan)}",)
-    sets, floor = planning.lowest_floor
-    lines = [
-        _forbidden(planning, sets, floor)
-        if floor.total > planning.wanted
-        else _not_among_these(planning)
-    ]
-    statistical = planning.cheapest_statistical
-    if statistical is not None:
-        lines.append(
-            f"The statistical part alone reaches {wanted} with {plan_text(planning, statistical)}"
-        )
+    couplings, floor = planning.lowest_floor
+    impossible = floor.total > planning.wanted
+    text = _forbidden(planning, couplings, floor) if impossible else _not_among_these(planning)
+    if (plan := planning.cheapest_statistical) is not None:
+        alone = f"The statistical part alone reaches {wanted} with {plan_text(planning, plan)}"
     else:
-        least = min(planning.plans, key=lambda p: p.light_yield.statistical)
-        lines.append(
-            f"Nor does the statistical part alone: the least is {plan_text(planning, least)}"
-        )
-    return tuple(lines)
+        plan = min(planning.plans, key=lambda p: p.light_yield.statistical)
+        alone = f"Nor does the statistical part alone: the least is {plan_text(planning, plan)}"
+    return text, alone
 
 
 def plan_text(planning: Planning, plan: Plan, more: int = 0) -> str:
     """``n_gap = 1, 1.46; 4 mountings of 10,000 events each: 5 h, light yield to 10.6 % (...)``.
 
-    `more` digits of the light yield's error may be asked for.
+    `more` digits of the light yield's error than usual may be asked for.
     """
     light, scattering = plan.light_yield, plan.alpha_scat
     count = counted(plan.mountings, "mounting")
@@ -654,46 +634,47 @@ def plan_text(planning: Planning, plan: Plan, more: int = 0) -> str:
     return f"{text}, scattering to {percent(scattering.total)}"
 
 
-def _forbidden(planning: Planning, sets: tuple[int, ...], floor: ExpectedError) -> str:
-    """Readings without error would not do."""
-    parts = sorted(((part, name) for name, part in floor.parts.items()), reverse=True)
-    named, origin = (
-        [share for share in parts if share[0] ** 2 > _NAMED * floor.total**2],
-        parts[0][1],
-    )
+def _forbidden(planning: Planning, couplings: tuple[int, ...], floor: ExpectedError) -> str:
+    """That readings of these couplings without error would not do, and what forbids it first."""
+    parts = sorted(((part, origin) for origin, part in floor.parts.items()), reverse=True)
+    largest = parts[0][1]
     more = _digits_apart(planning.wanted, floor.total)
-    makes = together([f"{name} {percent(part)}" for part, name in named])
+    makes = together(
+        [f"{origin} {percent(part)}" for part, origin in parts if part**2 > _NAMED * floor.total**2]
+    )
     text = (
         f"A light yield to {percent(planning.wanted, more)} cannot be reached, however many events "
-        f"and mountings: readings without error ({planning.name(sets)}) would leave "
-        f"{percent(floor.total, more)} ({makes}). What forbids it first is the {origin}"
+        f"and mountings: readings without error ({planning.name(couplings)}) would leave "
+        f"{percent(floor.total, more)} ({makes}). What forbids it first is the {largest}"
     )
-    rest = min(p.light_yield.total**2 - p.light_yield.parts[origin] ** 2 for p in planning.plans)
-    if rest < planning.wanted**2:
-        needed = percent(math.sqrt(planning.wanted**2 - rest))
+    # the least variance that all other parts leave
+    others = min(p.light_yield.total**2 - p.light_yield.parts[largest] ** 2 for p in planning.plans)
+    if others < planning.wanted**2:
+        needed = percent(math.sqrt(planning.wanted**2 - others))
         text += f": with the most precise of these plans it would have to fall to {needed}"
     else:
         text += ", and it is not the only part that is too large"
-    return f"{text}. It is reduced by {_mend(origin)}"
+    return f"{text}. It is reduced by {_mend(largest)}"
 
 
 def _not_among_these(planning: Planning) -> str:
-    """More statistics would do."""
+    """That more statistics would do: the most precise plan, and what of it to improve first."""
     least = min(planning.plans, key=lambda p: p.light_yield.total)
-    of_plan = {
-        name: part
-        for name, part in least.light_yield.parts.items()
-        if name in STATISTICAL or name.startswith(PRIOR)
+    parts_of_plan = {
+        origin: part
+        for origin, part in least.light_yield.parts.items()
+        if origin in STATISTICAL or origin.startswith(PRIOR)
     }
-    origin = max(of_plan, key=of_plan.__getitem__)
+    largest = max(parts_of_plan, key=parts_of_plan.__getitem__)
     more = _digits_apart(planning.wanted, least.light_yield.total)
     return (
         f"A light yield to {percent(planning.wanted, more)} is not among these plans; the most "
-        f"precise is {plan_text(planning, least, more)}. What it would take first: {_mend(origin)}"
+        f"precise is {plan_text(planning, least, more)}. What it would take first: {_mend(largest)}"
     )
 
 
 def _mend(origin: str) -> str:
+    """What lowers the part of an error with this origin, such as ``prior of alpha_abs_per_cm``."""
     if origin.startswith(PRIOR):
         name = origin.removeprefix(PRIOR)
         return _MENDS.get(origin, f"{name} measured better by other means")
@@ -729,26 +710,28 @@ _NOTHING = 1e-3
 
 
 def parameter_words(campaign: Campaign, name: str) -> tuple[str, str]:
-    """Meaning and unit of a fitted parameter."""
+    """Meaning and unit of a fitted parameter: a usual one, of a sample, an effect or the scene."""
     if name in NAMES:
         meaning, unit = NAMES[name]
-        return meaning, (name == SCALE and campaign.unit) or unit
+        return meaning, campaign.unit if name == SCALE and campaign.unit else unit
     if name == EFFICIENCY_FACTOR:
         return "factor on the detector's efficiency, one for all samples", ""
-    sample = of_sample(name)
-    if sample is not None and sample[1] in campaign.samples:
-        meaning, unit = parameter_words(campaign, sample[0])
-        return f"{meaning}, of {sample[1]}", unit
+    of_one_sample = of_sample(name)
+    if of_one_sample is not None and of_one_sample[1] in campaign.samples:
+        parameter, sample = of_one_sample
+        meaning, unit = parameter_words(campaign, parameter)
+        return f"{meaning}, of {sample}", unit
     for effect in campaign.catalogue.values():
-        for parameter in effect.parameters:
-            if parameter.name == name:
-                return parameter.meaning, parameter.unit
-    written = campaign.scene.defaults.get(name)
-    return (written.comment if written else ""), unit_of(name) or ""
+        for effect_parameter in effect.parameters:
+            if effect_parameter.name == name:
+                return effect_parameter.meaning, effect_parameter.unit
+    # the author of the scene may have written what it is
+    default = campaign.scene.defaults.get(name)
+    return (default.comment if default else ""), unit_of(name) or ""
 
 
 def errors_apart(estimate: ParameterEstimate) -> tuple[float, float]:
-    """What repeating the measurement or the simulation lowers; and all else, systematic."""
+    """Statistical error, which repeating the measurement or the simulation lowers; systematic."""
     origins = estimate.contributions
     return (
         math.hypot(*(origins.get(origin, 0.0) for origin in _REPEATING_LOWERS)),
@@ -768,20 +751,21 @@ def value_with_errors(estimate: ParameterEstimate) -> str:
 
 
 def interval(estimate: ParameterEstimate) -> str:
-    """Ends of the interval, in one more digit than its width deserves."""
+    """Ends of the interval, in one more digit than its width deserves; ``-`` where not known."""
     if estimate.lower is None or estimate.upper is None:
         return "-"
     width = estimate.upper - estimate.lower
     if not 0 < width < math.inf:
         return f"{number(estimate.lower, 4)} to {number(estimate.upper, 4)}"
+    # half the width is an error: a tenth of that has one digit more
     ends = (pdg(end, width / 20) for end in (estimate.lower, estimate.upper))
     return " to ".join(map(_value_of, ends))
 
 
 def _value_of(text: str) -> str:
-    """The value of ``value ± sigma``, its power of ten kept."""
-    value, _, rest = text.partition(" ± ")
-    _, bracket, power = rest.partition(")")
+    """The value of ``1.23 ± 0.05``, of ``(1.23 ± 0.05)e7`` with its power of ten: ``1.23e7``."""
+    value, _, sigma = text.partition(" ± ")
+    _, bracket, power = sigma.partition(")")
     return f"{value.lstrip('(')}{power}" if bracket else value
 
 
@@ -806,15 +790,18 @@ def pull_text(pull: float) -> str:
 
 def reliability(diagnosis: Diagnosis, fit: Calibration, effects: tuple[str, ...]) -> str:
     """How far the numbers of a fit with these effects can be believed."""
-    words, added = f"{capital(quality(fit))}.", in_words(diagnosis, effects) if effects else ""
+    words = f"{capital(quality(fit))}."
     if fails(fit):
         return f"Do not quote these numbers, whose errors know nothing of it. {words}"
-    if diagnosis.verdict == AMBIGUOUS and effects:
+    if not effects:
+        return words
+    added = in_words(diagnosis, effects)
+    if diagnosis.verdict == AMBIGUOUS:
         return (
             f"{words} But {added} is one explanation of several; the numbers hold only if it is "
             "the right one."
         )
-    return f"{words} This holds with {added} added to the bench." if effects else words
+    return f"{words} This holds with {added} added to the bench."
 
 
 def beam_doubt(campaign: Campaign, calibration: Calibration) -> str:
