@@ -91,9 +91,9 @@ def _read_axis(table: DataTable, column: int) -> _WavelengthAxis:
 def _refuse_other_axis(table: DataTable, column: int) -> None:
     """Refuse a column without unit whose name needs one, or is that of something else."""
     name = table.names[column] if table.names else ""
-    if _WAVELENGTH_NAME.search(name):
+    if _WAVELENGTH_NAME.search(name):  # which is in nm
         return
-    if _WITH_UNIT.search(name):
+    if _WITH_UNIT.search(name):  # an energy or a wave number
         problem = f"'{name}' has no unit"
         raise table.refusal(None, column, problem, f"write '{name} (eV)' or (1/cm), or give nm")
     if _OTHER_AXIS.search(name):
@@ -414,6 +414,7 @@ def _emission(
 
 def photons_over_emission(table: DataTable, value: int, wavelength_nm: Array) -> Array | float:
     """What turns an emission into photons, up to a constant: 1, or (points,) that rise with nm.
+
     Raises InputError if neither the column's name and unit nor comments say photons or power.
     """
     title = " ".join(filter(None, (table.names[value] if table.names else "", table.units[value])))

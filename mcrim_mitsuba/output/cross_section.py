@@ -24,7 +24,7 @@ from matplotlib.text import Text
 from scipy.ndimage import binary_erosion
 
 from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
-from mcrim_mitsuba.core.numbers import MM_PER_CM, said
+from mcrim_mitsuba.core.numbers import said
 from mcrim_mitsuba.output.figure_style import fate_style, ordered
 from mcrim_mitsuba.transport.check import volume_indices
 from mcrim_mitsuba.transport.cut import CrossSection, cross_section, masked
@@ -209,9 +209,7 @@ class SectionAxes:
         medium, (wide, tall) = self.model.volumes[volume], np.ptp(self.cut.corners(volume), axis=0)
         index, size = self.indices.get(medium.name), f"{wide:.4g} mm wide, {tall:.4g} mm high"
         name = medium.name + (f", n = {index:g}" if index else "")
-        scattering, absorption = (
-            MM_PER_CM * alpha for alpha in (medium.alpha_scat_per_mm, medium.alpha_abs_per_mm)
-        )
+        scattering, absorption = 10 * medium.alpha_scat_per_mm, 10 * medium.alpha_abs_per_mm  # 1/cm
         if brief or not (scattering or absorption):
             return [f"{name}, {size}", name]
         coefficients = f"scatters {scattering:.4g} /cm", f"absorbs {absorption:.4g} /cm"

@@ -864,6 +864,7 @@ def of_plan(planning: Planning) -> Description:
         f"{sentences.title_of(name)} {pdg(estimate.value, estimate.sigma)}"
         for name, estimate in planning.solution.items()
     )
+    # an event's error over the root of 10,000
     signals = (
         Column("coupling", of="name"),
         Column("photons per event", form=".1f", of="signal"),
@@ -871,6 +872,7 @@ def of_plan(planning: Planning) -> Description:
             "error of 10,000 events", of=lambda c: shown(c.event_sigma / c.signal / 100, percent)
         ),
     )
+    # of a set of couplings and its expected error
     floors = (
         Column("couplings", of=lambda floor: planning.name(floor[0])),
         Column("total", of=lambda floor: shown(floor[1].total, percent)),

@@ -154,6 +154,7 @@ def _in_lines(title: str) -> str:
 @style.styled
 def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     """Effects by how likely they are and what they gain, single ones above the best pairs.
+
     `brief` leaves the sizes to a table elsewhere: it fits a narrow page.
     """
     numbers, (singles, pairs) = _ranking_numbers(diagnosis), _rows(diagnosis)

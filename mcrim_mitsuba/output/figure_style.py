@@ -198,6 +198,7 @@ def numbers_of(
     records: Iterable[Any], names: str, **further: Callable[[Any], object]
 ) -> tuple[list[str], list[tuple[object, ...]]]:
     """Columns and rows of a CSV: attributes of records, and what functions make of a record.
+
     Columns stand in the order of `names`, which blanks part; those of `further` that are not among
     them come last.
     """

@@ -250,7 +250,7 @@ def draw_efficiency(efficiency: DetectorEfficiency) -> style.Drawing:
 
 
 def _absorption_numbers(absorption: Absorption) -> style.Numbers:
-    """The points that the coefficient rests on."""
+    """A row for each point of each spectrum: transmittance, a clear sample's, coefficient."""
     rows = []
     for measured, curve in zip(absorption.spectra, absorption.curves, strict=True):
         limits, sigmas = _limits(absorption.index, curve.wavelength_nm), curve.sigmas

@@ -280,8 +280,8 @@ def _draw_spreads(axes: Axes, mapped: EtaMap, spreads: Sequence[Spread]) -> None
         fwhm = pdg(100.0 * spread.fwhm, 100.0 * FWHM * spread.relative_rms_sigma)
         label = f"{style.shortened(spread.source, 40)}: FWHM {fwhm} %"
         axes.stairs(percent, edges, color=colour, ls=dashes, lw=1.6, label=label)
-    below = f"η (%) where gammas stop\n(each ±{noise:.2g} by the simulation)"
-    axes.set(xlabel=below, ylabel="light (% per bin)", ylim=(0, None))
+    title = f"η (%) where gammas stop\n(each ±{noise:.2g} by the simulation)"
+    axes.set(xlabel=title, ylabel="light (% per bin)", ylim=(0, None))
     style.open_axes(axes)
     style.legend_above(axes, ncols=1, handlelength=2.6)
 

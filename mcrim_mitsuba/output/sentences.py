@@ -204,6 +204,7 @@ def likeliest_of(diagnosis: Diagnosis) -> Candidate | None:
 
 def averaged_yield(diagnosis: Diagnosis) -> str:
     """The light yield over all that the readings allow, and beside it that of the best fit.
+
     The best fit has the likeliest effects, if it is effects that are likeliest. Empty where the
     campaign does not say how to get the light yield.
     """
