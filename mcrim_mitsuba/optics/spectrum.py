@@ -238,7 +238,6 @@ def average_over(emission: Spectrum, function: Callable[[Array], Array]) -> tupl
     values = np.asarray(function(places.ravel()), dtype=np.float64)
     weights = (emission.at(places) * step * _GAUSS_WEIGHTS / 2).ravel()
     mean = float(weights @ values / weights.sum())
-    # noise of the emission below 0 may make it negative
     variance = float(weights @ (values - mean) ** 2 / weights.sum())
     return mean, math.sqrt(max(variance, 0.0))
 

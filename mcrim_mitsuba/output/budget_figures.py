@@ -182,13 +182,9 @@ def _neglected_numbers(budget: Budget) -> style.Numbers:
             (name, total.value, part.name, part.kind, 100 * abs(part.relative), *no_shift, part.by)
             for part in budget.contributions[name].contributions
         ]
-        rows += [
-            (name, total.value, words, TOTAL, per_cent * sigma, *no_shift, "")
-            for words, sigma in (
-                ("total", total.sigma),
-                ("total, with what is left out", total.sigma_with_neglected),
-            )
-        ]
+        whole, words = per_cent * total.sigma_with_neglected, "total, with what is left out"
+        rows.append((name, total.value, "total", TOTAL, per_cent * total.sigma, *no_shift, ""))
+        rows.append((name, total.value, words, TOTAL, whole, *no_shift, ""))
         for piece in budget.pieces:
             shift = piece.refitted[name]
             rows.append(

@@ -368,7 +368,6 @@ def chosen_paths(
             best = np.argsort(costs, kind="stable")[:_CANDIDATES]
             apart = [costs[i] + _nearness(lines[i][:, [0, 2]], paths, size) for i in best]
             chosen = best[int(np.argmin(apart))]
-            # it is not chosen twice
             points, trapped = lines.pop(chosen), bool(flights[chosen] > MOST_FLIGHTS)
             flights = np.delete(flights, chosen)
             if view is not None and _through([points], view)[0]:

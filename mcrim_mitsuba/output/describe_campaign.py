@@ -13,7 +13,6 @@ import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -278,7 +277,6 @@ def of_comparison(comparison: ComparisonResult) -> Description:
 
 # Hypotheses, and fits of the page, side by side.
 
-#: What the columns of the table of hypotheses mean.
 _LEGEND_OF_HYPOTHESES = (
     "ln evidence: natural logarithm of the likelihood averaged over plausible sizes, less that of "
     "the best; probability: among those compared, each as likely as the others before the "
@@ -379,7 +377,6 @@ def of_hypotheses(compared: HypothesesResult) -> Description:
 
 _ID = Column("id", "effect", left=True, small=True)
 _LIGHT = Column("light yield", LIGHT_YIELD)
-#: What the columns of tables of explanations mean.
 _LEGEND_OF_EXPLANATIONS = (
     "probability: among all that was tried and nothing, averaged over plausible sizes; light "
     "yield: photons per keV, and its change; gain: fall of chi2, with the simulation's error; p, "
