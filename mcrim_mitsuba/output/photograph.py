@@ -6,7 +6,7 @@ import contextlib
 import functools
 import io
 import itertools
-import json
+import pickle
 import subprocess
 import sys
 import tempfile
@@ -32,7 +32,7 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.output.cross_section import SectionAxes, closer_view
 from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.scene.check_text import is_filled
-from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
+from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.check import interfaces_of, volume_indices
 from mcrim_mitsuba.transport.cut import cross_section
 from mcrim_mitsuba.transport.photograph_parts import (
@@ -536,18 +536,11 @@ class Photograph:
 
 def begin_photograph(scene: SceneFile, run: Run, scale: float) -> Photograph:
     """Begin to draw a scene, `scale` times as large as `mcrim render`; by the run's variant."""
-    job = {
-        "path": str(scene.path),
-        "text": scene.unwritten_text,
-        "overrides": dict(scene.overrides),
-        "variant": run.variant,
-        "threads": run.threads,
-        "scale": scale,
-    }
+    job = scene, Run(variant=run.variant, threads=run.threads), scale
     command = [sys.executable, "-m", "mcrim_mitsuba.output.photograph"]
     try:
         with tempfile.TemporaryFile() as stdin:  # a pipe would have to be written meanwhile
-            stdin.write(json.dumps(job).encode())
+            pickle.dump(job, stdin)
             stdin.seek(0)
             pipe = subprocess.PIPE
             return Photograph(subprocess.Popen(command, stdin=stdin, stdout=pipe, stderr=pipe))
@@ -559,14 +552,9 @@ def begin_photograph(scene: SceneFile, run: Run, scale: float) -> Photograph:
 
 def main() -> int:
     """Draw what standard input asks for; the PNG goes to standard output."""
-    job = json.load(sys.stdin)
     try:
-        scene = read_scene(job["path"])
-        if job["text"] is not None:
-            scene = scene.edited(job["text"])
-        scene = scene.with_overrides(job["overrides"])
-        run = Run(variant=job["variant"], threads=job["threads"])
-        picture = render(scene, scale=job["scale"], run=run)
+        scene, run, scale = pickle.load(sys.stdin.buffer)
+        picture = render(scene, scale=scale, run=run)
     except InputError as error:
         print(error.problem, file=sys.stderr)
         return _REFUSED
