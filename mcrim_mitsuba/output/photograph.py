@@ -295,7 +295,7 @@ def label_parts(
 #: Variants that know colours.
 VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 #: Light paths per pixel.
-SAMPLES = 24
+SAMPLES = 16
 #: Left, top, width and height of the photographs of the bench, of its lower edge and of its
 #: parts, in pixels of the full sheet; what is right of the parts belongs to their labels.
 BENCH_PANEL = (0, 100, 890, 590)

@@ -106,7 +106,7 @@ FLOOR = 0.75
 #: Interfaces that light meets before it is given up.
 DEEPEST = 24
 #: Light paths per pixel that run together, and fill it evenly.
-TOGETHER = 12
+TOGETHER = 8
 #: Ratios of indices closer to 1 than this do not refract.
 _ALIKE = 1e-4
 #: Pixels over which noise is averaged, and over which it is measured.
