@@ -397,7 +397,7 @@ def crosscheck(scene, overrides, run, json_file) -> int:
     "PICTURE.png", "The picture, a .png of 1800 x 1150 pixels.", "picture", required=True
 )
 @options.defines
-@option("--samples", Whole(1, 4096), "Light paths per pixel: more are smoother (default: 12).")
+@option("--samples", Whole(1, 4096), "Light paths per pixel: more are smoother (default: 16).")
 @options.run
 @options.json_output
 def render(scene, picture, overrides, samples, run, json_file) -> None:
