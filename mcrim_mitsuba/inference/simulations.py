@@ -22,13 +22,14 @@ from mcrim_mitsuba.core.rounding import number
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
 from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.efficiency.proposals import Beyond
 from mcrim_mitsuba.efficiency.response_maker import (
     EFFECT_PHOTONS,
     PLAIN_FACTOR,
-    Beyond,
     ResponseMaker,
 )
 from mcrim_mitsuba.efficiency.responses import Anchor, Responses
+from mcrim_mitsuba.efficiency.schedule import Schedule
 from mcrim_mitsuba.inference.drivers import Minimum, find_minima, newton
 from mcrim_mitsuba.inference.explanations import Models, plausible_priors
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model, result_of
@@ -130,7 +131,7 @@ class CampaignSimulations:
             photons = max(enough if photons is None else min(enough, photons), 1)
         self.run = replace(run, photons=photons)
         self._start = time.perf_counter()
-        self._makers: list[ResponseMaker] = []
+        self._schedules: list[Schedule] = []
         self._models: CampaignModels | None = None
         # of the campaign's own effects; whether one is needed is known once there are models
         self._anchor: Anchor | None = None
@@ -298,7 +299,7 @@ class CampaignSimulations:
         maker = ResponseMaker(
             campaign, replace(self.run, photons=photons), what, beyond=self._beyond
         )
-        self._makers.append(maker)
+        self._schedules.append(maker.schedule)
         return maker
 
     def proposals(self) -> MeasurementProposals:
@@ -392,12 +393,12 @@ class CampaignSimulations:
         """What was spent so far."""
         from mcrim_mitsuba.transport.variants import versions
 
-        of_caches = [note for maker in self._makers for note in maker.notes]
-        of_caches += self.maker.said
+        of_caches = [note for schedule in self._schedules for note in schedule.notes]
+        of_caches += self.maker.notes
         return Provenance(
             seed=self.run.seed,
-            photons=sum(maker.photons for maker in self._makers),
-            cached_photons=sum(maker.cached_photons for maker in self._makers),
+            photons=sum(schedule.photons for schedule in self._schedules),
+            cached_photons=sum(schedule.cached_photons for schedule in self._schedules),
             scene_hash=self.campaign.scene.content_hash,
             versions=versions(self.run.variant, self.run.threads),
             seconds=time.perf_counter() - self._start,
