@@ -481,7 +481,7 @@ def test_what_mirrors_and_masks_send_back_answers_for_other_reflectances(bench):
         ("mirror", "detector_specular", "detector_hits", 0.2),
         ("housing", "housing_reflectance", "mask_hits", 0.05),
     ):
-        records = record(bench(effect, narrow), (column, "mask_radius_mm"), seed=60)
+        records = record(bench(effect, narrow), (column, "mask_radius_mm"), seed=61)
         hits = records.further[column].astype(float)
         direct = bench(effect, narrow | {name: low}).collect(10**6, seed=44)
         factor = KNOWN[f"{effect}_reflection" if effect == "housing" else name].weight

@@ -122,9 +122,9 @@ def test_lanes_and_their_photons_draw_unrelated_numbers(mi):
         rng = numbers.generator(mi.UInt32(0), mi.UInt32(0), 1)
         draws += [np.array(rng.next_float32(), dtype=float) for _ in range(13)]
         for event in ((0, 0), (0, 1), (1, 0)):
-            draws += np.array(numbers.uniforms(*map(mi.UInt32, event)), dtype=float)
+            draws += list(np.array(numbers.uniforms(*map(mi.UInt32, event)), dtype=float))
     for serial in range(13):
-        draws += np.array(numbers.uniforms(mi.UInt32(serial), mi.UInt32(9)), dtype=float)
+        draws += list(np.array(numbers.uniforms(mi.UInt32(serial), mi.UInt32(9)), dtype=float))
     p_values = [chisquare(np.histogram(drawn, 64, (0, 1))[0]).pvalue for drawn in draws]
     # p-values of a good generator are uniform themselves: too good is bad as well
     assert kstest(p_values, "uniform").pvalue > 1e-3
