@@ -368,7 +368,12 @@ def _check_below(lines: Sequence[_Line], columns: _Columns) -> None:
 
 
 def _check(line: _Line, between: _Line | None, columns: _Columns) -> None:
-    """Refuse a line beside the table that may belong to it; `between` is text on the way there."""
+    """Refuse a line beside the table that may belong to it; `between` is text on the way there.
+
+    A spoilt line is refused if it touches the table or has as many cells. A row of as many cells
+    is refused for the text between, any other for its number of cells, but for a single number
+    beyond text.
+    """
     cells, wanted = len(line.cells), columns.number
     if line.kind == SPOILT and (between is None or cells == wanted):
         raise _spoilt(line, columns)

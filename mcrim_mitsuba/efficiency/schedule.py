@@ -142,7 +142,9 @@ class Schedule:
         self._rests_on[result] = {table.run.identity for table in wanted}
 
     def tables(self, wanted: Sequence[WantedTable]) -> Mapping[int, EtaGrid]:
-        """The wanted tables by number; those of one simulation are made together.
+        """All tables made so far by number, the wanted ones among them.
+
+        Those of one simulation are made together.
 
         Raises InputError if a scene is not sound, or leaks.
         """
@@ -152,9 +154,11 @@ class Schedule:
             if table.number not in self._made:
                 missing.setdefault(table.run.identity, {})[table.number] = table
         # the first of every scene before all others: processes compile unlike kernels then
-        first = {of.scene_hash: of for of in reversed(missing)}.values()
-        ordered = sorted(missing, key=lambda of: of not in first)
-        groups = [list(missing[of].values()) for of in ordered]
+        first: dict[str, Identity] = {}
+        for identity in missing:
+            first.setdefault(identity.scene_hash, identity)
+        ordered = sorted(missing, key=lambda identity: identity not in first.values())
+        groups = [list(missing[identity].values()) for identity in ordered]
         errors: list[float] = []
 
         def report(what: str, done: int, total: int, note: str = "") -> None:
