@@ -6,7 +6,7 @@ import signal
 import time
 
 import pytest
-from app_page import KEYS, LONGEST_SIMULATION_S, running
+from app_page import KEYS, LONGEST_SIMULATION_S, PHOTONS, running
 
 
 @pytest.fixture
@@ -22,8 +22,9 @@ def campaign(scenes, tmp_path):
 
 
 def test_jobs_wait_and_stop(browser, scenes):
-    # all of it is simulated, so that there is time to press Stop
-    with running(scenes / "camoo4_misfit.toml", "off", browser, settled=False) as app:
+    # all of it is simulated, with many photons, so that there is time to press Stop
+    campaign = scenes / "camoo4_misfit.toml"
+    with running(campaign, "off", browser, 32 * PHOTONS, settled=False) as app:
         status = lambda: browser.text("#status")  # noqa: E731
         browser.wait_for(lambda: status().startswith("simulating the bench"), "simulation")
         browser.find("#stop").click()
