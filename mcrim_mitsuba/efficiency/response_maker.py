@@ -2,7 +2,7 @@
 
 Every configuration is simulated once as it is, with a mask that covers nothing: what its photons
 met answers every smaller aperture, and every effect that only weights photons. Other effects are
-simulated at their nodes. All runs follow the same photons, so that what they have in common
+simulated at their nodes. All runs draw the same random numbers, so that what they have in common
 cancels, and batches of one number belong together.
 """
 

@@ -15,7 +15,6 @@ cosine.
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -41,7 +40,7 @@ from mcrim_mitsuba.transport.scene_model import DETECTOR, OUTSIDE, SceneModel, c
 #: Rounds of the cipher that spreads the lanes' seeds over all states.
 HASH_ROUNDS = 8
 #: Of the lattice, per coordinate: three of the position, two of the direction, the angle of
-#: polarisation, the wavelength, the path to the first scattering; others are not used yet.
+#: polarisation, the wavelength; others are not used yet.
 GENERATORS = (1, 182_667, 469_891, 498_753, 110_745, 446_247, 250_185, 118_627, 245_333, 283_199)
 
 
@@ -52,56 +51,54 @@ def seed_words(count: int, *seed: int) -> list[int]:
     return np.random.SeedSequence(halves).generate_state(count, np.uint32).tolist()
 
 
-class PhotonNumbers:
-    """Random numbers of every event of a lane's photons: scatterings and reflections, by number.
+def lane_generators(lanes: int, *seed: int):
+    """Independent generators (``mitsuba.PCG32``), one per lane.
 
-    They depend on the photon and on the event's number in its life, and not on what was drawn
-    before. So in two scenes that differ a little, in flights that pass over reflections or do not,
-    and in light that is polarised or is not, most photons do the same, and differences of eta are
-    known far better than the etas. `seed` is as of `seed_words`.
+    PCG32's own way of making many generators numbers their streams 0, 1, 2, ..., and
+    such neighbours draw visibly correlated numbers (a chi-square test across lanes fails
+    at once). So start and stream of every lane are hashed from its number and the seed, as in
+    Mitsuba's independent sampler (F. Zafar et al., GPU random numbers via the tiny
+    encryption algorithm, HPG 2010). `seed` is as of `seed_words`.
+    """
+    start, start_too, stream, stream_too = (
+        opaque([word], mi.UInt32) for word in seed_words(4, *seed)
+    )
+    lane = dr.arange(mi.UInt32, lanes)
+    return mi.PCG32(
+        initstate=mi.sample_tea_64(lane ^ start, start_too, HASH_ROUNDS),
+        initseq=mi.sample_tea_64(lane ^ stream, stream_too, HASH_ROUNDS),
+    )
 
-    The hash is pcg4d of M. Jarzynski and M. Olano, J. Comput. Graph. Tech. 9 (2020) 3, 20; lanes
-    get their keys as those of Mitsuba's independent sampler (F. Zafar et al., GPU random numbers
-    via the tiny encryption algorithm, HPG 2010).
+
+class PhotonSeeds:
+    """States from which a lane's generator starts, one for each of the lane's photons.
+
+    With these a photon's numbers do not depend on how many the photons before it took: in two
+    scenes that differ a little, most photons do the same, and differences of eta are known far
+    better than the etas. `seed` is as of `seed_words`.
     """
 
     def __init__(self, lanes: int, *seed: int) -> None:
-        low, high, self._word = (opaque([word], mi.UInt32) for word in seed_words(3, *seed))
+        words = [opaque([word], mi.UInt32) for word in seed_words(2, *seed)]
         lane = dr.arange(mi.UInt32, lanes)
-        self._low, self._high = mi.sample_tea_32(lane ^ low, high, HASH_ROUNDS)
+        self._low, self._high = mi.sample_tea_32(lane ^ words[0], words[1], HASH_ROUNDS)
         dr.eval(self._low, self._high)
 
-    def words(self, serial, event, series: int = 0) -> list:
-        """Four UInt32 for event number `event` of every lane's photon number `serial` (UInt32)."""
-        words = [
-            self._low + serial * mi.UInt32(0x9E3779B9),
-            self._high + serial * mi.UInt32(0x85EBCA6B),
-            event,
-            self._word + mi.UInt32(series),
-        ]
-        words = [word * mi.UInt32(1664525) + mi.UInt32(1013904223) for word in words]
-        _stir(words)
-        words = [word ^ (word >> 16) for word in words]
-        _stir(words)
-        return words
-
-    def uniforms(self, serial, event, series: int = 0) -> list:
-        """The same as four numbers even in [0, 1) (Float)."""
-        return [mi.Float(word >> 8) * 2.0**-24 for word in self.words(serial, event, series)]
-
-    def generator(self, serial, event, series: int = 0):
-        """A generator (``mitsuba.PCG32``) for what takes more numbers than are known beforehand."""
-        low, high, stream, stream_too = self.words(serial, event, series)
-        numbers = mi.PCG32()
-        numbers.state = mi.UInt64(low) | (mi.UInt64(high) << 32)
-        numbers.inc = mi.UInt64(stream | 1) | (mi.UInt64(stream_too) << 32)
-        return numbers
+    def state(self, serial):
+        """State (UInt64) for every lane's photon number `serial` (UInt32)."""
+        low = _mixed(self._low + serial * mi.UInt32(0x9E3779B9))
+        high = _mixed(self._high + serial * mi.UInt32(0x85EBCA6B))
+        return mi.UInt64(low) | (mi.UInt64(high) << 32)
 
 
-def _stir(words: list) -> None:
-    """Add to every one of four words (UInt32) a product of others."""
-    for i, (j, k) in enumerate(((1, 3), (2, 0), (0, 1), (1, 2))):
-        words[i] += words[j] * words[k]
+def _mixed(word):
+    """A permutation of 32-bit words whose every output bit depends on all input bits.
+
+    C. Wellons, "Prospecting for hash functions" (2018), lowbias32.
+    """
+    word = (word ^ (word >> 16)) * mi.UInt32(0x7FEB352D)
+    word = (word ^ (word >> 15)) * mi.UInt32(0x846CA68B)
+    return word ^ (word >> 16)
 
 
 class BirthLattice:
@@ -118,15 +115,6 @@ class BirthLattice:
             for first, second in zip(words[::2], words[1::2], strict=True)
         ]
         dr.eval(self._shift)
-
-    def of_slots(self, lane) -> BirthLattice:
-        """The lattice of photons that are numbered otherwise, by the `lane` (UInt32) of each."""
-        other = copy.copy(self)
-        other._rank, other._stride = (
-            dr.gather(mi.UInt32, w, lane) for w in (self._rank, self._stride)
-        )
-        other._shift = [dr.gather(mi.UInt32, words, lane) for words in self._shift]
-        return other
 
     def mirrored(self, serial):
         """Bit-mirrored number (UInt32) of every lane's photon number `serial` (UInt32)."""
@@ -265,14 +253,12 @@ class CrystalVolume:
         minus_log = dr.select(rest == 1.0, x, -dr.log(rest) * x / (1.0 - rest))
         return dr.clip(minus_log / self._length_in_depths, LEAST_DEPTH, 1.0)
 
-    def sample(self, a, b, c):
-        """Births (Point3f, mm) in any closed solid from three uniforms (Float) each.
+    def sample(self, rng, count: int):
+        """`count` births (Point3f, mm) in any closed solid, by rejection.
 
-        Raises InputError if there is no volume to be born in.
+        `rng` (``mitsuba.PCG32`` of this width) is advanced in place.
         """
-        if self.direct:
-            return self.from_uniforms(a, b, c)
-        point, rounds = self._searched(a, b, c)
+        point, rounds = self._searched(rng, count)
         if int(dr.max(rounds)[0]) >= MOST_ROUNDS:
             raise InputError(
                 f"the shapes around medium {self.model.volumes[self.volume].name!r} enclose no "
@@ -282,39 +268,37 @@ class CrystalVolume:
         return point
 
     def born_from(self, a, b, c):
-        """As `sample`, but unchecked, so that it may stand in a kernel."""
-        return self.from_uniforms(a, b, c) if self.direct else self._searched(a, b, c)[0]
+        """A birth (Point3f, mm) in any closed solid that three uniforms (Float) fix.
 
-    def _searched(self, a, b, c):
-        """Births (Point3f, mm) by rejection from the bounding box, and their rounds (UInt32).
-
-        The uniforms are the first candidate's place, so that births fill a solid that hardly
-        differs from its box as they fill the box, and they seed further candidates. After
-        `MOST_ROUNDS` the search was in vain.
+        Where they cannot be its coordinates, they seed the rejection.
         """
-        lower, extent = opaque_vector(self.lower), opaque_vector(self.upper - self.lower)
-        inside = self._sees_itself() if self._solid is None else self._solid.test()
+        if self.direct:
+            return self.from_uniforms(a, b, c)
         bits = [dr.reinterpret_array(mi.UInt32, uniform) for uniform in (a, b, c)]
         start, stream = (mi.sample_tea_64(bits[i], bits[i + 1], HASH_ROUNDS) for i in (0, 1))
+        return self._searched(mi.PCG32(initstate=start, initseq=stream), dr.width(start))[0]
 
-        def candidate(shares):
-            if self._steepness:
-                shares[self._axis] = self._share(shares[self._axis], self._from_high)
-            return mi.Point3f(dr.fma(extent, mi.Point3f(*shares), lower))
+    def _searched(self, rng, count: int):
+        """Births (Point3f, mm) and the rounds they took (UInt32), `MOST_ROUNDS` where in vain."""
+        lower, extent = opaque_vector(self.lower), opaque_vector(self.upper - self.lower)
+        inside = self._sees_itself() if self._solid is None else self._solid.test()
 
         def body(point, searching, rng, rounds):
-            point = dr.select(searching, candidate([rng.next_float32() for _ in range(3)]), point)
+            shares = [rng.next_float32() for _ in range(3)]
+            if self._steepness:
+                shares[self._axis] = self._share(shares[self._axis], self._from_high)
+            candidate = dr.fma(extent, mi.Point3f(*shares), lower)
+            point = dr.select(searching, candidate, point)
             rounds += 1
             searching = searching & ~inside(point) & (rounds < MOST_ROUNDS)
             return point, searching, rng, rounds
 
-        first = candidate([a, b, c])
-        point, _, _, rounds = dr.while_loop(
+        point, _, rng, rounds = dr.while_loop(
             state=(
-                first,
-                ~inside(first),
-                mi.PCG32(initstate=start, initseq=stream),
-                dr.zeros(mi.UInt32, dr.width(start)),
+                dr.zeros(mi.Point3f, count),
+                dr.full(mi.Bool, True, count),
+                rng,
+                dr.zeros(mi.UInt32, count),
             ),
             cond=lambda point, searching, rng, rounds: searching,
             body=body,

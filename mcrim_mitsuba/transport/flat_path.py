@@ -123,7 +123,7 @@ class FlatPath:
     ----------
     folded : FoldedBody or None
         Where flights do that.
-    surfaces_may_absorb : bool
+    surfaces_may_absorb, surfaces_scatter : bool
         As of `surface_physics.SurfaceTables`.
     """
 
@@ -159,6 +159,7 @@ class FlatPath:
         self._walls_alone = _walls_alone(model, solids)
         self._tables = surface_physics.SurfaceTables(*rows_of(model))
         self.surfaces_may_absorb = self._tables.may_absorb
+        self.surfaces_scatter = self._tables.may_scatter
 
     def _number(self, value: float):
         """A number of the kernel; faces that share it also share what is computed from it."""

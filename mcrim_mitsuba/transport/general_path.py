@@ -60,8 +60,8 @@ class GeneralPath:
     ----------
     traced : tuple of int
         Surfaces whose shapes are intersected by Mitsuba; all others are tested in registers.
-    surfaces_may_absorb : bool
-        As of `surface_physics.SurfaceTables`; BSDFs of Mitsuba's own may.
+    surfaces_may_absorb, surfaces_scatter : bool
+        As of `surface_physics.SurfaceTables`; BSDFs of Mitsuba's own may do both.
     """
 
     #: What reports call this path; a scene whose flat faces need no tracing has its own name.
@@ -99,6 +99,7 @@ class GeneralPath:
         self._surface_number = surface_numbers(model)
         self._asks_bsdfs = any(surfaces[number].kind == OTHER for number in self.traced)
         self.surfaces_may_absorb = self._asks_bsdfs or self._tables.may_absorb
+        self.surfaces_scatter = self._asks_bsdfs or self._tables.may_scatter
         self._context = mi.BSDFContext(mi.TransportMode.Importance)
 
     def intersect(self, ray_o, ray_d, last_face, volume):

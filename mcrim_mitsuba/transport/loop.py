@@ -22,8 +22,9 @@ from mcrim_mitsuba.transport import surface_physics as physics
 from mcrim_mitsuba.transport.bulk import (
     BirthLattice,
     CrystalVolume,
-    PhotonNumbers,
+    PhotonSeeds,
     Scattering,
+    lane_generators,
 )
 from mcrim_mitsuba.transport.conversion import opaque, opaque_vector
 from mcrim_mitsuba.transport.convex import NO_FACE
@@ -38,13 +39,6 @@ if TYPE_CHECKING:
 #: Weight down to which losses lower a photon's weight. Below it the photon lives or
 #: dies whole, so that faint photons end and every photon's fates still sum to one.
 ANALOGUE_BELOW = 0.1
-
-#: Series of a photon's random numbers besides the one of its scatterings and reflections: the angle
-#: of its polarisation, and what rough faces take.
-_TURN, _ROUGH = 1, 2
-#: Bits of an event's number that count surfaces since the last scattering, those passed over
-#: included. So light that meets more of them on its way to a scattering scatters alike.
-_BOUNCES = 0xFFFF
 
 SURFACE_FATES = {
     physics.DETECTED: "detected",
@@ -71,8 +65,7 @@ class Photon:
     history: Any  #: what records keep of the flights (`RecordStore.nothing`)
     left: mi.UInt32  #: photons the lane has yet to follow, this one included
     serial: mi.UInt32  #: number of this one in the lane
-    event: mi.UInt32  #: scatterings so far, and behind them surfaces met since (`_BOUNCES`)
-    depth: mi.Float  #: optical depth that is left until it scatters
+    rng: mi.PCG32  #: starts from a state of its own for every photon
     fates: dict  #: weight that met each frequent fate, all photons of the lane so far
     absorbed: dict  #: weight absorbed in each volume that absorbs, likewise
 
@@ -179,7 +172,8 @@ class Loop:
         self.store = None if columns is None else RecordStore(emitter, photons, columns)
         assert trails is None or path.folded is None
         self.trails, self._tangent = trails, tangent
-        self._numbers = PhotonNumbers(lanes, seed, number)
+        self._rng = lane_generators(lanes, seed, number)
+        self._seeds = PhotonSeeds(lanes, seed, number, 2)
         self._lattice = BirthLattice(plan, seed, number)
         self._lane = dr.arange(mi.UInt32, lanes)
         self._first_slot = opaque(plan.first_slot, mi.UInt32)
@@ -187,11 +181,8 @@ class Loop:
         self._aim = None if emitter.aim is None else opaque_vector(emitter.aim)
         self._births = None
         if not emitter.direct:
-            lane = np.repeat(np.arange(lanes), plan.photons)
-            serial = np.arange(photons) - plan.first_slot[lane]
-            lattice = self._lattice.of_slots(opaque(lane, mi.UInt32))
-            point = lattice.mirrored(opaque(serial, mi.UInt32))
-            self._births = emitter.sample(*(lattice.coordinate(point, j) for j in range(3)))
+            rng = lane_generators(photons, seed, number, 1)
+            self._births = emitter.sample(rng, photons)
             dr.eval(self._births)
             self._last_slot = opaque([photons - 1], mi.UInt32)
         self._frequent = _frequent_fates(path)
@@ -226,6 +217,7 @@ class Loop:
         born = mi.warp.square_to_uniform_sphere(mi.Point2f(u, v))
         if self._aim is not None:
             born = self._aim + dr.zeros(mi.Vector3f, lanes)
+        self._rng.state = self._seeds.state(zero)
         field = None
         if self.path.polarization:
             turn = self._lattice.coordinate(point, 5)
@@ -241,15 +233,20 @@ class Loop:
             history=None if self.store is None else self.store.nothing(lanes),
             left=opaque(self.plan.photons, mi.UInt32),
             serial=dr.zeros(mi.UInt32, lanes),
-            event=dr.zeros(mi.UInt32, lanes),
-            depth=-dr.log(1.0 - self._lattice.coordinate(point, 7)),
+            rng=self._rng,
             fates={code: dr.zeros(mi.Float, lanes) for code in self._frequent},
             absorbed={number: dr.zeros(mi.Float, lanes) for number in self._absorb},
         )
 
     def step(self, p: Photon) -> Photon:
         """One free flight and what follows from it."""
-        path, polarized = self.path, self.path.polarization
+        path, polarized, rng = self.path, self.path.polarization, p.rng
+
+        # ---------------- random numbers, in this order whatever the step will need
+        free, survive, u, v = (rng.next_float32() for _ in range(4))
+        turn = rng.next_float32() if polarized else None
+        # only a surface that scatters needs a choice besides what else scattering takes
+        choice = rng.next_float32() if path.surfaces_scatter else u
 
         # ---------------- flight: straight to the next scattering or surface
         inside = [p.volume == number for number in range(len(path.model.volumes))]
@@ -258,7 +255,7 @@ class Loop:
         # A volume that is closed has a face ahead in every direction, scattering or not.
         nowhere = ahead == dr.inf
         drawn = dr.detach(a_s)
-        to_scatter = p.depth / drawn
+        to_scatter = -dr.log(1.0 - free) / drawn
         colour = None
         if self._scattering.coloured and self._aim is None:
             colour = self._lattice.coordinate(self._lattice.mirrored(p.serial), 6)
@@ -276,13 +273,6 @@ class Loop:
             reached = dr.select(scatters, mi.UInt32(NO_FACE), met)
             position, arriving, folds = path.folded.folded(p.o, p.d, distance, reached, mine)
             onwards = mine & ~scatters & (met == NO_FACE)
-
-        # ---------------- random numbers of the event at its end, of which each takes some
-        passed = p.event if folds is None else p.event + folds
-        event = dr.select(scatters, (p.event | _BOUNCES) + 1, passed + 1)
-        choice, survive, u, v = self._numbers.uniforms(p.serial, event)
-        turn = self._numbers.uniforms(p.serial, event, _TURN)[0] if polarized else None
-        rng = self._numbers.generator(p.serial, event, _ROUGH)
 
         # ---------------- absorption in the volume: by weight; of faint photons some whole
         transmitted = dr.exp(-a_a * distance)
@@ -351,10 +341,7 @@ class Loop:
             scattered = dr.select(ended, self._aim, scattered)
         # A new photon and a scattered one are unpolarised alike.
         fresh = ended | ~(at_surface | onwards)
-        # a path is drawn once: surfaces on the way, met or passed over, do not change it
-        free = dr.select(ended, self._lattice.coordinate(point, 7), choice)
-        ahead_of_it = dr.maximum(dr.fma(-drawn, weighted, p.depth), 0.0)
-        depth = dr.select(ended | scatters, -dr.log(1.0 - free), ahead_of_it)
+        rng.state = dr.select(ended, self._seeds.state(serial), rng.state)
         field = None
         if polarized:
             turn = dr.select(ended, self._lattice.coordinate(point, 5), turn)
@@ -394,8 +381,7 @@ class Loop:
             history=history,
             left=left,
             serial=serial,
-            event=dr.select(ended, 0, dr.select(onwards, passed, event)),
-            depth=depth,
+            rng=rng,
             fates=fates,
             absorbed=absorbed,
         )

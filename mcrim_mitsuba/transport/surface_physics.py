@@ -77,6 +77,8 @@ class SurfaceTables:
     ----------
     may_absorb : bool
         Whether a surface can take light that is counted neither as mask nor as reflector.
+    may_scatter : bool
+        Whether a surface takes a choice and a random direction.
     """
 
     def __init__(self, surfaces, normals) -> None:
@@ -92,6 +94,7 @@ class SurfaceTables:
         self._film = next((FilmTerms.of(s.film) for s in surfaces if s.film is not None), None)
         losses = {"surface_loss", "angular_falloff", "least_cosine"}
         self.may_absorb = self._film is not None or not losses.isdisjoint(columns)
+        self.may_scatter = "reflectance" in columns or "mask_reflectance" in columns
         # small integers are exact in single precision
         rows = np.array(
             [

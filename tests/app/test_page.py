@@ -24,7 +24,7 @@ def campaign(scenes, tmp_path):
 def test_jobs_wait_and_stop(browser, scenes):
     # all of it is simulated, with many photons, so that there is time to press Stop
     campaign = scenes / "camoo4_misfit.toml"
-    with running(campaign, "off", browser, 32 * PHOTONS, settled=False) as app:
+    with running(campaign, "off", browser, 16 * PHOTONS, settled=False) as app:
         status = lambda: browser.text("#status")  # noqa: E731
         browser.wait_for(lambda: status().startswith("simulating the bench"), "simulation")
         browser.find("#stop").click()

@@ -182,7 +182,7 @@ def test_impossible_outputs_are_refused_before_any_work(mcrim, monkeypatch, camp
         "efficiency.table.eta_table",
         "inference.repair.repair",
         "inference.calibrate.calibrate",
-        "inference.compare.compare",
+        "inference.compare.comparison_of",
         "reference.crosscheck.crosscheck",
         "inference.diagnose.diagnose",
         "transport.simulation.check_scene",

@@ -21,7 +21,7 @@ from mcrim_mitsuba.optics.fresnel import reflectance
 from mcrim_mitsuba.output.cross_section import cross_section
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.transport.bulk import PhotonNumbers
+from mcrim_mitsuba.transport.bulk import lane_generators
 from mcrim_mitsuba.transport.convex import convex_solids
 from mcrim_mitsuba.transport.simulation import Simulation, check_scene
 
@@ -435,8 +435,7 @@ def test_births_fill_a_chamfered_crystal_evenly(write):
     crystal = simulation.crystal
     assert not crystal.direct
     count = 200_000
-    uniforms = PhotonNumbers(count, 5).uniforms(mi.UInt32(0), mi.UInt32(0))
-    points = np.array(crystal.sample(*uniforms[:3]), dtype=float)
+    points = np.array(crystal.sample(lane_generators(count, 5), count), dtype=float)
     inset = 5.0 - np.abs(points - [[0], [0], [5]])
     pairs = np.array([inset[0] + inset[1], inset[1] + inset[2], inset[2] + inset[0]])
     assert inset.min() > -1e-5 and pairs.min() > 1.0 - 1e-5

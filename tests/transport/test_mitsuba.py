@@ -20,7 +20,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.eta_surface import record_surface
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.transport.bulk import PhotonNumbers
+from mcrim_mitsuba.transport.bulk import lane_generators
 from mcrim_mitsuba.transport.simulation import Simulation
 from mcrim_mitsuba.transport.variants import ENVIRONMENT_VARIABLE, selected_llvm, use_variant
 
@@ -46,7 +46,7 @@ def load(mi, scenes):
 
 def sampled(mi, emitter, count=50_000):
     """Rays (Ray3f) and weights from a scene or an emitter of a scene."""
-    rng = PhotonNumbers(count, 3).generator(mi.UInt32(0), mi.UInt32(0))
+    rng = lane_generators(count, 3)
     one, *four = (rng.next_float32() for _ in range(5))
     sample = getattr(emitter, "sample_emitter_ray", None) or emitter.sample_ray
     return sample(0.0, one, mi.Point2f(*four[:2]), mi.Point2f(*four[2:]), True)[:2]

@@ -10,7 +10,7 @@ from scipy.stats import chisquare, kstest
 
 from mcrim_mitsuba.output.photograph import render
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.transport.bulk import PhotonNumbers
+from mcrim_mitsuba.transport.bulk import PhotonSeeds, lane_generators
 from mcrim_mitsuba.transport.collection import Recorder, follow_trails
 from mcrim_mitsuba.transport.conversion import read_scene_model
 from mcrim_mitsuba.transport.launch_plan import LANES, SHARE_STEPS, ScatteringProposals
@@ -39,10 +39,11 @@ def test_mitsubas_own_switch_of_variant_keeps_the_plugins(scenes, mi, variant):
 def test_births_fill_the_crystal_and_nothing_else(scenes, mi):
     """Uniform in each coordinate: chi-square over ten slices at a false-alarm level of 1e-4."""
     crystal = Simulation(scenes / "camoo4.xml", {"crystal_height_mm": 20}).crystal
-    *uniforms, _ = PhotonNumbers(50_000, 1).uniforms(mi.UInt32(0), mi.UInt32(0))
-    for frame in (crystal.frame, None):
-        crystal.frame = frame  # without it, by rejection
-        point = crystal.sample(*uniforms)
+    rng = lane_generators(50_000, 1)
+    for point in (
+        crystal.from_uniforms(*(rng.next_float32() for _ in range(3))),
+        crystal.sample(rng, 50_000),
+    ):
         for axis, (low, high) in enumerate(((-5, 5), (-5, 5), (0, 20))):
             counts, _ = np.histogram(np.array(point[axis]), bins=10, range=(low, high))
             assert counts.sum() == 50_000
@@ -118,13 +119,12 @@ def test_lanes_and_their_photons_draw_unrelated_numbers(mi):
     """
     lanes, draws = 16_384, []
     for seed in ((0, 0), (0, 1), (1, 0), (2, 7)):
-        numbers = PhotonNumbers(lanes, *seed)
-        rng = numbers.generator(mi.UInt32(0), mi.UInt32(0), 1)
-        draws += [np.array(rng.next_float32(), dtype=float) for _ in range(13)]
-        for event in ((0, 0), (0, 1), (1, 0)):
-            draws += list(np.array(numbers.uniforms(*map(mi.UInt32, event)), dtype=float))
-    for serial in range(13):
-        draws += list(np.array(numbers.uniforms(mi.UInt32(serial), mi.UInt32(9)), dtype=float))
+        rng = lane_generators(lanes, *seed)
+        draws += [np.array(rng.next_float32(), dtype=float) for _ in range(25)]
+    seeds = PhotonSeeds(lanes, 2, 7)
+    for serial in range(25):
+        rng.state = seeds.state(mi.UInt32(serial))
+        draws += [np.array(rng.next_float32(), dtype=float) for _ in range(2)]
     p_values = [chisquare(np.histogram(drawn, 64, (0, 1))[0]).pvalue for drawn in draws]
     # p-values of a good generator are uniform themselves: too good is bad as well
     assert kstest(p_values, "uniform").pvalue > 1e-3

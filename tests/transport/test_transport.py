@@ -25,7 +25,7 @@ from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport import collection, dielectric
 from mcrim_mitsuba.transport import loop as transport
 from mcrim_mitsuba.transport import surface_physics as physics
-from mcrim_mitsuba.transport.bulk import PhotonNumbers
+from mcrim_mitsuba.transport.bulk import lane_generators
 from mcrim_mitsuba.transport.launch_plan import LANES, plan_lanes
 from mcrim_mitsuba.transport.scene_model import DIELECTRIC, Surface
 from mcrim_mitsuba.transport.simulation import Simulation
@@ -337,6 +337,5 @@ def test_tables_do_not_lose_the_light_that_takes_long(scenes):
 
 
 def test_seeds_beyond_32_bits_are_seeds_of_their_own():
-    zero = use_variant().UInt32(0)
-    first, second = (PhotonNumbers(8, *of) for of in ((3, 5), (5 * 2**32 + 3, 0)))
-    assert not np.array_equal(*(np.array(of.uniforms(zero, zero)) for of in (first, second)))
+    first, second = lane_generators(8, 3, 5), lane_generators(8, 5 * 2**32 + 3, 0)
+    assert not np.array_equal(np.array(first.state), np.array(second.state))
