@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mcrim_mitsuba.campaign.campaign import Campaign
-from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.efficiency.eta_grid import Grid
 from mcrim_mitsuba.transport.launch_plan import SHARE_STEPS, ScatteringProposals
+
+if TYPE_CHECKING:
+    from mcrim_mitsuba.campaign.campaign import Campaign
+    from mcrim_mitsuba.campaign.parameter import CampaignParameter
 
 #: Ratio of neighbouring proposals where light scatters a few times; it shrinks where light
 #: scatters often, because the number of scatterings then tells proposals apart.
