@@ -109,11 +109,8 @@ class _Bench(NamedTuple):
     run: PlannedRun
     #: Fine and coarse tables where they follow from a closed form, which needs no photons.
     closed_form: tuple[EtaGrid, EtaGrid] | None
-
-    @property
-    def tables(self) -> tuple[WantedTable, ...]:
-        """Fine and coarse tables that are wanted of it."""
-        return () if self.closed_form else (self.run.table(coarse=False), self.run.table())
+    #: Those that are wanted where they do not.
+    tables: tuple[WantedTable, ...]
 
 
 def _not_dark(table: EtaGrid, photons: int) -> EtaGrid:
@@ -236,10 +233,12 @@ class ResponseMaker:
                 check=self._check,
             )
             closed_form = self._closed_form(reading.label, run) if reading.of_beam else None
-            if closed_form is not None:
+            if closed_form is None:
+                tables: tuple[WantedTable, ...] = run.table(coarse=False), run.table()
+            else:
                 # what effects do to it is simulated
-                run = replace(run, photons=self._effect_photons, check=False)
-            benches.append(_Bench(run, closed_form))
+                run, tables = replace(run, photons=self._effect_photons, check=False), ()
+            benches.append(_Bench(run, closed_form, tables))
         return benches
 
     def _plans(
@@ -284,6 +283,7 @@ class ResponseMaker:
         for number in seeing:
             run = plain[number]
             source, reference = self._sources(effect, run, photons)
+            at_own_acceptance = self._at_own_acceptance(run)
             for place, values in _nodes(axes):
                 changed = self._changed(effect, source, run, values)
                 if further is None:
@@ -291,7 +291,7 @@ class ResponseMaker:
                     continue
                 for i, offset in enumerate(further.values):
                     pair = reference, changed
-                    if self._at_own_acceptance(run):
+                    if at_own_acceptance:
                         angle = further.nominal + offset
                         pair = _within(reference, angle), _within(changed, angle)
                     nodes.append(_Node((*place, i), number, *pair))

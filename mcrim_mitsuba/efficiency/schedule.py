@@ -19,7 +19,7 @@ from mcrim_mitsuba.scene.emitted_light import Colours
 from mcrim_mitsuba.scene.scene_file import SceneFile, ScenePlan
 
 #: Number of what a chunk holds; another layout gets another one.
-_LAYOUT = 3
+_LAYOUT = 2
 
 
 class Identity(NamedTuple):
@@ -157,7 +157,7 @@ class Schedule:
         first: dict[str, Identity] = {}
         for identity in missing:
             first.setdefault(identity.scene_hash, identity)
-        ordered = sorted(missing, key=lambda identity: identity not in first.values())
+        ordered = sorted(missing, key=lambda identity: identity != first[identity.scene_hash])
         groups = [list(missing[identity].values()) for identity in ordered]
         errors: list[float] = []
 
