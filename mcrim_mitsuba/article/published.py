@@ -288,26 +288,16 @@ def compare(
     judged: bool = True,
     remark: str = "",
 ) -> ArticleRow:
-    """A row with its verdict, by `RULE`.
+    """A row with its verdict, by `RULE`; its unit is the printed number's unless given.
 
-    Parameters
-    ----------
-    ours : Derived, Uncertain or float, optional
-        With its rounding, with its statistical and systematic errors, or alone.
-    sigma, systematic : float, optional
-        Errors of ours where it comes alone.
-    difference_sigma : float, optional
-        Standard error of the difference where it is not all three errors in quadrature,
-        because the two numbers share some.
-    rounding : float
-        What the rounding of printed numbers may move ours by; that of a `Derived` by default.
-    unit : str, optional
-        The printed number's when not given.
-    inconsistent : bool
-        The article's own numbers contradict this one: a finding of the reader, recorded in
-        `arithmetic.inconsistencies`, which overrules the rule.
-    judged : bool
-        False where the two numbers stand side by side and need not agree.
+    Ours comes with its rounding (`Derived`), with its statistical and systematic errors
+    (`Uncertain`), or alone, `sigma` and `systematic` being its errors; `rounding` is what that of
+    printed numbers may move it by.
+    `difference_sigma` is the standard error of the difference where it is not all three errors in
+    quadrature, because the two numbers share some.
+    `inconsistent` says that the article's own numbers contradict this one: a finding of the reader,
+    recorded in `arithmetic.inconsistencies`, which overrules the rule. Numbers that stand side by
+    side and need not agree are not `judged`.
     """
     value, errors = _with_errors(ours, sigma, systematic)
     if difference_sigma is None:

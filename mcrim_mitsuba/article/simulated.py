@@ -149,17 +149,10 @@ class Simulated:
 def simulate_article(*, run: Run = Run()) -> Simulated:
     """Run every simulation that the article's numbers need.
 
-    Parameters
-    ----------
-    run : Run
-        Its photons are those of each of the four surfaces; single benches get a tenth.
+    The run's photons are those of each of the four surfaces; single benches get a tenth.
 
-    Raises
-    ------
-    InputError
-        If there are too few photons, or a scene cannot be used.
-    KeyboardInterrupt
-        If the user interrupts: half of the numbers are of no use.
+    Raises InputError if there are too few photons, or a scene cannot be used; KeyboardInterrupt if
+    the user interrupts: half of the numbers are of no use.
     """
     photons = run.photons_or(DEFAULT_PHOTONS)
     if photons < FEWEST_PHOTONS:

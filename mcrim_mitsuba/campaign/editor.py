@@ -314,21 +314,12 @@ def _quoted(cell: str) -> str:
 
 
 def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) -> Campaign:
-    """Reduce a campaign's raw data, and write it in plain numbers where asked.
+    """Reduce a campaign's raw data, and write it in plain numbers where asked: into `output`, TOML.
+
+    Its readings go beside it under the same name, with ``.csv``; files that are there are replaced.
+    Returns the campaign as it was read: its `raw` has all steps.
 
     Raises InputError if a file cannot be used or written, or if the campaign has no raw data.
-
-    Parameters
-    ----------
-    campaign : str, Path or Campaign
-    output : str or Path, optional
-        Where the plain campaign is written (TOML); its readings go beside it under the same
-        name, with ``.csv``. Files that are there are replaced.
-
-    Returns
-    -------
-    Campaign
-        As it was read: its `raw` has all steps.
     """
     campaign = as_campaign(campaign)
     if campaign.raw is None:

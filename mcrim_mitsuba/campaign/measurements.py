@@ -149,20 +149,14 @@ class Measurements:
 def read_table(path: str | Path, scene_parameters: Mapping[str, Value]) -> Measurements:
     """Read a measurement file (CSV), every row checked by itself and beside its namesakes.
 
-    Raises InputError, with file, line and column, if anything cannot be used.
+    It is as instruments and spreadsheets write it: columns separated by commas, semicolons or tabs,
+    decimal points or commas, in the encodings of `core.files.read_table_text`. Columns: label;
+    signal and sigma, or histogram (a file; relative paths begin at this file's folder) with
+    window_low and window_high, or all of them, with the cells of one kind empty; optionally use,
+    group with group_sigma, sample, and any parameters of the scene (`SceneFile.parameters`), cells
+    of the same kind as these. Lines that begin with # are comments.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file, as instruments and spreadsheets write it: columns separated by commas, semicolons
-        or tabs, decimal points or commas, in the encodings of `core.files.read_table_text`.
-        Columns: label; signal and sigma, or histogram (a file; relative paths begin at
-        this file's folder) with window_low and window_high, or all of them, with the cells of
-        one kind empty; optionally use, group with group_sigma, sample, and any scene parameters.
-        Lines that begin with # are comments.
-    scene_parameters : mapping of str to value
-        Parameters of the scene (`SceneFile.parameters`): every further column must be one of them,
-        and its cells of the same kind.
+    Raises InputError, with file, line and column, if anything cannot be used.
     """
     path = Path(path)
     comments, lines, separator = _text_of(path)

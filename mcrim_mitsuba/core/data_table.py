@@ -97,19 +97,12 @@ class DataTable:
 def read_data_table(
     path: str | Path, *, roles: Sequence[str] = (), limit_mb: int = 10
 ) -> DataTable:
-    """Read a table of numbers.
+    """Read a table of numbers from a text of at most so many megabytes, as this module says.
+
+    Messages name columns by their `roles`, in order, where the file does not: what they hold, such
+    as ``("bin centre", "counts")``.
 
     Raises InputError, with file, line and column, if the table cannot be read with certainty.
-
-    Parameters
-    ----------
-    path : str or Path
-        Text; see this module for what is read and what is refused.
-    roles : sequence of str
-        What the columns hold, in order, such as ``("bin centre", "counts")``: messages name
-        columns so where the file does not.
-    limit_mb : int
-        Size of the largest file, in megabytes.
     """
     path, roles = Path(path), tuple(roles)
     texts = read_table_text(path, limit_mb).split("\n")

@@ -33,27 +33,13 @@ def minimise(
     steps: int = 40,
     precision: float = 1e-5,
 ) -> tuple[Array, float, bool]:
-    """Walk downhill from a start.
+    """Walk downhill from a start, which is moved into the bounds; all three are (k,) float64.
 
-    Parameters
-    ----------
-    start : (k,) float64
-        Moved into the bounds.
-    low, high : (k,) float64
-    held : sequence of int
-        Coordinates that stay.
-    longest : (k,) float64 or float
-        Longest step.
-    steps : int
-        Most steps tried.
-    precision : float
-        Ends where no more fall than this is to be expected.
+    Coordinates that are `held` stay, and no step is longer than `longest`, in any of them or in
+    each, (k,). It ends where no more fall than `precision` is to be expected, or after so many
+    `steps`.
 
-    Returns
-    -------
-    x : (k,) float64
-    height : float
-    converged : bool
+    Returns the lowest point, (k,), its height, and whether it has converged.
     """
     x = np.clip(start, low, high)
     height, gradient, curvature = height_at(x)

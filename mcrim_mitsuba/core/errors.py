@@ -20,21 +20,10 @@ _LONGEST_NAME = 200
 class InputError(ValueError):
     """Something the user gave cannot be used.
 
-    Rendered as one line, ``place: what is wrong; how to mend it``, which the
-    command line prints as it is and leaves with exit status 2.
-
-    Parameters
-    ----------
-    problem : str
-        What is wrong, with the value that was given.
-    mend : str
-        What to do about it.
-    path : str or Path, optional
-        The file the input came from.
-    line : int, optional
-        Line in that file, counted from 1.
-    column : str or int, optional
-        Column: a name (CSV) or a position counted from 1 (XML, TOML).
+    Rendered as one line, ``place: what is wrong; how to mend it``, which the command line prints as
+    it is and leaves with exit status 2. The problem has the value that was given. It came from the
+    file `path`, its `line`, counted from 1, and its `column`: a name (CSV) or a position counted
+    from 1 (XML, TOML).
     """
 
     def __init__(
@@ -60,12 +49,8 @@ class InputError(ValueError):
     @property
     def place(self) -> str:
         """``file, line 3, column signal``, or an empty string."""
-        parts = [self.path] if self.path else []
-        if self.line is not None:
-            parts.append(f"line {self.line}")
-        if self.column is not None:
-            parts.append(f"column {self.column}")
-        return ", ".join(parts)
+        parts = {"": self.path or None, "line ": self.line, "column ": self.column}
+        return ", ".join(f"{what}{at}" for what, at in parts.items() if at is not None)
 
     def __str__(self) -> str:
         text = f"{_cut(self.problem)}; {_cut(self.mend, _LONGEST_MEND)}"

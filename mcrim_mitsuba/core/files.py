@@ -418,16 +418,11 @@ def refuse_outputs(
 ) -> None:
     """Refuse output files that could not be written, or would replace what is read.
 
-    Raises InputError before any work is done and without touching a file.
+    `outputs` are files by option, None where it was not given, and `suffixes` those that an
+    option's file must have, if not any; `inputs` are files that the command reads, and folders of
+    which it may read any file.
 
-    Parameters
-    ----------
-    outputs : mapping of str to (str or None)
-        File by option; None where the option was not given.
-    inputs : iterable of str or Path
-        Files that the command reads, and folders of which it may read any file.
-    suffixes : mapping of str to tuple of str, optional
-        Suffixes that an option's file must have, if not any.
+    Raises InputError before any work is done and without touching a file.
     """
     read = [Path(file) for file in inputs]
     taken: dict[Path, str] = {}
@@ -523,20 +518,18 @@ def plain(value: Any) -> Any:
 
     Raises TypeError if it holds something else.
     """
-    if value is None or isinstance(value, str):
+    if value is None or isinstance(value, (str, bool)):
         return value
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, (int, np.integer)):
+    if isinstance(value, (np.generic, np.ndarray)):
+        return plain(value.tolist())
+    if isinstance(value, int):
         return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
         return {str(name): plain(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
     if isinstance(value, PurePath):
         return str(value)
     if is_dataclass(value):

@@ -82,20 +82,12 @@ def said(name: str, value: object) -> str:
 
 
 def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> float:
-    """Finite number from text.
+    """Finite number from text with a decimal point; blanks around it do not matter.
+
+    For the error message, `what` names the quantity, and `place` has ``path``, ``line`` and
+    ``column`` of the text; what is `given` does not stand in that file, and the message says so.
 
     Raises InputError if it is not a finite number; a decimal comma gets its own hint.
-
-    Parameters
-    ----------
-    what : str
-        Name of the quantity, for the error message.
-    text : str
-        The number with a decimal point; blanks around it do not matter.
-    given : bool
-        The text does not stand in the file that `place` names: the message must say so.
-    **place
-        ``path``, ``line``, ``column`` of the text, for the error message.
     """
     stripped = text.strip()
     if not stripped:
@@ -202,19 +194,9 @@ MEANINGFUL = {
 
 
 def judge(name: str, value: float) -> tuple[str, str, str] | None:
-    """What is wrong with a parameter's value; ``None`` where nothing is.
+    """What is wrong with a parameter's value, in the unit that ends its name; None: nothing.
 
-    Parameters
-    ----------
-    name : str
-        Its ending tells the unit.
-    value : float
-        In that unit.
-
-    Returns
-    -------
-    kind, text, mend : tuple of str, or None
-        Kind is ``value``, ``unit``, ``coefficient`` or ``index``.
+    Returns the kind, ``value``, ``unit``, ``coefficient`` or ``index``, the problem and its mend.
     """
     low, high = MEANINGFUL.get(name, (-math.inf, math.inf))
     if not low <= value <= high:

@@ -15,22 +15,11 @@ def pdg(value: float, sigma: float | None) -> str:
 
     Review of Particle Physics, Introduction, section 5.3: where the three highest-order
     digits of the error lie in 100-354, keep two; in 355-949, keep one; in 950-999, round
-    up to 1000 and keep two. The value gets the same last place.
+    up to 1000 and keep two. The value gets the same last place: ``7.5 ± 1.2``, or
+    ``(1.23 ± 0.05)e7`` for very large or small numbers.
 
-    Raises ValueError if `sigma` is negative.
-
-    Parameters
-    ----------
-    value : float
-        The number.
-    sigma : float or None
-        Its standard error in the same unit. None or nan: not known, the value alone is
-        given to four digits; 0: exact, such as a closed form: the same.
-
-    Returns
-    -------
-    str
-        ``7.5 ± 1.2``, or ``(1.23 ± 0.05)e7`` for very large or small numbers.
+    The value alone, to four digits, where the error is not known, None or nan, or 0: of what is
+    exact, such as a closed form. Raises ValueError if it is negative.
     """
     if sigma is None or not math.isfinite(sigma) or not math.isfinite(value):
         unknown = sigma is None or math.isnan(sigma)

@@ -31,16 +31,10 @@ class Progress(Protocol):
     """What is told of a job's progress."""
 
     def __call__(self, what: str, done: int, total: int, note: str = "", /) -> None:
-        """Say how far it is.
+        """Say how far `what` is, the part of the job.
 
-        Parameters
-        ----------
-        what : str
-            The part of the job.
-        done, total : int
-            In photons; in benches, of which `total` are few, where they are solved without any.
-        note : str
-            Units, and the error reached, such as ``12 of 180 units, error 0.3 %``.
+        That is in photons; in benches, of which `total` are few, where they are solved without any.
+        The note is of units, and the error reached: ``12 of 180 units, error 0.3 %``.
         """
 
 

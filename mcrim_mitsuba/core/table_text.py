@@ -45,21 +45,12 @@ def unit_alone(cell: str) -> str | None:
 
 
 def name_and_unit(cell: str) -> tuple[str, str | None]:
-    """A column's name without its unit, and the unit.
+    """A column's name without its unit, as written, and the unit; None without one.
 
-    Parameters
-    ----------
-    cell : str
-        ``Wavelength (nm)``, ``λ/nm``, ``λ, nm``, ``wavelength_nm``, ``Wavelength nm``, ``%T``,
-        ``QE [%]``, ``nm``.
-
-    Returns
-    -------
-    name : str
-        As written; a cell that is only a unit is its own name.
-    unit : str or None
-        ``nm``, ``µm``, ``Å``, ``A``, ``eV``, ``1/cm``, ``%``, ``fraction`` or ``a.u.`` in any of
-        their spellings; another one as written, where it stands in brackets at the end.
+    Cells are as ``Wavelength (nm)``, ``λ/nm``, ``λ, nm``, ``wavelength_nm``, ``Wavelength nm``,
+    ``%T``, ``QE [%]``, or ``nm``, which is its own name. Units are ``nm``, ``µm``, ``Å``, ``A``,
+    ``eV``, ``1/cm``, ``%``, ``fraction`` or ``a.u.`` in any of their spellings; another one as
+    written, where it stands in brackets at the end.
     """
     text = " ".join(unicodedata.normalize("NFKC", cell).split())
     if (alone := unit_alone(text)) is not None:
@@ -189,14 +180,9 @@ def has_decimal_commas(
 ) -> bool:
     """Whether the numbers of a table have decimal commas: one sign all through.
 
-    Raises InputError if both signs are there, or all commas may as well separate thousands.
-
-    Parameters
-    ----------
-    cells : iterable of (int, int or str, str)
-        Line, column and text of every cell that is to be a number.
-    refusal : callable
-        The error of a problem and its mend at a line and a column.
+    `cells` are line, column and text of every cell that is to be a number.
+    Raises the `refusal` of a problem and its mend at a line and a column, an InputError, if both
+    signs are there, or all commas may as well separate thousands.
     """
     comma = point = None
     thousands = True
@@ -235,10 +221,7 @@ def given_separator(line: str) -> str | None:
 def separator_of(lines: Sequence[str]) -> str:
     """What separates the columns: the sign by which most lines are rows of numbers.
 
-    Returns
-    -------
-    str
-        ``;``, a tab, ``,`` or `BLANKS`, which is also the answer for a single column.
+    `BLANKS` is also the answer for a single column.
     """
     tried = lines[:: -(-len(lines) // _MOST_TRIED)] if lines else lines
     alone = sum(len(text.split()) == 1 and is_number(text.strip(' "\t')) for text in tried)
@@ -276,13 +259,7 @@ def without_empty_end(cells: list[str]) -> list[str]:
 
 
 def names_of(text: str, separator: str, columns: int) -> list[str] | None:
-    """Names above so many columns; None where a line holds none.
-
-    Parameters
-    ----------
-    text : str
-        A line above the numbers.
-    """
+    """Names in a line above so many columns of numbers; None where it holds none."""
     cells = split(text, separator)
     if separator == BLANKS and len(cells) != columns:
         cells = _joined(cells)

@@ -79,20 +79,14 @@ class DetectorEfficiency:
 def detector_efficiency(
     emission: Spectrum, quantum_efficiency: Spectrum, scale_sigma: float = TUBE_SCALE_SIGMA
 ) -> DetectorEfficiency:
-    """Quantum efficiency, weighted with the emission spectrum (Eq. 3).
+    """Quantum efficiency, in fractions, weighted with the emission spectrum (Eq. 3).
+
+    The emission is photons (or counts corrected for the spectrometer) per nm, in any unit;
+    `scale_sigma` is the relative standard error that all points of the quantum efficiency share:
+    tubes of one type differ, and so do calibrations.
 
     Raises InputError if the curve does not cover the emission, the emission has no area, or the
     error is no fraction.
-
-    Parameters
-    ----------
-    emission : Spectrum
-        Photons (or counts corrected for the spectrometer) per nm, in any unit.
-    quantum_efficiency : Spectrum
-        Fractions.
-    scale_sigma : float
-        Relative standard error that all points of the quantum efficiency share: tubes of one
-        type differ, and so do calibrations.
     """
     if not 0 <= scale_sigma < 1:
         problem = f"the tube's scale error is {scale_sigma:g}"

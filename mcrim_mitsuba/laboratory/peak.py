@@ -50,21 +50,16 @@ def fit_peak(
 ) -> Peak | None:
     """Fit the main peak: of the large ones that of the highest value; None if none stands out.
 
-    The pedestal, and peaks of escaping quanta, lie below it. The window is chosen about the
+    The pedestal, and peaks of escaping quanta, lie below it. `values` are bin centres, ascending,
+    all bins of one width, and `counts` numbers of events, (bins,) float64.
+
+    The shape is "counting", which needs bins of whole numbers; "gaussian"; or "auto": "counting"
+    for bins of whole numbers, "gaussian" for others, and for whole numbers that cannot be photons:
+    a Gaussian fits, narrower than the square root of its centroid, and "counting" does not.
+    The window is the lowest and the highest bin centre to fit; unless given, it is chosen about the
     centroid, but not beyond the valleys to other peaks.
 
     Raises InputError if the shape is not known or not possible, or the window cannot be used.
-
-    Parameters
-    ----------
-    values, counts : (bins,) float64
-        Bin centres, ascending, all bins of one width, and numbers of events.
-    shape : str
-        "counting", which needs bins of whole numbers; "gaussian"; or "auto": "counting" for bins
-        of whole numbers, "gaussian" for others, and for whole numbers that cannot be photons: a
-        Gaussian fits, narrower than the square root of its centroid, and "counting" does not.
-    window : (float, float), optional
-        Lowest and highest bin centre to fit; without it, it is chosen.
     """
     whole = numbers_per_bin(values) is not None
     _check(values, shape, window, whole)

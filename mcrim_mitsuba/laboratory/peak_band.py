@@ -217,12 +217,7 @@ class WidthParts:
 def width_parts(peak: Peak, source: str, rms: float, rms_sigma: float) -> WidthParts:
     """The width of a peak in photoelectrons, by its origins.
 
-    Parameters
-    ----------
-    source : str
-        Where gammas stop, in words.
-    rms, rms_sigma : float
-        Relative rms of eta over these places, and its standard error.
+    `source` says in words where gammas stop; `rms` is the relative one of eta over these places.
     """
     n, n_sigma = peak.centroid, peak.centroid_sigma
     total = (peak.width / n) ** 2

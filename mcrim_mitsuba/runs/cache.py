@@ -39,16 +39,11 @@ _LIBRARIES = frozenset({"drjit", "iminuit", "matplotlib", "mitsuba", "numpy", "s
 def record_versions(variant: str, *modules: str) -> dict[str, str]:
     """Versions of everything that results depend on, as a part of a cache's key.
 
-    Raises InputError if the variant needs LLVM and there is none, or a file cannot be read any
-    more.
+    The modules make the results (see `code_hash`); a user's own file, which others do not have,
+    stands for what it imports of this package.
 
-    Parameters
-    ----------
-    variant : str
-        Mitsuba variant; those that start with ``llvm`` depend on LLVM too.
-    modules : str
-        That make the results (see `code_hash`). A user's own file, which others do not have, stands
-        for what it imports of this package.
+    Raises InputError if Mitsuba's variant needs LLVM and there is none, or a file cannot be read
+    any more.
     """
     files = {Path(file): content for file, content in map(_as_it_is, modules) if content}
     imports = set[str]().union(*(_code_and_imports(f, "", files[f])[1] for f in files))
@@ -64,10 +59,7 @@ def record_versions(variant: str, *modules: str) -> dict[str, str]:
 def other_version(versions: Mapping[str, str]) -> tuple[str, str, str] | None:
     """The first version in which this process differs from others' `record_versions`.
 
-    Returns
-    -------
-    name, theirs, mine : str
-        Hashes are shortened. None if all agree.
+    Its name, theirs and mine, hashes shortened; None if all agree.
     """
     mine = record_versions(versions["variant"], *versions.get("modules", "").split())
     for name in sorted({*mine, *versions}):
@@ -80,15 +72,11 @@ def other_version(versions: Mapping[str, str]) -> tuple[str, str, str] | None:
 def code_hash(modules: Iterable[str]) -> str:
     """SHA-256 (hexadecimal) of the code of modules, and of all that they import.
 
+    They are given by name, or as a user's own files, which may change while this process goes on.
     Modules count that lie in this package or in the one that imports them, within functions too,
     and tables of the same name beside them; not what only types need.
 
     Raises InputError if a file cannot be read any more.
-
-    Parameters
-    ----------
-    modules : iterable of str
-        By name, or a user's own files, which may change while this process goes on.
     """
     return _closure(tuple(map(_as_it_is, sorted(modules))))[0]
 
@@ -252,21 +240,12 @@ class RecordCache:
     chunk must write the same content. While this object lives, this process does not remove its
     key from the cache; another process may, and then the chunks are absent.
 
-    Parameters
-    ----------
-    key : mapping of str to what JSON can hold
-        Everything that determines the records: scene, variant, versions, seed, launch plan.
-    folder : Path, optional
-        The cache; see `cache_folder` when not given.
-    limited : bool
-        Whether the cache may not grow beyond `size_limit_bytes`.
+    The key is everything that determines the records, as JSON can hold it: scene, variant,
+    versions, seed, launch plan. The cache is that of `cache_folder` unless given; unless it is
+    `limited`, it may grow beyond `size_limit_bytes`.
 
-    Raises
-    ------
-    InputError
-        If ``MCRIM_CACHE`` or ``MCRIM_CACHE_GB`` has a wrong value.
-    TypeError, ValueError
-        If the key is not for JSON.
+    Raises InputError if ``MCRIM_CACHE`` or ``MCRIM_CACHE_GB`` has a wrong value; TypeError or
+    ValueError if the key is not for JSON.
     """
 
     def __init__(
@@ -333,20 +312,8 @@ class RecordCache:
     ) -> None:
         """Keep chunk `number`, whole or not at all; a chunk of this number is replaced.
 
-        Where that cannot be, `trouble` says why, and this and all later calls do nothing.
-
-        Parameters
-        ----------
-        number : int
-            From 0.
-        arrays : mapping of str to (any length,) ndarray
-            Of bool, integers, floats or complex numbers.
-        metadata : mapping of str to what JSON can hold
-
-        Raises
-        ------
-        TypeError, ValueError
-            If something given is not of this kind.
+        Where that cannot be, `trouble` says why, and this and all later calls do nothing. What is
+        written is as `encode` has it, with its errors.
         """
         if self.folder is None or self.trouble is not None:
             return

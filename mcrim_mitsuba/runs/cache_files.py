@@ -53,19 +53,12 @@ def encode(
 ) -> list[bytes | memoryview]:
     """The parts of a chunk's file, in order.
 
-    Parameters
-    ----------
-    key, number
-        What determines the records, and which of its chunks it is.
-    arrays : mapping of str to (any length,) ndarray
-        Of bool, integers, floats or complex numbers; not copied where contiguous.
-    metadata : mapping
-        Small, of what JSON can hold.
+    `key` determines the records, and `number`, from 0, says which of its chunks it is. Arrays, of
+    any length, are of bool, integers, floats or complex numbers, and not copied where contiguous;
+    the metadata are small.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If an array has not one dimension or another dtype, or something else is not for JSON.
+    Raises TypeError or ValueError if an array has not one dimension or another dtype, or something
+    else is not for JSON.
     """
     header = _header(key, number, arrays, metadata)
     parts: list[bytes | memoryview] = [len(header).to_bytes(_LENGTH_BYTES, "little"), header]

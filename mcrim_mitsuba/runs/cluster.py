@@ -45,13 +45,8 @@ _one_at_a_time = threading.Lock()
 def connect(address: str) -> Client:
     """A client of a Dask scheduler.
 
-    Raises InputError if Dask is not installed, or no scheduler answers.
-
-    Parameters
-    ----------
-    address : str
-        Such as ``tcp://host:8786``, or the JSON file that ``dask scheduler --scheduler-file``
-        writes.
+    Its address is such as ``tcp://host:8786``, or the JSON file that ``dask scheduler
+    --scheduler-file`` writes. Raises InputError if Dask is not installed, or no scheduler answers.
     """
     try:
         import distributed

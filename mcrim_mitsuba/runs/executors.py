@@ -161,19 +161,11 @@ class Executor:
     ) -> Iterator[Finished]:
         """Results in the order of the jobs, whoever does them and whenever they come.
 
-        Raises InputError if a unit refuses what it is made of.
+        What their cache has is not made again; what is made goes there at once. A unit has so many
+        processor threads, all when None. Few units that decide what comes next are made `by_all`:
+        each process of an array job makes all of them for itself.
 
-        Parameters
-        ----------
-        jobs : sequence of Job
-            What their cache has is not made again; what is made goes there at once.
-        threads : int, optional
-            Processor threads of a unit; all when not given.
-        by_all : bool
-            Few units that decide what comes next: each process of an array job makes all of
-            them for itself.
-        progress : callable, optional
-            See `Progress`.
+        Raises InputError if a unit refuses what it is made of.
         """
         track = Track(jobs, progress)
         for index, job in enumerate(jobs):
