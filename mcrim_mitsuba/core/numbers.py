@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import numbers
 import re
-from collections.abc import Mapping
 from decimal import Decimal
 from typing import Any
 
@@ -36,7 +35,14 @@ _CALLED = {
     "n_window": "window index",
     "aperture_radius_mm": "mask radius",
 }
-_UNITS = {"_per_cm": "1/cm", "_mm": "mm", "_nm": "nm", "_keV": "keV", "_deg": "degrees"}
+_UNITS = {
+    "_per_cm": "1/cm",
+    "_mm": "mm",
+    "_nm": "nm",
+    "_ps": "ps",
+    "_keV": "keV",
+    "_deg": "degrees",
+}
 #: Longer ones are floats: Mitsuba's integers have 64 bits.
 INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
 # Mitsuba's own grammar of a number; Python's float() would also take 1_0 and nan
@@ -66,11 +72,6 @@ def titled(name: str) -> str:
     """A parameter's name in words with its unit: ``gap (mm)`` for ``gap_mm``."""
     unit = unit_of(name)
     return without_unit(name) + (f" ({unit})" if unit else "")
-
-
-def as_attributes(parameters: Mapping[str, Value]) -> dict[str, Value]:
-    """Parameters as attributes of a dataset: NetCDF has no true and false."""
-    return {n: str(v) if isinstance(v, bool) else v for n, v in parameters.items()}
 
 
 def said(name: str, value: object) -> str:

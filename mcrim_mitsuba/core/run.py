@@ -6,15 +6,16 @@ import contextlib
 import functools
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import number_of, whole_of
+from mcrim_mitsuba.core.numbers import Value, number_of, unit_of, whole_of
 
 if TYPE_CHECKING:
+    import xarray
     from threadpoolctl import ThreadpoolController
 
 #: What the names of modules begin with that are a user's own files of effects.
@@ -112,6 +113,33 @@ class Provenance:
     seconds: float
     #: What the reader must know of the simulation.
     notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OverAxes:
+    """What an answer over axes, such as a table or a map, says of its simulation."""
+
+    photons: int
+    seed: int
+    #: Of the scene.
+    parameters: Mapping[str, Value]
+    #: SHA-256 of the scene after substitution.
+    scene_hash: str
+
+    def dataset(
+        self, values: Mapping[str, tuple], axes: Mapping[str, Any], **attributes: Any
+    ) -> xarray.Dataset:
+        """Values, as xarray takes them, over axes with units; attributes make it reproducible."""
+        import xarray
+
+        attributes |= {"photons": self.photons, "seed": self.seed, "scene_hash": self.scene_hash}
+        # NetCDF has no true and false
+        attributes |= {n: str(v) if isinstance(v, bool) else v for n, v in self.parameters.items()}
+        dataset = xarray.Dataset(values, axes, attributes)
+        for name in axes:
+            if (unit := unit_of(name)) is not None:
+                dataset[name].attrs["units"] = unit
+        return dataset
 
 
 def arguments_of(photons: object, seed: object) -> tuple[int, int]:

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
-from mcrim_mitsuba.core.numbers import MM_PER_CM, Value, as_attributes, parse_number
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.files import attributes
+from mcrim_mitsuba.core.numbers import MM_PER_CM, parse_number
+from mcrim_mitsuba.core.run import OverAxes, Run
 from mcrim_mitsuba.efficiency import time_distribution as distribution
 from mcrim_mitsuba.efficiency.lighting import bin_of
 from mcrim_mitsuba.optics.materials import is_known
@@ -83,7 +84,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ArrivalTimes:
+class ArrivalTimes(OverAxes):
     """Distribution of the times at which detected photons arrive, from the event on.
 
     Errors are Monte Carlo errors.
@@ -111,11 +112,6 @@ class ArrivalTimes:
     detected: int
     first: tuple[distribution.FirstPhotons, ...]
     parts: tuple[Part, ...]
-    photons: int
-    seed: int
-    #: Of the scene.
-    parameters: Mapping[str, Value]
-    scene_hash: str
     notes: tuple[str, ...]
 
     @property
@@ -132,33 +128,24 @@ class ArrivalTimes:
 
     def to_xarray(self) -> xarray.Dataset:
         """The histogram over time_ps, and the first photons over their number and births."""
-        import xarray
-
-        names = ("mean_ps", "mean_ps_sigma", "rms_ps", "rms_ps_sigma")
-        first = {
-            f"first_{name}": (
-                ("born", "photon"),
-                np.array([getattr(photons, name) for photons in self.first]),
-            )
-            for name in names
+        moments = "mean_ps mean_ps_sigma rms_ps rms_ps_sigma"
+        numbers = attributes(self, f"{moments} begin_ps begin_ps_sigma rise_ps rise_ps_sigma")
+        if self.decay_ns is not None:
+            numbers["decay_ns"] = self.decay_ns
+        numbers |= {f"group_index_{part.name}": part.group_index for part in self.parts}
+        values: dict[str, tuple] = {
+            "part": ("time_ps", self.part, {"long_name": "part of the detected light"}),
+            "part_sigma": ("time_ps", self.part_sigma),
         }
-        numbers = (*names, "begin_ps", "begin_ps_sigma", "rise_ps", "rise_ps_sigma")
-        attributes = {name: getattr(self, name) for name in numbers}
-        attributes |= {"decay_ns": self.decay_ns or 0.0, "detected": self.detected}
-        attributes |= {"photons": self.photons, "seed": self.seed, "scene_hash": self.scene_hash}
-        attributes |= {f"group_index_{part.name}": part.group_index for part in self.parts}
-        dataset = xarray.Dataset(
-            {"part": ("time_ps", self.part), "part_sigma": ("time_ps", self.part_sigma), **first},
-            {
-                "time_ps": self.time_ps,
-                "born": [photons.born for photons in self.first],
-                "photon": np.arange(1, len(self.first[0].mean_ps) + 1),
-            },
-            attributes | as_attributes(self.parameters),
-        )
-        dataset.part.attrs["long_name"] = "part of the detected light"
-        dataset.time_ps.attrs["units"] = "ps"
-        return dataset
+        for name in moments.split():
+            of_photons = [getattr(photons, name) for photons in self.first]
+            values[f"first_{name}"] = ("born", "photon"), np.array(of_photons)
+        axes = {
+            "time_ps": self.time_ps,
+            "born": [photons.born for photons in self.first],
+            "photon": np.arange(1, len(self.first[0].mean_ps) + 1),
+        }
+        return self.dataset(values, axes, **numbers, detected=self.detected)
 
 
 def follow_times(

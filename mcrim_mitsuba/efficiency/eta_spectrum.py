@@ -13,7 +13,7 @@ eta inside of the integral).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -21,12 +21,13 @@ import numpy as np
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import COEFFICIENTS, Value, as_attributes
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.files import attributes
+from mcrim_mitsuba.core.numbers import COEFFICIENTS
+from mcrim_mitsuba.core.run import OverAxes, Run
 from mcrim_mitsuba.efficiency.eta_grid import standard_error
 from mcrim_mitsuba.efficiency.eta_surface import EtaRequest, record_surfaces
 from mcrim_mitsuba.efficiency.surface import Coefficients, Lagrange, chebyshev_nodes
-from mcrim_mitsuba.scene.emitted_light import EFFICIENCY, EMISSION, EmittedLight
+from mcrim_mitsuba.scene.emitted_light import WAVELENGTH, EmittedLight
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ NODES = 4
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class EtaSpectrum:
+class EtaSpectrum(OverAxes):
     """Efficiency by wavelength, and its means over the light; errors are Monte Carlo's.
 
     Of a solver there are 0 photons, and errors are its own.
@@ -69,12 +70,7 @@ class EtaSpectrum:
     interpolation_error: float
     #: Wavelengths that were simulated; one where no index varies.
     nodes_nm: tuple[float, ...]
-    photons: int
     cached_photons: int
-    seed: int
-    #: Of the scene.
-    parameters: Mapping[str, Value]
-    scene_hash: str
 
     @property
     def detected_part(self) -> Array:
@@ -85,18 +81,13 @@ class EtaSpectrum:
 
     def to_xarray(self) -> xarray.Dataset:
         """A dataset over wavelength_nm, with attributes that make it reproducible."""
-        import xarray
-
-        light, names = self.light, ("eta", "eta_sigma", "detected_part")
-        dataset = xarray.Dataset(
-            {name: ("wavelength_nm", getattr(self, name)) for name in names}
-            | {name: ("wavelength_nm", getattr(light, name)) for name in (EMISSION, EFFICIENCY)}
-            | {name: ("wavelength_nm", values) for name, values in light.parameters.items()},
-            {"wavelength_nm": light.wavelength_nm},
-            {"photons": self.photons, "seed": self.seed, "scene_hash": self.scene_hash}
-            | as_attributes(self.parameters),
+        columns = attributes(
+            self,
+            "eta eta_sigma detected_part emission=light.emission efficiency=light.efficiency "
+            "**light.parameters",
         )
-        dataset.wavelength_nm.attrs["units"] = "nm"
+        values = {name: (WAVELENGTH, numbers) for name, numbers in columns.items()}
+        dataset = self.dataset(values, {WAVELENGTH: self.light.wavelength_nm})
         dataset.eta.attrs["long_name"] = "light collection efficiency"
         return dataset
 

@@ -10,10 +10,10 @@ quadrature to the other parts of the full width at half maximum).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,8 @@ from mcrim_mitsuba.core.data_table import read_data_table
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.files import is_there
-from mcrim_mitsuba.core.numbers import FWHM, Value, as_attributes, whole_of
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.numbers import FWHM, whole_of
+from mcrim_mitsuba.core.run import OverAxes, Run
 
 if TYPE_CHECKING:
     import xarray
@@ -46,8 +46,12 @@ PHOTONS_PER_CELL = 100_000
 _FEWEST_PER_CELL = 100
 _AXES = ("x_mm", "y_mm", "z_mm")
 _DEPOSITS = (*_AXES, "energy_keV")
-#: What the map's dataset has over its axes, and of its run.
-_OF_MAP = ("eta", "eta_sigma", "volume")
+#: What the map's dataset has over its axes, in words where these say more, and of its run.
+_OF_MAP = {
+    "eta": {"long_name": "light collection efficiency by place of birth"},
+    "eta_sigma": {},
+    "volume": {"long_name": "part of the crystal's volume"},
+}
 _OF_RUN = ("photons", "seed", "scene_hash")
 
 
@@ -218,7 +222,7 @@ class Spread:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class EtaMap:
+class EtaMap(OverAxes):
     """Light collection efficiency of light that is born in the cells of a grid."""
 
     #: (n + 1,) float64 along x, y and z: Borders of the cells, as the scene has them.
@@ -229,11 +233,6 @@ class EtaMap:
     eta_sigma: Array
     #: (x, y, z) float64: Part of the crystal's volume.
     volume: Array
-    photons: int
-    seed: int
-    #: Of the scene.
-    parameters: Mapping[str, Value]
-    scene_hash: str
 
     @property
     def centres_mm(self) -> tuple[Array, Array, Array]:
@@ -316,19 +315,8 @@ class EtaMap:
 
     def to_xarray(self) -> xarray.Dataset:
         """Eta, eta_sigma and volume over x_mm, y_mm and z_mm; attributes make it reproducible."""
-        import xarray
-
-        dataset = xarray.Dataset(
-            {name: (_AXES, getattr(self, name)) for name in _OF_MAP},
-            dict(zip(_AXES, self.centres_mm, strict=True)),
-            {"photons": self.photons, "seed": self.seed, "scene_hash": self.scene_hash}
-            | as_attributes(self.parameters),
-        )
-        dataset.eta.attrs["long_name"] = "light collection efficiency by place of birth"
-        dataset.volume.attrs["long_name"] = "part of the crystal's volume"
-        for name in _AXES:
-            dataset[name].attrs["units"] = "mm"
-        return dataset
+        values = {name: (_AXES, getattr(self, name), words) for name, words in _OF_MAP.items()}
+        return self.dataset(values, dict(zip(_AXES, self.centres_mm, strict=True)))
 
 
 def map_eta(simulation: Simulation, cells: Sequence[int] = CELLS, *, run: Run = Run()) -> EtaMap:
@@ -400,10 +388,10 @@ def read_map(path: str | Path) -> EtaMap:
         raise InputError("this file does not exist", mend, path=path)
     try:
         with xarray.open_dataset(path, engine="scipy") as data:
-            tables = [data[name].to_numpy().astype(float) for name in _OF_MAP]
+            tables: dict[str, Any] = {name: data[name].to_numpy().astype(float) for name in _OF_MAP}
             centres = [data[name].to_numpy().astype(float) for name in _AXES]
-            parameters = dict(data.attrs)
-            photons, seed, scene_hash = (parameters.pop(name) for name in _OF_RUN)
+            parameters = {name: np.asarray(value).item() for name, value in data.attrs.items()}
+            of_run = {name: parameters.pop(name) for name in _OF_RUN}
             dims = {data[name].dims for name in _OF_MAP}
     except (KeyError, OSError, TypeError, ValueError):
         raise InputError("this is no map of eta", mend, path=path) from None
@@ -411,20 +399,7 @@ def read_map(path: str | Path) -> EtaMap:
         problem = "this is no map of eta over x, y and z, of two cells along each at least"
         raise InputError(problem, mend, path=path)
     x, y, z = (np.append(c - 0.5 * (c[1] - c[0]), 1.5 * c[-1] - 0.5 * c[-2]) for c in centres)
-    eta, sigma, volume = tables
-    return EtaMap(
-        edges_mm=(x, y, z),
-        eta=eta,
-        eta_sigma=sigma,
-        volume=volume,
-        photons=int(photons),
-        seed=int(seed),
-        parameters={
-            name: value.item() if isinstance(value, np.generic) else value
-            for name, value in parameters.items()
-        },
-        scene_hash=str(scene_hash),
-    )
+    return EtaMap(edges_mm=(x, y, z), **tables, **of_run, parameters=parameters)
 
 
 def all_spreads(

@@ -18,12 +18,10 @@ from mcrim_mitsuba.core.numbers import (
     ALPHA_SCAT,
     COEFFICIENTS,
     Value,
-    as_attributes,
     judge,
     number_of,
-    unit_of,
 )
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.run import OverAxes, Run
 from mcrim_mitsuba.efficiency.eta_surface import (
     MOST_PHOTONS,
     EtaRequest,
@@ -45,7 +43,7 @@ DEFAULT_PHOTONS = 2_000_000
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class EtaTable:
+class EtaTable(OverAxes):
     """Eta at every combination of some parameters' values."""
 
     #: Values by parameter: those that make configurations, then alpha_abs, then alpha_scat.
@@ -53,14 +51,8 @@ class EtaTable:
     #: float64 over `axes`, and its Monte Carlo standard error.
     eta: NDArray[np.float64]
     eta_sigma: NDArray[np.float64]
-    #: Photons that the points rest on, and how many of them the cache had.
-    photons: int
+    #: Of the photons that the points rest on.
     cached_photons: int
-    seed: int
-    #: Of the scene, where no axis says otherwise.
-    parameters: dict[str, Value]
-    #: SHA-256 of the scene after substitution.
-    scene_hash: str
     #: What the reader must know before using the numbers.
     notes: tuple[str, ...] = ()
 
@@ -84,17 +76,14 @@ class EtaTable:
 
     def to_xarray(self) -> xarray.Dataset:
         """Eta and eta_sigma over the axes, with units; attributes make it reproducible."""
-        import xarray
-
-        dataset = xarray.Dataset(
+        dataset = self.dataset(
             {name: (tuple(self.axes), getattr(self, name)) for name in ("eta", "eta_sigma")},
             {name: list(values) for name, values in self.axes.items()},
-            {"photons": self.photons, "seed": self.seed, "scene_hash": self.scene_hash}
-            | as_attributes({n: v for n, v in self.parameters.items() if n not in self.axes}),
         )
         dataset.eta.attrs["long_name"] = "light collection efficiency"
         for name in self.axes:
-            dataset[name].attrs["units"] = unit_of(name) or "1"
+            dataset[name].attrs.setdefault("units", "1")
+            dataset.attrs.pop(name, None)  # the scene's own value: the axis says otherwise
         return dataset
 
     def write(self, path: str | Path) -> None:

@@ -29,14 +29,10 @@ def test_the_unit_of_a_parameter_is_the_end_of_its_name(name, unit, words, title
     assert numbers.titled(name) == title
 
 
-def test_values_in_words_and_as_attributes():
+def test_values_in_words():
     assert numbers.said("gap_mm", 0.05) == "gap 0.05 mm"
     assert numbers.said("polarization", np.bool_(False)) == "polarization off"
     assert numbers.said("beam_axis", "x") == "beam axis x"
-    assert numbers.as_attributes({"polarization": True, "n_gap": 1.5}) == {
-        "polarization": "True",
-        "n_gap": 1.5,
-    }
 
 
 @pytest.mark.parametrize("text", ["1.46", " 1.46 ", "+146e-2", "1460E-3"])

@@ -9,7 +9,7 @@ import pytest
 from refusals import refusal
 from threadpoolctl import threadpool_info
 
-from mcrim_mitsuba.core.run import Provenance, Run, arguments_of, one_thread, signals_wait
+from mcrim_mitsuba.core.run import OverAxes, Provenance, Run, arguments_of, one_thread, signals_wait
 
 
 def test_a_run_takes_numbers_of_any_kind():
@@ -73,3 +73,17 @@ def test_a_signal_waits_for_the_end():
 def test_a_result_says_how_it_was_done():
     done = Provenance(1, 10, 5, "hash", versions={"numpy": "2"}, seconds=0.5, notes=())
     assert done.photons - done.cached_photons == 5
+
+
+def test_an_answer_over_axes_is_a_dataset_with_units_that_is_reproducible():
+    parameters = {"polarization": True, "n_gap": 1.5}
+    answer = OverAxes(photons=10, seed=1, parameters=parameters, scene_hash="hash")
+    axes = {"gap_mm": [0.1, 0.2], "born": ["at one depth"]}
+    data = answer.dataset({"eta": (tuple(axes), [[0.5], [0.6]])}, axes, detected=3)
+    assert data.eta.sel(gap_mm=0.2).item() == 0.6
+    assert data.gap_mm.attrs == {"units": "mm"} and data.born.attrs == {}
+    # NetCDF has no true and false
+    parameters["polarization"] = "True"
+    assert (
+        data.attrs == {"detected": 3, "photons": 10, "seed": 1, "scene_hash": "hash"} | parameters
+    )

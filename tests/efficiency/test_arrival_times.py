@@ -219,6 +219,8 @@ def test_times_as_a_dataset_and_beside_a_simulation(here, mcrim):
     assert mcrim("simulate", BENCH, "--decay-ns", "3").status == 2
     data = times_of_the_bench().to_xarray()
     assert data.part.dims == ("time_ps",) and data.first_mean_ps.dims == ("born", "photon")
+    # all light is emitted at once: there is no decay time to be told
+    assert data.time_ps.attrs["units"] == "ps" and "decay_ns" not in data.attrs
 
 
 def times_of_the_bench():
