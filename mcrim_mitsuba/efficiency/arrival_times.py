@@ -169,22 +169,25 @@ def follow_times(
     """
     bench = TimedBench.of(simulation, group_index or {})
     decay_ps = (decay_ns or 0.0) * _PS_PER_NS
-    timed = _follow(simulation, bench, decay_ps, run)
-    parts = _parts(bench, timed)
+    cells, tally = _follow(simulation, bench, decay_ps, run)
+    parts = _parts(bench, cells)
+    notes = _notes(parts, detected, cells.detected / len(bench.births))
+    if (truncated := tally.fraction("truncated")) > 0.0:
+        notes.append(
+            f"{100 * truncated:.3g} % of the light was still under way after "
+            f"{simulation.depth_limit:,} flights: the latest arrivals are missing"
+        )
     return ArrivalTimes(
-        **_numbers_of(timed.cells, decay_ps),
+        **_numbers_of(cells, decay_ps),
         decay_ns=decay_ns,
         detected=detected,
-        first=distribution.first_of_event(timed.cells, decay_ps, detected, bench.births),
+        first=distribution.first_of_event(cells, decay_ps, detected, bench.births),
         parts=parts,
-        photons=timed.tally.photons,
+        photons=tally.photons,
         seed=run.seed,
         parameters=dict(simulation.file.parameters),
         scene_hash=simulation.file.content_hash,
-        notes=(
-            *_notes(parts, detected, timed.detected / len(bench.births)),
-            *_truncation_note(timed.tally.fraction("truncated"), simulation.depth_limit),
-        ),
+        notes=tuple(notes),
     )
 
 
@@ -245,62 +248,41 @@ class TimedBench:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _TimedPhotons:
-    """What was followed: detected photons by their times, and the fates of all."""
-
-    cells: distribution.TimeCells
-    #: (groups, media) float64: Of light times the time that it spends in a medium.
-    spent: Array
-    #: Detected photons.
-    detected: int
-    tally: FateTally
-
-
-def _follow(simulation: Simulation, bench: TimedBench, decay_ps: float, run: Run) -> _TimedPhotons:
-    """Follow photons, and put them into cells that the first launch sets."""
+def _follow(
+    simulation: Simulation, bench: TimedBench, decay_ps: float, run: Run
+) -> tuple[distribution.TimeCells, FateTally]:
+    """Detected photons in cells of time that the first launch sets, and the fates of all."""
     from mcrim_mitsuba.transport import arrivals
 
     photons = min(run.photons_or(DEFAULT_PHOTONS), MOST_PHOTONS)
     cells: distribution.TimeCells | None = None
-    spent, detected = np.zeros((distribution.GROUPS, len(bench.media))), 0
     for launch, tally in arrivals.launches(simulation, photons, run.seed, bench.columns):
         records = launch.records
         weight, group = records["w"].astype(float), records["batch"] % np.int64(distribution.GROUPS)
-        detected += len(weight)
         times = bench.times_ps(records)
-        total = times.sum(axis=0)
         if cells is None:
+            total = times.sum(axis=0)
             if len(weight) < SETTINGS.fewest:
                 problem = f"{len(weight)} of {tally.photons:,} photons are detected"
                 raise InputError(problem, "follow more, or mend it", path=simulation.file.path)
             ends = float(total.min()), float(np.quantile(total, SETTINGS.shown_part))
             edges = distribution.cell_edges(*ends, decay_ps)
-            cells = distribution.TimeCells(edges, len(bench.births))
-        cells.add(total, weight, group, bench.slices(records))
-        for column, time_ps in enumerate(times):
-            spent[:, column] += np.bincount(group, weight * time_ps, distribution.GROUPS)
+            cells = distribution.TimeCells(edges, len(bench.births), len(times))
+        cells.add(times, weight, group, bench.slices(records))
         run.tell("following times", min(tally.photons, photons), photons)
     assert cells is not None  # a run has one photon at least
-    return _TimedPhotons(cells, spent, detected, tally)
+    return cells, tally
 
 
-def _parts(bench: TimedBench, timed: _TimedPhotons) -> tuple[Part, ...]:
+def _parts(bench: TimedBench, cells: distribution.TimeCells) -> tuple[Part, ...]:
     """The media with the times in them: where light is born first, what lies around all last."""
-    means, sigmas = distribution.jackknife(
-        lambda sums: sums[1:] / sums[0], np.column_stack([timed.cells.moments[:, 0], timed.spent])
+    times = distribution.jackknife(
+        lambda sums: sums[1:] / sums[0], np.column_stack([cells.moments[:, 0], cells.spent])
     )
+    media = zip(bench.media.items(), *(numbers.tolist() for numbers in times), strict=True)
     parts = [
-        Part(
-            name=name,
-            group_index=index,
-            origin=origin,
-            mean_ps=float(mean),
-            mean_ps_sigma=float(sigma),
-        )
-        for (name, (index, origin)), mean, sigma in zip(
-            bench.media.items(), means, sigmas, strict=True
-        )
+        Part(name=name, group_index=index, origin=origin, mean_ps=mean, mean_ps_sigma=sigma)
+        for (name, (index, origin)), mean, sigma in media
     ]
     surroundings = parts[0]
     return tuple(sorted(parts, key=lambda part: (part.name != bench.crystal, part is surroundings)))
@@ -332,17 +314,13 @@ def _numbers_of(cells: distribution.TimeCells, decay_ps: float) -> dict[str, Any
     (begin, rise, *part), (begin_sigma, rise_sigma, *part_sigma) = distribution.jackknife(
         rise_and_histogram, light
     )
-    values = {"mean_ps": mean, "rms_ps": rms, "begin_ps": begin, "rise_ps": rise}
-    sigmas = cells.with_cell_errors(
-        np.array(list(values.values())), np.array([mean_sigma, rms_sigma, begin_sigma, rise_sigma])
-    )
-    return {
-        "edges_ps": edges,
-        "part": np.array(part),
-        "part_sigma": np.array(part_sigma),
-        **{name: float(value) for name, value in values.items()},
-        **{f"{name}_sigma": float(s) for name, s in zip(values, sigmas, strict=True)},
-    }
+    values = np.array([mean, rms, begin, rise])
+    sigmas = np.array([mean_sigma, rms_sigma, begin_sigma, rise_sigma])
+    numbers = {"edges_ps": edges, "part": np.array(part), "part_sigma": np.array(part_sigma)}
+    moments = zip(values.tolist(), cells.with_cell_errors(values, sigmas).tolist(), strict=True)
+    for name, (value, sigma) in zip(("mean", "rms", "begin", "rise"), moments, strict=True):
+        numbers |= {f"{name}_ps": value, f"{name}_ps_sigma": sigma}
+    return numbers
 
 
 def _round_edges(latest_ps: float) -> Array:
@@ -413,15 +391,6 @@ def _of_material(index: MaterialIndex) -> tuple[float, str]:
         return index.group_index, _PLAIN
     where = f"{index.wavelength_nm:g} nm" if index.emission is None else index.emission.name
     return index.group_index, f"{index.material.name}, {where}"
-
-
-def _truncation_note(truncated: float, depth_limit: int) -> list[str]:
-    if not truncated > 0.0:
-        return []
-    return [
-        f"{100 * truncated:.3g} % of the light was still under way after {depth_limit:,} flights: "
-        "the latest arrivals are missing"
-    ]
 
 
 def _notes(parts: Sequence[Part], detected: int, followed: float) -> list[str]:

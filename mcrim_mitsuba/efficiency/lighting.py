@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.core.data_table import read_data_table
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
-from mcrim_mitsuba.core.files import is_there
+from mcrim_mitsuba.core.files import attributes, is_there
 from mcrim_mitsuba.core.numbers import FWHM, whole_of
 from mcrim_mitsuba.core.run import OverAxes, Run
 
@@ -171,10 +171,7 @@ def follow_light(simulation: Simulation, *, run: Run = Run()) -> Light:
         run.tell("following the light", min(tally.photons, photons), photons)
     interfaces = interfaces_of(simulation.file, model)
     return Light(
-        eta=tally.eta,
-        eta_sigma=tally.eta_sigma,
-        budget=tally.budget,
-        budget_sigma=tally.budget_sigma,
+        **attributes(tally, "eta eta_sigma budget budget_sigma photons"),
         x_edges_mm=x_edges,
         y_edges_mm=y_edges,
         map=on_map.binned(plane.cell_areas(x_edges, y_edges), tally),
@@ -185,7 +182,6 @@ def follow_light(simulation: Simulation, *, run: Run = Run()) -> Light:
         largest_angle_deg=arrivals.largest_angle_deg(model, interfaces, plane),
         crystal_mm=arrivals.outline_of(model, simulation.crystal.volume, plane),
         masks_mm=arrivals.masks_of(model, plane),
-        photons=tally.photons,
     )
 
 

@@ -65,27 +65,35 @@ class TimeCells:
     """Weights of light in cells of time.
 
     Their (n + 1,) borders are as `cell_edges` makes them; `slices` are kinds of light that are told
-    apart: where it was born.
+    apart, where it was born, and `parts` are those of the bench that it crosses.
     """
 
-    def __init__(self, edges_ps: Array, slices: int) -> None:
+    def __init__(self, edges_ps: Array, slices: int, parts: int = 1) -> None:
         self.edges_ps = edges_ps
+        #: Photons that were taken in.
+        self.detected = 0
         self._shape = GROUPS, slices, len(edges_ps) - 1
         #: (groups, slices, cells) and (cells,): of light, and of light times time.
         self.light, self._times = np.zeros(self._shape), np.zeros(self._shape[-1])
         #: (groups, 3): of light times the powers 0, 1 and 2 of time.
         self.moments = np.zeros((GROUPS, 3))
+        #: (groups, parts): of light times the time that it spends in a part.
+        self.spent = np.zeros((GROUPS, parts))
 
     def add(
-        self, time_ps: Array, weight: Array, group: NDArray[np.int64], kind: NDArray[np.int64]
+        self, times_ps: Array, weight: Array, group: NDArray[np.int64], kind: NDArray[np.int64]
     ) -> None:
-        """Take in photons: (detected,) times, weights, groups and slices."""
+        """Take in photons: (parts, detected) times, (detected,) weights, groups and slices."""
+        time_ps = times_ps.sum(axis=0)
         cell = np.searchsorted(self.edges_ps, time_ps, side="right") - 1
         place = np.ravel_multi_index((group, kind, cell), self._shape)
         self.light += np.bincount(place, weight, math.prod(self._shape)).reshape(self._shape)
         self._times += np.bincount(cell, weight * time_ps, self._shape[-1])
         for power in range(3):
             self.moments[:, power] += np.bincount(group, weight * time_ps**power, GROUPS)
+        for part, in_part_ps in enumerate(times_ps):
+            self.spent[:, part] += np.bincount(group, weight * in_part_ps, GROUPS)
+        self.detected += len(weight)
 
     @property
     def width_ps(self) -> float:
@@ -242,14 +250,7 @@ def first_of_event(
     first = []
     for born, number in numbers.items():
         values, sigmas = jackknife(number, light)
-        (mean, rms), (mean_sigma, rms_sigma) = values, cells.with_cell_errors(values, sigmas)
-        first.append(
-            FirstPhotons(
-                born=born,
-                mean_ps=mean,
-                mean_ps_sigma=mean_sigma,
-                rms_ps=rms,
-                rms_ps_sigma=rms_sigma,
-            )
-        )
+        moments = *values, *cells.with_cell_errors(values, sigmas)
+        names = ("mean_ps", "rms_ps", "mean_ps_sigma", "rms_ps_sigma")
+        first.append(FirstPhotons(born=born, **dict(zip(names, moments, strict=True))))
     return tuple(first)

@@ -136,7 +136,7 @@ def test_first_of_many_from_another_depth_in_every_event():
     assert mean == pytest.approx([11.25, 15.0]) and rms[1] == pytest.approx(5.0)
     edges = distribution.cell_edges(0.0, 100.0, 50.0)
     cells = distribution.TimeCells(edges, 1)
-    at = np.array([30.0, 30.0, 60.0, 1e5]), np.ones(4), np.arange(4), np.zeros(4, int)
+    at = np.array([[30.0, 30.0, 60.0, 1e5]]), np.ones(4), np.arange(4), np.zeros(4, int)
     cells.add(*at)
     late = distribution.decayed(edges, cells.times_ps, cells.light.sum(axis=(0, 1)), 50.0)
     assert late.sum() == pytest.approx(4.0) and late[edges[1:] <= 30.0].sum() == 0.0
