@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, NullLocator
@@ -23,24 +22,12 @@ from mcrim_mitsuba.core.rounding import capital, pdg
 from mcrim_mitsuba.laboratory.histogram import read_histogram
 from mcrim_mitsuba.laboratory.peak import fit_peak
 from mcrim_mitsuba.optics.slab_transmittance import measured_transmittance, transmittance
-from mcrim_mitsuba.output.figure_style import (
-    DARK,
-    GREY,
-    LIGHT,
-    PALE,
-    WARM,
-    Drawing,
-    canvas,
-    legend,
-    open_axes,
-    save,
-    styled,
-)
+from mcrim_mitsuba.output import figure_style as style
 from mcrim_mitsuba.output.laboratory_figures import FittedHistogram, draw_histograms
 from mcrim_mitsuba.scene.shipped import scene_path
 
 #: Per transmittance: colour (its darkness tells the lines apart in grey), marker.
-_STYLE = {98.6: (WARM, "^"), 96.0: (DARK, "o"), 93.0: (LIGHT, "s")}
+_STYLE = {98.6: (style.WARM, "^"), 96.0: (style.DARK, "o"), 93.0: (style.LIGHT, "s")}
 _UNPOLARISED: dict[str, Any] = {"color": "black", "lw": 0.7, "ls": (0, (1, 2)), "zorder": 3}
 _OURS: dict[str, Any] = {"marker": "x", "color": "black", "ms": 7, "mew": 1.8, "zorder": 6}
 _PRINTED: dict[str, Any] = {"ms": 8, "mfc": "white", "mew": 1.8, "capsize": 3, "zorder": 5}
@@ -49,7 +36,7 @@ _ARTICLE_HEIGHT = 0.381
 _OURS_HEIGHT = 0.345
 #: The lines beside the nominal one lie so much lower, clear of its error bar.
 _LOWER = 0.014
-_BAND: dict[str, Any] = {"color": GREY, "alpha": 0.3, "lw": 0}
+_BAND: dict[str, Any] = {"color": style.GREY, "alpha": 0.3, "lw": 0}
 _TITLE = "Synthetic histograms, one mounting of each coupling (the article prints none)"
 _FINE = np.geomspace(p.SCANNED_FROM.value, p.SCANNED_TO.value, 400)
 #: Place of R behind the efficiencies of air and gel.
@@ -58,9 +45,7 @@ _TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2)
 
 
 def draw_figures(
-    folder: str | Path,
-    lines: Sequence[SimulatedLine],
-    contradiction: Contradiction,
+    folder: str | Path, lines: Sequence[SimulatedLine], contradiction: Contradiction
 ) -> tuple[Path, ...]:
     """Write the figures and their numbers.
 
@@ -79,7 +64,7 @@ def draw_figures(
     paths: list[Path] = []
     for name, drawing in drawings.items():
         picture, numbers = drawing.save(folder / f"{name}.png")
-        paths += (picture, save(drawing.figure, folder / f"{name}.pdf"), numbers)
+        paths += (picture, style.save(drawing.figure, folder / f"{name}.pdf"), numbers)
     return tuple(paths)
 
 
@@ -90,36 +75,32 @@ def _synthetic(name: str) -> FittedHistogram:
     return FittedHistogram(f"{name} in the gap", histogram, peak)
 
 
-def draw_efficiency(lines: Sequence[SimulatedLine]) -> Drawing:
-    """Fig. 3: eta against alpha_scat for two couplings and three transmittances."""
-    columns = (
-        "polarised",
-        "n_gap",
-        "transmittance_percent",
-        "alpha_abs_per_cm",
-        "alpha_scat_per_cm",
-        "eta",
-        "eta_sigma",
-    )
+#: What every row of the curves begins with, and the place on its curve.
+_OF_CURVE = ("transmittance_percent", "alpha_abs_per_cm", "alpha_scat_per_cm")
+
+
+def _points(line: SimulatedLine, place: int) -> Iterator[tuple[float, ...]]:
+    """`_OF_CURVE`, value and error of the points of an efficiency or the ratio."""
+    printed = line.printed.transmittance_percent.value, line.printed.alpha_abs_per_cm.value
+    for point in zip(CURVE_PER_CM, *(side[place] for side in line.curves), strict=True):
+        yield *printed, *point
+
+
+@style.styled
+def draw_efficiency(lines: Sequence[SimulatedLine]) -> style.Drawing:
+    """Fig. 3: eta against alpha_scat for two couplings and three transmittances.
+
+    Ours stands beside the points of the article's Table 1.
+    """
     rows = [
-        (polarised, n_gap, *_line(line.printed), *point)
+        (polarised, n_gap, *point)
         for polarised in (True, False)
         for place, n_gap in enumerate(COUPLINGS.values())
         for line in lines
         if line.polarised is polarised
-        for point in zip(CURVE_PER_CM, *(side[place] for side in line.curves), strict=True)
+        for point in _points(line, place)
     ]
-    return Drawing(_efficiency_figure(lines), columns, rows)
-
-
-def _line(line: Table1Line) -> tuple[float, float]:
-    return line.transmittance_percent.value, line.alpha_abs_per_cm.value
-
-
-@styled
-def _efficiency_figure(lines: Sequence[SimulatedLine]) -> Figure:
-    """Eta over the scattering coefficient, ours beside the points of the article's Table 1."""
-    figure = canvas()
+    figure = style.canvas()
     axes = figure.add_subplot()
     for line, (place, dashes) in itertools.product(lines, enumerate(("--", "-"))):
         _draw_curve(axes, line, place, 100.0, ls=dashes)
@@ -142,49 +123,32 @@ def _efficiency_figure(lines: Sequence[SimulatedLine]) -> Figure:
     axes.set_ylabel("light collection efficiency η (%)")
     for name, height in (("gel in the gap, n = 1.46", 51.5), ("air in the gap, n = 1.00", 8.5)):
         axes.text(0.0105, height, name, weight="bold", va="center")
-    table_1: dict[str, Any] = {"color": GREY, "marker": "o", "mfc": "white", "mew": 1.8, "ms": 8}
+    table_1: dict[str, Any] = {"marker": "o", "mfc": "white", "mew": 1.8, "ms": 8}
     _legend(
         axes,
         "lower right",
         "polarisation ignored",
-        Line2D([], [], ls="", label="article, Table 1", **table_1),
+        Line2D([], [], ls="", color=style.GREY, label="article, Table 1", **table_1),
         Line2D([], [], ls="", label="Mitsuba, where R = 0.583", **_OURS),
     )
-    return figure
+    return style.Drawing(figure, ("polarised", "n_gap", *_OF_CURVE, "eta", "eta_sigma"), rows)
 
 
-def draw_ratio(lines: Sequence[SimulatedLine]) -> Drawing:
+@style.styled
+def draw_ratio(lines: Sequence[SimulatedLine]) -> style.Drawing:
     """Fig. 4: R against alpha_scat, the measured band and the scattering coefficient."""
-    columns = (
-        "polarised",
-        "transmittance_percent",
-        "alpha_abs_per_cm",
-        "alpha_scat_per_cm",
-        "ratio",
-        "ratio_sigma",
-    )
-    rows = [
-        (line.polarised, *_line(line.printed), *point)
-        for line in lines
-        for point in zip(CURVE_PER_CM, *(side[_RATIO] for side in line.curves), strict=True)
-    ]
-    return Drawing(_ratio_figure(lines), columns, rows)
-
-
-@styled
-def _ratio_figure(lines: Sequence[SimulatedLine]) -> Figure:
-    """The ratio of the signals over the scattering coefficient, and the measured one as a band."""
-    figure = canvas()
+    rows = [(line.polarised, *point) for line in lines for point in _points(line, _RATIO)]
+    figure = style.canvas()
     axes = figure.add_subplot()
     ratio, error = p.RATIO.value, p.RATIO.stated_sigma
-    axes.axhspan(ratio - error, ratio + error, color=PALE, lw=0)
-    axes.axhline(ratio, color=GREY, lw=0.9)
+    axes.axhspan(ratio - error, ratio + error, color=style.PALE, lw=0)
+    axes.axhline(ratio, color=style.GREY, lw=0.9)
     axes.text(
         0.0105,
         ratio + error + 0.003,
         f"measured R = {ratio:.3f} ± {error:.3f}",
         fontsize=10,
-        color=GREY,
+        color=style.GREY,
         va="bottom",
     )
     for line in lines:
@@ -199,24 +163,22 @@ def _ratio_figure(lines: Sequence[SimulatedLine]) -> Figure:
     axes.set_ylim(0.318, 0.72)
     axes.set_ylabel(r"$R = η_\mathrm{air} / η_\mathrm{gel}$")
     _legend(axes, "upper left", "polarisation ignored (T = 96.0 %)")
-    return figure
+    return style.Drawing(figure, ("polarised", *_OF_CURVE, "ratio", "ratio_sigma"), rows)
 
 
-def draw_contradiction(lines: Sequence[SimulatedLine], contradiction: Contradiction) -> Drawing:
+@style.styled
+def draw_contradiction(
+    lines: Sequence[SimulatedLine], contradiction: Contradiction
+) -> style.Drawing:
     """The three numbers of one crystal beside the model, and what may be missing in it."""
-    columns = ("explanation", "probability", "light_yield_ph_per_keV")
-    yields = contradiction.light_yields
-    rows = [(name, p, yields.get(name)) for name, p in contradiction.likeliest.items()]
-    return Drawing(_contradiction_figure(lines, contradiction), columns, rows)
-
-
-@styled
-def _contradiction_figure(lines: Sequence[SimulatedLine], contradiction: Contradiction) -> Figure:
-    figure = canvas(11.0, 4.4)
+    figure = style.canvas(11.0, 4.4)
     axes, bars = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
     _draw_three_numbers(axes, lines, contradiction)
     _draw_explanations(bars, contradiction)
-    return figure
+    columns = ("explanation", "probability", "light_yield_ph_per_keV")
+    yields = contradiction.light_yields
+    rows = [(name, p, yields.get(name)) for name, p in contradiction.likeliest.items()]
+    return style.Drawing(figure, columns, rows)
 
 
 def _draw_three_numbers(
@@ -247,26 +209,22 @@ def _draw_three_numbers(
         capsize=3,
         zorder=6,
     )
-    axes.annotate(
-        "measured",
-        measured,
-        xytext=(-10, 10),
-        textcoords="offset points",
-        weight="bold",
-        ha="right",
-    )
+    beside: dict[str, Any] = {"xytext": (-10, 10), "textcoords": "offset points", "ha": "right"}
+    axes.annotate("measured", measured, weight="bold", **beside)
     axes.set_xlim(0, 92)
     axes.set_xlabel("transmittance through 10 mm (%)")
     axes.set_ylabel(r"$R = η_\mathrm{air} / η_\mathrm{gel}$")
     axes.set_title("the article's model, whatever it scatters", fontsize=11)
     axes.legend(loc="lower left", frameon=False, fontsize=10)
-    open_axes(axes)
+    style.open_axes(axes)
 
 
 def _draw_explanations(axes: Axes, contradiction: Contradiction) -> None:
     """The likeliest explanations, each with its light yield."""
     explanations = list(contradiction.likeliest.items())[::-1]
-    axes.barh(range(len(explanations)), [100 * p for _, p in explanations], color=DARK, height=0.6)
+    axes.barh(
+        range(len(explanations)), [100 * p for _, p in explanations], color=style.DARK, height=0.6
+    )
     for place, (name, probability) in enumerate(explanations):
         of_light = contradiction.light_yields.get(name)
         text = "" if of_light is None else f"  {of_light:.1f} ph/keV"
@@ -279,18 +237,18 @@ def _draw_explanations(axes: Axes, contradiction: Contradiction) -> None:
     if averaged is not None:
         title = f"light yield {pdg(averaged.value, averaged.sigma)} ph/keV on average"
         axes.set_title(f"{title}\nthe article: {p.LIGHT_YIELD.text}", fontsize=11)
-    open_axes(axes)
+    style.open_axes(axes)
 
 
 def _legend(axes: Axes, place: str, unpolarised: str, *further: Line2D) -> None:
     """A legend of what both figures have in common, and of `further` entries."""
     handles = [
-        Line2D([], [], color=GREY, lw=2.2, label="Mitsuba, polarisation followed"),
+        Line2D([], [], color=style.GREY, lw=2.2, label="Mitsuba, polarisation followed"),
         Patch(label="its Monte Carlo error, ±2σ", **_BAND),
         Line2D([], [], label=unpolarised, **_UNPOLARISED),
         *further,
     ]
-    legend(axes, handles, loc=place, fontsize=10)
+    style.legend(axes, handles, loc=place, fontsize=10)
 
 
 def _mark_solution(axes: Axes, line: SimulatedLine) -> None:
@@ -367,4 +325,4 @@ def _scattering_axis(axes: Axes) -> None:
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.set_xlabel(r"scattering coefficient $α_\mathrm{scat}$ (1/cm)")
-    open_axes(axes)
+    style.open_axes(axes)

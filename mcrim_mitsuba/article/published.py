@@ -7,6 +7,7 @@ mm, 1/cm, %, keV, photons per keV.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Callable
@@ -88,8 +89,7 @@ def printed_range(low: str, high: str, where: str, unit: str = "") -> Printed:
     return Printed(text=text, value=middle, rounding=half, sigma=None, where=where, unit=unit)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Table1Line:
+class Table1Line(NamedTuple):
     """One line of Table 1: what a transmittance makes of the crystal and its efficiencies."""
 
     transmittance_percent: Printed
@@ -104,21 +104,14 @@ class Table1Line:
         return self.eta_air_percent, self.eta_gel_percent
 
 
-def _table_1(transmittance: str, alpha_abs: str, alpha_scat: str, air: str, gel: str) -> Table1Line:
-    """A line of the article's Table 1, of its printed texts."""
-    return Table1Line(
-        transmittance_percent=printed(transmittance, "Table 1", "%"),
-        alpha_abs_per_cm=printed(alpha_abs, "Table 1", "1/cm"),
-        alpha_scat_per_cm=printed(alpha_scat, "Table 1", "1/cm"),
-        eta_air_percent=printed(air, "Table 1", "%"),
-        eta_gel_percent=printed(gel, "Table 1", "%"),
+_UNITS_OF_TABLE_1 = ("%", "1/cm", "1/cm", "%", "%")
+TABLE_1 = tuple(
+    Table1Line(*map(printed, texts, itertools.repeat("Table 1"), _UNITS_OF_TABLE_1))
+    for texts in (
+        ("98.6", "0.014", "0.42", "28", "48"),
+        ("96.0", "0.039", "0.54", "25", "43"),
+        ("93.0", "0.072", "0.73", "23", "40"),
     )
-
-
-TABLE_1 = (
-    _table_1("98.6", "0.014", "0.42", "28", "48"),
-    _table_1("96.0", "0.039", "0.54", "25", "43"),
-    _table_1("93.0", "0.072", "0.73", "23", "40"),
 )
 NOMINAL = TABLE_1[1]
 

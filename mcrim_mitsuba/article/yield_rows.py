@@ -5,16 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from mcrim_mitsuba.article import arithmetic
 from mcrim_mitsuba.article import published as p
-from mcrim_mitsuba.article.arithmetic import (
-    CAWO4_SIGNAL,
-    CAWO4_YIELD,
-    SIGNALS,
-    absolute_yield,
-    efficiency,
-    relative_yield,
-    with_eta_error,
-)
+from mcrim_mitsuba.article.arithmetic import SIGNALS, absolute_yield, with_eta_error
 from mcrim_mitsuba.article.efficiency_rows import largest_eta_deviation, wrapped_spread
 from mcrim_mitsuba.article.published import AGREEMENT_SIGMAS, ArticleRow, compare, from_printed
 from mcrim_mitsuba.article.simulated import (
@@ -69,7 +62,7 @@ def light_yields(simulated: Simulated) -> LightYields:
             },
         ),
         at_article_point=(absolute_yield(signal_air, air), absolute_yield(signal_gel, gel)),
-        relative=relative_yield(
+        relative=arithmetic.relative_yield(
             air,
             # the article has no transmittances of CaWO4: its own ±12 % is kept
             replace(with_eta_error(cawo4.eta), statistical={"monte_carlo": cawo4.eta_sigma}),
@@ -102,11 +95,11 @@ def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
     # shared by both methods: N_air, its detector efficiency and eta of CaMoO4
     of_cawo4 = quotient(
         above=[
-            ("efficiency", efficiency(p.CAWO4_EFFICIENCY)),
+            ("efficiency", arithmetic.efficiency(p.CAWO4_EFFICIENCY)),
             ("eta", with_eta_error(1.0)),
-            ("yield", CAWO4_YIELD),
+            ("yield", arithmetic.CAWO4_YIELD),
         ],
-        below=[("signal", CAWO4_SIGNAL)],
+        below=[("signal", arithmetic.CAWO4_SIGNAL)],
     )
     sigma = relative.value * of_cawo4.sigma / of_cawo4.value
     return (
