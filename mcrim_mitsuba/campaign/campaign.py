@@ -24,12 +24,7 @@ from mcrim_mitsuba.campaign.parameter import (
 )
 from mcrim_mitsuba.campaign.raw_data import file_in
 from mcrim_mitsuba.campaign.reduction import RawData, reduce_raw_data
-from mcrim_mitsuba.campaign.samples import (
-    EFFICIENCY_FACTOR,
-    Sample,
-    own_name,
-    read_samples,
-)
+from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR, Sample, own_name, read_samples
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by, visible
 from mcrim_mitsuba.core.files import READS, collected, is_there
 from mcrim_mitsuba.core.numbers import (
@@ -42,7 +37,7 @@ from mcrim_mitsuba.core.numbers import (
     without_unit,
 )
 from mcrim_mitsuba.core.rounding import counted
-from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
+from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, is_plain_number, read_toml
 from mcrim_mitsuba.effects.catalogue import catalogue, effect_of, exclude_each_other
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.effects.trust import refuse_untrusted, trust, whose
@@ -152,9 +147,7 @@ class Campaign:
     def free(self) -> tuple[str, ...]:
         """Names that the fit varies, ``scale`` last."""
         named = {**self.parameters, SCALE: self.scale}
-        return tuple(
-            name for name, parameter in named.items() if parameter is None or not parameter.fixed
-        )
+        return tuple(name for name, of in named.items() if of is None or not of.fixed)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -188,13 +181,7 @@ class Campaign:
     def priors(self) -> dict[str, tuple[float, float]]:
         """Gaussian knowledge of free parameters from elsewhere: value and standard error."""
         named = {**self.parameters, SCALE: self.scale}
-        return {
-            name: (parameter.prior, parameter.prior_sigma)
-            for name, parameter in ((name, named[name]) for name in self.free)
-            if parameter is not None
-            and parameter.prior is not None
-            and parameter.prior_sigma is not None
-        }
+        return {name: of.knowledge for name, of in named.items() if of and of.knowledge}
 
     def with_priors(self, priors: Mapping[str, tuple[float, float]]) -> Campaign:
         """The campaign with other `priors` of some parameters."""
@@ -213,9 +200,7 @@ class Campaign:
         left = tuple(name for name in self.effects if name in effects)
         kept = {p.name for name in left for p in self.catalogue[name].parameters}
         gone = {p.name for effect in self.switched_on for p in effect.parameters} - kept
-        parameters = {
-            name: parameter for name, parameter in self.parameters.items() if name not in gone
-        }
+        parameters = {name: of for name, of in self.parameters.items() if name not in gone}
         return replace(self, effects=left, parameters=parameters)
 
     def with_effects(self, names: Sequence[str]) -> Campaign:
@@ -327,8 +312,8 @@ def _with_parameters(campaign: Campaign, document: TomlDocument) -> Campaign:
         parameters |= {parameter.name: parameter for parameter in sample.own.values()}
     detector = read_detector(document, campaign.scene, measurements)
     own_scales = any(SCALE in sample.own for sample in campaign.samples.values())
-    raw = None if campaign.raw is None else campaign.raw.efficiency
-    parts = None if raw is None else raw.contributions
+    raw = campaign.raw.efficiency if campaign.raw else None
+    parts = raw.contributions if raw else None
     light_yield = read_light_yield(document, detector, own_scales=own_scales, parts=parts)
     if own_scales and (sigma := detector.common_sigma):
         parameters[EFFICIENCY_FACTOR] = CampaignParameter(
@@ -380,35 +365,27 @@ def _read_beam(
 ) -> dict[str, Value]:
     """``[beam]``, completed by what is usual; empty where no reading is a transmittance."""
     table = document.table(schema.BEAM_TABLE, schema.BEAM)
-    given: dict[str, Value] = {
-        name: str(value) if name == BEAM_AXIS else table.known_number(name)
-        for name, value in table.items()
-    }
-    for name, value in given.items():
-        if (wrong := refused_of_beam(name, value)) is not None:
+    given: dict[str, Value] = {}
+    for name in table:
+        given[name] = str(table[name]) if name == BEAM_AXIS else table.known_number(name)
+        if (wrong := refused_of_beam(name, given[name])) is not None:
             raise table.refusal(name, *wrong)
     beam = {**BEAM_PARAMETERS, **given}
     transmittances = [reading for reading in measurements.readings if reading.of_beam]
-    if not transmittances and given:
-        raise table.refusal(
-            "",
-            f"no reading of {measurements.path.name} is a transmittance",
-            "add a column kind with transmittance in its row, or remove [beam]",
-        )
     if not transmittances:
+        if given:
+            problem = f"no reading of {measurements.path.name} is a transmittance"
+            mend = "add a column kind with transmittance in its row, or remove [beam]"
+            raise table.refusal("", problem, mend)
         return {}
     in_beam = spectrophotometer_of(scene).parameters
     for reading in transmittances:
         for name, value in reading.parameters.items():
             # a row may say that there is air
             if name not in in_beam or (name == GAP_INDEX and value != 1.0):
-                raise measurements.refusal(
-                    reading,
-                    name,
-                    f"{name} = {value_text(value)} of a transmittance, which is "
-                    "measured in air without the bench",
-                    "empty the cell",
-                )
+                what = f"{name} = {value_text(value)} of a transmittance"
+                problem = f"{what}, which is measured in air without the bench"
+                raise measurements.refusal(reading, name, problem, "empty the cell")
         values = {**scene.parameters, **beam, **reading.parameters}
         if (wrong := too_wide(values)) is None:
             continue
@@ -422,17 +399,13 @@ def _refuse_ranges_of_beam(
     document: TomlDocument, fitted: Iterable[str], values: Mapping[str, Value]
 ) -> None:
     """Refuse ranges of fitted beam parameters with values that no spectrophotometer has."""
-    for name in fitted:
-        if name not in BEAM_PARAMETERS:
-            continue
+    for name in filter(BEAM_PARAMETERS.__contains__, fitted):
         table = document.table(f"parameters.{name}")
         for entry in ("start", "min", "max"):
-            value = table.number(entry)
-            if value is None:
-                continue
-            wrong = refused_of_beam(name, value) or too_wide({**values, name: value})
-            if wrong is not None:
-                raise table.refusal(entry, *wrong)
+            if (value := table.number(entry)) is not None:
+                wrong = refused_of_beam(name, value) or too_wide({**values, name: value})
+                if wrong is not None:
+                    raise table.refusal(entry, *wrong)
 
 
 def _sibling(entries: TomlTable, name: str) -> Path:
@@ -493,13 +466,14 @@ def _folder(entries: TomlTable, trusted: bool) -> Path | None:
     if name not in entries:
         return None
     path = entries.path_of(name, entries[name])
+    refusal = entries.refusal(
+        name, f"{path} is not a folder", "paths are relative to the campaign file"
+    )
     if not (is_there(path) and path.is_dir()):
-        problem = f"{path} is not a folder"
-        raise entries.refusal(name, problem, "paths are relative to the campaign file")
+        raise refusal
     if trusted:
         trust(path)
-    place = entries.refusal(name, "", "")
-    refuse_untrusted(path, place.path, place.line)
+    refuse_untrusted(path, refusal.path, refusal.line)
     return path
 
 
@@ -549,13 +523,12 @@ def _read_next(table: TomlTable, campaign: Campaign) -> dict[str, Any]:
     for name, values in table.items():
         if name == schema.NEXT_SIGMA:
             entries[name] = number_within(table, name, schema.NEXT_ENTRIES)
-            continue
-        if name == schema.NEXT_MINUTES:
+        elif name == schema.NEXT_MINUTES:
             entries[name] = _read_minutes(table, values, campaign.scene)
-            continue
-        if (wrong := _wrong_next(name, values, campaign)) is not None:
+        elif (wrong := _wrong_next(name, values, campaign)) is not None:
             raise table.refusal(name, *wrong)
-        entries[name] = list(dict.fromkeys(float(value) for value in values))
+        else:
+            entries[name] = list(dict.fromkeys(map(float, values)))
     return entries
 
 
@@ -568,8 +541,7 @@ def _read_minutes(table: TomlTable, minutes: Any, scene: SceneFile) -> dict[str,
         if name not in scene.parameters:
             problem = f"{schema.NEXT_MINUTES}: {name} is not a parameter of {scene.path.name}"
             raise table.refusal(schema.NEXT_MINUTES, problem, did_you_mean(name, scene.parameters))
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not number or not 0.0 <= value < math.inf:
+        if not is_plain_number(value) or not 0.0 <= value < math.inf:
             problem = f"{schema.NEXT_MINUTES}: {name} = {value} is not a number of minutes"
             raise table.refusal(schema.NEXT_MINUTES, problem, f"write {name} = 20")
     return {name: float(value) for name, value in minutes.items()}
@@ -588,10 +560,7 @@ def _wrong_next(name: str, values: Any, campaign: Campaign) -> tuple[str, str] |
         return f"{name} is not a number", f"remove {name}"
     if name in parameters and not parameters[name].fixed:
         return f"{name} is fitted: a measurement cannot set it", f"remove {name} here"
-    numbers = isinstance(values, list) and all(
-        isinstance(value, (int, float)) and not isinstance(value, bool) for value in values
-    )
-    if not numbers or not values:
+    if not isinstance(values, list) or not values or not all(map(is_plain_number, values)):
         return f"{name} is not a list of numbers", f"write {name} = [1.0, 2.0]"
     for value in values:
         if (wrong := judge(name, float(value))) is not None:

@@ -43,6 +43,13 @@ class CampaignParameter:
     fixed: bool = False
 
     @property
+    def knowledge(self) -> tuple[float, float] | None:
+        """Prior and its standard error, of a parameter that is fitted; None without one."""
+        if self.fixed or self.prior is None or self.prior_sigma is None:
+            return None
+        return self.prior, self.prior_sigma
+
+    @property
     def logarithmic(self) -> bool:
         """Whether fits search it in its logarithm: eta changes with scattering over decades."""
         return self.name.startswith(_SCATTERING) and self.minimum > 0.0
@@ -110,8 +117,9 @@ def read_parameter(
     fixed = table.get("fixed", False)
     if not isinstance(fixed, bool):
         raise table.refusal("fixed", "fixed is not true or false", "write fixed = true")
-    given = {entry: table.number(entry) for entry in schema.PARAMETER if entry != "fixed"}
-    if (given["prior"] is None) != (given["prior_sigma"] is None):
+    numbers = {entry: table.number(entry) for entry in schema.PARAMETER if entry != "fixed"}
+    given = {entry: number for entry, number in numbers.items() if number is not None}
+    if ("prior" in given) != ("prior_sigma" in given):
         problem = f"{name} has only one of prior and prior_sigma"
         raise table.refusal("", problem, "give both or none")
     number_within(table, "prior_sigma", schema.PARAMETER)
@@ -122,11 +130,17 @@ def read_parameter(
     start = _start(given, ranges.get(name), in_scene)
     if start is None:
         raise table.refusal("", f"{name} has no start value", "add start = ...")
-    bounds = _bounds(given, name, ranges.get(name), in_scene, fixed)
-    if bounds is None:
+    if fixed or ("min" in given and "max" in given):
+        usual: tuple[float, float] | None = (-math.inf, math.inf)
+    elif (known_range := ranges.get(name)) is not None:
+        usual = known_range.minimum, known_range.maximum
+    else:
+        usual = _usual_range(name, in_scene)
+    if usual is None:
         problem = f"no range of {name} is known"
         raise table.refusal("", problem, "give min and max, or fixed = true")
-    prior, prior_sigma = given["prior"], given["prior_sigma"]
+    bounds = given.get("min", usual[0]), given.get("max", usual[1])
+    prior, prior_sigma = given.get("prior"), given.get("prior_sigma")
     parameter = CampaignParameter(
         name, float(start), *bounds, prior=prior, prior_sigma=prior_sigma, fixed=fixed
     )
@@ -135,38 +149,13 @@ def read_parameter(
 
 
 def _start(
-    given: Mapping[str, float | None], usual: KnownRange | None, in_scene: float | None
+    given: Mapping[str, float], usual: KnownRange | None, in_scene: float | None
 ) -> float | None:
     """The campaign's start, else the catalogue's within its bounds, the scene's or the prior."""
-    if given["start"] is not None:
-        return given["start"]
-    if usual is not None and usual.start is not None:
-        low, high = given["min"], given["max"]
-        start = usual.start if high is None else min(usual.start, high)
-        return start if low is None else max(low, start)
-    return in_scene if in_scene is not None else given["prior"]
-
-
-def _bounds(
-    given: Mapping[str, float | None],
-    name: str,
-    usual: KnownRange | None,
-    in_scene: float | None,
-    fixed: bool,
-) -> tuple[float, float] | None:
-    """The campaign's bounds, each else the catalogue's or the usual one; None: one is not known."""
-    low, high = given["min"], given["max"]
-    if low is not None and high is not None:
-        return low, high
-    if fixed:
-        others: tuple[float, float] | None = (-math.inf, math.inf)
-    elif usual is not None:
-        others = usual.minimum, usual.maximum
-    else:
-        others = _usual_range(name, in_scene)
-    if others is None:
-        return None
-    return others[0] if low is None else low, others[1] if high is None else high
+    if "start" not in given and usual is not None and usual.start is not None:
+        return max(given.get("min", -math.inf), min(usual.start, given.get("max", math.inf)))
+    starts = (given.get("start"), in_scene, given.get("prior"))
+    return next((start for start in starts if start is not None), None)
 
 
 def _refuse_what_lies_outside(table: TomlTable, parameter: CampaignParameter) -> None:
@@ -352,26 +341,18 @@ def read_detector(
     Raises InputError with the line, if an entry is impossible.
     """
     table = document.table(schema.YIELD_TABLE)
-    collection, sigma = (
-        number_within(table, n, schema.DETECTOR)
-        for n in (schema.COLLECTION, schema.COLLECTION_SIGMA)
-    )
+    names = (schema.COLLECTION, schema.COLLECTION_SIGMA)
+    collection, sigma = (number_within(table, name, schema.DETECTOR) for name in names)
     if sigma is not None and collection is None:
         problem = f"{schema.COLLECTION_SIGMA} without {schema.COLLECTION}"
-        raise table.refusal(
-            schema.COLLECTION_SIGMA, problem, f"add {schema.COLLECTION}, or remove it"
-        )
+        mend = f"add {schema.COLLECTION}, or remove it"
+        raise table.refusal(schema.COLLECTION_SIGMA, problem, mend)
+    of_article = document.content.get(schema.CONVENTION) == schema.ARTICLE
     given = choice(table, schema.EFFICIENCY_OF, schema.DETECTOR)
-    usual = (
-        schema.IN_WINDOW
-        if document.content.get(schema.CONVENTION) == schema.ARTICLE
-        else schema.IN_AIR
-    )
-    reflected = float(reflectance(1.0, 1.0, _window_index(document, scene, measurements)))
-    in_air = (given or usual) == schema.IN_AIR
+    usual = schema.IN_WINDOW if of_article else schema.IN_AIR
     return DetectorTerms(
-        reflected,
-        in_air,
+        float(reflectance(1.0, 1.0, _window_index(document, scene, measurements))),
+        (given or usual) == schema.IN_AIR,
         given is not None,
         collection,
         collection_sigma=sigma or 0.0,

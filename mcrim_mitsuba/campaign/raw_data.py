@@ -13,10 +13,10 @@ from typing import Any
 
 from mcrim_mitsuba.campaign import entries as schema
 from mcrim_mitsuba.campaign.entries import number_within
-from mcrim_mitsuba.core.errors import InputError, said_by
+from mcrim_mitsuba.core.errors import said_by
 from mcrim_mitsuba.core.files import is_there, look_around, resolved
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, MM_PER_CM
-from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
+from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, is_plain_number
 from mcrim_mitsuba.laboratory.light_yield import (
     TUBE_SCALE_SIGMA,
     DetectorEfficiency,
@@ -119,7 +119,7 @@ def read_absorption(
     if light is None and spectra:
         raise table.refusal(name, *_WITHOUT_LIGHT)
     n, n_sigma, notes = _index(table, light, scene)
-    try:
+    with said_by(partial(table.refusal, name), placed_too=False):
         absorption = absorption_from_transmittance(
             spectra or numbers,
             n,
@@ -129,10 +129,6 @@ def read_absorption(
             thickness_sigma_mm=thickness_sigma_mm,
             emission=light,
         )
-    except InputError as error:
-        if error.path is not None:
-            raise
-        raise table.refusal(name, error.problem, error.mend) from None
     # the emission only weights: its noise is no error of the readings
     parts = [part for origin, part in absorption.contributions.items() if origin != EMISSION]
     sigma = math.hypot(*parts)
@@ -173,16 +169,12 @@ def _index(
         return index, 0.0 if named is None else named.material.sigma, ()
     if light is None and "@" not in n:
         raise table.refusal("n", *_WITHOUT_LIGHT)
-    try:
+    with said_by(partial(table.refusal, "n"), placed_too=False):
         if light is None or "@" in n:
             named = read_index("n", n, table.document.path.parent)
             return named.value, named.material.sigma, ()
         band = index_over(n, light)
-    except InputError as error:
-        if error.path is not None:
-            raise
-        raise table.refusal("n", error.problem, error.mend) from None
-    return band.material.held_index, band.sigma, band.notes
+        return band.material.held_index, band.sigma, band.notes
 
 
 def _measured(table: TomlTable) -> tuple[list[Path], list[float], float]:
@@ -195,7 +187,7 @@ def _measured(table: TomlTable) -> tuple[list[Path], list[float], float]:
     given = table[name]
     numbers: list[float] = []
     files: list[Path] = []
-    if isinstance(given, (int, float)) and not isinstance(given, bool):
+    if is_plain_number(given):
         number_within(table, name, schema.TRANSMITTANCE)
         numbers = [table.known_number(name)]
         sigma = _above_zero(table, sigma_name, f"the standard error of {name}")

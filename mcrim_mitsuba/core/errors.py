@@ -78,11 +78,18 @@ def _restored(kind: type[InputError], arguments: tuple, state: dict) -> InputErr
 
 
 @contextlib.contextmanager
-def said_by(refusal: Callable[[str, str], InputError]) -> Iterator[None]:
-    """What is refused inside, as `refusal` makes it of the problem and the mend: with its place."""
+def said_by(
+    refusal: Callable[[str, str], InputError], *, placed_too: bool = True
+) -> Iterator[None]:
+    """What is refused inside, as `refusal` makes it of the problem and the mend: with its place.
+
+    What names a file already stays as it is unless that is `placed_too`.
+    """
     try:
         yield
     except InputError as error:
+        if error.path is not None and not placed_too:
+            raise
         raise refusal(error.problem, error.mend) from None
 
 

@@ -106,7 +106,7 @@ class TomlTable(dict[str, Any]):
             return None
         if isinstance(value, str):
             raise self.refusal(name, f'{name} = "{value}" is text', "write a number without quotes")
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
+        if not is_plain_number(value):
             raise self.refusal(name, f"{name} is not a number", "write one, such as 0.5")
         with said_by(partial(self.refusal, name)):
             return parse_number(name, repr(value))
@@ -116,6 +116,11 @@ class TomlTable(dict[str, Any]):
         number = self.number(name)
         assert number is not None
         return number
+
+
+def is_plain_number(value: object) -> bool:
+    """Whether an entry's value is a number: true and false are none."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def read_toml(path: Path, kind: str = "a campaign") -> TomlDocument:

@@ -5,25 +5,18 @@ Dask is an optional extra, ``pip install 'mcrim-mitsuba[cluster]'``.
 
 from __future__ import annotations
 
-import concurrent.futures
 import json
 import logging
 import threading
+from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_text
+from mcrim_mitsuba.runs import executors
 from mcrim_mitsuba.runs.cache import other_version, record_versions
-from mcrim_mitsuba.runs.executors import (
-    Content,
-    Job,
-    PoolExecutor,
-    Track,
-    WorkItem,
-    make_sent,
-    pickled,
-)
+from mcrim_mitsuba.runs.executors import Contents
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -83,11 +76,11 @@ def connect(address: str) -> Client:
     raise InputError(f"no Dask scheduler answers at {address} ({why})", _START)
 
 
-def _client_of(address: str) -> concurrent.futures.Future[Client]:
+def _client_of(address: str) -> Future[Client]:
     """A client of the scheduler at an address, when it is there, or what Dask's client raises."""
     import distributed
 
-    answer: concurrent.futures.Future[Client] = concurrent.futures.Future()
+    answer: Future[Client] = Future()
 
     def ask() -> None:
         try:
@@ -101,7 +94,7 @@ def _client_of(address: str) -> concurrent.futures.Future[Client]:
     return answer
 
 
-class ClusterExecutor(PoolExecutor):
+class ClusterExecutor(executors.PoolExecutor):
     """Hands units to the workers of a Dask cluster (see `connect`), and keeps what comes back."""
 
     def __init__(self, address: str) -> None:
@@ -110,22 +103,25 @@ class ClusterExecutor(PoolExecutor):
         self._pool: Any = None
 
     @property
-    def workers(self) -> int:
-        """How many there are now; more may come."""
-        return len(_workers(self._client, self._address))
+    def workers(self) -> dict[str, Any]:
+        """Those that there are now, by address; more may come."""
+        try:
+            return dict(self._client.scheduler_info(n_workers=-1)["workers"])
+        except (OSError, KeyError):  # a client that has given up knows nothing
+            raise _lost(self._address) from None
 
     def close(self) -> None:
         """Leave the cluster."""
         self._client.close()
 
     def ahead(self) -> int:
-        workers = _workers(self._client, self._address).values()
-        return max(LEAST_AHEAD, AHEAD * sum(worker["nthreads"] for worker in workers))
+        threads = sum(worker["nthreads"] for worker in self.workers.values())
+        return max(LEAST_AHEAD, AHEAD * threads)
 
-    def submit(self, unit: WorkItem) -> concurrent.futures.Future[dict[int, Content]]:
+    def submit(self, unit: executors.WorkItem) -> Future[Contents]:
         import distributed
 
-        sent = pickled(unit.portable())
+        sent = executors.pickled(unit.portable())
         versions = record_versions(unit.variant, *unit.modules)
         try:
             self._pool = self._pool or self._client.get_executor(pure=False)
@@ -133,7 +129,7 @@ class ClusterExecutor(PoolExecutor):
         except distributed.client.ClosedClientError:
             raise _lost(self._address) from None
 
-    def look(self, track: Track, what: str) -> None:
+    def look(self, track: executors.Track, what: str) -> None:
         """Tell that there are no workers; a cluster that is gone is refused, see `_lost`."""
         if self._client.status != "running":
             raise _lost(self._address)
@@ -145,9 +141,7 @@ class ClusterExecutor(PoolExecutor):
             self._pool.shutdown(wait=False)
         self._pool = None
 
-    def result(
-        self, future: concurrent.futures.Future[dict[int, Content]], job: Job
-    ) -> dict[int, Content]:
+    def result(self, future: Future[Contents], job: executors.Job) -> Contents:
         """What a worker sent; what went wrong there is said as it would be said here."""
         import dask
         import distributed
@@ -170,15 +164,8 @@ class ClusterExecutor(PoolExecutor):
             problem = f"a worker has no module {error.name}"
             mend = "install the same mcrim-mitsuba, with the same Python, for all workers"
             raise InputError(problem, mend, path=self._address) from None
-        except (OSError, concurrent.futures.CancelledError):
+        except (OSError, CancelledError):
             raise _lost(self._address) from None
-
-
-def _workers(client: Client, address: str) -> dict[str, Any]:
-    try:
-        return dict(client.scheduler_info(n_workers=-1)["workers"])
-    except (OSError, KeyError):  # a client that has given up knows nothing
-        raise _lost(address) from None
 
 
 def _lost(address: str) -> InputError:
@@ -189,7 +176,7 @@ def _lost(address: str) -> InputError:
     )
 
 
-def _make_by_value(pickled: bytes, versions: dict[str, str]) -> dict[int, Content]:
+def _make_by_value(pickled: bytes, versions: dict[str, str]) -> Contents:
     """`make_on_worker`; a worker that has no such module says so, where else it would go away."""
     # not as a global: that would be sent by its name in a module
     from mcrim_mitsuba.runs.cluster import make_on_worker
@@ -201,7 +188,7 @@ def _make_by_value(pickled: bytes, versions: dict[str, str]) -> dict[int, Conten
 _make_by_value.__module__ = "__main__"
 
 
-def make_on_worker(pickled: bytes, versions: dict[str, str]) -> dict[int, Content]:
+def make_on_worker(pickled: bytes, versions: dict[str, str]) -> Contents:
     """Make a unit that `pickled` gave, in a worker: Mitsuba is started here.
 
     Raises InputError if the worker has other versions than `record_versions` of whoever wants the
@@ -216,4 +203,4 @@ def make_on_worker(pickled: bytes, versions: dict[str, str]) -> dict[int, Conten
         raise InputError(problem, "install the same versions for all workers and for the command")
     # Dr.Jit's threads are the process's: units of one worker go one after the other
     with _one_at_a_time:
-        return make_sent(pickled, worker.state.nthreads)
+        return executors.make_sent(pickled, worker.state.nthreads)

@@ -36,6 +36,8 @@ def number_of(*identity: object) -> int:
 
 #: What a unit makes under one number: arrays of one dimension, and what JSON can hold.
 Content = tuple[Mapping[str, NDArray[Any]], Mapping[str, object]]
+#: All that it makes, by number.
+Contents = dict[int, Content]
 
 
 class WorkItem(Protocol):
@@ -65,7 +67,7 @@ class WorkItem(Protocol):
     def numbers(self) -> tuple[int, ...]:
         """Of the chunks that it makes, in the cache of its key."""
 
-    def make(self, threads: int | None) -> dict[int, Content]:
+    def make(self, threads: int | None) -> Contents:
         """The chunks by number; `threads` (all when None) do not change them."""
 
     def check(self, threads: int | None) -> None:
@@ -199,7 +201,7 @@ class PoolExecutor(Executor):
         """See `Executor.do`; threads are those of whoever does the units."""
         track = Track(jobs, progress)
         # what is handed out, what is there ahead of its turn, and how many were begun
-        out: dict[Future[dict[int, Content]], int] = {}
+        out: dict[Future[Contents], int] = {}
         there: dict[int, Finished] = {}
         begun = 0
         try:
@@ -234,14 +236,14 @@ class PoolExecutor(Executor):
         """How many units may be under way, or wait for their turn."""
         raise NotImplementedError
 
-    def submit(self, unit: WorkItem) -> Future[dict[int, Content]]:
+    def submit(self, unit: WorkItem) -> Future[Contents]:
         """Hand a unit out to the pool."""
         raise NotImplementedError
 
     def look(self, track: Track, what: str) -> None:
         """See why nothing came for a while, and tell `track`; `what` is what is waited for."""
 
-    def result(self, future: Future[dict[int, Content]], job: Job) -> dict[int, Content]:
+    def result(self, future: Future[Contents], job: Job) -> Contents:
         """What a future that is done brought back; an error that a user can mend as InputError."""
         raise NotImplementedError
 
@@ -280,7 +282,7 @@ def keep(job: Job, contents: Mapping[int, Content]) -> dict[int, Chunk]:
     return {n: Chunk(n, dict(arrays), dict(data)) for n, (arrays, data) in contents.items()}
 
 
-def make_sent(sent: bytes, threads: int = 1) -> dict[int, Content]:
+def make_sent(sent: bytes, threads: int = 1) -> Contents:
     """Make a unit that `pickled` gave."""
     unit: WorkItem = pickle.loads(sent)
     unit.check(threads)
@@ -362,13 +364,13 @@ class ProcessExecutor(PoolExecutor):
     def ahead(self) -> int:
         return AHEAD * self._processes
 
-    def submit(self, unit: WorkItem) -> Future[dict[int, Content]]:
+    def submit(self, unit: WorkItem) -> Future[Contents]:
         import loky  # slow, and of no use where nothing is missing
 
         self._pool = loky.get_reusable_executor(self._processes, timeout=IDLE_S, initializer=_begin)
         return self._pool.submit(make_sent, pickled(unit))
 
-    def result(self, future: Future[dict[int, Content]], job: Job) -> dict[int, Content]:
+    def result(self, future: Future[Contents], job: Job) -> Contents:
         try:
             return future.result()
         except BrokenProcessPool:

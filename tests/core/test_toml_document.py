@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from refusals import refusal
 
-from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
+from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, is_plain_number, read_toml
 
 TEXT = """# a campaign
 scene = "bench.xml"
@@ -51,6 +51,7 @@ def test_numbers_and_paths_of_a_table(here):
     table = read_toml(Path("a.toml"), "a list").table("")
     assert table.number("x") == 2.0 and table.number("no") is None
     assert table.known_number("x") == 2.0
+    assert is_plain_number(table["x"]) and not is_plain_number(True)
     for name, says in (
         ("y", 'line 2: y = "2" is text; write a number without quotes'),
         ("z", "line 3: z is not a number"),

@@ -35,6 +35,10 @@ def test_refusals_within_get_the_place_of_who_knows_it():
     with pytest.raises(InputError, match=r"^it is wrong, he said; mend it$"):
         with said_by(lambda problem, mend: InputError(f"{problem}, he said", mend)):
             raise InputError("it is wrong", "mend it")
+    # what knows its file may keep it
+    with pytest.raises(InputError, match=r"^d\.csv: it is wrong; mend it$"):
+        with said_by(lambda problem, mend: InputError("he said", mend), placed_too=False):
+            raise InputError("it is wrong", "mend it", path="d.csv")
     with pytest.raises(ValueError, match="another"), placed(path="c"):
         raise ValueError("another")
 
