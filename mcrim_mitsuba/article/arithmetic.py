@@ -274,7 +274,7 @@ def relative_rows() -> list[ArticleRow]:
         p.CAWO4_EFFICIENCY,
         p.CAWO4_YIELD,
     )
-    signals_alone = _signals_alone()
+    alone = _signals_alone()
     return [
         compare(
             "Y, stated eta = 0.23, Eq. 7",
@@ -291,15 +291,12 @@ def relative_rows() -> list[ArticleRow]:
             remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, counts",
         ),
         compare(
-            "equal collection: 14.3/40.1 x 16.2",
-            p.SIMPLE_COMPARISON,
-            signals_alone,
-            inconsistent=True,
+            "equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON, alone, inconsistent=True
         ),
         compare(
             "with the efficiencies",
             p.SIMPLE_COMPARISON,
-            signals_alone * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value,
+            alone * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value,
             inconsistent=True,
             remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies "
             "as well",

@@ -145,6 +145,7 @@ def _distance(ours: float, exact: float, sigma: float) -> str:
 def bench_rows(simulated: Simulated, photons: int) -> list[ArticleRow]:
     """The scene's parameters beside the article's description."""
     bench, cawo4 = simulated.parameters, simulated.cawo4.parameters
+    aperture_mm = 2.0 * float(bench["aperture_radius_mm"])
     stated = (
         ("crystal width", p.CRYSTAL_MM, bench["crystal_width_mm"]),
         ("crystal height", p.CRYSTAL_MM, bench["crystal_height_mm"]),
@@ -154,11 +155,7 @@ def bench_rows(simulated: Simulated, photons: int) -> list[ArticleRow]:
         ("window width", p.WINDOW_WIDTH_MM, bench["window_width_mm"]),
         ("window thickness", p.WINDOW_THICKNESS_MM, bench["window_thickness_mm"]),
         ("index of the window", p.N_WINDOW, bench["n_window"]),
-        (
-            "diameter of the aperture",
-            p.APERTURE_DIAMETER_MM,
-            2.0 * float(bench["aperture_radius_mm"]),
-        ),
+        ("diameter of the aperture", p.APERTURE_DIAMETER_MM, aperture_mm),
         ("index of the gap, gel", p.N_GEL, COUPLINGS[GEL]),
         ("alpha_abs of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_ABS, cawo4[ALPHA_ABS]),
         ("alpha_scat of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_SCAT, cawo4[ALPHA_SCAT]),
@@ -222,18 +219,10 @@ def efficiency_rows(simulated: Simulated) -> list[ArticleRow]:
     rows = []
     for line in simulated.lines:
         percent, way = line.printed.transmittance_percent, _SHORT[line.polarised]
-        rows += [
-            _eta_row(
-                f"{name}, T = {percent.text} %, at our fit, {way}",
-                paper,
-                eta,
-                monte_carlo,
-                of_ratio=of_ratio,
-            )
-            for name, paper, eta, of_ratio, monte_carlo in zip(
-                _ETAS, line.printed.etas_percent, line.etas, *line.eta_sigmas, strict=True
-            )
-        ]
+        etas = zip(_ETAS, line.printed.etas_percent, line.etas, *line.eta_sigmas, strict=True)
+        for name, paper, eta, of_ratio, monte_carlo in etas:
+            what = f"{name}, T = {percent.text} %, at our fit, {way}"
+            rows.append(_eta_row(what, paper, eta, monte_carlo, of_ratio=of_ratio))
     for line in simulated.lines:
         scattering = line.printed.alpha_scat_per_cm
         absorption, way = line.printed.alpha_abs_per_cm, _SHORT[line.polarised]
@@ -276,16 +265,11 @@ def _shape_rows(line: SimulatedLine) -> list[ArticleRow]:
     point = line.at(p.ALPHA_SCAT.value)
     *etas, ratio = point.values
     sigma = float(point.sigmas[2])
-    theirs = ratio * _relative_sigma_of_ratio(etas)
+    of_both = math.hypot(sigma, ratio * _relative_sigma_of_ratio(etas))
     position, position_sigma = position_of_maximum([line.at(a) for a in PEAK_POINTS_PER_CM], 1)
+    what = "R at the article's (0.039, 0.54) /cm, pol."
     rows = [
-        compare(
-            "R at the article's (0.039, 0.54) /cm, pol.",
-            p.RATIO,
-            ratio,
-            sigma=sigma,
-            difference_sigma=math.hypot(sigma, theirs),
-        ),
+        compare(what, p.RATIO, ratio, sigma=sigma, difference_sigma=of_both),
         compare(
             "maximum of the gel curve, Sec. 6.2",
             p.GEL_MAXIMUM,

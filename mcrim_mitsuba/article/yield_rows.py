@@ -90,6 +90,7 @@ def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
         for signal, eta in zip(SIGNALS, p.NOMINAL.etas_percent, strict=True)
     )
     counts = "counting errors; those of eta and of the detector efficiency are shared"
+    at_article_point = "Y1 and Y2 with our eta at the article's (0.039, 0.54) /cm"
     absolute, relative = yields.fitted, yields.relative
     distance = relative.value - absolute.value
     # shared by both methods: N_air, its detector efficiency and eta of CaMoO4
@@ -104,11 +105,7 @@ def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
     sigma = relative.value * of_cawo4.sigma / of_cawo4.value
     return (
         agreement("Y1 (air) and Y2 (gel) with the article's eta", in_air, in_gel, counts),
-        agreement(
-            "Y1 and Y2 with our eta at the article's (0.039, 0.54) /cm",
-            *yields.at_article_point,
-            counts,
-        ),
+        agreement(at_article_point, *yields.at_article_point, counts),
         "With our eta at our own alpha_scat Y1 and Y2 are equal by construction: that is what "
         "alpha_scat is fitted for.",
         f"Eq. 7 with our eta against Eqs. 1-2: {relative.value:.1f} and {absolute.value:.1f} "

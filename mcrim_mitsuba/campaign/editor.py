@@ -62,12 +62,9 @@ def campaign_with_effects(
     }
     for name, start in starts.items():
         value = float(f"{start:.6g}")
-        if name in keys or name == EFFICIENCY_FACTOR:
-            if name in keys and (given := table_in(document, keys[name])) is not None:
-                given["start"] = value
-            continue
-        if name in parameters:
-            parameters[name]["start"] = value
+        if (given := table_in(document, keys.get(name, f"parameters.{name}"))) is not None:
+            given["start"] = value
+        if given is not None or name in keys or name == EFFICIENCY_FACTOR:
             continue
         table = tomlkit.table()
         table.add("start", value)

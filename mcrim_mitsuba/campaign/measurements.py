@@ -260,14 +260,11 @@ class _Cells(dict[str, str]):
             # spreadsheets fill rows up
             cells = cells[: max(len(columns), len(without_empty_end(cells)))]
         if len(cells) != len(columns):
-            uncertain = separator == "," and len(cells) > len(columns)
             problem = f"{len(cells)} cells under {len(columns)} columns"
             mend = "give each column one cell"
-            if uncertain:
-                mend += (
-                    ": separate columns with semicolons, then decimal commas may stay, or write "
-                    "points"
-                )
+            if separator == "," and len(cells) > len(columns):
+                mend += ": separate columns with semicolons, then decimal commas may stay"
+                mend += ", or write points"
             raise InputError(problem, mend, path=path, line=line)
         super().__init__(zip(columns, cells, strict=True))
 
@@ -281,24 +278,13 @@ class _Cells(dict[str, str]):
         signal, sigma, histogram = math.nan, math.nan, self._histogram()
         kind = self.get(KIND) or LIGHT
         if kind not in (LIGHT, TRANSMITTANCE):
-            raise self.refusal(
-                KIND,
-                f"kind = {shown(kind)} is neither {LIGHT} nor {TRANSMITTANCE}",
-                f"write one of these; an empty cell means {LIGHT}",
-            )
+            problem = f"kind = {shown(kind)} is neither {LIGHT} nor {TRANSMITTANCE}"
+            raise self.refusal(KIND, problem, f"write one of these; an empty cell means {LIGHT}")
         if histogram is None:
             signal, sigma = self._signal(kind)
-            for name, value in (("signal", signal), ("sigma", sigma)):
-                if kind == TRANSMITTANCE and value >= 1.0:
-                    raise self.refusal(
-                        name,
-                        f"{name} = {value:g} of a transmittance",
-                        "give the fraction of the beam: 0.76 for 76 %",
-                    )
         elif kind == TRANSMITTANCE:
-            raise self.refusal(
-                _HISTOGRAM, "a transmittance with a histogram", "give its signal and sigma"
-            )
+            problem = "a transmittance with a histogram"
+            raise self.refusal(_HISTOGRAM, problem, "give its signal and sigma")
         group, group_sigma = self._group()
         window = self._window(histogram)
         parameters = self._parameters(scene_parameters, kind)
@@ -371,6 +357,10 @@ class _Cells(dict[str, str]):
         if sigma <= 0:
             mend = "give the standard error of the reading, or use = 0 to leave it out"
             raise self.refusal("sigma", f"sigma = {sigma:g} is not above 0", mend)
+        for name, value in (("signal", signal), ("sigma", sigma)):
+            if kind == TRANSMITTANCE and value >= 1.0:
+                mend = "give the fraction of the beam: 0.76 for 76 %"
+                raise self.refusal(name, f"{name} = {value:g} of a transmittance", mend)
         return signal, sigma
 
     def _window(self, histogram: Path | None) -> tuple[float, float] | None:

@@ -100,12 +100,10 @@ def parse_number(what: str, text: str, *, given: bool = False, **place: Any) -> 
         raise InputError(problem, mend + (_MATERIAL if _INDEX.search(what) else ""), **place)
     number = float(stripped)
     if number and not SMALLEST <= abs(number) <= LARGEST:
-        raise InputError(
-            f"{as_said(what, stripped, given)} is too "
-            f"{'large' if abs(number) > 1 else 'small'} for any quantity",
-            f"give 0, or a number from {SMALLEST:g} to {LARGEST:g} of either sign",
-            **place,
-        )
+        size = "large" if abs(number) > 1 else "small"
+        problem = f"{as_said(what, stripped, given)} is too {size} for any quantity"
+        mend = f"give 0, or a number from {SMALLEST:g} to {LARGEST:g} of either sign"
+        raise InputError(problem, mend, **place)
     return number
 
 
@@ -201,11 +199,8 @@ def judge(name: str, value: float) -> tuple[str, str, str] | None:
     """
     low, high = MEANINGFUL.get(name, (-math.inf, math.inf))
     if not low <= value <= high:
-        return (
-            "value",
-            f"it lies between {low:g} and {high:g}",
-            f"give a number from {low:g} to {high:g}",
-        )
+        mend = f"give a number from {low:g} to {high:g}"
+        return "value", f"it lies between {low:g} and {high:g}", mend
     # offsets may be negative, and a source's depth may exceed the crystal
     if name.endswith("_mm") and "offset" not in name and (wrong := _judge_length(name, value)):
         return wrong
@@ -213,17 +208,11 @@ def judge(name: str, value: float) -> tuple[str, str, str] | None:
         if value < 0:
             return "coefficient", "a coefficient cannot be negative", "give 0 or more, in 1/cm"
         if value > LARGEST_PER_CM:
-            return (
-                "unit",
-                "no light would leave such a crystal; it looks like 1/m",
-                f"write it in 1/cm: {value / 100.0:g}",
-            )
+            problem = "no light would leave such a crystal; it looks like 1/m"
+            return "unit", problem, f"write it in 1/cm: {value / 100.0:g}"
     if name.startswith("n_") and not 1.0 <= value <= LARGEST_INDEX:
-        return (
-            "index",
-            "this is no refractive index",
-            f"give a number from 1 to {LARGEST_INDEX:g}",
-        )
+        mend = f"give a number from 1 to {LARGEST_INDEX:g}"
+        return "index", "this is no refractive index", mend
     if name.endswith("reflectance") and not 0.0 <= value <= 1.0:
         return "value", "a reflectance lies between 0 and 1", "give a fraction, not percent"
     return None
@@ -244,8 +233,5 @@ def _judge_length(name: str, value: float) -> tuple[str, str, str] | None:
         meant, factor = "micrometres", 1.0 / 1000.0
     else:
         return None
-    return (
-        "unit",
-        f"{value:g} mm is hardly a bench; it looks like {meant}",
-        f"write it in mm: {value * factor:g}",
-    )
+    problem = f"{value:g} mm is hardly a bench; it looks like {meant}"
+    return "unit", problem, f"write it in mm: {value * factor:g}"

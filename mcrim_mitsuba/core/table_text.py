@@ -295,15 +295,11 @@ def what_is_wrong(cell: str) -> tuple[str, str]:
     if is_no_number(cell):
         return f"{shown(cell)} is not a finite number", "write the number, or remove the row"
     if _THOUSANDS.fullmatch(cell):
-        return (
-            f"{shown(cell)} has thousands separators",
-            "write numbers without them, such as 1234.5",
-        )
+        mend = "write numbers without them, such as 1234.5"
+        return f"{shown(cell)} has thousands separators", mend
     if match := _OTHER_SEPARATOR.fullmatch(cell):
         return f"columns are separated by '{match[1]}'", SEPARATE
     if cell.endswith("%") and is_number(cell[:-1].strip()):
         return f"{shown(cell)} ends in %", "write % in the column's name, and numbers below it"
-    return (
-        f"{shown(cell)} is not a number",
-        "correct it, or begin the line with # if it is no row of the table",
-    )
+    mend = "correct it, or begin the line with # if it is no row of the table"
+    return f"{shown(cell)} is not a number", mend

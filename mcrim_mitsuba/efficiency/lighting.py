@@ -274,12 +274,11 @@ class EtaMap(OverAxes):
         x, _, z = self.edges_mm
         downwards = _falling(z[-1] - z[::-1], depth_mm)[::-1]
         from_side = _falling(x - x[0], depth_mm)
+        depth = f"1/e in {depth_mm:.3g} mm"
         return (
             self.spread("everywhere", self.volume),
-            self.spread(f"below the top, 1/e in {depth_mm:.3g} mm", self.volume * downwards),
-            self.spread(
-                f"behind a side, 1/e in {depth_mm:.3g} mm", self.volume * from_side[:, None, None]
-            ),
+            self.spread(f"below the top, {depth}", self.volume * downwards),
+            self.spread(f"behind a side, {depth}", self.volume * from_side[:, None, None]),
         )
 
     def of_deposits(self, path: str | Path) -> Spread:

@@ -101,6 +101,12 @@ def detector_efficiency(
         EMISSION: mean.emission_sigma,
     }
     contributions = {origin: sigma for origin, sigma in parts.items() if sigma is not None}
+    points = {
+        "emission": (emission, mean.emission_sigma, mean.emission_derivatives),
+        "quantum efficiency": (quantum_efficiency, mean.quantity_sigma, mean.quantity_derivatives),
+    }
+    notes = [*emission.notes, *quantum_efficiency.notes, *mean.notes, cut_off_note(emission)]
+    notes += [_note_on_points(what, mean.value, *of_curve) for what, of_curve in points.items()]
     return DetectorEfficiency(
         value=mean.value,
         contributions=contributions,
@@ -109,41 +115,24 @@ def detector_efficiency(
         emission=emission,
         quantum_efficiency=quantum_efficiency,
         mean=mean,
-        notes=(
-            *emission.notes,
-            *quantum_efficiency.notes,
-            *mean.notes,
-            *filter(None, [cut_off_note(emission)]),
-            *_note_on_points(
-                "emission", emission, mean.emission_sigma, mean.emission_derivatives, mean.value
-            ),
-            *_note_on_points(
-                "quantum efficiency",
-                quantum_efficiency,
-                mean.quantity_sigma,
-                mean.quantity_derivatives,
-                mean.value,
-            ),
-        ),
+        notes=tuple(filter(None, notes)),
     )
 
 
 def _note_on_points(
-    what: str, curve: Spectrum, independent: float | None, derivatives: Array, value: float
-) -> list[str]:
+    what: str, value: float, curve: Spectrum, independent: float | None, derivatives: Array
+) -> str | None:
     """What is not counted where the errors of a curve's points are unknown, or not independent."""
     no_errors, if_not_independent = _ON_POINTS[what]
     if curve.sigmas is None or independent is None:
-        return [no_errors]
+        return no_errors
     # what all points of an emission share cancels: the worst there changes sign in the middle
     worst = float(np.abs(derivatives) @ curve.sigmas)
     if worst - independent <= _WORTH_SAYING * value:
-        return []
+        return None
     together, shared = (f"{100 * sigma / value:.2g} %" for sigma in (independent, worst))
-    return [
-        f"errors of the {what}'s points are taken as independent, {together} together; "
-        + if_not_independent.format(shared)
-    ]
+    assumed = f"errors of the {what}'s points are taken as independent, {together} together"
+    return f"{assumed}; {if_not_independent.format(shared)}"
 
 
 def light_yield_ph_per_keV(
