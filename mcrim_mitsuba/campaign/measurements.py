@@ -167,20 +167,14 @@ def read_table(path: str | Path, scene_parameters: Mapping[str, Value]) -> Measu
         scene_parameters = {**scene_parameters, **BEAM_PARAMETERS}
     _check_header(columns, scene_parameters, path, header_line)
     rows = [_Cells(columns, row, separator, path, line) for line, row in lines[1:]]
-    numbers = [
-        (cells.line, name, cell)
-        for cells in rows
-        for name, cell in cells.items()
-        if name not in _TEXTS and is_number(cell)
-    ]
-    if has_decimal_commas(
-        numbers,
-        lambda problem, mend, line, column: InputError(
-            problem, mend, path=path, line=line, column=column
-        ),
-    ):
+
+    def refusal(problem: str, mend: str, line: int, column: str) -> InputError:
+        return InputError(problem, mend, path=path, line=line, column=column)
+
+    numbers = [(cells.line, *number) for cells in rows for number in cells.numbers.items()]
+    if has_decimal_commas(numbers, refusal):
         for cells in rows:
-            cells.write_points()
+            cells |= {name: cell.replace(",", ".") for name, cell in cells.numbers.items()}
     table = Measurements(
         path,
         comments,
@@ -307,11 +301,11 @@ class _Cells(dict[str, str]):
             sample=self.get(SAMPLE, ""),
         )
 
-    def write_points(self) -> None:
-        """Turn the decimal commas of its numbers into points."""
-        for name, cell in self.items():
-            if name not in _TEXTS and is_number(cell):
-                self[name] = cell.replace(",", ".")
+    @property
+    def numbers(self) -> dict[str, str]:
+        """Those of the cells that are numbers."""
+        cells = self.items()
+        return {name: cell for name, cell in cells if name not in _TEXTS and is_number(cell)}
 
     def place(self, name: str) -> dict[str, Any]:
         return {"path": self.path, "line": self.line, "column": name}

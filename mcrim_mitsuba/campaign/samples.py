@@ -129,12 +129,15 @@ def _read_sample(
     key = f"{schema.SAMPLES}.{name}"
     document.table(key, schema.SAMPLE)
     parameters = document.table(f"{key}.parameters")
+    values = {**scene.parameters, SCALE: _scale(name, measurements).start}
     own: dict[str, CampaignParameter] = {}
     for of in parameters:
         if of not in _OWN:
             problem = f"{of} cannot be a sample's own"
             raise parameters.refusal(of, problem, did_you_mean(of, _OWN))
-        own[of] = _read_own(document, name, of, scene, measurements)
+        within = parameters.key
+        parameter = read_parameter(document, of, scene, values, measurements, {}, within=within)
+        own[of] = replace(parameter, name=own_name(of, name))
     table = document.table(f"{key}.{schema.YIELD_TABLE}")
     detector = read_detector(document, scene, measurements)
     light_yield = read_light_yield(document, detector, table.key, schema.SAMPLE)
@@ -155,16 +158,6 @@ def _scale(sample: str, measurements: Measurements) -> CampaignParameter:
     signals = [r.signal for r in measurements.readings if r.sample == sample and not r.of_beam]
     start = sum(signals) / len(signals) / _USUAL_ETA if signals else 1.0
     return CampaignParameter(own_name(SCALE, sample), start, 0.0, math.inf)
-
-
-def _read_own(
-    document: TomlDocument, sample: str, of: str, scene: SceneFile, measurements: Measurements
-) -> CampaignParameter:
-    """``[samples.NAME.parameters.X]``."""
-    within = f"{schema.SAMPLES}.{sample}.parameters"
-    values = {**scene.parameters, SCALE: _scale(sample, measurements).start}
-    parameter = read_parameter(document, of, scene, values, measurements, {}, within=within)
-    return replace(parameter, name=own_name(of, sample))
 
 
 def _known_scale(table: TomlTable, light_yield: LightYieldInput) -> tuple[float, float] | None:

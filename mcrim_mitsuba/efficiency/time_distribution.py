@@ -96,11 +96,6 @@ class TimeCells:
         self.detected += len(weight)
 
     @property
-    def width_ps(self) -> float:
-        """Width of the fine cells."""
-        return float(self.edges_ps[2] - self.edges_ps[1])
-
-    @property
     def times_ps(self) -> Array:
         """(cells,) mean time of a cell's light; its beginning where there is none."""
         light = self.light.sum(axis=(0, 1))
@@ -114,7 +109,7 @@ class TimeCells:
 
     def with_cell_errors(self, times_ps: Array, sigmas_ps: Array) -> Array:
         """Errors of times, ps, with what the cells' widths add."""
-        of_cells = SETTINGS.error_of_width * self.width_ps
+        of_cells = SETTINGS.error_of_width * (self.edges_ps[2] - self.edges_ps[1])
         return np.sqrt(sigmas_ps**2 + of_cells**2 + (SETTINGS.error_of_time * times_ps) ** 2)
 
 

@@ -77,7 +77,7 @@ def fit_peak(
     if peak is None:
         return None
     other = next(iter(fits.values()), None)
-    doubts = _doubts_of_fit(values, peak, place, window)
+    doubts = [*_doubts_of_fit(values, peak, place, window)]
     if shape == AUTO and whole:
         doubts += _doubts_of_shape(peak, other)
     return replace(peak, other=other, warnings=tuple(doubts))
@@ -176,21 +176,22 @@ _POOR = 0.02
 
 def _doubts_of_fit(
     values: Array, peak: Peak, place: Found, given: tuple[float, float] | None
-) -> list[str]:
+) -> Iterator[str]:
     """A sentence for each doubt about a peak that was searched at a `place`."""
-    doubts = [*_doubts_of_window(values, peak, place, given), *_doubts_of_background(peak)]
+    yield from _doubts_of_window(values, peak, place, given)
+    yield from _doubts_of_background(peak)
     relative = peak.centroid_sigma / max(abs(peak.centroid), 1e-9)
     if relative > _POOR:
-        doubts.append(
+        yield (
             f"the peak is poor, some {peak.events:.0f} events: its centroid is known to "
             f"± {peak.centroid_sigma:.2g} only ({100 * relative:.1f} %)"
         )
     if peak.p_value < LEAST_P:
-        doubts.append(
+        yield (
             f"the fit is bad (chi2 = {peak.chi2:.1f}, ndf = {peak.ndf}, {p_equals(peak.p_value)}): "
             f"its errors are {math.sqrt(peak.chi2 / peak.ndf):.2g} times those of the counts"
         )
-    return [*doubts, *_doubts_of_bins(values, peak)]
+    yield from _doubts_of_bins(values, peak)
 
 
 def _doubts_of_window(
@@ -260,21 +261,20 @@ def _doubts_of_bins(values: Array, peak: Peak) -> Iterator[str]:
         )
 
 
-def _doubts_of_shape(peak: Peak, other: Peak | None) -> list[str]:
+def _doubts_of_shape(peak: Peak, other: Peak | None) -> Iterator[str]:
     """Doubts where whole numbers are not photons, or another shape describes them better."""
     if peak.shape == GAUSSIAN:
-        return [
+        yield (
             f"the peak is narrower, {peak.width:.3g}, than counted photons can be (the square root "
             f"of {peak.centroid:.4g}): its bins are no photon numbers, and a Gaussian was fitted; "
             "if they are, something else reaches into the window: choose the shape counting"
-        ]
-    if other is None or peak.p_value >= LEAST_P or other.p_value <= peak.p_value:
-        return []
-    return [
-        f"a Gaussian describes the counts better, with a centroid of {other.centroid:.4g} instead "
-        f"of {peak.centroid:.4g}: if the bins are photon numbers, look for what else reaches into "
-        "the window, and choose another; if not, choose the shape gaussian"
-    ]
+        )
+    elif other is not None and peak.p_value < min(LEAST_P, other.p_value):
+        yield (
+            f"a Gaussian describes the counts better, with a centroid of {other.centroid:.4g} "
+            f"instead of {peak.centroid:.4g}: if the bins are photon numbers, look for what else "
+            "reaches into the window, and choose another; if not, choose the shape gaussian"
+        )
 
 
 # One number from repeated measurements, as the article has from four mountings of its crystal.
