@@ -301,17 +301,21 @@ def write_bytes(path: str | Path, content: bytes) -> None:
         raise _not_written(path, error) from None
 
 
-def write_whole(target: Path, parts: Iterable[Any], temporary: Path) -> None:
+def write_whole(
+    target: Path, parts: Iterable[Any], temporary: Path, *, durable: bool = True
+) -> None:
     """Write a file so that under its name there is all of it or nothing, even after a crash.
 
     `parts` are bytes or what holds them; until it is whole, the file bears the `temporary` name,
-    which is new and on the same disk. Raises OSError if it cannot be written.
+    which is new and on the same disk. One that need not be `durable` may be damaged by a power cut.
+    Raises OSError if it cannot be written.
     """
     try:
         with open(temporary, "xb") as stream:
             stream.writelines(parts)
             stream.flush()
-            os.fsync(stream.fileno())  # else the name might outlive a power cut, and not the file
+            if durable:  # else the name might outlive a power cut, and not the file
+                os.fsync(stream.fileno())
         os.replace(temporary, target)
     except BaseException:
         with contextlib.suppress(OSError):

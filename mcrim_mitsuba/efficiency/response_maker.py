@@ -538,13 +538,18 @@ def _axis(
 ) -> Axis:
     """Nodes of a parameter, drawn in where a configuration's bench does not take all of them.
 
-    For a first look every other one is enough, where they lie on one side of the absence.
+    For a first look every other one on either side of the absence is enough, with the farthest.
     """
     nominal = float(own[parameter.nominal]) if parameter.nominal else 0.0
     absent = [] if parameter.absent is None else [0.0 if parameter.nominal else parameter.absent]
     nodes = list(parameter.nodes)
-    if few and len(nodes) > 2 and parameter.absent is not None and min(nodes) > parameter.absent:
-        nodes = nodes[::-1][::2][::-1]
+    if few and len(nodes) > 2:
+        if absent:
+            lower = [node for node in nodes if node < absent[0]]
+            upper = [node for node in nodes if node > absent[0]]
+            nodes = lower[::2] + upper[::-1][::2][::-1]
+        else:
+            nodes = [*nodes[:-1:2], nodes[-1]]
     if parameter.limits is not None:
         lows, highs = zip(*(parameter.limits(values) for values in configurations), strict=True)
         low, high = max(lows), min(highs)

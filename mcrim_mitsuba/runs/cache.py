@@ -324,7 +324,8 @@ class RecordCache:
             if self._limit_bytes is None or cache_files.make_room(
                 root, sum(map(len, parts)), self._limit_bytes, in_use
             ):
-                _place(file, parts)
+                # parts of an array job are all there is of it; what else is lost is made again
+                _place(file, parts, durable=self._limit_bytes is None)
             else:
                 self.trouble = (
                     f"{root}: this run's photon records fill the cache, which may hold "
@@ -351,7 +352,7 @@ class RecordCache:
                 os.utime(self.folder)
 
 
-def _place(file: Path, parts: list[bytes | memoryview]) -> None:
+def _place(file: Path, parts: list[bytes | memoryview], *, durable: bool) -> None:
     """Write a chunk's file, in a new folder where there is none any more.
 
     What else bears the name of the folder or of the file makes way: it would for ever.
@@ -365,7 +366,7 @@ def _place(file: Path, parts: list[bytes | memoryview]) -> None:
             if file.is_dir():
                 cache_files.remove(file, cache)
             folder.mkdir(exist_ok=True)
-            write_whole(file, parts, cache_files.unfinished(cache))
+            write_whole(file, parts, cache_files.unfinished(cache), durable=durable)
             return
         except (FileExistsError, FileNotFoundError):  # another process, just then
             if not tries_left:

@@ -376,7 +376,8 @@ class _Assembly:
                 defaults.append(child)
                 continue
             for key, text in child.attrib.items():
-                child.set(key, self.substitute(text, place))
+                if "$" in text:
+                    child.set(key, self.substitute(text, place))
             if child.tag == "include":
                 self.include(child, chain, place)
             else:

@@ -9,7 +9,7 @@ between two faces, because they have no edges.
 
 from __future__ import annotations
 
-import weakref
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -81,8 +81,10 @@ class Solid:
         return inside
 
 
-#: Solids of each model that lives: a model's scene must not live longer than its user wants it.
-_known_solids: weakref.WeakKeyDictionary[SceneModel, list[Solid]] = weakref.WeakKeyDictionary()
+#: Solids by geometry: benches that follow each other often differ in their surfaces alone.
+_known_solids: dict[Hashable, list[Solid]] = {}
+#: The most geometries that are kept.
+_MOST_KNOWN = 64
 
 
 def convex_solids(model: SceneModel) -> list[Solid]:
@@ -90,9 +92,12 @@ def convex_solids(model: SceneModel) -> list[Solid]:
 
     One with several neighbours that are not convex counts as not convex itself.
     """
-    if model not in _known_solids:
-        _known_solids[model] = _find_convex_solids(model)
-    return _known_solids[model]
+    geometry = model.geometry
+    if geometry not in _known_solids:
+        if len(_known_solids) >= _MOST_KNOWN:
+            del _known_solids[next(iter(_known_solids))]
+        _known_solids[geometry] = _find_convex_solids(model)
+    return _known_solids[geometry]
 
 
 def _find_convex_solids(model: SceneModel) -> list[Solid]:

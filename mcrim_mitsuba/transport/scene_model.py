@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -270,6 +271,21 @@ class SceneModel:
     size_mm: float
     #: Surfaces that are upright round walls.
     walls: tuple[RoundWall, ...] = ()
+
+    @functools.cached_property
+    def geometry(self) -> Hashable:
+        """Where its faces and walls are and what they part; equal for models that agree in it."""
+        faces = tuple(
+            (
+                *(v.tobytes() for v in (f.corner, f.edge_u, f.edge_v)),
+                f.triangle,
+                f.surface,
+                f.circle,
+            )
+            for f in self.flat_faces
+        )
+        sides = tuple(surface.sides for surface in self.surfaces)
+        return faces, self.walls, sides, len(self.volumes), self.endless, self.size_mm
 
     @functools.cached_property
     def endless(self) -> int | None:

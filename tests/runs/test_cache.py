@@ -307,15 +307,15 @@ def test_a_folder_that_vanishes_is_made_again(tmp_path, monkeypatch):
     cache = filled(tmp_path)
     shutil.rmtree(tmp_path)
     assert cache.read(0) is None
-    sync = os.fsync
+    rename = os.replace
 
-    def sync_and_remove(descriptor):
-        monkeypatch.setattr(os, "fsync", sync)
-        sync(descriptor)
+    def remove_and_rename(source, target):
+        monkeypatch.setattr(os, "replace", rename)
         shutil.rmtree(cache.folder)
+        rename(source, target)
 
     cache.write(0, records(0), {"photons": 0})
-    monkeypatch.setattr(os, "fsync", sync_and_remove)
+    monkeypatch.setattr(os, "replace", remove_and_rename)
     cache.write(1, records(1), {"photons": 1})
     assert cache.trouble is None
     assert cache.read(0) is None
