@@ -15,6 +15,7 @@ so nothing is approximated but what lies between the nodes, where log(eta) is a 
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -33,6 +34,7 @@ from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
 from mcrim_mitsuba.runs.executors import Content
 from mcrim_mitsuba.runs.scene_units import PHOTONS_PER_S, PortableScene, SceneUnit
 from mcrim_mitsuba.scene.emitted_light import Colours
+from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords, ScatteringProposals
 
 if TYPE_CHECKING:
@@ -314,6 +316,36 @@ def _log_mixture(
     return largest + np.log(terms.sum(axis=0))
 
 
+# A mask that may be cut out of the records of a bench on which it covers nothing.
+
+#: Scene parameter that is the radius of the hole in a mask, and a radius (in window widths) that
+#: leaves all of a square window open.
+APERTURE, WINDOW, OPEN_WIDTHS = "aperture_radius_mm", "window_width_mm", 2.0
+
+
+@functools.lru_cache(maxsize=64)
+def has_open_mask(scene: SceneFile) -> bool:
+    """Whether the scene's aperture parameter is the radius of masks on a square window, only.
+
+    Of black ones: light that others reflect goes on. Records with an open mask answer all others.
+    """
+    if APERTURE not in scene.parameters or WINDOW not in scene.parameters:
+        return False
+    masks = (bsdf for bsdf in scene.root.iter("bsdf") if bsdf.get("type") == "aperture")
+    if any(part.get("name") == "reflectance" for mask in masks for part in mask):
+        return False
+    wider = scene.with_overrides({APERTURE: OPEN_WIDTHS * float(scene.parameters[WINDOW])})
+    for before, after in zip(scene.root.iter(), wider.root.iter(), strict=True):
+        parent = before.getparent()
+        if before.attrib != after.attrib and not (
+            before.get("name") == "radius"
+            and parent is not None
+            and parent.get("type") == "aperture"
+        ):
+            return False
+    return True
+
+
 # One simulation with the tables of eta that are made of its photons: a unit of diagnoses.
 
 MASK, ANGLE = "mask_radius_mm", "arrival_angle_deg"
@@ -448,7 +480,6 @@ def content_of(table: EtaGrid) -> Content:
     return {"log_eta": table.log_eta.ravel(), "deviations": table.deviations.ravel()}, {}
 
 
-def table_of(arrays: Mapping[str, NDArray], grid: Grid) -> EtaGrid:
-    """The table that a chunk holds."""
-    shape = grid.counts
+def table_of(arrays: Mapping[str, NDArray], *shape: int) -> EtaGrid:
+    """The table that a chunk holds, of nodes in this shape."""
     return EtaGrid(arrays["log_eta"].reshape(shape), arrays["deviations"].reshape(-1, *shape))

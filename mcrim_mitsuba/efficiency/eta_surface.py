@@ -19,6 +19,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
 from mcrim_mitsuba.core.run import Run, one_thread
 from mcrim_mitsuba.efficiency.eta_grid import (
+    MASK,
     EtaGrid,
     Grid,
     GridReweighter,
@@ -66,7 +67,9 @@ class EtaSurface:
     @classmethod
     def of(cls, grid: Grid, *records: PhotonRecords) -> EtaSurface:
         """The surface of one or more launches' records of one configuration."""
-        tables = [_table(launch, grid) for launch in records]
+        tables = [
+            GridReweighter(launch, grid, batches=launch.batches).table() for launch in records
+        ]
         return cls(grid, merged(tables, [launch.photons for launch in records]))
 
     @property
@@ -165,33 +168,50 @@ class EtaSurface:
             )
 
 
+#: Masks to be cut out of records: the radii of their holes, mm; None: photons count as they are.
+Masks = tuple[float | None, ...]
+
+
 @dataclass(frozen=True)
 class GridBlock(LaunchBlock):
-    """Launches of photons, answered on a grid."""
+    """Launches of photons, answered on a grid behind one mask or several."""
 
     proposals: ScatteringProposals
     grid: Grid
+    masks_mm: Masks = (None,)
 
     def make(self, threads: int | None) -> dict[int, Content]:
         """Simulate; one thread weighs a launch's records while the next one is under way."""
         from mcrim_mitsuba.transport.collection import Recorder
 
         recorder = Recorder(self.loaded(threads))
+        columns = () if self.masks_mm == (None,) else (MASK,)
         tables: list[Future[EtaGrid]] = []
         with one_thread(), ThreadPoolExecutor(1) as weigher:
             for number, photons in enumerate(self.launches, self.first):
-                records = recorder.record(self.proposals, photons, seed=self.seed, number=number)
+                records = recorder.record(
+                    self.proposals, photons, seed=self.seed, number=number, columns=columns
+                )
                 # two launches' records at most lie in memory
                 for before in tables[-1:]:
                     before.result()
-                tables.append(weigher.submit(_table, records, self.grid))
+                tables.append(weigher.submit(self._tables, records))
             whole = merged([table.result() for table in tables], self.launches)
         return {self.numbers[0]: content_of(whole)}
 
-
-def _table(records: PhotonRecords, grid: Grid) -> EtaGrid:
-    """Records on a grid, all of their batches kept."""
-    return GridReweighter(records, grid, batches=records.batches).table()
+    def _tables(self, records: PhotonRecords) -> EtaGrid:
+        """Records on the grid, all of their batches kept; its first axis is that of the masks."""
+        gathering = GridReweighter(records, self.grid, batches=records.batches)
+        tables = []
+        for radius_mm in self.masks_mm:
+            passed = None
+            if radius_mm is not None:
+                passed = records.further[MASK][gathering.order] <= radius_mm
+            tables.append(gathering.table(passed))
+        return EtaGrid(
+            np.stack([table.log_eta for table in tables]),
+            np.stack([table.deviations for table in tables], axis=1),
+        )
 
 
 @dataclass(frozen=True)
@@ -208,6 +228,8 @@ class EtaRequest:
     #: What else may be asked for, in alpha_scat and in alpha_abs; None for the points' own range.
     alpha_scat_range_per_cm: tuple[float, float] | None = None
     alpha_abs_range_per_cm: tuple[float, float] | None = None
+    #: To be answered by the same photons, which a mask in the scene must not keep off then.
+    masks_mm: Masks = (None,)
 
     @property
     def grid(self) -> Grid:
@@ -254,6 +276,7 @@ class EtaRun:
                 "seed": run.seed,
                 "proposals": dataclasses.asdict(self._proposals),
                 "grid": dataclasses.asdict(self._grid),
+                "masks": request.masks_mm,
                 "versions": record_versions(run.variant, __name__),
                 "layout": _LAYOUT,
             }
@@ -266,10 +289,19 @@ class EtaRun:
 
     @property
     def surface(self) -> EtaSurface:
-        """Of all photons so far; ValueError if there are none."""
+        """Of all photons so far, behind the first mask; ValueError if there are none."""
+        return self.surfaces[0]
+
+    @property
+    def surfaces(self) -> list[EtaSurface]:
+        """One for each mask; ValueError as for `surface`."""
         if not self._tables:
             raise ValueError("nothing was simulated yet")
-        return EtaSurface(self._grid, merged(self._tables, self._photons_of))
+        whole = merged(self._tables, self._photons_of)
+        return [
+            EtaSurface(self._grid, EtaGrid(log_eta, whole.deviations[:, number]))
+            for number, log_eta in enumerate(whole.log_eta)
+        ]
 
     @property
     def notes(self) -> list[str]:
@@ -292,6 +324,7 @@ class EtaRun:
                     block,
                     self._proposals,
                     self._grid,
+                    of.masks_mm,
                 ),
                 self._cache,
             )
@@ -303,15 +336,15 @@ class EtaRun:
         unit = done.job.unit
         assert isinstance(unit, GridBlock)
         (chunk,) = done.chunks.values()
-        self._tables.append(table_of(chunk.arrays, self._grid))
+        shape = len(self.request.masks_mm), *self._grid.counts
+        self._tables.append(table_of(chunk.arrays, *shape))
         self._photons_of.append(unit.photons)
         self._launches += len(unit.launches)
         self.cached_photons += unit.photons if done.cached else 0
 
     def look(self) -> None:
         """See what the photons so far tell."""
-        surface = self.surface
-        sigmas = surface.relative_sigmas(self.request.points)
+        sigmas = np.array([s.relative_sigmas(self.request.points) for s in self.surfaces])
         answered = sigmas[sigmas < _LARGEST_ERROR]
         self.worst = float(answered.max(initial=0.0))
 

@@ -24,7 +24,16 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter, filled
 from mcrim_mitsuba.effects.surroundings import FORWARD_BEAM
-from mcrim_mitsuba.efficiency.eta_grid import BATCHES, EtaGrid, Grid, difference
+from mcrim_mitsuba.efficiency.eta_grid import (
+    APERTURE,
+    BATCHES,
+    OPEN_WIDTHS,
+    WINDOW,
+    EtaGrid,
+    Grid,
+    difference,
+    has_open_mask,
+)
 from mcrim_mitsuba.efficiency.proposals import (
     USUAL_ALPHA_SCAT_PER_CM,
     WITHIN,
@@ -56,9 +65,6 @@ ANCHOR_FACTOR = 2
 _MOST_PHOTONS = 512 * LANES
 #: A usual alpha_abs, 1/cm.
 USUAL_ALPHA_ABS_PER_CM = 0.04
-#: Scene parameter that is the radius of the hole in a mask, and a radius (in window widths) that
-#: leaves all of a square window open.
-APERTURE, WINDOW, _OPEN = "aperture_radius_mm", "window_width_mm", 2.0
 #: Nodes of a fitted acceptance, and where, in degrees, its logarithm takes over from itself.
 _ACCEPTANCE_NODES, _ACCEPTANCE_SCALE_DEG = 7, 2.0
 #: Stands for infinity in a scene.
@@ -144,7 +150,7 @@ class ResponseMaker:
         self._look_photons = max(round(LOOK_PART * units), 1) * LANES
         self._plain_photons = min(PLAIN_FACTOR * units * LANES, _MOST_PHOTONS)
         self._check = run.check
-        self._open_mask = _has_open_mask(campaign.scene)
+        self._open_mask = has_open_mask(campaign.scene)
         coverage, light = coverage_of(campaign, beyond), campaign.spectrum
         self.grid, self._coarse = coverage.fine, coverage.coarse
         colours = None if light is None else light.colours(_MOST_COLOURS)
@@ -176,9 +182,9 @@ class ResponseMaker:
         if of_beam:
             radius = float(parameters[ACCEPTANCE])
             parameters[ACCEPTANCE] = _HALF_SPACE_DEG
-        elif self._open_mask and _has_open_mask(scene):
+        elif self._open_mask and has_open_mask(scene):
             radius = float(parameters[APERTURE])
-            parameters[APERTURE] = _OPEN * float(parameters[WINDOW])
+            parameters[APERTURE] = OPEN_WIDTHS * float(parameters[WINDOW])
         return PlannedRun(
             base=_usual(scene),
             overrides={n: v for n, v in parameters.items() if n in scene.parameters},
@@ -617,26 +623,3 @@ def _acceptance_as_effect(campaign: Campaign) -> Effect:
         limits=None,
     )
     return replace(FORWARD_BEAM, name=ACCEPTANCE, parameters=(by_angle,))
-
-
-@functools.lru_cache(maxsize=64)
-def _has_open_mask(scene: SceneFile) -> bool:
-    """Whether the scene's aperture parameter is the radius of masks on a square window, only.
-
-    Of black ones: light that others reflect goes on.
-    """
-    if APERTURE not in scene.parameters or WINDOW not in scene.parameters:
-        return False
-    masks = (bsdf for bsdf in scene.root.iter("bsdf") if bsdf.get("type") == "aperture")
-    if any(part.get("name") == "reflectance" for mask in masks for part in mask):
-        return False
-    wider = scene.with_overrides({APERTURE: _OPEN * float(scene.parameters[WINDOW])})
-    for before, after in zip(scene.root.iter(), wider.root.iter(), strict=True):
-        parent = before.getparent()
-        if before.attrib != after.attrib and not (
-            before.get("name") == "radius"
-            and parent is not None
-            and parent.get("type") == "aperture"
-        ):
-            return False
-    return True

@@ -195,7 +195,7 @@ class Schedule:
         """The table that a chunk holds, averaged over the light's colours where those are known."""
         request = wanted.request
         grid = self._coverage.coarse if request.coarse else self._coverage.fine
-        table = table_of(arrays, grid)
+        table = table_of(arrays, *grid.counts)
         if self._colours is None or request.of_beam:
             return table
         return averaged(table, grid, self._colours)

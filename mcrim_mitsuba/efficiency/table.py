@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +22,12 @@ from mcrim_mitsuba.core.numbers import (
     number_of,
 )
 from mcrim_mitsuba.core.run import OverAxes, Run
+from mcrim_mitsuba.efficiency.eta_grid import APERTURE, OPEN_WIDTHS, WINDOW, has_open_mask
 from mcrim_mitsuba.efficiency.eta_surface import (
     MOST_PHOTONS,
     EtaRequest,
     EtaRun,
+    EtaSurface,
     record_surfaces,
 )
 from mcrim_mitsuba.efficiency.proposals import SMALLEST_PER_CM
@@ -201,6 +203,43 @@ class TableGrid:
         return tuple(map(len, self.axes.values()))
 
 
+class _Bench(NamedTuple):
+    """A configuration, and the one whose photon records answer it."""
+
+    name: str
+    scene: SceneFile
+    recorded_name: str
+    recorded: SceneFile
+    #: Radius of the mask that is cut out of these; None: they are answered as they are.
+    mask_mm: float | None
+
+    @classmethod
+    def of(
+        cls, file: SceneFile, axes: Mapping[str, Sequence[Value]], values: Sequence[Value]
+    ) -> _Bench:
+        """With these values of the axes; where masks are varied, one bench without serves all."""
+        given = dict(zip(axes, values, strict=True))
+        scene = file.with_overrides(given)
+        name = _words(given) or file.path.name
+        if len(set(axes.get(APERTURE, ()))) < 2 or not has_open_mask(scene):
+            return cls(name, scene, name, scene, None)
+        wide_mm = OPEN_WIDTHS * float(scene.parameters[WINDOW])
+        mask_mm = float(given.pop(APERTURE))
+        return cls(
+            name,
+            scene,
+            _words(given) or file.path.name,
+            scene.with_overrides({APERTURE: wide_mm}),
+            mask_mm,
+        )
+
+
+def _words(values: Mapping[str, Value]) -> str:
+    return ", ".join(
+        f"{n} = {v:g}" if isinstance(v, float) else f"{n} = {v}" for n, v in values.items()
+    )
+
+
 #: Values of a configuration's parameters, and coefficients there.
 _Place = tuple[tuple[Value, ...], Coefficients]
 
@@ -219,37 +258,60 @@ def _answer_all(
         "": [point for point in points if point[0] >= SMALLEST_PER_CM],
         ", without scattering": [point for point in points if point[0] == 0.0],
     }
-    benches = {}
-    for key in dict.fromkeys(grid.configurations):
-        values = dict(zip(grid.outer, key, strict=True))
-        words = (
-            f"{n} = {v:g}" if isinstance(v, float) else f"{n} = {v}" for n, v in values.items()
-        )
-        bench = file.with_overrides(values)
-        benches[key] = bench, ", ".join(words) or bench.path.name
-    wishes = [
-        (key, EtaRequest(f"{name}{words}", bench, group, run))
-        for key, (bench, name) in benches.items()
-        for words, group in groups.items()
-        if group
-    ]
-    recorded = record_surfaces([wish for _, wish in wishes])
-    work: list[EtaRun | SimulationResult] = [behind for _, behind in recorded]
-    notes = [note for _, behind in recorded for note in behind.notes]
-    answers = {}
-    for (key, wish), (surface, _) in zip(wishes, recorded, strict=True):
-        for point in wish.points:
-            if (answer := surface.answer(point)) is not None:
-                answers[key, point] = answer.eta, answer.sigma
-    for (key, (bench, name)), point in itertools.product(benches.items(), points):
+    benches = {key: _Bench.of(file, grid.outer, key) for key in dict.fromkeys(grid.configurations)}
+    answers: dict[_Place, tuple[float, float]] = {}
+    work: list[EtaRun | SimulationResult] = []
+    for words, group in groups.items():
+        if group:
+            surfaces, runs = _record(benches.values(), words, group, run)
+            work += runs
+            for (key, bench), point in itertools.product(benches.items(), group):
+                surface = surfaces[bench.recorded.content_hash, bench.mask_mm]
+                if (answer := surface.answer(point)) is not None:
+                    answers[key, point] = answer.eta, answer.sigma
+    notes = [note for behind in work for note in behind.notes]
+    for (key, bench), point in itertools.product(benches.items(), points):
         if (key, point) not in answers:
-            result = _simulate(bench, name, point, run)
+            result = _simulate(bench.scene, bench.name, point, run)
             answers[key, point] = result.eta, result.eta_sigma
             work.append(result)
             a_s, a_a = point
-            place = f"{name}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
+            place = f"{bench.name}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"
             notes += [f"{place}: {note}" for note in result.notes]
     return answers, work, notes
+
+
+def _record(
+    benches: Iterable[_Bench], words: str, points: Sequence[Coefficients], run: Run
+) -> tuple[dict[tuple[str, float | None], EtaSurface], list[EtaRun]]:
+    """Surfaces by scene and mask, and what was simulated for them; `words` follow a bench's name.
+
+    Masks that one scene is asked for are answered by the same photons.
+    """
+    scenes: dict[str, _Bench] = {}
+    masks: dict[str, dict[float | None, None]] = {}
+    for bench in benches:
+        scenes.setdefault(bench.recorded.content_hash, bench)
+        masks.setdefault(bench.recorded.content_hash, {})[bench.mask_mm] = None
+    recorded = record_surfaces(
+        [
+            EtaRequest(
+                f"{bench.recorded_name}{words}",
+                bench.recorded,
+                points,
+                run,
+                masks_mm=tuple(masks[scene]),
+            )
+            for scene, bench in scenes.items()
+        ]
+    )
+    runs = [behind for _, behind in recorded]
+    surfaces = {
+        (scene, mask_mm): surface
+        for scene, behind in zip(scenes, runs, strict=True)
+        for mask_mm, surface in zip(masks[scene], behind.surfaces, strict=True)
+    }
+    return surfaces, runs
 
 
 def _simulate(bench: SceneFile, name: str, point: Coefficients, run: Run) -> SimulationResult:
