@@ -16,11 +16,11 @@ from mcrim_mitsuba.reference.geometry import (
     BOTTOM,
     FIRST_FATE,
     TOP,
+    Body,
     Codes,
     Complexes,
     Flags,
     Floats,
-    HalfSpaceBody,
     Indices,
     Layout,
     Place,
@@ -95,9 +95,7 @@ class PhotonArrays:
         return PhotonArrays(*joined)
 
 
-def birth_positions(
-    bench: Bench, crystal: HalfSpaceBody, rng: np.random.Generator, count: int
-) -> Floats:
+def birth_positions(bench: Bench, crystal: Body, rng: np.random.Generator, count: int) -> Floats:
     """Points in the crystal, with the bench's density of emission: (3, count) float64, mm.
 
     Points of the whole box that are outside of the body `crystal` are drawn again.
@@ -190,8 +188,8 @@ def head_on(bench: Bench) -> float:
     film = photocathode_of(bench)
     if film is None:
         return 1.0 / max(1.0, 1.0 - bench.angular_falloff)
-    reflected, transmitted = film.powers(np.ones(1))
-    return float(1.0 - (reflected + transmitted).mean())
+    reflected, transmitted = film.waves(np.ones(1))
+    return float(1.0 - (np.abs(reflected) ** 2 + transmitted).mean())
 
 
 def _frame(direction: Floats) -> tuple[Floats, Floats]:
@@ -336,7 +334,7 @@ class Flights:
             np.minimum(distance, to_other, out=distance)
             strayed |= inside
         if medium.extinction_per_mm > 0.0:
-            strength = photons.strength if region == Place.CRYSTAL else None
+            strength = self._strength(flock)
             free_path = medium.free_path(self._rng, position, direction, strength)
             arrives = free_path >= distance
             np.minimum(distance, free_path, out=distance)
@@ -345,9 +343,7 @@ class Flights:
         if photons.record is not None and region == Place.CRYSTAL:
             photons.record[Record.PATH] += distance
             weighted = medium.scattering_path(position, direction, distance)
-            if photons.strength is not None:
-                weighted = weighted * photons.strength
-            photons.record[Record.SCATTERING_PATH] += weighted
+            photons.record[Record.SCATTERING_PATH] += weighted * self._strength(flock)
         position += distance * direction
 
         self._collide(flock, np.flatnonzero(~arrives))
@@ -367,16 +363,20 @@ class Flights:
         region, photons, place = flock
         if not who.size:
             return
-        strength = photons.strength if region == Place.CRYSTAL else None
-        if strength is not None:
-            strength = strength[who]
         medium = self._layout.media[region]
+        strength = self._strength(flock, who)
         scatters = medium.scatters(self._rng, photons.position[:, who], strength)
         place[who[~scatters]] = _ABSORBED_IN[region]
         who = who[scatters]
         self._launch(photons, who, self._scattered(photons.direction.take(who, axis=1)))
         if photons.record is not None:
             photons.record[Record.SCATTERINGS, who] += 1.0
+
+    @staticmethod
+    def _strength(flock: Flock, who: Indices | slice = slice(None)) -> float | Floats:
+        """What the wavelengths of photons do to how strongly the medium scatters."""
+        strength = flock.photons.strength
+        return 1.0 if strength is None or flock.region != Place.CRYSTAL else strength[who]
 
     def _scattered(self, direction: Floats) -> Floats:
         """Directions in which the crystal scatters light that flies along (3, n)."""
@@ -392,8 +392,6 @@ class Flights:
         _, photons, place = flock
         distance, target, face, strayed = self._nearest_body(flock)
         place[:] = Place.ESCAPED
-        if self._layout.sheet is not None:
-            self._meet_sheet(flock, self._layout.sheet, distance, target)
         if self._layout.plate is not None:
             self._meet_plate(flock, self._layout.plate, distance, target)
         for body in self._layout.seen_from[Place.OUTSIDE]:
@@ -403,28 +401,21 @@ class Flights:
                 self._meet_from_air(flock, met, body, face[met], arrival)
         place[strayed] = Place.LOST
 
-    def _meet_sheet(self, flock: Flock, sheet: Plate, distance: Floats, target: Codes) -> None:
-        """End or reflect photons that meet the sheet above the crystal before any body.
-
-        Nothing comes down onto it: light is above it only after having passed it, going up.
-        """
-        photons = flock.photons
-        who, arrival = sheet.reached(photons.position, photons.direction, distance)
-        target[who] = -1
-        photons.position[:, who] = arrival
-        photons.touched[who] = Place.OUTSIDE
-        down = np.repeat([[0.0], [0.0], [-1.0]], who.size, axis=1)
-        self._reflect(flock, who, down, self._bench.top_reflectance)
-
     def _meet_plate(self, flock: Flock, plate: Plate, distance: Floats, target: Codes) -> None:
-        """Detect or absorb photons that meet the plate in the beam before they meet the crystal.
+        """Let photons meet the plate in the beam, or the sheet above the crystal, before any body.
 
-        Nothing comes back onto it: light that has passed it flies on for ever.
+        One detects or absorbs them, the other reflects some. Nothing comes back onto either: light
+        that has passed it flies on for ever.
         """
         photons, place = flock.photons, flock.place
         who, arrival = plate.reached(photons.position, photons.direction, distance)
         target[who] = -1
         photons.position[:, who] = arrival
+        if self._bench.beam_diameter_mm is None:
+            photons.touched[who] = Place.OUTSIDE
+            down = np.repeat([[0.0], [0.0], [-1.0]], who.size, axis=1)
+            self._reflect(flock, who, down, self._bench.top_reflectance)
+            return
         least_cosine = math.cos(math.radians(self._bench.acceptance_deg))
         accepted = photons.direction[plate.axis, who] >= least_cosine
         place[who] = np.where(accepted, Place.DETECTED, Place.ABSORBED_SURFACE)
@@ -602,9 +593,7 @@ class Flights:
     def _meet_film(self, flock: Flock, who: Indices, film: AbsorbingFilm) -> None:
         """Reflect photons off the photocathode, or lose them behind it; it absorbs the others."""
         photons, place = flock.photons, flock.place
-        cosine = np.abs(photons.direction[2, who])
-        waves = film.amplitudes(cosine)
-        reflected, transmitted = film.powers(cosine)
+        waves, transmitted = film.waves(np.abs(photons.direction[2, who]))
         if photons.field is None:
             shares = np.full((2, who.size), 0.5)
         else:
@@ -612,7 +601,7 @@ class Flights:
             field = photons.field[:, who]
             shares = np.abs(np.stack((dot(across, field), dot(along, field)))) ** 2
         chance = self._rng.random(who.size)
-        below = (shares * reflected).sum(axis=0)
+        below = (shares * np.abs(waves) ** 2).sum(axis=0)
         mirrored = chance < below
         through = ~mirrored & (chance < below + (shares * transmitted).sum(axis=0))
         self._mirror(flock, who[mirrored], *waves[:, mirrored])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from enum import IntEnum
@@ -31,35 +32,44 @@ TOLERANCE_MM = 1e-9
 """Float64 rounding stays below 1e-13 mm on a bench of centimetres; a photon further than
 this on the wrong side of a plane is lost, which the tracer counts and never forgives."""
 
-_PARALLEL = 1e-300
-"""Stands for a speed of zero towards a plane, so that no division yields a NaN."""
-
-# Faces of `Box`, in the order of its half-spaces.
+# Faces of `Box`; a crystal with chamfers has the most.
 BOTTOM = 4
 TOP = 5
 #: Of an upright `Cylinder`, beside these.
 WALL = 0
-# the face towards lower x, y and z; the opposite one has the next number
-_FIRST_FACES = np.array([[0], [2], [4]])
+_MOST_FACES = 18
 
 
-@dataclass(frozen=True, eq=False)
-class HalfSpaceBody:
-    """The points x with ``normals @ x <= offsets``.
+class Box:
+    """A box with faces along the axes, whose twelve edges may carry 45 degree chamfers.
 
-    A ray crosses the planes at t = slack / speed, where slack is the distance
-    to a plane (positive inside) and speed the component of the direction along
-    its outward normal. Inside, the ray ends at the smallest t among the planes
-    it approaches; from outside it enters at the largest t among the planes it
-    faces, provided that it has not left through another one by then
-    (T. L. Kay and J. T. Kajiya, SIGGRAPH 1986, for slabs; M. Cyrus and
-    J. Beck, Computers and Graphics 3, 1978, for convex polyhedra).
+    It is what lies between pairs of parallel planes, ``low <= axis @ x <= high``. Inside, a ray
+    ends at the nearest of the planes that it approaches; from outside it enters where the last of
+    the slabs is entered, provided that none has been left by then (T. L. Kay and J. T. Kajiya,
+    SIGGRAPH 1986). The faces are -x, +x, -y, +y, `BOTTOM` and `TOP`, then the chamfers.
     """
 
-    #: (faces, 3) float64: Unit outward normals.
-    normals: Floats
-    #: (faces,) float64, mm: Distance of each plane from the origin along its normal.
-    offsets: Floats
+    def __init__(
+        self, low: tuple[float, float, float], high: tuple[float, float, float], leg: float = 0.0
+    ) -> None:
+        """Make the box between two corners; a chamfer takes `leg` off two faces. All in mm."""
+        axes, lows, highs = list(np.eye(3)), list(low), list(high)
+        for i, j in itertools.combinations(range(3) if leg else (), 2):
+            for sign in (1.0, -1.0):
+                ends = sorted((sign * low[j], sign * high[j]))
+                axes.append((np.eye(3)[i] + sign * np.eye(3)[j]) / math.sqrt(2.0))
+                lows.append((low[i] + ends[0] + leg) / math.sqrt(2.0))
+                highs.append((high[i] + ends[1] - leg) / math.sqrt(2.0))
+        self._axes = np.array(axes)
+        self._low, self._high = np.array([lows, highs], dtype=np.float64)[:, :, None]
+        self._planes = np.column_stack((lows, highs)).ravel() + 0.0
+        signs = np.tile([-1.0, 1.0], len(axes))
+        #: (faces, 3) float64: Unit outward normals. Adding zero turns -0.0 into 0.0.
+        self.normals = np.repeat(self._axes, 2, axis=0) * signs[:, None] + 0.0
+        #: (faces,) float64, mm: Distance of each plane from the origin along its normal.
+        self.offsets = self._planes * signs + 0.0
+        # the faces towards lower coordinates; the opposite one has the next number
+        self._first_faces = 2 * np.arange(len(axes))[:, None]
 
     def exit(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
         """Where rays that start inside leave the body.
@@ -75,17 +85,18 @@ class HalfSpaceBody:
         strayed : (n,) bool
             True where the start is outside by more than `TOLERANCE_MM`.
         """
-        slack, speed = self._slack_and_speed(position, direction)
-        distance = np.full(position.shape[1], np.inf)
-        face = np.zeros(position.shape[1], dtype=np.intp)
+        along, speed = self._along(position), self._along(direction)
+        # of each axis one plane is ahead; a direction along a plane never reaches it
+        ahead = ~np.signbit(speed)
+        times = np.where(ahead, self._high, self._low)
+        times -= along
         with np.errstate(divide="ignore", invalid="ignore"):
-            times = slack / speed
-        for index in range(len(self.offsets)):
-            closer = (speed[index] > 0.0) & (times[index] < distance)
-            np.copyto(distance, times[index], where=closer)
-            np.copyto(face, index, where=closer)
-        np.maximum(distance, 0.0, out=distance)
-        return distance, face, ~(slack.min(axis=0) >= -TOLERANCE_MM)
+            times /= speed
+        # fmin leaves out the NaN of a start on a plane that the flight is parallel to
+        distance = np.fmin.reduce(times)
+        face = _face_of(times == distance, ahead + self._first_faces)
+        strayed = self._beyond(along, TOLERANCE_MM)
+        return np.maximum(distance, 0.0, out=distance), face, strayed
 
     def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
         """Where rays that start outside meet the body.
@@ -96,28 +107,18 @@ class HalfSpaceBody:
         What is returned is as of `exit`; the distance is infinite where the ray misses, and
         starts inside have strayed.
         """
-        slack, speed = self._slack_and_speed(position, direction)
-        count = position.shape[1]
-        enters, leaves = np.full(count, -np.inf), np.full(count, np.inf)
-        face = np.zeros(count, dtype=np.intp)
-        # a ray parallel to a plane is never ahead of it: it "left" long ago if
-        # it is outside that plane, and never leaves if it is inside
-        speed[np.abs(speed) < _PARALLEL] = _PARALLEL
-        times = slack / speed
-        for index in range(len(self.offsets)):
-            approached = speed[index] < 0.0
-            later = approached & (times[index] > enters)
-            np.copyto(enters, times[index], where=later)
-            np.copyto(face, index, where=later)
-            np.copyto(leaves, times[index], where=~approached & (times[index] < leaves))
-        met = (np.maximum(enters, 0.0) < leaves) & (enters > -TOLERANCE_MM)
-        distance = np.where(met, np.maximum(enters, 0.0), np.inf)
-        return distance, face, ~(slack.min(axis=0) <= TOLERANCE_MM)
+        along, speed = self._along(position), self._along(direction)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            to_low, to_high = (self._low - along) / speed, (self._high - along) / speed
+        # of a start on a plane that the flight is parallel to, the NaN is left out
+        near = np.fmin(to_low, to_high)
+        enters, leaves = np.maximum.reduce(near), np.minimum.reduce(np.fmax(to_low, to_high))
+        face = _face_of(near == enters, np.signbit(speed) + self._first_faces)
+        return _if_met(enters, leaves), face, ~self._beyond(along, -TOLERANCE_MM)
 
     def contains(self, position: Floats) -> Flags:
         """True where a point, (3, n) in mm, is in the body: (n,) bool."""
-        inside: Flags = self.normals @ position <= self.offsets[:, None]
-        return np.all(inside, axis=0)
+        return ~self._beyond(self._along(position), 0.0)
 
     def snap(self, position: Floats, face: Indices) -> tuple[Floats, Floats]:
         """Move points that lie on a face to rounding onto it as exactly as float64 can.
@@ -126,96 +127,43 @@ class HalfSpaceBody:
         planes that bodies share (the crystal's side and the gap's) shared. The faces' outward
         unit normals are returned too.
         """
-        normal = self.normals.T[:, face]
-        return position + (self.offsets[face] - dot(normal, position)) * normal, normal
-
-    def _slack_and_speed(self, position: Floats, direction: Floats) -> tuple[Floats, Floats]:
-        return self.offsets[:, None] - self.normals @ position, self.normals @ direction
-
-
-class Box(HalfSpaceBody):
-    """A box with faces along the axes: the same answers as `HalfSpaceBody`, sooner.
-
-    The faces are -x, +x, -y, +y, `BOTTOM` and `TOP`.
-    """
-
-    def __init__(self, low: tuple[float, float, float], high: tuple[float, float, float]) -> None:
-        """Make the box between two corners, in mm."""
-        axes = np.repeat(np.eye(3), 2, axis=0)
-        axes[::2] *= -1.0
-        corners = np.array([low, high], dtype=np.float64)
-        offsets = corners.T * [-1.0, 1.0]
-        # adding zero turns -0.0 into 0.0
-        super().__init__(axes + 0.0, offsets.ravel() + 0.0)
-        self._low, self._high = corners[:, :, None]
-        self._planes = corners.T.ravel() + 0.0
-
-    def exit(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
-        """As of `HalfSpaceBody`, for planes across the axes: of each axis one is ahead."""
-        # a direction along a plane never reaches it
-        ahead = ~np.signbit(direction)
-        times = np.where(ahead, self._high, self._low)
-        times -= position
-        with np.errstate(divide="ignore", invalid="ignore"):
-            times /= direction
-        # fmin leaves out the NaN of a start on a plane that the flight is parallel to
-        distance = np.fmin(np.fmin(times[0], times[1]), times[2])
-        faces = ahead + _FIRST_FACES
-        face = np.where(times[1] == distance, faces[1], faces[2])
-        np.copyto(face, faces[0], where=times[0] == distance)
-        strayed = self._beyond(position, TOLERANCE_MM)
-        np.maximum(distance, 0.0, out=distance)
-        return distance, face, strayed
-
-    def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
-        """As of `HalfSpaceBody`: where the last of three slabs is entered, before one is left."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            to_low = (self._low - position) / direction
-            to_high = (self._high - position) / direction
-        # of a start on a plane that the flight is parallel to, the NaN is left out
-        near, far = np.fmin(to_low, to_high), np.fmax(to_low, to_high)
-        enters = np.maximum(np.maximum(near[0], near[1]), near[2])
-        leaves = np.minimum(np.minimum(far[0], far[1]), far[2])
-        faces = np.signbit(direction) + _FIRST_FACES
-        face = np.where(near[1] == enters, faces[1], faces[2])
-        np.copyto(face, faces[0], where=near[0] == enters)
-        met = (np.maximum(enters, 0.0) < leaves) & (enters > -TOLERANCE_MM)
-        distance = np.where(met, np.maximum(enters, 0.0), np.inf)
-        return distance, face, ~self._beyond(position, -TOLERANCE_MM)
-
-    def snap(self, position: Floats, face: Indices) -> tuple[Floats, Floats]:
+        normal = self.normals.T.take(face, axis=1)
+        if len(self._axes) > 3:
+            return position + (self.offsets[face] - dot(normal, position)) * normal, normal
         snapped = position.copy()
         snapped[face >> 1, np.arange(face.size)] = self._planes[face]
-        return snapped, self.normals.T.take(face, axis=1)
+        return snapped, normal
 
-    def _beyond(self, position: Floats, margin: float) -> Flags:
+    def _along(self, vectors: Floats) -> Floats:
+        """Components along the axes of the slabs: (slabs, n)."""
+        return vectors if len(self._axes) == 3 else self._axes @ vectors
+
+    def _beyond(self, along: Floats, margin: float) -> Flags:
         """True where a point is not inside by more than -``margin`` on every axis (or a NaN)."""
-        inside = (position >= self._low - margin) & (position <= self._high + margin)
-        return ~(inside[0] & inside[1] & inside[2])
+        inside = (along >= self._low - margin) & (along <= self._high + margin)
+        return ~np.logical_and.reduce(inside)
 
 
-def box(half_width: float, z_low: float, z_high: float) -> Box:
-    """A square box about the z axis: x, y in +-``half_width``, z in [``z_low``, ``z_high``], mm."""
-    return Box((-half_width, -half_width, z_low), (half_width, half_width, z_high))
+def _face_of(met: Flags, faces: Indices) -> Indices:
+    """Which of the slabs' faces, (slabs, n), is met: the first of several, (n,)."""
+    face = faces[-1]
+    for number in range(len(faces) - 2, -1, -1):
+        face = np.where(met[number], faces[number], face)
+    return face
 
 
-def chamfered_box(half_width: float, height: float, leg: float) -> HalfSpaceBody:
-    """A square box on z = 0 about the z axis whose twelve edges carry 45 degree chamfers.
-
-    The faces are those of `Box`, followed by the twelve chamfers, each of which takes `leg` mm
-    away of the two faces that met in the edge.
-    """
-    plain = box(half_width, 0.0, height)
-    normals, offsets = list(plain.normals), list(plain.offsets)
-    for face in range(6):
-        # faces 2 i and 2 i + 1 are opposite to each other
-        for neighbour in range(face - face % 2 + 2, 6):
-            normals.append((plain.normals[face] + plain.normals[neighbour]) / math.sqrt(2.0))
-            offsets.append((plain.offsets[face] + plain.offsets[neighbour] - leg) / math.sqrt(2.0))
-    return HalfSpaceBody(np.array(normals), np.array(offsets))
+def _if_met(enters: Floats, leaves: Floats) -> Floats:
+    """Distance to a body that rays enter before they leave it; infinite where they do not."""
+    ahead = np.maximum(enters, 0.0)
+    return np.where((ahead < leaves) & (enters > -TOLERANCE_MM), ahead, np.inf)
 
 
-class Cylinder(HalfSpaceBody):
+def box(half_width: float, z_low: float, z_high: float, leg: float = 0.0) -> Box:
+    """A square `Box` about the z axis: x, y in +-``half_width``, z in [``z_low``, ``z_high``]."""
+    return Box((-half_width, -half_width, z_low), (half_width, half_width, z_high), leg)
+
+
+class Cylinder:
     """A cylinder along one of the axes, which answers for itself.
 
     Its ends are the faces of `Box` on that axis, `BOTTOM` and `TOP` of one along z, and its round
@@ -231,8 +179,6 @@ class Cylinder(HalfSpaceBody):
         centre: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         """Make it between two levels on the axis 0, 1 or 2; `centre` is its place on the others."""
-        # it has no planes, but ends
-        super().__init__(np.zeros((TOP + 1, 3)), np.zeros(TOP + 1))
         self._radius, self._levels = radius, np.array([low, high])
         self._axis = axis
         self._across: Indices = np.array([other for other in range(3) if other != axis])
@@ -242,7 +188,7 @@ class Cylinder(HalfSpaceBody):
         self._low_end = 2 * axis
 
     def exit(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
-        """As of `HalfSpaceBody`: through the wall, or the end that is ahead."""
+        """As of `Box`: through the wall, or the end that is ahead."""
         _, to_wall, _ = self._wall_crossings(position, direction)
         speed = direction[self._axis]
         ahead = np.where(speed > 0.0, *self._levels[::-1, None])
@@ -254,7 +200,7 @@ class Cylinder(HalfSpaceBody):
         return distance, face, ~self._holds(position, TOLERANCE_MM)
 
     def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
-        """As of `HalfSpaceBody`: through the wall, or the end that faces the flight."""
+        """As of `Box`: through the wall, or the end that faces the flight."""
         wall_in, wall_out, misses = self._wall_crossings(position, direction)
         along, speed = position[self._axis], direction[self._axis]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -265,13 +211,12 @@ class Cylinder(HalfSpaceBody):
         enters, leaves = np.maximum(wall_in, end_in), np.minimum(wall_out, end_out)
         # flights along an end plane, on the far side of it
         outside = (speed == 0.0) & ((along < self._levels[0]) | (along > self._levels[1]))
-        met = ~misses & ~outside & (np.maximum(enters, 0.0) < leaves) & (enters > -TOLERANCE_MM)
-        distance = np.where(met, np.maximum(enters, 0.0), np.inf)
+        distance = np.where(misses | outside, np.inf, _if_met(enters, leaves))
         face = np.where(wall_in >= end_in, self.wall, self._low_end + (speed < 0.0))
         return distance, face, self._holds(position, -TOLERANCE_MM)
 
     def snap(self, position: Floats, face: Indices) -> tuple[Floats, Floats]:
-        """As of `HalfSpaceBody`: onto the wall along the radius, onto an end along the axis."""
+        """As of `Box`: onto the wall along the radius, onto an end along the axis."""
         snapped, normal = position.copy(), np.zeros_like(position)
         wall, end = np.flatnonzero(face == self.wall), np.flatnonzero(face != self.wall)
         away = position[np.ix_(self._across, wall)] - self._centre
@@ -284,6 +229,7 @@ class Cylinder(HalfSpaceBody):
         return snapped, normal
 
     def contains(self, position: Floats) -> Flags:
+        """As of `Box`."""
         return self._holds(position, 0.0)
 
     def _wall_crossings(self, position: Floats, direction: Floats) -> tuple[Floats, Floats, Flags]:
@@ -323,13 +269,17 @@ class BelowCylinder(Box):
         self._crystal = crystal
 
     def entry(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
-        """As of `HalfSpaceBody`, but not through what is inside of the crystal."""
+        """As of `Box`, but not through what is inside of the crystal."""
         distance, face, strayed = super().entry(position, direction)
         far = np.isinf(distance)
         arrival = position + np.where(far, 0.0, distance) * direction
         arrival[0] = 0.0
         distance[self._crystal.contains(arrival)] = np.inf
         return distance, face, strayed & ~self._crystal.contains(position)
+
+
+#: A convex body of the bench.
+Body = Box | Cylinder
 
 
 def dot(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
@@ -363,20 +313,18 @@ class Medium:
         rng: np.random.Generator,
         position: Floats,
         direction: Floats,
-        strength: Floats | None = None,
+        strength: float | Floats = 1.0,
     ) -> Floats:
         """Draw the distances to the next absorption or scattering: (n,), mm.
 
-        Scattering is ``strength``, (n,), times as strong, if that is given.
+        Scattering is ``strength``, (n,), times as strong.
 
         With a gradient the optical depth after s mm is A s + B s^2; the root of
         A s + B s^2 = depth is taken in the form that does not cancel. Where the parabola never
         gets so high, which is outside of 0 <= z <= height, the distance is infinite.
         """
         depth: Floats = rng.standard_exponential((position.shape[1],))
-        scattering: float | Floats = self.scattering_per_mm
-        if strength is not None:
-            scattering = scattering * strength
+        scattering = self.scattering_per_mm * strength
         if not self.gradient:
             depth /= self.absorption_per_mm + scattering
             return depth
@@ -388,7 +336,7 @@ class Medium:
         return np.where(never, np.inf, 2.0 * depth / np.where(never, 1.0, denominator))
 
     def scatters(
-        self, rng: np.random.Generator, position: Floats, strength: Floats | None = None
+        self, rng: np.random.Generator, position: Floats, strength: float | Floats = 1.0
     ) -> Flags:
         """Draw for collisions at these points whether they scatter (or absorb): (n,) bool.
 
@@ -396,9 +344,7 @@ class Medium:
         """
         if not self.absorption_per_mm:
             return np.ones(position.shape[1], dtype=bool)
-        scattering: float | Floats = self.scattering_per_mm
-        if strength is not None:
-            scattering = scattering * strength
+        scattering = self.scattering_per_mm * strength
         if self.gradient:
             scattering = scattering * self._strength(position)
         draw: Floats = rng.random((position.shape[1],))
@@ -507,9 +453,9 @@ class Layout:
         self.detector_centre = (low + high) / 2.0
         if not in_beam:
             self.detector_centre = np.array([[bench.mask_offset_mm], [0.0], [0.0]])
+        distance_mm = PLATE_DISTANCE_MM if in_beam else TOP_FILM_MM if bench.top_reflectance else 0
         #: The reflecting sheet above the crystal, or the plate that detects a beam.
-        self.sheet = _before(2, low, high, TOP_FILM_MM) if bench.top_reflectance else None
-        self.plate = _before(self.detector_axis, low, high, PLATE_DISTANCE_MM) if in_beam else None
+        self.plate = _before(self.detector_axis, low, high, distance_mm) if distance_mm else None
         self._face_roughness = np.array(bench.face_roughness)
         self.is_rough = bool(self._face_roughness.any())
         self._half_gap, self._gap_left = half, bench.gap_left_mm
@@ -521,7 +467,7 @@ class Layout:
             self._masked_face = {Place.WINDOW: BOTTOM}
         elif not in_beam:
             self._masked_face = {Place.GAP: BOTTOM, Place.BUBBLE: BOTTOM, Place.WINDOW: TOP}
-        self._neighbour = _neighbours(bench, len(self.bodies[Place.CRYSTAL].offsets))
+        self._neighbour = _neighbours(bench)
 
     def behind(self, body: Place, face: Indices, position: Floats) -> Codes:
         """What light from within crystal, gap, bubble or window finds behind a face, at a point.
@@ -631,7 +577,7 @@ class Layout:
             place[(face == TOP) & in_square] = Place.ABSORBED_SURFACE
 
 
-def _bodies(bench: Bench) -> dict[Place, HalfSpaceBody]:
+def _bodies(bench: Bench) -> dict[Place, Body]:
     """The bench's bodies by their places; of a beam's bench the crystal alone."""
     crystal, gap = _crystal_and_gap(bench)
     if bench.beam_diameter_mm is not None:
@@ -647,7 +593,7 @@ def _bodies(bench: Bench) -> dict[Place, HalfSpaceBody]:
     return bodies
 
 
-def _crystal_and_gap(bench: Bench) -> tuple[HalfSpaceBody, HalfSpaceBody]:
+def _crystal_and_gap(bench: Bench) -> tuple[Body, Body]:
     """The crystal in its form, standing or lying, and the gap below it with its collar."""
     half, height = bench.crystal_width_mm / 2.0, bench.height_mm
     entrance, collar = -bench.gap_thickness_mm, bench.narrow_collar_height_mm
@@ -659,9 +605,7 @@ def _crystal_and_gap(bench: Bench) -> tuple[HalfSpaceBody, HalfSpaceBody]:
         lying = Cylinder(radius, -reach, reach, 0, (0.0, radius))
         strip = reach, wet, bench.wetted_height_mm
         return lying, BelowCylinder((-reach, -wet, entrance), strip, lying)
-    crystal: HalfSpaceBody = box(half, 0.0, height)
-    if bench.chamfer_mm:
-        crystal = chamfered_box(half, height, bench.chamfer_mm)
+    crystal = box(half, 0.0, height, bench.chamfer_mm)
     if collar:
         return crystal, box(half + NARROW_COLLAR_WIDTH_MM, entrance, collar)
     return crystal, Box((bench.gap_left_mm, -half, entrance), (half, half, 0.0))
@@ -686,9 +630,9 @@ def _media(bench: Bench) -> tuple[Medium, ...]:
     return tuple(by_region.get(region, air) for region in REGIONS)
 
 
-def _neighbours(bench: Bench, faces: int) -> Codes:
+def _neighbours(bench: Bench) -> Codes:
     """The neighbour through each face of a region, where one is all there is: (regions, faces)."""
-    neighbour = np.full((len(REGIONS), faces), Place.OUTSIDE, dtype=np.int8)
+    neighbour = np.full((len(REGIONS), _MOST_FACES), Place.OUTSIDE, dtype=np.int8)
     if bench.wrap_reflectance is not None:
         neighbour[Place.CRYSTAL] = Place.FILM
     if bench.beam_diameter_mm is None:

@@ -137,23 +137,11 @@ def cross(
 ) -> tuple[Floats, Flags, Complexes | None]:
     """Send photons through an interface, each as one whole quantum.
 
-    Parameters
-    ----------
-    direction : (3, n) float64
-        Unit vectors of flight.
-    normal : (3, n) float64
-        Unit normals that point ahead: ``direction . normal`` is positive.
-    n_in, n_out : float, or (n,) float64
-        Indices of the medium that the photons are in, and of that behind the interface.
-    field : (3, n) complex128, optional
-        Polarisation states; without them the photons are taken as unpolarised.
-    rms_per_wavelength : float, or (n,) float64
-        Of heights that scatter by `scatter_by_haze`, which leaves no polarisation.
-
-    Returns
-    -------
-    direction, transmitted, field
-        Of these shapes; transmitted is (n,) bool.
+    They fly along unit vectors `direction`, (3, n); unit normals, (3, n), point ahead:
+    ``direction . normal`` is positive. `n_in` and `n_out`, (n,), are the indices of the medium that
+    they are in and of that behind the interface. Without polarisation states `field`, (3, n), they
+    are taken as unpolarised. Heights of `rms_per_wavelength`, (n,), scatter by `scatter_by_haze`,
+    which leaves no polarisation. Returned are directions, which are transmitted, (n,), and states.
     """
     cos_in = dot(direction, normal)
     cos_out = np.sqrt(np.maximum(cosine_squared_out(cos_in, n_in, n_out), 0.0))
@@ -402,21 +390,9 @@ def scatter_by_haze(
     photon is on, and leaves by Lambert's law times what light that comes back on its way would have
     reflected or refracted, and scattered: so isotropic light in equilibrium stays so.
 
-    Parameters
-    ----------
-    normal : (3, n) float64
-        Unit normals that point ahead, with the cosine ``cos_in`` to where photons came from.
-    n_in, n_out
-        As of `cross`.
-    transmitted : (n,) bool
-        Whether they are behind the interface.
-    rms_per_wavelength : float, or (n,) float64
-        Of the heights, over the wavelength in vacuum.
-
-    Returns
-    -------
-    who, direction
-        Indices of the (m,) that are scattered, and their new directions, (3, m) float64.
+    Numbers are as of `cross`, with the cosine ``cos_in`` of the unit normals that point ahead to
+    where photons came from, and whether each was `transmitted`. Returned are indices of the (m,)
+    that are scattered, and their new directions, (3, m).
     """
     _, share = _haze(cos_in, n_in, n_out, transmitted, rms_per_wavelength)
     who = np.flatnonzero(rng.random(cos_in.shape) < share)
@@ -472,20 +448,10 @@ class AbsorbingFilm(NamedTuple):
     #: Thickness over the wavelength in vacuum.
     wavelengths: float
 
-    def amplitudes(self, cos_in: Floats) -> Complexes:
-        """Reflected s and p amplitudes, (2, n), in the frames of `amplitudes`."""
-        return self._solved(cos_in)[0]
-
-    def powers(self, cos_in: Floats) -> tuple[Floats, Floats]:
-        """Reflectances and transmittances of s and p polarised light, (2, n) each."""
-        reflected, transmitted = self._solved(cos_in)
-        return np.abs(reflected) ** 2, transmitted
-
-    def _solved(self, cos_in: Floats) -> tuple[Complexes, Floats]:
+    def waves(self, cos_in: Floats) -> tuple[Complexes, Floats]:
         """Reflected amplitudes and transmittances of s and p polarised light, (2, n) each.
 
-        By the film's characteristic matrix (F. Abelès), with admittances n cos of s polarised light
-        and n / cos of p polarised light.
+        Amplitudes are in the frames of `amplitudes`.
         """
         sine = self.n_window * np.sqrt(1.0 - np.square(cos_in))
         cosines = [np.sqrt(1.0 - (sine / n) ** 2 + 0j) for n in (self.film_index, 1.0)]

@@ -25,7 +25,7 @@ from mcrim_mitsuba.reference.flight import (
     henyey_greenstein_cosine,
     rayleigh_cosine,
 )
-from mcrim_mitsuba.reference.geometry import BOTTOM, TOP, Layout, Medium, Place, chamfered_box, dot
+from mcrim_mitsuba.reference.geometry import BOTTOM, TOP, Layout, Medium, Place, box, dot
 from mcrim_mitsuba.reference.interface import (
     about,
     cross_rough,
@@ -328,7 +328,7 @@ def test_surfaces_that_absorb_all_they_reflect_let_through_the_first_transmittan
 
 
 def test_chamfered_box_has_its_volume_and_eighteen_faces():
-    body, leg = chamfered_box(5.0, 8.0, 0.9), 0.9
+    body, leg = box(5.0, 0.0, 8.0, 0.9), 0.9
     assert body.normals.shape == (18, 3)
     np.testing.assert_allclose(np.linalg.norm(body.normals, axis=1), 1.0, rtol=1e-15)
     rng = np.random.default_rng(19)
@@ -349,7 +349,7 @@ def test_chamfered_box_has_its_volume_and_eighteen_faces():
 
 def test_rays_through_a_chamfered_box_come_back():
     rng = np.random.default_rng(20)
-    body = chamfered_box(5.0, 10.0, 1.0)
+    body = box(5.0, 0.0, 10.0, 1.0)
     inside = birth_positions(Bench(chamfer_mm=1.0), body, rng, 20_000)
     direction = isotropic(rng, 20_000)
     out, out_face, _ = body.exit(inside, direction)
