@@ -197,8 +197,7 @@ def rough_copy(editor: SceneEditor, bsdf: Node, side: str, alpha: str) -> str:
     editor.refuse_id(name)
     parts = [editor.source(part) for part in bsdf.elements]
     parts.append(f'<float name="roughness_alpha" value="{alpha}"/>')
-    copy = "\n  ".join([f'<bsdf type="polish" id="{name}">', *parts])
-    editor.insert_after(bsdf, f"{copy}\n</bsdf>")
+    editor.insert_after(bsdf, element(f'bsdf type="polish" id="{name}"', parts))
     return name
 
 

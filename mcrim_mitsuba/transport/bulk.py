@@ -146,26 +146,12 @@ class CrystalVolume:
     inner side of all its planes and of its round wall, and inside another solid when the first face
     that it sees has the medium on the near side.
 
-    Parameters
-    ----------
-    volume : int
-        Index of the medium among ``model.volumes``.
-    source_depth_mm, side_depth_mm : float
-        Births fall with the depth below the top, or with the distance from the side of the lowest
-        x, as exp(-depth / this); infinite: evenly. One of the two at most is finite.
-
-    Attributes
-    ----------
-    frame : tuple of ndarray or None
-        Corner and three edge vectors (float64, mm) of a parallelepiped that is sampled directly.
-    lower, upper : ndarray
-        Bounding box, float64, shape (3,), mm.
-    birth_volume : int
-        Index of the volume that photons are in at birth.
-    aim : ndarray or None
-        Unit direction of all photons at birth; ``None``: any direction.
+    `volume` is the medium's index among ``model.volumes``. Births fall with the depth below the
+    top, or with the distance from the side of the lowest x, as exp(-depth / ``source_depth_mm``, or
+    ``side_depth_mm``); infinite: evenly. One of the two at most is finite.
     """
 
+    #: Unit direction of all photons at birth; ``None``: any direction.
     aim: np.ndarray | None = None
 
     def __init__(
@@ -175,12 +161,14 @@ class CrystalVolume:
         source_depth_mm: float = np.inf,
         side_depth_mm: float = np.inf,
     ) -> None:
-        self.model = model
-        self.volume = self.birth_volume = volume
+        self.model, self.volume = model, volume
+        #: Index of the volume that photons are in at birth.
+        self.birth_volume = volume
         self.source_depth_mm, self.side_depth_mm = source_depth_mm, side_depth_mm
         # the axis along which births fall, and whether from its high end
         self._axis, self._from_high = (0, False) if side_depth_mm < np.inf else (2, True)
         owned = model.bordering(volume)
+        #: Bounding box, float64, shape (3,), mm.
         self.lower, self.upper = model.bounds(volume)
         # the height, or width, in depths, which is all that the distribution of depths needs
         length_mm = float(self.upper[self._axis] - self.lower[self._axis])
@@ -189,9 +177,9 @@ class CrystalVolume:
         if self._steepness:
             self._length_in_depths = opaque([steepness])
             self._born_above = opaque([-np.expm1(-steepness)])
-        self.frame = self._solid = None
-        if model.faces is not None:
-            self.frame = _parallelepiped([f for f in model.faces if f.surface in owned])
+        self._solid = None
+        #: Corner and three edges (float64, mm) of a parallelepiped that is sampled directly.
+        self.frame = _parallelepiped([f for f in model.faces or () if f.surface in owned])
         if self.frame is not None and self._steepness:
             self.frame = _along(self._axis, self.frame)
         if model.faces is not None and self.frame is None:
@@ -293,13 +281,9 @@ class CrystalVolume:
             searching = searching & ~inside(point) & (rounds < MOST_ROUNDS)
             return point, searching, rng, rounds
 
+        begin, all_of_them = dr.zeros(mi.Point3f, count), dr.full(mi.Bool, True, count)
         point, _, rng, rounds = dr.while_loop(
-            state=(
-                dr.zeros(mi.Point3f, count),
-                dr.full(mi.Bool, True, count),
-                rng,
-                dr.zeros(mi.UInt32, count),
-            ),
+            state=(begin, all_of_them, rng, dr.zeros(mi.UInt32, count)),
             cond=lambda point, searching, rng, rounds: searching,
             body=body,
             labels=("point", "searching", "rng", "rounds"),
@@ -368,16 +352,9 @@ class CollimatedBeam(CrystalVolume):
 
     Photons are born evenly on a disc before the side of the lowest coordinate along the beam.
 
-    Raises InputError if some of the light would miss the crystal.
+    The beam flies along +x, +y or +z, which `axis` (0, 1, 2) tells.
 
-    Parameters
-    ----------
-    model : SceneModel
-    volume : int
-        Index of the crystal's medium.
-    axis : int
-        0, 1, 2: the beam flies along +x, +y or +z.
-    diameter_mm : float
+    Raises InputError if some of the light would miss the crystal.
     """
 
     def __init__(self, model: SceneModel, volume: int, axis: int, diameter_mm: float) -> None:
@@ -442,7 +419,7 @@ def _parallelepiped(faces):
 
     All but the first may be in parts, so that births are those of a crystal whose faces are whole.
     """
-    if any(face.triangle for face in faces):
+    if not faces or any(face.triangle for face in faces):
         return None
     corners = np.concatenate([face.corners for face in faces])
     size, area = np.ptp(corners, axis=0).max(), sum(face.area for face in faces)

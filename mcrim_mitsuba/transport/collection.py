@@ -67,13 +67,6 @@ class Launcher:
     """Launches photons into the scene of a crystal, where they are born.
 
     Without `fold` light flies from reflection to reflection, see `transport.folding`.
-
-    Attributes
-    ----------
-    path : FlatPath or GeneralPath
-        As `choose_path` chooses.
-    tally : FateTally
-        Of all launches so far.
     """
 
     @signals_wait()
@@ -87,7 +80,9 @@ class Launcher:
     ) -> None:
         self._crystal = crystal
         volume = crystal.volume if fold else None
+        #: As `choose_path` chooses.
         self.path = choose_path(crystal.model, polarization, general, volume)
+        #: Of all launches so far.
         self.tally = FateTally(head_on=crystal.model.head_on)
 
     @property
@@ -106,20 +101,14 @@ class Launcher:
         may_leak: bool = False,
         **options,
     ) -> loop.Launch:
-        """Follow photons; `options`, ``seed`` among them, are those of `loop.Loop`.
+        """Follow photons, shared out in `batches` by `launch_plan.plan_lanes`.
 
-        Raises InputError if the scene leaks, or does not have a record column.
+        `proposals` are in place of the scene's own coefficients of the crystal: with several the
+        photons are a multiple of the lanes. `options`, ``seed`` among them, are those of
+        `loop.Loop`.
 
-        Parameters
-        ----------
-        photons : int
-            With several proposals a multiple of the lanes, see `launch_plan.plan_lanes`.
-        proposals : ScatteringProposals, optional
-            In place of the scene's own coefficients of the crystal.
-        batches : int
-            See `launch_plan.plan_lanes`.
-        may_leak : bool
-            Whether a scene that loses light is followed all the same.
+        Raises InputError if the scene leaks, unless it `may_leak`, or does not have a record
+        column.
         """
         units = (SHARE_STEPS,) if proposals is None else proposals.units
         plan = plan_lanes(photons, units, batches)
@@ -142,14 +131,9 @@ def collect(
     precision: float | None = None,
     progress: Progress | None = None,
 ) -> bool:
-    """Follow photons until enough are in the launcher's tally, or until the user interrupts.
+    """Follow photons until enough are in a fresh launcher's tally; whether the user interrupted.
 
-    Parameters and errors are those of `Simulation.collect`, the launcher is a fresh one.
-
-    Returns
-    -------
-    bool
-        Whether the user interrupted.
+    Parameters and errors are those of `Simulation.collect`.
     """
     photons, seed = arguments_of(photons, seed)
     number, tally = 0, launcher.tally
@@ -179,13 +163,7 @@ def slope_along(
 ) -> tuple[float, float]:
     """Derivative of eta along a change of the volumes' coefficients, and its standard error.
 
-    Parameters
-    ----------
-    launcher : Launcher
-    tangent : mapping of int to (float, float)
-        See `loop.Loop`.
-    photons, seed, max_depth
-        As for `collect`.
+    The `tangent` is as of `loop.Loop`, other parameters as of `collect`.
     """
     photons, seed = arguments_of(photons, seed)
     slopes, number = FateTally(head_on=launcher.tally.head_on), 0
@@ -219,22 +197,15 @@ class Recorder:
         columns: Sequence[str] = (),
         batches: int = BATCHES,
     ) -> PhotonRecords:
-        """Histories of the photons of one launch that are detected.
+        """Histories of the photons, a multiple of the lanes, of one launch that are detected.
+
+        Shares of the `proposals` and `batches` are as of `launch_plan.plan_lanes`: fewer batches
+        have fewer lanes, which wait less for each other. `columns` are what ``further`` of the
+        records holds, see `record_store.RecordStore`; where the crystal scatters unevenly, it
+        always holds ``scattering_path_cm``.
 
         Raises InputError if the scene leaks, keeps more light than records may miss, or does not
         have a column.
-
-        Parameters
-        ----------
-        proposals : ScatteringProposals
-            With shares as for `launch_plan.plan_lanes`.
-        photons : int
-            A multiple of the lanes.
-        columns : sequence of str
-            What ``further`` of the records holds, see `record_store.RecordStore`; where the
-            crystal scatters unevenly, it always holds ``scattering_path_cm``.
-        batches : int
-            As of `plan_lanes`; fewer batches have fewer lanes, which wait less for each other.
         """
         # Scattered light gets out in the end; what is cut off would be missing at every alpha.
         max_depth = self._simulation.integrator.depth_limit(scatters=True)

@@ -131,18 +131,10 @@ def walk_facets(smooth, rough, direction, field, facing, ratio, alpha, haze, rng
     A height counts as the share of the face that lies below it, so that its distribution does not
     matter. What goes through a facet walks on in the same field of heights, upside down.
 
-    Parameters
-    ----------
-    smooth : tuple
-        What `split` gave; it stays where faces are not `rough` (Mask), or a walk has no end.
-    alpha : Float
-        The facets' roughness, above 0 of GGX and below 0 of Beckmann's distribution.
-    haze : Float or None
-        Of every facet, as of `scatter_by_haze`.
-    rng : mitsuba.PCG32
-        Advanced in place.
-    beckmann : bool
-        Whether the scene has facets of Beckmann's distribution at all.
+    `smooth` is what `split` gave; it stays where faces are not `rough` (Mask), or a walk has no
+    end. `alpha` (Float) is the facets' roughness, above 0 of GGX and below 0 of Beckmann's
+    distribution, which the scene may have at all if `beckmann`; `haze` (Float or None) is theirs
+    as of `scatter_by_haze`, and `rng` (``mitsuba.PCG32``) is advanced in place.
     """
     frame = mi.Frame3f(facing)
     walk = _FacetWalk(
@@ -284,12 +276,8 @@ def scatter_by_haze(way, haze, hazy, field, facing, ratio, cos_i, rng):
     the side that it leaves to, in proportion to the cosine, to S and to what Fresnel's formulas
     reflect, or refract, of light that comes back from there: every way is as likely as its reverse.
 
-    Parameters
-    ----------
-    haze : Float
-        2 pi n s / wavelength of heights s, with the index n where light comes from.
-    hazy : Mask
-        Where this happens at all.
+    `haze` (Float) is 2 pi n s / wavelength of heights s, with the index n where light comes from;
+    `hazy` (Mask) tells where this happens at all.
     """
     direction, smooth_field, reflected = way
     # a photon's random numbers stay those that it would have at smooth faces

@@ -108,23 +108,10 @@ class _Oblique:
 
 
 class FlatPath:
-    """Intersection and interaction with a scene of flat faces.
+    """Intersection and interaction with a scene of flat faces, for which `suits` is true.
 
-    Parameters
-    ----------
-    model : SceneModel
-        A scene for which `suits` is true.
-    polarization : bool
-        Whether photons carry a field, see `surface_physics`.
-    fold : int, optional
-        Volume in which flights pass over total reflections, as far as they can.
-
-    Attributes
-    ----------
-    folded : FoldedBody or None
-        Where flights do that.
-    surfaces_may_absorb, surfaces_scatter : bool
-        As of `surface_physics.SurfaceTables`.
+    With `polarization` photons carry a field, see `surface_physics`. In the volume `fold` flights
+    pass over total reflections, as far as they can.
     """
 
     name = "fast path for flat faces"
@@ -148,6 +135,7 @@ class FlatPath:
             return kind(model, solid, lambda i: self._shape(faces[i]), self._number)
 
         self._bodies = [body(solid) for solid in solids]
+        #: Where flights pass over total reflections.
         self.folded = next((b for b in self._bodies if isinstance(b, FoldedBody)), None)
         # numbers of the faces that are tested one by one, their interior and exterior, their bounds
         self._alone = [
@@ -158,6 +146,7 @@ class FlatPath:
         self._walls = [(wall, Disc(wall.circle, self._number)) for wall in model.walls]
         self._walls_alone = _walls_alone(model, solids)
         self._tables = surface_physics.SurfaceTables(*rows_of(model))
+        #: As of `surface_physics.SurfaceTables`.
         self.surfaces_may_absorb = self._tables.may_absorb
         self.surfaces_scatter = self._tables.may_scatter
 
@@ -207,17 +196,11 @@ class FlatPath:
         )
 
     def intersect(self, ray_o, ray_d, last_face, volume):
-        """Nearest face ahead.
+        """Nearest face ahead: distance (Float, mm, infinite where nothing is) and number (UInt32).
 
         A face is met only from the volume that it borders or stands in, and one that is tested
         alone never by a photon that is on it; so a point that rounding has put just behind a face
         near an edge still meets that face, at a distance of (nearly) zero.
-
-        Returns
-        -------
-        distance : Float
-            In mm; infinite where nothing is ahead.
-        face : UInt32
         """
         reciprocal = dr.rcp(ray_d)
         offset = ray_o * reciprocal

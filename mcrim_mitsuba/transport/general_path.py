@@ -48,20 +48,8 @@ class GeneralPath:
     for its own `sample`. Light meets the triangles of a mesh, not the smooth normals that a
     mesh may have for rendering: only so does it never find itself on the wrong side.
 
-    Parameters
-    ----------
-    model, polarization
-        As of `FlatPath`, for any scene.
-    trace_all : bool
-        Whether Mitsuba intersects all shapes, the flat ones included (for cross-checks). A scene
-        of nothing but flat faces, which the fast path could do, is always traced so.
-
-    Attributes
-    ----------
-    traced : tuple of int
-        Surfaces whose shapes are intersected by Mitsuba; all others are tested in registers.
-    surfaces_may_absorb, surfaces_scatter : bool
-        As of `surface_physics.SurfaceTables`; BSDFs of Mitsuba's own may do both.
+    With `trace_all` Mitsuba intersects all shapes, the flat ones included (for cross-checks). A
+    scene of nothing but flat faces, which the fast path could do, is always traced so.
     """
 
     #: What reports call this path; a scene whose flat faces need no tracing has its own name.
@@ -74,6 +62,7 @@ class GeneralPath:
         self.polarization = polarization
         surfaces = model.surfaces
         flat = () if trace_all else _surfaces_for_registers(model)
+        #: Surfaces whose shapes are intersected by Mitsuba; all others are tested in registers.
         self.traced = tuple(number for number in range(len(surfaces)) if number not in flat)
         if not self.traced:
             flat, self.traced = (), tuple(range(len(surfaces)))
@@ -98,6 +87,7 @@ class GeneralPath:
         self._tables = surface_physics.SurfaceTables(rows, normals)
         self._surface_number = surface_numbers(model)
         self._asks_bsdfs = any(surfaces[number].kind == OTHER for number in self.traced)
+        #: As of `surface_physics.SurfaceTables`; BSDFs of Mitsuba's own may do both.
         self.surfaces_may_absorb = self._asks_bsdfs or self._tables.may_absorb
         self.surfaces_scatter = self._asks_bsdfs or self._tables.may_scatter
         self._context = mi.BSDFContext(mi.TransportMode.Importance)

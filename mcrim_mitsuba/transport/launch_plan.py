@@ -71,10 +71,8 @@ def plan_lanes(
     or a part of it for few photons: there are then as many times fewer lanes. With more than one
     proposal the photons are a multiple of the lanes, so that all follow as many.
 
-    Raises
-    ------
-    ValueError
-        If the shares do not sum to the whole or a part, or if the photons cannot be shared out so.
+    Raises ValueError if the shares do not sum to the whole or a part, or if the photons cannot be
+    shared out so.
     """
     whole = sum(units)
     if min(units) < 0 or whole <= 0 or SHARE_STEPS % whole:
@@ -200,10 +198,7 @@ _KINDS = {
 class PhotonRecords:
     """Histories of the detected photons of one configuration, or a chunk of them.
 
-    Raises
-    ------
-    ValueError
-        If the arrays do not fit each other or hold values that no simulation gives.
+    Raises ValueError if the arrays do not fit each other or hold values that no simulation gives.
     """
 
     #: (detected,) uint16: Scatterings in the crystal.

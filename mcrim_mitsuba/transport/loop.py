@@ -131,9 +131,6 @@ class Loop:
     Parameters
     ----------
     path : FlatPath or GeneralPath
-    emitter : CrystalVolume or CollimatedBeam
-        Where photons are born.
-    plan : LanePlan
     seed, number : int
         Of the run and of this launch within it; together they fix the random numbers.
     max_depth : int

@@ -131,19 +131,9 @@ def photograph(
 ) -> np.ndarray:
     """What the camera sees, in units of what an empty floor sends to it.
 
-    Parameters
-    ----------
-    floor_z_mm : float
-        Height of the floor, which must lie below all bodies.
-    samples : int
-        Light paths per pixel; many are rounded up to a multiple of `TOGETHER`.
-    progress : callable, optional
-        ``progress(done, total)`` in samples per pixel.
-
-    Returns
-    -------
-    ndarray of float32, shape (height, width, 3)
-        Linear red, green and blue. The same seed gives the same numbers.
+    Linear red, green and blue: float32, shape (height, width, 3). The same seed gives the same
+    numbers. The floor must lie below all bodies. `samples` are light paths per pixel; many are
+    rounded up to a multiple of `TOGETHER`. ``progress(done, total)`` is in samples per pixel.
     """
     sky, floor_light = _sky()
     scene = _studio(bodies, camera, floor_z_mm, sky)

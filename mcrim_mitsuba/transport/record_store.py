@@ -140,16 +140,11 @@ def _path_in(volume: int) -> Recorded:
 class RecordStore:
     """Rows for all photons of a launch, four columns to a table because they are written at once.
 
-    Raises InputError for a column that the scene does not give.
+    `columns` are wanted besides those of all records: of `COLUMNS`, or ``path_<medium>_cm`` of a
+    medium that does not emit (``path_outside_cm`` of light outside all of them). Where the emitting
+    volume scatters unevenly, `SCATTERING_PATH` is always among them.
 
-    Parameters
-    ----------
-    emitter : CrystalVolume
-    photons : int
-    columns : sequence of str
-        Wanted besides those of all records: of `COLUMNS`, or ``path_<medium>_cm`` of a medium that
-        does not emit (``path_outside_cm`` of light outside all of them). Where the emitting volume
-        scatters unevenly, `SCATTERING_PATH` is always among them.
+    Raises InputError for a column that the scene does not give.
     """
 
     def __init__(self, emitter: CrystalVolume, photons: int, columns: Sequence[str]) -> None:
@@ -216,16 +211,9 @@ class RecordStore:
             dr.scatter(table, mi.Vector4f(*row[4 * number : 4 * number + 4]), slot, detected)
 
     def collected(self, plan: LanePlan) -> dict[str, np.ndarray]:
-        """The rows that were written, by column, in the order of the photons.
+        """The rows that were written, by column, in the order of the photons: (detected,) each.
 
-        Parameters
-        ----------
-        plan : LanePlan
-
-        Returns
-        -------
-        dict of str to ndarray of shape (detected,)
-            Those of all records, ``batch`` (uint8) among them, and what was asked for.
+        Columns of all records, ``batch`` (uint8) among them, and what was asked for.
         """
         every = dr.arange(mi.UInt32, self._photons)
         seen = dr.compress(dr.gather(mi.Float, self.tables[0], 4 * every) > 0.0)
@@ -254,21 +242,16 @@ class RecordStore:
 
 
 class TrailStore:
-    """Tables of all photons' trails, with so many flights of each; ends are kept in any case.
-
-    Attributes
-    ----------
-    tables : list of Float
-        Starts of flights (x, y, z in mm, volume), ends (x, y, z in mm, fate and volume as
-        ``fate + CODES * volume``) and the last flights (direction, number of flights); four
-        numbers each, because they are written at once.
-    """
+    """Tables of all photons' trails, with so many flights of each; ends are kept in any case."""
 
     #: More than there are fates.
     CODES = 16
 
     def __init__(self, photons: int, flights: int) -> None:
         self._flights = flights
+        #: Starts of flights (x, y, z in mm, volume), ends (x, y, z in mm, fate and volume as
+        #: ``fate + CODES * volume``) and the last flights (direction, number of flights); four
+        #: numbers each (Float), because they are written at once.
         self.tables = [
             dr.zeros(mi.Float, 4 * rows) for rows in (photons * flights, photons, photons)
         ]

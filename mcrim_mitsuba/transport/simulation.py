@@ -65,30 +65,12 @@ class SimulationResult(Provenance):
 class Simulation:
     """A scene file with its parameters, loaded into Mitsuba.
 
-    Raises InputError if the scene cannot be read or loaded, is not sound, or lacks an integrator,
-    an emitter or a detector.
+    A `scene` that has been read already is not read again. `overrides` are scene parameters that
+    differ from the file's defaults, e.g. ``{"n_gap": 1.46}``. All processor threads work when none
+    are given. To `check` whether the scene is sound takes a few tenths of a second.
 
-    Parameters
-    ----------
-    scene : str, Path or SceneFile
-        The scene, or one that has been read already.
-    overrides : mapping, optional
-        Scene parameters that differ from the file's defaults, e.g. ``{"n_gap": 1.46}``.
-    variant : str
-        Mitsuba variant.
-    threads : int, optional
-        Processor threads; all when not given.
-    check : bool
-        Whether to refuse a scene that is not sound (see `transport.check`); it takes a few
-        tenths of a second.
-
-    Attributes
-    ----------
-    file : SceneFile
-    scene : mitsuba.Scene
-    model : transport.scene_model.SceneModel
-    crystal : transport.bulk.CrystalVolume
-    integrator : the scene's ``light_collection`` integrator
+    Raises InputError if the scene cannot be read or loaded, is not sound (see `transport.check`),
+    or lacks an integrator, an emitter or a detector.
     """
 
     @signals_wait()
@@ -153,24 +135,15 @@ class Simulation:
     ) -> SimulationResult:
         """Light collection efficiency and the fates of all photons.
 
-        Raises InputError if an argument is out of range or the scene leaks light.
+        The run ends when `precision`, a relative standard error of eta, is reached, or after so
+        many `photons`; ``progress(done, total, eta, eta_sigma)`` is called after each launch. A
+        photon is given up after `max_depth` free flights, `depth_limit` when not given.
 
-        Parameters
-        ----------
-        photons : int
-            Photons to follow; with `precision`, at most.
-        precision : float, optional
-            Wanted relative standard error of eta; the run ends when it is reached.
-        seed : int
-        progress : callable, optional
-            ``progress(done, total, eta, eta_sigma)`` after each launch.
-        general : bool
-            Use Mitsuba's own intersection even where the fast path would do (for cross-checks).
-        fold : bool
-            Pass over total reflections where that can be done (see `transport.folding`); without,
-            fly from one to the next (for cross-checks).
-        max_depth : int, optional
-            Free flights after which a photon is given up; `depth_limit` when not given.
+        For cross-checks: `general` uses Mitsuba's own intersection even where the fast path would
+        do; without `fold` light does not pass over total reflections (see `transport.folding`) but
+        flies from one to the next.
+
+        Raises InputError if an argument is out of range or the scene leaks light.
         """
         from mcrim_mitsuba.transport.collection import collect
 
@@ -339,19 +312,10 @@ def check_scene(
     threads: int | None = None,
     light: bool = True,
 ) -> CheckReport:
-    """Find out whether a scene is sound, and what it means.
+    """Find out whether a scene is sound, and what it means; parameters as for `Simulation`.
 
-    Parameters
-    ----------
-    scene, overrides, variant, threads
-        As for `Simulation`.
-    light : bool
-        Whether to send photons to see that the detector can be reached.
-
-    Returns
-    -------
-    CheckReport
-        Problems are returned, not raised; a file that cannot be read is a problem too.
+    With `light` photons are sent to see that the detector can be reached. Problems are returned,
+    not raised; a file that cannot be read is a problem too.
     """
     from mcrim_mitsuba.transport import check
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,23 +65,11 @@ class SurfaceTables:
     """Properties of the surfaces, one row per face or shape, gathered in the loop.
 
     Four numbers are gathered at once: that takes a quarter of the time, and gathers are
-    what a step of the loop spends most on.
-
-    Parameters
-    ----------
-    surfaces : sequence of `scene_model.Surface`
-    normals : sequence of ndarray of shape (3,)
-        One for each; they matter for flat faces alone.
-
-    Attributes
-    ----------
-    may_absorb : bool
-        Whether a surface can take light that is counted neither as mask nor as reflector.
-    may_scatter : bool
-        Whether a surface takes a choice and a random direction.
+    what a step of the loop spends most on. Of each surface there is a normal, shape (3,), which
+    matters for flat faces alone.
     """
 
-    def __init__(self, surfaces, normals) -> None:
+    def __init__(self, surfaces: Sequence[Surface], normals: Sequence[np.ndarray]) -> None:
         columns = {
             name: value
             for matters, values in _COLUMNS
@@ -93,7 +81,9 @@ class SurfaceTables:
         # all detectors are alike
         self._film = next((FilmTerms.of(s.film) for s in surfaces if s.film is not None), None)
         losses = {"surface_loss", "angular_falloff", "least_cosine"}
+        #: Whether a surface can take light that is counted neither as mask nor as reflector.
         self.may_absorb = self._film is not None or not losses.isdisjoint(columns)
+        #: Whether a surface takes a choice and a random direction.
         self.may_scatter = "reflectance" in columns or "mask_reflectance" in columns
         # small integers are exact in single precision
         rows = np.array(
@@ -234,22 +224,11 @@ class Encounter:
 def interact(row, position, direction, field, uniforms, rng=None, active=True) -> Outcome:
     """Decide a photon's way at a surface, stage by stage.
 
-    Parameters
-    ----------
-    row : SurfaceRow
-        Its normal points to the exterior.
-    position : Point3f
-        Where the surface is met, mm.
-    direction : Vector3f
-        Unit direction of flight.
-    field : Field or None
-        Where polarisation is followed.
-    uniforms : tuple of Float
-        A choice, and two for a diffuse direction (and one more when polarised).
-    rng : mitsuba.PCG32, optional
-        Further numbers for the facets of rough faces; advanced in place.
-    active : Mask
-        Photons that are at a surface at all.
+    It is met at a `position` (Point3f, mm) in a unit `direction` of flight (Vector3f); the normal
+    of its `row` (SurfaceRow) points to the exterior. A `field` (Field) is there where polarisation
+    is followed. Of the `uniforms` (Float) the first is a choice, two are for a diffuse direction
+    (and one more when polarised); `rng` (``mitsuba.PCG32``) gives further numbers for the facets of
+    rough faces, and is advanced in place. Photons that are at a surface at all are `active` (Mask).
     """
     choice, u, v, *turn = uniforms
     cos_signed = dr.dot(direction, row.normal)

@@ -58,10 +58,7 @@ def llvm_version(path: str | Path) -> tuple[int, int, int] | None:
 
     ``LLVMGetVersion`` exists since LLVM 16, so a library without it is too old.
 
-    Raises
-    ------
-    OSError
-        If the file is not a loadable shared library.
+    Raises OSError if the file is not a loadable shared library.
     """
     library = ctypes.CDLL(str(path))
     try:
@@ -232,17 +229,10 @@ def use_variant(name: str = DEFAULT_VARIANT, threads: int | None = None) -> Any:
 
     - where Dr.Jit is not imported yet, ``DRJIT_LIBLLVM_PATH`` names the LLVM that it is to load;
     - the plugins are in this variant and in every other that Mitsuba switches to from then on;
-    - Dr.Jit's pool has so many threads.
+    - Dr.Jit's pool has so many threads, by default one for every processor.
 
-    Raises InputError if the variant is not supported, not built into the installed Mitsuba, has no
-    usable LLVM or NVIDIA GPU, or `threads` is not positive.
-
-    Parameters
-    ----------
-    name : str
-        One of `SUPPORTED_VARIANTS`.
-    threads : int, optional
-        Processor threads; all processors when not given.
+    Raises InputError if the variant is none of `SUPPORTED_VARIANTS`, not built into the installed
+    Mitsuba, has no usable LLVM or NVIDIA GPU, or `threads` is not positive.
     """
     refuse_unusable(name)
     if threads is not None and threads < 1:
