@@ -16,14 +16,7 @@ from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import read_text
 from mcrim_mitsuba.core.numbers import number_of, parse_number
 from mcrim_mitsuba.core.run import OWN_MODULES
-from mcrim_mitsuba.effects import (
-    crystal,
-    crystal_faces,
-    detector,
-    gap,
-    readings,
-    surroundings,
-)
+from mcrim_mitsuba.effects import crystal, crystal_faces, detector, gap, readings, surroundings
 from mcrim_mitsuba.effects.effect import Effect, function_of
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -172,21 +165,13 @@ def add(
 ) -> str:
     """The text of a scene with an effect in it, for `SceneFile.edited`, or to be written.
 
+    The effect is named as in the catalogue, to which a user's `folder` adds, or given itself.
+    `values` are those of its parameters, as the scene takes them (an index, not its offset); what
+    is left out gets the catalogue's start. Overrides of the scene do not enter the text.
+
     Raises InputError if there is no such effect, if it belongs to the readings or is in the scene
     already, if a value is out of the catalogue's range, or if the scene is not such that the effect
     could be put into it.
-
-    Parameters
-    ----------
-    effect : str or Effect
-        Its name in the catalogue, or the effect itself.
-    scene : SceneFile
-        Overrides do not enter the text.
-    values : mapping of str to float or str, optional
-        Of its parameters, as the scene takes them (an index, not its offset); what is left out
-        gets the catalogue's start.
-    folder : str or Path, optional
-        Of the user's own effects, see `catalogue`.
     """
     effects = catalogue(folder) if isinstance(effect, str) or folder is not None else {}
     chosen = effect_of(effect, effects, scene.path) if isinstance(effect, str) else effect

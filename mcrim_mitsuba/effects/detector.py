@@ -21,10 +21,7 @@ from mcrim_mitsuba.scene.editor import SceneEditor
 def falloff(
     name: str, meaning: str, least: float = 0.0, nodes: tuple[float, ...] = ()
 ) -> EffectParameter:
-    """How far a detector's sensitivity falls: 1 - this times what `meaning` says.
-
-    From `least` on, where it rises, with `nodes` below 0.
-    """
+    """How far sensitivity falls, or rises below 0: 1 - this times what `meaning` says."""
     return EffectParameter(
         name=name,
         meaning=f"Detection falls as 1 - this {meaning}",

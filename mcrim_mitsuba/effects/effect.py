@@ -50,10 +50,7 @@ def filled(parameters: Mapping[str, Value]) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class EffectParameter:
-    """A number that says how large an effect is.
-
-    Raises ValueError if these contradict each other.
-    """
+    """A number that says how large an effect is; ValueError if its fields contradict each other."""
 
     #: The scene's ``<default>`` (or, for readings, the campaign's parameter).
     name: str
@@ -129,10 +126,7 @@ class EffectParameter:
         return value, 1.0
 
     def origin(self, parameters: Mapping[str, Value]) -> float:
-        """What the numbers here count from in a scene.
-
-        Raises KeyError if the scene lacks the nominal parameter.
-        """
+        """What the numbers here count from; KeyError if the scene lacks the nominal parameter."""
         return 0.0 if self.nominal is None else float(parameters[self.nominal])
 
     def range_in(self, parameters: Mapping[str, Value]) -> tuple[float, float, float]:
@@ -152,12 +146,8 @@ class EffectParameter:
     ) -> tuple[float, float]:
         """What a laboratory usually meets, as the scene's parameter takes it.
 
-        Parameters
-        ----------
-        parameters : mapping of str to Value
-            The scene's, where numbers are offsets from one of them.
-        signals : (readings,) float64
-            Of the readings of light.
+        `parameters` are the scene's, where numbers are offsets from one of them, and `signals`,
+        (readings,) float64, those of the readings of light.
         """
         low, high = self.plausible
         if self.plausible_beside is not None and len(signals):

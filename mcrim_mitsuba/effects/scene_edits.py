@@ -78,10 +78,7 @@ def set_detector(editor: SceneEditor, name: str, value: str, *, sends_back: bool
 
 
 def set_masks(editor: SceneEditor, name: str, xml: str, *, detectors: bool = False) -> None:
-    """Put a property of a name into every mask, of which there must be one, and perhaps detectors.
-
-    One that has it is refused.
-    """
+    """Put a property into every mask, perhaps detectors too; refuse one that has it, or no mask."""
     if not editor.masks:
         raise editor.refusal("the scene has no mask", "let the window wear an aperture")
     set_part(editor, [*editor.masks, *(editor.detectors if detectors else ())], name, xml)
@@ -110,10 +107,7 @@ def wavelength_of(editor: SceneEditor) -> str:
 
 
 def polish(editor: SceneEditor, bsdf: Node, name: str, value: str) -> None:
-    """Make a ``dielectric``, or a ``polish`` already, a ``polish`` with one more number.
-
-    What the plugin ``polish`` does not know is refused.
-    """
+    """Give a ``dielectric``, or ``polish``, one more number; refuse what ``polish`` cannot say."""
     for index in INDICES:
         if bsdf.find(f"float[@name='{index}']") is None:
             problem = f"{bsdf.label} gives no number for {index}"
@@ -138,10 +132,7 @@ def polish_crystal(editor: SceneEditor, name: str, value: str) -> None:
 
 
 def roughen(editor: SceneEditor, side: str, alpha: str) -> None:
-    """Give a side of the crystal (``top``, ``bottom`` or the ``side`` faces) GGX facets.
-
-    `alpha` is the scene's parameter of their roughness.
-    """
+    """Give the crystal's ``top``, ``bottom`` or ``side`` faces GGX facets of a scene's `alpha`."""
     if WIDTH in editor.scene.parameters:
         # which may stand in a beam, without a gap
         box = crystal_box(editor, (WIDTH, HEIGHT))
@@ -408,9 +399,7 @@ def _covered(shape: Node, names: Iterable[str], half: float, low: float, high: f
     return covered
 
 
-def _two_states(
-    editor: SceneEditor,
-) -> Iterator[tuple[dict[str, Value], dict[Node, Node]]]:
+def _two_states(editor: SceneEditor) -> Iterator[tuple[dict[str, Value], dict[Node, Node]]]:
     """Parameters and elements of the scene, and the same with everything stretched."""
     as_written = editor.scene.parameters
     stretched: dict[str, Value] = {

@@ -58,10 +58,7 @@ def refuse_untrusted(folder: Path, path: str | None = None, line: int | None = N
 
 
 def execute_allowed(folder: str | Path | None, *, trusted: bool) -> None:
-    """Refuse a folder of effects as `refuse_untrusted`, unless its user says that it is `trusted`.
-
-    What is no folder is its reader's to refuse.
-    """
+    """Refuse an untrusted folder; one that is `trusted` by its user, or is none, is let through."""
     if folder is None or not Path(folder).is_dir():
         return
     if trusted:

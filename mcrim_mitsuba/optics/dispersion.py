@@ -158,10 +158,7 @@ def indices_of_light(n_ordinary: float, n_extraordinary: float) -> tuple[Array, 
 
 
 def orientation_sigma(n_ordinary: float, n_extraordinary: float) -> float:
-    """Standard error of the index that matters, for an optic axis of unknown direction.
-
-    Raises InputError if an index is below 1.
-    """
+    """Standard error of the index for an axis of unknown direction; InputError for n below 1."""
     _refuse_indices(n_ordinary, n_extraordinary)
     return abs(n_extraordinary - n_ordinary) / math.sqrt(45.0)
 

@@ -165,19 +165,11 @@ def indices_over_band(
     """A material's indices over an emission band.
 
     Light counts as it is detected: by the emission, times the quantum efficiency where it is
-    known. Beyond the range of the material's formula the index at its end stands in.
+    known. Without an emission a Gaussian band about `wavelength_nm`, or as in `USUAL_BANDS_NM`,
+    stands in for it, and beyond the range of the material's formula the index at its end.
 
     Raises InputError if the material is unknown, if nothing tells where its band is, or if its
     index is not known over too much of it.
-
-    Parameters
-    ----------
-    name : str
-        As for `material`.
-    emission, quantum_efficiency : Spectrum, optional
-        Without an emission, a Gaussian band stands in for it.
-    wavelength_nm : float, optional
-        That band's maximum; `USUAL_BANDS_NM` without it.
     """
     medium = material(name)
     if emission is None:
@@ -215,12 +207,7 @@ def scattering_of_colours(
 
     alpha_scat goes as wavelength to the power of -exponent; the band, whose full width at half
     maximum is `bandwidth_nm`, is cut off at `WIDTHS`. By Gauss and Legendre: means of what is
-    smooth over the band are right to 1e-5.
-
-    Returns
-    -------
-    parts, factors : (points,) float64
-        Parts sum to 1.
+    smooth over the band are right to 1e-5. Both (points,) float64; parts sum to 1.
     """
     x, weights = np.polynomial.legendre.leggauss(_POINTS)
     # in standard deviations of the band

@@ -107,18 +107,12 @@ def attenuation_length_mm(
 ) -> AttenuationLength:
     """Attenuation length of gammas of one energy in a compound.
 
-    Raises InputError if the formula cannot be read, the energy is out of range, or the density is
-    neither given nor known.
+    The formula is a chemical one, such as ``CaMoO4``, or the name of a material that has one;
+    elements have their natural isotopes. Without a density that of the material of this formula in
+    the catalogue is taken.
 
-    Parameters
-    ----------
-    formula : str
-        Chemical formula, such as ``CaMoO4``, or the name of a material that has one; elements
-        have their natural isotopes.
-    energy_keV : float
-        `LOWEST_KEV` to `HIGHEST_KEV`.
-    density_g_per_cm3 : float, optional
-        Without it, that of the material of this formula in the catalogue.
+    Raises InputError if the formula cannot be read, the energy is not from `LOWEST_KEV` to
+    `HIGHEST_KEV`, or the density is neither given nor known.
     """
     if not LOWEST_KEV <= energy_keV <= HIGHEST_KEV:
         raise InputError(

@@ -61,10 +61,7 @@ class Material:
         return (2.0 * ordinary + self.extraordinary.index(wavelength_nm, self.name)) / 3.0
 
     def group_index(self, wavelength_nm: ArrayLike) -> Array:
-        """n - lambda dn/dlambda; of a birefringent crystal the mean (2 n_o + n_e) / 3.
-
-        Raises InputError if a wavelength is outside the range of the formula.
-        """
+        """n - lambda dn/dlambda, a mean as of `index`; InputError outside the formula's range."""
         ordinary = self.ordinary.group_index(wavelength_nm, self.name)
         if self.extraordinary is None:
             return ordinary

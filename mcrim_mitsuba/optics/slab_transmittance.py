@@ -16,10 +16,7 @@ _OUTSIDE = ("an internal transmittance is outside 0..1", "give a fraction: 0.96 
 
 
 def transmittance(alpha_per_cm: ArrayLike, path_mm: ArrayLike) -> Array:
-    """Internal transmittance T = exp(-alpha d) of Beer's law (Eq. 4 of the article).
-
-    Raises InputError if either is negative or not a number.
-    """
+    """Beer's law, T = exp(-alpha d) (Eq. 4 of the article); InputError if one is negative."""
     alpha_per_cm, path_mm = np.asarray(alpha_per_cm, float), np.asarray(path_mm, float)
     if not (np.all(alpha_per_cm >= 0) and np.all(path_mm >= 0)):
         raise InputError("a coefficient or a path is negative", "give values of 0 or more")
@@ -85,10 +82,7 @@ def internal_transmittance(measured: ArrayLike, n: ArrayLike) -> Array:
 
 
 def clear_limit(n: ArrayLike) -> Array:
-    """Reading on a slab that absorbs nothing, (1-R)/(1+R): 0.798 for n = 2.01.
-
-    Raises InputError if it is below 1.
-    """
+    """Reading on a clear slab, (1-R)/(1+R): 0.798 for n = 2.01; InputError for n below 1."""
     face = _face_reflectance(n)
     return (1 - face) / (1 + face)
 

@@ -124,10 +124,7 @@ class Spectrum:
         return float(self.wavelength_nm[-1])
 
     def at(self, wavelength_nm: ArrayLike) -> Array:
-        """Values between the points, by straight lines.
-
-        Raises InputError if a wavelength is outside the curve.
-        """
+        """Values between the points, by straight lines; InputError beyond the curve."""
         wavelength_nm = np.asarray(wavelength_nm, dtype=np.float64)
         outside = (wavelength_nm < self.first_nm) | (wavelength_nm > self.last_nm)
         if np.any(outside):

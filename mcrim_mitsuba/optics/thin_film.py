@@ -18,39 +18,23 @@ from mcrim_mitsuba.core.errors import InputError
 #: Wavelength in vacuum, nm, and n and k of the index n + ik of the bialkali photocathode KCsSb:
 #: D. Motta and S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217, as tabulated in WCSim
 #: (data/CathodeParameters_KCsCb.txt); at 420 and 540 nm the numbers that this catalogue fixes.
-KCSSB = (
-    (380, 1.92, 1.69),
-    (395, 2.18, 1.69),
-    (410, 2.38, 1.71),
-    (420, 2.57, 1.57),
-    (425, 2.61, 1.53),
-    (440, 2.70, 1.50),
-    (455, 2.87, 1.44),
-    (470, 3.00, 1.34),
-    (485, 3.00, 1.11),
-    (500, 3.00, 1.06),
-    (515, 3.09, 1.05),
-    (530, 3.26, 0.86),
-    (540, 3.22, 0.7055),
-    (545, 3.20, 0.63),
-    (560, 3.12, 0.53),
-    (575, 3.06, 0.46),
-    (590, 3.01, 0.42),
-    (605, 2.98, 0.38),
-    (620, 2.96, 0.37),
-    (635, 2.95, 0.35),
-    (650, 2.95, 0.34),
-    (665, 2.95, 0.34),
-    (680, 2.96, 0.33),
-)
+_KCSSB_NM = """
+    380 395 410 420 425 440 455 470 485 500 515 530
+    540 545 560 575 590 605 620 635 650 665 680
+"""
+_KCSSB_N = """
+    1.92 2.18 2.38 2.57 2.61 2.70 2.87 3.00 3.00 3.00 3.09 3.26
+    3.22 3.20 3.12 3.06 3.01 2.98 2.96 2.95 2.95 2.95 2.96
+"""
+_KCSSB_K = """
+    1.69 1.69 1.71 1.57 1.53 1.50 1.44 1.34 1.11 1.06 1.05 0.86
+    0.7055 0.63 0.53 0.46 0.42 0.38 0.37 0.35 0.34 0.34 0.33
+"""
 
 
 def cathode_index(wavelength_nm: float) -> complex:
-    """Index n + ik of `KCSSB`, by straight lines between the tabulated wavelengths.
-
-    Raises InputError if the wavelength is outside the table.
-    """
-    wavelengths, n, k = np.array(KCSSB).T
+    """Index n + ik of KCsSb, on straight lines between its wavelengths; InputError beyond."""
+    wavelengths, n, k = (np.array(row.split(), float) for row in (_KCSSB_NM, _KCSSB_N, _KCSSB_K))
     if not wavelengths[0] <= wavelength_nm <= wavelengths[-1]:
         problem = f"wavelength_nm = {wavelength_nm:g}: the photocathode's index is not known there"
         raise InputError(problem, f"give {wavelengths[0]:g} to {wavelengths[-1]:g} nm")

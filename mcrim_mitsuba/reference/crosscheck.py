@@ -77,20 +77,13 @@ def crosscheck(
     Where the bench is a polished box, eta and the absorbed part are compared with the solver
     without photons too.
 
+    The run's photons are the NumPy tracer's, a million if nothing is said; `mitsuba_photons` are
+    four times as many when not given: they are cheap. The two programs draw unrelated numbers from
+    its seed, and its precision does not matter. Mitsuba's `general` path may be compared even where
+    the fast one would do.
+
     Raises InputError if the scene cannot be read or is not sound, has parameters that the tracer
     does not know, or is another bench than these parameters describe.
-
-    Parameters
-    ----------
-    overrides : mapping, optional
-        Scene parameters that differ from the file's.
-    mitsuba_photons : int, optional
-        Four times the NumPy tracer's when not given: they are cheap.
-    general : bool
-        Compare Mitsuba's general path even where the fast one would do.
-    run : Run
-        Its photons are the NumPy tracer's, a million if nothing is said; the two programs draw
-        unrelated numbers from its seed. Its precision does not matter.
     """
     from mcrim_mitsuba.reference.tracer import trace
     from mcrim_mitsuba.transport.simulation import Simulation

@@ -181,10 +181,7 @@ def photocathode_of(bench: Bench) -> AbsorbingFilm | None:
 
 
 def head_on(bench: Bench) -> float:
-    """Part that the detector detects of light which arrives head-on, with which it was calibrated.
-
-    Light that plain reflection sends back does not count.
-    """
+    """Part that the detector detects of head-on light, as calibrated, plain reflection aside."""
     film = photocathode_of(bench)
     if film is None:
         return 1.0 / max(1.0, 1.0 - bench.angular_falloff)
@@ -193,10 +190,7 @@ def head_on(bench: Bench) -> float:
 
 
 def _frame(direction: Floats) -> tuple[Floats, Floats]:
-    """Unit vectors across the planes of incidence on the detector, and in them: (3, n) each.
-
-    Both are perpendicular to (3, n) directions of flight downwards.
-    """
+    """Unit vectors across the planes of incidence on the detector, and in them: (3, n) each."""
     x, y, z = direction
     flat = np.hypot(x, y)
     head_on = flat == 0.0

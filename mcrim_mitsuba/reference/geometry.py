@@ -72,18 +72,12 @@ class Box:
         self._first_faces = 2 * np.arange(len(axes))[:, None]
 
     def exit(self, position: Floats, direction: Floats) -> tuple[Floats, Indices, Flags]:
-        """Where rays that start inside leave the body.
+        """Where rays that start inside leave the body: distance in mm, face, and strays, (n,) each.
 
         Only planes that the ray approaches count, so a photon that was just
-        reflected off a plane cannot meet it again, however it was rounded.
-
-        Returns
-        -------
-        distance : (n,) float64, mm
-            Not negative, even for a start that rounding has put outside.
-        face : (n,) intp
-        strayed : (n,) bool
-            True where the start is outside by more than `TOLERANCE_MM`.
+        reflected off a plane cannot meet it again, however it was rounded. The distance is not
+        negative, even for a start that rounding has put outside; one that is outside by more than
+        `TOLERANCE_MM` has strayed.
         """
         along, speed = self._along(position), self._along(direction)
         # of each axis one plane is ahead; a direction along a plane never reaches it

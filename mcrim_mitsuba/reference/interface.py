@@ -20,10 +20,7 @@ def isotropic(rng: np.random.Generator, count: int) -> Floats:
 
 
 def lambertian(rng: np.random.Generator, normal: Floats) -> Floats:
-    """Unit vectors with density cos(theta)/pi about (3, n) unit normals.
-
-    None is along the surface: the cosine is above zero.
-    """
+    """Unit vectors with density cos(theta)/pi, above zero, about (3, n) unit normals."""
     return about(rng, normal, np.sqrt(1.0 - rng.random(normal.shape[1])))
 
 
@@ -449,10 +446,7 @@ class AbsorbingFilm(NamedTuple):
     wavelengths: float
 
     def waves(self, cos_in: Floats) -> tuple[Complexes, Floats]:
-        """Reflected amplitudes and transmittances of s and p polarised light, (2, n) each.
-
-        Amplitudes are in the frames of `amplitudes`.
-        """
+        """Reflected amplitudes (as of `amplitudes`) and transmittances of s and p light, (2, n)."""
         sine = self.n_window * np.sqrt(1.0 - np.square(cos_in))
         cosines = [np.sqrt(1.0 - (sine / n) ** 2 + 0j) for n in (self.film_index, 1.0)]
         delta = 2.0 * np.pi * self.wavelengths * self.film_index * cosines[0]

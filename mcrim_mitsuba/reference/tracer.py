@@ -123,25 +123,14 @@ def trace(
 ) -> TracerResult:
     """Trace photons from birth to fate: analog Monte Carlo, one fate each.
 
-    Raises InputError if one of the whole numbers is none, or too small.
+    The same seed, photons and batch give the same counts (with the same NumPy build, up to rounding
+    at a decision). After `max_depth` straight flights a photon counts as truncated: light that
+    total reflection traps in a clear crystal ends so. A `batch` of photons is under way at the same
+    time; memory grows with it and not with `photons` (but `histories`, which keep what the detected
+    ones went through, take 44 bytes each). `progress` is called now and then with the number of
+    photons done, at last with `photons`.
 
-    Parameters
-    ----------
-    photons : int
-        Number of photons to emit, at least 1.
-    seed : int
-        Not negative. The same seed, photons and batch give the same counts
-        (with the same NumPy build, up to rounding at a decision).
-    max_depth : int, optional
-        Straight flights after which a photon counts as truncated. Light that
-        total reflection traps in a clear crystal ends so.
-    batch : int, optional
-        Photons under way at the same time. Memory grows with it and not with
-        `photons` (but `histories` take 44 bytes per detected photon).
-    histories : bool, optional
-        Keep what the detected photons went through.
-    progress : callable, optional
-        Called now and then with the number of photons done, at last with `photons`.
+    Raises InputError if one of the whole numbers is none, or too small.
     """
     photons = whole_number("photons", photons, 1)
     seed = whole_number("seed", seed, 0)

@@ -147,10 +147,7 @@ def indices_of(file: SceneFile, shape: Node) -> tuple[float, float] | None:
 
 
 def problems_of_text(file: SceneFile) -> list[SceneProblem]:
-    """Problems that can be seen without loading the scene.
-
-    Raises InputError if an index or an axis is no number.
-    """
+    """Problems seen without loading; InputError if an index or an axis is no number."""
     # what a misspelt word was to say would be found missing
     return _problems_of_words(file) or [
         *_problems_of_parameters(file),

@@ -40,10 +40,7 @@ class Colours:
 
 @dataclass(frozen=True, eq=False)
 class EmittedLight:
-    """Light over its wavelengths, and what the bench is like at each.
-
-    All arrays are (wavelengths,) float64.
-    """
+    """Light over its wavelengths, and what the bench is like at each: (wavelengths,) float64."""
 
     #: Rising.
     wavelength_nm: Array
@@ -113,21 +110,13 @@ def read_light(
 ) -> EmittedLight:
     """Light over wavelengths, from a table.
 
-    Indices of the scene that name a material follow its dispersion, beyond the formula's range that
-    at its end.
+    It has columns ``wavelength_nm`` and ``emission`` (photons or power per nm, which its name or a
+    comment says), and if known ``efficiency`` (of the detector, a fraction; else that of another
+    spectrum) and any parameters of the scene, such as ``alpha_abs_per_cm``, at these wavelengths.
+    Or it is an emission spectrum as campaigns name one. Indices of the scene that name a material
+    follow its dispersion, beyond the formula's range that at its end.
 
     Raises InputError if a file cannot be read, or a column is none of the scene's parameters.
-
-    Parameters
-    ----------
-    path : str or Path
-        Columns ``wavelength_nm`` and ``emission`` (photons or power per nm, which its name or a
-        comment says), and if known ``efficiency`` (of the detector, a fraction) and any parameters
-        of the scene, such as ``alpha_abs_per_cm``, at these wavelengths. Or an emission spectrum as
-        campaigns name one.
-    scene : SceneFile
-    quantum_efficiency : str or Path, optional
-        Spectrum of the detector's efficiency, for a table without.
     """
     table = read_data_table(path, roles=(WAVELENGTH, EMISSION))
     names = [_as_named(table, column) for column in range(table.values.shape[1])]

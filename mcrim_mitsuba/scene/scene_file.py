@@ -23,13 +23,7 @@ from mcrim_mitsuba.core.files import BYTES_PER_MB, is_there, look_around, read_b
 from mcrim_mitsuba.core.numbers import Value, unit_of, value_text
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.scene.values import MaterialIndex, parse_like, parse_material, parse_value
-from mcrim_mitsuba.scene.xml_tree import (
-    Node,
-    SceneParts,
-    comment_of,
-    misspelt,
-    parse_scene_xml,
-)
+from mcrim_mitsuba.scene.xml_tree import Node, SceneParts, comment_of, misspelt, parse_scene_xml
 
 _LIMIT_MB = 5
 #: What few lines may grow to by includes in includes and parameters in parameters: a bench has
@@ -122,10 +116,7 @@ class SceneFile:
         return {**self.overrides, **named}
 
     def with_overrides(self, overrides: Mapping[str, Value]) -> SceneFile:
-        """The scene of the files as read before, with more parameters changed.
-
-        Errors are those of `read_scene`.
-        """
+        """The scene as read before, with more parameters changed; errors as `read_scene`."""
         all_of_them = {**self.overrides, **overrides}
         return _assemble(self.path, all_of_them, self._sources, self._indices, self._unwritten)
 
@@ -358,11 +349,7 @@ class _Assembly:
         return root
 
     def process(
-        self,
-        parent: Node,
-        path: Path,
-        chain: tuple[Path, ...],
-        declared: dict[str, int | None],
+        self, parent: Node, path: Path, chain: tuple[Path, ...], declared: dict[str, int | None]
     ) -> None:
         """Declare, include and substitute below `parent`; `declared`: lines in this file."""
         defaults = []

@@ -10,10 +10,7 @@ from mcrim_mitsuba.core.files import differs, make_folder, write_bytes
 
 
 def scenes_folder() -> Path:
-    """Folder of what ships with the package: inside an installed wheel, next to it in a checkout.
-
-    Raises InputError if neither place has it.
-    """
+    """Folder of what ships: in an installed wheel, or next to it; InputError if there is none."""
     package = Path(str(files("mcrim_mitsuba")))
     for folder in (package / "scenes", package.parent / "scenes"):
         if (folder / "camoo4.xml").is_file():
@@ -22,10 +19,7 @@ def scenes_folder() -> Path:
 
 
 def scene_path(name: str) -> Path:
-    """Path of a scene file that ships with the package, such as ``camoo4.xml``.
-
-    Raises InputError if it is not there.
-    """
+    """Path of a scene that ships, such as ``camoo4.xml``; InputError if it is not there."""
     path = scenes_folder() / name
     if not path.is_file():
         mend = "reinstall the package: its scenes are missing"

@@ -78,20 +78,12 @@ def too_wide(values: Mapping[str, Value]) -> tuple[str, str] | None:
 def spectrophotometer_of(bench: SceneFile) -> SceneFile:
     """The scene of a beam through a bench's crystal, in air.
 
+    The crystal is a box on z = 0 with its sizes as parameters ``crystal_width_mm`` and
+    ``crystal_height_mm``. The scene has the bench's parameters and those of `BEAM_PARAMETERS`; that
+    of a bench which is a beam's scene already is itself.
+
     Raises InputError if the bench does not name the sizes, or if a face of the crystal would still
     touch a liquid.
-
-    Parameters
-    ----------
-    bench : SceneFile
-        A crystal in the form of a box on z = 0, with its sizes as parameters
-        ``crystal_width_mm`` and ``crystal_height_mm``.
-
-    Returns
-    -------
-    SceneFile
-        With the bench's parameters and those of `BEAM_PARAMETERS`; of a bench that is a beam's
-        scene already, itself.
     """
     editor = SceneEditor(bench, {})
     if editor.all("emitter", "collimated_beam"):

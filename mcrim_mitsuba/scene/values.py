@@ -94,20 +94,12 @@ def names_material(name: str, text: str) -> bool:
 def read_index(what: str, text: str, folder: Path | None = None, **place: Any) -> MaterialIndex:
     """Index of refraction that a text names.
 
+    The text is ``MATERIAL@540nm``, or ``MATERIAL@FILE`` for the mean over the emission spectrum in
+    a file, whose relative path starts from `folder`, or from that of the file in `place`: ``path``,
+    ``line``, ``column`` of the text. Refusals begin with `what`: the parameter and its text.
+
     Raises InputError if the material or the unit is unknown, the spectrum cannot be read, or the
     material's index is not known at the wavelength, or for too much of the emission.
-
-    Parameters
-    ----------
-    what : str
-        The beginning of a refusal: the parameter and its text.
-    text : str
-        ``MATERIAL@540nm``, or ``MATERIAL@FILE`` for the mean over the emission spectrum in a
-        file.
-    folder : Path, optional
-        That a relative path of a file starts from; without it, that of the file in `place`.
-    **place
-        ``path``, ``line``, ``column`` of the text, for the refusal.
     """
     medium, where = material_at(what, text, **place)
     if isinstance(where, str):
@@ -293,10 +285,7 @@ def told_of_comma(option: str, text: str | None) -> list[str]:
 
 
 def refuse_many_points(points: int) -> None:
-    """Refuse tables that would never be done.
-
-    Raises InputError if there are more than `MOST_POINTS`.
-    """
+    """Refuse (InputError) tables of more than `MOST_POINTS`, which would never be done."""
     if points > MOST_POINTS:
         mend = "give shorter lists; eta is smooth, and values between can be interpolated"
         raise InputError(f"{points:,} points are asked for, {MOST_POINTS:,} are the most", mend)

@@ -176,10 +176,7 @@ def spans_of(root: etree._Element, text: str) -> dict[etree._Element, Span]:
 
 
 def comment_of(element: etree._Element) -> str:
-    """The comment that explains an element: after it on its line, or directly before it.
-
-    Runs of blanks are made one; empty if there is no such comment.
-    """
+    """The comment beside an element, or directly before it, or empty; runs of blanks made one."""
     comment = comment_after(element)
     if comment is None:
         comment = comment_before(element)

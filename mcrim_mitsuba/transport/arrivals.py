@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.transport.launch_plan import FIRST_LAUNCH, FateTally
+from mcrim_mitsuba.transport.launch_plan import FateTally
 from mcrim_mitsuba.transport.loop import Launch
 from mcrim_mitsuba.transport.record_store import ARRIVAL_PLACE, BIRTH_PLACE
 from mcrim_mitsuba.transport.scene_model import DETECTOR, SceneModel
@@ -81,10 +81,7 @@ class DetectorPlane:
 
 
 def detector_plane(model: SceneModel) -> DetectorPlane:
-    """The plane of a scene's detecting faces.
-
-    Raises InputError if they are curved or do not lie in one plane.
-    """
+    """The plane of the detecting faces; InputError if they are curved or lie in several."""
     numbers = [i for i, s in enumerate(model.surfaces) if s.kind == DETECTOR]
     faces = [face for face in model.flat_faces if face.surface in numbers]
     corners = [face.corners for face in faces]
@@ -108,10 +105,7 @@ def detector_plane(model: SceneModel) -> DetectorPlane:
 
 
 def outline_of(model: SceneModel, volume: int, plane: DetectorPlane) -> np.ndarray | None:
-    """Outline of a volume seen along the detector's normal, closed, shape (n, 2), mm.
-
-    ``None`` where one of its faces is curved.
-    """
+    """Outline of a volume along the detector's normal, closed, (n, 2), mm; None if it is curved."""
     owned = model.bordering(volume)
     if set(owned) & set(model.curved):
         return None
@@ -183,10 +177,7 @@ def arrivals(
 def births(
     simulation: Simulation, photons: int, *, seed: int = 0
 ) -> Iterator[tuple[Launch, FateTally, np.ndarray]]:
-    """Follow the photons of `Simulation.collect`, as `arrivals`, with where they were born.
-
-    Of the detected ones, float64, shape (detected, 3), mm.
-    """
+    """As `arrivals`, with where the detected ones were born: float64, shape (detected, 3), mm."""
     crystal = simulation.crystal
     corner = np.array([*crystal.lower[:2], crystal.upper[2]])
     for launch, tally in launches(simulation, photons, seed, BIRTH_PLACE):
@@ -197,14 +188,8 @@ def launches(
     simulation: Simulation, photons: int, seed: int, columns: Sequence[str]
 ) -> Iterator[tuple[Launch, FateTally]]:
     """Launches of so many photons with these columns of records, and the tally of all so far."""
-    launcher = simulation.launcher()
-    done = number = 0
-    while done < photons:
-        chunk = min(launcher.size if number else FIRST_LAUNCH, photons - done)
-        launch = launcher.launch(
-            chunk, seed=seed, number=number, max_depth=simulation.depth_limit, columns=columns
-        )
-        done, number = done + chunk, number + 1
+    launcher, options = simulation.launcher(), {"max_depth": simulation.depth_limit}
+    for launch in launcher.launches(photons, seed=seed, columns=columns, **options):
         yield launch, launcher.tally
 
 

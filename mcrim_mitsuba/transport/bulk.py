@@ -242,10 +242,7 @@ class CrystalVolume:
         return dr.clip(minus_log / self._length_in_depths, LEAST_DEPTH, 1.0)
 
     def sample(self, rng, count: int):
-        """`count` births (Point3f, mm) in any closed solid, by rejection.
-
-        `rng` (``mitsuba.PCG32`` of this width) is advanced in place.
-        """
+        """`count` births (Point3f, mm) in any closed solid, by rejection; advances `rng`."""
         point, rounds = self._searched(rng, count)
         if int(dr.max(rounds)[0]) >= MOST_ROUNDS:
             raise InputError(
@@ -256,10 +253,7 @@ class CrystalVolume:
         return point
 
     def born_from(self, a, b, c):
-        """A birth (Point3f, mm) in any closed solid that three uniforms (Float) fix.
-
-        Where they cannot be its coordinates, they seed the rejection.
-        """
+        """A birth (Point3f, mm) that three uniforms (Float) fix; they may seed the rejection."""
         if self.direct:
             return self.from_uniforms(a, b, c)
         bits = [dr.reinterpret_array(mi.UInt32, uniform) for uniform in (a, b, c)]
@@ -405,10 +399,7 @@ def read_crystal(scene) -> CrystalVolume:
 
 
 def _along(axis: int, frame):
-    """A parallelepiped with its one edge that is not across an axis last.
-
-    ``None`` where there is more than one such edge.
-    """
+    """A parallelepiped with its one edge not across an axis last; ``None`` if there are more."""
     corner, *edges = frame
     edges.sort(key=lambda edge: abs(edge[axis]))
     return None if abs(edges[1][axis]) > 1e-6 * np.abs(edges).max() else (corner, *edges)

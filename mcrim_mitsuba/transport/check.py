@@ -145,18 +145,15 @@ def problems_of_contacts(file: SceneFile, model: SceneModel) -> list[SceneProble
             continue
         seen.add(pair)
         name, other_name = (model.surfaces[i].name for i in pair)
-        place = file.place_of_id(other_name)
+        kind, text = "overlap", f"{name} (line {file.line_of(name)}) and {other_name} "
         if distance < 1e-6 * model.size_mm:
-            text = f"{name} (line {file.line_of(name)}) and {other_name} lie on each other"
+            text += "lie on each other"
             mend = "an interface is ONE surface that names both indices: take one of them away"
-            problems.append(SceneProblem("overlap", text, mend, *place))
         else:
-            text = (
-                f"{name} (line {file.line_of(name)}) and {other_name} are {distance:.3g} mm apart, "
-                f"too thin for single precision in a scene of this size"
-            )
+            kind, apart = "thin_gap", f"are {distance:.3g} mm apart"
+            text += f"{apart}, too thin for single precision in a scene of this size"
             mend = f"make the gap at least {_round_up(narrowest):g} mm, or one single face"
-            problems.append(SceneProblem("thin_gap", text, mend, *place))
+        problems.append(SceneProblem(kind, text, mend, *file.place_of_id(other_name)))
     return problems
 
 
@@ -197,17 +194,18 @@ def _problems_of_detector(simulation: Simulation) -> list[SceneProblem]:
 
 
 def describe(simulation: Simulation, interfaces: Sequence[Interface], transport: str) -> list[str]:
-    """What light can do in a scene, for someone who has never seen Mitsuba.
-
-    `transport` is the name of the path that `simulate` will take.
-    """
+    """What light can do in a scene; `transport` names the path that `simulate` will take."""
     model = simulation.model
     indices = volume_indices(interfaces)
     sentences = [
         _volume_sentence(model, number, indices, simulation.crystal)
         for number in range(1, len(model.volumes))
     ]
-    detectors = [_detector(surface) for surface in model.surfaces if surface.kind == DETECTOR]
+    detectors = []
+    for surface in model.surfaces:
+        if surface.kind == DETECTOR:
+            slanted = f" within {surface.acceptance_deg:.4g} degrees of its normal"
+            detectors.append(surface.name + (slanted if surface.acceptance_deg < 90.0 else ""))
     sentences.append(f"detected is what reaches {' or '.join(detectors)}")
     for surface in model.surfaces:
         sentences += _surface_sentences(surface)
@@ -254,21 +252,23 @@ def _volume_sentence(
 
 def _surface_sentences(surface: Surface) -> list[str]:
     """What a surface does besides being an interface."""
-    sentences = []
-    if surface.aperture_radius_mm < np.inf:
-        sentences.append(
-            f"{surface.name} wears a black mask with a hole of radius "
-            f"{surface.aperture_radius_mm:g} mm{_off_axis(surface)}"
-        )
-    if surface.mask_reflectance > 0:
-        percent = 100 * surface.mask_reflectance
-        sentences.append(f"the mask of {surface.name} reflects {percent:g} % diffusely upwards")
-    if surface.reflectance > 0:
-        sentences.append(f"{surface.name} reflects {100 * surface.reflectance:g} % diffusely")
+    name, radius_mm, (x, y) = surface.name, surface.aperture_radius_mm, surface.axis_mm
+    axis = f" about x = {x:g}, y = {y:g} mm" if x or y else ""
+    reflected = f"reflects {100 * surface.mask_reflectance:g} % diffusely upwards"
+    sentences_if = {
+        f"{name} wears a black mask with a hole of radius {radius_mm:g} mm{axis}": radius_mm
+        < np.inf,
+        f"the mask of {name} {reflected}": surface.mask_reflectance > 0,
+        f"{name} reflects {100 * surface.reflectance:g} % diffusely": surface.reflectance > 0,
+        f"{name} does what Mitsuba's {surface.plugin} does": surface.plugin,
+    }
+    sentences = [sentence for sentence, holds in sentences_if.items() if holds]
     if surface.film is not None:
-        sentences.append(_film(surface))
-    if surface.plugin:
-        sentences.append(f"{surface.name} does what Mitsuba's {surface.plugin} does")
+        oblique = surface.film.absorptance(0.5) / surface.film.head_on
+        sentences.append(
+            f"{name} is a photocathode: it absorbs {100 * surface.film.head_on:.4g} % of light "
+            f"head-on, which counts 1, and at 60 degrees {oblique:.3g} times as much"
+        )
     return sentences
 
 
@@ -287,29 +287,6 @@ def _emission(crystal: CrystalVolume) -> str:
     if np.isfinite(crystal.side_depth_mm):
         where = f"falling to 1/e every {crystal.side_depth_mm:g} mm from its side of the lowest x"
     return f"photons are born in it, {where} and in all directions"
-
-
-def _detector(surface: Surface) -> str:
-    """Which light a detector takes."""
-    if surface.acceptance_deg == 90.0:
-        return surface.name
-    return f"{surface.name} within {surface.acceptance_deg:.4g} degrees of its normal"
-
-
-def _off_axis(surface: Surface) -> str:
-    """Where the hole of a mask is that is not about x = y = 0."""
-    x, y = surface.axis_mm
-    return f" about x = {x:g}, y = {y:g} mm" if x or y else ""
-
-
-def _film(surface: Surface) -> str:
-    """What a photocathode does."""
-    assert surface.film is not None
-    oblique = surface.film.absorptance(0.5) / surface.film.head_on
-    return (
-        f"{surface.name} is a photocathode: it absorbs {100 * surface.film.head_on:.4g} % of light "
-        f"head-on, which counts 1, and at 60 degrees {oblique:.3g} times as much"
-    )
 
 
 def _scattering(volume: Volume) -> str:

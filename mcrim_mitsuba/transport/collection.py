@@ -6,7 +6,7 @@ Every run is a row of launches (`Launcher`). `collect` counts fates until enough
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -121,6 +121,26 @@ class Launcher:
             raise InputError(problem, mend)
         return launch
 
+    def launches(
+        self,
+        photons: int,
+        *,
+        first: int = FIRST_LAUNCH,
+        precision: float | None = None,
+        **options,
+    ) -> Iterator[loop.Launch]:
+        """Launches until so many photons are followed, the `first` of another size.
+
+        Or until eta is known to a relative precision; `options` are those of `launch`.
+        """
+        done = number = 0
+        while done < photons and not self.tally.reaches(precision):
+            chunk = min(self.size if number else first, photons - done)
+            if precision is not None and number:
+                chunk = min(chunk, self.tally.lacking(precision))
+            yield self.launch(chunk, number=number, **options)
+            done, number = done + chunk, number + 1
+
 
 def collect(
     launcher: Launcher,
@@ -131,19 +151,11 @@ def collect(
     precision: float | None = None,
     progress: Progress | None = None,
 ) -> bool:
-    """Follow photons until enough are in a fresh launcher's tally; whether the user interrupted.
-
-    Parameters and errors are those of `Simulation.collect`.
-    """
+    """Fill a fresh launcher's tally, as `Simulation.collect`; whether the user interrupted."""
     photons, seed = arguments_of(photons, seed)
-    number, tally = 0, launcher.tally
+    tally, options = launcher.tally, {"seed": seed, "max_depth": max_depth}
     try:
-        while tally.photons < photons and not tally.reaches(precision):
-            chunk = min(launcher.size if number else FIRST_LAUNCH, photons - tally.photons)
-            if precision is not None and number:
-                chunk = min(chunk, tally.lacking(precision))
-            launcher.launch(chunk, seed=seed, number=number, max_depth=max_depth)
-            number += 1
+        for _ in launcher.launches(photons, precision=precision, **options):
             if progress is not None:
                 progress(tally.photons, photons, tally.eta, tally.eta_sigma)
     except KeyboardInterrupt:
@@ -161,20 +173,15 @@ def slope_along(
     seed: int,
     max_depth: int,
 ) -> tuple[float, float]:
-    """Derivative of eta along a change of the volumes' coefficients, and its standard error.
-
-    The `tangent` is as of `loop.Loop`, other parameters as of `collect`.
-    """
+    """Derivative of eta along a `tangent` of coefficients (`loop.Loop`), and its standard error."""
     photons, seed = arguments_of(photons, seed)
-    slopes, number = FateTally(head_on=launcher.tally.head_on), 0
-    while slopes.photons < photons:
-        chunk = min(launcher.size, photons - slopes.photons)
-        launch = launcher.launch(
-            chunk, seed=seed, number=number, max_depth=max_depth, tangent=tangent
-        )
+    slopes = FateTally(head_on=launcher.tally.head_on)
+    launches = launcher.launches(
+        photons, first=launcher.size, seed=seed, max_depth=max_depth, tangent=tangent
+    )
+    for launch in launches:
         assert launch.detected_slope is not None
         slopes.add(launch.photons_per_batch, {"detected": launch.detected_slope})
-        number += 1
     return slopes.eta, slopes.eta_sigma
 
 

@@ -177,10 +177,7 @@ def _phase(medium) -> dict:
 
 
 def surface_properties(bsdf) -> dict:
-    """What the loop needs of a BSDF, as keyword arguments of `Surface`.
-
-    Kinds that are not known here are `OTHER`: their own ``sample`` is called.
-    """
+    """What the loop needs of a BSDF, as keyword arguments of `Surface`; else it is `OTHER`."""
     name = type(bsdf).__name__
     if name == "BSDF":  # none of Python's
         name = bsdf.class_name()
@@ -301,10 +298,7 @@ def _first(value) -> float:
 
 
 def _flat_faces(shape, number: int) -> list[FlatFace] | None:
-    """The flat faces of a shape, or ``None`` if it is curved.
-
-    Light meets the triangles of a mesh; smooth normals are there for pictures.
-    """
+    """The flat faces of a shape, the triangles of a mesh, or ``None`` if it is curved."""
     if shape.shape_type() == int(mi.ShapeType.Rectangle):
         matrix = _matrix(shape)
         centre, half_u, half_v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]

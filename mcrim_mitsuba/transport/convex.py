@@ -9,7 +9,7 @@ between two faces, because they have no edges.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -548,10 +548,15 @@ class _Mantle:
 
     def is_of(self, face):
         """Whether faces of these numbers (UInt32) are this wall (Mask)."""
-        wall = face == self._numbers[0]
-        for number in self._numbers[1:]:
-            wall |= face == number
-        return wall
+        return is_any(face, self._numbers)
+
+
+def is_any(face, numbers: Sequence[int]):
+    """Whether faces (UInt32) have one of these numbers (Mask)."""
+    mine = face == numbers[0]
+    for number in numbers[1:]:
+        mine |= face == number
+    return mine
 
 
 def _choice(mask, number: int, otherwise: int):

@@ -41,10 +41,7 @@ class Field:
 
 
 def unpolarised_field(direction, angle):
-    """A linear polarisation at a random angle (Float, radian) around the direction.
-
-    Uniform angles make the ensemble unpolarised.
-    """
+    """A linear polarisation around the direction; even angles (Float, radian) unpolarise."""
     frame = mi.Frame3f(direction)
     sine, cosine = dr.sincos(angle)
     return Field(frame.s * cosine + frame.t * sine, mi.Vector3f(0.0))

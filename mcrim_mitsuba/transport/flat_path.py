@@ -236,10 +236,7 @@ class FlatPath:
         return dr.maximum(best, 0.0), which
 
     def _crossings(self, ray: Ray, wall: RoundWall, disc: Disc, here, on_it):
-        """Where a ray crosses a round wall's whole mantle, and whether light meets it there.
-
-        `on_it` (Mask) tells whether light is on the wall.
-        """
+        """Where a ray crosses a round wall, and whether light, `on_it` or not, meets it there."""
         within, around = self.model.within(wall), self.model.around(wall)
         leaves, enters, root2 = disc.crossings(ray)
         # what lies within may be the outside, whose light need not come near

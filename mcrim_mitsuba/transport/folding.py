@@ -17,7 +17,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mcrim_mitsuba.transport.conversion import opaque
-from mcrim_mitsuba.transport.convex import NO_FACE, ConvexBody, Ray, Solid
+from mcrim_mitsuba.transport.convex import NO_FACE, ConvexBody, Ray, Solid, is_any
 from mcrim_mitsuba.transport.scene_model import DIELECTRIC, SceneModel, Surface
 
 #: Most widths of the crystal that are flown at once: single precision then errs by 6e-6 of a width.
@@ -188,7 +188,7 @@ class FoldedBody(ConvexBody):
             # a face that is met is met exactly, by light that flies towards it
             speed, upwards = dr.abs(v), direction[axis] > 0.0
             for side, towards in ((low, -speed), (high, speed)):
-                here = _is_of(met, side)
+                here = is_any(met, [side.leave, *(other for other, _ in side.leave_rows)])
                 x, v = dr.select(here, side.offset, x), dr.select(here, towards, v)
                 count = dr.select(here, mi.UInt32(upwards == (side is low)), count)
             place[axis] = dr.select(mine, x, place[axis])
@@ -223,11 +223,3 @@ class FoldedBody(ConvexBody):
             for i, part, at in zip(disc.across, turned, middle, strict=True):
                 vector[i] = dr.select(turns, part + at, vector[i])
         return mi.UInt32(count)
-
-
-def _is_of(face, side):
-    """Whether faces of these numbers (UInt32) are of a plane (Mask)."""
-    mine = face == side.leave
-    for other, _ in side.leave_rows:
-        mine |= face == other
-    return mine

@@ -31,10 +31,7 @@ STEPS = 96
 
 
 def surface_triangles(model: SceneModel) -> tuple[Triangles, ...]:
-    """The triangles of every surface, in the order of ``model.surfaces``.
-
-    Raises InputError for a curved shape of which Mitsuba knows no points.
-    """
+    """Triangles of every surface, in order; InputError for a curved shape without points."""
     flat: dict[int, list[np.ndarray]] = {}
     round_ones = {face.surface for face in model.flat_faces if face.circle is not None}
     for face in model.flat_faces:

@@ -97,10 +97,7 @@ class Camera:
         return float(np.tan(np.radians(self.field_deg) / 2))
 
     def project(self, points: ArrayLike) -> np.ndarray:
-        """Pixels (x to the right, y downwards, from the upper left corner) of points in mm.
-
-        Shapes (..., 3) and (..., 2).
-        """
+        """Pixels (x to the right, y down), shape (..., 2), of points in mm, shape (..., 3)."""
         right, up, ahead = self.axes
         relative = np.asarray(points, dtype=float) - self.eye
         scale = self.width / 2 / self.half_width / (relative @ ahead)
@@ -239,10 +236,7 @@ class BenchPart:
 
 
 class PhotographedBench:
-    """A bench, to be photographed as it stands or taken apart.
-
-    `triangles` are of the surfaces of `model`, `indices` those of refraction by volume.
-    """
+    """A bench, as it stands or taken apart, by its surfaces' triangles and volumes' indices."""
 
     def __init__(
         self, model: SceneModel, triangles: Sequence[Triangles], indices: Mapping[str, float]

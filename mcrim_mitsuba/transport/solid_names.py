@@ -49,10 +49,7 @@ def _cylinder(solid: Solid, sizes: np.ndarray) -> str:
 
 
 def _prism(model: SceneModel, solid: Solid) -> str | None:
-    """An upright regular prism or pyramid of an even number of sides; ``None`` for other forms.
-
-    A box is one of these.
-    """
+    """An upright regular prism (a box too) or pyramid of an even number of sides, or ``None``."""
     ends: dict[bool, np.ndarray] = {}
     leaning = []
     for plane in solid.planes:

@@ -31,10 +31,7 @@ _COLUMNS: tuple[tuple[Callable[[Surface], Any], dict[str, Callable[[Surface], fl
         lambda s: s.aperture_radius_mm < math.inf,
         {"radius": lambda s: min(s.aperture_radius_mm, NO_MASK)},
     ),
-    (
-        lambda s: s.axis_mm != (0.0, 0.0),
-        {"x": lambda s: s.axis_mm[0], "y": lambda s: s.axis_mm[1]},
-    ),
+    (lambda s: s.axis_mm != (0.0, 0.0), {"x": lambda s: s.axis_mm[0], "y": lambda s: s.axis_mm[1]}),
     (
         lambda s: s.kind == DIFFUSE or (s.kind == DETECTOR and s.reflectance),
         {
@@ -50,10 +47,7 @@ _COLUMNS: tuple[tuple[Callable[[Surface], Any], dict[str, Callable[[Surface], fl
         },
     ),
     (lambda s: s.least_cosine > STRAIGHT_ACROSS, {"least_cosine": lambda s: s.least_cosine}),
-    (
-        lambda s: s.roughness,
-        {"roughness": lambda s: -s.roughness if s.beckmann else s.roughness},
-    ),
+    (lambda s: s.roughness, {"roughness": lambda s: -s.roughness if s.beckmann else s.roughness}),
     (lambda s: s.surface_loss, {"surface_loss": lambda s: s.surface_loss}),
     (lambda s: s.haze, {"haze": lambda s: s.haze}),
     (lambda s: s.specular, {"specular": lambda s: s.specular}),

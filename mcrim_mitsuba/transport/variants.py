@@ -84,7 +84,7 @@ def selected_llvm() -> LlvmLibrary:
         return _already_loaded()
     chosen = os.environ.get(ENVIRONMENT_VARIABLE)
     if chosen:
-        return _of_the_user(chosen)
+        return _checked(chosen, "environment")
     places = ("wheel", _in_wheels), ("system", _in_system)
     usable = (_usable(path, origin) for origin, paths in places for path in paths())
     library = next(filter(None, usable), None)
@@ -114,7 +114,8 @@ def _already_loaded() -> LlvmLibrary:
     return library
 
 
-def _of_the_user(path: str) -> LlvmLibrary:
+def _checked(path: str | Path, origin: str) -> LlvmLibrary:
+    """The library in a file; raises InputError if it is none, or too old."""
     place = f"{ENVIRONMENT_VARIABLE}={path}"
     if not Path(path).is_file():
         raise InputError("there is no such file", _MEND, path=place)
@@ -126,17 +127,14 @@ def _of_the_user(path: str) -> LlvmLibrary:
         name = "older than 16" if version is None else ".".join(map(str, version))
         what = f"this LLVM ({name}) is too old: Dr.Jit's first kernel would abort the process"
         raise InputError(what, _MEND, path=place)
-    return LlvmLibrary(path, version, "environment")
+    return LlvmLibrary(str(path), version, origin)
 
 
 def _usable(path: Path, origin: str) -> LlvmLibrary | None:
-    try:
-        version = llvm_version(path)
-    except OSError:
-        return None
-    if version is None or version[0] < OLDEST_LLVM:
-        return None
-    return LlvmLibrary(str(path), version, origin)
+    """`_checked` library, or none."""
+    with contextlib.suppress(InputError):
+        return _checked(path, origin)
+    return None
 
 
 def _in_wheels() -> list[Path]:
@@ -181,10 +179,7 @@ OLDEST_CUDA = (12, 2)
 
 @signals_wait()
 def cuda_versions() -> dict[str, str]:
-    """The driver's CUDA and the GPU's compute capability, which decide how kernels are compiled.
-
-    Raises InputError if there is no NVIDIA GPU that Dr.Jit can use.
-    """
+    """The driver's CUDA and the GPU's compute capability; InputError if there is no such GPU."""
     with contextlib.suppress(InputError):
         selected_llvm()  # Dr.Jit loads one when it is imported, for later variants too
     import drjit as dr
@@ -285,10 +280,7 @@ def _on_variant_change(_old: str | None, new: str | None) -> None:
 
 
 def refuse_unusable(name: str) -> None:
-    """Refuse a variant that cannot be used here, before anything is begun with it.
-
-    Raises InputError if the variant is not supported, or has no usable LLVM or NVIDIA GPU.
-    """
+    """Refuse a variant that is not supported, or has no usable LLVM or GPU, beforehand."""
     if name not in SUPPORTED_VARIANTS:
         mend = did_you_mean(name, SUPPORTED_VARIANTS)
         if name.startswith("scalar"):
@@ -318,10 +310,7 @@ def _package_versions() -> dict[str, str]:
 
 
 def versions(variant: str, threads: int | None = None) -> dict[str, str]:
-    """Versions of everything that a result depends on.
-
-    `threads` are those that were asked for; those that Dr.Jit has when not given.
-    """
+    """Versions of everything that a result depends on; `threads` are Dr.Jit's unless given."""
     drjit = sys.modules.get("drjit")
     return software_versions(variant) | {
         "python": platform.python_version(),
@@ -333,10 +322,7 @@ def versions(variant: str, threads: int | None = None) -> dict[str, str]:
 
 
 def describe_installation(variant: str, threads: int | None = None) -> dict[str, str]:
-    """Versions, LLVM library, variants and threads, after compiling and running a kernel.
-
-    Raises InputError if the variant cannot be used here, or its arithmetic is wrong.
-    """
+    """Versions, LLVM, variants, threads, once a kernel ran; InputError if it cannot, or errs."""
     mi = use_variant(variant, threads)
     import drjit as dr
 

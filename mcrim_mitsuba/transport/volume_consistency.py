@@ -204,10 +204,7 @@ class Sides:
 def problems_of_volumes(
     file: SceneFile, model: SceneModel, interfaces: tuple[Interface, ...], crossings: Crossings
 ) -> list[SceneProblem]:
-    """What contradictions along the lines mean, each as one problem.
-
-    `interfaces` are of the model's surfaces, in their order.
-    """
+    """What contradictions along the lines mean; `interfaces` are of the model's surfaces."""
     rows = []
     for surface, face in zip(model.surfaces, interfaces, strict=True):
         named = (surface.exterior, face.n_exterior), (surface.interior, face.n_interior)
@@ -243,10 +240,7 @@ def problems_of_named_volumes(interfaces: tuple[Interface, ...]) -> list[ScenePr
 
 
 def claimed_indices(interfaces: Iterable[Interface]) -> dict[str, list[tuple[float, Interface]]]:
-    """What faces say of the index of every named volume.
-
-    Parts without a medium are all "outside" and may differ: lines judge them.
-    """
+    """What faces say of the index of every named volume; what is outside may differ."""
     claims: dict[str, list[tuple[float, Interface]]] = {}
     for face in interfaces:
         sides = (face.interior, face.n_interior), (face.exterior, face.n_exterior)

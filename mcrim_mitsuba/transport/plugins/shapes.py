@@ -19,21 +19,14 @@ NARROWEST = 1e-6
 class Polygons(mi.Mesh):
     """A shape of flat polygons, which may be rotated, scaled and moved by its ``to_world``.
 
-    Mitsuba knows no mesh without triangles, so a shape that is empty has a single triangle
+    Mitsuba knows no mesh without triangles, so a shape that is `empty` has a single triangle
     without area, which no ray hits; `transport.conversion` leaves such shapes out.
-
-    Attributes
-    ----------
-    empty : bool
-        Whether there are no polygons.
-    round_faces : tuple of tuple
-        Corner, two edges (float64, shape (3,), mm) and a `Circle` or None: the faces that the
-        polygons are drawn for, where one is round or has a round hole.
-    wall : RoundWall or None
-        The wall that they are drawn for.
     """
 
+    #: Corner, two edges (float64, shape (3,), mm) and a `Circle` or None: the faces that the
+    #: polygons are drawn for, where one is round or has a round hole.
     round_faces: tuple[tuple, ...] = ()
+    #: The wall that they are drawn for.
     wall: RoundWall | None = None
 
     def __init__(self, props: mi.Properties) -> None:
@@ -56,18 +49,10 @@ class Polygons(mi.Mesh):
         parameters.update()
 
     def polygons(self, props: mi.Properties, to_world: np.ndarray) -> Sequence:
-        """The polygons.
+        """The polygons, convex, by their corners, shape (corners, 3) each.
 
-        Parameters
-        ----------
-        props : mitsuba.Properties
-        to_world : ndarray of float64, shape (4, 4)
-
-        Returns
-        -------
-        sequence of array_like, shape (corners, 3)
-            Convex, in mm of the shape's own coordinates; anticlockwise as seen from the side that
-            the normal points to.
+        In mm of the shape's own coordinates; anticlockwise as seen from the side that the normal
+        points to. `to_world` is float64, shape (4, 4).
         """
         raise NotImplementedError
 
@@ -121,12 +106,7 @@ def cut_fraction(props) -> float:
     """The part of a width that is cut off at the side of low x: where a bubble of air is.
 
     ``cut`` of the shape (0 when absent); 0 too where the shape's ``index``, that of what fills
-    the rest, is that of air.
-
-    Raises
-    ------
-    ValueError
-        If it is not between 0 and 1.
+    the rest, is that of air. Raises ValueError if it is not between 0 and 1.
     """
     cut = float(props.get("cut", 0.0))
     if not 0.0 <= cut <= 1.0:
