@@ -155,23 +155,30 @@ def _follow(
     """How many photons met each fate (`Place`); and of the detected `Record`, cosine, radius."""
     counts = np.zeros(len(Place), dtype=np.int64)
     detected: list[Floats] = [np.zeros((len(Record) + 2, 0))]
-    waiting, emitted = _Waiting(), 0
-    while emitted < photons or waiting.count:
+    # photons under way, by the region that they are to fly in
+    waiting: dict[Place, list[PhotonArrays]] = {region: [] for region in REGIONS}
+    emitted = 0
+    while emitted < photons or any(waiting.values()):
+        crowds = {region: sum(map(len, groups)) for region, groups in waiting.items()}
+        under_way = sum(crowds.values())
         # newborn photons keep the arrays long: short ones cost NumPy as much
-        if emitted < photons and waiting.count <= batch // 2:
-            if progress is not None and emitted > waiting.count:
-                progress(emitted - waiting.count)
-            newborn = min(batch - waiting.count, photons - emitted)
-            waiting.add(flights.birthplace, flights.births(newborn))
+        if emitted < photons and under_way <= batch // 2:
+            if progress is not None and emitted > under_way:
+                progress(emitted - under_way)
+            newborn = min(batch - under_way, photons - emitted)
+            waiting[flights.birthplace].append(flights.births(newborn))
+            crowds[flights.birthplace] += newborn
             emitted += newborn
-        region, flock = waiting.next()
+        # the largest crowd goes on: photons are independent of each other
+        region = max(REGIONS, key=crowds.__getitem__)
+        flock, waiting[region] = PhotonArrays.join(waiting[region]), []
         place = flights.fly(region, flock)
         place[(place < FIRST_FATE) & (flock.flights >= max_depth)] = Place.TRUNCATED
         here = np.bincount(place, minlength=len(Place))
         counts += here
         for region in REGIONS:
             if here[region]:
-                waiting.add(region, flock.take(np.flatnonzero(place == region)))
+                waiting[region].append(flock.take(np.flatnonzero(place == region)))
         if flock.record is not None and here[Place.DETECTED]:
             arrived = flock.take(np.flatnonzero(place == Place.DETECTED))
             assert arrived.record is not None  # as of all
@@ -179,31 +186,6 @@ def _follow(
     if progress is not None:
         progress(photons)
     return counts, detected
-
-
-class _Waiting:
-    """Photons under way, by the region that they are to fly in."""
-
-    def __init__(self) -> None:
-        self._groups: dict[Place, list[PhotonArrays]] = {region: [] for region in REGIONS}
-        self._counts = dict.fromkeys(REGIONS, 0)
-
-    @property
-    def count(self) -> int:
-        """How many there are."""
-        return sum(self._counts.values())
-
-    def add(self, region: Place, photons: PhotonArrays) -> None:
-        """Let photons wait."""
-        self._groups[region].append(photons)
-        self._counts[region] += len(photons)
-
-    def next(self) -> tuple[Place, PhotonArrays]:
-        """Those of the largest crowd: photons are independent of each other."""
-        region = max(REGIONS, key=self._counts.__getitem__)
-        photons = PhotonArrays.join(self._groups[region])
-        self._groups[region], self._counts[region] = [], 0
-        return region, photons
 
 
 def _histories(detected: list[Floats]) -> DetectedHistories:
