@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 from scipy.optimize import brentq
 
@@ -66,116 +67,103 @@ def _corrected(percent: float, n: float) -> Array:
     return 100 * internal_transmittance(percent / 100, n)
 
 
-def transmittance_rows() -> list[ArticleRow]:
+def transmittance_rows() -> Iterator[ArticleRow]:
     """Eq. 4 both ways, and the correction of Section 4."""
-    rows = []
     for line in p.TABLE_1:
         percent, alpha = line.transmittance_percent, line.alpha_abs_per_cm
-        rows += [
-            compare(
-                f"alpha_abs from T = {percent.text} %, Eq. 4",
-                alpha,
-                from_printed(
-                    lambda t, d: absorption_coefficient(t / 100, d), percent, p.CRYSTAL_MM
-                ),
-                inconsistent=line == p.NOMINAL,
-            ),
-            compare(
-                f"T from alpha_abs = {alpha.text} /cm, Eq. 4",
-                percent,
-                from_printed(lambda a, d: 100 * transmittance(a, d), alpha, p.CRYSTAL_MM),
-                inconsistent=line == p.NOMINAL,
-            ),
-        ]
+        yield compare(
+            f"alpha_abs from T = {percent.text} %, Eq. 4",
+            alpha,
+            from_printed(lambda t, d: absorption_coefficient(t / 100, d), percent, p.CRYSTAL_MM),
+            inconsistent=line == p.NOMINAL,
+        )
+        yield compare(
+            f"T from alpha_abs = {alpha.text} /cm, Eq. 4",
+            percent,
+            from_printed(lambda a, d: 100 * transmittance(a, d), alpha, p.CRYSTAL_MM),
+            inconsistent=line == p.NOMINAL,
+        )
     measured = (p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL)
     corrected = from_printed(_corrected, *measured)
-    return [
-        *rows,
-        compare(
-            "T from the measured 76 %, Sec. 4",
-            p.CORRECTED_TRANSMITTANCE,
-            corrected,
-            inconsistent=True,
-            remark="all orders of reflection, added without interference; the rounding of 76 % "
-            f"and 2.01 is worth ±{corrected.rounding:.1f} %",
+    yield compare(
+        "T from the measured 76 %, Sec. 4",
+        p.CORRECTED_TRANSMITTANCE,
+        corrected,
+        inconsistent=True,
+        remark="all orders of reflection, added without interference; the rounding of 76 % "
+        f"and 2.01 is worth ±{corrected.rounding:.1f} %",
+    )
+    yield compare(
+        "alpha_abs from the measured 76 %, Sec. 4",
+        p.NOMINAL.alpha_abs_per_cm,
+        from_printed(
+            lambda t, n, d: absorption_coefficient(_corrected(t, n) / 100, d),
+            *measured,
+            p.CRYSTAL_MM,
         ),
-        compare(
-            "alpha_abs from the measured 76 %, Sec. 4",
-            p.NOMINAL.alpha_abs_per_cm,
-            from_printed(
-                lambda t, n, d: absorption_coefficient(_corrected(t, n) / 100, d),
-                *measured,
-                p.CRYSTAL_MM,
-            ),
-            inconsistent=True,
-        ),
-    ]
+        inconsistent=True,
+    )
 
 
-def bare_crystal_rows() -> list[ArticleRow]:
+def bare_crystal_rows() -> Iterator[ArticleRow]:
     """Eq. 6 as a closed form."""
-    return [
-        compare(
-            "one face, n = 2.01, Eq. 6",
-            p.ETA_FACE_AIR,
-            from_printed(lambda n: 100 * escape_fraction(n), p.N_CRYSTAL),
-        ),
-        compare(
-            "relative index to gel, 2.01/1.46",
-            p.RELATIVE_INDEX_GEL,
-            from_printed(lambda n, m: n / m, p.N_CRYSTAL, p.N_GEL),
-        ),
-        compare(
-            "one face, n = 2.01/1.46, Eq. 6",
-            p.ETA_FACE_GEL,
-            from_printed(lambda n, m: 100 * escape_fraction(n / m), p.N_CRYSTAL, p.N_GEL),
-        ),
-        compare(
-            "one face, the stated n = 1.38, Eq. 6",
-            p.ETA_FACE_GEL,
-            100 * escape_fraction(p.RELATIVE_INDEX_GEL.value),
-            inconsistent=True,
-            remark="15.6 % needs the index before it was rounded",
-        ),
-        compare(
-            "trapped for ever, n = 2.01, 1 - 6 faces",
-            None,
-            100 * trapped_fraction(p.N_CRYSTAL.value),
-            unit="%",
-        ),
-    ]
+    yield compare(
+        "one face, n = 2.01, Eq. 6",
+        p.ETA_FACE_AIR,
+        from_printed(lambda n: 100 * escape_fraction(n), p.N_CRYSTAL),
+    )
+    yield compare(
+        "relative index to gel, 2.01/1.46",
+        p.RELATIVE_INDEX_GEL,
+        from_printed(lambda n, m: n / m, p.N_CRYSTAL, p.N_GEL),
+    )
+    yield compare(
+        "one face, n = 2.01/1.46, Eq. 6",
+        p.ETA_FACE_GEL,
+        from_printed(lambda n, m: 100 * escape_fraction(n / m), p.N_CRYSTAL, p.N_GEL),
+    )
+    yield compare(
+        "one face, the stated n = 1.38, Eq. 6",
+        p.ETA_FACE_GEL,
+        100 * escape_fraction(p.RELATIVE_INDEX_GEL.value),
+        inconsistent=True,
+        remark="15.6 % needs the index before it was rounded",
+    )
+    yield compare(
+        "trapped for ever, n = 2.01, 1 - 6 faces",
+        None,
+        100 * trapped_fraction(p.N_CRYSTAL.value),
+        unit="%",
+    )
 
 
-def ratio_rows() -> list[ArticleRow]:
+def ratio_rows() -> Iterator[ArticleRow]:
     """Eq. 5 from the two signals."""
     ratio = article_ratio()
     of_gel, of_air = (100 * n.stated_sigma / n.value for n in (p.SIGNAL_GEL, p.SIGNAL_AIR))
-    return [
-        compare(
-            "R = 14.3/24.5, Eq. 5",
-            p.RATIO,
-            ratio.value,
-            sigma=ratio.sigma,
-            difference_sigma=0.0,
-            rounding=from_printed(lambda a, g: a / g, p.SIGNAL_AIR, p.SIGNAL_GEL).rounding,
-            remark=f"{ratio.value:.4f} ± {ratio.sigma:.4f}: the article cuts digits off "
-            "where rounding gives 0.584 ± 0.013",
-        ),
-        compare("relative error of N_gel, Sec. 6.3", p.SIGNAL_ERROR, of_gel),
-        compare(
-            "relative error of N_air",
-            None,
-            of_air,
-            unit="%",
-            remark="the article takes the larger one, 1.6 %, for both",
-        ),
-    ]
+    yield compare(
+        "R = 14.3/24.5, Eq. 5",
+        p.RATIO,
+        ratio.value,
+        sigma=ratio.sigma,
+        difference_sigma=0.0,
+        rounding=from_printed(lambda a, g: a / g, p.SIGNAL_AIR, p.SIGNAL_GEL).rounding,
+        remark=f"{ratio.value:.4f} ± {ratio.sigma:.4f}: the article cuts digits off "
+        "where rounding gives 0.584 ± 0.013",
+    )
+    yield compare("relative error of N_gel, Sec. 6.3", p.SIGNAL_ERROR, of_gel)
+    yield compare(
+        "relative error of N_air",
+        None,
+        of_air,
+        unit="%",
+        remark="the article takes the larger one, 1.6 %, for both",
+    )
 
 
-def light_yield_rows() -> list[ArticleRow]:
+def light_yield_rows() -> Iterator[ArticleRow]:
     """Eqs. 1 and 2 with the article's own efficiencies, and its error budget."""
     air, gel = SIGNALS
-    rows = []
     for name, signal, uncertain, eta, paper in (
         ("Y1 (air)", p.SIGNAL_AIR, air, p.NOMINAL.eta_air_percent, p.YIELD_AIR),
         ("Y2 (gel)", p.SIGNAL_GEL, gel, p.NOMINAL.eta_gel_percent, p.YIELD_GEL),
@@ -185,35 +173,30 @@ def light_yield_rows() -> list[ArticleRow]:
             lambda n, e, h, k: n / (e * h / 100 * k), signal, p.EFFICIENCY, eta, p.ENERGY_KEV
         )
         covered = f"rounds to {ours.value:.1f}, which the rounding of {eta.text} % covers"
-        rows.append(
-            compare(
-                f"{name}, the article's eta = {eta.text} %",
-                paper,
-                ours,
-                difference_sigma=0.0,
-                rounding=printed.rounding,
-                remark="" if round(ours.value, 1) == paper.value else covered,
-            )
+        yield compare(
+            f"{name}, the article's eta = {eta.text} %",
+            paper,
+            ours,
+            difference_sigma=0.0,
+            rounding=printed.rounding,
+            remark="" if round(ours.value, 1) == paper.value else covered,
         )
-    return [
-        *rows,
-        compare(
-            "error of eta: spread of Table 1",
-            p.ETA_ERROR,
-            _eta_spread(),
-            remark="largest deviation from the middle line: 28/25 and 48/43",
-        ),
-        compare(
-            "total error: 12, 10, 1.6 % in quadrature",
-            p.TOTAL_ERROR,
-            from_printed(math.hypot, p.ETA_ERROR, p.EFFICIENCY_ERROR, p.SIGNAL_ERROR),
-        ),
-        compare(
-            "total error: 16 % of 7.5",
-            p.printed(str(p.LIGHT_YIELD.sigma), "Sec. 6.3", "ph/keV"),
-            from_printed(lambda y, e: y * e / 100, p.LIGHT_YIELD, p.TOTAL_ERROR),
-        ),
-    ]
+    yield compare(
+        "error of eta: spread of Table 1",
+        p.ETA_ERROR,
+        _eta_spread(),
+        remark="largest deviation from the middle line: 28/25 and 48/43",
+    )
+    yield compare(
+        "total error: 12, 10, 1.6 % in quadrature",
+        p.TOTAL_ERROR,
+        from_printed(math.hypot, p.ETA_ERROR, p.EFFICIENCY_ERROR, p.SIGNAL_ERROR),
+    )
+    yield compare(
+        "total error: 16 % of 7.5",
+        p.printed(str(p.LIGHT_YIELD.sigma), "Sec. 6.3", "ph/keV"),
+        from_printed(lambda y, e: y * e / 100, p.LIGHT_YIELD, p.TOTAL_ERROR),
+    )
 
 
 def _eta_spread() -> Derived:
@@ -258,7 +241,7 @@ def relative_yield(eta: Uncertain, cawo4_eta: Uncertain) -> Uncertain:
     )
 
 
-def relative_rows() -> list[ArticleRow]:
+def relative_rows() -> Iterator[ArticleRow]:
     """Eq. 7 with the article's own numbers, and the comparison that it warns of."""
     cawo4_eta = with_eta_error(p.CAWO4_ETA.value / 100)
     stated = relative_yield(with_eta_error(p.RELATIVE_ETA.value), cawo4_eta)
@@ -275,33 +258,30 @@ def relative_rows() -> list[ArticleRow]:
         p.CAWO4_YIELD,
     )
     alone = _signals_alone()
-    return [
-        compare(
-            "Y, stated eta = 0.23, Eq. 7",
-            p.RELATIVE_YIELD,
-            stated,
-            difference_sigma=0.0,
-            rounding=printed.rounding,
-        ),
-        compare("Y, Table 1's 25 %, Eq. 7", p.RELATIVE_YIELD, of_table_1, inconsistent=True),
-        compare(
-            "error of Eq. 7",
-            p.printed("1.7", "Eq. 7", "ph/keV"),
-            stated.sigma,
-            remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, counts",
-        ),
-        compare(
-            "equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON, alone, inconsistent=True
-        ),
-        compare(
-            "with the efficiencies",
-            p.SIMPLE_COMPARISON,
-            alone * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value,
-            inconsistent=True,
-            remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies "
-            "as well",
-        ),
-    ]
+    yield compare(
+        "Y, stated eta = 0.23, Eq. 7",
+        p.RELATIVE_YIELD,
+        stated,
+        difference_sigma=0.0,
+        rounding=printed.rounding,
+    )
+    yield compare("Y, Table 1's 25 %, Eq. 7", p.RELATIVE_YIELD, of_table_1, inconsistent=True)
+    yield compare(
+        "error of Eq. 7",
+        p.printed("1.7", "Eq. 7", "ph/keV"),
+        stated.sigma,
+        remark="12 % on each eta, 10 % on each efficiency, 9.9 % on the yield of CaWO4, counts",
+    )
+    yield compare(
+        "equal collection: 14.3/40.1 x 16.2", p.SIMPLE_COMPARISON, alone, inconsistent=True
+    )
+    yield compare(
+        "with the efficiencies",
+        p.SIMPLE_COMPARISON,
+        alone * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value,
+        inconsistent=True,
+        remark="equal collection alone overrates the yield: 5.6 takes equal efficiencies as well",
+    )
 
 
 def _signals_alone() -> float:
@@ -309,29 +289,24 @@ def _signals_alone() -> float:
     return p.SIGNAL_AIR.value / p.CAWO4_SIGNAL.value * p.CAWO4_YIELD.value
 
 
-def table_2_rows() -> list[ArticleRow]:
+def table_2_rows() -> Iterator[ArticleRow]:
     """Table 2 and the correction of reference [13]."""
-    return [
-        *(compare(what, number, None) for number, what in p.TABLE_2),
-        *(
-            compare(
-                quantity,
-                paper,
-                from_printed(
-                    lambda y, h, e: y / (h * e / 1e4), p.KIM_MEASURED, eta, p.KIM_EFFICIENCY
-                ),
-            )
-            for quantity, paper, eta in (
-                ("[13]: 3.5/(0.90 x 0.80)", p.KIM_YIELD, p.KIM_ASSUMED_ETA),
-                ("[13] corrected: 3.5/(0.56 x 0.80)", p.KIM_CORRECTED, p.WRAPPED_ETA),
-            )
-        ),
-    ]
+    for number, what in p.TABLE_2:
+        yield compare(what, number, None)
+    for quantity, paper, eta in (
+        ("[13]: 3.5/(0.90 x 0.80)", p.KIM_YIELD, p.KIM_ASSUMED_ETA),
+        ("[13] corrected: 3.5/(0.56 x 0.80)", p.KIM_CORRECTED, p.WRAPPED_ETA),
+    ):
+        yield compare(
+            quantity,
+            paper,
+            from_printed(lambda y, h, e: y / (h * e / 1e4), p.KIM_MEASURED, eta, p.KIM_EFFICIENCY),
+        )
 
 
-def quoted_rows() -> list[ArticleRow]:
+def quoted_rows() -> Iterator[ArticleRow]:
     """What the article takes from measurement or literature; used here, or kept as it is."""
-    return [compare(f"{what}, {number.where}", number, None) for number, what in p.QUOTED]
+    yield from (compare(f"{what}, {number.where}", number, None) for number, what in p.QUOTED)
 
 
 # Where the article contradicts itself, and where it leaves something open.

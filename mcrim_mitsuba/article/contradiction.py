@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from scipy.optimize import brentq
@@ -122,93 +122,87 @@ def hazy_transmittance(rms_nm: float) -> float:
     return passed**2 / (1 - reflected**2)
 
 
-def rows(contradiction: Contradiction) -> list[ArticleRow]:
+def rows(contradiction: Contradiction) -> Iterator[ArticleRow]:
     """What one number says of the other, the misfit, and the light yield."""
-    return [*_transmittance_rows(contradiction.etas), *_fit_rows(contradiction)]
+    yield from _transmittance_rows(contradiction.etas)
+    yield from _fit_rows(contradiction)
 
 
-def _transmittance_rows(etas: Mapping[str, float]) -> list[ArticleRow]:
+def _transmittance_rows(etas: Mapping[str, float]) -> Iterator[ArticleRow]:
     """The transmittance that the article's coefficients predict, beside the measured one."""
     measured = p.MEASURED_TRANSMITTANCE.value / 100
     smooth = brentq(lambda rms: hazy_transmittance(rms) - measured, 0.0, p.ROUGHNESS_NM.value)
     ratio = etas["forward, air"] / etas["forward, gel"]
-    return [
-        compare(
-            "transmittance with the fitted alpha_scat and alpha_abs, Eqs. 3-4",
-            p.MEASURED_TRANSMITTANCE,
-            100 * _predicted(),
-            inconsistent=True,
-            remark="polished faces, all scattered light lost: within 5 degrees of the beam a "
-            "detector sees 0.05 % more",
+    yield compare(
+        "transmittance with the fitted alpha_scat and alpha_abs, Eqs. 3-4",
+        p.MEASURED_TRANSMITTANCE,
+        100 * _predicted(),
+        inconsistent=True,
+        remark="polished faces, all scattered light lost: within 5 degrees of the beam a "
+        "detector sees 0.05 % more",
+    )
+    yield compare(
+        "the same into a sphere",
+        p.MEASURED_TRANSMITTANCE,
+        100 * etas["sphere"],
+        inconsistent=True,
+        remark="all that is scattered forward and leaves is taken",
+    )
+    yield compare(
+        f"the same into a sphere, scattering forward (g = {_FORWARD_G:g})",
+        p.MEASURED_TRANSMITTANCE,
+        100 * etas["forward, sphere"],
+        judged=False,
+        remark=f"the nearest single rescue, at a ratio of {ratio:.3f} where {p.RATIO.text} was "
+        "measured: more scattering mends this and spoils the transmittance",
+    )
+    yield compare(
+        f"transmittance, if {p.ROUGHNESS_NM.text} nm are the rms of the faces, Sec. 4",
+        p.MEASURED_TRANSMITTANCE,
+        100 * hazy_transmittance(p.ROUGHNESS_NM.value),
+        judged=False,
+        remark=f"with a clear bulk; {p.MEASURED_TRANSMITTANCE.text} % allows {smooth:.0f} nm",
+    )
+    yield compare(
+        "alpha_scat + alpha_abs that the transmittance allows",
+        p.ALPHA_SCAT,
+        absorption_coefficient(
+            internal_transmittance(measured, p.N_CRYSTAL.value), p.CRYSTAL_MM.value
         ),
-        compare(
-            "the same into a sphere",
-            p.MEASURED_TRANSMITTANCE,
-            100 * etas["sphere"],
-            inconsistent=True,
-            remark="all that is scattered forward and leaves is taken",
-        ),
-        compare(
-            f"the same into a sphere, scattering forward (g = {_FORWARD_G:g})",
-            p.MEASURED_TRANSMITTANCE,
-            100 * etas["forward, sphere"],
-            judged=False,
-            remark=f"the nearest single rescue, at a ratio of {ratio:.3f} where {p.RATIO.text} was "
-            "measured: more scattering mends this and spoils the transmittance",
-        ),
-        compare(
-            f"transmittance, if {p.ROUGHNESS_NM.text} nm are the rms of the faces, Sec. 4",
-            p.MEASURED_TRANSMITTANCE,
-            100 * hazy_transmittance(p.ROUGHNESS_NM.value),
-            judged=False,
-            remark=f"with a clear bulk; {p.MEASURED_TRANSMITTANCE.text} % allows {smooth:.0f} nm",
-        ),
-        compare(
-            "alpha_scat + alpha_abs that the transmittance allows",
-            p.ALPHA_SCAT,
-            absorption_coefficient(
-                internal_transmittance(measured, p.N_CRYSTAL.value), p.CRYSTAL_MM.value
-            ),
-            inconsistent=True,
-            remark="the article fits 0.54 /cm of scattering alone",
-        ),
-    ]
+        inconsistent=True,
+        remark="the article fits 0.54 /cm of scattering alone",
+    )
 
 
-def _fit_rows(contradiction: Contradiction) -> list[ArticleRow]:
+def _fit_rows(contradiction: Contradiction) -> Iterator[ArticleRow]:
     """The misfit of the three numbers, and the light yield that they allow."""
     diagnosis, ignorant = contradiction.diagnosis, contradiction.ignorant
-    fit_rows = [
-        compare(
-            "chi2 of 14.3, 24.5 and 76 % in one fit, 1 degree of freedom",
-            None,
-            diagnosis.baseline.chi2,
-            unit="",
-            remark=f"{_as_pull(diagnosis.baseline)}; errors as in {CAMPAIGN}",
-        ),
-        compare(
-            "the same, light unpolarised and born everywhere",
-            None,
-            ignorant.chi2,
-            unit="",
-            remark=_as_pull(ignorant),
-        ),
-    ]
+    yield compare(
+        "chi2 of 14.3, 24.5 and 76 % in one fit, 1 degree of freedom",
+        None,
+        diagnosis.baseline.chi2,
+        unit="",
+        remark=f"{_as_pull(diagnosis.baseline)}; errors as in {CAMPAIGN}",
+    )
+    yield compare(
+        "the same, light unpolarised and born everywhere",
+        None,
+        ignorant.chi2,
+        unit="",
+        remark=_as_pull(ignorant),
+    )
     averaged = diagnosis.light_yield_averaged
     if averaged is not None:
-        fit_rows.append(
-            compare(
-                "light yield, averaged over what the three numbers allow",
-                p.LIGHT_YIELD,
-                averaged.value,
-                sigma=averaged.sigma,
-                judged=False,
-                remark=f"±{averaged.within:.2f} within explanations, ±{averaged.between:.2f} "
-                f"between them, ±{averaged.catalogue:.2f} for what is in no catalogue; the light "
-                "yields of the best four are in the sentences below",
-            )
+        yield compare(
+            "light yield, averaged over what the three numbers allow",
+            p.LIGHT_YIELD,
+            averaged.value,
+            sigma=averaged.sigma,
+            judged=False,
+            remark=f"±{averaged.within:.2f} within explanations, ±{averaged.between:.2f} "
+            f"between them, ±{averaged.catalogue:.2f} for what is in no catalogue; the light "
+            "yields of the best four are in the sentences below",
         )
-    return fit_rows
 
 
 def _predicted() -> float:

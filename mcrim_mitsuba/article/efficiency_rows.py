@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -106,9 +106,8 @@ _SHORT = {True: "pol.", False: "unpol."}
 _ETAS = ("eta_air", "eta_gel")
 
 
-def bare_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
+def bare_crystal_rows(simulated: Simulated) -> Iterator[ArticleRow]:
     """Eq. 6 by Mitsuba: all light that leaves a crystal without losses, over its six faces."""
-    rows = []
     for (n, result), paper in zip(
         simulated.bare.items(), (p.ETA_FACE_AIR, p.ETA_FACE_GEL), strict=True
     ):
@@ -121,28 +120,26 @@ def bare_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
                 "; below n = sqrt(2) the six escape cones overlap, and Eq. 6 counts the light "
                 "in two of them twice"
             )
-        rows.append(
-            compare(
-                f"one face, n = {n:.4g}, by Mitsuba",
-                paper,
-                face,
-                sigma=sigma,
-                difference_sigma=math.hypot(sigma, p.ZEMAX_FACE_RELATIVE_ERROR * paper.value),
-                remark=f"{remark}; the article's own limit of 1 % enters the verdict",
-            )
+        yield compare(
+            f"one face, n = {n:.4g}, by Mitsuba",
+            paper,
+            face,
+            sigma=sigma,
+            difference_sigma=math.hypot(sigma, p.ZEMAX_FACE_RELATIVE_ERROR * paper.value),
+            remark=f"{remark}; the article's own limit of 1 % enters the verdict",
         )
     result = simulated.bare[p.N_CRYSTAL.value]
     trapped, sigma = 100 * result.budget["truncated"], 100 * result.budget_sigma["truncated"]
     distance = _distance(trapped, float(100 * trapped_fraction(p.N_CRYSTAL.value)), sigma)
     what, remark = "trapped for ever, n = 2.01, by Mitsuba", f"{distance} from the closed form"
-    return [*rows, compare(what, None, trapped, sigma=sigma, unit="%", remark=remark)]
+    yield compare(what, None, trapped, sigma=sigma, unit="%", remark=remark)
 
 
 def _distance(ours: float, exact: float, sigma: float) -> str:
     return f"{(ours - exact) / sigma:+.1f} of our standard errors"
 
 
-def bench_rows(simulated: Simulated, photons: int) -> list[ArticleRow]:
+def bench_rows(simulated: Simulated, photons: int) -> Iterator[ArticleRow]:
     """The scene's parameters beside the article's description."""
     bench, cawo4 = simulated.parameters, simulated.cawo4.parameters
     aperture_mm = 2.0 * float(bench["aperture_radius_mm"])
@@ -160,69 +157,61 @@ def bench_rows(simulated: Simulated, photons: int) -> list[ArticleRow]:
         ("alpha_abs of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_ABS, cawo4[ALPHA_ABS]),
         ("alpha_scat of CaWO4, Sec. 6.4", p.CAWO4_ALPHA_SCAT, cawo4[ALPHA_SCAT]),
     )
-    return [
-        *(compare(what, number, float(ours)) for what, number, ours in stated),
-        compare(
-            "source smaller than the crystal by",
-            p.SOURCE_MARGIN_MM,
-            0.0,
-            judged=False,
-            remark="ours fills the crystal: there is no surface to keep off",
-        ),
-        compare(
-            "rays per point; ours: per curve",
-            p.RAYS,
-            photons,
-            judged=False,
-            remark="100,000 rays alone leave an error of "
-            f"{100 * article_monte_carlo_sigma(0.25):.2f} % (of all light) on an efficiency "
-            "of 25 %",
-        ),
-    ]
+    for what, number, ours in stated:
+        yield compare(what, number, float(ours))
+    yield compare(
+        "source smaller than the crystal by",
+        p.SOURCE_MARGIN_MM,
+        0.0,
+        judged=False,
+        remark="ours fills the crystal: there is no surface to keep off",
+    )
+    yield compare(
+        "rays per point; ours: per curve",
+        p.RAYS,
+        photons,
+        judged=False,
+        remark="100,000 rays alone leave an error of "
+        f"{100 * article_monte_carlo_sigma(0.25):.2f} % (of all light) on an efficiency "
+        "of 25 %",
+    )
 
 
-def table_1_rows(simulated: Simulated) -> list[ArticleRow]:
+def table_1_rows(simulated: Simulated) -> Iterator[ArticleRow]:
     """alpha_scat where the simulated ratio is the measured one."""
-    rows = []
     for line in simulated.lines:
         ours, printed = line.alpha_scat, line.printed
         statistical, monte_carlo = (ours.contributions[n] for n in ("statistical", "monte_carlo"))
         of_rays = p.RATIO.value * _relative_sigma_of_ratio(line.etas) / abs(line.ratio_slope_cm)
-        rows.append(
-            compare(
-                f"alpha_scat, T = {printed.transmittance_percent.text} %, {_WORD[line.polarised]}",
-                p.ALPHA_SCAT if printed == p.NOMINAL else printed.alpha_scat_per_cm,
-                ours.value,
-                sigma=ours.sigma,
-                difference_sigma=math.hypot(monte_carlo, of_rays),
-                remark=f"{ours.value:.3f} ± {statistical:.3f} (from R) ± {monte_carlo:.3f} (Monte "
-                f"Carlo); the article's rays leave ±{of_rays:.3f} on its own",
-            )
+        yield compare(
+            f"alpha_scat, T = {printed.transmittance_percent.text} %, {_WORD[line.polarised]}",
+            p.ALPHA_SCAT if printed == p.NOMINAL else printed.alpha_scat_per_cm,
+            ours.value,
+            sigma=ours.sigma,
+            difference_sigma=math.hypot(monte_carlo, of_rays),
+            remark=f"{ours.value:.3f} ± {statistical:.3f} (from R) ± {monte_carlo:.3f} (Monte "
+            f"Carlo); the article's rays leave ±{of_rays:.3f} on its own",
         )
     ours = simulated.nominal.alpha_scat
     of_ratio = ours.contributions["statistical"]
-    rows.append(
-        compare(
-            "error of alpha_scat from that of R, Sec. 6.2",
-            p.printed("0.10", "Sec. 6.2", "1/cm"),
-            of_ratio,
-            sigma=_monte_carlo_of_sigma(simulated.nominal),
-            rounding=of_ratio * p.RATIO.rounding / p.RATIO.stated_sigma,
-            remark=f"R ± 0.012 gives {ours.lower:.2f} to {ours.upper:.2f} /cm: not quite symmetric",
-        )
+    yield compare(
+        "error of alpha_scat from that of R, Sec. 6.2",
+        p.printed("0.10", "Sec. 6.2", "1/cm"),
+        of_ratio,
+        sigma=_monte_carlo_of_sigma(simulated.nominal),
+        rounding=of_ratio * p.RATIO.rounding / p.RATIO.stated_sigma,
+        remark=f"R ± 0.012 gives {ours.lower:.2f} to {ours.upper:.2f} /cm: not quite symmetric",
     )
-    return rows
 
 
-def efficiency_rows(simulated: Simulated) -> list[ArticleRow]:
+def efficiency_rows(simulated: Simulated) -> Iterator[ArticleRow]:
     """Efficiencies at our coefficients and at the article's, and the shape of the curves."""
-    rows = []
     for line in simulated.lines:
         percent, way = line.printed.transmittance_percent, _SHORT[line.polarised]
         etas = zip(_ETAS, line.printed.etas_percent, line.etas, *line.eta_sigmas, strict=True)
         for name, paper, eta, of_ratio, monte_carlo in etas:
             what = f"{name}, T = {percent.text} %, at our fit, {way}"
-            rows.append(_eta_row(what, paper, eta, monte_carlo, of_ratio=of_ratio))
+            yield _eta_row(what, paper, eta, monte_carlo, of_ratio=of_ratio)
     for line in simulated.lines:
         scattering = line.printed.alpha_scat_per_cm
         absorption, way = line.printed.alpha_abs_per_cm, _SHORT[line.polarised]
@@ -232,8 +221,8 @@ def efficiency_rows(simulated: Simulated) -> list[ArticleRow]:
                 lambda *at, c=line.couplings, i=place: c.at(*at).values[i], scattering, absorption
             )
             what = f"{name} at ({absorption.text}, {scattering.text}) /cm, {way}"
-            rows.append(_eta_row(what, paper, eta.value, sigmas[place], moved=eta.rounding))
-    return rows + _shape_rows(simulated.nominal)
+            yield _eta_row(what, paper, eta.value, sigmas[place], moved=eta.rounding)
+    yield from _shape_rows(simulated.nominal)
 
 
 def _eta_row(
@@ -261,40 +250,35 @@ def _eta_row(
     )
 
 
-def _shape_rows(line: SimulatedLine) -> list[ArticleRow]:
+def _shape_rows(line: SimulatedLine) -> Iterator[ArticleRow]:
     point = line.at(p.ALPHA_SCAT.value)
     *etas, ratio = point.values
     sigma = float(point.sigmas[2])
     of_both = math.hypot(sigma, ratio * _relative_sigma_of_ratio(etas))
     position, position_sigma = position_of_maximum([line.at(a) for a in PEAK_POINTS_PER_CM], 1)
     what = "R at the article's (0.039, 0.54) /cm, pol."
-    rows = [
-        compare(what, p.RATIO, ratio, sigma=sigma, difference_sigma=of_both),
-        compare(
-            "maximum of the gel curve, Sec. 6.2",
-            p.GEL_MAXIMUM,
-            position,
-            sigma=position_sigma,
-            remark="at T = 96 %; its place moves with the absorption (Fig. 3)",
-        ),
-    ]
+    yield compare(what, p.RATIO, ratio, sigma=sigma, difference_sigma=of_both)
+    yield compare(
+        "maximum of the gel curve, Sec. 6.2",
+        p.GEL_MAXIMUM,
+        position,
+        sigma=position_sigma,
+        remark="at T = 96 %; its place moves with the absorption (Fig. 3)",
+    )
     flat = p.FLAT_ABOVE.value
     for low, high in ((0.1, flat), (flat, p.SCANNED_TO.value)):
         (grown, *_), (relative, *_) = _growth(line.at(low), line.at(high))
-        rows.append(
-            compare(
-                f"eta_air grows from {low:g} to {high:g} /cm by",
-                None,
-                100 * (grown - 1),
-                sigma=100 * grown * relative,
-                unit="%",
-                remark='the article: "little change" above 0.5 /cm' if low == flat else "",
-            )
+        yield compare(
+            f"eta_air grows from {low:g} to {high:g} /cm by",
+            None,
+            100 * (grown - 1),
+            sigma=100 * grown * relative,
+            unit="%",
+            remark='the article: "little change" above 0.5 /cm' if low == flat else "",
         )
-    return rows
 
 
-def other_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
+def other_crystal_rows(simulated: Simulated) -> Iterator[ArticleRow]:
     """The thin sample, CaWO4 and the wrapped cube."""
     quoted = from_printed(
         lambda s, q: 100 * s / q, p.CAWO4_QUOTED_SIGNAL, p.CAWO4_QUOTED_QUANTUM_EFFICIENCY
@@ -306,33 +290,31 @@ def other_crystal_rows(simulated: Simulated) -> list[ArticleRow]:
         if reflectance != DEFAULT_WRAP_REFLECTANCE
     )
     thin, cawo4 = simulated.thin, simulated.cawo4
-    return [
-        _eta_row(
-            "eta of thin CaMoO4, 1 mm, gel, Sec. 6.2",
-            p.THIN_ETA,
-            thin.eta,
-            thin.eta_sigma,
-            remark="with 0.54 and 0.039 /cm, for the article states no others; without absorption "
-            f"{100 * simulated.thin_clear.eta:.1f} %",
-        ),
-        compare("CaWO4 of [20]: 3.8/0.25, Sec. 6.2", p.CAWO4_QUOTED_ETA, quoted),
-        _eta_row(
-            "eta of CaWO4, air, Sec. 6.4",
-            p.CAWO4_ETA,
-            cawo4.eta,
-            cawo4.eta_sigma,
-            remark="its size and index are not given: a 10 mm cube with n = 1.92 is taken",
-        ),
-        _eta_row(
-            "eta of CaMoO4 cube, wrapped, gel, Sec. 6.5",
-            p.WRAPPED_ETA,
-            wrapped.eta,
-            wrapped.eta_sigma,
-            systematic=wrapped_spread(simulated),
-            remark="five faces behind an air film, Lambertian, reflectance "
-            f"{DEFAULT_WRAP_REFLECTANCE:g}; {spread}: the article does not say how it wraps",
-        ),
-    ]
+    yield _eta_row(
+        "eta of thin CaMoO4, 1 mm, gel, Sec. 6.2",
+        p.THIN_ETA,
+        thin.eta,
+        thin.eta_sigma,
+        remark="with 0.54 and 0.039 /cm, for the article states no others; without absorption "
+        f"{100 * simulated.thin_clear.eta:.1f} %",
+    )
+    yield compare("CaWO4 of [20]: 3.8/0.25, Sec. 6.2", p.CAWO4_QUOTED_ETA, quoted)
+    yield _eta_row(
+        "eta of CaWO4, air, Sec. 6.4",
+        p.CAWO4_ETA,
+        cawo4.eta,
+        cawo4.eta_sigma,
+        remark="its size and index are not given: a 10 mm cube with n = 1.92 is taken",
+    )
+    yield _eta_row(
+        "eta of CaMoO4 cube, wrapped, gel, Sec. 6.5",
+        p.WRAPPED_ETA,
+        wrapped.eta,
+        wrapped.eta_sigma,
+        systematic=wrapped_spread(simulated),
+        remark="five faces behind an air film, Lambertian, reflectance "
+        f"{DEFAULT_WRAP_REFLECTANCE:g}; {spread}: the article does not say how it wraps",
+    )
 
 
 def wrapped_spread(simulated: Simulated) -> float:

@@ -111,7 +111,7 @@ def _rows(
             *efficiency_rows.bare_crystal_rows(simulated),
         ],
         "Sec. 4-5: the bench, as the article states it and as the scene has it": [
-            *efficiency_rows.bench_rows(simulated, photons),
+            *efficiency_rows.bench_rows(simulated, photons)
         ],
         "Sec. 6.1-6.2, Eq. 5: the measured ratio": arithmetic.ratio_rows(),
         "Sec. 6.2-6.3, Table 1 and Fig. 4: scattering coefficient from the ratio": [

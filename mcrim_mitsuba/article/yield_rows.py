@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from mcrim_mitsuba.article import arithmetic
@@ -56,10 +57,7 @@ def light_yields(simulated: Simulated) -> LightYields:
         fitted=Uncertain(
             fitted.value,
             {"counts": parts["statistical"], "monte_carlo": parts["monte_carlo"]},
-            {
-                "eta": fitted.value * eta_error,
-                "detector_efficiency": parts["detector_efficiency"],
-            },
+            {"eta": fitted.value * eta_error, "detector_efficiency": parts["detector_efficiency"]},
         ),
         at_article_point=(absolute_yield(signal_air, air), absolute_yield(signal_gel, gel)),
         relative=arithmetic.relative_yield(
@@ -114,60 +112,56 @@ def agreement_sentences(yields: LightYields) -> tuple[str, ...]:
     )
 
 
-def yield_rows(yields: LightYields) -> list[ArticleRow]:
+def yield_rows(yields: LightYields) -> Iterator[ArticleRow]:
     """Eqs. 1 and 2 with our efficiencies."""
     fitted = yields.fitted
     counts = fitted.statistical_sigma / fitted.value
     reflected = float(reflectance(1.0, 1.0, p.N_WINDOW.value))
-    return [
-        *(
-            compare(
-                f"{name}, our eta at (0.039, 0.54) /cm",
-                paper,
-                ours,
-                # the article's Y has the rounding of its own eta
-                difference_sigma=0.0,
-                rounding=ours.value * eta.rounding / eta.value,
-            )
-            for name, ours, paper, eta in zip(
-                ("Y1 (air)", "Y2 (gel)"),
-                yields.at_article_point,
-                (p.YIELD_AIR, p.YIELD_GEL),
-                p.NOMINAL.etas_percent,
-                strict=True,
-            )
-        ),
-        compare(
-            "Y, our eta at our alpha_scat",
-            p.LIGHT_YIELD,
-            fitted,
-            remark="air and gel alike; first error counting and Monte Carlo, second eta and "
-            "detector efficiency",
-        ),
-        compare(
-            "the same, detector efficiency measured in air",
-            None,
-            replace(fitted, value=fitted.value * (1.0 - reflected)),
-            unit=p.LIGHT_YIELD.unit,
-            remark=f"tubes are measured in air, head-on: {100 * reflected:.2f} % that the "
-            "window reflects is in the efficiency, and in eta; no collection efficiency",
-        ),
-        compare(
-            "error of eta: spread of our Table 1",
-            p.ETA_ERROR,
-            100 * yields.eta_error,
-            judged=False,
-            remark="the article calls its 12 % conservative",
-        ),
-        compare(
-            "total error with our eta",
-            p.TOTAL_ERROR,
-            100 * fitted.sigma / fitted.value,
-            judged=False,
-            remark=f"{100 * yields.eta_error:.1f} % eta, 10 % detector efficiency, "
-            f"{100 * counts:.1f} % counts: ±{fitted.sigma:.2f} ph/keV",
-        ),
-    ]
+    for name, ours, paper, eta in zip(
+        ("Y1 (air)", "Y2 (gel)"),
+        yields.at_article_point,
+        (p.YIELD_AIR, p.YIELD_GEL),
+        p.NOMINAL.etas_percent,
+        strict=True,
+    ):
+        yield compare(
+            f"{name}, our eta at (0.039, 0.54) /cm",
+            paper,
+            ours,
+            # the article's Y has the rounding of its own eta
+            difference_sigma=0.0,
+            rounding=ours.value * eta.rounding / eta.value,
+        )
+    yield compare(
+        "Y, our eta at our alpha_scat",
+        p.LIGHT_YIELD,
+        fitted,
+        remark="air and gel alike; first error counting and Monte Carlo, second eta and "
+        "detector efficiency",
+    )
+    yield compare(
+        "the same, detector efficiency measured in air",
+        None,
+        replace(fitted, value=fitted.value * (1.0 - reflected)),
+        unit=p.LIGHT_YIELD.unit,
+        remark=f"tubes are measured in air, head-on: {100 * reflected:.2f} % that the "
+        "window reflects is in the efficiency, and in eta; no collection efficiency",
+    )
+    yield compare(
+        "error of eta: spread of our Table 1",
+        p.ETA_ERROR,
+        100 * yields.eta_error,
+        judged=False,
+        remark="the article calls its 12 % conservative",
+    )
+    yield compare(
+        "total error with our eta",
+        p.TOTAL_ERROR,
+        100 * fitted.sigma / fitted.value,
+        judged=False,
+        remark=f"{100 * yields.eta_error:.1f} % eta, 10 % detector efficiency, "
+        f"{100 * counts:.1f} % counts: ±{fitted.sigma:.2f} ph/keV",
+    )
 
 
 def relative_yield_row(yields: LightYields) -> ArticleRow:
@@ -199,7 +193,7 @@ def wrapped_yield_row(simulated: Simulated) -> ArticleRow:
 # The error budget of Sec. 6.3 by the campaign's fit: one likelihood for all its parts.
 
 
-def budget_rows(simulated: Simulated) -> list[ArticleRow]:
+def budget_rows(simulated: Simulated) -> Iterator[ArticleRow]:
     """What makes up the error of the light yield, if Table 1's transmittances are its range."""
     absorptions = [line.alpha_abs_per_cm.value for line in p.TABLE_1]
     sigma = (max(absorptions) - min(absorptions)) / 2
@@ -211,23 +205,21 @@ def budget_rows(simulated: Simulated) -> list[ArticleRow]:
     eta = math.hypot(percent["prior"], percent["monte_carlo"])
     total = 100 * light_yield.sigma / light_yield.value
     where = f"campaign fit, alpha_abs ± {sigma:.3f} /cm (half of Table 1's range)"
-    return [
-        compare("error budget: eta", p.ETA_ERROR, eta, judged=False, remark=where),
-        compare(
-            "error budget: counts",
-            None,
-            percent["statistical"],
-            unit="%",
-            remark="with alpha_scat fitted: not the two counts' 1.6 % itself",
-        ),
-        compare(
-            "error budget: total",
-            p.TOTAL_ERROR,
-            total,
-            judged=False,
-            remark="eta, counts and detector efficiency, one covariance",
-        ),
-    ]
+    yield compare("error budget: eta", p.ETA_ERROR, eta, judged=False, remark=where)
+    yield compare(
+        "error budget: counts",
+        None,
+        percent["statistical"],
+        unit="%",
+        remark="with alpha_scat fitted: not the two counts' 1.6 % itself",
+    )
+    yield compare(
+        "error budget: total",
+        p.TOTAL_ERROR,
+        total,
+        judged=False,
+        remark="eta, counts and detector efficiency, one covariance",
+    )
 
 
 _MATERIAL = "CaMoO4"
@@ -251,12 +243,11 @@ def left_out(run: Run) -> tuple[Neglected, ...]:
     return work.neglected()
 
 
-def neglected_rows(pieces: tuple[Neglected, ...]) -> list[ArticleRow]:
+def neglected_rows(pieces: tuple[Neglected, ...]) -> Iterator[ArticleRow]:
     """Shifts by what can be corrected, and sizes of what one index cannot describe.
 
     Efficiencies at the fitted coefficients, alpha_scat and the light yield fitted again.
     """
-    rows = []
     for piece in pieces:
         kind = "shift" if piece.correction else "error"
         moves = {f"eta_{name}": piece.at_fixed[f"eta {name}"] for name in ("air", "gel")}
@@ -266,15 +257,12 @@ def neglected_rows(pieces: tuple[Neglected, ...]) -> list[ArticleRow]:
         units = {"alpha_scat": "1/cm", "Y": "ph/keV"} if piece.correction else {}
         for quantity, moved in moves.items():
             per = 1.0 if quantity in units else 100 / moved.before
-            rows.append(
-                compare(
-                    f"{kind} of {quantity} by {piece.title}",
-                    None,
-                    per * (moved.shift if piece.correction else moved.as_error),
-                    sigma=per * moved.monte_carlo_sigma,
-                    systematic=(piece.correction and per * moved.size_sigma) or None,
-                    unit=units.get(quantity, "%"),
-                    remark=piece.put_in if quantity == list(moves)[-1] else "",
-                )
+            yield compare(
+                f"{kind} of {quantity} by {piece.title}",
+                None,
+                per * (moved.shift if piece.correction else moved.as_error),
+                sigma=per * moved.monte_carlo_sigma,
+                systematic=(piece.correction and per * moved.size_sigma) or None,
+                unit=units.get(quantity, "%"),
+                remark=piece.put_in if quantity == list(moves)[-1] else "",
             )
-    return rows
