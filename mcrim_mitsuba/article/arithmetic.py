@@ -15,12 +15,8 @@ from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
 from mcrim_mitsuba.laboratory.light_yield import light_yield_by_reference, light_yield_ph_per_keV
 from mcrim_mitsuba.laboratory.peak import GAUSSIAN, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
+from mcrim_mitsuba.optics import slab_transmittance as slab
 from mcrim_mitsuba.optics.fresnel import escape_fraction, trapped_fraction
-from mcrim_mitsuba.optics.slab_transmittance import (
-    absorption_coefficient,
-    internal_transmittance,
-    transmittance,
-)
 
 
 def _counted(signal: Printed, crystal: str) -> Uncertain:
@@ -64,7 +60,7 @@ def article_ratio() -> Uncertain:
 
 def _corrected(percent: float, n: float) -> Array:
     """A transmittance in % without the multiple reflections of the faces."""
-    return 100 * internal_transmittance(percent / 100, n)
+    return 100 * slab.internal_transmittance(percent / 100, n)
 
 
 def transmittance_rows() -> Iterator[ArticleRow]:
@@ -74,13 +70,15 @@ def transmittance_rows() -> Iterator[ArticleRow]:
         yield compare(
             f"alpha_abs from T = {percent.text} %, Eq. 4",
             alpha,
-            from_printed(lambda t, d: absorption_coefficient(t / 100, d), percent, p.CRYSTAL_MM),
+            from_printed(
+                lambda t, d: slab.absorption_coefficient(t / 100, d), percent, p.CRYSTAL_MM
+            ),
             inconsistent=line == p.NOMINAL,
         )
         yield compare(
             f"T from alpha_abs = {alpha.text} /cm, Eq. 4",
             percent,
-            from_printed(lambda a, d: 100 * transmittance(a, d), alpha, p.CRYSTAL_MM),
+            from_printed(lambda a, d: 100 * slab.transmittance(a, d), alpha, p.CRYSTAL_MM),
             inconsistent=line == p.NOMINAL,
         )
     measured = (p.MEASURED_TRANSMITTANCE, p.N_CRYSTAL)
@@ -97,7 +95,7 @@ def transmittance_rows() -> Iterator[ArticleRow]:
         "alpha_abs from the measured 76 %, Sec. 4",
         p.NOMINAL.alpha_abs_per_cm,
         from_printed(
-            lambda t, n, d: absorption_coefficient(_corrected(t, n) / 100, d),
+            lambda t, n, d: slab.absorption_coefficient(_corrected(t, n) / 100, d),
             *measured,
             p.CRYSTAL_MM,
         ),
@@ -336,8 +334,8 @@ def inconsistencies() -> tuple[str, ...]:
     """One sentence for each contradiction within the article."""
     path = p.CRYSTAL_MM.value
     corrected = _corrected(p.MEASURED_TRANSMITTANCE.value, p.N_CRYSTAL.value)
-    from_t = absorption_coefficient(p.NOMINAL.transmittance_percent.value / 100, path)
-    from_alpha = 100 * transmittance(p.NOMINAL.alpha_abs_per_cm.value, path)
+    from_t = slab.absorption_coefficient(p.NOMINAL.transmittance_percent.value / 100, path)
+    from_alpha = 100 * slab.transmittance(p.NOMINAL.alpha_abs_per_cm.value, path)
     gel_index = p.N_CRYSTAL.value / p.N_GEL.value
     relative = _signals_alone()
     per_eta = relative * p.CAWO4_EFFICIENCY.value / p.EFFICIENCY.value * p.CAWO4_ETA.value / 100
@@ -346,7 +344,7 @@ def inconsistencies() -> tuple[str, ...]:
         f"Eq. 4: T = 96.0 % over 10 mm is {from_t:.4f} /cm; the article writes 0.039, which is "
         f"T = {from_alpha:.1f} %.",
         f"Sec. 4: 76 % corrected for multiple reflection at n = 2.01 is T = {corrected:.1f} % "
-        f"({absorption_coefficient(corrected / 100, path):.3f} /cm), not 96 % (0.039 /cm).",
+        f"({slab.absorption_coefficient(corrected / 100, path):.3f} /cm), not 96 % (0.039 /cm).",
         'Eq. 5: the right-hand side reads "eta_1/eta_1"; it means eta_1/eta_2.',
         f"Eq. 6: with the stated n = 1.38 it gives "
         f"{100 * escape_fraction(p.RELATIVE_INDEX_GEL.value):.1f} %; the printed 15.6 % is that "

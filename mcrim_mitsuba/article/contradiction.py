@@ -29,12 +29,7 @@ from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.rival_causes import UNKNOWN
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
-from mcrim_mitsuba.optics.slab_transmittance import (
-    absorption_coefficient,
-    internal_transmittance,
-    measured_transmittance,
-    transmittance,
-)
+from mcrim_mitsuba.optics import slab_transmittance as slab
 from mcrim_mitsuba.output.sentences import IN_NO_CATALOGUE, told_apart
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
@@ -166,8 +161,8 @@ def _transmittance_rows(etas: Mapping[str, float]) -> Iterator[ArticleRow]:
     yield compare(
         "alpha_scat + alpha_abs that the transmittance allows",
         p.ALPHA_SCAT,
-        absorption_coefficient(
-            internal_transmittance(measured, p.N_CRYSTAL.value), p.CRYSTAL_MM.value
+        slab.absorption_coefficient(
+            slab.internal_transmittance(measured, p.N_CRYSTAL.value), p.CRYSTAL_MM.value
         ),
         inconsistent=True,
         remark="the article fits 0.54 /cm of scattering alone",
@@ -208,8 +203,8 @@ def _fit_rows(contradiction: Contradiction) -> Iterator[ArticleRow]:
 def _predicted() -> float:
     """The transmittance that the article's own coefficients leave."""
     fitted = p.ALPHA_SCAT.value + p.NOMINAL.alpha_abs_per_cm.value
-    internal = transmittance(fitted, p.CRYSTAL_MM.value)
-    return float(measured_transmittance(internal, p.N_CRYSTAL.value))
+    internal = slab.transmittance(fitted, p.CRYSTAL_MM.value)
+    return float(slab.measured_transmittance(internal, p.N_CRYSTAL.value))
 
 
 def _as_pull(fit: Calibration) -> str:

@@ -119,7 +119,7 @@ YIELD: Entries = {
 }
 #: Of ``[light_yield]`` of the campaign's own crystal.
 CRYSTAL: Entries = {
-    "material": {"type": "string", "description": "What the crystal is made of, such as CaMoO4"},
+    "material": {"type": "string", "description": "What the crystal is made of, such as CaMoO4"}
 }
 #: What a detector's efficiency is measured with.
 EFFICIENCY_OF = "efficiency_of"
@@ -143,7 +143,7 @@ SHARED: Entries = {
         "Relative error of the efficiency that all samples share, such as the tube's scale",
         exclusiveMinimum=0,
         exclusiveMaximum=1,
-    ),
+    )
 }
 #: Of ``[samples.NAME.light_yield]``, besides `YIELD`.
 KNOWN: Entries = {

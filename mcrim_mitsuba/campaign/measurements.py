@@ -10,24 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from mcrim_mitsuba.core import files, table_text
 from mcrim_mitsuba.core.errors import InputError, closest, did_you_mean
-from mcrim_mitsuba.core.files import (
-    beside,
-    first_duplicates,
-    is_there,
-    look_around,
-    read_table_text,
-    resolved,
-)
 from mcrim_mitsuba.core.numbers import Value, parse_number
-from mcrim_mitsuba.core.table_text import (
-    csv_cells,
-    given_separator,
-    has_decimal_commas,
-    is_number,
-    shown,
-    without_empty_end,
-)
+from mcrim_mitsuba.core.table_text import is_number, shown
 from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, refused_of_beam
 from mcrim_mitsuba.scene.values import parse_like
 
@@ -162,7 +148,9 @@ def read_table(path: str | Path, scene_parameters: Mapping[str, Value]) -> Measu
     comments, lines, separator = _text_of(path)
     header_line, header = lines[0]
     separator = separator or max(",;\t", key=header.count)
-    columns = without_empty_end(csv_cells(header, path, header_line, separator, skip_blanks=True))
+    columns = table_text.without_empty_end(
+        table_text.csv_cells(header, path, header_line, separator, skip_blanks=True)
+    )
     if KIND in columns:
         scene_parameters = {**scene_parameters, **BEAM_PARAMETERS}
     _check_header(columns, scene_parameters, path, header_line)
@@ -172,7 +160,7 @@ def read_table(path: str | Path, scene_parameters: Mapping[str, Value]) -> Measu
         return InputError(problem, mend, path=path, line=line, column=column)
 
     numbers = [(cells.line, *number) for cells in rows for number in cells.numbers.items()]
-    if has_decimal_commas(numbers, refusal):
+    if table_text.has_decimal_commas(numbers, refusal):
         for cells in rows:
             cells |= {name: cell.replace(",", ".") for name, cell in cells.numbers.items()}
     table = Measurements(
@@ -193,8 +181,8 @@ def _text_of(path: Path) -> tuple[tuple[str, ...], list[tuple[int, str]], str | 
     """
     comments: list[str] = []
     lines: list[tuple[int, str]] = []
-    texts = read_table_text(path, _LIMIT_MB).split("\n")
-    if separator := given_separator(texts[0]):
+    texts = files.read_table_text(path, _LIMIT_MB).split("\n")
+    if separator := table_text.given_separator(texts[0]):
         texts[0] = ""
     for line, text in enumerate(texts, start=1):
         # spreadsheets write empty rows as ,,, fill rows with these, and put quotes around comments;
@@ -249,10 +237,10 @@ class _Cells(dict[str, str]):
         self, columns: list[str], text: str, separator: str, path: Path, line: int
     ) -> None:
         self.path, self.line = path, line
-        cells = csv_cells(text, path, line, separator, skip_blanks=True)
+        cells = table_text.csv_cells(text, path, line, separator, skip_blanks=True)
         if len(cells) <= _MOST_COLUMNS:
             # spreadsheets fill rows up
-            cells = cells[: max(len(columns), len(without_empty_end(cells)))]
+            cells = cells[: max(len(columns), len(table_text.without_empty_end(cells)))]
         if len(cells) != len(columns):
             problem = f"{len(cells)} cells under {len(columns)} columns"
             mend = "give each column one cell"
@@ -334,10 +322,10 @@ class _Cells(dict[str, str]):
             if self.get(number):
                 problem = f"{number} beside a histogram, which gives it"
                 raise self.refusal(number, problem, f"empty the cell, or that of {_HISTOGRAM}")
-        path = beside(self.path, name)
-        if not is_there(path):
+        path = files.beside(self.path, name)
+        if not files.is_there(path):
             problem = f"{name} does not exist"
-            mend = look_around(path, f"paths are relative to {self.path.name}")
+            mend = files.look_around(path, f"paths are relative to {self.path.name}")
             raise self.refusal(_HISTOGRAM, problem, mend)
         return path
 
@@ -436,13 +424,13 @@ def _check_labels(table: Measurements) -> None:
 def _check_histograms(table: Measurements) -> None:
     """Refuse a histogram that two rows name: a measurement counts once."""
     named = [(row, row.histogram) for row in table.readings if row.histogram is not None]
-    duplicates = first_duplicates([file for _, file in named])
+    duplicates = files.first_duplicates([file for _, file in named])
     if duplicates is None:
         return
     (first, first_file), (row, file) = (named[place] for place in duplicates)
     how = (
         f"is named on line {first.line} already"
-        if resolved(first_file) == resolved(file)
+        if files.resolved(first_file) == files.resolved(file)
         else f"holds the same bytes as {first_file.name} on line {first.line}"
     )
     problem = f"{file.name} {how}"

@@ -7,15 +7,9 @@ from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 
 from mcrim_mitsuba.campaign import entries as schema
+from mcrim_mitsuba.campaign import raw_data
 from mcrim_mitsuba.campaign.entries import SOURCE_DEPTH, choice
 from mcrim_mitsuba.campaign.measurements import Measurements, Reading
-from mcrim_mitsuba.campaign.raw_data import (
-    read_absorption,
-    read_efficiency,
-    read_source_depth,
-    refuse_misplaced,
-    with_numbers,
-)
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_bytes, sha256
 from mcrim_mitsuba.core.numbers import ALPHA_ABS
@@ -228,16 +222,16 @@ def reduce_raw_data(
     The last is None where there is nothing to reduce.
     Raises InputError with the line, if an entry or a file with raw data cannot be used.
     """
-    refuse_misplaced(document)
+    raw_data.refuse_misplaced(document)
     shape = choice(document.table(schema.HISTOGRAMS, schema.PEAKS), "shape", schema.PEAKS)
-    efficiency = read_efficiency(document.table(schema.YIELD_TABLE))
+    efficiency = raw_data.read_efficiency(document.table(schema.YIELD_TABLE))
     light = None if efficiency is None else efficiency.light
-    absorption = read_absorption(document, light, scene)
-    source_depth = read_source_depth(document)
+    absorption = raw_data.read_absorption(document, light, scene)
+    source_depth = raw_data.read_source_depth(document)
     readings, reduced = _reduce_table(table, shape or AUTO)
     measurements = table.with_readings(readings)
     if not (reduced or efficiency or absorption or source_depth):
-        return with_numbers(document, {}), measurements, None
+        return raw_data.with_numbers(document, {}), measurements, None
     names = [source_depth and source_depth.formula]
     names.append(document.table(f"parameters.{ALPHA_ABS}").get("n"))
     material = next((n for n in names if isinstance(n, str) and is_known(n)), None)
@@ -245,7 +239,7 @@ def reduce_raw_data(
         reduced, efficiency, absorption, source_depth, material=material, numbers={}, files=()
     )
     raw = replace(raw, numbers=_numbers(document, raw), files=tuple(_files(raw)))
-    return with_numbers(document, raw.numbers), measurements, raw
+    return raw_data.with_numbers(document, raw.numbers), measurements, raw
 
 
 def _numbers(document: TomlDocument, raw: RawData) -> dict[str, float]:

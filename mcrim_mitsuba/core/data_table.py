@@ -25,26 +25,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mcrim_mitsuba.core import table_text
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import read_table_text
 from mcrim_mitsuba.core.numbers import LARGEST, SMALLEST
 from mcrim_mitsuba.core.rounding import counted
-from mcrim_mitsuba.core.table_text import (
-    BLANKS,
-    SEPARATE,
-    given_separator,
-    has_decimal_commas,
-    is_number,
-    is_spoilt,
-    name_and_unit,
-    names_of,
-    separator_of,
-    shown,
-    split,
-    unit_alone,
-    what_is_wrong,
-    without_empty_end,
-)
+from mcrim_mitsuba.core.table_text import BLANKS, SEPARATE, is_number, shown
 
 _MOST_LINES = 2_000_000
 _LONGEST_LINE = 100_000
@@ -113,12 +99,12 @@ def read_data_table(
     if long is not None:
         problem = f"a line of more than {_LONGEST_LINE:,} characters"
         raise InputError(problem, "write one row a line", path=path, line=long + 1)
-    given = given_separator(texts[0])
+    given = table_text.given_separator(texts[0])
     if given:
         texts[0] = ""
     numbered = list(_whole_lines(texts))
     plain = [text for _, text in numbered if text.strip() and not _is_comment(text)]
-    separator = given or separator_of(plain)
+    separator = given or table_text.separator_of(plain)
     lines = [_line_of(number, text, separator) for number, text in numbered]
     first, last = _longest_run(lines, path, roles)
     rows = [line for line in lines[first:last] if line.kind == ROW]
@@ -151,24 +137,24 @@ def _names(
 ) -> tuple[tuple[str, ...] | None, tuple[str | None, ...], set[int]]:
     """Names and units of the columns, and the numbers of the lines that hold them."""
     above = [line for line in reversed(lines) if line.kind in (TEXT, COMMENTED)][:2]
-    rows = [names_of(_bare(line.text), separator, columns) for line in above]
+    rows = [table_text.names_of(_bare(line.text), separator, columns) for line in above]
     if not above or rows[0] is None:
         if above and above[0].kind == TEXT:
             _refuse_other_columns(above[0], separator, columns, path)
         return None, (None,) * columns, set()
-    alone = [unit_alone(cell) for cell in rows[0]]
+    alone = [table_text.unit_alone(cell) for cell in rows[0]]
     of_units = any(alone) and all(
         unit or not cell or cell.lower() in _COUNTED
         for unit, cell in zip(alone, rows[0], strict=True)
     )
     if of_units and len(rows) > 1 and rows[1] is not None:
-        named = [name_and_unit(cell) for cell in rows[1]]
+        named = [table_text.name_and_unit(cell) for cell in rows[1]]
         units = tuple(
             unit or unit_of_name for unit, (_, unit_of_name) in zip(alone, named, strict=True)
         )
         used = above
     else:
-        named = [name_and_unit(cell) for cell in rows[0]]
+        named = [table_text.name_and_unit(cell) for cell in rows[0]]
         units = tuple(unit for _, unit in named)
         used = above[:1]
     header = {line.number for line in used if line.kind == TEXT}
@@ -177,8 +163,8 @@ def _names(
 
 def _refuse_other_columns(line: _Line, separator: str, columns: int, path: Path) -> None:
     """Refuse a line of names with units that are more or fewer than the columns."""
-    cells = without_empty_end(split(line.text, separator))
-    if any(name_and_unit(cell)[1] is not None for cell in cells):
+    cells = table_text.without_empty_end(table_text.split(line.text, separator))
+    if any(table_text.name_and_unit(cell)[1] is not None for cell in cells):
         raise InputError(
             f"{counted(len(cells), 'name')} above {counted(columns, 'column')}",
             "give every column one name, "
@@ -211,7 +197,7 @@ def _refuse_uncertain_commas(rows: list[_Line], names: Sequence[str] | None, pat
 def _numbers(rows: list[_Line], columns: _Columns) -> NDArray[np.float64]:
     """(rows, columns) of the cells, one decimal sign all through."""
     placed = ((row.number, i, cell) for row in rows for i, cell in enumerate(row.cells))
-    comma = has_decimal_commas(placed, columns.refusal)
+    comma = table_text.has_decimal_commas(placed, columns.refusal)
     cells = (cell.replace(",", ".") if comma else cell for row in rows for cell in row.cells)
     values = np.fromiter(map(float, cells), float).reshape(len(rows), -1)
     sizes = np.abs(values)
@@ -295,13 +281,13 @@ def _line_of(number: int, text: str, separator: str) -> _Line:
         return _Line(number, BLANK, text, [], 0)
     if _is_comment(text):
         return _Line(number, COMMENTED, text, [], 0)
-    every = split(text, separator)
-    cells = without_empty_end(every)
+    every = table_text.split(text, separator)
+    cells = table_text.without_empty_end(every)
     if not cells:
         kind = BLANK
     elif all(map(is_number, cells)):
         kind = ROW
-    elif is_spoilt(cells[0]) or is_number(cells[0]):
+    elif table_text.is_spoilt(cells[0]) or is_number(cells[0]):
         kind = SPOILT
     else:
         kind = TEXT
@@ -396,4 +382,4 @@ def _spoilt(line: _Line, columns: _Columns) -> InputError:
     """The refusal of a line's first cell that is no number."""
     cells = line.cells + [""] * (columns.number - len(line.cells))
     column = next(i for i, cell in enumerate(cells) if not is_number(cell))
-    return columns.refusal(*what_is_wrong(cells[column]), line.number, column)
+    return columns.refusal(*table_text.what_is_wrong(cells[column]), line.number, column)

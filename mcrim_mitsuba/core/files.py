@@ -52,10 +52,7 @@ LIFT_LIMIT = "lift the limit on the size of files (ulimit -f)"
 #: What else helps, by the operating system's error.
 _MENDS = dict.fromkeys(
     (errno.ENOSPC, errno.EDQUOT), "free some space, or name a file on another disk"
-) | {
-    errno.ENAMETOOLONG: "give it a shorter name",
-    errno.EFBIG: LIFT_LIMIT,
-}
+) | {errno.ENAMETOOLONG: "give it a shorter name", errno.EFBIG: LIFT_LIMIT}
 _DEVICES = (Path("/dev"), *_DESCRIPTORS)
 _MOST_LINKS = 40
 _NEVER = (".xml", ".toml")  # a slip of the hand: results would replace a scene or a campaign

@@ -175,8 +175,7 @@ Named = TypeVar("Named", int, str)
 
 
 def has_decimal_commas(
-    cells: Iterable[tuple[int, Named, str]],
-    refusal: Callable[[str, str, int, Named], InputError],
+    cells: Iterable[tuple[int, Named, str]], refusal: Callable[[str, str, int, Named], InputError]
 ) -> bool:
     """Whether the numbers of a table have decimal commas: one sign all through.
 

@@ -17,13 +17,8 @@ from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, read_toml
 from mcrim_mitsuba.laboratory.error_budget import Uncertain, quotient
-from mcrim_mitsuba.optics.spectrum import (
-    Spectrum,
-    WeightedMean,
-    cut_off_note,
-    detected_light,
-    weighted_mean,
-)
+from mcrim_mitsuba.optics import spectrum
+from mcrim_mitsuba.optics.spectrum import Spectrum, WeightedMean
 
 #: Relative error of a tube's quantum efficiency, common to all wavelengths (article, Sec. 4).
 TUBE_SCALE_SIGMA = 0.05
@@ -73,7 +68,7 @@ class DetectorEfficiency:
     @property
     def light(self) -> Spectrum:
         """The emission as the detector sees it."""
-        return detected_light(self.emission, self.quantum_efficiency)
+        return spectrum.detected_light(self.emission, self.quantum_efficiency)
 
 
 def detector_efficiency(
@@ -91,7 +86,7 @@ def detector_efficiency(
     if not 0 <= scale_sigma < 1:
         problem = f"the tube's scale error is {scale_sigma:g}"
         raise InputError(problem, "give a relative error: 0.05 for 5 %")
-    mean = weighted_mean(emission, quantum_efficiency, "the quantum efficiency")
+    mean = spectrum.weighted_mean(emission, quantum_efficiency, "the quantum efficiency")
     if not mean.value > 0:
         problem = "the quantum efficiency is 0 wherever the crystal emits"
         raise quantum_efficiency.refusal(problem, "check both tables")
@@ -105,7 +100,8 @@ def detector_efficiency(
         "emission": (emission, mean.emission_sigma, mean.emission_derivatives),
         "quantum efficiency": (quantum_efficiency, mean.quantity_sigma, mean.quantity_derivatives),
     }
-    notes = [*emission.notes, *quantum_efficiency.notes, *mean.notes, cut_off_note(emission)]
+    cut_off = spectrum.cut_off_note(emission)
+    notes = [*emission.notes, *quantum_efficiency.notes, *mean.notes, cut_off]
     notes += [_note_on_points(what, mean.value, *of_curve) for what, of_curve in points.items()]
     return DetectorEfficiency(
         value=mean.value,
