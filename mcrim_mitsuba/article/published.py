@@ -16,7 +16,7 @@ from typing import NamedTuple, SupportsFloat
 
 from mcrim_mitsuba.laboratory.error_budget import Uncertain
 
-_PRINTED = re.compile(r"(?P<value>\d+(\.\d+)?)(±(?P<sigma>\d+(\.\d+)?))?")
+_PRINTED = re.compile(r"(?P<value>\d+(\.\d+)?)(±(?P<sigma>\d+(\.\d+)?)|-(?P<high>\d+(\.\d+)?))?")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,16 +44,20 @@ class Printed:
 
 
 def printed(text: str, where: str, unit: str = "") -> Printed:
-    """A number from its characters; ValueError if they are not ``value`` or ``value±error``."""
+    """A number from its characters, or a range, ``0.3-0.4``: anything within it agrees.
+
+    Raises ValueError if they are not ``value``, ``value±error`` or ``low-high``.
+    """
     match = _PRINTED.fullmatch(text)
     if match is None:
         raise ValueError(f"{text!r} is not a number with or without an error")
-    sigma = match["sigma"]
+    sigma, low = match["sigma"], float(match["value"])
+    high = float(match["high"] or low)
     decimals = len(match["value"].partition(".")[2])
     return Printed(
         text=text,
-        value=float(match["value"]),
-        rounding=0.5 * 10.0**-decimals,
+        value=(low + high) / 2,
+        rounding=(high - low) / 2 or 0.5 * 10.0**-decimals,
         sigma=None if sigma is None else float(sigma),
         where=where,
         unit=unit,
@@ -80,13 +84,6 @@ def from_printed(formula: Callable[..., SupportsFloat], *inputs: Printed) -> Der
         shifted[place] += number.rounding
         rounding += abs(float(formula(*shifted)) - value)
     return Derived(value, rounding)
-
-
-def printed_range(low: str, high: str, where: str, unit: str = "") -> Printed:
-    """A range, ``0.3-0.4``: anything within it agrees."""
-    middle, half = (float(low) + float(high)) / 2, (float(high) - float(low)) / 2
-    text = f"{low}-{high}"
-    return Printed(text=text, value=middle, rounding=half, sigma=None, where=where, unit=unit)
 
 
 class Table1Line(NamedTuple):
@@ -145,7 +142,7 @@ SIGNAL_AIR = printed("14.3±0.2", "Sec. 6.1", "photons")
 SIGNAL_GEL = printed("24.5±0.4", "Sec. 6.1", "photons")
 RATIO = printed("0.583±0.012", "Sec. 6.2")
 ALPHA_SCAT = printed("0.54±0.10", "Sec. 6.2", "1/cm")
-GEL_MAXIMUM = printed_range("0.3", "0.4", "Sec. 6.2", "1/cm")
+GEL_MAXIMUM = printed("0.3-0.4", "Sec. 6.2", "1/cm")
 #: Above it eta_air shows "little change".
 FLAT_ABOVE = printed("0.5", "Sec. 6.2", "1/cm")
 SCANNED_FROM = printed("0.01", "Sec. 6.2", "1/cm")
@@ -179,7 +176,7 @@ SIMPLE_COMPARISON = printed("5.6", "Sec. 6.4", "ph/keV")
 WRAPPED_ETA = printed("56", "Sec. 6.5", "%")
 TEFLON_LOW = printed("0.95", "Sec. 2")
 TEFLON_HIGH = printed("0.98", "Sec. 2")
-TEFLON = printed_range("0.95", "0.98", "Sec. 2")
+TEFLON = printed("0.95-0.98", "Sec. 2")
 KIM_MEASURED = printed("3.5", "Sec. 6.5", "ph/keV")
 KIM_ASSUMED_ETA = printed("90", "Sec. 6.5", "%")
 KIM_EFFICIENCY = printed("80", "Sec. 6.5", "%")
@@ -214,7 +211,7 @@ QUOTED = (
     (printed("1.9", "Sec. 6.5"), "index below which 90 % may do"),
     (ROUGHNESS_NM, "roughness of the polish"),
     (EMISSION_NM, "maximum of the emission"),
-    (printed_range("400", "650", "Sec. 6.2", "nm"), "range of the transmittances"),
+    (printed("400-650", "Sec. 6.2", "nm"), "range of the transmittances"),
     (printed("5", "Sec. 4", "%"), "error of the quantum efficiency"),
     (printed("10", "Sec. 4", "min"), "duration of each of 4 data sets"),
     (printed("60", "Sec. 6.2", "%"), "eta of BGO with gel, [15]"),

@@ -149,9 +149,7 @@ def with_known_physics(campaign: Campaign) -> Campaign:
         return campaign
     crystal = KnownCrystal.of(campaign, name, assumed=False).left_out_of(campaign)
     words = [
-        " ".join(
-            [campaign.catalogue[effect].title, *(f"({n} = {v:.4g})" for n, v in sizes.items())]
-        )
+        campaign.catalogue[effect].title + "".join(f" ({n} = {v:.4g})" for n, v in sizes.items())
         for effect, sizes in crystal.effects.items()
     ]
     words += [

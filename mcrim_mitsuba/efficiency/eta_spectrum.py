@@ -152,10 +152,8 @@ class _Plan:
         nodes = np.array([mean_nm])
         if bending:
             nodes = 1.0 / np.sqrt(chebyshev_nodes(1.0 / at[-1] ** 2, 1.0 / at[0] ** 2, NODES))
-        benches = []
-        for nm in nodes.tolist():
-            values = light.at(nm)
-            benches.append(scene.with_overrides({name: values[name] for name in bending}))
+        values = [light.at(nm) for nm in nodes.tolist()]
+        benches = [scene.with_overrides({name: at[name] for name in bending}) for at in values]
         return cls(asked, points, nodes, benches)
 
 

@@ -27,7 +27,6 @@ from mcrim_mitsuba.article.published import (
     REFERENCE,
     compare,
     printed,
-    printed_range,
 )
 from mcrim_mitsuba.article.reproduce import reproduce_article
 from mcrim_mitsuba.article.simulated import article_campaign
@@ -80,7 +79,7 @@ def test_printed_numbers_know_their_rounding():
     number = printed("0.54±0.10", "Sec. 6.2", "1/cm")
     assert (number.value, number.sigma, number.rounding) == (0.54, 0.10, 0.005)
     assert printed("76", "Sec. 4").rounding == 0.5
-    middle = printed_range("0.3", "0.4", "Sec. 6.2")
+    middle = printed("0.3-0.4", "Sec. 6.2")
     assert (middle.value, middle.rounding) == (pytest.approx(0.35), pytest.approx(0.05))
     with pytest.raises(ValueError):
         printed("about 5", "nowhere")
