@@ -53,7 +53,7 @@ class EtaTable(OverAxes):
     #: float64 over `axes`, and its Monte Carlo standard error.
     eta: NDArray[np.float64]
     eta_sigma: NDArray[np.float64]
-    #: Of the photons that the points rest on.
+    #: How many of the photons that the points rest on the cache had.
     cached_photons: int
     #: What the reader must know before using the numbers.
     notes: tuple[str, ...] = ()
