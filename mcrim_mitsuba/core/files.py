@@ -13,7 +13,7 @@ import select
 import stat
 import sys
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import fields, is_dataclass
 from operator import attrgetter
@@ -449,43 +449,32 @@ def _refuse_output(option: str, path: Path, inputs: list[Path], wanted: tuple[st
     """Refuse one output file by what is there now."""
     suffix, json_only = path.suffix.lower(), option == "--json"
     refused = (*_NEVER, ".csv") if json_only else _NEVER
-    kind = {".xml": "a scene", ".toml": "a campaign"}.get(suffix, "a table")
-
-    def replaces_an_input() -> bool:
+    try:
         there = [file for file in inputs if file.exists()]
-        folders = (resolved(file) for file in there if file.is_dir())
-        return any(resolved(path).is_relative_to(folder) for folder in folders) or any(
-            path.exists() and path.samefile(file) for file in there
-        )
-
-    def may_not_be_written() -> bool:
-        replaced = path if _is_device(path) else _target(path).parent
-        return not os.access(replaced, os.W_OK) or (path.exists() and not os.access(path, os.W_OK))
-
-    # in this order, and each only where those before it are in order
-    checks: tuple[tuple[Callable[[], bool], str, str], ...] = (
-        (path.is_dir, f"{option} names a folder", "name a file in it"),
-        (replaces_an_input, f"{option} would replace what this command reads", "name another file"),
-        (
-            lambda: suffix in refused and suffix not in wanted,
-            f"{option} would write a result under the name of {kind}",
-            f"let the name end in {'.json' if json_only else '.csv'}",
-        ),
-        (
-            lambda: not _target(path).parent.is_dir(),
-            f"the folder {path.parent} does not exist",
-            "make it or name another",
-        ),
-        (lambda: path.parent in _DEVICES and not path.exists(), "there is no such device", _MEND),
-        (may_not_be_written, "cannot be written (no permission)", _MEND),
-    )
-    for is_wrong, problem, mend in checks:
-        try:
-            wrong = is_wrong()
-        except (OSError, ValueError) as error:
-            raise _not_written(path, error) from None
-        if wrong:
-            raise InputError(problem, mend, path=path)
+        folders = [resolved(file) for file in there if file.is_dir()]
+        if path.is_dir():
+            wrong = f"{option} names a folder", "name a file in it"
+        elif any(map(resolved(path).is_relative_to, folders)) or (
+            path.exists() and any(map(path.samefile, there))
+        ):
+            wrong = f"{option} would replace what this command reads", "name another file"
+        elif suffix in refused and suffix not in wanted:
+            kind = {".xml": "a scene", ".toml": "a campaign"}.get(suffix, "a table")
+            mend = f"let the name end in {'.json' if json_only else '.csv'}"
+            wrong = f"{option} would write a result under the name of {kind}", mend
+        elif not _target(path).parent.is_dir():
+            wrong = f"the folder {path.parent} does not exist", "make it or name another"
+        elif path.parent in _DEVICES and not path.exists():
+            wrong = "there is no such device", _MEND
+        elif not os.access(path if _is_device(path) else _target(path).parent, os.W_OK) or (
+            path.exists() and not os.access(path, os.W_OK)
+        ):
+            wrong = "cannot be written (no permission)", _MEND
+        else:
+            return
+    except (OSError, ValueError) as error:
+        raise _not_written(path, error) from None
+    raise InputError(*wrong, path=path)
 
 
 def _is_device(path: Path) -> bool:

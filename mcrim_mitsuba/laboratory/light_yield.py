@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -252,12 +252,19 @@ class RelativeMeasurement:
         Raises InputError if a value is not above 0; ValueError if a shared error is larger than
         that of a crystal.
         """
-        return self._eq_7(self.shared)
+        crystals = [
+            _known(crystal[name], origin, whose, name, self.shared.get(name, 0.0))
+            for crystal, whose in ((self.sample, SAMPLE), (self.reference, REFERENCE))
+            for name, origin in QUANTITIES.items()
+        ]
+        value, sigma = self.reference_yield
+        crystals.append(Uncertain(value, systematic={"reference light yield": sigma}))
+        return light_yield_by_reference(*crystals)
 
     @property
     def uncorrelated(self) -> Uncertain:
         """`light_yield` with the errors that follow if nothing is taken to be shared."""
-        return self._eq_7({})
+        return replace(self, shared={}).light_yield
 
     @property
     def equal_collection(self) -> float:
@@ -269,16 +276,6 @@ class RelativeMeasurement:
     def signals_alone(self) -> float:
         """The yield if the detector efficiencies were the same as well."""
         return self.reference_yield[0] * self.sample["signal"][0] / self.reference["signal"][0]
-
-    def _eq_7(self, shared: Mapping[str, float]) -> Uncertain:
-        crystals = [
-            _known(crystal[name], origin, whose, name, shared.get(name, 0.0))
-            for crystal, whose in ((self.sample, SAMPLE), (self.reference, REFERENCE))
-            for name, origin in QUANTITIES.items()
-        ]
-        value, sigma = self.reference_yield
-        crystals.append(Uncertain(value, systematic={"reference light yield": sigma}))
-        return light_yield_by_reference(*crystals)
 
 
 def read_comparison(path: str | Path) -> RelativeMeasurement:
