@@ -47,12 +47,10 @@ _TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2)
 def draw_figures(
     folder: str | Path, lines: Sequence[SimulatedLine], contradiction: Contradiction
 ) -> tuple[Path, ...]:
-    """Write the figures and their numbers.
+    """Write the figures and their numbers into a folder, which is made if it is not there.
 
-    Fig. 2 is drawn from synthetic histograms with the article's centroids: it prints none. The
-    folder is made if it is not there.
-
-    Raises InputError if the folder cannot be written to.
+    Fig. 2 is drawn from synthetic histograms with the article's centroids: it prints none. Raises
+    InputError if the folder cannot be written to.
     """
     folder = make_folder(folder)
     drawings = {
@@ -88,10 +86,7 @@ def _points(line: SimulatedLine, place: int) -> Iterator[tuple[float, ...]]:
 
 @style.styled
 def draw_efficiency(lines: Sequence[SimulatedLine]) -> style.Drawing:
-    """Fig. 3: eta against alpha_scat for two couplings and three transmittances.
-
-    Ours stands beside the points of the article's Table 1.
-    """
+    """Fig. 3: eta against alpha_scat for two couplings and three transmittances; Table 1 beside."""
     rows = [
         (polarised, n_gap, *point)
         for polarised in (True, False)

@@ -72,10 +72,7 @@ class Derived(NamedTuple):
 
 
 def from_printed(formula: Callable[..., SupportsFloat], *inputs: Printed) -> Derived:
-    """A formula's value at printed numbers.
-
-    Its rounding is the sum over the inputs of the change when each is moved by its own.
-    """
+    """A formula's value at printed numbers, and the sum of what rounding each one moves it by."""
     values = [number.value for number in inputs]
     value = float(formula(*values))
     rounding = 0.0

@@ -178,8 +178,7 @@ def beam_notes(raw: RawData, alpha_scat_per_cm: float) -> list[str]:
 def plain_texts(campaign: Campaign, target: Path, measurements: Path) -> tuple[str, str]:
     """The texts of a campaign file and of its measurement file, without raw data.
 
-    Paths in them are relative to the folders of `target` and `measurements`, where they will be
-    written.
+    Paths in them are relative to the folders where these two will be written.
     """
     raw = campaign.raw
     assert raw is not None

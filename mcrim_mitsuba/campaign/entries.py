@@ -277,10 +277,7 @@ _BEYOND = {
 
 
 def number_within(table: TomlTable, name: str, entries: Entries) -> float | None:
-    """A number that is within its entry's limits; None if it is not there.
-
-    Raises InputError with the line, if it is something else.
-    """
+    """A number within its entry's limits, None without it; raises InputError with the line."""
     value = table.number(name)
     kinds = entries[name].get("anyOf", [entries[name]])
     limits = next(kind for kind in kinds if kind.get("type") == "number")
@@ -293,10 +290,7 @@ def number_within(table: TomlTable, name: str, entries: Entries) -> float | None
 
 
 def choice(table: TomlTable, name: str, entries: Entries) -> str | None:
-    """The word of an entry that takes one of a few; None if it is not there.
-
-    Raises InputError with the line, if it is something else.
-    """
+    """One of the words that an entry takes, None without it; raises InputError with the line."""
     word, words = table.get(name), entries[name]["enum"]
     if word is None or word in words:
         return word

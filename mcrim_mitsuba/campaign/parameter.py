@@ -93,9 +93,7 @@ def read_parameter(
     ranges: Mapping[str, KnownRange],
     within: str = "parameters",
 ) -> CampaignParameter:
-    """Read ``[parameters.NAME]`` and check it by itself and against scene and columns.
-
-    Or a table of that name within another one than ``[parameters]``.
+    """Read ``[parameters.NAME]``, or NAME `within` another table, and check it beside the rest.
 
     What the table leaves out, or all if there is none: start and bounds are the catalogue's for
     parameters of effects (`ranges`); else the start is the scene's value, the bounds are the
@@ -336,10 +334,7 @@ def read_light_yield(
 def read_detector(
     document: TomlDocument, scene: SceneFile, measurements: Measurements
 ) -> DetectorTerms:
-    """What ``[light_yield]`` says of the detector, and the scene of its window.
-
-    Raises InputError with the line, if an entry is impossible.
-    """
+    """What ``[light_yield]``, and the scene of the window, say; raises InputError with the line."""
     table = document.table(schema.YIELD_TABLE)
     names = (schema.COLLECTION, schema.COLLECTION_SIGMA)
     collection, sigma = (number_within(table, name, schema.DETECTOR) for name in names)

@@ -265,10 +265,7 @@ def _has(table: TomlTable, raw: str, belonging: Iterable[str], replaced: Iterabl
 
 
 def file_in(table: TomlTable, name: str, given: Any) -> Path:
-    """A file that an entry names.
-
-    Raises InputError with the line, if it does not exist.
-    """
+    """A file that an entry names; raises InputError with the line, if it does not exist."""
     path = table.path_of(name, given)
     if not is_there(path):
         problem = f"{path} does not exist"

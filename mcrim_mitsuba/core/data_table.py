@@ -297,9 +297,8 @@ def _line_of(number: int, text: str, separator: str) -> _Line:
 def _longest_run(lines: Sequence[_Line], path: Path, roles: Sequence[str]) -> tuple[int, int]:
     """Where the table begins and ends: most rows with the same number of cells, uninterrupted.
 
-    Of two runs as long, the one whose number of cells more rows of the file have.
-
-    Raises InputError if no line is a row of numbers.
+    Of two runs as long, the one whose number of cells more rows of the file have. Raises InputError
+    if no line is a row of numbers.
     """
     rows = Counter(len(line.cells) for line in lines if line.kind == ROW)
     best, start, end, columns, count = (0, 0, 0, 0), 0, 0, 0, 0

@@ -126,10 +126,7 @@ _INVISIBLE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 
 
 def visible(text: object, keep: str = "") -> str:
-    """A text with every control and other invisible character as its code, such as <U+202E>.
-
-    Control characters in `keep`, such as line ends, stay.
-    """
+    """A text with invisible characters, but for those to `keep`, as their codes: <U+202E>."""
     return "".join(
         f"<U+{ord(c):04X}>"
         if unicodedata.category(c) in _INVISIBLE and c not in _JOINERS and c not in keep

@@ -208,10 +208,7 @@ def _checked(text: str, path: Path, mend: str) -> str:
 
 
 def look_around(path: Path, otherwise: str = "check the path") -> str:
-    """Hint for a file that is not there: its likely namesake, or that the folder is missing.
-
-    Where there is none: `otherwise`.
-    """
+    """Hint for a file that is not there: its likely namesake, a missing folder, or `otherwise`."""
     try:
         if not path.parent.is_dir():
             return f"the folder {path.parent} does not exist: check the path"
@@ -263,10 +260,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def make_folder(folder: str | Path) -> Path:
-    """A folder for results, made if it is not there.
-
-    Raises InputError if that cannot be done.
-    """
+    """A folder for results, made if it is not there; raises InputError if that cannot be done."""
     folder = Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -278,10 +272,7 @@ def make_folder(folder: str | Path) -> Path:
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
-    """Write a file so that nobody ever sees half of it.
-
-    Raises InputError if the place cannot be written.
-    """
+    """Write a file so that nobody ever sees half of it; raises InputError if that cannot be."""
     path = Path(path)
     try:
         target = _target(path)
@@ -390,9 +381,8 @@ def differs(path: Path, content: bytes) -> bool:
 def refuse_to_replace(texts: Mapping[Path, str]) -> None:
     """Refuse to write over files that hold something else: somebody's work, perhaps.
 
-    The very same may be there: a line that was interrupted goes on.
-
-    Raises InputError without touching a file.
+    The very same may be there: a line that was interrupted goes on. Raises InputError without
+    touching a file.
     """
     for path, text in texts.items():
         if differs(path, text.encode()):
@@ -504,9 +494,8 @@ def attributes(result: object, names: str) -> dict[str, Any]:
 def plain(value: Any) -> Any:
     """A value in types that JSON has; numbers that are not finite become None.
 
-    Dataclasses and mappings become dicts, sequences and arrays lists, paths text.
-
-    Raises TypeError if it holds something else.
+    Dataclasses and mappings become dicts, sequences and arrays lists, paths text. Raises TypeError
+    if it holds something else.
     """
     if value is None or isinstance(value, (str, bool)):
         return value

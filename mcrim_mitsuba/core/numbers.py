@@ -127,10 +127,7 @@ def whole_of(what: str, value: object, mend: str, least: int, most: float = math
 
 
 def refuse_decimal_comma(what: str, text: str, *, given: bool = False, **place: Any) -> None:
-    """Refuse ``12,5`` and ``12,5%``, with the hint to write a point. Parameters as `parse_number`.
-
-    Raises InputError.
-    """
+    """Refuse ``12,5`` and ``12,5%`` by an InputError with a hint; parameters as `parse_number`."""
     if DECIMAL_COMMA.fullmatch(text.removesuffix("%")):
         problem = f"{as_said(what, text, given)} has a decimal comma"
         raise InputError(problem, f"write a decimal point: {text.replace(',', '.')}", **place)

@@ -41,9 +41,7 @@ class Progress(Protocol):
 
 @dataclass(frozen=True)
 class Run:
-    """What all simulations of a job have in common.
-
-    Who does them is said by `runs.executors`.
+    """What all simulations of a job have in common; who does them is said by `runs.executors`.
 
     Raises InputError if photons, precision or seed are what no run can have.
     """

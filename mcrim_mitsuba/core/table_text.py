@@ -157,9 +157,8 @@ def csv_cells(
 ) -> list[str]:
     """Cells of one line of CSV; a quoted cell cannot go on in the next.
 
-    Quotes may follow a separator and blanks where these are skipped.
-
-    Raises InputError if quotes do not match.
+    Quotes may follow a separator and blanks where these are skipped. Raises InputError if quotes do
+    not match.
     """
     try:
         cells = next(
@@ -218,10 +217,7 @@ def given_separator(line: str) -> str | None:
 
 
 def separator_of(lines: Sequence[str]) -> str:
-    """What separates the columns: the sign by which most lines are rows of numbers.
-
-    `BLANKS` is also the answer for a single column.
-    """
+    """The sign by which most lines are rows of numbers; `BLANKS` for a single column, too."""
     tried = lines[:: -(-len(lines) // _MOST_TRIED)] if lines else lines
     alone = sum(len(text.split()) == 1 and is_number(text.strip(' "\t')) for text in tried)
     scores = {sign: sum(_is_row(text, sign) for text in tried) for sign in _SEPARATORS}

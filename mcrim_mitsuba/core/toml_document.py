@@ -97,10 +97,7 @@ class TomlTable(dict[str, Any]):
         return beside(self.document.path, given)
 
     def number(self, name: str) -> float | None:
-        """A finite number as float; None if it is not there.
-
-        Raises InputError if it is something else.
-        """
+        """A finite number as float, None without it; raises InputError if it is something else."""
         value = self.get(name)
         if value is None:
             return None

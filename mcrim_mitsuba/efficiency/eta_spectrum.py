@@ -208,7 +208,7 @@ def _by_photons(plan: _Plan, run: Run) -> _Batches:
 
 
 def _means(light: EmittedLight, batches: Array) -> dict[str, float]:
-    """Means over the emission spectrum, and their errors, by the names of `SpectralEta`.
+    """Means over the emission spectrum, and their errors, by the names of `EtaSpectrum`.
 
     `batches`, (batches, wavelengths + 1), are efficiencies; the last column is at the mean
     wavelength.
