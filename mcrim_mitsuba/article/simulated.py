@@ -162,30 +162,21 @@ def simulate_article(*, run: Run = Run()) -> Simulated:
     run = replace(run, photons=round(_SINGLE_SHARE * photons), precision=None)
     clear = {ALPHA_SCAT: 0.0, ALPHA_ABS: 0.0, "n_gap": 1.0}
     polarised = {"polarization": True}
+    bare, wrapped = {}, {}
+    for n in (p.N_CRYSTAL.value, p.N_CRYSTAL.value / p.N_GEL.value):
+        what = f"bare crystal, n = {n:.4g}"
+        bare[n] = simulate_bench(BENCH, {**clear, "n_crystal": n}, what, run, _BARE_MAX_DEPTH)
+    for reflectance in WRAP_REFLECTANCES:
+        film = {**polarised, "wrap_reflectance": reflectance}
+        what = f"wrapped cube, reflectance {reflectance:g}"
+        wrapped[reflectance] = simulate_bench(_WRAPPED, film, what, run)
     return Simulated(
         couplings=couplings,
-        bare={
-            n: simulate_bench(
-                BENCH,
-                {**clear, "n_crystal": n},
-                f"bare crystal, n = {n:.4g}",
-                run,
-                max_depth=_BARE_MAX_DEPTH,
-            )
-            for n in (p.N_CRYSTAL.value, p.N_CRYSTAL.value / p.N_GEL.value)
-        },
+        bare=bare,
         thin=simulate_bench(_THIN, polarised, "thin sample", run),
         thin_clear=simulate_bench(_THIN, {**polarised, ALPHA_ABS: 0.0}, "thin sample, clear", run),
         cawo4=simulate_bench(_CAWO4, polarised, "CaWO4", run),
-        wrapped={
-            reflectance: simulate_bench(
-                _WRAPPED,
-                {**polarised, "wrap_reflectance": reflectance},
-                f"wrapped cube, reflectance {reflectance:g}",
-                run,
-            )
-            for reflectance in WRAP_REFLECTANCES
-        },
+        wrapped=wrapped,
         parameters=dict(read_scene(scene_path(BENCH)).parameters),
     )
 
@@ -196,19 +187,18 @@ def _couplings(run: Run) -> dict[bool, Couplings]:
     scanned = p.SCANNED_FROM.value, p.SCANNED_TO.value
     absorptions = [line.alpha_abs_per_cm.value for line in p.TABLE_1]
     points = [(scattering, absorption) for absorption in absorptions for scattering in scanned]
-    surfaces = record_surfaces(
-        [
-            EtaRequest(
-                f"{name}, {'polarised' if polarised else 'unpolarised'}",
-                file.with_overrides({"n_gap": n_gap, "polarization": polarised}),
-                points,
-                run,
-                alpha_abs_range_per_cm=_ABSORPTION_PER_CM,
-            )
-            for polarised in (True, False)
-            for name, n_gap in COUPLINGS.items()
-        ]
-    )
+    requests = [
+        EtaRequest(
+            f"{name}, {'polarised' if polarised else 'unpolarised'}",
+            file.with_overrides({"n_gap": n_gap, "polarization": polarised}),
+            points,
+            run,
+            alpha_abs_range_per_cm=_ABSORPTION_PER_CM,
+        )
+        for polarised in (True, False)
+        for name, n_gap in COUPLINGS.items()
+    ]
+    surfaces = record_surfaces(requests)
     grid, tables = surfaces[0][0].grid, [surface.table for surface, _ in surfaces]
     return {
         polarised: Couplings(polarised, Responses(grid, grid, *stack(pair)))

@@ -186,11 +186,9 @@ def _by_photons(plan: _Plan, run: Run) -> _Batches:
     """Batches of photons; errors as `eta_over`."""
     if run.photons is None and run.precision is None:
         run = replace(run, photons=PHOTONS)
+    benches = zip(plan.nodes_nm, plan.benches, strict=True)
     records = record_surfaces(
-        [
-            EtaRequest(f"{nm:.0f} nm", bench, plan.points, run)
-            for nm, bench in zip(plan.nodes_nm, plan.benches, strict=True)
-        ]
+        [EtaRequest(f"{nm:.0f} nm", bench, plan.points, run) for nm, bench in benches]
     )
     rows = []
     for surface, _ in records:
