@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 
 class Lagrange:
@@ -69,6 +68,9 @@ class Cubics:
     """
 
     def __init__(self, nodes: Sequence[float]) -> None:
+        # takes half of the time of starting a process that simulates, which has no use for it
+        from scipy.interpolate import CubicHermiteSpline
+
         self.nodes = np.array(nodes, dtype=np.float64)
         order = np.argsort(self.nodes)
         rising, units = self.nodes[order], np.eye(len(order))[order]
