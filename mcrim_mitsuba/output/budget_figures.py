@@ -61,14 +61,10 @@ def draw_budget(calibration: Calibration) -> style.Drawing:
     # the light yield first: it is what all is done for
     fitted = sorted(calibration.parameters.items(), key=lambda item: item[0] != LIGHT_YIELD)
     rows = [
-        (
-            name,
-            estimate.value,
-            *part,
-            100 * part.sigma / abs(estimate.value) if estimate.value else None,
-        )
+        (name, value, *part, 100 * part.sigma / abs(value) if value else None)
         for name, estimate in fitted
         if estimate.at_bound is None
+        for value in [estimate.value]
         for part in contributions(estimate)
     ]
     columns = ("parameter", "value", *ErrorPart._fields, "percent_of_value")
@@ -129,15 +125,10 @@ def _draw_contributions(axes: Axes, name: str, estimate: ParameterEstimate) -> N
     sizes = [factor * part.sigma for part in parts]
     for place, (part, size) in enumerate(zip(parts, sizes, strict=True)):
         _bar(axes, place, part.kind, size, f"{number(size)} %" if in_percent else number(size))
-    axes.set_yticks(range(len(parts)), [part.origin for part in parts], fontsize=10)
+    style.rows_of_bars(axes, [part.origin for part in parts], fontsize=10)
     axes.set(ylim=(max(len(parts), _FEWEST_ROWS) - 0.5, -0.5), xlim=(0, 1.28 * max(sizes)))
-    axes.set_xlabel(
-        f"{'% of' if in_percent else 'own unit;'} {estimate_text(estimate)}",
-        fontsize=10,
-        parse_math=False,
-    )
-    style.open_axes(axes, "x")
-    axes.tick_params(axis="y", length=0)
+    unit = "% of" if in_percent else "own unit;"
+    axes.set_xlabel(f"{unit} {estimate_text(estimate)}", fontsize=10, parse_math=False)
 
 
 def _bar(axes: Axes, place: int, kind: str, size: float, text: str, colour: str = "black") -> None:
@@ -187,19 +178,9 @@ def _neglected_numbers(budget: Budget) -> style.Numbers:
         rows.append((name, total.value, words, TOTAL, whole, *no_shift, ""))
         for piece in budget.pieces:
             shift = piece.refitted[name]
-            rows.append(
-                (
-                    name,
-                    total.value,
-                    piece.title,
-                    _kind(piece),
-                    per_cent * shift.as_error,
-                    100 * shift.relative,
-                    per_cent * shift.monte_carlo_sigma,
-                    per_cent * shift.size_sigma,
-                    piece.mend,
-                )
-            )
+            sigmas = (per_cent * shift.monte_carlo_sigma, per_cent * shift.size_sigma)
+            cells = (per_cent * shift.as_error, 100 * shift.relative, *sigmas)
+            rows.append((name, total.value, piece.title, _kind(piece), *cells, piece.mend))
     columns = (
         "quantity value origin kind percent_of_value shift_percent "
         "shift_monte_carlo_percent shift_size_percent by_what"
@@ -243,13 +224,10 @@ def draw_neglected(budget: Budget) -> style.Drawing:
         # room at the right for the texts
         longest = max((row.bars[name][0] for row in rows if name in row.bars), default=1.0)
         axes.set_xlim(0, 1.42 * longest if math.isfinite(longest) and longest else 1.0)
-        style.open_axes(axes, "x")
-        axes.tick_params(axis="y", length=0)
+        style.rows_of_bars(axes, [row.name for row in rows], fontsize=10)
         title = style.parameter_title(name).replace("(photons per keV)", "(ph/keV)")
         axes.set_title(title, loc="left", fontsize=11)
         axes.set_xlabel(f"% of {pdg(total.value, total.sigma)}", fontsize=10)
-    all_axes[0].set_yticks(range(len(rows)), [row.name for row in rows], fontsize=10)
-    all_axes[0].set_ylim(len(rows) - 0.5, -0.5)
     kinds = {row.kind for row in rows}
     handles = [Patch(label=kind, **look) for kind, look in _STYLES.items() if kind in kinds]
     style.legend_of(figure, handles, "lower center", 4)
@@ -374,14 +352,6 @@ def _finish_plan(statistical: Axes, total: Axes, wanted: float) -> None:
     statistical.yaxis.set_minor_locator(LogLocator(subs=(2, 3, 4, 5, 7)))
     statistical.yaxis.set_minor_formatter("{x:g}")
     total.set_ylim(bottom=0)
-    total.annotate(
-        f"wanted: {percent(wanted)}",
-        (0.99, 100 * wanted),
-        (0, -3),
-        xycoords=("axes fraction", "data"),
-        textcoords="offset points",
-        ha="right",
-        va="top",
-        fontsize=9.5,
-        color=style.GREY,
-    )
+    look: dict[str, Any] = {"ha": "right", "va": "top", "fontsize": 9.5, "color": style.GREY}
+    look |= {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
+    total.annotate(f"wanted: {percent(wanted)}", (0.99, 100 * wanted), (0, -3), **look)

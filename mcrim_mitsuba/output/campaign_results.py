@@ -30,7 +30,6 @@ from mcrim_mitsuba.output.registry import Document, Result, encoded, fields_of
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.inference.estimates import FittedRow
-    from mcrim_mitsuba.output.report import Reported
     from mcrim_mitsuba.output.report_sections import Sections
 
 
@@ -238,10 +237,10 @@ class ReportResult(RepairResult):
     sections: Sections
 
     @classmethod
-    def of_report(cls, reported: Reported) -> Self:
-        """The result of a report."""
-        further = attributes(reported, "path sections provenance")
-        return cls.of_repair(reported.sections.repaired, reported.sections.campaign, **further)
+    def of_report(cls, path: Path, sections: Sections) -> Self:
+        """The result of a report that was written."""
+        further = {"provenance": sections.repaired.simulations.provenance(), "sections": sections}
+        return cls.of_repair(sections.repaired, sections.campaign, path=path, **further)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

@@ -20,12 +20,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.text import Text
 from scipy.ndimage import binary_erosion
 
 from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
 from mcrim_mitsuba.core.numbers import said
-from mcrim_mitsuba.output.figure_style import fate_style, ordered
+from mcrim_mitsuba.output.figure_style import fate_style, ordered, paper
 from mcrim_mitsuba.transport.check import volume_indices
 from mcrim_mitsuba.transport.cut import CrossSection, cross_section, masked
 from mcrim_mitsuba.transport.launch_plan import LANES
@@ -116,11 +115,8 @@ class SectionAxes:
 
     def _draw_faces(self, interfaces: Sequence[Interface]) -> None:
         """Draw lines where the plane cuts faces, hatched behind reflectors, and the black mask."""
-        styles = {
-            "dielectric": (INK, 0.8),
-            "diffuse reflector": (INK, 1.5),
-            "detector": (_DETECTOR, 5.0),
-        }
+        styles = {"dielectric": (INK, 0.8), "diffuse reflector": (INK, 1.5)}
+        styles |= {"detector": (_DETECTOR, 5.0)}
         band = 16 * np.diff(self.ax.get_ylim()) / self.box.height  # mm: as thick as 16 pixels
         for trace in self.cut.traces:
             face, kind = self.model.surfaces[trace.surface], interfaces[trace.surface].kind
@@ -152,22 +148,22 @@ class SectionAxes:
         cells = np.floor(np.concatenate(parts)).astype(int)
         return cells[((cells >= 0) & (cells < shape)).all(axis=1)]
 
-    def _mark(self, grid: np.ndarray, line: np.ndarray) -> None:
-        """Set the cells of a grid (bool) that a line (mm, shape (n, 2)) goes through."""
-        columns, rows = self.cells_of(line).T
-        grid[rows, columns] = True
-
     def line(self, points: np.ndarray, colour: str, width: float) -> None:
         """Draw a line (mm, shape (n, 2)) that labels stay clear of."""
         points = np.round(points, 5)  # single precision would make a straight line wriggle
         self.ax.plot(*points.T, color=colour, lw=width, solid_capstyle="butt")
-        self._mark(self.taken, points)
+        self.taken[*self.cells_of(points).T[::-1]] = True
 
     def avoid(self, path: np.ndarray) -> None:
         """Let labels avoid a path (mm, shape (n, 2)) where they can, and its ends always."""
-        self._mark(self.crossed, path)
-        for column, row in self.in_cells(path[[0, -1]]).astype(int).clip(0):
-            self.taken[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4] = True
+        self.crossed[*self.cells_of(path).T[::-1]] = True
+        for end in self.in_cells(path[[0, -1]]).astype(int).clip(0):
+            self._take_around(end, 3)
+
+    def _take_around(self, cell: np.ndarray, near: int) -> None:
+        """Let labels keep away from the square around a cell, column and row, by so many cells."""
+        rows, columns = (slice(max(i - near, 0), i + near + 1) for i in cell[::-1])
+        self.taken[rows, columns] = True
 
     def measure(self) -> None:
         """Draw arrows with dimensions across all that begins and ends in view on two lines."""
@@ -233,8 +229,9 @@ class SectionAxes:
         few = targets[:: len(targets) // _PLACING.most_targets + 1] + 0.5
         targets = few if beside else targets.mean(axis=0)[None]
         room = ~self.taken & ((self.owner == volume) | (beside & (self.owner == 0)))
+        look: dict[str, Any] = {"size": 10.5, "va": "bottom", "bbox": paper(0.7, 1.0), "zorder": 6}
         for text in texts:
-            artist = self._text(text)
+            artist = self.ax.text(0, 0, text, parse_math=False, **look)
             w, h = size = (artist.get_window_extent().size + 2 * _CLEAR).astype(int) // _CELL + 1
             # lower left corners of rectangles that are free, (places, 1, 2)
             low = np.argwhere(_count_in_rectangles(room, w, h) == w * h)[:, None, ::-1]
@@ -261,19 +258,6 @@ class SectionAxes:
             return True
         return False
 
-    def _text(self, text: str) -> Text:
-        """A label, not yet at its place."""
-        return self.ax.text(
-            0,
-            0,
-            text,
-            size=10.5,
-            va="bottom",
-            parse_math=False,
-            zorder=6,
-            bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 1.0},
-        )
-
     def _cost_of_leader(self, start: np.ndarray, targets: np.ndarray, volume: int) -> np.ndarray:
         """What leaders from (places, targets, 2) to (targets, 2) cells cost: (places, targets)."""
         length = np.linalg.norm(start - targets, axis=2)
@@ -289,9 +273,7 @@ class SectionAxes:
         """Draw a leader (mm, shape (2, 2)) and keep the cells around its end, (2,), free."""
         self.line(link, INK, 0.8)
         self.ax.plot(*link[1], "o", color=INK, markersize=4, markeredgecolor="white")
-        (column, row), near = end, _PLACING.around_end
-        rows, columns = (slice(max(i - near, 0), i + near + 1) for i in (row, column))
-        self.taken[rows, columns] = True
+        self._take_around(end, _PLACING.around_end)
 
 
 def _count_in_rectangles(cells: np.ndarray, wide: int, tall: int) -> np.ndarray:
@@ -366,7 +348,7 @@ def chosen_paths(
                 inner = view.mean(axis=0) + 0.5 * (view - view.mean(axis=0))
                 costs -= 1.5 * _through(lines, inner) + _through(lines, view)
             best = np.argsort(costs, kind="stable")[:_CANDIDATES]
-            apart = [costs[i] + _nearness(lines[i][:, [0, 2]], paths, size) for i in best]
+            apart = [costs[i] + _nearness(lines[i][:, ::2], paths, size) for i in best]
             chosen = best[int(np.argmin(apart))]
             points, trapped = lines.pop(chosen), bool(flights[chosen] > MOST_FLIGHTS)
             flights = np.delete(flights, chosen)
@@ -441,29 +423,15 @@ def _sampled(points: np.ndarray) -> np.ndarray:
 def draw_path(ax: Axes, path: DrawnTrail) -> None:
     """Draw a path behind all labels: an open dot where it begins, the fate's marker at its end."""
     style = fate_style(path.fate)
-    ax.plot(
-        *path.points.T,
-        color=style.line,
-        ls=style.dashes,
-        lw=1.3,
-        zorder=3,
-        path_effects=[_HALO],
-        solid_joinstyle="round",
-        dash_joinstyle="round",
-    )
+    look: dict[str, Any] = {"color": style.line, "ls": style.dashes, "lw": 1.3, "zorder": 3}
+    look |= {"solid_joinstyle": "round", "dash_joinstyle": "round", "path_effects": [_HALO]}
+    ax.plot(*path.points.T, **look)
     ax.plot(*path.points[0], **_BIRTH)
     ax.plot(*path.points[-1], **_end(path.fate, path.trapped, path.points))
 
 
-_BIRTH: dict[str, Any] = {
-    "marker": "o",
-    "ms": 4.5,
-    "mfc": "white",
-    "mec": INK,
-    "mew": 1.1,
-    "zorder": 3.2,
-    "ls": "",
-}
+_BIRTH: dict[str, Any] = {"marker": "o", "ms": 4.5, "mfc": "white", "mec": INK, "mew": 1.1}
+_BIRTH |= {"zorder": 3.2, "ls": ""}
 
 
 def _end(fate: str, trapped: bool, points: np.ndarray | None = None) -> dict[str, Any]:
@@ -474,16 +442,10 @@ def _end(fate: str, trapped: bool, points: np.ndarray | None = None) -> dict[str
         across, up = points[-1] - points[-2]
         # three corners, a plain polygon, turned from pointing upwards
         marker = (3, 0, float(np.degrees(np.arctan2(up, across))) - 90.0)
-    face = "white" if trapped else style.line
-    return {
-        "marker": marker,
-        "ms": 7.5,
-        "mfc": face,
-        "mec": style.line if trapped else "white",
-        "mew": 1.4 if trapped else 0.8,
-        "zorder": 3.4,
-        "ls": "",
-    }
+    look: dict[str, Any] = {"mfc": style.line, "mec": "white", "mew": 0.8}
+    if trapped:
+        look = {"mfc": "white", "mec": style.line, "mew": 1.4}
+    return look | {"marker": marker, "ms": 7.5, "zorder": 3.4, "ls": ""}
 
 
 def _handles(paths: tuple[DrawnTrail, ...], shares: dict[str, float]) -> list[Line2D]:
@@ -597,37 +559,22 @@ def _write_above(figure: Figure, file: SceneFile, handles: Sequence[Line2D]) -> 
         for n, v in file.parameters.items()
     )
     shown = textwrap.fill(",  ".join(typed), 150, max_lines=3)
-    style: dict[str, Any] = {
-        "ha": "center",
-        "va": "top",
-        "color": INK,
-        "linespacing": 1.4,
-        "parse_math": False,
-    }
+    style: dict[str, Any] = {"ha": "center", "va": "top", "color": INK, "linespacing": 1.4}
+    style["parse_math"] = False
     figure.text(0.5, 1 - 0.18 / height_in, title, size=16, weight="bold", **style)
     figure.text(0.5, 1 - 0.55 / height_in, shown, size=9.5, **style)
     if handles:
-        figure.legend(
-            handles=handles,
-            loc="upper center",
-            bbox_to_anchor=(0.5, 1 - 1.2 / height_in),
-            ncols=_PER_ROW,
-            fontsize=9.5,
-            frameon=False,
-            handlelength=2.6,
-            columnspacing=1.4,
-            borderaxespad=0.0,
-            title=_TITLE,
-            title_fontsize=9.5,
-        )
+        look: dict[str, Any] = {"fontsize": 9.5, "title": _TITLE, "title_fontsize": 9.5}
+        look |= {"frameon": False, "handlelength": 2.6, "columnspacing": 1.4, "borderaxespad": 0.0}
+        place: dict[str, Any] = {"loc": "upper center", "ncols": _PER_ROW}
+        place["bbox_to_anchor"] = (0.5, 1 - 1.2 / height_in)
+        figure.legend(handles=handles, **place, **look)
 
 
 def closer_view(cut: CrossSection, crystal: int) -> tuple[float, float, float]:
     """x, z, half the height (mm) about the thinnest volume or layer at the crystal's lower edge."""
-    boxes = {
-        r.volume: (cut.corners(r.volume).min(axis=0), cut.corners(r.volume).max(axis=0))
-        for r in cut.regions
-    }
+    corners = {region.volume: cut.corners(region.volume) for region in cut.regions}
+    boxes = {volume: (c.min(axis=0), c.max(axis=0)) for volume, c in corners.items()}
     if crystal not in boxes:  # it is not closed: nothing to be seen
         return 0.0, 0.0, np.inf
     (_, bottom), size, outline = boxes[crystal][0], np.ptp(boxes[crystal]), cut.corners(crystal)

@@ -85,17 +85,9 @@ def _ranking_numbers(diagnosis: Diagnosis) -> style.Numbers:
         for size in [(n, e.value, e.sigma) for n, e in candidate.sizes.items()] or no_size
     ]
     columns = (
-        "effect",
-        "leading",
-        "probability",
+        *"effect leading probability".split(),
         *_STATISTICS,
-        "parameter",
-        "value",
-        "sigma",
-        "plausible",
-        "at_bound",
-        "light_yield_ph_per_keV",
-        "mimics",
+        *"parameter value sigma plausible at_bound light_yield_ph_per_keV mimics".split(),
     )
     # these have a name and a probability alone
     probabilities, empty = diagnosis.probabilities, [None] * (len(columns) - 3)
@@ -126,17 +118,16 @@ class _Row:
 def _rows(diagnosis: Diagnosis) -> tuple[list[_Row], list[_Row]]:
     """Single effects, among them what is no effect by its probability; and the best pairs."""
     leading, probabilities = leading_candidates(diagnosis), diagnosis.probabilities
+
+    def row(candidate: Candidate) -> _Row:
+        titles = titles_of(diagnosis, candidate.effects)
+        # two lines at most for each
+        lines = (textwrap.fill(style.shortened(t, 2 * _LETTERS), _LETTERS) for t in titles)
+        p = probabilities.get(candidate.effect)
+        return _Row(capital("\n+ ".join(lines)), p, candidate in leading, candidate)
+
     singles, pairs = (
-        [
-            _Row(
-                capital("\n+ ".join(map(_in_lines, titles_of(diagnosis, candidate.effects)))),
-                probabilities.get(candidate.effect),
-                candidate in leading,
-                candidate,
-            )
-            for candidate in candidates
-        ]
-        for candidates in (diagnosis.candidates, diagnosis.pairs[:MOST_PAIRS])
+        list(map(row, tried)) for tried in (diagnosis.candidates, diagnosis.pairs[:MOST_PAIRS])
     )
     for name, words in NO_EFFECTS.items():
         p = probabilities.get(name)
@@ -144,11 +135,6 @@ def _rows(diagnosis: Diagnosis) -> tuple[list[_Row], list[_Row]]:
             above = [i for i, row in enumerate(singles) if row.probability and row.probability > p]
             singles.insert(max(above, default=-1) + 1, _Row(capital(words), p))
     return singles, pairs
-
-
-def _in_lines(title: str) -> str:
-    """A title of two lines at most."""
-    return textwrap.fill(style.shortened(title, 2 * _LETTERS), _LETTERS)
 
 
 @style.styled
@@ -160,7 +146,10 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     numbers, (singles, pairs) = _ranking_numbers(diagnosis), _rows(diagnosis)
     rows = [*singles, *pairs]
     if not rows:
-        return style.Drawing(_nothing_tried(diagnosis), *numbers)
+        figure, words = style.canvas(_BARS_WIDTH + 5.6, 1.6), "no effect was tried: "
+        _title_ranking(figure, diagnosis)
+        figure.text(0.01, 0.3, words + diagnosis.reason, wrap=True, parse_math=False)
+        return style.Drawing(figure, *numbers)
     # a row is as high as its effects, and its sizes, have lines
     table = [_beside(row, brief) for row in rows]
     further_lines = [
@@ -197,18 +186,18 @@ def draw_ranking(diagnosis: Diagnosis, *, brief: bool = False) -> style.Drawing:
     bars.tick_params(axis="y", labelleft=False)
     beside.set_axis_off()
     beside.set_xlim(0, sum(widths))
+    look: dict[str, Any] = {"fontsize": 9.5, "parse_math": False}
     for (title, *column), left in zip(columns, np.cumsum([0.1, *widths[:-1]]), strict=True):
-        beside.text(left, -0.2, title, fontsize=9.5, weight="bold", va="bottom")
+        beside.text(left, -0.2, title, weight="bold", va="bottom", **look)
         for place, row, text in zip(places, rows, column, strict=True):
-            beside.text(
-                left, place, text, fontsize=9.5, va="center", parse_math=False, weight=row.weight
-            )
+            beside.text(left, place, text, va="center", weight=row.weight, **look)
     leading = sum(row.leading for row in rows)
     style.legend_of(figure, _handles(leading, threshold), "lower left", 2 if brief else 4)
     _title_ranking(figure, diagnosis)
     return style.Drawing(figure, *numbers)
 
 
+_BAR: dict[str, Any] = {"height": 0.62, "edgecolor": style.DARK, "lw": 0.8}
 #: Titles of the columns beside the bars.
 _BESIDE = "p of the fit", "fitted size", "in words"
 
@@ -226,14 +215,10 @@ def _beside(row: _Row, brief: bool) -> tuple[str, ...]:
 def _draw_probabilities(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
     """How likely each row is, with the number at the right of its bar; pairs may have none."""
     for place, row in zip(places, rows, strict=True):
-        p = row.probability
-        if p is None:
-            continue
-        axes.barh(place, 100 * p, height=0.62, color=row.colour, edgecolor=style.DARK, lw=0.8)
-        style.text_after_bar(axes, probability(p), (100 * p, place), weight=row.weight)
-    axes.set_xlim(0, 135)
-    axes.set_xticks([0, 50, 100])
-    axes.set_xlabel("probability, %")
+        if (p := row.probability) is not None:
+            axes.barh(place, 100 * p, color=row.colour, **_BAR)
+            style.text_after_bar(axes, probability(p), (100 * p, place), weight=row.weight)
+    axes.set(xlim=(0, 135), xticks=[0, 50, 100], xlabel="probability, %")
     style.open_axes(axes, "x")
 
 
@@ -250,16 +235,9 @@ def _draw_gains(axes: Axes, places: np.ndarray, rows: Sequence[_Row]) -> None:
     left = -_LOSSES * right
     for place, row, candidate in tried:
         beyond = candidate.delta_chi2 - candidate.delta_chi2_sigma < left
-        axes.barh(
-            place,
-            max(candidate.delta_chi2, left),
-            height=0.62,
-            color=row.colour,
-            edgecolor=style.DARK,
-            lw=0.8,
-            xerr=None if beyond else candidate.delta_chi2_sigma,
-            error_kw={"ecolor": style.WARM, "capsize": 3, "lw": 1.5},
-        )
+        error: dict[str, Any] = {"xerr": None if beyond else candidate.delta_chi2_sigma}
+        error["error_kw"] = {"ecolor": style.WARM, "capsize": 3, "lw": 1.5}
+        axes.barh(place, max(candidate.delta_chi2, left), color=row.colour, **_BAR, **error)
         if beyond:
             style.text_after_bar(axes, f"◂ {number(candidate.delta_chi2)}", (left, place))
     lowest = min(candidate.delta_chi2 - candidate.delta_chi2_sigma for _, _, candidate in tried)
@@ -278,28 +256,22 @@ def _title_ranking(figure: Figure, diagnosis: Diagnosis) -> None:
     style.entitle(figure, title)
 
 
-def _nothing_tried(diagnosis: Diagnosis) -> Figure:
-    """Why there is nothing to rank."""
-    figure = style.canvas(_BARS_WIDTH + 5.6, 1.6)
-    _title_ranking(figure, diagnosis)
-    figure.text(0.01, 0.3, "no effect was tried: " + diagnosis.reason, wrap=True, parse_math=False)
-    return figure
-
-
 def _handles(leading: int, threshold: bool) -> list[Artist]:
     """The legend's entries: what bars mean by their colours, and what the dashed line is."""
-    handles: list[Artist] = []
-    if leading:
-        words = "leading: the data cannot tell these apart" if leading > 1 else "leading"
-        handles.append(Patch(facecolor=style.DARK, edgecolor=style.DARK, label=words))
-    handles += [
-        Patch(facecolor=_OTHERS, edgecolor=style.DARK, label="others" if leading else "effects"),
+    others = "others" if leading else "effects"
+    handles: list[Artist] = [
+        Patch(facecolor=_OTHERS, edgecolor=style.DARK, label=others),
         Line2D([], [], color=style.WARM, lw=1.5, marker="|", ms=8, label="simulation's error"),
     ]
+    if leading:
+        words = "leading: the data cannot tell these apart" if leading > 1 else "leading"
+        handles.insert(0, Patch(facecolor=style.DARK, edgecolor=style.DARK, label=words))
     if threshold:
-        enough = f"enough for p = {ACCEPTABLE_P:g}"
-        handles.append(Line2D([], [], color="black", ls="--", lw=1.4, label=enough))
+        handles.append(Line2D([], [], label=f"enough for p = {ACCEPTABLE_P:g}", **_THRESHOLD))
     return handles
+
+
+_THRESHOLD: dict[str, Any] = {"color": "black", "ls": "--", "lw": 1.4}
 
 
 def _draw_threshold(axes: Axes, edges: np.ndarray, chi2: float, rows: Sequence[_Row]) -> bool:
@@ -312,16 +284,10 @@ def _draw_threshold(axes: Axes, edges: np.ndarray, chi2: float, rows: Sequence[_
     ]
     if not any(gain > 0 for gain in needed):
         return False
-    axes.plot(
-        # upright in each row, from its upper edge to its lower one
-        np.repeat(needed, 2),
-        np.repeat(edges, 2)[1:-1],
-        color="black",
-        ls="--",
-        lw=1.4,
-        zorder=4,
-        path_effects=[withStroke(linewidth=3.4, foreground="white")],  # seen on dark bars too
-    )
+    seen_on_dark_bars = [withStroke(linewidth=3.4, foreground="white")]
+    # upright in each row, from its upper edge to its lower one
+    x, y = np.repeat(needed, 2), np.repeat(edges, 2)[1:-1]
+    axes.plot(x, y, zorder=4, path_effects=seen_on_dark_bars, **_THRESHOLD)
     return True
 
 
@@ -356,10 +322,11 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
     per_ndf, p_values, pulls, left_out, light, scattering = grid.ravel()
     _draw_chi2(per_ndf, stairs)
     _draw_p_values(p_values, stairs)
-    for axes, title, heights in (
-        (pulls, "rms pull", [s.rms_pull for s in stairs]),
-        (left_out, "rms error on readings left out", [s.left_out_error for s in stairs]),
+    for axes, title, name in (
+        (pulls, "rms pull", "rms_pull"),
+        (left_out, "rms error on readings left out", "left_out_error"),
     ):
+        heights = [getattr(step, name) for step in stairs]
         axes.axhline(1, color=style.GREY, lw=1, ls="--")
         texts = ["not computed" if h is None else number(h) for h in heights]
         _stairs(axes, stairs, heights, texts)
@@ -371,39 +338,34 @@ def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None
     _draw_parameter(scattering, stairs, ALPHA_SCAT)
     # where names are wider than a step of a panel, half the figure less its margin
     slanted = max(map(len, names)) * _STEP_PER_CHARACTER > (width / 2 - 0.8) / len(names)
+    look: dict[str, Any] = {"rotation": 0, "ha": "center", "fontsize": 10, "parse_math": False}
+    look |= {"rotation": 25, "ha": "right"} if slanted else {}
     for axes in grid[-1]:
-        axes.set_xticks(
-            range(len(names)),
-            names,
-            rotation=25 if slanted else 0,
-            rotation_mode="anchor",
-            ha="right" if slanted else "center",
-            fontsize=10,
-            parse_math=False,
-        )
+        axes.set_xticks(range(len(names)), names, rotation_mode="anchor", **look)
         axes.set_xlim(-0.5, len(names) - 0.5)
     return style.Drawing(figure, *_staircase_numbers(stairs))
 
 
 def _staircase_numbers(stairs: Sequence[RepairStep]) -> style.Numbers:
     """A step a row: its fit, and three parameters with their errors, empty where it lacks them."""
-    further: dict[str, Any] = {"final_simulation": lambda step: isinstance(step, FinalStep)}
-    for name, stem in ((LIGHT_YIELD, "light_yield"), (SCALE, "scale"), (ALPHA_SCAT, "alpha_scat")):
-        for column, field in ((name, "value"), (f"{stem}_sigma", "sigma")):
-            further[column] = lambda step, name=name, field=field: getattr(
-                step.parameters.get(name), field, None
-            )
     names = "step added final_simulation chi2 ndf delta_chi2_sigma p_value rms_pull left_out_error"
-    return style.numbers_of(stairs, names, **further)
+    columns, rows = style.numbers_of(
+        stairs, names, final_simulation=lambda step: isinstance(step, FinalStep)
+    )
+    for name, stem in ((LIGHT_YIELD, "light_yield"), (SCALE, "scale"), (ALPHA_SCAT, "alpha_scat")):
+        columns += [name, f"{stem}_sigma"]
+        estimates = [step.parameters.get(name) for step in stairs]
+        cells = [(e.value, e.sigma) if e else (None, None) for e in estimates]
+        rows = [(*row, *pair) for row, pair in zip(rows, cells, strict=True)]
+    return columns, rows
 
 
 def _draw_chi2(axes: Axes, steps: Sequence[RepairStep]) -> None:
     """chi2 per degree of freedom over the band where a right model's lies in two of three cases."""
     for place, step in enumerate(steps):
         spread = math.sqrt(2 / step.ndf) if step.ndf > 0 else math.nan
-        axes.fill_between(
-            [place - 0.5, place + 0.5], max(1 - spread, 0), 1 + spread, color=style.PALE, lw=0
-        )
+        ends, low = [place - 0.5, place + 0.5], max(1 - spread, 0)
+        axes.fill_between(ends, low, 1 + spread, color=style.PALE, lw=0)
     heights = [s.chi2 / s.ndf if s.ndf > 0 else math.nan for s in steps]
     highest = max((height for height in heights if math.isfinite(height)), default=1.0)
     if highest > _STEEP:
@@ -458,34 +420,19 @@ def _stairs(
     finite = [math.nan if h is None or not math.isfinite(h) else h for h in heights]
     places = range(len(finite))
     axes.plot(places, finite, color=style.DARK, lw=1.2, drawstyle="steps-mid", zorder=3)
+    bar: dict[str, Any] = {"color": style.DARK, "ecolor": style.WARM, "capsize": 4, "lw": 1.6}
     for place, height, step in zip(places, finite, steps, strict=True):
         look: dict[str, Any] = {"fmt": "o", "ms": 7}
         if isinstance(step, FinalStep):
             look = {"fmt": "D", "ms": 8.5, "mfc": "white", "mew": 2}
-        axes.errorbar(
-            place,
-            height,
-            yerr=None if errors is None else errors[place],
-            color=style.DARK,
-            ecolor=style.WARM,
-            capsize=4,
-            lw=1.6,
-            zorder=4,
-            **look,
-        )
+        error = None if errors is None else errors[place]
+        axes.errorbar(place, height, yerr=error, zorder=4, **bar, **look)
     tops = finite if errors is None else [h + e for h, e in zip(finite, errors, strict=True)]
+    look = {"textcoords": "offset points", "ha": "center", "fontsize": 9.5, "parse_math": False}
     for place, top, text, step in zip(places, tops, texts, steps, strict=True):
-        axes.annotate(
-            text,
-            (place, top if math.isfinite(top) else axes.get_ylim()[0]),
-            (0, 9 if isinstance(step, FinalStep) else 7),
-            textcoords="offset points",
-            ha="center",
-            fontsize=9.5,
-            parse_math=False,
-            zorder=5,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8},
-        )
+        end = (place, top if math.isfinite(top) else axes.get_ylim()[0])
+        above = 9 if isinstance(step, FinalStep) else 7
+        axes.annotate(text, end, (0, above), zorder=5, bbox=style.paper(0.75, 0.8), **look)
     axes.margins(y=0.28)
 
 

@@ -6,7 +6,7 @@ import io
 import math
 import textwrap
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -123,6 +123,11 @@ def text_in_bar(axes: Axes, text: str, middle: tuple[float, float], **look: Any)
     axes.text(*middle, text, ha="center", va="center", fontsize=10, **look)
 
 
+def paper(alpha: float, pad: float) -> dict[str, Any]:
+    """A box of white behind a text, which hides as much of what is behind it as `alpha` says."""
+    return {"facecolor": "white", "edgecolor": "none", "alpha": alpha, "pad": pad}
+
+
 def band(axes: Axes, x: np.ndarray, y: np.ndarray, sigma: np.ndarray, **look: Any) -> None:
     """One standard error on either side of a curve."""
     axes.fill_between(x, y - sigma, y + sigma, lw=0, **look)
@@ -207,6 +212,20 @@ def numbers_of(
     return columns, [tuple(cell(record) for cell in cells) for record in records]
 
 
+def numbers_in(columns: Mapping[str, Any]) -> Numbers:
+    """Columns and rows of a CSV from arrays, (rows,) each, by name; one value is in every row."""
+    arrays = (np.asarray(cells, dtype=object) for cells in columns.values())
+    return list(columns), list(zip(*np.broadcast_arrays(*arrays), strict=True))
+
+
+def rows_of_bars(axes: Axes, names: Sequence[str], above: float = 0.5, **look: Any) -> None:
+    """Name bars that lie below each other from 0 on, with so much of a row `above` the first."""
+    axes.set_yticks(range(len(names)), names, **look)
+    axes.set_ylim(len(names) - 0.5, -above)
+    axes.tick_params(axis="y", length=0)
+    open_axes(axes, "x")
+
+
 def numbers_text(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """The text of a CSV; what is not known or not finite is an empty cell."""
     return csv_lines(columns, (map(_cell, row) for row in rows))
@@ -266,7 +285,7 @@ def signal_title(unit: str, line_end: str = " ") -> str:
 # Fates of light: in one order, each with its colour, hatch and marker.
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class FateStyle:
     """One fate's look; hatches, markers and lines tell fates apart where colours do not."""
 
@@ -287,8 +306,7 @@ class FateStyle:
 _DASHED = (0, (6, 1.5))
 _DOTTED = (0, (1.2, 1.2))
 _MIXED = (0, (4, 1.2, 1, 1.2))
-#: The fields of a `FateStyle` that `_LOOKS` gives, in this order; the last two where they differ.
-_OF_LOOK = ("line", "fill", "hatch", "marker", "dashes", "edge", "text")
+#: By fate the fields of a `FateStyle` after its words; the last two where they differ.
 _LOOKS: dict[str, tuple[Any, ...]] = {
     "detected": (DARK, DARK, "", "o", "-", _INK, "white"),
     "absorbed_crystal": ("#7a1f5c", "#c9a0bd", "//", "X", _DASHED),
@@ -303,25 +321,18 @@ _LOOKS: dict[str, tuple[Any, ...]] = {
 }
 
 
-def _style_of(fate: str, look: tuple[Any, ...]) -> FateStyle:
-    # a look may be shorter than the list of fields: the last ones have defaults
-    return FateStyle(words=fate_words(fate), **dict(zip(_OF_LOOK, look, strict=False)))
-
-
-_KNOWN_FATES = {fate: _style_of(fate, look) for fate, look in _LOOKS.items()}
+#: Of light absorbed in a medium that a user named.
+_OTHER_MEDIUM = ("#004a7c", "#9cc7e0", "||", "d", _DASHED)
 
 
 def fate_style(fate: str) -> FateStyle:
     """How a fate is drawn, by its name in `SimulationResult.budget`."""
-    if fate in _KNOWN_FATES:
-        return _KNOWN_FATES[fate]
-    # absorbed in a medium that a user named
-    return _style_of(fate, ("#004a7c", "#9cc7e0", "||", "d", _DASHED))
+    return FateStyle(fate_words(fate), *_LOOKS.get(fate, _OTHER_MEDIUM))
 
 
 def ordered(fates: Iterable[str]) -> list[str]:
     """Fates in the order of all figures: what is wanted first, what is wrong last."""
-    places: dict[str, float] = {fate: place for place, fate in enumerate(_KNOWN_FATES)}
+    places: dict[str, float] = {fate: place for place, fate in enumerate(_LOOKS)}
     # media that users named stand behind the bench's own and before the mask
     other_media = places["absorbed_aperture"] - 0.5
     return sorted(set(fates), key=lambda fate: (places.get(fate, other_media), fate))

@@ -22,26 +22,14 @@ from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.settings import CURVE, ONE_SIGMA, TWO_SIGMA
 from mcrim_mitsuba.output import figure_style as style
 
-_AS_IT_IS: dict[str, Any] = {
-    "color": style.WARM,
-    "marker": "o",
-    "mfc": "white",
-    "mew": 1.6,
-    "ms": 6.5,
-    "ls": "",
-}
+_OPEN: dict[str, Any] = {"marker": "o", "mfc": "white", "mew": 1.6}
+_AS_IT_IS: dict[str, Any] = _OPEN | {"color": style.WARM, "ms": 6.5, "ls": ""}
 _MENDED: dict[str, Any] = {"color": style.DARK, "marker": "D", "ms": 5.5, "ls": ""}
-_HYPOTHESES: tuple[dict[str, Any], ...] = (
-    _AS_IT_IS,
-    _MENDED,
-    {"color": style.LIGHT, "marker": "^", "ms": 6.5, "ls": ""},
-)
+_THIRD: dict[str, Any] = {"color": style.LIGHT, "marker": "^", "ms": 6.5, "ls": ""}
+_HATCHED: dict[str, Any] = {"facecolor": "none", "hatch": "///", "alpha": 0.55}
 _SUSPECTS: dict[str, Any] = {
     "bad_reading": ("suspected bad reading", {"facecolor": "#f6dccd", "edgecolor": style.WARM}),
-    "swapped_rows": (
-        "suspected swap",
-        {"facecolor": "none", "edgecolor": style.WARM, "hatch": "///", "alpha": 0.55},
-    ),
+    "swapped_rows": ("suspected swap", _HATCHED | {"edgecolor": style.WARM}),
 }
 #: After a repair the suspicion is history.
 _NO_LONGER: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.6", "ls": ":"}
@@ -117,17 +105,17 @@ def _comparison_numbers(
     """A reading a row: what was measured, what was predicted before and after, and suspicions."""
     left_out = before.left_out_pulls if isinstance(before, Comparison) else {}
     mended = {row.label: row for row in after.rows} if after else {}
-    columns_after: dict[str, Any] = {
-        f"{name}_after": lambda row, name=name: getattr(mended.get(row.label), name, None)
-        for name in _PREDICTED.split()
-    }
-    return style.numbers_of(
+    columns, rows = style.numbers_of(
         before.rows,
         f"{_MEASURED} {_PREDICTED}",
         left_out_pull=lambda row: left_out.get(row.label),
         suspect=lambda row: suspects.get(row.label),
-        **columns_after,
     )
+    predicted = _PREDICTED.split()
+    columns += [f"{name}_after" for name in predicted]
+    after_rows = [mended.get(row.label) for row in before.rows]
+    cells = [tuple(getattr(row, name, None) for name in predicted) for row in after_rows]
+    return columns, [(*row, *more) for row, more in zip(rows, cells, strict=True)]
 
 
 def _over_readings(
@@ -140,14 +128,9 @@ def _over_readings(
     upright = longest_inches >= 0.85 * (width - _MARGINS) / max(len(names), 1)
     figure = style.canvas(width, 6.0 + (longest_inches if upright else 0.0))
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=heights)
-    crowded = _PER_READING * len(names) > _WIDEST
-    lower.set_xticks(
-        np.arange(len(names)),
-        names,
-        rotation=90 if upright else 0,
-        fontsize=5 if crowded else 9.5,
-        parse_math=False,
-    )
+    size = 5 if _PER_READING * len(names) > _WIDEST else 9.5
+    look: dict[str, Any] = {"rotation": 90 if upright else 0, "fontsize": size}
+    lower.set_xticks(np.arange(len(names)), names, parse_math=False, **look)
     lower.set_xlim(-0.6, len(names) - 0.4)
     return figure, upper, lower
 
@@ -161,9 +144,10 @@ def draw_hypotheses(compared: SideBySide) -> style.Drawing:
     places = np.arange(len(first.rows))
     # side by side, about the places of the readings
     shifts = _BESIDE * (np.arange(len(hypotheses)) - 0.5 * (len(hypotheses) - 1))
+    looks = (_AS_IT_IS, _MENDED, _THIRD)
     fits = [
         _Pulls(style.shortened(hypothesis.words, 56), hypothesis, look, shift)
-        for hypothesis, look, shift in zip(hypotheses, _HYPOTHESES, shifts.tolist(), strict=False)
+        for hypothesis, look, shift in zip(hypotheses, looks, shifts.tolist(), strict=False)
     ]
     _draw_pulls(upper, places, fits)
     lower.axhline(0, color=style.GREY, lw=0.9)
@@ -203,31 +187,17 @@ def _draw_signals(
     measured = factors * [row.measured for row in before.rows]
     sigma = factors * [row.sigma for row in before.rows]
     handles: list[Any] = []
+    look: dict[str, Any] = {"color": "black", "ms": 4.5, "lw": 1.3, "capsize": 3, "zorder": 5}
     kinds = ((used, "black", "reading with its error"), (~used, "white", "reading not used"))
     for chosen, face, label in kinds:
         if chosen.any():
-            handles.append(
-                axes.errorbar(
-                    places[chosen],
-                    measured[chosen],
-                    yerr=sigma[chosen],
-                    fmt="o",
-                    ms=4.5,
-                    color="black",
-                    mfc=face,
-                    capsize=3,
-                    lw=1.3,
-                    zorder=5,
-                    label=label,
-                )
-            )
-    fits = (
-        (before, "model", style.WARM, (0, (2.2, 1.2))),
-        (after, "mended model", style.DARK, "-"),
-    )
+            bars = axes.errorbar(places[chosen], measured[chosen], sigma[chosen], fmt="o", **look)
+            bars.lines[0].set(mfc=face)
+            bars.set_label(label)
+            handles.append(bars)
+    fits: list[tuple[Calibration, str, str, Any]] = [(before, "model", style.WARM, (0, (2.2, 1.2)))]
+    fits += [(after, "mended model", style.DARK, "-")] if after is not None else []
     for fit, label, colour, line_style in fits:
-        if fit is None:
-            continue
         dash: dict[str, Any] = {"color": colour, "lw": 2, "ls": line_style}
         models = factors * [row.model for row in fit.rows]
         axes.hlines(models, places - _DASH, places + _DASH, zorder=4, **dash)
@@ -272,12 +242,8 @@ def _mark_suspects(
     position = {row.label: place for row, place in zip(before.rows, places, strict=True)}
     handles = []
     for kind, (title, box) in _SUSPECTS.items():
-        labels = {
-            label
-            for suspect in _suspects(before)
-            if suspect.kind == kind
-            for label in suspect.labels
-        }
+        suspects = (suspect for suspect in _suspects(before) if suspect.kind == kind)
+        labels = {label for suspect in suspects for label in suspect.labels}
         if mended:
             title, box = f"{title} before the repair", box | _NO_LONGER
         for label in labels & position.keys():
@@ -293,15 +259,7 @@ _LEVELS = ((ONE_SIGMA, "68.3 %"), (TWO_SIGMA, "95.4 %"))
 _CURVE: dict[str, Any] = {"color": style.DARK, "lw": 2.2, "zorder": 4}
 _PARABOLA: dict[str, Any] = {"color": style.WARM, "lw": 1.5, "ls": (0, (5, 2)), "zorder": 3}
 _PRIOR: dict[str, Any] = {"color": "0.6", "lw": 2.2, "ls": (0, (1, 1.4)), "zorder": 5}
-_CROSSING: dict[str, Any] = {
-    "marker": "o",
-    "mfc": "white",
-    "mec": style.DARK,
-    "mew": 1.6,
-    "ms": 6,
-    "ls": "",
-    "zorder": 5,
-}
+_CROSSING: dict[str, Any] = _OPEN | {"mec": style.DARK, "ms": 6, "ls": "", "zorder": 5}
 _BOUND: dict[str, Any] = dict(facecolor=style.PALE, edgecolor=style.GREY, hatch="////", lw=0)
 #: Inches of a panel.
 _WIDE = 4.0
@@ -315,14 +273,13 @@ def _profiles_numbers(profiles: Sequence[Profile]) -> style.Numbers:
     for profile in profiles:
         # what the point is, the parameter's value there, and by how much chi2 is above its least
         points = [("curve", *p) for p in zip(profile.values, profile.delta_chi2, strict=True)]
-        for rise, level in _LEVELS:
-            for side, value in zip(("lower", "upper"), profile.crossings(rise), strict=True):
-                if value is not None:
-                    points.append((f"{side} end of {level}", value, rise))
-        rows += [
-            (profile.name, what, float(value), float(rise), float(_parabola(profile, value)))
-            for what, value, rise in points
+        points += [
+            (f"{side} end of {level}", value, rise)
+            for rise, level in _LEVELS
+            for side, value in zip(("lower", "upper"), profile.crossings(rise), strict=True)
+            if value is not None
         ]
+        rows += [(profile.name, *point, _parabola(profile, point[1])) for point in points]
     columns = ("parameter", "point", "value", "delta_chi2", "delta_chi2_parabola")
     return columns, rows
 
@@ -375,20 +332,11 @@ def _draw_profile(axes: Axes, profile: Profile) -> None:
     for end, edge, value in zip(profile.ends, (low, high), profile.values[[0, -1]], strict=True):
         if end is not None:  # the curve ends there at a bound of the parameter
             axes.axvspan(edge, value, zorder=1, **_BOUND)
+    look: dict[str, Any] = {"fontsize": 9, "color": style.GREY, "ha": "right", "va": "bottom"}
+    look |= {"transform": axes.get_yaxis_transform(), "bbox": style.paper(0.8, 0.6), "zorder": 6}
     for rise, level in _LEVELS:
         axes.axhline(rise, color=style.GREY, lw=0.8)
-        axes.text(
-            0.995,
-            rise + 0.08,
-            level,
-            fontsize=9,
-            color=style.GREY,
-            ha="right",
-            va="bottom",
-            transform=axes.get_yaxis_transform(),
-            zorder=6,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6},
-        )
+        axes.text(0.995, rise + 0.08, level, **look)
         for value in profile.crossings(rise):
             if value is not None:
                 axes.plot(value, rise, **_CROSSING)

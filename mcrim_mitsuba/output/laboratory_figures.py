@@ -26,8 +26,6 @@ from mcrim_mitsuba.output import figure_style as style
 #: Of each group in turn; histograms of one group differ in their lines and markers.
 _COLOURS = (style.WARM, style.DARK, style.LIGHT, style.GREY)
 _LINES = (("-", "o"), ((0, (6, 1.6)), "^"), ((0, (1.6, 1.2)), "s"), ((0, (6, 1.6, 1.4, 1.6)), "D"))
-_FIT: dict[str, Any] = {"lw": 2.2, "zorder": 4}
-_THIN: dict[str, Any] = {"lw": 1.5, "zorder": 4}
 _BACKGROUND: dict[str, Any] = {"lw": 0.9, "ls": (0, (4, 2)), "zorder": 3}
 #: Error bars at most, in one histogram.
 _MOST_BARS = 60
@@ -55,19 +53,18 @@ class FittedHistogram(NamedTuple):
 def _histograms_numbers(fitted: Sequence[FittedHistogram]) -> style.Numbers:
     """A bin a row, with the fit where it was made, and in every row its peak."""
     of_peak = "shape centroid centroid_sigma width chi2 ndf".split()
-    rows = []
+    rows: list[Sequence[object]] = []
+    columns = [*"histogram photons_per_event events fitted fitted_background".split(), *of_peak]
     for name, histogram, peak, _ in fitted:
         fit, background = np.full((2, len(histogram.photons)), np.nan)
         if peak is not None:
             inside = (histogram.photons >= peak.low) & (histogram.photons <= peak.high)
             fit[inside] = peak.counts_at(histogram.photons[inside])
             background[inside] = peak.background_at(histogram.photons[inside])
-        peak_cells = [getattr(peak, field, None) for field in of_peak]
-        counts = histogram.counts.astype(int)
-        bins = zip(histogram.photons, counts, fit, background, strict=True)
-        rows += [(name, *bin_cells, *peak_cells) for bin_cells in bins]
-    columns = "histogram photons_per_event events fitted fitted_background".split()
-    return [*columns, *of_peak], rows
+        cells = (name, histogram.photons, histogram.counts.astype(int), fit, background)
+        of_fit = (getattr(peak, field, None) for field in of_peak)
+        rows += style.numbers_in(dict(zip(columns, (*cells, *of_fit), strict=True)))[1]
+    return columns, rows
 
 
 @style.styled
@@ -79,7 +76,7 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
     styles = _styles([entry.group for entry in fitted])
     few = len(fitted) <= _MOST_STEPS
     for (name, histogram, peak, _), (colour, line, marker) in zip(fitted, styles, strict=True):
-        look: dict[str, Any] = {"color": colour, "ls": line, **(_FIT if few else _THIN)}
+        look: dict[str, Any] = {"color": colour, "ls": line, "lw": 2.2 if few else 1.5, "zorder": 4}
         mark: dict[str, Any] = {}
         if few:
             _draw_steps(axes, histogram, colour)
@@ -111,17 +108,9 @@ def draw_histograms(fitted: Sequence[FittedHistogram], *, title: str = "") -> st
     place: dict[str, Any] = outside if len(fitted) > _MOST_INSIDE else {"loc": "upper right"}
     style.legend(axes, handles, handlelength=2.6, **place)
     if highest > top:
-        axes.text(
-            0.015,
-            0.985,
-            f"↑ pedestal, up to {number(highest)} events",
-            transform=axes.transAxes,
-            fontsize=9,
-            color=style.GREY,
-            va="top",
-            zorder=5,
-            bbox={"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1.5},
-        )
+        look = {"transform": axes.transAxes, "fontsize": 9, "color": style.GREY, "va": "top"}
+        words = f"↑ pedestal, up to {number(highest)} events"
+        axes.text(0.015, 0.985, words, zorder=5, bbox=style.paper(0.8, 1.5), **look)
     return style.Drawing(figure, *_histograms_numbers(fitted))
 
 
@@ -145,15 +134,8 @@ def _draw_steps(axes: Axes, histogram: Histogram, colour: str) -> None:
     axes.stairs(counts, edges, color=colour, lw=1.2, zorder=2)
     axes.stairs(counts, edges, color=colour, fill=True, alpha=0.10, lw=0, zorder=1)
     some = slice(None, None, -(-len(photons) // _MOST_BARS))
-    axes.errorbar(
-        photons[some],
-        counts[some],
-        yerr=np.sqrt(counts[some]),
-        fmt="none",
-        ecolor=colour,
-        elinewidth=0.9,
-        zorder=2,
-    )
+    look: dict[str, Any] = {"fmt": "none", "ecolor": colour, "elinewidth": 0.9, "zorder": 2}
+    axes.errorbar(photons[some], counts[some], yerr=np.sqrt(counts[some]), **look)
 
 
 def _label(name: str, peak: Peak | None) -> str:
@@ -185,25 +167,25 @@ def _efficiency_numbers(efficiency: DetectorEfficiency) -> style.Numbers:
 
     Errors stand at a curve's own points.
     """
-    rows = []
-    emission, quantum_efficiency = efficiency.emission, efficiency.quantum_efficiency
+    emission, detector = efficiency.emission, efficiency.quantum_efficiency
+    grid = common_grid(emission, detector)
+
+    def own_sigmas(curve: Spectrum, factor: float) -> np.ndarray:
+        sigmas = np.full(grid.shape, np.nan)
+        if curve.sigmas is not None:
+            _, places, of_curve = np.intersect1d(grid, curve.wavelength_nm, return_indices=True)
+            sigmas[places] = curve.sigmas[of_curve] / factor
+        return sigmas
+
     highest = float(emission.values.max())
-    emission_sigma, qe_sigma = (
-        dict(zip(curve.wavelength_nm.tolist(), curve.sigmas.tolist(), strict=True))
-        if curve.sigmas is not None
-        else {}
-        for curve in (emission, quantum_efficiency)
-    )
-    mean = (efficiency.value, efficiency.sigma)
-    for nm in common_grid(emission, quantum_efficiency).tolist():
-        light, qe = float(emission.at(nm)) / highest, float(quantum_efficiency.at(nm))
-        light_sigma = emission_sigma[nm] / highest if nm in emission_sigma else None
-        rows.append((nm, light, light_sigma, qe, qe_sigma.get(nm), light * qe, *mean))
-    columns = (
-        "wavelength_nm emission emission_sigma quantum_efficiency "
-        "quantum_efficiency_sigma product weighted_mean weighted_mean_sigma"
-    ).split()
-    return columns, rows
+    light, quantum_efficiency = emission.at(grid) / highest, detector.at(grid)
+    columns = {"wavelength_nm": grid}
+    columns |= {"emission": light, "emission_sigma": own_sigmas(emission, highest)}
+    columns |= {"quantum_efficiency": quantum_efficiency}
+    columns |= {"quantum_efficiency_sigma": own_sigmas(detector, 1.0)}
+    columns |= {"product": light * quantum_efficiency}
+    mean = {"weighted_mean": efficiency.value, "weighted_mean_sigma": efficiency.sigma}
+    return style.numbers_in(columns | mean)
 
 
 @style.styled
@@ -217,29 +199,20 @@ def draw_efficiency(efficiency: DetectorEfficiency) -> style.Drawing:
     ends = curve.at(np.clip((low, high), curve.first_nm, curve.last_nm))
     top = 100 * float(max(curve.values[shown].max(initial=0), efficiency.value, *ends))
     axes.set(ylim=(0, _SPECTRUM_ROOM * top), xlim=(low, high))
-    _shade_emission(axes, emission, top)
+    _shade_emission(axes, emission, 0.0, top, "emission, relative")
     # errors of the points, and the one of the tube's scale that they share
     scale_sigma = efficiency.contributions[SCALE] / efficiency.value
     sigmas = np.zeros_like(curve.values) if curve.sigmas is None else curve.sigmas
     band = 100 * np.hypot(sigmas, scale_sigma * curve.values)
-    percent = 100 * curve.values
-    style.band(axes, curve.wavelength_nm, percent, band, color=style.DARK, alpha=0.15, zorder=3)
-    dots = "o" if np.count_nonzero(shown) <= 40 else ""
-    axes.plot(
-        curve.wavelength_nm,
-        percent,
-        color=style.DARK,
-        lw=2,
-        marker=dots,
-        ms=4,
-        zorder=4,
-        label="quantum efficiency ± error",
-    )
+    nm, percent = curve.wavelength_nm, 100 * curve.values
+    style.band(axes, nm, percent, band, color=style.DARK, alpha=0.15, zorder=3)
+    look: dict[str, Any] = {"color": style.DARK, "lw": 2, "ms": 4, "zorder": 4}
+    look["marker"] = "o" if np.count_nonzero(shown) <= 40 else ""
+    axes.plot(nm, percent, label="quantum efficiency ± error", **look)
     grid = common_grid(emission, curve)
     product = 100 * curve.at(grid) * emission.at(grid) / emission.values.max()
-    axes.plot(
-        grid, product, color=style.WARM, lw=1.8, zorder=4, label="emission × quantum efficiency"
-    )
+    look = {"color": style.WARM, "lw": 1.8, "zorder": 4}
+    axes.plot(grid, product, label="emission × quantum efficiency", **look)
     mean, sigma = 100 * efficiency.value, 100 * efficiency.sigma
     axes.axhspan(mean - sigma, mean + sigma, color=style.GREY, alpha=0.15, lw=0, zorder=2)
     axes.axhline(mean, label=f"weighted mean {pdg(mean, sigma)} %", **_DASHED)
@@ -251,27 +224,18 @@ def draw_efficiency(efficiency: DetectorEfficiency) -> style.Drawing:
 
 def _absorption_numbers(absorption: Absorption) -> style.Numbers:
     """A row for each point of each spectrum: transmittance, a clear sample's, coefficient."""
-    rows = []
-    for measured, curve in zip(absorption.spectra, absorption.curves, strict=True):
-        limits, sigmas = _limits(absorption.index, curve.wavelength_nm), curve.sigmas
-        for i, (nm, alpha) in enumerate(zip(curve.wavelength_nm, curve.values, strict=True)):
-            rows.append(
-                (
-                    Path(measured.name).name,
-                    nm,
-                    float(measured.at(nm)),
-                    measured.sigma_at(float(nm)),
-                    limits[i],
-                    alpha,
-                    None if sigmas is None else sigmas[i],
-                    absorption.alpha_abs_per_cm,
-                    absorption.sigma,
-                )
-            )
     columns = (
         "spectrum wavelength_nm transmittance transmittance_sigma clear_limit "
         "alpha_per_cm alpha_sigma_per_cm alpha_abs_per_cm alpha_abs_sigma_per_cm"
     ).split()
+    rows: list[Sequence[object]] = []
+    for measured, curve in zip(absorption.spectra, absorption.curves, strict=True):
+        nm = curve.wavelength_nm
+        transmittance = (measured.at(nm), [measured.sigma_at(float(place)) for place in nm])
+        alphas = (curve.values, curve.sigmas, absorption.alpha_abs_per_cm, absorption.sigma)
+        limit = _limits(absorption.index, nm)
+        cells = (Path(measured.name).name, nm, *transmittance, limit, *alphas)
+        rows += style.numbers_in(dict(zip(columns, cells, strict=True)))[1]
     return columns, rows
 
 
@@ -311,7 +275,7 @@ def draw_absorption(absorption: Absorption) -> style.Drawing:
     if emission is not None:
         for axes in (above, below):
             bottom, top = axes.get_ylim()
-            _shade_emission(axes, emission, 0.6 * top + 0.4 * bottom, bottom, "light, relative")
+            _shade_emission(axes, emission, bottom, 0.6 * top + 0.4 * bottom, "light, relative")
     above.set_ylabel("measured transmittance, %")
     below.set(ylabel="absorption coefficient, 1/cm", xlabel="wavelength, nm")
     for axes in (above, below):
@@ -327,25 +291,11 @@ def _frame(axes: Axes, values: Sequence[float], low: float, high: float) -> None
     axes.set(ylim=(least - 0.08 * height, most + 0.45 * height), xlim=(low, high))
 
 
-def _shade_emission(
-    axes: Axes,
-    emission: Spectrum,
-    top: float,
-    bottom: float = 0.0,
-    label: str = "emission, relative",
-) -> None:
+def _shade_emission(axes: Axes, emission: Spectrum, bottom: float, top: float, label: str) -> None:
     """The emission behind the curves, its maximum at the height `top`."""
-    relative = np.maximum(emission.values, 0) / emission.values.max()
-    axes.fill_between(
-        emission.wavelength_nm,
-        bottom,
-        bottom + (top - bottom) * relative,
-        color=_EMISSION,
-        alpha=0.45,
-        lw=0,
-        zorder=1,
-        label=label,
-    )
+    heights = bottom + (top - bottom) * np.maximum(emission.values, 0) / emission.values.max()
+    look: dict[str, Any] = {"color": _EMISSION, "alpha": 0.45, "lw": 0, "zorder": 1}
+    axes.fill_between(emission.wavelength_nm, bottom, heights, label=label, **look)
 
 
 def _seen(emission: Spectrum) -> tuple[float, float]:
@@ -430,11 +380,8 @@ def draw_widths(widths: Mapping[str, Sequence[WidthParts]]) -> style.Drawing:
         f"{style.shortened(parts.source)}: {100 * parts.place.fwhm:.2g} %"
         for name, parts in rows
     ]
-    axes.set_yticks(range(len(rows)), names, parse_math=False, fontsize=9.5)
-    axes.tick_params(axis="y", length=0)
-    axes.set(ylim=(len(rows) - 0.5, -0.5), xlabel="share of the peak's variance (%)")
-    axes.set_xlim(0.0, longest)
-    style.open_axes(axes, "x")
+    style.rows_of_bars(axes, names, parse_math=False, fontsize=9.5)
+    axes.set(xlim=(0.0, longest), xlabel="share of the peak's variance (%)")
     handles = [
         Patch(fc=fill, ec="#222222", lw=0.8, label=words) for words, fill, _ in _OF_WIDTHS.values()
     ]

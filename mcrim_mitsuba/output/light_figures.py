@@ -21,7 +21,7 @@ from mcrim_mitsuba.core.numbers import FWHM, Value, said, titled
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.efficiency.arrival_times import ArrivalTimes
 from mcrim_mitsuba.efficiency.eta_spectrum import EtaSpectrum
-from mcrim_mitsuba.efficiency.lighting import Binned, EtaMap, Light, Spread
+from mcrim_mitsuba.efficiency.lighting import EtaMap, Light, Spread
 from mcrim_mitsuba.efficiency.table import EtaTable
 from mcrim_mitsuba.output import figure_style as style
 
@@ -49,7 +49,7 @@ def _arrival_numbers(lights: Lights) -> style.Numbers:
         "radius_high_mm angle_low_deg angle_high_deg light light_sigma area_mm2 "
         "light_per_mm2 light_per_mm2_sigma light_per_degree light_per_degree_sigma"
     ).split()
-    rows = []
+    rows: list[Sequence[object]] = []
     for name, light in lights:
         map_edges = {"y_{}_mm": light.y_edges_mm, "x_{}_mm": light.x_edges_mm}
         for part, binned, unit, edges in (
@@ -57,20 +57,17 @@ def _arrival_numbers(lights: Lights) -> style.Numbers:
             ("radius", light.radius, "mm2", {"radius_{}_mm": light.radius_edges_mm}),
             ("angle", light.angle, "degree", {"angle_{}_deg": light.angle_edges_deg}),
         ):
-            for place in np.ndindex(binned.light.shape):
-                row: dict[str, object] = {
-                    "configuration": name,
-                    "part": part,
-                    "light": binned.light[place],
-                    "light_sigma": binned.sigma[place],
-                    f"light_per_{unit}": binned.density[place],
-                    f"light_per_{unit}_sigma": binned.density_sigma[place],
-                }
-                if unit == "mm2":
-                    row["area_mm2"] = binned.size[place]
-                for i, (column, borders) in zip(place, edges.items(), strict=True):
-                    row |= {column.format("low"): borders[i], column.format("high"): borders[i + 1]}
-                rows.append(tuple(map(row.get, columns)))
+            cells = {"light": binned.light, "light_sigma": binned.sigma}
+            cells |= {f"light_per_{unit}": binned.density}
+            cells |= {f"light_per_{unit}_sigma": binned.density_sigma}
+            cells |= {"area_mm2": binned.size} if unit == "mm2" else {}
+            for end, borders in (("low", slice(None, -1)), ("high", slice(1, None))):
+                names = (column.format(end) for column in edges)
+                grid = np.meshgrid(*(edge[borders] for edge in edges.values()), indexing="ij")
+                cells |= dict(zip(names, grid, strict=True))
+            flat = {column: np.ravel(values) for column, values in cells.items()}
+            of_bins = {"configuration": name, "part": part, **flat}
+            rows += style.numbers_in({column: of_bins.get(column) for column in columns})[1]
     return columns, rows
 
 
@@ -97,8 +94,12 @@ def draw_arrival(lights: Lights) -> style.Drawing:
     _draw_maps(figure, maps, lights)
     for (name, light), colour, dashes in zip(lights, _COLOURS, _LINES, strict=False):
         look: dict[str, Any] = {"color": colour, "ls": dashes, "label": style.shortened(name, 30)}
-        _draw_line(radial, light.radius_edges_mm, light.radius, **look)
-        _draw_line(angular, light.angle_edges_deg, light.angle, **look)
+        for axes, edges, binned in (
+            (radial, light.radius_edges_mm, light.radius),
+            (angular, light.angle_edges_deg, light.angle),
+        ):
+            density, sigma = _UNIT * binned.density, _UNIT * binned.density_sigma
+            _draw_steps(axes, edges, density, sigma, baseline=None, **look)
         # as much light by Lambert's law, up to the largest angle that refraction gives
         most = light.largest_angle_deg or 90.0
         angle = np.linspace(0.0, most, 181)
@@ -118,25 +119,17 @@ def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
     norm = PowerNorm(0.5, 0.0, brightest or 1.0)
     all_axes = [figure.add_subplot(place) for place in places]
     for axes, (name, light) in zip(all_axes, lights, strict=True):
-        mesh = axes.pcolormesh(
-            light.x_edges_mm,
-            light.y_edges_mm,
-            _UNIT * light.map.density,
-            norm=norm,
-            cmap="cividis",
-            rasterized=True,
-        )
+        look: dict[str, Any] = {"norm": norm, "cmap": "cividis", "rasterized": True}
+        density = _UNIT * light.map.density
+        mesh = axes.pcolormesh(light.x_edges_mm, light.y_edges_mm, density, **look)
         if light.crystal_mm is not None:
             axes.plot(*light.crystal_mm.T, **_OVER_MAP)
         for x, y, radius in light.masks_mm:
             axes.add_patch(Circle((x, y), radius, fill=False, ls=_MASK_DASHES, **_OVER_MAP))
         limits = {"xlim": light.x_edges_mm[[0, -1]], "ylim": light.y_edges_mm[[0, -1]]}
         axes.set(aspect="equal", xlabel="x on the detector (mm)", **limits)
-        axes.set_title(
-            f"{style.shortened(name, 30)}\nη = {pdg(light.eta, light.eta_sigma)}",
-            fontsize=11,
-            parse_math=False,
-        )
+        title = f"{style.shortened(name, 30)}\nη = {pdg(light.eta, light.eta_sigma)}"
+        axes.set_title(title, fontsize=11, parse_math=False)
     all_axes[0].set_ylabel("y on the detector (mm)")
     for axes in all_axes[1:]:
         axes.tick_params(labelleft=False)
@@ -151,37 +144,28 @@ def _draw_maps(figure: Figure, places: Sequence[Any], lights: Lights) -> None:
         style.legend_of(figure, handles, "upper left", 2, fontsize=10)
 
 
-def _draw_line(
-    axes: Axes, edges: np.ndarray, binned: Binned, *, color: str, ls: Any, label: str
+def _draw_steps(
+    axes: Axes, edges: np.ndarray, values: np.ndarray, sigma: np.ndarray, **look: Any
 ) -> None:
-    """A density as steps, with a band of one standard error."""
-    density = _UNIT * binned.density
-    axes.stairs(density, edges, baseline=None, color=color, ls=ls, lw=1.6, label=label)
-    _band_of_steps(axes, edges, density, _UNIT * binned.density_sigma, color)
-
-
-def _band_of_steps(
-    axes: Axes, edges: np.ndarray, values: np.ndarray, sigma: np.ndarray, color: str
-) -> None:
-    """One standard error on either side of values in bins."""
+    """Values in bins as steps, with a band of one standard error."""
+    axes.stairs(values, edges, lw=1.6, **look)
     # a point for each edge: the last bin's ends its step
     low, high = (np.append(side, side[-1]) for side in (values - sigma, values + sigma))
-    axes.fill_between(edges, low, high, step="post", color=color, alpha=0.25, lw=0)
+    axes.fill_between(edges, low, high, step="post", color=look["color"], alpha=0.25, lw=0)
 
 
 def _finish_radial(axes: Axes, lights: Lights) -> None:
     """Axes and legend of light by its distance from the detector's centre."""
+    ends = []
+    for _, light in lights:
+        # where next to no light arrives beyond, and a bin more
+        inside = np.cumsum(light.radius.light) < 0.9999 * light.radius.light.sum()
+        ends.append(light.radius_edges_mm[1:][min(inside.sum() + 1, len(inside) - 1)])
     axes.set_xlabel("distance from the detector's centre (mm)")
     axes.set_ylabel("detected light\n(10⁻³ of the emitted light per mm²)")
-    axes.set(xlim=(0, max(_end_of_light(light) for _, light in lights)), ylim=(0, None))
+    axes.set(xlim=(0, max(ends)), ylim=(0, None))
     style.open_axes(axes)
     style.legend_above(axes, ncols=2 if len(lights) > 2 else 1, handlelength=2.6)
-
-
-def _end_of_light(light: Light) -> float:
-    """Radius (mm) beyond which next to no light arrives, and a bin more."""
-    inside = np.cumsum(light.radius.light) < 0.9999 * light.radius.light.sum()
-    return float(light.radius_edges_mm[1:][min(inside.sum() + 1, len(inside) - 1)])
 
 
 def _finish_angular(axes: Axes, lights: Lights) -> None:
@@ -214,12 +198,8 @@ def draw_map(mapped: EtaMap, spreads: Sequence[Spread]) -> style.Drawing:
     grid = figure.add_gridspec(2, 6, height_ratios=(1.0, 1.12))
     x, y, z = mapped.edges_mm
     shown = 100.0 * mapped.eta
-    look: dict[str, Any] = {
-        "vmin": np.nanmin(shown),
-        "vmax": np.nanmax(shown),
-        "cmap": "cividis",
-        "rasterized": True,
-    }
+    look: dict[str, Any] = {"vmin": np.nanmin(shown), "vmax": np.nanmax(shown)}
+    look |= {"cmap": "cividis", "rasterized": True}
     flat = []
     # the highest slice, one in the middle and the lowest: z are borders, one more than slices
     for place, k in enumerate(np.linspace(len(z) - 2, 0, _SLICES).round().astype(int)):
@@ -238,16 +218,12 @@ def draw_map(mapped: EtaMap, spreads: Sequence[Spread]) -> style.Drawing:
     upright.set(aspect="equal", xlabel="x (mm)", ylabel="z (mm)")
     _draw_heights(figure.add_subplot(grid[1, 2:4]), mapped)
     _draw_spreads(figure.add_subplot(grid[1, 4:]), mapped, spreads)
-    columns = ("x_mm", "y_mm", "z_mm", "volume", "eta", "eta_sigma")
-    rows = [
-        (
-            *(float(c[i]) for c, i in zip(mapped.centres_mm, cell, strict=True)),
-            *(float(table[cell]) for table in (mapped.volume, mapped.eta, mapped.eta_sigma)),
-        )
-        for cell in np.ndindex(mapped.eta.shape)
-        if mapped.volume[cell] > 0.0
-    ]
-    return style.Drawing(figure, columns, rows)
+    columns = {"volume": mapped.volume, "eta": mapped.eta, "eta_sigma": mapped.eta_sigma}
+    centres = np.meshgrid(*mapped.centres_mm, indexing="ij")
+    columns = dict(zip(("x_mm", "y_mm", "z_mm"), centres, strict=True)) | columns
+    there = mapped.volume > 0.0
+    numbers = style.numbers_in({name: cells[there] for name, cells in columns.items()})
+    return style.Drawing(figure, *numbers)
 
 
 def _draw_heights(axes: Axes, mapped: EtaMap) -> None:
@@ -255,16 +231,8 @@ def _draw_heights(axes: Axes, mapped: EtaMap) -> None:
     volume = mapped.volume.sum(axis=(0, 1))
     eta = np.nansum(mapped.volume * mapped.eta, axis=(0, 1)) / volume
     sigma = np.sqrt(np.nansum((mapped.volume * mapped.eta_sigma) ** 2, axis=(0, 1))) / volume
-    axes.errorbar(
-        100.0 * eta,
-        mapped.centres_mm[2],
-        xerr=100.0 * sigma,
-        fmt="o-",
-        ms=4,
-        color=style.DARK,
-        lw=1.2,
-        capsize=2,
-    )
+    look: dict[str, Any] = {"fmt": "o-", "ms": 4, "color": style.DARK, "lw": 1.2, "capsize": 2}
+    axes.errorbar(100.0 * eta, mapped.centres_mm[2], xerr=100.0 * sigma, **look)
     axes.set(xlabel="η (%) of a slice", ylabel="z (mm)", ylim=mapped.edges_mm[2][[0, -1]])
     style.open_axes(axes)
 
@@ -323,8 +291,7 @@ def draw_spectrum(spectrum: EtaSpectrum) -> style.Drawing:
     columns = {"wavelength_nm": nm, "eta": spectrum.eta, "eta_sigma": spectrum.eta_sigma}
     columns |= {"emission": light.emission, "efficiency": light.efficiency}
     columns |= {"detected_part": spectrum.detected_part, **light.parameters}
-    rows = [tuple(map(float, row)) for row in zip(*columns.values(), strict=True)]
-    return style.Drawing(figure, tuple(columns), rows)
+    return style.Drawing(figure, *style.numbers_in(columns))
 
 
 # Arrival times: the histogram of detected light, and an event's first photons.
@@ -343,14 +310,17 @@ def draw_times(times: ArrivalTimes) -> style.Drawing:
     _draw_histogram(left, times)
     _draw_first(right, times)
     # rows of the histogram, then of the first photons: either kind leaves the other's columns empty
-    of_bin, of_photon = ("time_ps", "part", "part_sigma"), ("born", "photon")
-    names = "mean_ps", "mean_ps_sigma", "rms_ps", "rms_ps_sigma"
-    rows: list[tuple] = [(*row, *[None] * len((*of_photon, *names))) for row in times.rows]
+    of_bin = dict.fromkeys(("time_ps", "part", "part_sigma"))
+    names = "mean_ps mean_ps_sigma rms_ps rms_ps_sigma".split()
+    rows: list[Sequence[object]] = [
+        (*row, *[None] * len(("born", "photon", *names))) for row in times.rows
+    ]
     for photons in times.first:
-        for i in range(len(photons.mean_ps)):
-            values = (float(getattr(photons, name)[i]) for name in names)
-            rows.append((*[None] * len(of_bin), photons.born, i + 1, *values))
-    return style.Drawing(figure, (*of_bin, *of_photon, *names), rows)
+        cells = {"born": photons.born, "photon": range(1, len(photons.mean_ps) + 1)}
+        values = {name: getattr(photons, name) for name in names}
+        columns, of_photons = style.numbers_in(of_bin | cells | values)
+        rows += of_photons
+    return style.Drawing(figure, columns, rows)
 
 
 def _draw_histogram(axes: Axes, times: ArrivalTimes) -> None:
@@ -358,27 +328,14 @@ def _draw_histogram(axes: Axes, times: ArrivalTimes) -> None:
     unit, per = ("ns", 1000.0) if times.edges_ps[-1] > _LONG_PS else ("ps", 1.0)
     edges = times.edges_ps / per
     percent = 100.0 * times.part
-    axes.stairs(percent, edges, color=style.DARK, lw=1.6)
-    _band_of_steps(axes, edges, percent, 100.0 * times.part_sigma, style.DARK)
-    mean = f"{pdg(times.mean_ps / per, times.mean_ps_sigma / per)} {unit}"
-    axes.axvline(
-        times.mean_ps / per, color=style.WARM, lw=1.4, ls=(0, (5, 1.6)), label=f"mean, {mean}"
-    )
+    _draw_steps(axes, edges, percent, 100.0 * times.part_sigma, color=style.DARK)
+    label = f"mean, {pdg(times.mean_ps / per, times.mean_ps_sigma / per)} {unit}"
+    axes.axvline(times.mean_ps / per, color=style.WARM, lw=1.4, ls=_LINES[1], label=label)
     begin, end = times.begin_ps / per, (times.begin_ps + times.rise_ps) / per
-    axes.axvspan(
-        begin,
-        end,
-        color=style.LIGHT,
-        alpha=0.18,
-        lw=0,
-        label=f"10 to 90 % of the light, {end - begin:.3g} {unit}",
-    )
-    axes.set(
-        xlabel=f"arrival time ({unit})",
-        ylabel=f"detected light (% per {edges[1]:g} {unit})",
-        xlim=(0, edges[-1]),
-        ylim=(0, None),
-    )
+    label = f"10 to 90 % of the light, {end - begin:.3g} {unit}"
+    axes.axvspan(begin, end, color=style.LIGHT, alpha=0.18, lw=0, label=label)
+    axes.set(xlabel=f"arrival time ({unit})", xlim=(0, edges[-1]), ylim=(0, None))
+    axes.set_ylabel(f"detected light (% per {edges[1]:g} {unit})")
     style.open_axes(axes)
     style.legend_above(axes, ncols=1, handlelength=2.6)
 
@@ -387,23 +344,11 @@ def _draw_first(axes: Axes, times: ArrivalTimes) -> None:
     """When the first photons of an event arrive, by where its light is born."""
     number = np.arange(1, len(times.first[0].mean_ps) + 1)
     for photons, (colour, marker, shift) in zip(times.first, _OF_BIRTHS, strict=False):
-        axes.errorbar(
-            number + shift,
-            photons.mean_ps,
-            photons.rms_ps,
-            color=colour,
-            fmt=marker,
-            ms=4.5,
-            lw=1.2,
-            capsize=2.5,
-            label=f"light of an event born {photons.born}",
-        )
-    axes.set(
-        xlabel=f"number among {times.detected:,} detected photons",
-        ylabel="arrival time, mean and rms (ps)",
-        ylim=(0, None),
-        xticks=number,
-    )
+        look: dict[str, Any] = {"color": colour, "fmt": marker, "ms": 4.5, "lw": 1.2}
+        look |= {"capsize": 2.5, "label": f"light of an event born {photons.born}"}
+        axes.errorbar(number + shift, photons.mean_ps, photons.rms_ps, **look)
+    axes.set(ylabel="arrival time, mean and rms (ps)", ylim=(0, None), xticks=number)
+    axes.set_xlabel(f"number among {times.detected:,} detected photons")
     style.open_axes(axes)
     style.legend_above(axes, ncols=1)
 
@@ -431,31 +376,19 @@ def draw_fates(lights: Lights) -> style.Drawing:
     for row, (_, light) in enumerate(lights):
         _draw_bar(axes, row, light, shown)
     names = [f"{style.shortened(n, 30)}\nη = {pdg(x.eta, x.eta_sigma)}" for n, x in lights]
-    axes.set_yticks(range(len(lights)), names, parse_math=False)
-    axes.tick_params(axis="y", length=0)
-    axes.set(ylim=(len(lights) - 0.5, -0.72), xlim=(0, 100))
-    axes.set_xlabel("share of the emitted light (%)")
-    style.open_axes(axes, "x")
+    style.rows_of_bars(axes, names, 0.72, parse_math=False)
+    axes.set(xlim=(0, 100), xlabel="share of the emitted light (%)")
     axes.spines["left"].set_visible(False)
     handles = [Patch(label=style.fate_style(fate).words, **_bar_look(fate)) for fate in shown]
-    style.legend_of(
-        figure,
-        handles,
-        "upper center",
-        min(4, len(handles)),
-        fontsize=10,
-        handlelength=1.8,
-        handleheight=1.1,
-        columnspacing=1.6,
-    )
+    sizes = {"fontsize": 10, "handlelength": 1.8, "handleheight": 1.1, "columnspacing": 1.6}
+    style.legend_of(figure, handles, "upper center", min(4, len(handles)), **sizes)
+    columns = ("configuration", "fate", "fraction", "fraction_sigma", "photons")
     rows = [
         (name, fate, light.budget[fate], light.budget_sigma[fate], light.photons)
         for name, light in lights
         for fate in style.ordered(light.budget)
     ]
-    return style.Drawing(
-        figure, ("configuration", "fate", "fraction", "fraction_sigma", "photons"), rows
-    )
+    return style.Drawing(figure, columns, rows)
 
 
 def _bar_look(fate: str) -> dict[str, Any]:
@@ -472,24 +405,16 @@ def _draw_bar(axes: Axes, row: int, light: Light, shown: Sequence[str]) -> None:
         middle, text = left + percent / 2, f"{percent:.1f} %"
         left += percent
         if percent >= _INSIDE:
-            box = {"boxstyle": "round,pad=0.15", "fc": style.fate_style(fate).fill, "ec": "none"}
-            style.text_in_bar(
-                axes, text, (middle, row), color=style.fate_style(fate).text, bbox=box
-            )
+            fate_look = style.fate_style(fate)
+            box = {"boxstyle": "round,pad=0.15", "fc": fate_look.fill, "ec": "none"}
+            style.text_in_bar(axes, text, (middle, row), color=fate_look.text, bbox=box)
         elif percent >= _LEAST:
             narrow.append((middle, text))
     top = row - _HEIGHT / 2
     for (middle, text), x in zip(narrow, _apart([middle for middle, _ in narrow]), strict=True):
-        axes.annotate(
-            text,
-            (middle, top),
-            (x, top - 0.13),
-            ha="center",
-            va="center",
-            fontsize=9,
-            annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "lw": 0.6, "shrinkA": 0, "shrinkB": 0},
-        )
+        look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 9}
+        look["arrowprops"] = {"arrowstyle": "-", "lw": 0.6, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate(text, (middle, top), (x, top - 0.13), annotation_clip=False, **look)
 
 
 def _apart(middles: Sequence[float]) -> list[float]:
@@ -549,16 +474,10 @@ def draw_table(tabulated: EtaTable) -> style.Drawing:
     places = values if numeric else range(len(values))
     combinations = product(*(tabulated.axes[name] for name in others))
     for line, combination in enumerate(combinations):
-        axes.errorbar(
-            places,
-            etas[line],
-            sigmas[line],
-            label=", ".join(map(said, others, combination)),
-            marker=_MARKERS[line],
-            ms=5,
-            lw=1.2,
-            color=str(0.75 * line / lines) if lines > 4 else _COLOURS[line],
-        )
+        colour = str(0.75 * line / lines) if lines > 4 else _COLOURS[line]
+        look: dict[str, Any] = {"marker": _MARKERS[line], "ms": 5, "lw": 1.2, "color": colour}
+        label = ", ".join(map(said, others, combination))
+        axes.errorbar(places, etas[line], sigmas[line], label=label, **look)
     if not numeric:
         axes.set_xticks(places, [str(value) for value in values], parse_math=False)
     axes.set_xlabel(titled(along), parse_math=False)

@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from matplotlib.text import Text
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import isotonic_regression
 from scipy.spatial import ConvexHull, QhullError
 
 from mcrim_mitsuba.core.errors import InputError, placed
@@ -124,7 +125,7 @@ class Sheet:
         x: float,
         y: float,
         text: str,
-        size: float = 13,
+        size: float,
         *,
         target: tuple[float, float] | None = None,
         **style: Any,
@@ -149,13 +150,9 @@ class Sheet:
     def finished(self) -> np.ndarray:
         """The pixels, uint8, shape (height, width, 3)."""
         high, wide = self.pixels.shape[:2]
-        self.axes.imshow(
-            np.clip(self.pixels, 0.0, 1.0),
-            extent=(0, wide, high, 0),
-            interpolation="none",
-            aspect="auto",
-            zorder=-1,
-        )
+        look: dict[str, Any] = {"interpolation": "none", "aspect": "auto", "zorder": -1}
+        pixels = np.clip(self.pixels, 0.0, 1.0)
+        self.axes.imshow(pixels, extent=(0, wide, high, 0), **look)
         self.axes.set(xlim=(0, wide), ylim=(high, 0))
         self.canvas.draw()
         return np.asarray(self.canvas.buffer_rgba())[:, :, :3].copy()
@@ -166,16 +163,9 @@ def apart(wanted: ArrayLike, heights: ArrayLike, low: float, high: float) -> np.
 
     `wanted` and `heights`, shape (n,), are in the order from top to bottom.
     """
-    tops = np.array(wanted, dtype=float)
     ends = np.concatenate([[0.0], np.cumsum(heights)])
     # the nearest values that never fall: neighbours that collide move together
-    groups: list[list[float]] = []
-    for value in tops - ends[:-1]:
-        groups.append([value, 1.0])
-        while len(groups) > 1 and groups[-2][0] > groups[-1][0]:
-            (b, m), (a, n) = groups.pop(), groups.pop()
-            groups.append([(a * n + b * m) / (n + m), n + m])
-    spread = np.repeat([v for v, _ in groups], [int(n) for _, n in groups])
+    spread = isotonic_regression(np.asarray(wanted, dtype=float) - ends[:-1]).x
     return np.clip(spread, low, max(low, high - ends[-1])) + ends[:-1]
 
 
@@ -209,11 +199,6 @@ def _tone(light: np.ndarray) -> np.ndarray:
 _LEFT = 1490
 #: Height of a line over the size of its letters, in pixels per point.
 _LINE = 1.39
-
-
-def caption(sheet: Sheet, place: tuple[float, float], text: str) -> None:
-    """Words in bold at the upper left corner of a panel."""
-    sheet.text(sheet.scale * (place[0] + 24), sheet.scale * (place[1] + 8), text, 13, weight="bold")
 
 
 def label_bench(sheet: Sheet, panel: Photo, place_mm: np.ndarray) -> None:
@@ -334,12 +319,9 @@ class Rendering:
     def document(self, picture: str, seconds: float) -> dict[str, Any]:
         """As ``mcrim render --json`` writes it, of a `picture` that was saved after `seconds`."""
         high, wide = self.pixels.shape[:2]
-        return (
-            {"kind": "rendering", "version": 1, "picture": picture, "width": wide, "height": high}
-            | attributes(self, "parts samples seed")
-            | {"seconds": seconds}
-            | attributes(self, "parameters versions scene_hash")
-        )
+        whole = {"kind": "rendering", "version": 1, "picture": picture, "width": wide}
+        whole |= {"height": high, **attributes(self, "parts samples seed"), "seconds": seconds}
+        return whole | attributes(self, "parameters versions scene_hash")
 
     def png(self) -> bytes:
         """The picture as a PNG file."""
@@ -456,10 +438,13 @@ def _write_titles(sheet: Sheet, file: SceneFile, times: float, scale: float) -> 
     title, parameters = heading(file.path.name, file.overrides, file.parameters)
     sheet.text(24 * scale, 20 * scale, title, 19, weight="bold")
     sheet.text(24 * scale, 56 * scale, parameters, 9.5, color=QUIET)
-    caption(sheet, BENCH_PANEL[:2], "The bench as it stands")
     enlarged = f"enlarged {float(f'{times:.2g}'):g} times"
-    caption(sheet, _EDGE_CAPTION, f"The crystal's lower edge, cut open, {enlarged}")
-    caption(sheet, (_PARTS[0] + 24, _PARTS[1]), "The parts, moved apart, to scale")
+    for (left, top), words in (
+        (BENCH_PANEL[:2], "The bench as it stands"),
+        (_EDGE_CAPTION, f"The crystal's lower edge, cut open, {enlarged}"),
+        ((_PARTS[0] + 24, _PARTS[1]), "The parts, moved apart, to scale"),
+    ):
+        sheet.text(scale * (left + 24), scale * (top + 8), words, 13, weight="bold")
 
 
 def _corners(bodies: Sequence[Body]) -> np.ndarray:

@@ -31,27 +31,8 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.campaign.campaign import Campaign
     from mcrim_mitsuba.inference.diagnose import RepairStep
     from mcrim_mitsuba.inference.plan import Conditions
-    from mcrim_mitsuba.output.campaign_results import (
-        BudgetResult,
-        ComparisonResult,
-        DiagnosisResult,
-        FitResult,
-        HypothesesResult,
-        PlanResult,
-        ReductionResult,
-        RepairResult,
-        ReportResult,
-    )
+    from mcrim_mitsuba.output import campaign_results, scene_results
     from mcrim_mitsuba.output.photograph import Rendering
-    from mcrim_mitsuba.output.scene_results import (
-        CheckResult,
-        CrosscheckResult,
-        LightResult,
-        MapResult,
-        SpectrumResult,
-        TableResult,
-        TimesResult,
-    )
     from mcrim_mitsuba.transport.simulation import Simulation
 
 __all__ = [
@@ -173,7 +154,7 @@ def simulate(
     progress: Progress | None = None,
     check: bool | None = None,
     **parameters: Any,
-) -> LightResult:
+) -> scene_results.LightResult:
     """Light collection efficiency of one configuration, with every photon's fate.
 
     Parameters
@@ -222,7 +203,7 @@ def eta_map(
     progress: Progress | None = None,
     check: bool | None = None,
     **parameters: Any,
-) -> MapResult:
+) -> scene_results.MapResult:
     """Light collection efficiency by where light is born, and what its spread adds to a peak.
 
     Parameters
@@ -269,7 +250,7 @@ def eta_spectrum(
     progress: Progress | None = None,
     check: bool | None = None,
     **parameters: Any,
-) -> SpectrumResult:
+) -> scene_results.SpectrumResult:
     """Light collection efficiency over the emission's wavelengths, and its means over the light.
 
     Parameters
@@ -322,7 +303,7 @@ def arrival_times(
     progress: Progress | None = None,
     check: bool | None = None,
     **parameters: Any,
-) -> TimesResult:
+) -> scene_results.TimesResult:
     """When detected photons arrive: by their paths and the group index of every part.
 
     Parameters
@@ -373,7 +354,7 @@ def table(
     progress: Progress | None = None,
     check: bool | None = None,
     **parameters: Any,
-) -> TableResult:
+) -> scene_results.TableResult:
     """Light collection efficiency over any parameters of a scene.
 
     Values of ``alpha_scat_per_cm`` and ``alpha_abs_per_cm`` are answered by one simulation of each
@@ -421,7 +402,7 @@ def check(
     threads: Number | None = None,
     variant: str | None = None,
     **parameters: Any,
-) -> CheckResult:
+) -> scene_results.CheckResult:
     """Whether a scene is sound, and what it means in words.
 
     Parameters
@@ -458,7 +439,7 @@ def crosscheck(
     progress: Progress | None = None,
     check: bool | None = None,
     **parameters: Any,
-) -> CrosscheckResult:
+) -> scene_results.CrosscheckResult:
     """Mitsuba against the independent NumPy tracer, fate by fate.
 
     Parameters
@@ -559,7 +540,9 @@ def add(
 
 
 @_public
-def reduce(campaign: str | Path | Campaign, output: str | Path | None = None) -> ReductionResult:
+def reduce(
+    campaign: str | Path | Campaign, output: str | Path | None = None
+) -> campaign_results.ReductionResult:
     """Reduce a campaign's raw data, every step with its errors.
 
     Parameters
@@ -599,7 +582,7 @@ def calibrate(
     variant: str | None = None,
     progress: Progress | None = None,
     check: bool | None = None,
-) -> FitResult:
+) -> campaign_results.FitResult:
     """Fit a campaign: scattering coefficient and light yield, with all their errors.
 
     Parameters
@@ -640,7 +623,7 @@ def compare(
     variant: str | None = None,
     progress: Progress | None = None,
     check: bool | None = None,
-) -> ComparisonResult: ...
+) -> campaign_results.ComparisonResult: ...
 
 
 @overload
@@ -657,7 +640,7 @@ def compare(
     variant: str | None = None,
     progress: Progress | None = None,
     check: bool | None = None,
-) -> HypothesesResult: ...
+) -> campaign_results.HypothesesResult: ...
 
 
 @_public
@@ -672,7 +655,7 @@ def compare(
     variant: str | None = None,
     progress: Progress | None = None,
     check: bool | None = None,
-) -> ComparisonResult | HypothesesResult:
+) -> campaign_results.ComparisonResult | campaign_results.HypothesesResult:
     """A campaign beside its model, or hypotheses on the same readings side by side.
 
     Parameters
@@ -722,7 +705,7 @@ def diagnose(
     variant: str | None = None,
     progress: Progress | None = None,
     check: bool | None = None,
-) -> DiagnosisResult:
+) -> campaign_results.DiagnosisResult:
     """Which effects of the catalogue explain a campaign's misfit.
 
     Parameters
@@ -765,7 +748,7 @@ def repair(
     variant: str | None = None,
     progress: Progress | None = None,
     check: bool | None = None,
-) -> RepairResult:
+) -> campaign_results.RepairResult:
     """Add effects to a campaign one by one while the data justify it.
 
     Parameters
@@ -813,7 +796,7 @@ def budget(
     variant: str | None = None,
     progress: Progress | None = None,
     check: bool | None = None,
-) -> BudgetResult:
+) -> campaign_results.BudgetResult:
     """Where all errors of a campaign come from, and what its model leaves out.
 
     Parameters
@@ -878,7 +861,7 @@ def plan(
     variant: str | None = None,
     progress: Progress | None = None,
     check: bool | None = None,
-) -> PlanResult:
+) -> campaign_results.PlanResult:
     """How to measure for a wanted error of the light yield: couplings, mountings, events.
 
     Parameters
@@ -903,17 +886,15 @@ def plan(
     from mcrim_mitsuba.output.campaign_results import PlanResult
 
     campaign = _read(campaign)
+    whole = functools.partial(whole_of, mend="give whole numbers from 1", least=1)
+    readers: dict[str, tuple[Any, Callable[[str, Any], float]]] = {
+        "n_gap": (n_gap, functools.partial(number_of, mend="give a list of indices")),
+        "mountings": (mountings, whole),
+        "events": (events, functools.partial(_above_0, kind="number of events")),
+    }
     choices: dict[str, Any] = {
-        name: [read(name, value) for value in (values if np.ndim(values) else [values])]
-        for name, values, read in (
-            ("n_gap", n_gap, functools.partial(number_of, mend="give a list of indices")),
-            (
-                "mountings",
-                mountings,
-                functools.partial(whole_of, mend="give whole numbers from 1", least=1),
-            ),
-            ("events", events, functools.partial(_above_0, kind="number of events")),
-        )
+        name: [read(name, value) for value in np.atleast_1d(np.asarray(values, object))]
+        for name, (values, read) in readers.items()
         if values is not None
     }
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
@@ -936,7 +917,7 @@ def report(
     variant: str | None = None,
     progress: Progress | None = None,
     check: bool | None = None,
-) -> ReportResult:
+) -> campaign_results.ReportResult:
     """Diagnose and mend a campaign, and write all that was found as one HTML file.
 
     Parameters
@@ -957,4 +938,5 @@ def report(
     from mcrim_mitsuba.output.report import report as write_report
 
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
-    return ReportResult.of_report(write_report(campaign, output, effects=effects, run=run))
+    sections = write_report(campaign, output, effects=effects, run=run)
+    return ReportResult.of_report(Path(output), sections)

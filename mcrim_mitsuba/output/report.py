@@ -29,7 +29,7 @@ from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import read_text, refuse_outputs, write_text
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import number, pdg, short_text
-from mcrim_mitsuba.core.run import Provenance, Run
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.diagnose import final_step
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.inference.repair import Repaired, repair
@@ -83,29 +83,26 @@ def of_drawing(name: str, drawing: style.Drawing, alt: str, **further: style.Num
     further : Numbers
         Tables behind it besides the drawing's own, by what they hold.
     """
-    stream = io.StringIO()
-    if (layout := drawing.figure.get_layout_engine()) is not None:
+    stream, figure = io.StringIO(), drawing.figure
+    if (layout := figure.get_layout_engine()) is not None:
         # once, by metrics that are quicker than those of outlines
-        layout.execute(drawing.figure)
-        drawing.figure.set_layout_engine("none")
+        layout.execute(figure)
+        figure.set_layout_engine("none")
     with rc_context({"svg.fonttype": "path", "svg.hashsalt": name}), warnings.catch_warnings():
         # a label in a script that the font lacks shows boxes; tables and CSV have it
         warnings.filterwarnings("ignore", message="Glyph .* missing")
-        drawing.figure.savefig(stream, format="svg", metadata={"Date": None})
+        figure.savefig(stream, format="svg", metadata={"Date": None})
     text = _NOT_XML.sub("", _COMMENTS.sub("", stream.getvalue()))
     text = _PATHS.sub(lambda path: _FURTHER_DIGITS.sub(r"\1", path[0]), text)
-    wide, high = (round(side * _PIXELS_PER_INCH) for side in drawing.figure.get_size_inches())
+    wide, high = (round(side * _PIXELS_PER_INCH) for side in figure.get_size_inches())
     tables = {"numbers": (drawing.columns, drawing.rows)} if drawing.columns else {}
-    numbers = tuple(
-        (
-            content,
-            f"{name}-{content}" if further else name,
-            data_uri(style.numbers_text(*table).encode(), "text/csv"),
-        )
-        for content, table in (tables | further).items()
-    )
+    numbers = []
+    for content, table in (tables | further).items():
+        csv = data_uri(style.numbers_text(*table).encode(), "text/csv")
+        numbers.append((content, f"{name}-{content}" if further else name, csv))
     source = data_uri(text.encode(), "image/svg+xml")
-    return Picture(name=name, alt=alt, source=source, width=wide, height=high, numbers=numbers)
+    size = {"width": wide, "height": high}
+    return Picture(name=name, alt=alt, source=source, numbers=tuple(numbers), **size)
 
 
 def of_pixels(name: str, pixels: NDArray[np.uint8], alt: str) -> Picture:
@@ -128,14 +125,8 @@ def efficiencies_csv(sections: Sections) -> bytes:
     """The light collection efficiency of every reading, with its configuration."""
     varied = sections.campaign.varied
     rows = [
-        (
-            efficiency.label,
-            *map(efficiency.parameters.get, varied),
-            efficiency.eta,
-            efficiency.sigma,
-            row.pull,
-        )
-        for efficiency, row in zip(sections.efficiencies, sections.calibration.rows, strict=True)
+        (e.label, *map(e.parameters.get, varied), e.eta, e.sigma, row.pull)
+        for e, row in zip(sections.efficiencies, sections.calibration.rows, strict=True)
     ]
     columns = ("label", *varied, "eta", "eta_sigma", "pull")
     return style.numbers_text(columns, rows).encode()
@@ -149,20 +140,14 @@ def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
     """Efficiencies of two configurations against scattering, and the ratio of their signals."""
     figure = style.canvas(8.4, 3.9)
     left, right = figure.subplots(1, 2)
-    names = [style.shortened(label, 24) for label in curve.labels]
-    for eta, name, colour, line in zip(
-        curve.eta.T, names, (style.WARM, style.DARK), ("--", "-"), strict=True
-    ):
-        left.plot(curve.alpha_scat_per_cm, eta, color=colour, ls=line, lw=2, label=name)
+    looks = ({"color": style.WARM, "ls": "--"}, {"color": style.DARK, "ls": "-"})
+    for eta, label, look in zip(curve.eta.T, curve.labels, looks, strict=True):
+        name = style.shortened(label, 24)
+        left.plot(curve.alpha_scat_per_cm, eta, lw=2, label=name, **look)
     left.set(ylabel="light collection efficiency η", ylim=(0, None))
     style.legend(left)
-    right.axhspan(
-        curve.measured - curve.measured_sigma,
-        curve.measured + curve.measured_sigma,
-        color="#f2cdb9",
-        lw=0,
-        label="measured, ± 1 standard error",
-    )
+    low, high = (curve.measured + sign * curve.measured_sigma for sign in (-1, 1))
+    right.axhspan(low, high, color="#f2cdb9", lw=0, label="measured, ± 1 standard error")
     right.axhline(curve.measured, color=style.WARM, lw=1.2)
     right.plot(curve.alpha_scat_per_cm, curve.ratio, color=style.DARK, lw=2, label="simulated")
     right.set_ylabel("ratio of the two signals")
@@ -171,14 +156,10 @@ def _draw_ratio(curve: RatioOfSignals) -> style.Drawing:
         axes.axvline(curve.solution_per_cm, color=style.GREY, lw=1.2, ls=":")
         axes.set(xscale="log", xlabel=r"$α_\mathrm{scat}$ (1/cm); dotted: fitted")
         style.open_axes(axes)
-    columns = (
-        "alpha_scat_per_cm eta_first eta_second ratio measured_ratio measured_ratio_sigma".split()
-    )
-    rows = [
-        (*point, curve.measured, curve.measured_sigma)
-        for point in zip(curve.alpha_scat_per_cm, *curve.eta.T, curve.ratio, strict=True)
-    ]
-    return style.Drawing(figure, columns, rows)
+    columns = {"alpha_scat_per_cm": curve.alpha_scat_per_cm}
+    columns |= {"eta_first": curve.eta[:, 0], "eta_second": curve.eta[:, 1], "ratio": curve.ratio}
+    measured = {"measured_ratio": curve.measured, "measured_ratio_sigma": curve.measured_sigma}
+    return style.Drawing(figure, *style.numbers_in(columns | measured))
 
 
 # All pictures of a report; those that a campaign has no use for are left out.
@@ -319,16 +300,11 @@ def render(sections: Sections) -> str:
     folder = resources.files("mcrim_mitsuba.output")
     style = (folder / "style.css").read_text(encoding="utf-8")
     pages = environment()
-    pages.filters |= {
-        "said": said,
-        "brief": brief,
-        "in_full": in_full,
-        "number": number,
-        "estimate": sentences.estimate_text,
-        "value": short_text,
-        "data_uri": data_uri,
-    }
+    pages.filters |= {"said": said, "brief": brief, "in_full": in_full, "number": number}
+    pages.filters |= {"estimate": sentences.estimate_text, "value": short_text}
+    pages.filters |= {"data_uri": data_uri}
     template = pages.get_template("template.html")
+    parameters = sections.calibration.parameters
     raw, steps = sections.campaign.raw, sections.diagnosis.repair
     if sections.effects:
         # effects that the user chose were not added one by one
@@ -345,10 +321,7 @@ def render(sections: Sections) -> str:
         efficiencies=efficiencies_csv(sections),
         faces=records("", FACES[:-1], sections.bench.report.interfaces),
         steps=describe_campaign.steps_table(steps),
-        meanings={
-            name: sentences.parameter_words(sections.campaign, name)[0]
-            for name in sections.calibration.parameters
-        },
+        meanings={n: sentences.parameter_words(sections.campaign, n)[0] for n in parameters},
         most_rows=MOST_ROWS,
         most_printed=MOST_PRINTED,
         leading=sentences.leading_candidates(sections.diagnosis),
@@ -374,27 +347,17 @@ _LIMIT_MB = 50
 _STAGES = 8
 
 
-@dataclass(frozen=True)
-class Reported:
-    """A report that was written."""
-
-    path: Path
-    #: What it tells.
-    sections: Sections
-    #: Of everything.
-    provenance: Provenance
-
-
 def report(
     campaign: str | Path | Campaign,
     output: str | Path,
     *,
     effects: Sequence[str] | None = None,
     run: Run = Run(),
-) -> Reported:
+) -> Sections:
     """Diagnose and mend a campaign, and write all that was found as one HTML file.
 
     The file needs nothing else: no network, no scripts. An HTML file that is there is replaced.
+    Given back is what it tells.
 
     Parameters
     ----------
@@ -428,7 +391,7 @@ def report(
     )
     stage("figures")
     write_text(output, render(sections))
-    return Reported(Path(output), sections, repaired.simulations.provenance())
+    return sections
 
 
 def refuse_output(output: str | Path, inputs: Sequence[str | Path]) -> None:

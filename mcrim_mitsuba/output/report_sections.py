@@ -102,15 +102,9 @@ class Sections:
         """The result for JSON."""
         result = {}
         for name, estimate in self.calibration.parameters.items():
-            statistical, systematic = errors_apart(estimate)
-            result[name] = {
-                "name": name,
-                "value": estimate.value,
-                "statistical": statistical,
-                "systematic": systematic,
-                "total": estimate.sigma,
-                **attributes(estimate, "lower upper at_bound contributions"),
-            }
+            errors = zip(("statistical", "systematic"), errors_apart(estimate), strict=True)
+            whole = attributes(estimate, "total=sigma lower upper at_bound contributions")
+            result[name] = {"name": name, "value": estimate.value, **dict(errors), **whole}
         return {
             "result": result,
             "efficiencies": self.efficiencies,
@@ -197,11 +191,11 @@ def _lights(
     """Where the light of each coupling goes, by the label of a reading."""
     from mcrim_mitsuba.transport.simulation import Simulation
 
-    lights, light_run = [], replace(run, photons=LIGHT_PHOTONS, progress=None)
+    lights, run = [], replace(run, photons=LIGHT_PHOTONS, progress=None)
     for reading in couplings:
         stage("where the light goes")
         simulation = Simulation(scene, reading.parameters, variant=run.variant, threads=run.threads)
-        lights.append((reading.label, follow_light(simulation, run=light_run)))
+        lights.append((reading.label, follow_light(simulation, run=run)))
     return tuple(lights)
 
 
@@ -214,11 +208,9 @@ def _couplings(campaign: Campaign) -> list[Reading]:
         first.setdefault(reading.parameters.get(_COUPLING, nominal), reading)
     # the index is None in scenes that do not have it as a parameter
     ordered = [first[index] for index in sorted(first, key=lambda i: (i is None, i))]
-    if len(ordered) <= MOST_LIGHTS:
-        return ordered
     # both ends and what lies evenly between
-    step = (len(ordered) - 1) / (MOST_LIGHTS - 1)
-    return [ordered[round(i * step)] for i in range(MOST_LIGHTS)]
+    places = np.linspace(0, len(ordered) - 1, min(MOST_LIGHTS, len(ordered)))
+    return [ordered[place] for place in places.round().astype(int)]
 
 
 def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
@@ -228,16 +220,11 @@ def _mended(campaign: Campaign, repaired: Repaired) -> tuple[SourceFile, ...]:
     target = campaign.path.with_name(f"{campaign.path.stem}_mended.toml")
     averaged = repaired.diagnosis.light_yield_averaged
     scene, text = mended_files(campaign, repaired.fit, target, averaged)
+    old, name = campaign.scene, target.with_suffix(".xml").name
     before = read_bytes(campaign.path, _LIMIT_MB).decode("utf-8-sig", errors="replace")
     return (
         changed("campaign", campaign.path.name, before, target.name, text),
-        changed(
-            "scene",
-            campaign.scene.path.name,
-            scene_text(campaign.scene),
-            target.with_suffix(".xml").name,
-            scene_text(scene),
-        ),
+        changed("scene", old.path.name, scene_text(old), name, scene_text(scene)),
     )
 
 
@@ -281,19 +268,18 @@ def ratio_curve(fit: Calibration) -> RatioOfSignals | None:
     low, high = max(solution / _REACH, bounds.minimum), min(solution * _REACH, bounds.maximum)
     if not 0 < low < high:  # the fit ended at 0
         return None
-    alphas, eta, signals = np.geomspace(low, high, _POINTS), [], []
+    alphas, predictions = np.geomspace(low, high, _POINTS), []
     for alpha in alphas:
         theta[index] = alpha
-        prediction = model.predict(theta)
-        eta.append(prediction.eta[rows])
-        signals.append(prediction.signal[rows])
+        predictions.append(model.predict(theta))
+    signals = np.array([prediction.signal[rows] for prediction in predictions])
     measured = second.signal / first.signal
     relative_sigma = math.hypot(first.sigma / first.signal, second.sigma / second.signal)
     return RatioOfSignals(
         labels=(first.label, second.label),
         alpha_scat_per_cm=alphas,
-        eta=np.array(eta),
-        ratio=np.array([s[1] / s[0] for s in signals]),
+        eta=np.array([prediction.eta[rows] for prediction in predictions]),
+        ratio=signals[:, 1] / signals[:, 0],
         measured=measured,
         measured_sigma=measured * relative_sigma,
         solution_per_cm=solution,
@@ -386,35 +372,25 @@ def sources_of(campaign: Campaign) -> tuple[SourceFile, ...]:
     Raises InputError if a file cannot be read any more.
     """
 
-    def read(role: str, path: Path) -> tuple[str, Path, bytes]:
-        return role, path, read_bytes(path, _LIMIT_MB)
-
     scene, folder = campaign.scene, campaign.effects_folder
-    files = [read("campaign", campaign.path), read("measurements", campaign.measurements.path)]
-    files.append(read("scene", scene.path))
-    files += [("included by the scene", path, scene.source(path)) for path in scene.included]
+    files = [("campaign", campaign.path), ("measurements", campaign.measurements.path)]
+    files.append(("scene", scene.path))
+    files += [("included by the scene", path) for path in scene.included]
     if campaign.spectrum is not None:
-        files.append(read("light over wavelengths", campaign.spectrum.path))
-    files += [read("own effect", path) for path in (sorted(folder.glob("*.py")) if folder else ())]
+        files.append(("light over wavelengths", campaign.spectrum.path))
+    files += [("own effect", path) for path in (sorted(folder.glob("*.py")) if folder else ())]
     raw = () if campaign.raw is None else campaign.raw.files
-    shown = [MOST_CHARACTERS] * len(files) + [MOST_OF_RAW_DATA] * len(raw)
-    files += [(file.role, file.path, read_bytes(file.path, LIMIT_MB)) for file in raw]
+    limits = [(MOST_CHARACTERS, _LIMIT_MB)] * len(files) + [(MOST_OF_RAW_DATA, LIMIT_MB)] * len(raw)
+    files += [(file.role, file.path) for file in raw]
     sources, room = [], MOST_BYTES
-    for (role, path, data), most in zip(files, shown, strict=True):
-        text = data.decode("utf-8-sig", errors="replace").replace("\r\n", "\n")
-        text = text.replace("\r", "\n")
+    for (role, path), (most, limit_mb) in zip(files, limits, strict=True):
+        data = scene.source(path) if path in scene.included else read_bytes(path, limit_mb)
+        text = data.decode("utf-8-sig", errors="replace")
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
         kept = data if len(data) <= room else None
-        room -= 0 if kept is None else len(data)
-        sources.append(
-            SourceFile(
-                role=role,
-                path=path,
-                sha256=sha256(data),
-                data=kept,
-                text=text[:most],
-                left_out=max(len(text) - most, 0),
-            )
-        )
+        room -= len(kept or b"")
+        shown: dict[str, Any] = {"text": text[:most], "left_out": max(len(text) - most, 0)}
+        sources.append(SourceFile(role=role, path=path, sha256=sha256(data), data=kept, **shown))
     return tuple(sources)
 
 
@@ -423,14 +399,8 @@ def changed(role: str, name: str, before: str, new_name: str, after: str) -> Sou
     lines = difflib.unified_diff(
         before.splitlines(), after.splitlines(), name, new_name, n=_AROUND, lineterm=""
     )
-    data = after.encode()
-    return SourceFile(
-        role=f"mended {role}",
-        path=Path(new_name),
-        sha256=sha256(data),
-        data=data,
-        text="\n".join(lines),
-    )
+    data, path, text = after.encode(), Path(new_name), "\n".join(lines)
+    return SourceFile(role=f"mended {role}", path=path, sha256=sha256(data), data=data, text=text)
 
 
 # The bench: what it is made of, its parameters, its cross-section and picture.
