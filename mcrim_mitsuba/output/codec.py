@@ -219,12 +219,10 @@ def read_document(document: JsonObject) -> tuple[str, Part]:
     return kind, (rows, readings, provenance)
 
 
-_PROVENANCE = tuple(
-    (
-        "seed photons cached_photons scene_hash versions parameters command notes "
-        "polarization transport batch"
-    ).split()
-)
+_PROVENANCE = (
+    "seed photons cached_photons scene_hash versions parameters command notes polarization "
+    "transport batch"
+).split()
 _QUALITY = ("chi2", "ndf", "p_value")
 _OF_READING = ("label", "measured", "sigma", "model", "model_sigma", "pull", "eta", "eta_sigma")
 _OF_HYPOTHESIS = ("left_out_error", "log_evidence", "log_evidence_sigma", "probability")
@@ -290,14 +288,13 @@ def _light_yield(parameters: JsonObject) -> Row:
 
 def _size(candidate: JsonObject) -> str:
     """``bubble_fraction = 0.27 ± 0.07``; of an effect that is on or off: ``on``."""
-    names = candidate.content.get("effect_parameters") or []
-    fitted = candidate.object("parameters")
-    sizes = []
+    names = candidate.content.get("effect_parameters")
+    fitted, sizes = candidate.object("parameters"), []
     for name in names if isinstance(names, list) else []:
         if name in fitted:
             row = fitted.estimate(name)
-            at_bound, value, sigma = name + AT_BOUND in row, row[name], row[name + SIGMA]
-            size = f"{value:.4g}, at its bound" if at_bound else pdg(value, sigma)
+            at_bound, value = name + AT_BOUND in row, row[name]
+            size = f"{value:.4g}, at its bound" if at_bound else pdg(value, row[name + SIGMA])
             sizes.append(f"{name} = {size}")
     return "; ".join(sizes) or "on"
 
@@ -311,7 +308,7 @@ def _simulation(document: JsonObject) -> Rows:
     row |= document.row("photons")
     parameters = document.object("parameters")
     for name, value in parameters.content.items():
-        if isinstance(value, float | int | bool | str):
+        if isinstance(value, float | int | str):
             cell = value if isinstance(value, bool | str) else parameters.cell(name)
             row[name if name not in row else f"parameter_{name}"] = cell
     return [row], []
@@ -460,17 +457,14 @@ def _attributes(name: str) -> dict[str, str]:
     meaning = _MEANINGS.get(quantity, quantity if what else "")
     unit = "1/keV" if quantity == LIGHT_YIELD else unit_of(quantity)
     unit = unit or ("1" if quantity in _MEANINGS else None)
-    attributes = {
-        "long_name": " of ".join(filter(None, (what, meaning))),
-        "units": "" if unit is None or ending == AT_BOUND else unit,
-    }
+    attributes = {"long_name": " of ".join(filter(None, (what, meaning)))}
+    attributes["units"] = "" if ending == AT_BOUND else unit or ""
     return {attribute: text for attribute, text in attributes.items() if text}
 
 
 def csv_lines(columns: Sequence[str], rows: Iterable[Iterable[object]]) -> str:
     """CSV with all digits; None is an empty cell, true is 1."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows([int(c) if isinstance(c, bool) else c for c in row] for row in rows)
+    cells = ([int(c) if isinstance(c, bool) else c for c in row] for row in rows)
+    csv.writer(text, lineterminator="\n").writerows([columns, *cells])
     return text.getvalue()

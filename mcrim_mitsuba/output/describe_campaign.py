@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,22 +56,14 @@ if TYPE_CHECKING:
     from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
     from mcrim_mitsuba.inference.fit import Calibration
     from mcrim_mitsuba.inference.hypotheses import FittedHypothesis
+    from mcrim_mitsuba.inference.next_measurements import NextMeasurement
     from mcrim_mitsuba.inference.plan import Planning
     from mcrim_mitsuba.inference.profiles import Profile
     from mcrim_mitsuba.laboratory.error_budget import Contribution, ErrorBudget
-    from mcrim_mitsuba.output.campaign_results import (
-        BudgetResult,
-        CampaignShown,
-        ComparisonResult,
-        DiagnosisResult,
-        FitResult,
-        HypothesesResult,
-        RepairResult,
-        ReportResult,
-    )
+    from mcrim_mitsuba.output import campaign_results as results
 
 
-def _spent(result: CampaignShown) -> dict[str, Any]:
+def _spent(result: results.CampaignShown) -> dict[str, Any]:
     """What a result rests on, and what the reader must know: options of `described`."""
     work = result.provenance
     return {
@@ -147,22 +139,15 @@ def _shapes(profiles: Iterable[Profile]) -> Iterator[Piece]:
 def _origins(fit: Calibration) -> Iterator[Piece]:
     """Where the errors of a fit come from; parameters at a bound have none that mean anything."""
     columns = ("parameter", *(name.replace("_", " ") for name in _ORIGINS))
-    contributions = {
-        name: {} if estimate.at_bound else estimate.contributions
-        for name, estimate in fit.parameters.items()
-    }
-    yield table(
-        "where the errors come from",
-        columns,
-        (
-            (_title(name), *(shown(parts.get(origin), ".2g") for origin in _ORIGINS))
-            for name, parts in contributions.items()
-        ),
-    )
+    rows = []
+    for name, estimate in fit.parameters.items():
+        parts = {} if estimate.at_bound else estimate.contributions
+        rows.append((_title(name), *(shown(parts.get(origin), ".2g") for origin in _ORIGINS)))
+    yield table("where the errors come from", columns, rows)
     light = fit.parameters.get(LIGHT_YIELD)
     if light is not None and light.efficiency_contributions:
-        parts = (f"{name} {part:.2g}" for name, part in light.efficiency_contributions.items())
-        yield f"detector efficiency in {sentences.title_of(LIGHT_YIELD)}: {', '.join(parts)}"
+        words = (f"{name} {part:.2g}" for name, part in light.efficiency_contributions.items())
+        yield f"detector efficiency in {sentences.title_of(LIGHT_YIELD)}: {', '.join(words)}"
 
 
 # A reading beside what a model predicts.
@@ -186,36 +171,33 @@ _ETA = Column(
 )
 
 
-def fitted_readings(rows: Iterable[FittedRow]) -> Table:
-    """Readings beside a fit, with the efficiencies behind its predictions."""
-    return records("readings", (*_READING, _ETA), rows, weak=lambda reading: not reading.use)
+def fitted_readings(
+    rows: Iterable[FittedRow], *further: Column, suspects: Collection[str] = ()
+) -> Table:
+    """Readings beside a fit, with the efficiencies behind its predictions or `further` columns.
+
+    Suspects, by their labels, are to be looked at first.
+    """
+    columns = (*_READING, *(further or [_ETA]))
+    looks = {"strong": lambda row: row.label in suspects, "weak": lambda row: not row.use}
+    return records("readings", columns, rows, **looks)
 
 
 def compared_readings(comparison: Comparison) -> Table:
     """Readings beside predictions, also those from all others, and which carry the misfit."""
     shares, left_out = sentences.misfit_shares(comparison), comparison.left_out_pulls
     suspects = {label for suspect in comparison.suspects for label in suspect.labels}
-
-    def share(reading: FittedRow) -> Cell:
-        part = shares.get(reading.label)
-        return Cell("") if part is None else Cell(f"{100 * part:.0f} %", part)
-
-    columns = (
-        *_READING,
-        Column(
-            "pull from the others",
-            "left_out_pull",
-            of=lambda reading: shown(left_out.get(reading.label), "+.2f"),
-        ),
-        Column("of the misfit", "part_of_misfit", of=share),
+    others = Column(
+        "pull from the others", "left_out_pull", of=lambda r: shown(left_out.get(r.label), "+.2f")
     )
-    return records(
-        "readings",
-        columns,
-        comparison.rows,
-        strong=lambda reading: reading.label in suspects,
-        weak=lambda reading: not reading.use,
+    misfit = Column(
+        "of the misfit", "part_of_misfit", of=lambda r: shown(shares.get(r.label), _whole_percent)
     )
+    return fitted_readings(comparison.rows, others, misfit, suspects=suspects)
+
+
+def _whole_percent(part: float | None) -> str:
+    return "" if part is None else f"{100.0 * part:.0f} %"
 
 
 def misfit_pieces(comparison: Comparison) -> list[Piece]:
@@ -241,7 +223,7 @@ def suspects_pieces(suspects: Sequence[Suspect]) -> Iterator[Sentence]:
     )
 
 
-def of_fit(fit: FitResult) -> Description:
+def of_fit(fit: results.FitResult) -> Description:
     """Parameters, where their errors come from, readings beside the model, what it took."""
     light, result = fit.parameters.get(LIGHT_YIELD), ""
     if light is not None:
@@ -264,7 +246,7 @@ def of_fit(fit: FitResult) -> Description:
     )
 
 
-def of_comparison(comparison: ComparisonResult) -> Description:
+def of_comparison(comparison: results.ComparisonResult) -> Description:
     """Readings beside predictions, what chi2 says, and where the misfit lies."""
     return described(
         "a campaign beside its model",
@@ -346,7 +328,7 @@ def sizes_beside(
     return table("sizes", ("parameter", *beside, *([_TYPED] * typed)), rows)
 
 
-def of_hypotheses(compared: HypothesesResult) -> Description:
+def of_hypotheses(compared: results.HypothesesResult) -> Description:
     """The verdict, what the readings say of each hypothesis, sizes, pulls and predictions."""
     beside = {hypothesis.name: hypothesis for hypothesis in compared.hypotheses}
     most, pulls, predictions = sentences.most_apart(compared), [], []
@@ -408,21 +390,20 @@ def _gain(candidate: Candidate) -> Cell:
     return Cell(sentences.gain_text(candidate), candidate.delta_chi2, sigma)
 
 
-def candidates_table(diagnosis: Diagnosis, candidates: Sequence[Candidate], title: str) -> Table:
+def candidates_table(diagnosis: Diagnosis, candidates: Sequence[Candidate], heading: str) -> Table:
     """Effects, or pairs of them, as explanations; bold what leads; yields where they are known."""
     leading, probabilities = sentences.leading_candidates(diagnosis), diagnosis.probabilities
     no_light_yield = all(candidate.light_yield_ph_per_keV is None for candidate in candidates)
 
-    def title_cell(candidate: Candidate) -> str:
+    def title(candidate: Candidate) -> str:
         return capital(" + ".join(sentences.titles_of(diagnosis, candidate.effects)))
 
-    def probability_cell(candidate: Candidate) -> Cell | str:
-        p = probabilities.get(candidate.effect)
-        return "" if p is None else shown(p, probability)
+    def likely(p: float | None) -> str:
+        return "" if p is None else probability(p)
 
     columns = (
-        Column("effect", "title", of=title_cell),
-        Column("probability", of=probability_cell),
+        Column("effect", "title", of=title),
+        Column("probability", of=lambda c: shown(probabilities.get(c.effect), likely)),
         Column("", "parameter", of=lambda c: Cell("", tuple(c.sizes) or None), hidden=True),
         Column("size", of=_size, left=True),
         Column("plausible?", "plausibility", of=sentences.plausibility, left=True),
@@ -432,7 +413,7 @@ def candidates_table(diagnosis: Diagnosis, candidates: Sequence[Candidate], titl
         Column("left out", "left_out_error", number),
         _ID,
     )
-    return records(title, columns, candidates, strong=lambda candidate: candidate in leading)
+    return records(heading, columns, candidates, strong=lambda candidate: candidate in leading)
 
 
 def explanation_tables(diagnosis: Diagnosis) -> list[Table]:
@@ -479,10 +460,8 @@ def others_table(diagnosis: Diagnosis) -> Table:
 
 def _brief(effects: Table, diagnosis: Diagnosis) -> Iterator[Piece]:
     """A table of effects, ids in its last column, of which likely ones are seen; how many not."""
-    unlikely = (
-        *diagnosis.candidates[sentences.MOST_EFFECTS :],
-        *diagnosis.pairs[sentences.MOST_PAIRS :],
-    )
+    unlikely = diagnosis.candidates[sentences.MOST_EFFECTS :]
+    unlikely += diagnosis.pairs[sentences.MOST_PAIRS :]
     leading = {candidate.effect for candidate in sentences.leading_candidates(diagnosis)}
     hidden = {candidate.effect for candidate in unlikely} - leading
     rows = [
@@ -523,20 +502,22 @@ def limits_table(diagnosis: Diagnosis) -> Table:
 
 def proposals_table(diagnosis: Diagnosis) -> Table:
     """What to measure next, and what it would tell."""
+
+    def told_apart(measurement: NextMeasurement) -> str:
+        return "; ".join(sentences.told_apart(diagnosis, measurement))
+
     columns = (
         Column("configuration", of="words"),
         Column("time", "hours", lambda hours: f"{hours:.2g} h"),
         Column("yield to", "light_yield_sigma", sentences.relative_text),
-        Column("sure to", "probability", lambda p: f"{100.0 * p:.0f} %"),
+        Column("sure to", "probability", _whole_percent),
         Column("gain in chi2", "expected_delta_chi2", number),
-        Column(
-            "tells apart", "separates", of=lambda m: "; ".join(sentences.told_apart(diagnosis, m))
-        ),
+        Column("tells apart", "separates", of=told_apart),
     )
     return records("what to measure next", columns, diagnosis.next_measurements)
 
 
-def of_diagnosis(diagnosis: DiagnosisResult) -> Description:
+def of_diagnosis(diagnosis: results.DiagnosisResult) -> Description:
     """The averaged yield, the verdict, effects as explanations, limits, what to measure next."""
     next_for_average = sentences.next_for_average(diagnosis)
     if diagnosis.next_measurements:  # by another name than the table of further readings
@@ -563,7 +544,7 @@ def of_diagnosis(diagnosis: DiagnosisResult) -> Description:
 # A step of a repair.
 
 
-def of_repair(diagnosis: RepairResult, *, with_steps: bool = True) -> Description:
+def of_repair(diagnosis: results.RepairResult, *, with_steps: bool = True) -> Description:
     """The steps, the verdict, and the fit with all effects together, or that none was added."""
     fit = diagnosis.calibration
     undetermined, outcome = "", list[Piece]([strong("Nothing was added, and no file written.")])
@@ -571,14 +552,13 @@ def of_repair(diagnosis: RepairResult, *, with_steps: bool = True) -> Descriptio
         last = sentences.in_words(diagnosis, diagnosis.repair[-1].effects)
         undetermined = f"With {last}, {diagnosis.undetermined}: diagnose says what to measure next."
     if diagnosis.effects:
+        still = "The mended campaign still does not describe its readings."
         outcome = [
             f"With {diagnosis.added} simulated together: chi2 = {number(fit.chi2)} (ndf {fit.ndf}, "
             f"{p_equals(fit.p_value)})",
             parameters_table(fit.parameters, fit.profiles),
             _shapes(fit.profiles),
-            strong("The mended campaign still does not describe its readings.")
-            if sentences.fails(fit)
-            else None,
+            strong(still if sentences.fails(fit) else ""),
         ]
     return described(
         "a campaign, mended",
@@ -604,15 +584,14 @@ def steps_table(steps: Iterable[RepairStep]) -> Table:
 
         return Column(sentences.title_of(name), name, of=cell)
 
+    def per_ndf(step: RepairStep) -> Cell:
+        return shown(step.chi2 / step.ndf if step.ndf > 0 else None, number)
+
     columns = (
         Column("added", of=lambda step: Cell(sentences.added_text(step), step.added)),
         Column("chi2", form=number),
         Column("ndf", form="d"),
-        Column(
-            "chi2 / ndf",
-            "chi2_per_ndf",
-            of=lambda step: shown(step.chi2 / step.ndf if step.ndf > 0 else None, number),
-        ),
+        Column("chi2 / ndf", "chi2_per_ndf", of=per_ndf),
         Column("p", "p_value", p_text),
         Column("rms pull", "rms_pull", number),
         Column("left out", "left_out_error", number),
@@ -630,7 +609,7 @@ def step_text(step: RepairStep) -> str:
     return f"step {step.step}, {added}: {', '.join(texts)}"
 
 
-def of_report(report: ReportResult) -> Description:
+def of_report(report: results.ReportResult) -> Description:
     """What a report says first; the page has the rest."""
     return described(
         "report of a campaign",
@@ -649,7 +628,7 @@ _LEAST_PERCENT = 0.001
 _NOTHING = 1e-9
 
 
-def of_budget(errors: BudgetResult) -> Description:
+def of_budget(errors: results.BudgetResult) -> Description:
     """Contributions, what the model leaves out, and values with all errors."""
     budgets = {name: errors.contributions[name] for name in errors.main if name in errors.totals}
     main = next((name for name in (LIGHT_YIELD, SCALE) if name in budgets), None)
@@ -679,26 +658,14 @@ def contributions_table(title: str, budgets: Mapping[str, ErrorBudget]) -> Table
     for budget in reversed(list(budgets.values())):
         for part in budget.contributions:
             contributions.setdefault(part.name, part)
-    rows = (
-        (
-            name.replace("_", " "),
-            *(_part(name, budget) for budget in budgets.values()),
-            part.kind,
-            "yes" if part.reducible else "no",
-            part.by,
-        )
-        for name, part in contributions.items()
-    )
-    words = ("kind", "reducible", "by")
-    sums = (
-        row(
-            name,
-            *(_percent_cell(getattr(budget, name)) for budget in budgets.values()),
-            *[""] * len(words),
-            strong=True,
-        )
-        for name in ("statistical", "systematic", "total")
-    )
+    rows, sums, words = [], [], ("kind", "reducible", "by")
+    for name, part in contributions.items():
+        parts = (_part(name, budget) for budget in budgets.values())
+        reducible = "yes" if part.reducible else "no"
+        rows.append((name.replace("_", " "), *parts, part.kind, reducible, part.by))
+    for name in ("statistical", "systematic", "total"):
+        cells = (_percent_cell(getattr(budget, name)) for budget in budgets.values())
+        sums.append(row(name, *cells, *[""] * len(words), strong=True))
     left = (Column(name, left=True) for name in words)
     values = (Column(f"{sentences.quantity(name)}, %", f"{name}, %") for name in budgets)
     return table(title, ("contribution", *values, *left), rows, sums)
@@ -730,14 +697,10 @@ def _shifts(errors: Budget) -> Iterator[Piece]:
             for name in getattr(errors.pieces[0], kind)
             if name in errors.main or (kind == "at_fixed" and " / " in name)
         ]
-        rows = (
-            row(
-                piece.title,
-                *(_shift(getattr(piece, kind)[name]) for name in names),
-                strong=piece is errors.together,
-            )
-            for piece in errors.pieces
-        )
+        rows = []
+        for piece in errors.pieces:
+            cells = (_shift(getattr(piece, kind)[name]) for name in names)
+            rows.append(row(piece.title, *cells, strong=piece is errors.together))
         title = f"what the model leaves out would move, %, {condition}"
         quantities = (Column(sentences.quantity(name), name) for name in names)
         yield table(title, ("left out", *quantities), rows)
@@ -771,18 +734,15 @@ def _totals(errors: Budget) -> Iterator[Piece]:
     if not errors.totals:
         return
     corrected = errors.together is not None
-    columns = ["quantity", "as fitted", "and what is left out for good", "corrected"]
+    columns = ["quantity", "as fitted", "and what is left out for good"]
     rows = []
     for name in errors.main:
         total = errors.totals[name]
-        cells = [
-            _title(name),
-            _two_digits(total.value, total.sigma),
-            _two_digits(total.value, total.sigma_with_neglected),
-            _two_digits(total.corrected, total.corrected_sigma),
-        ]
-        rows.append(cells if corrected else cells[:-1])
-    yield table("results, with all errors", columns if corrected else columns[:-1], rows)
+        sigmas = (total.sigma, total.sigma_with_neglected)
+        cells = [_title(name), *(_two_digits(total.value, sigma) for sigma in sigmas)]
+        cells += [_two_digits(total.corrected, total.corrected_sigma)] if corrected else []
+        rows.append(cells)
+    yield table("results, with all errors", [*columns, *["corrected"] * corrected], rows)
     if corrected:
         yield (
             "A correction is no error: make it in the scene or the campaign. The errors of "
@@ -822,17 +782,12 @@ def _places(errors: Budget) -> Iterator[Piece]:
             cell = measured(shift, place.sigma, 100.0)
             yield Cell("") if place is everywhere else replace(cell, text=_signed(cell.text))
 
-    columns = (
-        "gammas stop",
-        "eta",
-        Column("eta (%)", "eta_shift"),
-        Column("light yield (%)", "yield_shift"),
-    )
+    shifts = (Column("eta (%)", "eta_shift"), Column("light yield (%)", "yield_shift"))
     rows = (
         (place.source, measured(place.eta, place.eta_sigma), *cells(place))
         for place in errors.places.shifts
     )
-    yield table("where gammas stop, instead of everywhere", columns, rows)
+    yield table("where gammas stop, instead of everywhere", ("gammas stop", "eta", *shifts), rows)
     yield (
         f"By the map of {', '.join(errors.places.readings)}, at its coefficients, beside a model "
         "whose light is born everywhere. Where nobody knows which of these the source does, half "
@@ -881,24 +836,21 @@ def of_plan(planning: Planning) -> Description:
         Column("mountings", form="d"),
         Column("events", form=",.0f"),
         Column("hours", form=".1f"),
-        Column("light yield, stat.", of=lambda p: shown(p.light_yield.statistical, percent)),
-        Column("syst.", of=lambda p: shown(p.light_yield.systematic, percent)),
-        Column("total", of=lambda p: shown(p.light_yield.total, percent)),
+        Column("light yield, stat.", form=percent, of="light_yield.statistical"),
+        Column("syst.", form=percent, of="light_yield.systematic"),
+        Column("total", form=percent, of="light_yield.total"),
         Column(
             "alpha_scat", of=lambda p: shown(p.alpha_scat.total, percent) if p.alpha_scat else ""
         ),
     )
     assumed = planning.conditions
     undetermined = "; ".join(map(planning.name, planning.undetermined))
+    left = "what readings without error would leave of the light yield's"
     return described(
         "plan of a measurement",
         f"At the campaign's solution: {solution}",
         records("what would be measured", signals, planning.candidates),
-        records(
-            "what readings without error would leave of the light yield's",
-            floors,
-            planning.floors.items(),
-        ),
+        records(left, floors, planning.floors.items()),
         records(
             "plans that no cheaper one beats (relative errors)",
             plans,

@@ -53,12 +53,7 @@ _PEAK = (
 )
 _PEAK_ALONE = (
     Column("fitted bins", of=lambda peak: f"{peak.low:g} to {peak.high:g}"),
-    Column(
-        "the other shape's",
-        of=lambda peak: (
-            measured(peak.other.centroid, peak.other.centroid_sigma) if peak.other else ""
-        ),
-    ),
+    Column("the other shape's", of=lambda peak: _PEAK[1].cell(peak.other) if peak.other else ""),
 )
 _MEAN = (
     Column("signal", of=lambda mean: measured(mean.mean, mean.sigma)),
@@ -75,18 +70,14 @@ _SCATTER = (
 
 def histograms_pieces(raw: RawData) -> list[Piece]:
     """The peak of every mounting, and what the mountings of a reading make together."""
-    peaks = (
-        ((Cell(reduced.reading.label), _name(mounting)), mounting.peak)
-        for reduced in raw.readings.values()
-        for mounting in reduced.mountings
-    )
-    heads = ("reading", Column("histogram", left=True))
-    means = (
-        (f"{label}{'' if reduced.reading.use else ' (not used)'}", reduced.combined)
-        for label, reduced in raw.readings.items()
-    )
+    peaks, means = [], []
+    for label, reduced in raw.readings.items():
+        for mounting in reduced.mountings:
+            peaks.append(((Cell(reduced.reading.label), _name(mounting)), mounting.peak))
+        means.append((f"{label}{'' if reduced.reading.use else ' (not used)'}", reduced.combined))
     if not raw.readings:
         return []
+    heads = ("reading", Column("histogram", left=True))
     return [_peaks("peaks of the histograms", heads, peaks), *_means("readings", "reading", means)]
 
 
@@ -124,15 +115,10 @@ def _means(title: str, of: str, means: Iterable[tuple[str, Repeated]]) -> list[P
 
 def _origins(title: str, unit: str, parts: Mapping[str, float], value: float) -> Table:
     """An error by its origins, and relative to the value."""
-    rows = (
-        (
-            origin,
-            shown(part, ".2g"),
-            Cell(f"{100 * part / value:.2g} %", part / value) if value > 0 else "",
-        )
-        for origin, part in parts.items()
-        if part > 0
-    )
+    rows = []
+    for origin, part in parts.items():
+        relative = Cell(f"{100 * part / value:.2g} %", part / value) if value > 0 else ""
+        rows += [(origin, shown(part, ".2g"), relative)] if part > 0 else []
     return table(title, ("origin of the error", unit, "relative"), rows)
 
 
@@ -158,28 +144,22 @@ def absorption_pieces(
         *(Path(curve.name).name for curve in absorption.spectra),
         *(pdg(value, absorption.transmittance_sigma) for value in absorption.numbers),
     ]
-    alpha = absorption.alpha_abs_per_cm
-    internal = measured(
-        absorption.internal_transmittance, absorption.internal_transmittance_sigma, 100.0
-    )
-    coefficients = (shown(alpha, ".3g") for alpha in absorption.each_per_cm)
+    alpha, internal_sigma = absorption.alpha_abs_per_cm, absorption.internal_transmittance_sigma
+    internal = measured(absorption.internal_transmittance, internal_sigma, 100.0).text
+    rows = zip(given, (shown(alpha, ".3g") for alpha in absorption.each_per_cm), strict=True)
     band = absorption.spread_band_per_cm
+    varies = f"{band:.2g} /cm (standard deviation)" if band is not None else ""
     return [
         strong(
-            f"alpha_abs {pdg(alpha, absorption.sigma)} /cm, internal transmittance {internal.text} "
+            f"alpha_abs {pdg(alpha, absorption.sigma)} /cm, internal transmittance {internal} "
             f"% of {absorption.thickness_mm:g} mm (n = {absorption.n:.4g})"
         ),
         beside,
         _origins("absorption", "1/cm", absorption.contributions, alpha),
-        table(
-            "transmittances",
-            ("transmittance", "alpha_abs, 1/cm"),
-            zip(given, coefficients, strict=True),
-        ),
-        ""
-        if band is None
-        else f"over the light that it is weighted with the coefficient varies by {band:.2g} /cm "
-        "(standard deviation): one number leaves that out, it is no part of the error",
+        table("transmittances", ("transmittance", "alpha_abs, 1/cm"), rows),
+        varies
+        and f"over the light that it is weighted with the coefficient varies by {varies}: one "
+        "number leaves that out, it is no part of the error",
     ]
 
 
@@ -252,18 +232,11 @@ _MUCH_TOO_WIDE = 2.0
 def _widths(widths: Mapping[str, Sequence[WidthParts]]) -> list[Piece]:
     """A row for every peak and place, per cent of the centroid."""
     columns = ("histogram", Column("gammas stop", left=True), "whole", "counting", "place", "rest")
-    rows = (
-        (
-            name,
-            parts.source,
-            *(
-                measured(width.fwhm, width.sigma, 100.0)
-                for width in (parts.total, parts.counting, parts.place, parts.rest)
-            ),
-        )
-        for name, several in widths.items()
-        for parts in several
-    )
+    rows = []
+    for name, parts in ((name, parts) for name, several in widths.items() for parts in several):
+        by_origin = (parts.total, parts.counting, parts.place, parts.rest)
+        cells = (measured(width.fwhm, width.sigma, 100.0) for width in by_origin)
+        rows.append((name, parts.source, *cells))
     return [
         table("full width at half maximum, % of the centroid, by origin", columns, rows),
         "In quadrature: photoelectrons that are counted, eta that differs from place to place, "
@@ -295,18 +268,13 @@ def of_absorption(
 
 def of_materials(indices: Mapping[Material, float | None], wavelength_nm: float) -> Description:
     """The catalogue; no number where a wavelength is outside a formula's range."""
-    columns = (
-        "material",
-        f"n, {wavelength_nm:g} nm",
-        "range, nm",
-        Column("what it is", left=True),
-        Column("source", left=True),
-    )
+    columns = (Column("what it is", left=True), Column("source", left=True))
     rows = (
         (crystal.name, shown(n, ".5f"), _range_nm(crystal), crystal.what, crystal.source)
         for crystal, n in indices.items()
     )
-    return described("materials", table("", columns, rows))
+    heads = ("material", f"n, {wavelength_nm:g} nm", "range, nm", *columns)
+    return described("materials", table("", heads, rows))
 
 
 def of_index(
@@ -374,18 +342,12 @@ def of_yields(
     from mcrim_mitsuba.output.describe_campaign import contributions_table
 
     columns = ("coupling", "signal", "eta", "weight", "Y", "statistical", "systematic", "total")
-    rows = (
-        (
-            label,
-            measured(*signal),
-            measured(*eta),
-            Cell(f"{100 * weight:.0f} %", weight),
-            *_yield_cells(light),
-        )
-        for (label, (signal, eta, light)), weight in zip(
-            couplings.items(), together.weights, strict=True
-        )
-    )
+    rows = []
+    for (label, (signal, eta, light)), part in zip(
+        couplings.items(), together.weights, strict=True
+    ):
+        weight = Cell(f"{100 * part:.0f} %", part)
+        rows.append((label, measured(*signal), measured(*eta), weight, *_yield_cells(light)))
     mean, agreement = together.mean, ""
     sums = [row("together", "", "", "", *_yield_cells(mean))] if len(couplings) > 1 else []
     if together.p_value is not None:

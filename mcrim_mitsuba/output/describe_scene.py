@@ -28,15 +28,8 @@ from mcrim_mitsuba.output.description import (
 )
 
 if TYPE_CHECKING:
-    from mcrim_mitsuba.output.scene_results import (
-        CheckResult,
-        CrosscheckResult,
-        LightResult,
-        MapResult,
-        SpectrumResult,
-        TableResult,
-        TimesResult,
-    )
+    from mcrim_mitsuba.efficiency.lighting import Spread
+    from mcrim_mitsuba.output import scene_results as results
 
 
 #: Of a spectrum, that a table shows.
@@ -62,7 +55,7 @@ def fate_words(fate: str) -> str:
     return f"absorbed in {the}{medium}" if fate != medium else fate
 
 
-def of_simulation(result: LightResult) -> Description:
+def of_simulation(result: results.LightResult) -> Description:
     """Efficiency, and what becomes of the light; it may have been computed without photons."""
     work = f"no photons, {result.seconds:.2f} s"
     if result.photons:
@@ -75,29 +68,28 @@ def of_simulation(result: LightResult) -> Description:
         for fate, part in result.budget.items()
         if part > 0
     )
+    columns = ("fate", "fraction", Column("error", "fraction_sigma"))
     return described(
         "light collection efficiency",
         f"eta = {pdg(result.eta, result.eta_sigma)}   ({work}, {result.transport})",
-        table(
-            "where the light ends", ("fate", "fraction", Column("error", "fraction_sigma")), fates
-        ),
+        table("where the light ends", columns, fates),
         notes=result.notes,
     )
+
+
+def _rms(spread: Spread) -> Cell:
+    return measured(spread.relative_rms, spread.relative_rms_sigma, 100.0)
 
 
 _SPREADS = (
     Column("gammas stop", "source"),
     Column("eta", form="±"),
-    Column(
-        "rms (%)",
-        "rms_percent",
-        of=lambda spread: measured(spread.relative_rms, spread.relative_rms_sigma, 100.0),
-    ),
+    Column("rms (%)", "rms_percent", of=_rms),
     Column("FWHM (%)", "fwhm_percent", of=lambda spread: shown(100.0 * spread.fwhm, ".2g")),
 )
 
 
-def of_map(mapped: MapResult) -> Description:
+def of_map(mapped: results.MapResult) -> Description:
     """What the efficiency varies by over the crystal, and what that does to a peak."""
     cells = " x ".join(str(n) for n in mapped.eta.shape)
     error = float(np.nanmedian(mapped.eta_sigma / mapped.eta))
@@ -109,7 +101,7 @@ def of_map(mapped: MapResult) -> Description:
     )
 
 
-def of_spectrum(spectrum: SpectrumResult) -> Description:
+def of_spectrum(spectrum: results.SpectrumResult) -> Description:
     """Means over the light, what one wavelength is off by, and wavelengths, some of them seen."""
     light, count = spectrum.light, len(spectrum.light.wavelength_nm)
     seen = set(np.linspace(0, count - 1, _MOST_WAVELENGTHS).astype(int).tolist())
@@ -143,7 +135,7 @@ def of_spectrum(spectrum: SpectrumResult) -> Description:
     )
 
 
-def _means(spectrum: SpectrumResult) -> list[str]:
+def _means(spectrum: results.SpectrumResult) -> list[str]:
     """The efficiency of the whole light, as detected and as emitted, and of one wavelength."""
     light, benches = spectrum.light, len(spectrum.nodes_nm)
     work = f"{counted(benches, 'simulation')}, {spectrum.photons:,} photons"
@@ -185,7 +177,7 @@ _PARTS = (
 )
 
 
-def of_times(times: TimesResult) -> Description:
+def of_times(times: results.TimesResult) -> Description:
     """When detected light arrives, in which parts it was, and when the first photons do."""
     decay = times.decay_ns
     emitted = "all emitted at once" if decay is None else f"emitted with a decay of {decay:g} ns"
@@ -208,27 +200,21 @@ def of_times(times: TimesResult) -> Description:
     )
 
 
-def _first_photons(times: TimesResult) -> Table:
+def _first_photons(times: results.TimesResult) -> Table:
     """When the first photons of an event are detected: mean and rms by where its light is born."""
     columns: list[str | Column] = ["photon"]
-    times_and_errors: list[tuple[np.ndarray, np.ndarray]] = []
+    cells: list[list[Cell]] = []
     for photons in times.first:
         name = photons.born.replace(" ", "_")
         for what in ("mean", "rms"):
             columns.append(Column(f"{photons.born}, {what} (ps)", f"{what}_ps_{name}"))
-            error = getattr(photons, f"{what}_ps_sigma")
-            times_and_errors.append((getattr(photons, f"{what}_ps"), error))
-    rows = (
-        (
-            shown(i + 1, "d"),
-            *(measured(float(time[i]), float(error[i])) for time, error in times_and_errors),
-        )
-        for i in range(len(times.first[0].mean_ps))
-    )
+            of_photons = (getattr(photons, f"{what}_ps"), getattr(photons, f"{what}_ps_sigma"))
+            cells.append(list(map(measured, *(values.tolist() for values in of_photons))))
+    rows = ((shown(i, "d"), *of_photon) for i, of_photon in enumerate(zip(*cells, strict=True), 1))
     return table(f"first of {times.detected:,} detected photons", columns, rows)
 
 
-def of_table(tabulated: TableResult, *, written: str | None = None) -> Description:
+def of_table(tabulated: results.TableResult, *, written: str | None = None) -> Description:
     """The points of a table and what it took, or that alone if it was written to a file."""
 
     def axis(name: str) -> Column:
@@ -261,7 +247,7 @@ FACES = (
 )
 
 
-def of_check(report: CheckResult, *, first: bool = True) -> Description:
+def of_check(report: results.CheckResult, *, first: bool = True) -> Description:
     """What a scene means, its faces, and what is wrong with it.
 
     Not the `first` problem where the command raises it; the others are shown.
@@ -301,7 +287,7 @@ _SOLVED = (
 )
 
 
-def of_crosscheck(compared: CrosscheckResult) -> Description:
+def of_crosscheck(compared: results.CrosscheckResult) -> Description:
     """Every fate from the programs, and whether they agree."""
     from mcrim_mitsuba.reference.crosscheck import FAMILY_LEVEL
 

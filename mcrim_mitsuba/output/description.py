@@ -11,6 +11,7 @@ import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from itertools import compress
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
@@ -99,23 +100,16 @@ class Table:
     @property
     def seen(self) -> Table:
         """What people are shown of it."""
-        columns = tuple(column for column in self.columns if not column.hidden)
-
-        def of(rows: tuple[TableRow, ...]) -> tuple[TableRow, ...]:
-            return tuple(
-                replace(
-                    line,
-                    cells=tuple(
-                        cell
-                        for cell, column in zip(line.cells, self.columns, strict=True)
-                        if not column.hidden
-                    ),
-                )
-                for line in rows
+        seen = [not column.hidden for column in self.columns]
+        rows, sums = (
+            tuple(
+                replace(line, cells=tuple(compress(line.cells, seen)))
+                for line in lines
                 if not line.hidden
             )
-
-        return Table(self.title, columns, of(self.rows), of(self.sums))
+            for lines in (self.rows, self.sums)
+        )
+        return Table(self.title, tuple(compress(self.columns, seen)), rows, sums)
 
     def frame(self) -> pandas.DataFrame:
         """Numbers of the rows, errors in columns of their own: ``NAME_sigma`` after ``NAME``."""
@@ -352,21 +346,16 @@ def rich_tables(given: Table, width: int) -> Iterator[RichTable]:
         broken = {at: [wrapped(content, wide[at]) for content in columns[at]] for at in block}
         for at in block:
             side: JustifyMethod = "left" if at == 0 or given.columns[at].left else "right"
-            shown.add_column(
-                Text(broken[at][0]),
-                justify=side,
-                no_wrap=True,
-                overflow="fold",
-                style="dim" if given.columns[at].small else "",
-            )
+            look: dict[str, Any] = {"style": "dim" if given.columns[at].small else ""}
+            look |= {"no_wrap": True, "overflow": "fold"}
+            shown.add_column(Text(broken[at][0]), justify=side, **look)
         for number, line in enumerate((*given.rows, *given.sums), start=1):
             if number == len(given.rows) + 1:
                 shown.add_section()
             texts = [broken[at][number] for at in block]
             if place == 0 or any(texts[1:]):
-                shown.add_row(
-                    *map(Text, texts), style="bold" if line.strong else "dim" if line.weak else ""
-                )
+                weight = "bold" if line.strong else "dim" if line.weak else ""
+                shown.add_row(*map(Text, texts), style=weight)
         yield shown
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,8 +36,7 @@ _PROVENANCE = (
 _DIAGNOSIS = (
     "verdict reason baseline candidates pairs leading leading_sets upper_limits suspect_readings "
     "repair next_measurements not_tried probabilities light_yield_averaged "
-    "seconds=provenance.seconds families "
-    "set_aside titles unsettled"
+    "seconds=provenance.seconds families set_aside titles unsettled"
 )
 _CHECKED = (
     "parameters chi2 ndf p_value expected_chi2 rms_pull left_out_error rows left_out_pulls "
@@ -142,9 +142,8 @@ PRESENTERS = {
         kind="reduction",
         describe=describe_laboratory.of_reduction,
         figures={
-            "histograms": lambda raw: laboratory_figures.draw_raw_data(raw, "histograms"),
-            "spectra": lambda raw: laboratory_figures.draw_raw_data(raw, "spectra"),
-            "transmittance": lambda raw: laboratory_figures.draw_raw_data(raw, "transmittance"),
+            kind: partial(laboratory_figures.draw_raw_data, kind=kind)
+            for kind in ("histograms", "spectra", "transmittance")
         },
         names="campaign=campaign_path **steps plain_campaign=plain_path",
     ),
@@ -330,7 +329,7 @@ class Result:
         tables = self.description.tables
         if not tables:
             raise InputError("nothing of this is a table", "print it")
-        return tables[_chosen("table", title, tables, repr)].frame()
+        return tables[_chosen("table", title, tables, "{!r}")].frame()
 
     def to_xarray(self) -> xarray.Dataset:
         """As a dataset with units; its attributes say what makes it reproducible.
@@ -380,24 +379,17 @@ class Result:
         path = Path(path)
         written: list[Path] = []
         for place, name in enumerate(self.pictures):
-            ending = f"_{name}" if place else ""
-            target, drawing = (
-                path.with_name(f"{path.stem}{ending}{path.suffix}"),
-                self._drawing(name),
-            )
-            written += (
-                drawing.save(target) if isinstance(drawing, Drawing) else [save(drawing, target)]
-            )
+            ending, drawing = f"_{name}" if place else "", self._drawing(name)
+            file = path.with_name(f"{path.stem}{ending}{path.suffix}")
+            written += drawing.save(file) if isinstance(drawing, Drawing) else [save(drawing, file)]
         return tuple(written)
 
 
-def _chosen(
-    what: str, name: str | None, names: Iterable[str], quoted: Callable[[str], str] = str
-) -> str:
+def _chosen(what: str, name: str | None, names: Iterable[str], quoted: str = "{}") -> str:
     """The name that was asked for, or the first; refuses what is not there."""
     names = list(names)
     if name is not None and name not in names:
-        mend = f"ask for one of {', '.join(map(quoted, names))}"
+        mend = f"ask for one of {', '.join(map(quoted.format, names))}"
         raise InputError(f"there is no {what} {name!r}", mend)
     return names[0] if name is None else name
 
