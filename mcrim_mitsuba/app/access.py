@@ -75,15 +75,13 @@ class Guard:
             refusal.call_on_close(partial(_swallow, environ))
         answer = refusal or self.application
         is_asset = refusal is None and environ["PATH_INFO"].startswith(self.assets)
+        ours = _HEADERS if is_asset else _HEADERS | {"Cache-Control": "no-store"}
 
         def start(
             status: str, headers: list[tuple[str, str]], *error: Any
         ) -> Callable[[bytes], object]:
             guarded = Headers(headers)
-            for name, value in _HEADERS.items():
-                guarded[name] = value
-            if not is_asset:
-                guarded["Cache-Control"] = "no-store"
+            guarded.update(ours)
             return start_response(status, guarded.to_wsgi_list(), *error)
 
         return answer(environ, start)
@@ -96,7 +94,9 @@ class Guard:
                 f"this page answers at http://{self.hosts[0]} only: open the address that "
                 "mcrim app printed, and through ssh forward the same port number",
             )
-        if not self._knows_key(environ["PATH_INFO"]):
+        # as bytes: comparing texts in constant time takes ASCII only
+        start = environ["PATH_INFO"][: len(self.home)].encode(errors="replace")
+        if not hmac.compare_digest(start, self.home.encode()):
             return _refuse(
                 HTTPStatus.FORBIDDEN,
                 "the address lacks the key of this session: open the address that mcrim app "
@@ -108,11 +108,6 @@ class Guard:
                 "another web page sent this request: open the address that mcrim app printed",
             )
         return _refusal_of_form(environ)
-
-    def _knows_key(self, path: str) -> bool:
-        # as bytes: comparing texts in constant time takes ASCII only
-        start = path[: len(self.home)].encode(errors="replace")
-        return hmac.compare_digest(start, self.home.encode())
 
     def _is_at_home(self, environ: WSGIEnvironment) -> bool:
         """Whether the page itself, or its user, sent this, by what the browser says of it."""
@@ -172,16 +167,13 @@ def _refuse(status: HTTPStatus, line: str) -> Response:
 
 
 #: What the browser may load and run: what the page serves itself, and no inline scripts or styles.
-_POLICY = {
-    "default-src": "'self'",
-    "object-src": "'none'",
-    "base-uri": "'none'",
-    "form-action": "'none'",
-    "frame-ancestors": "'none'",
-}
+_POLICY = (
+    "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
+)
 #: Headers of every answer: the browser is to load nothing from elsewhere, and show nothing there.
 _HEADERS = {
-    "Content-Security-Policy": "; ".join(f"{name} {value}" for name, value in _POLICY.items()),
+    "Content-Security-Policy": _POLICY,
     "X-Frame-Options": "DENY",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",  # the address holds the key
@@ -229,14 +221,8 @@ def listen(application: Flask, *, port: int | None, key: str) -> tuple[BaseWSGIS
         application.register_error_handler(Exception, in_one_line)
         # Flask's own way to stand before it
         application.wsgi_app = Guard(application.wsgi_app, number, key)  # type: ignore[method-assign]
-        server = make_server(
-            HOST,
-            number,
-            application,
-            threaded=True,
-            request_handler=_SilentHandler,
-            fd=bound.fileno(),
-        )
+        how: dict[str, Any] = {"threaded": True, "request_handler": _SilentHandler}
+        server = make_server(HOST, number, application, fd=bound.fileno(), **how)
         tell = server.handle_error
 
         def handle_error(request: Any, client_address: Any) -> None:

@@ -69,15 +69,13 @@ def bench_picture(reading: Reading, values: Mapping[str, Value]) -> dict[str, An
 def _beam(wide: float, tall: float, axis: str) -> dict[str, Any]:
     """The crystal by itself, with a spectrophotometer's beam through it."""
     per_mm = min((_WIDTH - 6 * _RIM) / wide, (_HEIGHT - 6 * _RIM) / tall)
-    width, height = wide * per_mm, tall * per_mm
-    x, y = (_WIDTH - width) / 2, (_HEIGHT - height) / 2
-    beam: dict[str, Any] = {"kind": "beam"}
-    if axis == "z":
-        beam |= {"x": _WIDTH / 2 - _MASK, "y": 0.0, "width": 2 * _MASK, "height": _HEIGHT}
-    else:
-        beam |= {"x": 0.0, "y": _HEIGHT / 2 - _MASK, "width": _WIDTH, "height": 2 * _MASK}
-    crystal = {"kind": "crystal", "x": x, "y": y, "width": width, "height": height}
-    return {"width": _WIDTH, "height": _HEIGHT, "shapes": [crystal, beam]}
+    sides = (2 * _MASK, _HEIGHT) if axis == "z" else (_WIDTH, 2 * _MASK)
+    shapes = [
+        {"kind": kind, "x": (_WIDTH - width) / 2, "y": (_HEIGHT - height) / 2}
+        | {"width": width, "height": height}
+        for kind, width, height in (("crystal", wide * per_mm, tall * per_mm), ("beam", *sides))
+    ]
+    return {"width": _WIDTH, "height": _HEIGHT, "shapes": shapes}
 
 
 def bench_words(

@@ -27,7 +27,7 @@ from mcrim_mitsuba.campaign.editor import (
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.files import json_text, write_bytes, write_text
+from mcrim_mitsuba.core.files import attributes, json_text, write_bytes, write_text
 from mcrim_mitsuba.core.numbers import value_text
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.repair import mended_scene, rounded, scene_text
@@ -204,20 +204,17 @@ def campaign_archive(
 
 def _copied(campaign: Campaign, folder: Path) -> Campaign:
     """A campaign whose files were copied to a folder."""
-    readings = folder / safe_name(campaign.measurements.path.name, ".csv")
-    shutil.copyfile(campaign.measurements.path, readings)
-    moved = replace(campaign, measurements=replace(campaign.measurements, path=readings))
+    moved = {}
+    for name in ("measurements", "spectrum"):
+        if (table := getattr(campaign, name)) is not None:
+            copy = folder / safe_name(table.path.name, ".csv")
+            moved[name] = replace(table, path=Path(shutil.copyfile(table.path, copy)))
     if campaign.effects_folder is not None:
-        effects_folder = folder / campaign.effects_folder.name
-        effects_folder.mkdir()
+        moved["effects_folder"] = folder / campaign.effects_folder.name
+        moved["effects_folder"].mkdir()
         for file in campaign.effects_folder.glob("*.py"):
-            shutil.copyfile(file, effects_folder / file.name)
-        moved = replace(moved, effects_folder=effects_folder)
-    if campaign.spectrum is not None:
-        spectrum = folder / safe_name(campaign.spectrum.path.name, ".csv")
-        shutil.copyfile(campaign.spectrum.path, spectrum)
-        moved = replace(moved, spectrum=replace(campaign.spectrum, path=spectrum))
-    return moved
+            shutil.copy(file, moved["effects_folder"])
+    return replace(campaign, **moved)
 
 
 def _copy_included(scene: SceneFile, folder: Path) -> None:
@@ -257,18 +254,15 @@ def session_file(state: State) -> tuple[str, bytes]:
 
     # as it came
     campaign = state.steps[0].campaign if state.steps else state.campaign
+    fits = ({"settings": s.asked.to_json(), "readings": readings(s.campaign)} for s in state.steps)
     document = {
         "format": _SESSION,
-        "scene": campaign.scene.path.name,
-        "scene_hash": campaign.scene.content_hash,
+        **attributes(campaign, "scene=scene.path.name scene_hash=scene.content_hash"),
         "measurements": campaign.measurements.path.name,
         "table": readings(campaign),
         "readings": readings(state.campaign),
         "settings": state.settings.to_json(),
-        "fits": [
-            {"settings": step.asked.to_json(), "readings": readings(step.campaign)}
-            for step in state.steps
-        ],
+        "fits": list(fits),
         "compared": state.steps.index(state.beside) if state.steps else 0,
         "diagnosed": state.diagnosis is not None,
     }
@@ -294,16 +288,13 @@ def read_session(name: str, content: bytes, scene: SceneFile) -> dict[str, Any]:
     except MALFORMED:
         is_ours = False
     if not is_ours:
-        raise InputError(
-            "this is not a session of the page", "open one that Keep session wrote", path=name
-        )
+        problem = "this is not a session of the page"
+        raise InputError(problem, "open one that Keep session wrote", path=name)
     if document["scene_hash"] != scene.content_hash:
-        raise InputError(
-            f"the session is of another scene, {document['scene']}, than {scene.path.name} as it "
-            "is now",
-            "start mcrim app with the campaign that it was made with",
-            path=name,
-        )
+        other, ours = document["scene"], scene.path.name
+        problem = f"the session is of another scene, {other}, than {ours} as it is now"
+        mend = "start mcrim app with the campaign that it was made with"
+        raise InputError(problem, mend, path=name)
     return document
 
 

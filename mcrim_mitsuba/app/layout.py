@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,18 +56,10 @@ def _compound_id(kind: str, name: str) -> str:
 
 
 _TEMPLATES = environment(jinja2.FileSystemLoader(Path(__file__).parent / "templates"))
-_TEMPLATES.filters |= {
-    "chi2": _chi2_text,
-    "p": p_text,
-    "p_equals": p_equals,
-    "probability": probability,
-}
-_TEMPLATES.globals |= {
-    "id_of": _compound_id,
-    "steps": _SLIDER_STEPS,
-    "sentences": sentences,
-    "describe": describe_campaign,
-}
+_TEMPLATES.filters |= {"chi2": _chi2_text, "probability": probability}
+_TEMPLATES.filters |= {"p": p_text, "p_equals": p_equals}
+_TEMPLATES.globals |= {"id_of": _compound_id, "steps": _SLIDER_STEPS}
+_TEMPLATES.globals |= {"sentences": sentences, "describe": describe_campaign}
 
 
 def page(session: Session) -> str:
@@ -88,6 +80,7 @@ def page(session: Session) -> str:
         *columns,
         *(("", title) for title in ("model", "pull", "η", "")),
     ]
+    merits = {"chi2": "χ²", "p-value": "p", "light-yield": _light_title(session)}
     return _TEMPLATES.get_template("page.html").render(
         session=session,
         campaign=campaign,
@@ -95,12 +88,7 @@ def page(session: Session) -> str:
         heads=heads,
         columns=columns,
         choices=choices,
-        merits={
-            "chi2": "χ²",
-            "p-value": "p",
-            "light-yield": _light_title(session),
-            "averaged": "averaged over models",
-        },
+        merits=merits | {"averaged": "averaged over models"},
     )
 
 
@@ -124,39 +112,33 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
     """What the browser asks again and again: only numbers, where it shows the state of this one."""
     status, now, history = session.jobs.status, session.state, session.history
     document = attributes(history, "number settings_number file_number bench_number")
-    document["job"] = {
-        "key": status.job and status.job.key,
-        **attributes(status, "words done total said=failures stopped"),
-        "waiting": [attributes(job, "key words") for job in status.waiting],
-    }
+    job = attributes(status, "words done total said=failures stopped")
+    waiting = [attributes(job, "key words") for job in status.waiting]
+    document["job"] = {"key": status.job and status.job.key, **job, "waiting": waiting}
     if history.number == shown_number:
         return document
-    settings = now.settings
+    settings, measurements = now.settings, now.campaign.measurements
+    known_now = session.model.live.controls.known(settings)
+    panels = {"diagnosis": _diagnosis_panel(now.diagnosis), "fitted": _fits_panel(session)}
     document |= {
-        "settings": {**settings.to_json(), "known": session.model.live.controls.known(settings)},
+        "settings": {**settings.to_json(), "known": known_now},
         "readings": [
             attributes(reading, f"label signal sigma use {KIND} {SAMPLE}")
-            | {n: reading.parameters.get(n, "") for n in now.campaign.measurements.columns}
-            for reading in now.campaign.measurements.readings
+            | {n: reading.parameters.get(n, "") for n in measurements.columns}
+            for reading in measurements.readings
         ],
         "steps": [_falling(step) for step in now.steps],
         "can_undo": history.can_undo,
-        "parts": {
-            "diagnosis": _diagnosis_panel(now.diagnosis),
-            "fitted": _fits_panel(session),
-        },
+        "parts": panels,
     }
     return plain(document)
 
 
 def _falling(step: FitStep) -> dict[str, Any]:
     """A fit in the chart of the error."""
-    fit = step.calibration
-    return {
-        "name": step_name(step),
-        "text": f"{fit.chi2:.3g} / {fit.ndf}",
-        "height": fit.chi2 / fit.ndf if fit.ndf > 0 else None,
-    }
+    chi2, ndf = step.calibration.chi2, step.calibration.ndf
+    height = chi2 / ndf if ndf > 0 else None
+    return {"name": step_name(step), "text": f"{chi2:.3g} / {ndf}", "height": height}
 
 
 def step_name(step: FitStep) -> str:
@@ -172,29 +154,24 @@ def step_name(step: FitStep) -> str:
 def predictions(session: Session, settings: Settings) -> dict[str, Any]:
     """What the browser writes and draws at some settings."""
     readings = session.state.campaign.measurements.readings
+    document: dict[str, Any] = {"settings_number": session.history.settings_number}
     try:
         shown = session.model.show(settings)
     except ValueError as error:  # effects that exclude each other
-        return {
-            "settings_number": session.history.settings_number,
-            "texts": {"pending": str(error)},
-        }
+        return document | {"texts": {"pending": str(error)}}
     beside = session.model.shown_beside()
     pending = ""
     if shown and shown.pending:
         titles = [session.model.live.controls.effects[name][0].title for name in shown.pending]
         pending = f"These numbers are without {sentences.together(titles)}: not simulated yet."
-    texts = {**_merit_texts(shown, session), "pending": pending}
-    return plain(
-        {
-            "settings_number": session.history.settings_number,
-            "texts": texts,
-            "cells": _readings_cells(readings, shown),
-            "scale": shown and shown.scale,
-            "pending": bool(pending),
-            "chart": _chart(readings, shown, beside, session.state.campaign.unit),
-        }
-    )
+    document |= {
+        "texts": {**_merit_texts(shown, session), "pending": pending},
+        "cells": _readings_cells(readings, shown),
+        "scale": shown and shown.scale,
+        "pending": bool(pending),
+        "chart": {**_chart(readings, shown, beside), "unit": session.state.campaign.unit},
+    }
+    return plain(document)
 
 
 def _merit_texts(shown: Shown | None, session: Session) -> dict[str, str]:
@@ -233,38 +210,30 @@ def _readings_cells(readings: Sequence[Reading], shown: Shown | None) -> list[li
     """What the model says of every reading; nothing before there are predictions."""
     if shown is None:
         return [["…", "…", "…"] for _ in readings]
-    return [
-        [
-            sentences.signal_text(row.of_beam, row.model, row.model_sigma),
-            f"{row.pull:+.2f}",
-            "" if row.of_beam else pdg(row.eta, row.eta_sigma),
-        ]
-        for row in shown.rows
-    ]
+    cells = []
+    for row in shown.rows:
+        model = sentences.signal_text(row.of_beam, row.model, row.model_sigma)
+        eta = "" if row.of_beam else pdg(row.eta, row.eta_sigma)
+        cells.append([model, f"{row.pull:+.2f}", eta])
+    return cells
 
 
 def _chart(
-    readings: Sequence[Reading],
-    shown: Shown | None,
-    beside: tuple[FitStep, Shown] | None,
-    unit: str,
+    readings: Sequence[Reading], shown: Shown | None, beside: tuple[FitStep, Shown] | None
 ) -> dict[str, Any]:
     """Readings beside predictions, each signal in the unit of the chart's axis."""
-    units = units_of_signals([(r.signal, r.of_beam) for r in readings]).tolist()
+    units = units_of_signals([(r.signal, r.of_beam) for r in readings])
+    of_beams = (unit / 100.0 for r, unit in zip(readings, units, strict=True) if r.of_beam)
 
-    def heights(rows: Iterable[FittedRow]) -> dict[str, list[float]]:
-        pairs = list(zip(rows, units, strict=True))
-        return {"model": [u * row.model for row, u in pairs], "pull": [r.pull for r, _ in pairs]}
+    def heights(rows: Sequence[FittedRow]) -> dict[str, Any]:
+        return {"model": units * [row.model for row in rows], "pull": [row.pull for row in rows]}
 
     return {
-        "signal": [u * r.signal for r, u in zip(readings, units, strict=True)],
-        "sigma": [u * r.sigma for r, u in zip(readings, units, strict=True)],
+        "signal": units * [r.signal for r in readings],
+        "sigma": units * [r.sigma for r in readings],
         "use": [r.use for r in readings],
         "short": [shortened(r.label, _LABEL_LENGTH) for r in readings],
-        "unit": unit,
-        "percent": next(
-            (u / 100.0 for r, u in zip(readings, units, strict=True) if r.of_beam), None
-        ),
+        "percent": next(of_beams, None),
         "model": shown and heights(shown.rows),
         "beside": beside and {"name": step_name(beside[0]), **heights(beside[1].rows)},
     }
@@ -288,9 +257,8 @@ def reading(session: Session, place: int) -> str:
 
 def _diagnosis_panel(diagnosis: Diagnosis | None) -> str:
     """The verdict and the candidates, each with a button that adds it."""
-    return _TEMPLATES.get_template("diagnosis.html").render(
-        diagnosis=diagnosis, ranked=diagnosis and _ranked(diagnosis)
-    )
+    ranked = diagnosis and _ranked(diagnosis)
+    return _TEMPLATES.get_template("diagnosis.html").render(diagnosis=diagnosis, ranked=ranked)
 
 
 def _ranked(diagnosis: Diagnosis) -> list[tuple[str, Candidate | None, float | None]]:

@@ -22,7 +22,7 @@ from mcrim_mitsuba.app.state import (
     parameter_control,
 )
 from mcrim_mitsuba.campaign.campaign import Campaign
-from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter
+from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
@@ -130,7 +130,11 @@ class LiveModel:
         effects = tuple(name for name in settings.effects if name in ready)
         knowledge = self.controls.known(settings)
         statistic = Statistic(self._model(campaign, effects, knowledge))
-        theta, sigma = _theta(statistic, settings), 0.0
+        # where the controls are, within their ranges but for the scale
+        theta, sigma = np.empty(len(statistic.free)), 0.0
+        for place, p in enumerate(statistic.free):
+            value = settings.values.get(p.name, p.start)
+            theta[place] = value if p.name == SCALE else min(max(value, p.minimum), p.maximum)
         if settings.fit_scale:
             theta, sigma = _fit_scale(statistic, theta)
         prediction = statistic.model.predict(theta, check=True)
@@ -173,15 +177,11 @@ class LiveModel:
 def _movable(campaign: Campaign, knowledge: Mapping[str, Known]) -> Campaign:
     """A campaign with priors where they are known, and nothing held."""
 
-    def freed(name: str, parameter: CampaignParameter) -> CampaignParameter:
-        return Known(PRIOR, *(knowledge[name].gaussian or (None, None))).of(parameter, math.nan)
-
-    parameters = {
-        name: freed(name, parameter) if name in knowledge else parameter
-        for name, parameter in campaign.parameters.items()
-    }
-    scale = freed(SCALE, campaign.scale or UNKNOWN_SCALE)
-    return replace(campaign, parameters=parameters, scale=scale)
+    parameters = {**campaign.parameters, SCALE: campaign.scale or UNKNOWN_SCALE}
+    for name in parameters.keys() & knowledge.keys():
+        prior = Known(PRIOR, *(knowledge[name].gaussian or (None, None)))
+        parameters[name] = prior.of(parameters[name], math.nan)
+    return replace(campaign, scale=parameters.pop(SCALE), parameters=parameters)
 
 
 def _controls(campaign: Campaign, simulations: CampaignSimulations) -> Controls:
@@ -213,16 +213,10 @@ def _controls(campaign: Campaign, simulations: CampaignSimulations) -> Controls:
     # a quarter of the light is a usual part
     usual, start = 4.0 * largest_signal, (campaign.scale or UNKNOWN_SCALE).start
     start = usual if math.isnan(start) else start
-    scale = Control(
-        name=SCALE,
-        title="scale",
-        unit="signal at η = 1",
-        minimum=0.0,
-        maximum=3.0 * max(usual, start),
-        start=start,
-        meaning=parameter_words(campaign, SCALE)[0],
-        known=known_of(campaign.scale),
-    )
+    slider: dict[str, Any] = {"minimum": 0.0, "maximum": 3.0 * max(usual, start), "start": start}
+    slider |= {"title": "scale", "unit": "signal at η = 1"}
+    meaning = parameter_words(campaign, SCALE)[0]
+    scale = Control(name=SCALE, meaning=meaning, known=known_of(campaign.scale), **slider)
     refused = tuple(dict.fromkeys(simulations.notes))
     return Controls(parameters=(*parameters, scale), effects=effects, refused=refused)
 
@@ -230,17 +224,6 @@ def _controls(campaign: Campaign, simulations: CampaignSimulations) -> Controls:
 def _shape(campaign: Campaign) -> list[tuple[str, dict[str, Value]]]:
     """What tells benches apart."""
     return [(r.kind, r.parameters) for r in campaign.measurements.readings]
-
-
-def _theta(statistic: Statistic, settings: Settings) -> Array:
-    """Where the controls are: (free,) values, within their ranges but for the scale."""
-    values = {p.name: settings.values.get(p.name, p.start) for p in statistic.free}
-    return np.array(
-        [
-            values[p.name] if p.name == SCALE else min(max(values[p.name], p.minimum), p.maximum)
-            for p in statistic.free
-        ]
-    )
 
 
 def _light_yield(

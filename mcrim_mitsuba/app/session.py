@@ -53,11 +53,6 @@ class ReadingsModel:
         self._shown_beside: tuple[Any, Campaign, Shown | None] | None = None
 
     @property
-    def starts(self) -> dict[str, float]:
-        """Values at which the controls begin."""
-        return {control.name: control.start for control in self.live.controls.all}
-
-    @property
     def is_simulated(self) -> bool:
         """Whether what is simulated is that of the readings in the table."""
         return self.live.fits(self._history.state.campaign)
@@ -93,7 +88,7 @@ class ReadingsModel:
                     history.bench_number += 1
                 self.live = live
                 settings = history.state.settings
-                values = {**self.starts, **settings.values}
+                values = {**live.controls.starts, **settings.values}
                 history.change(settings=replace(settings, values=values))
 
     def _report(self, stage: str, done: int, total: int, note: str = "") -> None:
@@ -160,12 +155,9 @@ class Session:
             self._opened = campaign
             self.model = ReadingsModel(campaign, self.history, self._run, self.jobs.report)
             self._numbers = itertools.count()
-            self.history.begin(
-                State(
-                    campaign,
-                    settings=Settings(values=self.model.starts, fit_scale=SCALE in campaign.free),
-                )
-            )
+            values = self.model.live.controls.starts
+            settings = Settings(values=values, fit_scale=SCALE in campaign.free)
+            self.history.begin(State(campaign, settings=settings))
         self.jobs.start(PageJob("bench", "simulating the bench", self._make_ready))
 
     @property
@@ -253,19 +245,12 @@ class Session:
             campaign=campaign,
             calibration=fit,
             priors=fit.model.campaign.priors,
-            words=difference(
-                self._opened,
-                campaign,
-                asked,
-                controls.known(asked),
-                controls.with_effects(asked.effects),
-            ),
+            words=difference(self._opened, campaign, asked, controls),
         )
         switched_on = (name for name in now.effects if name not in on_page.effects)
         effects = tuple(dict.fromkeys((*asked.effects, *switched_on)))
-        self.history.set_controls(
-            replace(fitted, effects=effects, known=now.known), steps=(*self.state.steps, step)
-        )
+        settings = replace(fitted, effects=effects, known=now.known)
+        self.history.set_controls(settings, steps=(*self.state.steps, step))
 
     def diagnose(self, settings: Settings) -> None:
         """Find out which effects explain the misfit of the campaign without any of the page's."""
@@ -440,8 +425,8 @@ class Session:
         if what == "scene":
             return exchange.scene_file(campaign, effects, values)
         fitted, _ = controls.campaign_at(campaign, settings)
-        parameters, known_now = {**fitted.parameters, SCALE: fitted.scale}, controls.known(settings)
-        named = (parameters.get(c.name) for c in controls.all if known_now[c.name] != c.known)
+        parameters = {**fitted.parameters, SCALE: fitted.scale}
+        named = (parameters.get(name) for name in controls.changed(settings))
         chosen = [parameter for parameter in named if parameter is not None]
         priors = self.model.priors_of_fit(settings)
         return exchange.campaign_archive(campaign, effects, values, priors, chosen)

@@ -98,22 +98,12 @@ def parameter_control(
         high = 10.0 * max(abs(start), 1.0)
     if not math.isfinite(low):
         low = -high
-    name, coordinate, scale = parameter.name, "linear", 1.0
+    name, slider = parameter.name, dict[str, Any](minimum=low, maximum=high, start=start)
     if (of_sample(name) or (name,))[0] in COEFFICIENTS:
         # log(1 + value / scale) is as good as log(value) where the scale is small
-        coordinate, scale = "logarithmic", max(low, _LEAST_PART * high)
-    return Control(
-        name=name,
-        title=quantity(name),
-        unit=unit_of(name) or "",
-        minimum=low,
-        maximum=high,
-        start=start,
-        coordinate=coordinate,
-        scale=scale,
-        meaning=meaning,
-        known=known_of(parameter),
-    )
+        slider |= {"coordinate": "logarithmic", "scale": max(low, _LEAST_PART * high)}
+    slider |= {"title": quantity(name), "unit": unit_of(name) or "", "meaning": meaning}
+    return Control(name=name, known=known_of(parameter), **slider)
 
 
 def effect_control(
@@ -134,20 +124,11 @@ def effect_control(
         low, high = max(low, *(zero + e[0] for e in ends)), min(high, *(zero + e[1] for e in ends))
     low = low if math.isfinite(low) else start - largest_signal
     high = high if math.isfinite(high) else start + largest_signal
-    coordinate, scale = parameter.coordinate, parameter.scale
-    if coordinate == "logarithmic" and scale < 0:
-        coordinate = "linear"
-    return Control(
-        name=parameter.name,
-        title=without_unit(parameter.name),
-        unit=parameter.unit,
-        minimum=low,
-        maximum=high,
-        start=min(max(start, low), high),
-        coordinate=coordinate,
-        scale=scale,
-        meaning=parameter.meaning,
-    )
+    slider: dict[str, Any] = {"minimum": low, "maximum": high, "start": min(max(start, low), high)}
+    slider |= attributes(parameter, "name unit meaning coordinate scale")
+    if parameter.coordinate == "logarithmic" and parameter.scale < 0:
+        slider["coordinate"] = "linear"
+    return Control(title=without_unit(parameter.name), **slider)
 
 
 @dataclass(frozen=True)
@@ -188,9 +169,18 @@ class Controls:
         """Controls of the campaign's own parameters and of some effects."""
         return (*self.parameters, *(control for name in names for control in self.effects[name][1]))
 
+    @property
+    def starts(self) -> dict[str, float]:
+        """Values at which they begin."""
+        return {control.name: control.start for control in self.all}
+
     def known(self, settings: Settings) -> dict[str, Known]:
         """What is known of every parameter."""
         return {c.name: settings.known.get(c.name, c.known) for c in self.all}
+
+    def changed(self, settings: Settings) -> list[str]:
+        """Parameters of which something else is known than the campaign says."""
+        return [c.name for c in self.all if settings.known.get(c.name, c.known) != c.known]
 
     def campaign_at(
         self, campaign: Campaign, settings: Settings
@@ -199,8 +189,7 @@ class Controls:
 
         It has those effects whose parameters the user knows something of.
         """
-        knowledge = self.known(settings)
-        changed = {c.name for c in self.all if knowledge[c.name] != c.known}
+        knowledge, changed = self.known(settings), self.changed(settings)
         effects = [
             name
             for name in settings.effects
@@ -208,12 +197,9 @@ class Controls:
         ]
         campaign = campaign.with_effects(effects)
         named = {c.name for c in self.with_effects(effects)} - {SCALE}
-        parameters = {
-            name: knowledge[name].of(parameter, settings.values[name])
-            if name in named
-            else parameter
-            for name, parameter in campaign.parameters.items()
-        }
+        parameters = dict(campaign.parameters)
+        for name in named & parameters.keys():
+            parameters[name] = knowledge[name].of(parameters[name], settings.values[name])
         scale = campaign.scale
         if scale is not None or knowledge[SCALE] != Known():
             scale = knowledge[SCALE].of(scale or UNKNOWN_SCALE, settings.values[SCALE])
@@ -309,10 +295,10 @@ class State:
 
     def step(self, number: int) -> FitStep:
         """The fit of a number; InputError if it was taken off the list."""
-        for step in self.steps:
-            if step.number == number:
-                return step
-        raise InputError("this fit is not there any more", "choose another")
+        step = next((step for step in self.steps if step.number == number), None)
+        if step is None:
+            raise InputError("this fit is not there any more", "choose another")
+        return step
 
 
 class History:
@@ -385,36 +371,24 @@ class History:
     def bring_back(self) -> None:
         """Go back to what was kept last, but for the file to be downloaded."""
         *self._kept, before = self._kept
-        self.set_controls(
-            before.settings,
-            campaign=before.campaign,
-            # the campaign's own fit stays, once it is there
-            steps=before.steps or self.state.steps[:1],
-            compared=before.compared,
-            diagnosis=before.diagnosis,
-        )
+        kept = attributes(before, "campaign compared diagnosis")
+        # the campaign's own fit stays, once it is there
+        self.set_controls(before.settings, steps=before.steps or self.state.steps[:1], **kept)
 
 
-def difference(
-    first: Campaign,
-    campaign: Campaign,
-    settings: Settings,
-    knowledge: Mapping[str, Known],
-    controls: Iterable[Control],
-) -> str:
+def difference(first: Campaign, campaign: Campaign, settings: Settings, controls: Controls) -> str:
     """What was changed besides effects, in words: ``without air, scattering held at 0.5``.
 
     Of a campaign since it was the `first`, and of what its `controls` said of parameters.
     """
-    changes = _changed_readings(first, campaign)
-    for control in controls:
-        now = knowledge[control.name]
-        if now != control.known:
-            how = {
-                HELD: f"held at {settings.values[control.name]:.4g}",
-                PRIOR: f"known to be {now.prior} ± {now.prior_sigma}",
-            }.get(now.how, "free")
-            changes.append(f"{control.title} {how}")
+    changes, knowledge = _changed_readings(first, campaign), controls.known(settings)
+    for control in controls.with_effects(settings.effects):
+        now, how = knowledge[control.name], "free"
+        if now.how == HELD:
+            how = f"held at {settings.values[control.name]:.4g}"
+        elif now.how == PRIOR:
+            how = f"known to be {now.prior} ± {now.prior_sigma}"
+        changes += [f"{control.title} {how}"] if now != control.known else []
     return ", ".join(changes)
 
 
@@ -429,12 +403,10 @@ def _changed_readings(first: Campaign, campaign: Campaign) -> list[str]:
         if new is None or not new.use:
             changes += [f"without {label}"] if old is not None and old.use else []
             continue
-        if old is None or not old.use:
-            changes.append(f"with {label}")
+        changes += [f"with {label}"] if old is None or not old.use else []
         if old is None:
             continue
-        if old.kind != new.kind:
-            changes.append(f"{label} as {new.kind}")
+        changes += [f"{label} as {new.kind}"] if old.kind != new.kind else []
         if (old.signal, old.sigma) != (new.signal, new.sigma):
             changes.append(f"{label} {new.signal:g} ± {new.sigma:g}")
         changes += [

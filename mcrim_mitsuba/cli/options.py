@@ -171,11 +171,11 @@ class WithError(Written):
         self.fraction = fraction
 
     def read(self, what: str, text: str) -> NumberWithError:
-        first, *errors = _BETWEEN.split(text)
+        first, *errors = map(str.strip, _BETWEEN.split(text))
         if len(errors) > 1:
             problem = f"{what} = '{text}' has {len(errors)} errors"
             raise InputError(problem, "write one, such as 14.3±0.2")
-        in_percent = self.fraction and first.strip().endswith("%")
+        in_percent = self.fraction and first.endswith("%")
         number = parse_share(what, first) if in_percent else parse_number(what, first)
         if in_percent and errors:
             # 25%±3%: three of a hundred, or three of the 25?
@@ -186,20 +186,17 @@ class WithError(Written):
             raise InputError(f"{what} = {number:g}", "give a number above 0")
         if self.fraction and number > 1:
             raise InputError(f"{what} = {number:g} is above 1", "give a fraction: 0.25 for 25 %")
-        return NumberWithError(number, _sigma(what, errors[0], number) if errors else 0.0)
-
-
-def _sigma(what: str, text: str, number: float) -> float:
-    """Standard error from its text, in the number's unit."""
-    bare = text.strip()
-    error = parse_number(f"the error of {what}", bare.removesuffix("%"))
-    sigma = error / 100 * number if bare.endswith("%") else error
-    if sigma < 0:
-        raise InputError(f"the error of {what} is {error:g}", "give one that is not negative")
-    if sigma >= number:
-        problem = f"the error of {what} is as large as the number itself"
-        raise InputError(problem, "errors are propagated to first order: give one well below it")
-    return sigma
+        if not errors:
+            return NumberWithError(number, 0.0)
+        error = parse_number(f"the error of {what}", errors[0].removesuffix("%"))
+        sigma = error / 100 * number if errors[0].endswith("%") else error
+        if sigma < 0:
+            raise InputError(f"the error of {what} is {error:g}", "give one that is not negative")
+        if sigma >= number:
+            problem = f"the error of {what} is as large as the number itself"
+            mend = "errors are propagated to first order: give one well below it"
+            raise InputError(problem, mend)
+        return NumberWithError(number, sigma)
 
 
 def option(
@@ -264,17 +261,10 @@ def depth(least: float, end: str = ".", **further: Any):
     return option("--depth", Number("MM", least), words, "depth_mm", **further)
 
 
-seed = option(
-    "--seed",
-    Whole(0, LARGEST_SEED),
-    "Seed of the random numbers: the same seed gives the same result.",
-    default=0,
-)
-precision = option(
-    "--precision",
-    Precision(),
-    "Relative standard error to reach, such as 0.2%; photons are spent until then.",
-)
+_OF_SEED = "Seed of the random numbers: the same seed gives the same result."
+seed = option("--seed", Whole(0, LARGEST_SEED), _OF_SEED, default=0)
+_OF_PRECISION = "Relative standard error to reach, such as 0.2%; photons are spent until then."
+precision = option("--precision", Precision(), _OF_PRECISION)
 
 
 def photons(default: str, *, at_most: bool = False, further: str = ""):
@@ -351,18 +341,15 @@ TRUST = "trust_effects"
 FILES = "files"
 
 
-def _remember_trust(ctx, param, value) -> None:
-    ctx.meta[TRUST] = value
-
-
 def trust_effects(where: str):
     """``--trust-effects`` for `showing.when_trusted`; `where` the effects are."""
+
+    def remember(ctx, param, value) -> None:
+        ctx.meta[TRUST] = value
+
+    words = f"Execute the Python in {where} without being asked."
     return click.option(
-        "--trust-effects",
-        is_flag=True,
-        expose_value=False,
-        callback=_remember_trust,
-        help=f"Execute the Python in {where} without being asked.",
+        "--trust-effects", is_flag=True, expose_value=False, callback=remember, help=words
     )
 
 
@@ -372,15 +359,11 @@ def _reads_campaigns(argument: Callable) -> Callable:
     return lambda function: argument(trust(function))
 
 
-campaign = _reads_campaigns(click.argument("campaign", type=click.Path(path_type=str)))
+_PATH = click.Path(path_type=str)
+campaign = _reads_campaigns(click.argument("campaign", type=_PATH))
+_FORM = "CAMPAIGN [CAMPAIGN [CAMPAIGN]]"
 campaigns = _reads_campaigns(
-    click.argument(
-        "campaigns",
-        nargs=-1,
-        required=True,
-        type=click.Path(path_type=str),
-        metavar="CAMPAIGN [CAMPAIGN [CAMPAIGN]]",
-    )
+    click.argument("campaigns", nargs=-1, required=True, type=_PATH, metavar=_FORM)
 )
 
 #: How ``--photons`` is explained where effects are tried: the default, and what it counts.
@@ -429,12 +412,8 @@ class Work:
     def begin(self, above: RenderableType | None = None) -> Iterator[Run]:
         """Let what follows be done by whom the options name; `above` is shown over the bar.
 
-        Raises
-        ------
-        InputError
-            If the cluster does not answer, or the array job's folder cannot be used.
-        PartDoneError
-            At the end of a part of an array job.
+        Raises InputError if the cluster does not answer, or the array job's folder cannot be used;
+        PartDoneError at the end of a part of an array job.
         """
         with (
             terminal.photon_progress(above, log=self.log) as report,
@@ -498,27 +477,19 @@ def work(function: Callable[..., Any]) -> Callable[..., Any]:
         if part is not None and run.precision is not None:
             problem = "--precision with --unit: nobody knows beforehand how many units it takes"
             raise InputError(problem, "give --photons")
-        return function(
-            work=Work(cluster=cluster, part=part, units=units, log=log, run=run), **given
-        )
+        work = Work(cluster=cluster, part=part, units=units, log=log, run=run)
+        return function(work=work, **given)
 
+    of_part = "Do part K of N only, as one job of an array; `mcrim merge` puts them together."
+    shared = "Folder that the parts of --unit share."
+    of_cluster = "Let the workers of a Dask scheduler do the work (tcp://host:8786)."
     command: Callable[..., Any] = with_work
     for decorate in (
         json_output,
         file("--log", "Append the progress, unit by unit, to this file."),
-        option(
-            "--units", Folder(), "Folder that the parts of --unit share.", default=DEFAULT_FOLDER
-        ),
-        option(
-            "--unit",
-            "K/N",
-            "Do part K of N only, as one job of an array; `mcrim merge` puts them together.",
-        ),
-        option(
-            "--cluster",
-            "ADDRESS",
-            "Let the workers of a Dask scheduler do the work (tcp://host:8786).",
-        ),
+        option("--units", Folder(), shared, default=DEFAULT_FOLDER),
+        option("--unit", "K/N", of_part),
+        option("--cluster", "ADDRESS", of_cluster),
         run,
     ):
         command = decorate(command)

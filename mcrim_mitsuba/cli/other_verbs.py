@@ -37,10 +37,18 @@ def merge(context, folder) -> int:
     """
     units = UnitFolder(Path(folder).absolute())
     command = units.command()
-    mcrim = context.find_root().command
-    _refuse_other_verbs(units, command, mcrim, context)
+    mcrim = verb = context.find_root().command
+    words = iter(command["arguments"])
+    while isinstance(verb, click.Group):
+        verb = verb.get_command(context, next(words, ""))
+    if verb is None or all(option.name != "unit" for option in verb.params):
+        problem = "the folder holds a command that has no parts"
+        raise InputError(problem, "remove it and run the parts again", path=units.path)
     _refuse_missing(units, command)
-    _refuse_other_versions(units, command)
+    if (wrong := other_version(command["versions"])) is not None:
+        problem = f"the parts were made with {wrong[0]} {wrong[1]}, here is {wrong[2]}"
+        mend = "merge with the same versions, or run the parts again"
+        raise InputError(problem, mend, path=units.path)
     try:
         os.chdir(command["folder"])
     except OSError as error:
@@ -53,40 +61,14 @@ def merge(context, folder) -> int:
         return mcrim.main(command["arguments"], prog_name="mcrim", standalone_mode=False)
 
 
-def _refuse_other_verbs(
-    units: UnitFolder, command: dict, mcrim: click.Group, context: click.Context
-) -> None:
-    """Refuse what takes no ``--unit``: nobody has run parts of it."""
-    verb: click.Command | None = mcrim
-    words = iter(command["arguments"])
-    while isinstance(verb, click.Group):
-        verb = verb.get_command(context, next(words, ""))
-    if verb is None or all(option.name != "unit" for option in verb.params):
-        problem = "the folder holds a command that has no parts"
-        raise InputError(problem, "remove it and run the parts again", path=units.path)
-
-
 def _refuse_missing(units: UnitFolder, command: dict) -> None:
     """Refuse to merge an array job before all of its parts are done."""
-    missing = units.missing()
-    if missing:
-        named = ", ".join(map(str, missing[:_MOST_NAMED]))
+    if missing := units.missing():
+        named, parts = ", ".join(map(str, missing[:_MOST_NAMED])), command["parts"]
         named += ", ..." if len(missing) > _MOST_NAMED else ""
-        words = " ".join(command["arguments"])
-        raise InputError(
-            f"{len(missing)} of {command['parts']} parts are not done: {named}",
-            f"run them first: mcrim {words} --unit {missing[0]}/{command['parts']} "
-            f"--units {units.path}",
-            path=units.path,
-        )
-
-
-def _refuse_other_versions(units: UnitFolder, command: dict) -> None:
-    versions = command["versions"]
-    wrong = other_version(versions)
-    if wrong is not None:
-        problem = f"the parts were made with {wrong[0]} {wrong[1]}, here is {wrong[2]}"
-        mend = "merge with the same versions, or run the parts again"
+        words = f"{' '.join(command['arguments'])} --unit {missing[0]}/{parts}"
+        problem = f"{len(missing)} of {parts} parts are not done: {named}"
+        mend = f"run them first: mcrim {words} --units {units.path}"
         raise InputError(problem, mend, path=units.path)
 
 
@@ -120,19 +102,17 @@ def paper(folder, json_file, work) -> None:
 _COLOURS = {"+": "green", "-": "red", "@": "cyan"}
 
 
-def _range(parameter) -> str:
-    limits = f"{parameter.minimum:g}..{parameter.maximum:g}"
-    words = (parameter.name, "off by" if parameter.nominal else "", limits, parameter.unit)
-    return " ".join(filter(None, words))
-
-
 def _listing() -> str:
     """The catalogue, one line each."""
     catalogue = effects.catalogue().values()
     wide = max(len(effect.name) for effect in catalogue)
     lines = []
     for effect in catalogue:
-        values = "; ".join(map(_range, effect.parameters))
+        ranges = (
+            (p.name, "off by" * bool(p.nominal), f"{p.minimum:g}..{p.maximum:g}", p.unit)
+            for p in effect.parameters
+        )
+        values = "; ".join(" ".join(filter(None, words)) for words in ranges)
         where = "for campaigns only" if effect.edit is None else values or "on or off"
         lines.append(f"  {effect.name:{wide}}  {capital(effect.title)} ({where})")
     return "\b\nThe catalogue:\n" + "\n".join(lines)
@@ -173,10 +153,8 @@ def add(effect, scene, path, values, folder) -> None:
     write_text(path, text)
     if path not in STDOUT:
         read_scene(path)
-    before = old.source(old.path).decode()
-    for line in difflib.unified_diff(
-        before.splitlines(), text.splitlines(), scene, path, lineterm="", n=2
-    ):
+    before, after = old.source(old.path).decode().splitlines(), text.splitlines()
+    for line in difflib.unified_diff(before, after, scene, path, lineterm="", n=2):
         screen.print(Text(line, style=_COLOURS.get(line[0], "")), soft_wrap=True)
     for included in dict.fromkeys(old.included):
         if included not in new.included:

@@ -18,31 +18,15 @@ from pathlib import Path
 from types import FrameType
 
 import click
+from rich import progress
 from rich.console import Console, ConsoleOptions, RenderableType
-from rich.progress import (
-    BarColumn,
-    Progress,
-    Task,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.segment import Segment
 from rich.table import Column
 from rich.text import Text
 
+from mcrim_mitsuba.core import files
 from mcrim_mitsuba.core.errors import InputError, visible
-from mcrim_mitsuba.core.files import (
-    LIFT_LIMIT,
-    STDOUT,
-    WRITES,
-    collected,
-    json_text,
-    open_to_write,
-    silence_stdout,
-    write_text,
-)
+from mcrim_mitsuba.core.files import STDOUT, silence_stdout
 from mcrim_mitsuba.core.run import ENDING_SIGNALS
 from mcrim_mitsuba.output.description import UNLIMITED, Part, renderables, sentence
 from mcrim_mitsuba.runs.array_job import PartDoneError
@@ -101,21 +85,19 @@ class _Lines(logging.FileHandler):
             self.close()
 
     def _open(self) -> io.TextIOWrapper:
-        descriptor = open_to_write(Path(self.baseFilename), os.O_CREAT | os.O_APPEND)
+        descriptor = files.open_to_write(Path(self.baseFilename), os.O_CREAT | os.O_APPEND)
         return open(descriptor, "a", encoding=self.encoding, errors=self.errors)
 
 
 def _line(what: str, done: int, total: int, note: str, seconds: float) -> str:
     """``simulation: 2.6e+06 of 4.7e+07 photons, 12 of 180 units, 90 s left``."""
-    parts = [what]
     if total > MOST_PIECES:
-        parts = [f"{what}: {done:.3g} of {total:.3g} photons"]
+        what = f"{what}: {done:.3g} of {total:.3g} photons"
     elif total > 1:
-        parts = [f"{what}: {done} of {total}"]
-    parts += [note] if note else []
-    if 0 < done < total and seconds > 0:
-        parts.append(f"{seconds * (total - done) / done:.0f} s left")
-    return ", ".join(parts)
+        what = f"{what}: {done} of {total}"
+    begun = 0 < done < total and seconds > 0
+    left = f"{seconds * (total - done) / done:.0f} s left" if begun else ""
+    return ", ".join(filter(None, (what, note, left)))
 
 
 # What commands show: tables, JSON, progress.
@@ -174,12 +156,12 @@ def write_json(json_file: str | None, result: dict) -> None:
     """
     if json_file is None:
         return
-    text = json_text(result, indent=2) + "\n"
+    text = files.json_text(result, indent=2) + "\n"
     # names of files that are no UTF-8 hold what only JSON's own escapes can write
-    write_text(json_file, text.encode(errors="backslashreplace").decode())
+    files.write_text(json_file, text.encode(errors="backslashreplace").decode())
 
 
-class _Progress(Progress):
+class _Progress(progress.Progress):
     """Bars below something that grows while they run."""
 
     above: RenderableType | None = None
@@ -200,14 +182,14 @@ def _piped_width() -> int:
     return min(int(columns), UNLIMITED) if _WIDTH.fullmatch(columns) else UNLIMITED
 
 
-class _Words(TextColumn):
+class _Words(progress.TextColumn):
     """Words that are cut in a narrow terminal, before any number beside them is."""
 
     def __init__(self, text_format: str) -> None:
         # rich takes room from columns that may wrap, and from others only if that is not enough
         super().__init__(text_format, table_column=Column(no_wrap=False))
 
-    def render(self, task: Task) -> Text:
+    def render(self, task: progress.Task) -> Text:
         words = super().render(task)
         words.no_wrap, words.overflow = True, "ellipsis"
         return words
@@ -217,11 +199,11 @@ def progress_bar(console: Console, *, disable: bool = False) -> _Progress:
     """Bars of tasks that have a field `note`."""
     return _Progress(
         _Words("{task.description}"),
-        BarColumn(20),
-        TextColumn("{task.percentage:>3.0f} %"),
+        progress.BarColumn(20),
+        progress.TextColumn("{task.percentage:>3.0f} %"),
         _Words("{task.fields[note]}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        progress.TimeElapsedColumn(),
+        progress.TimeRemainingColumn(),
         console=console,
         transient=True,
         disable=disable,
@@ -239,7 +221,7 @@ def photon_progress(
     """
     bar = progress_bar(Console(stderr=True), disable=not sys.stderr.isatty())
     bar.above = above
-    tasks: dict[str, TaskID] = {}
+    tasks: dict[str, progress.TaskID] = {}
 
     with contextlib.ExitStack() as opened:
         written = None if log is None else opened.enter_context(progress_log(log))
@@ -265,7 +247,8 @@ OUR_FAULT = 1
 YOUR_INPUT = 2
 INTERRUPTED = 130
 #: What helps where a file takes no more.
-_ROOM = dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "free some space") | {errno.EFBIG: LIFT_LIMIT}
+_ROOM = dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "free some space")
+_ROOM[errno.EFBIG] = files.LIFT_LIMIT
 _OUTPUT = "what standard output goes to"
 
 
@@ -295,7 +278,7 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         if arguments is None:
             _open_streams()
         given = sys.argv[1:] if arguments is None else arguments
-        with collected(WRITES) as written:
+        with files.collected(files.WRITES) as written:
             status = command.main(
                 arguments, prog_name=name, standalone_mode=False, obj={"arguments": given}
             )
@@ -318,15 +301,15 @@ def run(command: click.Command, name: str, arguments: list[str] | None = None) -
         return _say_usage(name, error)
     except click.ClickException as error:
         return _say(name, error.format_message(), YOUR_INPUT)
-    except OSError as error:
-        if error.errno not in _ROOM:
-            return _our_fault(name)
+    except Exception as error:
+        if not isinstance(error, OSError) or error.errno not in _ROOM:
+            traceback.print_exc()
+            line = "this is our fault, not yours: please report the lines above"
+            return _say(name, line, OUR_FAULT)
         silence_stdout()
         where, mend = error.filename or "a temporary file", _ROOM[error.errno]
         line = f"{where}: cannot be written ({error.strerror}); {mend} and run it again"
         return _say(name, line, YOUR_INPUT)
-    except Exception:
-        return _our_fault(name)
     finally:
         if arguments is None:
             _ignore_signals()
@@ -407,11 +390,6 @@ def _ignore_signals() -> None:
     """Who is impatient interrupts what ends already, and whose status is known."""
     for number in ENDING_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
-
-
-def _our_fault(name: str) -> int:
-    traceback.print_exc()
-    return _say(name, "this is our fault, not yours: please report the lines above", OUR_FAULT)
 
 
 def _say_usage(name: str, error: click.UsageError) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import asdict
 from pathlib import Path
 
@@ -71,6 +72,7 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
     mean: both centroids are shown.
     """
     from mcrim_mitsuba.laboratory.histogram import read_histogram
+    from mcrim_mitsuba.laboratory.peak import fit_peak
     from mcrim_mitsuba.output.laboratory_figures import (
         FittedHistogram,
         draw_histograms,
@@ -90,39 +92,33 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
     if len(set(names)) < len(names):
         names = list(files)
     histograms = [read_histogram(file) for file in files]
-    fitted = [
-        FittedHistogram(name, histogram, _fit(histogram, shape, window))
-        for name, histogram in zip(names, histograms, strict=True)
-    ]
+    fitted = []
+    for name, histogram in zip(names, histograms, strict=True):
+        with placed(path=histogram.path):
+            main = fit_peak(histogram.photons, histogram.counts, shape=shape, window=window)
+        fitted.append(FittedHistogram(name, histogram, main))
     peaks = {histogram.name: histogram.peak for histogram in fitted if histogram.peak is not None}
     without = [histogram for histogram in fitted if histogram.peak is None]
     notes = [f"{name}: {words}" for name, peak in peaks.items() for words in peak.warnings]
     combined, outliers = _combined(peaks)
     if combined is not None:
         notes += _notes(combined, outliers)
+    found_in = zip(files, (histogram.peak for histogram in fitted), strict=True)
     document = {
         "histograms": [
-            {"file": file, **_peak_json(histogram.peak)}
-            for file, histogram in zip(files, fitted, strict=True)
+            {"file": file, "peak": peak and _peak_json(peak)} for file, peak in found_in
         ],
         "combined": combined and attributes(combined, _OF_MEAN) | {"outliers": outliers},
         "notes": notes,
     }
     pictures = {"histograms": lambda: draw_histograms(fitted)}
-    widths = _widths(peaks, _spreads(map_file, depth_mm, deposits))
+    widths = _widths(peaks, map_file, depth_mm, deposits)
     if widths:
         pictures["widths"] = lambda: draw_widths(widths)
-        document["widths"] = [
-            {"histogram": name, **asdict(width)}
-            for name, parts in widths.items()
-            for width in parts
-        ]
-    result = VerbResult(
-        kind="peaks",
-        shown=of_peaks(fitted, combined, notes, widths),
-        numbers=document,
-        drawings=pictures,
-    )
+        parts = [(name, width) for name, of_peak in widths.items() for width in of_peak]
+        document["widths"] = [{"histogram": name, **asdict(width)} for name, width in parts]
+    shown = of_peaks(fitted, combined, notes, widths)
+    result = VerbResult(kind="peaks", shown=shown, numbers=document, drawings=pictures)
     showing.answer(result, json_file, figure)
     if without:
         mend = "let --window have the whole peak, and some background beside it"
@@ -145,34 +141,23 @@ def _combined(peaks: dict):
     return combined, [list(peaks)[i] for i in combined.outliers]
 
 
-def _widths(peaks: dict, spreads) -> dict[str, list]:
-    """Parts of each peak's width, for every place where gammas may stop; nothing without any."""
+def _widths(
+    peaks: dict, map_file: str | None, depth_mm: float, deposits: str | None
+) -> dict[str, list]:
+    """Parts of each peak's width, for every place where gammas may stop; nothing without a map."""
+    if map_file is None:
+        return {}
+    from mcrim_mitsuba.efficiency.lighting import all_spreads, read_map
     from mcrim_mitsuba.laboratory.peak_band import width_parts
 
+    spreads = all_spreads(read_map(map_file), depth_mm, deposits)
     return {
         name: [
             width_parts(peak, spread.source, spread.relative_rms, spread.relative_rms_sigma)
             for spread in spreads
         ]
         for name, peak in peaks.items()
-        if spreads
     }
-
-
-def _spreads(map_file: str | None, depth_mm: float, deposits: str | None):
-    """What a map of eta varies by over where gammas stop; nothing without one."""
-    if map_file is None:
-        return ()
-    from mcrim_mitsuba.efficiency.lighting import all_spreads, read_map
-
-    return all_spreads(read_map(map_file), depth_mm, deposits)
-
-
-def _fit(histogram, shape, window):
-    from mcrim_mitsuba.laboratory.peak import fit_peak
-
-    with placed(path=histogram.path):
-        return fit_peak(histogram.photons, histogram.counts, shape=shape, window=window)
 
 
 def _refuse_duplicates(files: tuple[str, ...]) -> None:
@@ -182,11 +167,8 @@ def _refuse_duplicates(files: tuple[str, ...]) -> None:
         return
     first, second = (files[place] for place in duplicates)
     same = resolved(Path(first)) == resolved(Path(second))
-    raise InputError(
-        "the file is given twice" if same else f"it holds the same bytes as {first}",
-        "name each mounting once",
-        path=second,
-    )
+    problem = "the file is given twice" if same else f"it holds the same bytes as {first}"
+    raise InputError(problem, "name each mounting once", path=second)
 
 
 def _notes(combined, outliers: list[str]) -> list[str]:
@@ -202,19 +184,15 @@ def _notes(combined, outliers: list[str]) -> list[str]:
     return notes
 
 
-def _peak_json(peak_found) -> dict:
+_OF_PEAK = (
+    "shape centroid centroid_sigma width width_sigma intrinsic_spread events chi2 ndf p_value "
+    "low high warnings"
+)
+
+
+def _peak_json(main) -> dict:
     """A peak and, without its own `other`, the other shape's."""
-    if peak_found is None:
-        return {"peak": None}
-    return {"peak": _fields(peak_found) | {"other": peak_found.other and _fields(peak_found.other)}}
-
-
-def _fields(peak_found) -> dict:
-    return attributes(
-        peak_found,
-        "shape centroid centroid_sigma width width_sigma intrinsic_spread events chi2 ndf p_value "
-        "low high warnings",
-    )
+    return attributes(main, _OF_PEAK) | {"other": main.other and attributes(main.other, _OF_PEAK)}
 
 
 #: How files begin that this command made, and may replace.
@@ -326,19 +304,13 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
         counts = zip(spectrum.photons(), spectrum.sample(seed), strict=True)
         head, rows = "photons_per_event,events", [f"{n:g},{c:g}" for n, c in counts]
     write_text(path, "\n".join([*comments, head, *rows]) + "\n")
-    terminal.write_json(
-        json_file,
-        {
-            "kind": "histogram",
-            "version": 1,
-            **attributes(
-                spectrum,
-                "mean_photons peak_events intrinsic_spread dark_photons pedestal_events "
-                "pedestal_photons continuum_events continuum_photons",
-            ),
-            "seed": seed,
-        },
+    made_from = attributes(
+        spectrum,
+        "mean_photons peak_events intrinsic_spread dark_photons pedestal_events "
+        "pedestal_photons continuum_events continuum_photons",
     )
+    document = {"kind": "histogram", "version": 1, **made_from, "seed": seed}
+    terminal.write_json(json_file, document)
     screen = terminal.console(json_file, path)
     if path not in STDOUT:
         screen.line(f"{len(rows)} {'events' if as_list else 'bins'} written to {path}")
@@ -346,14 +318,11 @@ def histogram(mean, events, rate, minutes, spread, dark, as_list, seed, path, js
 
 def _refuse_foreign(path: str) -> None:
     """Refuse to replace what may be a measurement."""
-    file = Path(path)
+    file, ours = Path(path), False
     if path in STDOUT or not file.is_file():
         return
-    try:
-        with file.open("rb") as stream:
-            ours = stream.read(len(_OURS)) == _OURS.encode()
-    except OSError:
-        ours = False
+    with contextlib.suppress(OSError), file.open("rb") as stream:
+        ours = stream.read(len(_OURS)) == _OURS.encode()
     if not ours:
         problem = "--output would replace a file that this command did not make"
         raise InputError(problem, "name another file, or remove this one", path=path)

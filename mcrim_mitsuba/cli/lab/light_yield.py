@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -90,17 +91,10 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     weights = dict(zip(couplings, together.weights, strict=True))
     document = {
         "yields": [
-            {
-                "label": label,
-                "signal": signal,
-                "signal_sigma": signal_sigma,
-                "eta": eta,
-                "eta_sigma": eta_sigma,
-                "weight": weights[label],
-                **_yield_json(light),
-                "budget": _budget_json(budgets[label]),
-            }
-            for label, ((signal, signal_sigma), (eta, eta_sigma), light) in couplings.items()
+            {"label": label, "signal": signal[0], "signal_sigma": signal[1]}
+            | {"eta": eta[0], "eta_sigma": eta[1], "weight": weights[label]}
+            | {**_yield_json(light), "budget": _budget_json(budgets[label])}
+            for label, (signal, eta, light) in couplings.items()
         ],
         **_yield_json(together.mean),
         "budget": _budget_json(list(budgets.values())[-1]),
@@ -171,10 +165,7 @@ def relative(file, json_file) -> None:
 
     showing.refuse_places(json_file, [file])
     read = read_comparison(file)
-    budgets = {
-        "nothing shared": budget_of(read.uncorrelated),
-        "Y": budget_of(read.light_yield),
-    }
+    budgets = {"nothing shared": budget_of(read.uncorrelated), "Y": budget_of(read.light_yield)}
     document = {
         **_yield_json(read.light_yield),
         "sigma_ignoring_shared": read.uncorrelated.sigma,
@@ -257,16 +248,10 @@ def plan(campaign, wanted, n_gap, events, mountings, figure, json_file, work, **
     read = showing.read_campaign(campaign, json_file, figure, inputs=spectra)
     terminal.console(json_file).say_notes(comma)
     given = {name: value for name, value in conditions.items() if value is not None}
+    choices: dict[str, Any] = {"n_gap": couplings, "mountings": times, "events": counts}
     with work.begin() as run:
-        planning = mcrim.plan(
-            read,
-            wanted,
-            n_gap=couplings,
-            mountings=times,
-            events=counts,
-            conditions=dataclasses.replace(measured_conditions(read), **given),
-            run=run,
-        )
+        measured = dataclasses.replace(measured_conditions(read), **given)
+        planning = mcrim.plan(read, wanted, conditions=measured, run=run, **choices)
     showing.answer(planning, json_file, figure)
 
 

@@ -14,7 +14,7 @@ from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.output import describe_laboratory
-from mcrim_mitsuba.output.registry import VerbResult
+from mcrim_mitsuba.output.registry import VerbResult, laboratory_figures
 from mcrim_mitsuba.scene.values import SEPARATOR, material_at
 
 
@@ -55,17 +55,11 @@ def efficiency(emission, quantum_efficiency, scale_sigma, figure, json_file) -> 
         **attributes(weighted, "detector_efficiency=value detector_efficiency_sigma=sigma"),
         **attributes(weighted, "contributions spread outside=mean.outside notes"),
     }
-
-    def drawn():
-        from mcrim_mitsuba.output.laboratory_figures import draw_efficiency
-
-        return draw_efficiency(weighted)
-
     result = VerbResult(
         kind="detector_efficiency",
         shown=describe_laboratory.of_efficiency(weighted),
         numbers=document,
-        drawings={"efficiency": drawn},
+        drawings={"efficiency": lambda: laboratory_figures.draw_efficiency(weighted)},
     )
     showing.answer(result, json_file, figure)
 
@@ -148,27 +142,18 @@ def absorption(
     if not any(part > 0 for part in others):
         notes.append("no error is given: give --sigma, --n-sigma or --thickness-sigma-mm")
     article = _beside_the_article(readings, n, thickness_mm)
-    document = {
-        "transmittance": readings or files,
-        "n": coefficient.n,
-        "n_sigma": n_sigma,
-        "thickness_mm": thickness_mm,
-        **attributes(coefficient, _OF_ABSORPTION),
-        "article": article,
-        "notes": notes,
-    }
-
-    def drawn():
-        from mcrim_mitsuba.output.laboratory_figures import draw_absorption
-
-        return draw_absorption(coefficient)
-
-    beside = "" if article is None else _article_in_words(article)
+    document = {"transmittance": readings or files, "n": coefficient.n, "n_sigma": n_sigma}
+    document |= {"thickness_mm": thickness_mm, **attributes(coefficient, _OF_ABSORPTION)}
+    document |= {"article": article, "notes": notes}
+    beside = article and (
+        f"the article ({article['where']}) has {100 * article['internal_transmittance']:.0f} % "
+        f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
+    )
     result = VerbResult(
         kind="absorption",
-        shown=describe_laboratory.of_absorption(coefficient, transmittance, beside, notes),
+        shown=describe_laboratory.of_absorption(coefficient, transmittance, beside or "", notes),
         numbers=document,
-        drawings={"absorption": drawn},
+        drawings={"absorption": lambda: laboratory_figures.draw_absorption(coefficient)},
     )
     showing.answer(result, json_file, figure)
 
@@ -237,13 +222,6 @@ def _beside_the_article(readings: list[float], n, thickness_mm: float) -> dict |
     }
 
 
-def _article_in_words(article: dict) -> str:
-    return (
-        f"the article ({article['where']}) has {100 * article['internal_transmittance']:.0f} % "
-        f"and {article['alpha_abs_per_cm']:g} /cm for this reading; see `mcrim paper`"
-    )
-
-
 _USUAL_NM = 540.0
 
 
@@ -295,16 +273,10 @@ def _catalogue(wavelength_nm: float) -> VerbResult:
     """All materials with their indices at a wavelength; None beyond a formula's range."""
     from mcrim_mitsuba.optics.materials import MATERIALS
 
-    indices = {
-        crystal: float(crystal.index(wavelength_nm))
-        if crystal.ordinary.covers(wavelength_nm)
-        else None
-        for crystal in MATERIALS
-    }
-    document = {
-        "wavelength_nm": wavelength_nm,
-        "materials": [{**_json(crystal), "n": n} for crystal, n in indices.items()],
-    }
+    covered = {crystal: crystal.ordinary.covers(wavelength_nm) for crystal in MATERIALS}
+    indices = {c: float(c.index(wavelength_nm)) if there else None for c, there in covered.items()}
+    materials = [{**_json(crystal), "n": n} for crystal, n in indices.items()]
+    document = {"wavelength_nm": wavelength_nm, "materials": materials}
     shown = describe_laboratory.of_materials(indices, wavelength_nm)
     return VerbResult(kind="materials", shown=shown, numbers=document)
 
