@@ -35,16 +35,12 @@ def reduce(campaign, path, figure, json_file) -> None:
     """
     from mcrim_mitsuba.campaign.editor import plain_texts, readings_beside
 
-    written = {}
+    written, pictures = {}, ("spectra", "transmittance")
     if path is not None:
         beside = readings_beside(Path(path))
-        written = {
-            "--output": (path, (".toml",)),
-            "the readings of --output": (str(beside), (".csv",)),
-        }
-    read = showing.read_campaign(
-        campaign, json_file, figure, "spectra", "transmittance", written=written
-    )
+        written = {"--output": (path, (".toml",))}
+        written["the readings of --output"] = (str(beside), (".csv",))
+    read = showing.read_campaign(campaign, json_file, figure, *pictures, written=written)
     if path is not None and read.raw is not None:
         texts = plain_texts(read, Path(path), beside)
         refuse_to_replace(dict(zip((Path(path), beside), texts, strict=True)))
@@ -72,20 +68,16 @@ def calibrate(campaign, figure, json_file, work) -> None:
     read = showing.read_campaign(campaign, json_file, figure, "profiles", "budget")
     with work.begin() as run:
         fit = mcrim.calibrate(read, run=run)
-    screen = showing.answer(fit, json_file, figure)
-    screen.line(f"Next: {_after_calibration(campaign, fit)}", style="bold")
-
-
-def _after_calibration(campaign: str, fit) -> str:
-    """What to do next, by whether the model describes the readings."""
     from mcrim_mitsuba.output.sentences import fails
 
-    if fails(fit):
-        return f"{showing.command('compare', campaign)} for where the model fails"
-    return (
+    screen = showing.answer(fit, json_file, figure)
+    next_step = (
         f"{showing.command('diagnose', campaign)} for what could be missing, or "
         f"{showing.command('budget', campaign)} for where the errors come from"
     )
+    if fails(fit):
+        next_step = f"{showing.command('compare', campaign)} for where the model fails"
+    screen.line(f"Next: {next_step}", style="bold")
 
 
 @click.command(short_help="Show where a campaign's model fails.")
@@ -107,11 +99,8 @@ def compare(campaigns, figure, json_file, work) -> None:
     with work.begin() as run:
         compared = mcrim.compare(*read, run=run)
     screen = showing.answer(compared, json_file, figure)
-    next_step = (
-        _after_hypotheses(compared)
-        if len(read) > 1
-        else _after_comparison(campaigns[0], read[0].measurements.path, compared)
-    )
+    one_alone = (campaigns[0], read[0].measurements.path, compared)
+    next_step = _after_comparison(*one_alone) if len(read) == 1 else _after_hypotheses(compared)
     screen.line(f"Next: {next_step}", style="bold")
 
 
@@ -136,11 +125,8 @@ def _after_comparison(campaign: str, measurements: Path, comparison) -> str:
     diagnose = showing.command("diagnose", campaign)
     explained = [suspect for suspect in comparison.suspects if suspect.explains]
     if explained:
-        mend = (
-            "swap them back"
-            if explained[0].kind == "swapped_rows"
-            else "repeat it, or leave it out with use = 0"
-        )
+        swapped = explained[0].kind == "swapped_rows"
+        mend = "swap them back" if swapped else "repeat it, or leave it out with use = 0"
         return (
             f"check {together(explained[0].labels)} in {measurements} ({mend}), then "
             f"{showing.command('compare', campaign)} again; or {diagnose}"

@@ -159,10 +159,7 @@ class NumberWithError:
 class WithError(Written):
     """``14.3±0.2``, ``14.3+-0.2``, ``14.3 ± 1.4%``, or 14.3 for a number without error.
 
-    Parameters
-    ----------
-    fraction : bool
-        The number is at most 1; without an error it may be in per cent: 25%.
+    A `fraction` is at most 1; without an error it may be in per cent: 25%.
     """
 
     name = "number±error"

@@ -193,13 +193,11 @@ def simulate(
         if map_file and not light.interrupted:
             further["map"] = mcrim.eta_map(file, depth_mm=depth_mm, deposits=deposits, run=whole)
         if spectrum and not light.interrupted:
-            further["spectrum"] = mcrim.eta_spectrum(
-                file, spectrum, quantum_efficiency=quantum_efficiency, method=method, run=run
-            )
+            whose = {"quantum_efficiency": quantum_efficiency, "method": method}
+            further["spectrum"] = mcrim.eta_spectrum(file, spectrum, run=run, **whose)
         if times_file and not light.interrupted:
             whole = replace(whole, photons=light.photons)
-            times = mcrim.arrival_times(file, run=whole, **of_times)
-            further["times"] = times
+            further["times"] = times = mcrim.arrival_times(file, run=whole, **of_times)
     document = light.document | {name: result.document for name, result in further.items()}
     screen = terminal.console(json_file)
     if light.interrupted:
@@ -217,8 +215,7 @@ def simulate(
         if name == "map":
             write_bytes(map_file, netcdf_bytes(result.to_xarray()))
         elif name == "times":
-            lines = csv_lines(("time_ps", "part", "part_sigma"), times.rows)
-            write_text(times_file, lines)
+            write_text(times_file, csv_lines(("time_ps", "part", "part_sigma"), times.rows))
         drawn = result.draw(showing.further_picture(figure, name)) if figure else ()
         showing.show(screen, result.description, [*files, *drawn])
 
@@ -282,16 +279,10 @@ def read_axes(
 ) -> tuple[dict[str, Any], list[str]]:
     """Values by parameter, and notes on how they were understood.
 
-    Raises InputError if none is given, or one is no list of numbers.
+    `given` are texts of the options of `AXES` by parameter, None of those that were left out,
+    `more` those of ``--axis``; paths of spectra start from the folder.
 
-    Parameters
-    ----------
-    given : mapping of str to str or None
-        Texts of the options of `AXES` by parameter; None of those that were left out.
-    more : mapping of str to str, optional
-        Texts of ``--axis`` by parameter.
-    folder : Path, optional
-        That paths of spectra start from.
+    Raises InputError if none is given, or one is no list of numbers.
     """
     from mcrim_mitsuba.scene.values import parse_list, told_of_comma
 
@@ -342,16 +333,10 @@ def table(scene, axes, path, overrides, method, figure, json_file, work, **lists
         lines_of_table(lists)
     screen = terminal.console(json_file, path)
     screen.say_notes(notes)
-    coefficients = {"alpha_scat": ALPHA_SCAT, "alpha_abs": ALPHA_ABS}
-    axes_in_words = [
-        f"{word} {_abbreviated(lists[name])} /cm"
-        for word, name in coefficients.items()
-        if name in lists
-    ]
-    axes_in_words += [
-        f"{n} {_abbreviated(v)}" for n, v in lists.items() if n not in coefficients.values()
-    ]
-    screen.line("; ".join(axes_in_words))
+    words = {ALPHA_SCAT: "alpha_scat {} /cm", ALPHA_ABS: "alpha_abs {} /cm"}
+    words |= {name: f"{name} {{}}" for name in lists if name not in words}
+    in_words = (words[n].format(_abbreviated(lists[n])) for n in words if n in lists)
+    screen.line("; ".join(in_words))
     with work.begin() as run:
         tabulated = mcrim.table(file, run=run, method=method, **lists)
     if path and path.lower().endswith(".nc"):

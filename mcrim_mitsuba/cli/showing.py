@@ -86,20 +86,12 @@ def refuse_places(
 ) -> None:
     """Refuse outputs, also ``--log``, that cannot be written or would replace what is read.
 
-    Raises InputError before any work is done.
+    `inputs` are files that the command reads, of scenes and campaigns all that they are made of;
+    an array job's folder is looked at too. `options.FILES` of the command's context keeps the list.
+    Beside a figure its numbers are looked at, and further pictures by their `endings`, as
+    `further_picture` takes them; `written` are other files.
 
-    Parameters
-    ----------
-    json_file : str or None
-    inputs : iterable of str, Path, SceneFile or Campaign
-        Files that the command reads; of scenes and campaigns all that they are made of. An array
-        job's folder is looked at too. `options.FILES` of the command's context keeps the list.
-    figure : str, optional
-        A picture; the numbers beside it are looked at too.
-    *endings : str
-        Of further pictures, as `further_picture` takes them.
-    written : mapping of str to (str, tuple of str), optional
-        Other files.
+    Raises InputError before any work is done.
     """
     from mcrim_mitsuba.core.files import refuse_outputs
 

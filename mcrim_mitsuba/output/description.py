@@ -200,10 +200,7 @@ def records(
 ) -> Table:
     """A table of records, a row each: every column says what it shows of them.
 
-    Parameters
-    ----------
-    strong, weak : callable, optional
-        Which records' rows are to be looked at first, and which do not count.
+    Those that are `strong` are to be looked at first, and `weak` ones do not count.
     """
     heads = _columns(columns)
     rows = (

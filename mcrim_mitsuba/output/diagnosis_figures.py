@@ -306,13 +306,8 @@ _STEP_PER_CHARACTER = 0.085
 def draw_staircase(steps: Sequence[RepairStep], final: Calibration | None = None) -> style.Drawing:
     """How the misfit falls while effects are added.
 
-    Parameters
-    ----------
-    steps : sequence of RepairStep
-        The first is the campaign as it came.
-    final : Calibration, optional
-        Of the mended campaign, its effects simulated together where the fit ends; the steps
-        add the effects' responses.
+    The first step is the campaign as it came. The `final` fit is that of the mended campaign, its
+    effects simulated together where the fit ends; the steps add the effects' responses.
     """
     stairs = [*steps, *([] if final is None else [final_step(steps[-1], final)])]
     names = [style.shortened(added_text(step), 36) for step in stairs]

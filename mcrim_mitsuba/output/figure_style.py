@@ -342,14 +342,9 @@ def ordered(fates: Iterable[str]) -> list[str]:
 
 
 def units_of_signals(readings: Sequence[tuple[float, bool]]) -> np.ndarray:
-    """(readings,) factors that put readings of two kinds on one axis.
+    """(readings,) factors that put signals, each with whether it is a transmittance, on one axis.
 
     Signals of light stay as they are; a transmittance of 1 is drawn where the largest of these is.
-
-    Parameters
-    ----------
-    readings : sequence of (float, bool)
-        Signals, and whether they are transmittances.
     """
     light = [abs(signal) for signal, of_beam in readings if not of_beam]
     return np.array([max(light, default=1.0) if of_beam else 1.0 for _, of_beam in readings])

@@ -66,18 +66,10 @@ class _Pulls(NamedTuple):
 def draw_comparison(
     before: Calibration, after: Calibration | None = None, *, added: str = "", unit: str = ""
 ) -> style.Drawing:
-    """Readings, predictions and pulls.
+    """Readings, predictions and pulls: `before` of the campaign as it came, `after` of the mended.
 
-    Parameters
-    ----------
-    before : Calibration
-        The campaign as it came; only a comparison knows of suspect readings.
-    after : Calibration, optional
-        Of the mended campaign: the same readings.
-    added : str
-        What mended it, for the legend.
-    unit : str
-        Of the signals of light; the measurement file's where it is not known.
+    Only a comparison knows of suspect readings. What was added is for the legend; the unit is that
+    of the signals of light, the measurement file's where it is not known.
     """
     figure, upper, lower = _over_readings(before.rows, (1.4, 1))
     places = np.arange(len(before.rows))

@@ -78,10 +78,7 @@ class Picture:
 def of_drawing(name: str, drawing: style.Drawing, alt: str, **further: style.Numbers) -> Picture:
     """A figure as vector graphics, its texts as outlines: it looks the same everywhere.
 
-    Parameters
-    ----------
-    further : Numbers
-        Tables behind it besides the drawing's own, by what they hold.
+    `further` tables behind it, besides the drawing's own, come by what they hold.
     """
     stream, figure = io.StringIO(), drawing.figure
     if (layout := figure.get_layout_engine()) is not None:
@@ -357,21 +354,10 @@ def report(
     """Diagnose and mend a campaign, and write all that was found as one HTML file.
 
     The file needs nothing else: no network, no scripts. An HTML file that is there is replaced.
-    Given back is what it tells.
+    Given back is what it tells. The campaign is mended with the effects, besides its own, by
+    default with what `repair` adds.
 
-    Parameters
-    ----------
-    output : str or Path
-        Ends in ``.html``.
-    effects : sequence of str, optional
-        What the campaign is mended with, besides its own effects; by default what `repair` adds.
-    run : Run
-        As for `diagnose`.
-
-    Raises
-    ------
-    InputError
-        As for `repairing.repair`, or if the file cannot be written.
+    Raises InputError as `inference.repair.repair` does, or if the file cannot be written.
     """
     refuse_output(output, [campaign] if isinstance(campaign, (str, Path)) else [])
     repaired = repair(campaign, run=run)
@@ -397,10 +383,7 @@ def report(
 def refuse_output(output: str | Path, inputs: Sequence[str | Path]) -> None:
     """Refuse a place where the report cannot be written, or what is no page there.
 
-    Raises
-    ------
-    InputError
-        Without touching a file.
+    Raises InputError without touching a file.
     """
     path = Path(output)
     refuse_outputs({"--output": str(output)}, inputs, suffixes={"--output": SUFFIXES})

@@ -430,16 +430,10 @@ def describe(
 ) -> BenchDescription:
     """What a scene means, its parameters, and if `draw` its cross-section and photograph.
 
-    Raises InputError if the scene is not sound.
+    The campaign has the effects that the result has, and so has the scene, at the fitted values;
+    the configuration of the reading is drawn.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        With the effects that the result has.
-    scene : SceneFile
-        With these effects in it, at the fitted values.
-    reading : Reading
-        Whose configuration is drawn.
+    Raises InputError if the scene is not sound.
     """
     from mcrim_mitsuba.output.cross_section import cross_section_figure
     from mcrim_mitsuba.transport.check import check_simulation

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR, of_sample
@@ -252,8 +252,7 @@ def mistakable(diagnosis: Diagnosis) -> str:
 
     Where these are too many to be named, those of one family are counted: ``surface (3)``.
     """
-    leading = leading_candidates(diagnosis)
-    leading_effects = dict.fromkeys(name for candidate in leading for name in candidate.effects)
+    leading, leading_effects = leading_candidates(diagnosis), _leading_effects(diagnosis)
     mimics = dict.fromkeys(name for candidate in leading for name in candidate.mimics)
     others = [name for name in mimics if name not in leading_effects]
     if not others:
@@ -262,12 +261,12 @@ def mistakable(diagnosis: Diagnosis) -> str:
     for candidate in diagnosis.candidates if len(others) > MOST_NAMED else ():
         if candidate.effect in others:
             families.setdefault(candidate.family, []).append(candidate.effect)
-    counted_families = {name: effects for name, effects in families.items() if len(effects) > 1}
-    in_families = {name for effects in counted_families.values() for name in effects}
+    several = {name: effects for name, effects in families.items() if len(effects) > 1}
+    in_families = {name for effects in several.values() for name in effects}
     alternatives = ["each other"] if len(leading) > 1 else []
     alternatives += titles_of(diagnosis, [name for name in others if name not in in_families])
-    if counted_families:
-        counts = (f"{name} ({len(effects)})" for name, effects in counted_families.items())
+    if several:
+        counts = (f"{name} ({len(effects)})" for name, effects in several.items())
         alternatives.append(f"one of {', '.join(counts)}")
     words = in_words(diagnosis, leading_effects)
     return f"By these readings {words} could be mistaken for {together(alternatives, 'or')}."
@@ -275,32 +274,28 @@ def mistakable(diagnosis: Diagnosis) -> str:
 
 def told_apart(diagnosis: Diagnosis, measurement: NextMeasurement) -> list[str]:
     """Pairs of leading explanations that a further reading tells apart, in words."""
-    words = {
-        " + ".join(effects): " with ".join(titles_of(diagnosis, effects))
-        for effects in diagnosis.leading_sets
-    }
+    sets = diagnosis.leading_sets
+    words = {" + ".join(names): " with ".join(titles_of(diagnosis, names)) for names in sets}
     return [" from ".join(words.get(name, name) for name in pair) for pair in measurement.separates]
 
 
 def not_tried(diagnosis: Diagnosis) -> list[str]:
     """Effects that could not be fitted, each with the reason."""
-    return [
-        f"{in_words(diagnosis, [name])} ({name}): {why}"
-        for name, why in diagnosis.not_tried.items()
-    ]
+    reasons = diagnosis.not_tried.items()
+    return [f"{in_words(diagnosis, [name])} ({name}): {why}" for name, why in reasons]
 
 
 def how_to_look(diagnosis: Diagnosis) -> list[str]:
     """How to look for the leading effects without a fit, a sentence or two for each."""
     look = {candidate.effect: candidate.look for candidate in diagnosis.candidates}
-    leading = dict.fromkeys(
-        name for candidate in leading_candidates(diagnosis) for name in candidate.effects
-    )
-    return [
-        f"{capital(in_words(diagnosis, [name]))}: {look[name]}"
-        for name in list(leading)[:MOST_NAMED]
-        if look.get(name)
-    ]
+    leading = list(_leading_effects(diagnosis))[:MOST_NAMED]
+    looked_for = (name for name in leading if look.get(name))
+    return [f"{capital(in_words(diagnosis, [name]))}: {look[name]}" for name in looked_for]
+
+
+def _leading_effects(diagnosis: Diagnosis) -> dict[str, None]:
+    """Ids of all leading effects, in the order of `leading_candidates`."""
+    return dict.fromkeys(name for c in leading_candidates(diagnosis) for name in c.effects)
 
 
 def set_aside_text(diagnosis: Diagnosis) -> str:
@@ -550,20 +545,14 @@ def next_for_average(diagnosis: Diagnosis) -> str:
         replace(part, relative=part.relative * within / of_fit.total)
         for part in of_fit.contributions
     )
-    between = Contribution(
-        name="which explanation is right",
-        relative=averaged.between / averaged.value,
-        kind="systematic",
-        reducible=True,
-        by="a further reading that tells them apart",
-    )
-    catalogue = Contribution(
-        name="what is in no catalogue",
-        relative=averaged.catalogue / averaged.value,
-        kind="systematic",
-        reducible=False,
-        by="",
-    )
+
+    def systematic(name: str, part: float, by: str) -> Contribution:
+        how: dict[str, Any] = {"kind": "systematic", "reducible": bool(by), "by": by}
+        return Contribution(name=name, relative=part / averaged.value, **how)
+
+    other_reading = "a further reading that tells them apart"
+    between = systematic("which explanation is right", averaged.between, other_reading)
+    catalogue = systematic("what is in no catalogue", averaged.catalogue, "")
     return what_next(ErrorBudget((*scaled, between, catalogue)), "averaged light yield")
 
 
