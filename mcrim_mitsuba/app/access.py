@@ -37,15 +37,12 @@ if TYPE_CHECKING:
     from flask import Flask
 
 
+#: Bytes that a request may carry; an uploaded file grows by a third on its way.
 LARGEST_BODY = 12_000_000
-"""Bytes that a request may carry; an uploaded file grows by a third on its way."""
-
+#: How long a refused client may go on sending.
 _SWALLOWED_S = 30.0
-"""How long a refused client may go on sending."""
-
+#: How long it may say nothing meanwhile.
 _SILENCE_S = 2.0
-"""How long it may say nothing meanwhile."""
-
 _ASSETS = "assets/"
 _LENGTH = re.compile(r"[0-9]{1,12}")
 

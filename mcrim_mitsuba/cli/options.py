@@ -502,11 +502,11 @@ def _command() -> dict[str, Any]:
     variant = context.params.get("variant") or DEFAULT_VARIANT
     effects = modules_of(BUILT_IN.values())
     given = list((context.find_root().obj or {}).get("arguments", ()))
-    arguments, skip = [], False
+    arguments, skip, own_options = [], False, ("--unit", "--units", "--log")
     for word in given:
-        if skip or word in ("--unit", "--units", "--log"):
+        if skip or word in own_options:
             skip = not skip
-        elif not word.startswith(("--unit=", "--units=", "--log=")):
+        elif word.partition("=")[0] not in own_options:
             arguments.append(word)
     return {
         "arguments": arguments,

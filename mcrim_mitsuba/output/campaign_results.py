@@ -287,6 +287,7 @@ class PlanResult(Result, Planning):
 
     def numbers(self) -> Document:
         """Plans with the parameters of their configurations, and what they rest on."""
+        floors = ({"configurations": c, **encoded(error)} for c, error in self.floors.items())
         return {
             "wanted": self.wanted,
             "reached": self.cheapest is not None,
@@ -294,10 +295,7 @@ class PlanResult(Result, Planning):
             "cheapest_statistical": self._plan(self.cheapest_statistical),
             "verdict": sentences.verdict(self),
             **attributes(self, "conditions candidates"),
-            "floors": [
-                {"configurations": chosen, **encoded(error)}
-                for chosen, error in self.floors.items()
-            ],
+            "floors": list(floors),
             "undetermined": self.undetermined,
             "plans": list(map(self._plan, self.plans)),
             **attributes(self, "solution seed notes"),

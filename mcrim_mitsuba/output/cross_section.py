@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -23,7 +23,7 @@ from matplotlib.lines import Line2D
 from scipy.ndimage import binary_erosion
 
 from mcrim_mitsuba.core.files import refuse_suffix, write_bytes
-from mcrim_mitsuba.core.numbers import said
+from mcrim_mitsuba.core.numbers import Value, said
 from mcrim_mitsuba.output.figure_style import fate_style, ordered, paper
 from mcrim_mitsuba.transport.check import volume_indices
 from mcrim_mitsuba.transport.cut import CrossSection, cross_section, masked
@@ -553,12 +553,8 @@ def _write_above(figure: Figure, file: SceneFile, handles: Sequence[Line2D]) -> 
     height_in = figure.get_figheight()
     changed = ", ".join(said(name, file.parameters[name]) for name in file.overrides)
     title = textwrap.shorten(f"{file.path.name} {changed and 'with'} {changed}", 90)
-    # in small print, what may be typed
-    typed = (
-        f"{n}={v:g}" if isinstance(v, float) else f"{n}={str(v).lower()}"
-        for n, v in file.parameters.items()
-    )
-    shown = textwrap.fill(",  ".join(typed), 150, max_lines=3)
+    # in small print
+    shown = textwrap.fill(",  ".join(typed(file.parameters, "=")), 150, max_lines=3)
     style: dict[str, Any] = {"ha": "center", "va": "top", "color": INK, "linespacing": 1.4}
     style["parse_math"] = False
     figure.text(0.5, 1 - 0.18 / height_in, title, size=16, weight="bold", **style)
@@ -569,6 +565,14 @@ def _write_above(figure: Figure, file: SceneFile, handles: Sequence[Line2D]) -> 
         place: dict[str, Any] = {"loc": "upper center", "ncols": _PER_ROW}
         place["bbox_to_anchor"] = (0.5, 1 - 1.2 / height_in)
         figure.legend(handles=handles, **place, **look)
+
+
+def typed(parameters: Mapping[str, Value], equals: str) -> list[str]:
+    """Parameters of a scene as they may be typed: ``n_gap=1.46``."""
+    return [
+        f"{name}{equals}{f'{value:g}' if isinstance(value, float) else str(value).lower()}"
+        for name, value in parameters.items()
+    ]
 
 
 def closer_view(cut: CrossSection, crystal: int) -> tuple[float, float, float]:

@@ -105,20 +105,14 @@ def of_spectrum(spectrum: results.SpectrumResult) -> Description:
     """Means over the light, what one wavelength is off by, and wavelengths, some of them seen."""
     light, count = spectrum.light, len(spectrum.light.wavelength_nm)
     seen = set(np.linspace(0, count - 1, _MOST_WAVELENGTHS).astype(int).tolist())
-    rows = (
-        row(
-            shown(light.wavelength_nm[i], ".0f"),
-            *(shown(values[i], ".4g") for values in light.parameters.values()),
-            measured(float(spectrum.eta[i]), float(spectrum.eta_sigma[i])),
-            hidden=i not in seen,
-        )
-        for i in range(count)
-    )
-    columns = (
-        Column("wavelength (nm)", "wavelength_nm"),
-        *(Column(titled(name), name) for name in light.parameters),
-        "eta",
-    )
+    rows = []
+    for i in range(count):
+        values = (shown(of_light[i], ".4g") for of_light in light.parameters.values())
+        eta = measured(float(spectrum.eta[i]), float(spectrum.eta_sigma[i]))
+        nm = shown(light.wavelength_nm[i], ".0f")
+        rows.append(row(nm, *values, eta, hidden=i not in seen))
+    parameters = (Column(titled(name), name) for name in light.parameters)
+    columns = (Column("wavelength (nm)", "wavelength_nm"), *parameters, "eta")
     notes = []
     if spectrum.interpolation_error > 0.0:
         nodes = ", ".join(f"{nm:.0f}" for nm in spectrum.nodes_nm)

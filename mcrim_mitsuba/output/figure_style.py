@@ -93,15 +93,8 @@ def legend(axes: Axes, handles: Sequence[Artist] | None = None, **options: Any) 
 
 def legend_above(axes: Axes, handles: Sequence[Artist] | None = None, **options: Any) -> None:
     """A legend over the axes, where it can hide nothing."""
-    legend(
-        axes,
-        handles,
-        loc="lower left",
-        bbox_to_anchor=(0, 1.0),
-        columnspacing=1.4,
-        borderaxespad=0.2,
-        **options,
-    )
+    place = {"loc": "lower left", "bbox_to_anchor": (0, 1.0), "borderaxespad": 0.2}
+    legend(axes, handles, columnspacing=1.4, **place, **options)
 
 
 def legend_of(
@@ -154,9 +147,9 @@ def entitle(figure: Figure, words: str, weight: str = "bold") -> None:
     """A title over a figure, in as many lines as keep it within the figure's width."""
     lines = words.split("\n")
     letters = max(map(len, lines))
+    look = {"fontsize": 11.5, "weight": weight, "parse_math": False}
     while True:
         text = "\n".join(textwrap.fill(line, letters) for line in lines)
-        look = {"fontsize": 11.5, "weight": weight, "parse_math": False}
         heading = figure.suptitle(text, x=0.01, ha="left", **look)
         if heading.get_window_extent().x1 <= figure.bbox.width or letters < _FEWEST_LETTERS:
             return

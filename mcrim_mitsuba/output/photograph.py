@@ -30,7 +30,7 @@ from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.files import attributes, refuse_suffix, write_bytes
 from mcrim_mitsuba.core.numbers import Value, said
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.output.cross_section import SectionAxes, closer_view
+from mcrim_mitsuba.output.cross_section import SectionAxes, closer_view, typed
 from mcrim_mitsuba.output.figure_style import shortened
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -175,13 +175,8 @@ def heading(
     """Title and parameters of a scene as they stand above its picture."""
     changed = ", ".join(said(key, parameters[key]) for key in overrides)
     title = textwrap.shorten(f"{name} {changed and 'with'} {changed}", 90)
-    # in small print, as they stand in a scene
-    words = {
-        key: f"{value:g}" if isinstance(value, float) else str(value).lower()
-        for key, value in parameters.items()
-    }
-    # a line ends between parameters
-    shown = ",  ".join(f"{key}\xa0=\xa0{value}" for key, value in words.items())
+    # in small print, as they stand in a scene; a line ends between parameters
+    shown = ",  ".join(typed(parameters, "\xa0=\xa0"))
     return title, textwrap.fill(shown, 190, max_lines=2, placeholder=" …")
 
 
@@ -203,12 +198,11 @@ _LINE = 1.39
 
 def label_bench(sheet: Sheet, panel: Photo, place_mm: np.ndarray) -> None:
     """A ring around the place that is enlarged below."""
-    x, y = panel.at(place_mm)
-    sheet.axes.add_patch(Circle((x, y), 13 * sheet.scale, fill=False, ec=INK, lw=1.6))
-    camera = panel.camera
+    (x, y), scale, camera = panel.at(place_mm), sheet.scale, panel.camera
+    sheet.axes.add_patch(Circle((x, y), 13 * scale, fill=False, ec=INK, lw=1.6))
     end = (panel.left + 0.74 * camera.width, panel.top + 0.93 * camera.height)
-    sheet.line([(x + 9 * sheet.scale, y + 9 * sheet.scale), end])
-    sheet.text(end[0] + 6 * sheet.scale, end[1] - 9 * sheet.scale, "enlarged below", 11.5)
+    sheet.line([(x + 9 * scale, y + 9 * scale), end])
+    sheet.text(end[0] + 6 * scale, end[1] - 9 * scale, "enlarged below", 11.5)
 
 
 def draw_edge(

@@ -127,8 +127,8 @@ PRESENTERS = {
         kind="check",
         describe=describe_scene.of_check,
         figures={
-            "cross_section": lambda check: cross_section.cross_section_figure(
-                check.simulation, check.interfaces
+            "cross_section": lambda c: cross_section.cross_section_figure(
+                c.simulation, c.interfaces
             )
         },
         names="ok problems parameters interfaces words notes",
@@ -161,11 +161,7 @@ PRESENTERS = {
     "ComparisonResult": Presenter(
         kind="comparison",
         describe=describe_campaign.of_comparison,
-        figures={
-            "readings": lambda comparison: fit_figures.draw_comparison(
-                comparison, unit=comparison.unit
-            )
-        },
+        figures={"readings": lambda fit: fit_figures.draw_comparison(fit, unit=fit.unit)},
         names=f"{_CHECKED} {_PROVENANCE} seconds=provenance.seconds",
     ),
     "HypothesesResult": Presenter(
@@ -185,11 +181,9 @@ PRESENTERS = {
         kind="repair",
         describe=describe_campaign.of_repair,
         figures={
-            "staircase": lambda repair: diagnosis_figures.draw_staircase(
-                repair.repair, repair.mended_fit
-            ),
-            "readings": lambda repair: fit_figures.draw_comparison(
-                repair.baseline, repair.mended_fit, added=repair.added, unit=repair.unit
+            "staircase": lambda r: diagnosis_figures.draw_staircase(r.repair, r.mended_fit),
+            "readings": lambda r: fit_figures.draw_comparison(
+                r.baseline, r.mended_fit, added=r.added, unit=r.unit
             ),
         },
         names=f"{_DIAGNOSIS} effects calibration undetermined campaign=campaign_path "

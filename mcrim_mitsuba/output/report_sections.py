@@ -201,10 +201,9 @@ def _lights(
 
 def _couplings(campaign: Campaign) -> list[Reading]:
     """First readings of couplings from the lowest index to the highest, at most `MOST_LIGHTS`."""
-    nominal = campaign.scene.parameters.get(_COUPLING)
+    nominal, in_use = campaign.scene.parameters.get(_COUPLING), campaign.measurements.in_use
     first: dict[object, Reading] = {}
-    light = [reading for reading in campaign.measurements.in_use if not reading.of_beam]
-    for reading in light or campaign.measurements.in_use:
+    for reading in [reading for reading in in_use if not reading.of_beam] or in_use:
         first.setdefault(reading.parameters.get(_COUPLING, nominal), reading)
     # the index is None in scenes that do not have it as a parameter
     ordered = [first[index] for index in sorted(first, key=lambda i: (i is None, i))]

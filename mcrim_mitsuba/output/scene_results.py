@@ -50,9 +50,8 @@ class LightResult(Result, SimulationResult):
     def lights(self) -> list[tuple[str, Light]]:
         """Where its light arrives, under the scene's name: its photons are followed again."""
         run, scene = self.run, self.scene
-        simulation = self.simulation or Simulation(
-            scene, variant=run.variant, threads=run.threads, check=False
-        )
+        how: dict[str, Any] = {"variant": run.variant, "threads": run.threads, "check": False}
+        simulation = self.simulation or Simulation(scene, **how)
         photons = min(self.photons, MOST_FOR_FIGURES)
         light = follow_light(simulation, run=replace(run, photons=photons))
         # with the run's own numbers: it may have more photons than are followed again

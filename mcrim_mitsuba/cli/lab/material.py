@@ -288,15 +288,9 @@ def _at(name: str, wavelength_nm: float) -> VerbResult:
     crystal = material(name)
     n, difference = float(crystal.index(wavelength_nm)), float(crystal.birefringence(wavelength_nm))
     ordinary = float(crystal.ordinary.index(wavelength_nm, crystal.name))
-    document = {
-        **_json(crystal),
-        "wavelength_nm": wavelength_nm,
-        "n": n,
-        "n_ordinary": ordinary,
-        "n_extraordinary": None if crystal.extraordinary is None else ordinary + difference,
-        "birefringence": difference,
-        "notes": [],
-    }
+    extraordinary = None if crystal.extraordinary is None else ordinary + difference
+    document = {**_json(crystal), "wavelength_nm": wavelength_nm, "n": n, "n_ordinary": ordinary}
+    document |= {"n_extraordinary": extraordinary, "birefringence": difference, "notes": []}
     lines = [f"n = {n:.5f} ± {crystal.sigma:g} at {wavelength_nm:g} nm"]
     scene = f'in a scene: value="{crystal.name}@{wavelength_nm:g}nm"'
     shown = describe_laboratory.of_index(crystal, lines, ordinary, difference, scene)
@@ -311,14 +305,11 @@ def _over(name: str, emission: str) -> VerbResult:
     spectrum = read_spectrum(emission, "emission")
     band = index_over(name, spectrum)
     crystal, notes = band.material, [*spectrum.notes, *band.notes]
-    document = {
-        **_json(crystal),
-        "emission": emission,
-        **attributes(band, "n=mean n_sigma=sigma spread n_ordinary=ordinary_mean"),
-        **attributes(band, "n_extraordinary=extraordinary_mean birefringence mean_wavelength_nm"),
-        **attributes(band, "outside outside_sigma"),
-        "notes": notes,
-    }
+    names = (
+        "n=mean n_sigma=sigma spread n_ordinary=ordinary_mean n_extraordinary=extraordinary_mean "
+        "birefringence mean_wavelength_nm outside outside_sigma"
+    )
+    document = {**_json(crystal), "emission": emission, **attributes(band, names), "notes": notes}
     lines = [
         f"n = {pdg(band.mean, band.sigma)}, mean over {emission}",
         f"spread over the band {band.spread:.4f} (standard deviation); mean wavelength "
@@ -371,10 +362,12 @@ def gammas(formula, energy_keV, density, json_file) -> None:
     stopped = {depth: float(stops.stopped_within(depth)) for depth in _DEPTHS_MM}
     processes = ("photoelectric", "incoherent", "coherent")
     parts = attributes(stops, " ".join(f"{name}={name}_per_cm" for name in processes))
+    names = (
+        "formula energy_keV density_g_per_cm3 length_mm length_sigma_mm=sigma_mm tables_sigma_mm "
+        "process_sigma_mm without_coherent_mm per_cm"
+    )
     document = {
-        **attributes(stops, "formula energy_keV density_g_per_cm3 length_mm"),
-        **attributes(stops, "length_sigma_mm=sigma_mm tables_sigma_mm process_sigma_mm"),
-        **attributes(stops, "without_coherent_mm per_cm"),
+        **attributes(stops, names),
         "parts_per_cm": parts,
         **attributes(stops, "escaping escaping_keV escape_loss"),
         "stopped": [{"depth_mm": depth, "share": share} for depth, share in stopped.items()],
