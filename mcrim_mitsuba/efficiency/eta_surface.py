@@ -31,7 +31,13 @@ from mcrim_mitsuba.efficiency.eta_grid import (
 from mcrim_mitsuba.efficiency.proposals import SMALLEST_PER_CM, choose_proposals
 from mcrim_mitsuba.efficiency.surface import Coefficients, EtaPoint
 from mcrim_mitsuba.runs.cache import record_versions
-from mcrim_mitsuba.runs.executors import Content, Finished, Job, current_executor
+from mcrim_mitsuba.runs.executors import (
+    Content,
+    Finished,
+    Job,
+    current_executor,
+    many_units_executor,
+)
 from mcrim_mitsuba.runs.scene_units import LaunchBlock, planned
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import LANES, PhotonRecords, ScatteringProposals
@@ -414,7 +420,8 @@ def _extend(goals: Sequence[tuple[EtaRun, int]], *, by_all: bool = False) -> Non
         of_all.tell(what, had + done, had + total, note)
 
     jobs = [job for _, job in pairs]
-    for done in current_executor().do(jobs, threads=of_all.threads, by_all=by_all, progress=report):
+    executor = many_units_executor(of_all.threads)
+    for done in executor.do(jobs, threads=of_all.threads, by_all=by_all, progress=report):
         pairs[done.index][0].take(done)
     for run, _ in goals:
         run.look()

@@ -50,10 +50,14 @@ def record_versions(variant: str, *modules: str) -> dict[str, str]:
     shared = {name for name in imports if name.startswith(_PACKAGE.name)}
     names = sorted(shared.union(modules) - {*map(str, files)})
     source_hash, libraries = _closure(tuple((name, b"") for name in names))
-    versions = {name: importlib.metadata.version(name) for name in sorted(libraries)}
+    versions = {name: _version_of(name) for name in sorted(libraries)}
     versions |= software_versions(variant)
     versions |= {"variant": variant, "machine": platform.machine()}
     return versions | {"modules": " ".join(names), "source_hash": source_hash}
+
+
+#: Read from files that no process changes while it goes on.
+_version_of = functools.cache(importlib.metadata.version)
 
 
 def other_version(versions: Mapping[str, str]) -> tuple[str, str, str] | None:
