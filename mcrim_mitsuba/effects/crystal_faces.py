@@ -36,10 +36,7 @@ _GROUND = tuple(f"ground_{side}" for side in _SIDES)
 def facets_of(
     name: str, what: str, *, ground: bool, start: float = 0.1, most: float = 0.5
 ) -> EffectParameter:
-    """Width of the facets of faces, called `what`: ground ones, or of a polish that may be poor.
-
-    A fit of the latter begins at `start` and ends at `most`.
-    """
+    """Width of facets of faces, `what`: ground, or of a polish, fitted from `start` to `most`."""
     kind = ", ground and not polished" if ground else ""
     meaning = f"Roughness of the crystal's {what}{kind} (GGX), the tangent of a typical tilt"
     if ground:

@@ -39,10 +39,7 @@ def fingerprint(folder: Path) -> str:
 
 
 def refuse_untrusted(folder: Path, path: str | None = None, line: int | None = None) -> None:
-    """Refuse to execute a folder of effects that the user has not allowed.
-
-    Raises UntrustedEffectsError with the `path` and the `line` that name it.
-    """
+    """Refuse (UntrustedEffectsError with this place) a folder that its user has not allowed."""
     content = fingerprint(folder)
     if content in _allowed_now or content == _of_package() or content in _kept():
         return

@@ -251,25 +251,15 @@ def absorption_from_transmittance(
 ) -> Absorption:
     """Absorption coefficient, mean over orientations and over the emission.
 
+    Transmittances, one per orientation, are fractions measured on the slab in air at normal
+    incidence. The index `n` may be a function of wavelengths in nm, which must serve all points of
+    the spectra within the emission (without one, all points). With the `emission` spectra, and such
+    an index, are averaged; without it they are taken at `wavelength_nm`. `transmittance_sigma` is
+    the absolute standard error that all readings share, below 0.1: the accuracy of the
+    spectrophotometer. Errors of a spectrum's points are counted besides, independent.
+
     Raises InputError if a value is impossible, a spectrum has neither emission nor wavelength or
     does not cover it, or the crystal transmits clearly more than one that absorbs nothing.
-
-    Parameters
-    ----------
-    transmittances : sequence of float or of Spectrum
-        Measured on the slab in air at normal incidence, fractions; one per orientation.
-    n : float or callable
-        Index of the crystal, or a function from wavelengths in nm to it, which must serve all
-        points of the spectra within the emission (without one, all points).
-    transmittance_sigma : float
-        Standard error that all readings share, absolute, below 0.1: the accuracy of the
-        spectrophotometer. Errors of a spectrum's points are counted besides, independent.
-    n_sigma, thickness_sigma_mm : float
-        Standard errors.
-    emission : Spectrum, optional
-        What spectra, and an index that is a function, are averaged with.
-    wavelength_nm : float, optional
-        Where they are taken without an emission.
     """
     if not len(transmittances):
         raise InputError("there is no transmittance", "give one at least")

@@ -131,10 +131,7 @@ def is_known(name: str) -> bool:
 
 
 def material(name: str) -> Material:
-    """A material of the catalogue, in capitals or not; ``CaMoO4_o`` and ``CaMoO4_e`` are two rays.
-
-    Raises InputError if there is none of that name.
-    """
+    """A material, or a ray (``CaMoO4_o``, ``CaMoO4_e``), in capitals or not; else InputError."""
     try:
         return _BY_NAME[name.strip().lower()]
     except KeyError:

@@ -265,10 +265,7 @@ def _area(emission: Spectrum) -> float:
 def _refuse_extrapolation(
     emission: Spectrum, quantity: Spectrum, what: str
 ) -> tuple[float, tuple[str, ...]]:
-    """Fraction of the emission outside the quantity's points, and notes on it.
-
-    Raises InputError if it is more than `LARGEST_OUTSIDE`.
-    """
+    """Fraction of the emission outside, and notes; InputError above `LARGEST_OUTSIDE`."""
     area = _area(emission)
     parts = []
     for where, low, high in (

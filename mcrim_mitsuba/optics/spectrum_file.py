@@ -251,22 +251,16 @@ def read_spectra(paths: Sequence[str | Path], kind: Kind) -> list[Spectrum]:
 def read_spectrum(path: str | Path, kind: Kind) -> Spectrum:
     """Read and check a spectrum; efficiencies and transmittances are fractions then.
 
+    The table (see `data_table`) has two columns, wavelength and value, or three, the third named as
+    the value's standard error (sigma, error, uncertainty, ±), in the value's unit; errors that
+    exceed most of the high values are refused. Wavelengths are in nm, or in µm, Å, eV or 1/cm where
+    the column's name says so; they ascend or descend. An emission is of photons or power, which the
+    column's name or a comment says, in any unit, per nm (per eV or per 1/cm where the column is one
+    of these). Both are converted to photons per nm; noise below zero is kept: without it the mean
+    would be biased. Efficiencies and transmittances are fractions, or % where the name says so.
+
     Raises InputError, with file, line and column, if anything cannot be used or may be meant
     otherwise.
-
-    Parameters
-    ----------
-    path : str or Path
-        A table (see `data_table`) of two columns, wavelength and value, or of three, the third
-        named as the value's standard error (sigma, error, uncertainty, ±), in the value's unit;
-        errors that exceed most of the high values are refused.
-        Wavelengths are in nm, or in µm, Å, eV or 1/cm where the column's name says so; they
-        ascend or descend.
-    kind : str
-        ``emission``: photons or power, which the column's name or a comment says, in any unit,
-        per nm (per eV or per 1/cm where the column is one of these). Both are converted to photons
-        per nm. Noise below zero is kept: without it the mean would be biased.
-        ``quantum_efficiency``, ``transmittance``: fractions, or % where the name says so.
     """
     table = read_data_table(path, roles=("wavelength", "value", "sigma"))
     wavelength, value, sigma = _columns(table)

@@ -96,10 +96,7 @@ class PhotonArrays:
 
 
 def birth_positions(bench: Bench, crystal: Body, rng: np.random.Generator, count: int) -> Floats:
-    """Points in the crystal, with the bench's density of emission: (3, count) float64, mm.
-
-    Points of the whole box that are outside of the body `crystal` are drawn again.
-    """
+    """Births in `crystal` by the bench's density: (3, count) float64, mm, drawn until within it."""
     position = _in_box(bench, rng, count)
     if not bench.chamfer_mm and bench.crystal_diameter_mm is None:
         return position
@@ -159,10 +156,7 @@ FALLOFF_RADIUS_MM = 14.0
 
 
 def acceptance(bench: Bench, position: Floats, direction: Floats) -> Floats:
-    """Probability that the detector detects light which it does not reflect: (n,) float64.
-
-    It arrives at (3, n) positions in mm, with (3, n) directions in the plate.
-    """
+    """Probability that light in the plate, (3, n), is detected if not reflected: (n,) float64."""
     by_angle = 1.0 - bench.angular_falloff * (1.0 - np.abs(direction[2]))
     by_angle /= max(1.0, 1.0 - bench.angular_falloff)
     from_axis = position[0] - bench.mask_offset_mm

@@ -279,10 +279,7 @@ def read_scene(
 
 
 def parse_define(text: str, option: str = "-D", example: str = "n_gap=1.46") -> tuple[str, str]:
-    """Split ``name=value``, what follows ``-D`` (or another `option`) on the command line.
-
-    Raises InputError if there is no ``=``, no valid name before it or nothing after it.
-    """
+    """Split ``name=value``, what follows ``-D`` or another `option`; InputError if it is none."""
     name, equals, value = (part.strip() for part in text.partition("="))
     if not equals or not _NAME.fullmatch(name) or not value:
         mend = f"write for example {option} {example}"

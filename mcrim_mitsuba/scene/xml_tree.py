@@ -105,10 +105,7 @@ def _parsed(data: bytes, path: Path) -> Node:
 
 
 def _refuse_monsters(root: etree._Element, path: Path) -> None:
-    """Refuse elements that are nested very deep, or have very many attributes.
-
-    Readers go down by calling themselves, and look attributes up one by one.
-    """
+    """Refuse elements nested very deep (readers call themselves), or of very many attributes."""
     depth = 0
     for event, element in etree.iterwalk(root, events=("start", "end")):
         depth += 1 if event == "start" else -1

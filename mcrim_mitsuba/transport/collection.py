@@ -64,10 +64,7 @@ def choose_path(
 
 
 class Launcher:
-    """Launches photons into the scene of a crystal, where they are born.
-
-    Without `fold` light flies from reflection to reflection, see `transport.folding`.
-    """
+    """Launches photons into a crystal's scene; without `fold` they fly to every reflection."""
 
     @signals_wait()
     def __init__(
@@ -186,10 +183,7 @@ def slope_along(
 
 
 class Recorder:
-    """Simulates a configuration's photon records, launch by launch.
-
-    The simulation's own coefficients do not matter; `fold` is as of `Launcher`.
-    """
+    """Simulates photon records of a configuration, launch by launch, whatever its coefficients."""
 
     def __init__(self, simulation: Simulation, *, fold: bool = True) -> None:
         self._simulation, self._launcher = simulation, simulation.launcher(fold=fold)

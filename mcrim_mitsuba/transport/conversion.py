@@ -330,30 +330,27 @@ def _matrix(shape) -> np.ndarray:
     return np.array([[matrix[i, j][0] for j in range(4)] for i in range(4)], dtype=np.float64)
 
 
-def _round_axis(matrix: np.ndarray) -> int | None:
-    """The axis of the scene that a shape's own z axis is along, if a circle about it stays one."""
-    u, v, along = matrix[:3, :3].T
+def _circle(u: np.ndarray, v: np.ndarray, along: np.ndarray, centre: np.ndarray) -> Circle | None:
+    """A shape's circle of these radii, if it is one about an axis of the scene, and not sheared."""
     size = np.linalg.norm([u, v], axis=1)
     if abs(size[0] - size[1]) > _ASKEW * size[0] or abs(u @ v) > _ASKEW * size[0] ** 2:
         return None
     axis = int(np.argmax(np.abs(along)))
     off = np.delete(np.abs(along), axis).max() > _ASKEW * abs(along[axis])
-    tilted = np.abs(matrix[axis, :2]).max() > _ASKEW * size[0]
-    return None if off or tilted else axis
+    if off or max(abs(u[axis]), abs(v[axis])) > _ASKEW * size[0]:
+        return None
+    x, y = np.delete(centre, axis).tolist()
+    return Circle((x, y), float(np.linalg.norm(u)), axis=axis)
 
 
 def _disk_face(shape, number: int) -> list[FlatFace] | None:
     """A round face across an axis of Mitsuba's ``disk``; ``None`` of any other."""
-    matrix = _matrix(shape)
-    centre, half_u, half_v = matrix[:3, 3], matrix[:3, 0], matrix[:3, 1]
-    across = np.column_stack([half_u, half_v, cross(half_u, half_v), centre])
-    axis = _round_axis(np.vstack([across, (0.0, 0.0, 0.0, 1.0)]))
-    if axis is None:
-        return None
+    half_u, half_v, _, centre = _matrix(shape)[:3].T
     if shape.has_flipped_normals():
         half_u, half_v = half_v, half_u
-    place = np.delete(centre, axis)
-    circle = Circle((float(place[0]), float(place[1])), float(np.linalg.norm(half_u)), axis=axis)
+    circle = _circle(half_u, half_v, cross(half_u, half_v), centre)
+    if circle is None:
+        return None
     # the square around it with its edges along axes, as light is tested soonest
     u, v = (np.eye(3)[i] * circle.radius_mm for i in circle.across)
     if cross(u, v) @ cross(half_u, half_v) < 0.0:
@@ -367,14 +364,11 @@ def _wall(shape) -> RoundWall | None:
     plugins_wall = getattr(shape, "wall", None)
     if plugins_wall is not None or shape.shape_type() != int(mi.ShapeType.Cylinder):
         return plugins_wall
-    matrix = _matrix(shape)
-    axis = _round_axis(matrix)
-    if axis is None:
+    u, v, along, foot = _matrix(shape)[:3].T
+    circle = _circle(u, v, along, foot)
+    if circle is None:
         return None
-    low, high = sorted((float(matrix[axis, 3]), float(matrix[axis, 3] + matrix[axis, 2])))
-    place = np.delete(matrix[:3, 3], axis)
-    radius = float(np.linalg.norm(matrix[:3, 0]))
-    circle = Circle((float(place[0]), float(place[1])), radius, axis=axis)
+    low, high = sorted((float(foot[circle.axis]), float((foot + along)[circle.axis])))
     return RoundWall(circle, low, high, -1, outwards=not shape.has_flipped_normals())
 
 

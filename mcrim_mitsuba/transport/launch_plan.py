@@ -118,12 +118,10 @@ class FateTally:
 
     def add(self, photons_per_batch: np.ndarray, weights: dict[str, np.ndarray]) -> None:
         """Take in one launch: photons (int) and weights per fate (float64) of its batches."""
-        self.photons += int(photons_per_batch.sum())
-        self.batches += len(photons_per_batch)
-        for name, values in weights.items():
-            square = float(np.sum(values**2 / photons_per_batch))
-            self.sums[name] = self.sums.get(name, 0.0) + float(values.sum())
-            self.squares[name] = self.squares.get(name, 0.0) + square
+        photons, batches = int(photons_per_batch.sum()), len(photons_per_batch)
+        sums = {name: float(values.sum()) for name, values in weights.items()}
+        squares = {n: float(np.sum(values**2 / photons_per_batch)) for n, values in weights.items()}
+        self.merge(FateTally(photons, batches, sums, squares))
 
     def merge(self, other: FateTally) -> None:
         """Take in what another one has tallied."""
@@ -196,10 +194,7 @@ _KINDS = {
 
 @dataclass(frozen=True, eq=False)
 class PhotonRecords:
-    """Histories of the detected photons of one configuration, or a chunk of them.
-
-    Raises ValueError if the arrays do not fit each other or hold values that no simulation gives.
-    """
+    """Histories of a configuration's detected photons; ValueError for what no simulation gives."""
 
     #: (detected,) uint16: Scatterings in the crystal.
     k: NDArray[np.uint16]

@@ -126,28 +126,22 @@ def launch(path, emitter: CrystalVolume, plan: LanePlan, **options) -> Launch:
 class Loop:
     """What all lanes of one launch share.
 
-    Raises InputError for a record column that the scene does not give.
+    `seed` and `number`, of the run and of this launch within it, together fix the random numbers.
+    After `max_depth` free flights a photon is truncated. Coefficients of the crystal may be
+    `proposals` in place of the scene's, shared out by the plan. With `columns` the detected
+    photons' histories are returned, these besides scatterings, path, weight and batch (see
+    `RecordStore`); what is not asked for costs nothing.
 
-    Parameters
-    ----------
-    path : FlatPath or GeneralPath
-    seed, number : int
-        Of the run and of this launch within it; together they fix the random numbers.
-    max_depth : int
-        Free flights after which a photon is truncated.
-    proposals : ScatteringProposals, optional
-        Coefficients of the crystal in place of the scene's, shared out by the plan.
-    columns : sequence of str, optional
-        Return the detected photons' histories, with these columns besides scatterings, path,
-        weight and batch (see `RecordStore`); what is not asked for costs nothing.
-    tangent : mapping of int to (float, float), optional
-        Also differentiate the detected weight, by Dr.Jit's forward mode, along this change of
-        volumes' scattering and absorption, 1/mm per unit of whatever varies: photons' ways stay
-        as they are drawn, their probabilities and weights are differentiated. Of a volume that
-        does not scatter they tell the absorption's part only.
-    trails : TrailStore, optional
-        Also write down where every photon flies. Absorption then takes photons whole, so that each
-        has one fate; other photons than without are absorbed, but their random numbers are alike.
+    With a `tangent` the detected weight is also differentiated, by Dr.Jit's forward mode, along
+    this change of volumes' scattering and absorption, 1/mm per unit of whatever varies: photons'
+    ways stay as they are drawn, their probabilities and weights are differentiated. Of a volume
+    that does not scatter they tell the absorption's part only.
+
+    With `trails` it is also written down where every photon flies. Absorption then takes photons
+    whole, so that each has one fate; other photons than without are absorbed, but their random
+    numbers are alike.
+
+    Raises InputError for a record column that the scene does not give.
     """
 
     def __init__(

@@ -293,10 +293,7 @@ def refuse_unusable(name: str) -> None:
 
 
 def software_versions(variant: str) -> dict[str, str]:
-    """Versions of the packages, and of the variant's LLVM or GPU, that results depend on.
-
-    Raises InputError if the variant needs LLVM or an NVIDIA GPU and there is none.
-    """
+    """Versions of packages, and of LLVM or the GPU, for results; InputError if there is none."""
     if variant.startswith("llvm"):
         return _package_versions() | {"llvm": ".".join(map(str, selected_llvm().version))}
     return _package_versions() | cuda_versions()

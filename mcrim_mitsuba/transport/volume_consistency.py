@@ -254,19 +254,18 @@ def _at(face: Interface, kind: str, text: str, mend: str) -> SceneProblem:
     return SceneProblem(kind, text, mend, face.path, face.line)
 
 
+@dataclass
 class _Judge:
     """The hypotheses that can explain contradictions along lines."""
 
-    def __init__(
-        self,
-        file: SceneFile,
-        model: SceneModel,
-        interfaces: tuple[Interface, ...],
-        crossings: Crossings,
-        sides: Sides,
-    ) -> None:
-        self._file, self._model, self._interfaces = file, model, interfaces
-        self._crossings, self._sides, self.wrong = crossings, sides, sides.contradictions()
+    _file: SceneFile
+    _model: SceneModel
+    _interfaces: tuple[Interface, ...]
+    _crossings: Crossings
+    _sides: Sides
+
+    def __post_init__(self) -> None:
+        self.wrong = self._sides.contradictions()
 
     def reversed_faces(self) -> list[SceneProblem]:
         """Faces whose sides are exchanged: exchanging them again mends (nearly) everything."""
