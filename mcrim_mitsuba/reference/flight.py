@@ -337,13 +337,10 @@ class Flights:
         self._collide(flock, np.flatnonzero(~arrives))
         if meets_other is not None:
             met = np.flatnonzero(arrives & meets_other)
-            self._meet_from_air(flock, met, other, other_face[met], position[:, met])
+            self._meet(flock, met, other, other_face[met], position[:, met])
             arrives &= ~meets_other
         at_face = np.flatnonzero(arrives)
-        face = face[at_face]
-        arrival, normal = body.snap(position.take(at_face, axis=1), face)
-        ahead = self._layout.behind(region, face, arrival)
-        self._meet(flock, at_face, region, face, arrival, normal, ahead)
+        self._meet(flock, at_face, region, face[at_face], position.take(at_face, axis=1))
         place[strayed] = Place.LOST
 
     def _collide(self, flock: Flock, who: Indices) -> None:
@@ -386,7 +383,7 @@ class Flights:
             met = np.flatnonzero(target == body)
             if met.size:
                 arrival = photons.position[:, met] + distance[met] * photons.direction[:, met]
-                self._meet_from_air(flock, met, body, face[met], arrival)
+                self._meet(flock, met, body, face[met], arrival)
         place[strayed] = Place.LOST
 
     def _meet_plate(self, flock: Flock, plate: Plate, distance: Floats, target: Codes) -> None:
@@ -414,7 +411,7 @@ class Flights:
         place[:] = Place.ESCAPED
         who, arrival = self._layout.through_liquid(photons.position, photons.direction)
         top = np.full(who.size, TOP, dtype=np.intp)
-        self._meet_from_air(flock, who, Place.WINDOW, top, arrival)
+        self._meet(flock, who, Place.WINDOW, top, arrival)
 
     def _fly_in_film(self, flock: Flock) -> None:
         """Flights between crystal and wrap: to the crystal, to the wrap, or out by the rim."""
@@ -427,7 +424,7 @@ class Flights:
 
         met = np.flatnonzero(to_crystal)
         arrival = photons.position[:, met]
-        self._meet_from_air(flock, met, Place.CRYSTAL, crystal_face[met], arrival)
+        self._meet(flock, met, Place.CRYSTAL, crystal_face[met], arrival)
         met = np.flatnonzero(~to_crystal)
         arrival, normal = film.snap(photons.position[:, met], wall[met])
         photons.position[:, met] = arrival
@@ -465,34 +462,20 @@ class Flights:
             target[nearer] = body
         return distance, target, face, strayed
 
-    def _meet_from_air(
+    def _meet(
         self, flock: Flock, who: Indices, body: Place, face: Indices, arrival: Floats
     ) -> None:
-        """Let photons outside of a body, in air or in liquid without end, meet its face.
+        """Let photons meet a face of the body that they are in, or from outside that of another.
 
         `who` are the indices of the (m,) photons, `face` the faces, `arrival`, (3, m) in mm, where
-        they get to them.
-        """
-        position, normal = self._layout.bodies[body].snap(arrival, face)
-        ahead = self._layout.within(body, face, position)
-        self._meet(flock, who, body, face, position, -normal, ahead)
-
-    def _meet(
-        self,
-        flock: Flock,
-        who: Indices,
-        body: Place,
-        face: Indices,
-        position: Floats,
-        normal: Floats,
-        ahead: Codes,
-    ) -> None:
-        """End photons at a face, or reflect or refract them there.
-
-        `who` are the indices of the (m,) that meet faces of the body, `normal` are (3, m) unit
-        vectors that point ahead, and `ahead` are `Place` codes of what lies there.
+        they get to them. They end there, or are reflected or refracted.
         """
         region, photons, place = flock
+        position, normal = self._layout.bodies[body].snap(arrival, face)
+        if body == region:
+            ahead = self._layout.behind(body, face, position)
+        else:
+            ahead, normal = self._layout.within(body, face, position), -normal
         photons.position[:, who] = position
         photons.touched[who] = body
         if photons.record is not None:
@@ -505,55 +488,49 @@ class Flights:
             optical = np.flatnonzero(ahead < FIRST_FATE)
             who, ahead, normal = who[optical], ahead[optical], normal[:, optical]
             face = face[optical]
-
-        direction = photons.direction.take(who, axis=1)
-        field = None if photons.field is None else photons.field.take(who, axis=1)
-        direction, transmitted, field = self._cross(
-            region, body, face, direction, normal, ahead, field
-        )
-        photons.direction[:, who] = direction
-        if photons.field is not None:
-            photons.field[:, who] = field
-        reflected = who[~transmitted]
+        reflected = who[~self._cross(flock, who, body, face, normal, ahead)]
         place[reflected] = region
         if region == Place.CRYSTAL and self._bench.surface_loss:
             lost = self._rng.random(reflected.size) < self._bench.surface_loss
             place[reflected[lost]] = Place.ABSORBED_SURFACE
 
     def _cross(
-        self,
-        region: Place,
-        body: Place,
-        face: Indices,
-        direction: Floats,
-        normal: Floats,
-        ahead: Codes,
-        field: Complexes | None,
-    ) -> tuple[Floats, Flags, Complexes | None]:
-        """Reflect or refract at faces, of which those of the crystal may be rough or hazy."""
-        rng, layout, bench = self._rng, self._layout, self._bench
-        n_in, n_out = layout.index[region], layout.index.take(ahead)
+        self, flock: Flock, who: Indices, body: Place, face: Indices, normal: Floats, ahead: Codes
+    ) -> Flags:
+        """Reflect or refract photons at faces, some rough or hazy; which are transmitted, (m,).
+
+        `normal` are (3, m) unit vectors that point ahead, `ahead` `Place` codes of what lies there.
+        """
+        rng, layout, bench, photons = self._rng, self._layout, self._bench, flock.photons
+        direction = photons.direction.take(who, axis=1)
+        field = None if photons.field is None else photons.field.take(who, axis=1)
+        n_in, n_out = layout.index[flock.region], layout.index.take(ahead)
         heights = np.zeros(ahead.size)
         if bench.rms_roughness_nm:
             crystal = layout.of_crystal(body, ahead)
             heights[crystal] = bench.rms_roughness_nm / bench.wavelength_nm
         roughness = layout.roughness(body, face, ahead) if layout.is_rough else None
         if roughness is None or not roughness.any():
-            return cross(rng, direction, normal, n_in, n_out, field, heights)
-        transmitted = np.empty(ahead.size, dtype=bool)
-        for rough in (True, False):
-            some = np.flatnonzero((roughness > 0.0) == rough)
-            arguments = direction[:, some], normal[:, some], n_in, n_out[some]
-            states = None if field is None else field[:, some]
-            options = states, heights[some]
-            direction[:, some], transmitted[some], states = (
-                cross_rough(rng, *arguments, roughness[some], *options, beckmann=bench.beckmann)
-                if rough
-                else cross(rng, *arguments, *options)
-            )
-            if field is not None:
-                field[:, some] = states
-        return direction, transmitted, field
+            vectors = direction, normal
+            direction, transmitted, field = cross(rng, *vectors, n_in, n_out, field, heights)
+        else:
+            transmitted = np.empty(ahead.size, dtype=bool)
+            for rough in (True, False):
+                some = np.flatnonzero((roughness > 0.0) == rough)
+                arguments = direction[:, some], normal[:, some], n_in, n_out[some]
+                states = None if field is None else field[:, some]
+                options = states, heights[some]
+                direction[:, some], transmitted[some], states = (
+                    cross_rough(rng, *arguments, roughness[some], *options, beckmann=bench.beckmann)
+                    if rough
+                    else cross(rng, *arguments, *options)
+                )
+                if field is not None:
+                    field[:, some] = states
+        photons.direction[:, who] = direction
+        if photons.field is not None:
+            photons.field[:, who] = field
+        return transmitted
 
     def _arrive(self, flock: Flock, who: Indices) -> None:
         """Let the detector send back, refuse or detect light that has reached it.
