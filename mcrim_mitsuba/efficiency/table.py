@@ -203,7 +203,7 @@ class TableGrid:
         return tuple(map(len, self.axes.values()))
 
 
-class _Bench(NamedTuple):
+class _Configuration(NamedTuple):
     """A configuration, and the one whose photon records answer it."""
 
     name: str
@@ -216,7 +216,7 @@ class _Bench(NamedTuple):
     @classmethod
     def of(
         cls, file: SceneFile, axes: Mapping[str, Sequence[Value]], values: Sequence[Value]
-    ) -> _Bench:
+    ) -> _Configuration:
         """With these values of the axes; where masks are varied, one bench without serves all."""
         given = dict(zip(axes, values, strict=True))
         scene = file.with_overrides(given)
@@ -258,7 +258,9 @@ def _answer_all(
         "": [point for point in points if point[0] >= SMALLEST_PER_CM],
         ", without scattering": [point for point in points if point[0] == 0.0],
     }
-    benches = {key: _Bench.of(file, grid.outer, key) for key in dict.fromkeys(grid.configurations)}
+    benches = {
+        key: _Configuration.of(file, grid.outer, key) for key in dict.fromkeys(grid.configurations)
+    }
     answers: dict[_Place, tuple[float, float]] = {}
     work: list[EtaRun | SimulationResult] = []
     for words, group in groups.items():
@@ -282,13 +284,13 @@ def _answer_all(
 
 
 def _record(
-    benches: Iterable[_Bench], words: str, points: Sequence[Coefficients], run: Run
+    benches: Iterable[_Configuration], words: str, points: Sequence[Coefficients], run: Run
 ) -> tuple[dict[tuple[str, float | None], EtaSurface], list[EtaRun]]:
     """Surfaces by scene and mask, and what was simulated for them; `words` follow a bench's name.
 
     Masks that one scene is asked for are answered by the same photons.
     """
-    scenes: dict[str, _Bench] = {}
+    scenes: dict[str, _Configuration] = {}
     masks: dict[str, dict[float | None, None]] = {}
     for bench in benches:
         scenes.setdefault(bench.recorded.content_hash, bench)

@@ -535,6 +535,33 @@ def test_processes_of_this_machine_give_the_same_digits(scenes, tmp_path, monkey
     assert len(list(ProcessExecutor(2).do(jobs))) == len(units)
 
 
+#: A process that hands units to others and is killed: what a worker made is more than a pipe holds.
+KILLED = """
+import os, signal
+from types import SimpleNamespace
+import numpy as np
+from mcrim_mitsuba.runs.executors import Job, ProcessExecutor
+from mcrim_mitsuba.runs.cache import RecordCache
+
+class Unit(SimpleNamespace):
+    def portable(self): return self
+    def check(self, threads): pass
+    def make(self, threads): return {self.numbers[0]: ({"a": np.zeros(1_000_000)}, {})}
+
+units = [Unit(what="x", photons=1, expected_s=9.0, numbers=(n,)) for n in range(40)]
+cache = RecordCache({"x": 1})
+for done in ProcessExecutor(2).do([Job(unit, cache) for unit in units]):
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_processes_end_with_the_one_that_was_killed(tmp_path, monkeypatch):
+    """They hold its output open; nobody takes what they have made."""
+    monkeypatch.setenv("MCRIM_CACHE", str(tmp_path))
+    killed = subprocess.run([sys.executable, "-c", KILLED], capture_output=True, timeout=60)
+    assert killed.returncode == -signal.SIGKILL and b"Error" not in killed.stderr
+
+
 def test_who_was_named_does_many_small_units_too(tmp_path):
     assert isinstance(many_units_executor(2), ProcessExecutor)
     assert type(many_units_executor(1)) is Executor
