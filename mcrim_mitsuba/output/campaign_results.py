@@ -77,11 +77,6 @@ class CampaignShown(Result):
         fields |= {"provenance": provenance, "notes": every_note}
         return cls(**fields | further)
 
-    @property
-    def heading(self) -> str:
-        """Of its figures."""
-        return self.title
-
 
 _PARAMETERS = (LIGHT_YIELD, ALPHA_SCAT, ALPHA_ABS, SCALE)
 
@@ -258,11 +253,6 @@ class ReductionResult(Result, RawData):
     plain_path: str | Path | None
 
     @property
-    def heading(self) -> str:
-        """Of its figures."""
-        return self.title
-
-    @property
     def pictures(self) -> tuple[str, ...]:
         """Names of its figures: its `kinds`."""
         return self.kinds
@@ -279,11 +269,6 @@ class PlanResult(Result, Planning):
 
     title: str
     seed: int
-
-    @property
-    def heading(self) -> str:
-        """Of its figures."""
-        return self.title
 
     def numbers(self) -> Document:
         """Plans with the parameters of their configurations, and what they rest on."""

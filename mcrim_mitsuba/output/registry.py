@@ -211,6 +211,7 @@ PRESENTERS = {
 #: What is written of what results hold, by type; of others all fields are.
 _PARTS = {
     "Calibration": "**numbers",
+    "VerbResult": "**numbers",
     "Comparison": _CHECKED,
     "ExpectedError": "statistical systematic total parts",
     "Spread": "source eta eta_sigma relative_rms relative_rms_sigma fwhm",
@@ -292,8 +293,8 @@ class Result:
 
     @property
     def heading(self) -> str:
-        """Title of its figures; empty where they have none."""
-        return ""
+        """Title of its figures: its own, of a campaign; empty where they have none."""
+        return str(self.__dict__.get("title", ""))
 
     def _drawing(self, picture: str) -> Drawing | Figure:
         from mcrim_mitsuba.output.figure_style import Drawing
@@ -398,19 +399,9 @@ class VerbResult(Result):
     drawings: Mapping[str, Callable[[], Drawing]] = field(default_factory=dict)
 
     @property
-    def description(self) -> Description:
-        """How it is shown: tables, sentences, notes."""
-        return self.shown
-
-    @property
-    def document(self) -> Document:
-        """As ``--json`` writes it."""
-        return {"kind": self.kind, "version": 1, **self.numbers}
-
-    @property
-    def pictures(self) -> tuple[str, ...]:
-        """Names of its figures, the first of which `plot` draws."""
-        return tuple(self.drawings)
-
-    def _drawing(self, picture: str) -> Drawing | Figure:
-        return self.drawings[picture]()
+    def _presenter(self) -> Presenter:
+        names = _PARTS["VerbResult"]
+        figures = {name: lambda _, name=name: self.drawings[name]() for name in self.drawings}
+        return Presenter(
+            kind=self.kind, names=names, describe=lambda _: self.shown, figures=figures
+        )

@@ -100,9 +100,8 @@ def peak(files, shape, window, map_file, depth_mm, deposits, figure, json_file) 
     peaks = {histogram.name: histogram.peak for histogram in fitted if histogram.peak is not None}
     without = [histogram for histogram in fitted if histogram.peak is None]
     notes = [f"{name}: {words}" for name, peak in peaks.items() for words in peak.warnings]
-    combined, outliers = _combined(peaks)
-    if combined is not None:
-        notes += _notes(combined, outliers)
+    combined, outliers, of_mean = _combined(peaks)
+    notes += of_mean
     found_in = zip(files, (histogram.peak for histogram in fitted), strict=True)
     document = {
         "histograms": [
@@ -131,14 +130,24 @@ _OF_MEAN = "mean sigma scatter_sigma internal_sigma chi2 ndf p_value consistent 
 
 
 def _combined(peaks: dict):
-    """The mean of several mountings, None of one; and the names of outliers among them."""
+    """The mean of several mountings, None of one; names of outliers among them, and notes."""
     from mcrim_mitsuba.laboratory.peak import combine
 
     if len(peaks) < 2:
-        return None, []
+        return None, [], []
     centroids = [peak.centroid for peak in peaks.values()]
     combined = combine(centroids, [peak.centroid_sigma for peak in peaks.values()])
-    return combined, [list(peaks)[i] for i in combined.outliers]
+    outliers = [list(peaks)[i] for i in combined.outliers]
+    notes = list(combined.warnings)
+    if outliers:
+        notes.append(f"outlier: {', '.join(outliers)}")
+    p = combined.p_value
+    if combined.consistent and p is not None and p < 0.01:
+        notes.append(
+            "the mountings scatter by more than the errors of their centroids, as mountings do: "
+            "the error of the mean is that of the scatter"
+        )
+    return combined, outliers, notes
 
 
 def _widths(
@@ -169,19 +178,6 @@ def _refuse_duplicates(files: tuple[str, ...]) -> None:
     same = resolved(Path(first)) == resolved(Path(second))
     problem = "the file is given twice" if same else f"it holds the same bytes as {first}"
     raise InputError(problem, "name each mounting once", path=second)
-
-
-def _notes(combined, outliers: list[str]) -> list[str]:
-    """What the reader must know of the mean of several mountings."""
-    notes = list(combined.warnings)
-    if outliers:
-        notes.append(f"outlier: {', '.join(outliers)}")
-    if combined.consistent and combined.p_value < 0.01:
-        notes.append(
-            "the mountings scatter by more than the errors of their centroids, as mountings do: "
-            "the error of the mean is that of the scatter"
-        )
-    return notes
 
 
 _OF_PEAK = (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +71,9 @@ def light_yield(signals, etas, labels, efficiency, energy_keV, json_file) -> Non
     showing.refuse_places(json_file, [])
     # energies of sources are exact beside all else
     given = {"--signal": signals, "--eta": etas, "--efficiency": (efficiency,)}
-    notes = [*_lacking_errors(given), _INSIDE_THE_WINDOW]
+    lacking = [option for option, numbers in given.items() if not all(n.sigma for n in numbers)]
+    words = f"{' and '.join(lacking)} came without an error (as in 14.3±0.2): the budget lacks it"
+    notes = [*([words] if lacking else []), _INSIDE_THE_WINDOW]
     labels = _labels(signals, etas, labels)
     couplings = {}
     for label, signal, eta in zip(labels, signals, etas, strict=True):
@@ -109,13 +110,6 @@ _INSIDE_THE_WINDOW = (
     "--efficiency counts as that of light inside the window: measured in air it has the "
     "window's reflection in it, and the yield is lower by that (4.26 % at n = 1.52)"
 )
-
-
-def _lacking_errors(given: Mapping[str, Sequence[NumberWithError]]) -> list[str]:
-    """A note on options whose numbers came without errors, if there are such."""
-    lacking = [option for option, numbers in given.items() if not all(n.sigma for n in numbers)]
-    words = f"{' and '.join(lacking)} came without an error (as in 14.3±0.2): the budget lacks it"
-    return [words] if lacking else []
 
 
 def _labels(signals, etas, labels: tuple[str, ...]) -> tuple[str, ...]:
