@@ -11,6 +11,8 @@ import os
 import pickle
 import signal
 import sys
+import threading
+import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -389,3 +391,11 @@ def _begin() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # else loky starts a process anew when one has grown
     loky.process_executor._USE_PSUTIL = False
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    """End this process when its parent was killed: loky's would wait for a reader for ever."""
+    while os.getppid() == parent:
+        time.sleep(LOOK_S)
+    os._exit(1)
