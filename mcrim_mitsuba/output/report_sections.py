@@ -170,7 +170,8 @@ def _behind_pictures(
         "effects": [*repaired.effects, chosen_by_hand],
         "light_photons": LIGHT_PHOTONS,
         "seed": run.seed,
-        "versions": record_versions(run.variant, __name__),
+        # of the module that draws them, and of the figures that it imports
+        "versions": record_versions(run.variant, f"{__package__}.report"),
         "code": code_hash(modules_of(repaired.simulations.campaign.catalogue.values())),
     }
 

@@ -288,3 +288,5 @@ def test_pictures_are_drawn_once(made, parsed, by_hand, monkeypatch):
     keys = [json.loads(header)["key"] for header in headers]
     (known,) = (key for key in keys if key["what"] == "pictures of a report")
     assert {digest for *_, digest in known["files"]} == set(found["files"].values())
+    # and of other figures: this module imports all of them
+    assert known["versions"]["modules"] == "mcrim_mitsuba.output.report"
