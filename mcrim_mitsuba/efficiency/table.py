@@ -110,8 +110,9 @@ def eta_table(
 ) -> EtaTable:
     """Eta at every combination of values, from one simulation per configuration.
 
-    Coefficients of the crystal are answered by reweighting; points that the photons say too little
-    about are simulated on their own. What is asked for twice is simulated once.
+    Coefficients of the crystal are answered by reweighting, and masks of several radii by cutting
+    them out of the records; points that the photons say too little about are simulated on their
+    own. What is asked for twice is simulated once.
 
     Parameters
     ----------
