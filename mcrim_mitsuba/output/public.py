@@ -16,7 +16,7 @@ import inspect
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypedDict, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, overload
 
 import numpy as np
 
@@ -64,22 +64,11 @@ _FIELDS_OF_RUN = tuple(field.name for field in dataclasses.fields(Run))
 _LONGEST = 1e9
 
 
-class RunFields(TypedDict, total=False):
-    """Fields of a `Run` that a function takes by name; left out or None, they do not differ."""
-
-    photons: Number | None
-    precision: Number | None
-    seed: Number | None
-    threads: Number | None
-    variant: str | None
-    progress: Progress | None
-    check: bool | None
-
-
-def _run_of(run: Run | None, *values: Any, **fields: Unpack[RunFields]) -> Run:
-    """A run with the fields that were given, by name or in the order of `RunFields`."""
-    given = {**dict(zip(RunFields.__annotations__, values, strict=False)), **fields}
-    return dataclasses.replace(run or Run(), **{n: v for n, v in given.items() if v is not None})
+def _run_of(run: Run | None, *fields: Any) -> Run:
+    """A run with the fields that were given, in the order of the functions' signatures."""
+    names = ("photons", "precision", "seed", "threads", "variant", "progress", "check")
+    given = {n: value for n, value in zip(names, fields, strict=True) if value is not None}
+    return dataclasses.replace(run or Run(), **given)
 
 
 _RAISES = """
@@ -95,29 +84,18 @@ InputError
 
 def _public(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
     """The function, which says what it raises, and refuses a misspelt keyword in the same way."""
-    signature = inspect.signature(function)
-    *named, last = signature.parameters.values()
-    if takes_fields := last.annotation == "Unpack[RunFields]":
-        # one by one, as `help` shows them and the functions on scenes have them
-        kinds = RunFields.__annotations__.items()
-        only = inspect.Parameter.KEYWORD_ONLY
-        named += [
-            inspect.Parameter(name, only, default=None, annotation=kind.__forward_arg__)
-            for name, kind in kinds
-        ]
-        signature = signature.replace(parameters=named)
-    open_ended = last.kind is last.VAR_KEYWORD and not takes_fields
+    signature = inspect.signature(function).parameters
+    open_ended = any(p.kind is p.VAR_KEYWORD for p in signature.values())
 
     @functools.wraps(function)
     def refusing(*args: _Parameters.args, **given: _Parameters.kwargs) -> _Result:
         for name in () if open_ended else given:
-            if name not in signature.parameters:
-                mend = did_you_mean(name, sorted({*_FIELDS_OF_RUN, *signature.parameters}))
+            if name not in signature:
+                mend = did_you_mean(name, sorted({*_FIELDS_OF_RUN, *signature}))
                 raise InputError(f"{name} is no field of a run", mend)
         return function(*args, **given)
 
     refusing.__doc__ = inspect.cleandoc(function.__doc__ or "") + _RAISES
-    refusing.__signature__ = signature  # type: ignore[attr-defined]
     return refusing
 
 
@@ -597,7 +575,13 @@ def calibrate(
     campaign: str | Path | Campaign,
     *,
     run: Run | None = None,
-    **fields: Unpack[RunFields],
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
 ) -> campaign_results.FitResult:
     """Fit a campaign: scattering coefficient and light yield, with all their errors.
 
@@ -620,7 +604,7 @@ def calibrate(
 
     start = time.perf_counter()
     campaign = _read(campaign)
-    run = _run_of(run, **fields)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     simulations = CampaignSimulations(campaign, run)
     fit, seconds = fit_campaign(simulations), time.perf_counter() - start
     return FitResult.of(fit, campaign, simulations.provenance(), fit.notes, seconds=seconds)
@@ -632,7 +616,13 @@ def compare(
     /,
     *,
     run: Run | None = None,
-    **fields: Unpack[RunFields],
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
 ) -> campaign_results.ComparisonResult: ...
 
 
@@ -643,7 +633,13 @@ def compare(
     /,
     *others: str | Path | Campaign,
     run: Run | None = None,
-    **fields: Unpack[RunFields],
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
 ) -> campaign_results.HypothesesResult: ...
 
 
@@ -652,7 +648,13 @@ def compare(
     campaign: str | Path | Campaign,
     *others: str | Path | Campaign,
     run: Run | None = None,
-    **fields: Unpack[RunFields],
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
 ) -> campaign_results.ComparisonResult | campaign_results.HypothesesResult:
     """A campaign beside its model, or hypotheses on the same readings side by side.
 
@@ -673,7 +675,7 @@ def compare(
     from mcrim_mitsuba.output.campaign_results import ComparisonResult, HypothesesResult
 
     campaign = _read(campaign)
-    run = _run_of(run, **fields)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     if others:
         from mcrim_mitsuba.inference.hypotheses import compare_hypotheses
 
@@ -696,7 +698,13 @@ def diagnose(
     without: str | Sequence[str] = (),
     only: str | Sequence[str] = (),
     run: Run | None = None,
-    **fields: Unpack[RunFields],
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
 ) -> campaign_results.DiagnosisResult:
     """Which effects of the catalogue explain a campaign's misfit.
 
@@ -718,7 +726,7 @@ def diagnose(
     from mcrim_mitsuba.output.campaign_results import DiagnosisResult
 
     campaign = _read(campaign)
-    run = _run_of(run, **fields)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     simulations = CampaignSimulations(campaign, run)
     diagnosis = diagnose_campaign(simulations, without=_names(without), only=_names(only))
     notes = diagnosis.baseline.notes
@@ -733,7 +741,13 @@ def repair(
     effect: str | Sequence[str] = (),
     on_step: Callable[[RepairStep], None] | None = None,
     run: Run | None = None,
-    **fields: Unpack[RunFields],
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
 ) -> campaign_results.RepairResult:
     """Add effects to a campaign one by one while the data justify it.
 
@@ -759,7 +773,7 @@ def repair(
     from mcrim_mitsuba.output.campaign_results import RepairResult
 
     campaign = _read(campaign)
-    run = _run_of(run, **fields)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     repaired = repair_campaign(campaign, output, effect=_names(effect), run=run, on_step=on_step)
     return RepairResult.of_repair(repaired, campaign)
 
@@ -775,7 +789,13 @@ def budget(
     depth_mm: Number | None = None,
     deposits: str | Path | None = None,
     run: Run | None = None,
-    **fields: Unpack[RunFields],
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
 ) -> campaign_results.BudgetResult:
     """Where all errors of a campaign come from, and what its model leaves out.
 
@@ -810,7 +830,7 @@ def budget(
         wavelength_nm = _above_0("wavelength_nm", wavelength_nm, "wavelength")
     if depth_mm is not None:
         depth_mm = _above_0("depth_mm", depth_mm, "depth")
-    run = _run_of(run, **fields)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     errors = budget_of(
         campaign,
         material=material,
@@ -834,7 +854,13 @@ def plan(
     events: Any = None,
     conditions: Conditions | None = None,
     run: Run | None = None,
-    **fields: Unpack[RunFields],
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
 ) -> campaign_results.PlanResult:
     """How to measure for a wanted error of the light yield: couplings, mountings, events.
 
@@ -871,7 +897,7 @@ def plan(
         for name, (values, read) in readers.items()
         if values is not None
     }
-    run = _run_of(run, **fields)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     wanted = _above_0("wanted", wanted, "relative error")
     planning = plan_measurement(campaign, wanted, conditions=conditions, run=run, **choices)
     return PlanResult(**fields_of(planning), title=campaign.title, seed=run.seed)
@@ -884,7 +910,13 @@ def report(
     *,
     effects: Sequence[str] | None = None,
     run: Run | None = None,
-    **fields: Unpack[RunFields],
+    photons: Number | None = None,
+    precision: Number | None = None,
+    seed: Number | None = None,
+    threads: Number | None = None,
+    variant: str | None = None,
+    progress: Progress | None = None,
+    check: bool | None = None,
 ) -> campaign_results.ReportResult:
     """Diagnose and mend a campaign, and write all that was found as one HTML file.
 
@@ -905,6 +937,6 @@ def report(
     from mcrim_mitsuba.output.campaign_results import ReportResult
     from mcrim_mitsuba.output.report import report as write_report
 
-    run = _run_of(run, **fields)
+    run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
     sections = write_report(campaign, output, effects=effects, run=run)
     return ReportResult.of_report(Path(output), sections)

@@ -88,6 +88,10 @@ def test_signatures_name_the_fields_of_a_run():
     for name in set(RESULTS) - {"reduce", "check"}:
         parameters = inspect.signature(getattr(mcrim, name)).parameters
         assert set(RUN) <= set(parameters), name
+        # and as an editor has them, which reads the code and runs nothing
+        call = f"import mcrim_mitsuba as mcrim\nmcrim.{name}('x', phot"
+        offered = jedi.Script(call).complete(2, len(call.splitlines()[1]))
+        assert "photons=" in {completion.name for completion in offered}, name
     assert set(registry.PRESENTERS) == {
         "HypothesesResult",
         *(result.__name__ for result in RESULTS.values()),
