@@ -22,9 +22,10 @@ def campaign(scenes, tmp_path):
 
 
 def test_jobs_wait_and_stop(browser, scenes):
-    # all of it is simulated, with many photons, so that there is time to press Stop
+    # all of it is simulated, with as many photons as there may be: else it is over, now and then,
+    # before the page is there, and nothing is left to be stopped
     campaign = scenes / "camoo4_misfit.toml"
-    with running(campaign, "off", browser, 16 * PHOTONS, settled=False) as app:
+    with running(campaign, "off", browser, 64 * PHOTONS, settled=False) as app:
         status = lambda: browser.text("#status")  # noqa: E731
         browser.wait_for(lambda: status().startswith("simulating the bench"), "simulation")
         browser.find("#stop").click()
