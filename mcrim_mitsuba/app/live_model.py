@@ -213,10 +213,16 @@ def _controls(campaign: Campaign, simulations: CampaignSimulations) -> Controls:
     # a quarter of the light is a usual part
     usual, start = 4.0 * largest_signal, (campaign.scale or UNKNOWN_SCALE).start
     start = usual if math.isnan(start) else start
-    slider: dict[str, Any] = {"minimum": 0.0, "maximum": 3.0 * max(usual, start), "start": start}
-    slider |= {"title": "scale", "unit": "signal at η = 1"}
-    meaning = parameter_words(campaign, SCALE)[0]
-    scale = Control(name=SCALE, meaning=meaning, known=known_of(campaign.scale), **slider)
+    scale = Control(
+        name=SCALE,
+        title="scale",
+        unit="signal at η = 1",
+        minimum=0.0,
+        maximum=3.0 * max(usual, start),
+        start=start,
+        meaning=parameter_words(campaign, SCALE)[0],
+        known=known_of(campaign.scale),
+    )
     refused = tuple(dict.fromkeys(simulations.notes))
     return Controls(parameters=(*parameters, scale), effects=effects, refused=refused)
 

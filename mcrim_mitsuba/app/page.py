@@ -116,13 +116,17 @@ def _actions(session: Session) -> dict[str, Callable[[_Asked, Settings], None]]:
             content = base64.b64decode(asked["content"].partition(",")[2], validate=True)
         except ValueError:
             raise InputError("the file did not arrive whole", "open it again") from None
-        name = asked["name"]
-        is_session = name.lower().endswith(".json")
-        (session.take_session if is_session else session.take_readings)(name, content)
+        if asked["name"].lower().endswith(".json"):
+            session.take_session(asked["name"], content)
+        else:
+            session.take_readings(asked["name"], content)
 
     def effect(asked: _Asked, settings: Settings) -> None:
         name = asked["name"]
-        (session.switch_on if name in settings.effects else session.switch_off)(name)
+        if name in settings.effects:
+            session.switch_on(name)
+        else:
+            session.switch_off(name)
 
     def edit(asked: _Asked, _: Settings) -> None:
         text = str(asked.get("value", ""))

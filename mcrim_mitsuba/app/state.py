@@ -98,12 +98,22 @@ def parameter_control(
         high = 10.0 * max(abs(start), 1.0)
     if not math.isfinite(low):
         low = -high
-    name, slider = parameter.name, dict[str, Any](minimum=low, maximum=high, start=start)
+    name, coordinate, scale = parameter.name, "linear", 1.0
     if (of_sample(name) or (name,))[0] in COEFFICIENTS:
         # log(1 + value / scale) is as good as log(value) where the scale is small
-        slider |= {"coordinate": "logarithmic", "scale": max(low, _LEAST_PART * high)}
-    slider |= {"title": quantity(name), "unit": unit_of(name) or "", "meaning": meaning}
-    return Control(name=name, known=known_of(parameter), **slider)
+        coordinate, scale = "logarithmic", max(low, _LEAST_PART * high)
+    return Control(
+        name=name,
+        title=quantity(name),
+        unit=unit_of(name) or "",
+        minimum=low,
+        maximum=high,
+        start=start,
+        coordinate=coordinate,
+        scale=scale,
+        meaning=meaning,
+        known=known_of(parameter),
+    )
 
 
 def effect_control(
@@ -124,11 +134,20 @@ def effect_control(
         low, high = max(low, *(zero + e[0] for e in ends)), min(high, *(zero + e[1] for e in ends))
     low = low if math.isfinite(low) else start - largest_signal
     high = high if math.isfinite(high) else start + largest_signal
-    slider: dict[str, Any] = {"minimum": low, "maximum": high, "start": min(max(start, low), high)}
-    slider |= attributes(parameter, "name unit meaning coordinate scale")
-    if parameter.coordinate == "logarithmic" and parameter.scale < 0:
-        slider["coordinate"] = "linear"
-    return Control(title=without_unit(parameter.name), **slider)
+    coordinate = parameter.coordinate
+    if coordinate == "logarithmic" and parameter.scale < 0:
+        coordinate = "linear"
+    return Control(
+        name=parameter.name,
+        title=without_unit(parameter.name),
+        unit=parameter.unit,
+        minimum=low,
+        maximum=high,
+        start=min(max(start, low), high),
+        coordinate=coordinate,
+        scale=parameter.scale,
+        meaning=parameter.meaning,
+    )
 
 
 @dataclass(frozen=True)

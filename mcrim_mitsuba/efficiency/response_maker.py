@@ -27,12 +27,11 @@ from mcrim_mitsuba.effects.surroundings import FORWARD_BEAM
 from mcrim_mitsuba.efficiency.eta_grid import (
     APERTURE,
     BATCHES,
-    OPEN_WIDTHS,
-    WINDOW,
     EtaGrid,
     Grid,
     difference,
     has_open_mask,
+    open_aperture,
 )
 from mcrim_mitsuba.efficiency.proposals import (
     USUAL_ALPHA_SCAT_PER_CM,
@@ -184,7 +183,7 @@ class ResponseMaker:
             parameters[ACCEPTANCE] = _HALF_SPACE_DEG
         elif self._open_mask and has_open_mask(scene):
             radius = float(parameters[APERTURE])
-            parameters[APERTURE] = OPEN_WIDTHS * float(parameters[WINDOW])
+            parameters |= open_aperture(parameters)
         return PlannedRun(
             base=_usual(scene),
             overrides={n: v for n, v in parameters.items() if n in scene.parameters},

@@ -22,7 +22,7 @@ from mcrim_mitsuba.core.numbers import (
     number_of,
 )
 from mcrim_mitsuba.core.run import OverAxes, Run
-from mcrim_mitsuba.efficiency.eta_grid import APERTURE, OPEN_WIDTHS, WINDOW, has_open_mask
+from mcrim_mitsuba.efficiency.eta_grid import APERTURE, has_open_mask, open_aperture
 from mcrim_mitsuba.efficiency.eta_surface import (
     MOST_PHOTONS,
     EtaRequest,
@@ -215,22 +215,18 @@ class _Configuration(NamedTuple):
     mask_mm: float | None
 
     @classmethod
-    def of(
-        cls, file: SceneFile, axes: Mapping[str, Sequence[Value]], values: Sequence[Value]
-    ) -> _Configuration:
-        """With these values of the axes; where masks are varied, one bench without serves all."""
-        given = dict(zip(axes, values, strict=True))
+    def of(cls, file: SceneFile, given: dict[str, Value], *, cuts_masks: bool) -> _Configuration:
+        """With these parameters; where masks are cut out, one bench without serves them all."""
         scene = file.with_overrides(given)
         name = _words(given) or file.path.name
-        if len(set(axes.get(APERTURE, ()))) < 2 or not has_open_mask(scene):
+        if not cuts_masks:
             return cls(name, scene, name, scene, None)
-        wide_mm = OPEN_WIDTHS * float(scene.parameters[WINDOW])
         mask_mm = float(given.pop(APERTURE))
         return cls(
             name,
             scene,
             _words(given) or file.path.name,
-            scene.with_overrides({APERTURE: wide_mm}),
+            scene.with_overrides(open_aperture(scene.parameters)),
             mask_mm,
         )
 
@@ -259,8 +255,10 @@ def _answer_all(
         "": [point for point in points if point[0] >= SMALLEST_PER_CM],
         ", without scattering": [point for point in points if point[0] == 0.0],
     }
+    cuts_masks = len(set(grid.outer.get(APERTURE, ()))) > 1 and has_open_mask(file)
     benches = {
-        key: _Configuration.of(file, grid.outer, key) for key in dict.fromkeys(grid.configurations)
+        key: _Configuration.of(file, dict(zip(grid.outer, key, strict=True)), cuts_masks=cuts_masks)
+        for key in dict.fromkeys(grid.configurations)
     }
     answers: dict[_Place, tuple[float, float]] = {}
     work: list[EtaRun | SimulationResult] = []

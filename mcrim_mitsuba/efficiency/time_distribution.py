@@ -245,7 +245,14 @@ def first_of_event(
     first = []
     for born, number in numbers.items():
         values, sigmas = jackknife(number, light)
-        moments = *values, *cells.with_cell_errors(values, sigmas)
-        names = ("mean_ps", "rms_ps", "mean_ps_sigma", "rms_ps_sigma")
-        first.append(FirstPhotons(born=born, **dict(zip(names, moments, strict=True))))
+        (mean, rms), (mean_sigma, rms_sigma) = values, cells.with_cell_errors(values, sigmas)
+        first.append(
+            FirstPhotons(
+                born=born,
+                mean_ps=mean,
+                mean_ps_sigma=mean_sigma,
+                rms_ps=rms,
+                rms_ps_sigma=rms_sigma,
+            )
+        )
     return tuple(first)

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR, of_sample
@@ -547,8 +547,13 @@ def next_for_average(diagnosis: Diagnosis) -> str:
     )
 
     def systematic(name: str, part: float, by: str) -> Contribution:
-        how: dict[str, Any] = {"kind": "systematic", "reducible": bool(by), "by": by}
-        return Contribution(name=name, relative=part / averaged.value, **how)
+        return Contribution(
+            name=name,
+            relative=part / averaged.value,
+            kind="systematic",
+            reducible=bool(by),
+            by=by,
+        )
 
     other_reading = "a further reading that tells them apart"
     between = systematic("which explanation is right", averaged.between, other_reading)

@@ -61,14 +61,11 @@ def _collector() -> Callable[[Any], list[tuple]]:
 
     class Collector(mi.TraversalCallback):
         def put(self, name: str, value, flags, cpptype=None) -> None:
-            self.parts.append((name, value, cpptype))
-
-        def put_value(self, name: str, value, flags, cpptype) -> None:
-            self.parts.append((name, value, cpptype))
-
-        def put_object(self, name: str, value, flags) -> None:
             if value is not None:
-                self.parts.append((name, value, None))
+                self.parts.append((name, value, cpptype))
+
+        # plugins in Python call the first, those in C++ these
+        put_value = put_object = put
 
     def collect(node) -> list[tuple]:
         callback = Collector()
