@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from places import SCENES
+from places import SCENES, cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
@@ -11,6 +11,8 @@ from mcrim_mitsuba.campaign.editor import campaign_with_effects, measurements_te
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.campaign.samples import of_sample
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT
+
+cases = cases_of(__file__)
 
 CSV = """label,sample,signal,sigma,n_gap
 air,,14.3,0.2,1.00
@@ -115,42 +117,18 @@ def test_one_detector_reads_all_samples(read):
     assert both.priors["efficiency_factor"] == (1.0, pytest.approx(math.hypot(0.05, 0.04)))
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "place", "says"),
-    [
-        (
-            "[samples.thin.scene]",
-            "[samples.c]\n[samples.thin.scene]",
-            "line 12",
-            "no reading of rows.csv",
-        ),
-        ("[samples.thin.scene]", "[samples.t-hin.scene]", "line 12", "letters, digits"),
-        ("crystal_height_mm = 5", "crystal_heigth_mm = 5", "line 13", "mean crystal_height_mm?"),
-        ("crystal_height_mm = 5", "crystal_height_mm = 0.005", "line 13", "in mm: 5"),
-        ("crystal_height_mm = 5", "alpha_abs_per_cm = 5", "line 13", "fixed = true"),
-        ("crystal_height_mm = 5", "crystal_height_mm = [5]", "line 13", "not one value"),
-        ("[samples.thin.scene]", "[samples.thin.scenes]", "line 12", "did you mean scene?"),
-        (
-            "[samples.other.parameters.alpha_abs",
-            "[samples.other.parameters.alpha_bas",
-            "line 17",
-            "did you mean alpha_abs_per_cm?",
-        ),
-        (
-            "[parameters.alpha_abs_per_cm]",
-            "[parameters.n_crystal]\n[parameters.alpha_abs_per_cm]",
-            "line 17",
-            "n_crystal is fitted",
-        ),
+@cases(
+    "old",
+    "new",
+    "place",
+    "says",
+    more=[
         (
             "[parameters.alpha_scat",
             f"{SPECTRUM}\n[parameters.alpha_scat",
             "line 16",
             "spectrum is of one crystal",
-        ),
-        ("= 0.026", "= 0.009", "line 23", "5 % that samples share"),
-        ("= 0.026", "= 0.026\nlight_yield_ph_per_keV = 16", "line 20", "both or none"),
-        ("shared_efficiency_sigma = 0.05", "shared_efficiency_sigma = 5", "line 11", "0.05 for 5"),
+        )
     ],
 )
 def test_bad_samples_are_refused_in_one_line(read, old, new, place, says):

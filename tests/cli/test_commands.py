@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from click.shell_completion import BashComplete
-from places import SCENES, tables_of
+from places import SCENES, cases_of, tables_of
 
 from mcrim_mitsuba import simulate
 from mcrim_mitsuba.campaign.campaign import read_campaign
@@ -20,6 +20,8 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference import calibrate as campaigns
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.transport.launch_plan import LANES
+
+cases = cases_of(__file__)
 
 BENCH = str(SCENES / "camoo4.xml")
 
@@ -275,41 +277,14 @@ def test_a_parameter_at_its_bound_gets_no_error(mcrim, monkeypatch, tmp_path):
     assert err.splitlines() == [f"note: {note}" for note in notes]
 
 
-LONG = "x" * 300
 FINE = "label,signal,sigma,n_gap\nair,14.3,0.2,1.0\ngel,24.5,0.4,1.46\n"
 
 
-@pytest.mark.parametrize(
-    ("scene", "rows", "further", "says"),
-    [
-        (
-            "camoo4.xml",
-            f"label,histogram\nair,{LONG}.csv\n",
-            "",
-            ("m.csv, line 2, column histogram: ", "does not exist"),
-        ),
-        (f"{LONG}.xml", FINE, "", ("c.toml, line 1: ", "does not exist")),
-        (
-            "camoo4.xml",
-            FINE,
-            f'[parameters.alpha_abs_per_cm]\ntransmittance = "{LONG}.csv"\nthickness_mm = 10.0\n',
-            ("c.toml, line 4: ", "does not exist"),
-        ),
-        # a depth that raw data give is not called a start
-        (
-            "camoo4.xml",
-            FINE,
-            'effects = ["source_depth"]\n[parameters.source_depth_mm]\n'
-            'gammas_in = "CaMoO4"\n[light_yield]\nenergy_keV = 10.0\ndetector_efficiency = 0.127\n'
-            "detector_efficiency_sigma = 0.013\n",
-            ("c.toml, line 5: ", "the prior of source_depth_mm", "is far outside 0.2..100"),
-        ),
-    ],
-    ids=["histogram", "scene", "transmittance", "depth"],
-)
+@cases("scene", "rows", "further", "says")
 def test_campaigns_are_refused_with_their_line(mcrim, campaign_here, scene, rows, further, says):
-    Path("m.csv").write_text(rows)
-    Path("c.toml").write_text(f'scene = "{scene}"\nmeasurements = "m.csv"\n{further}')
+    text, long = f'scene = "{scene}"\nmeasurements = "m.csv"\n{further}', "x" * 300
+    Path("m.csv").write_text(rows.replace("LONG", long) or FINE)
+    Path("c.toml").write_text(text.replace("LONG", long))
     refused = mcrim.refused("calibrate", "c.toml")
     assert all(words in refused for words in says), refused
 
@@ -318,14 +293,7 @@ def test_a_table_says_what_it_understood(mcrim):
     out = mcrim.shown(
         "table",
         BENCH,
-        "--alpha-scat",
-        "0.1:1.0:10",
-        "--alpha-abs",
-        "0.039",
-        "--n-gap",
-        "1,1.46",
-        "--photons",
-        "1e4",
+        *"--alpha-scat 0.1:1.0:10 --alpha-abs 0.039 --n-gap 1,1.46 --photons 1e4".split(),
     )
     said = "alpha_scat 0.1, 0.2, ..., 1 (10 values) /cm; alpha_abs 0.039 /cm; n_gap 1, 1.46"
     assert out.splitlines()[0] == said
@@ -342,44 +310,17 @@ def into_a_closed_pipe(*arguments: str):
             stderr=subprocess.PIPE,
             text=True,
             timeout=120,
+            env=os.environ,  # without the width that readline, if pytest loads it, adds to ours
         )
     finally:
         os.close(writer)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "written"),
-    [
-        (["simulate", BENCH, "--photons", "1e4", "--json", "a.json"], ["a.json"]),
-        (
-            ["table", BENCH, *LISTS, "--photons", "1e4", "-o", "t.csv", "--json", "a.json"],
-            ["t.csv", "a.json"],
-        ),
-        (["table", BENCH, *LISTS, "--photons", "1e4", "-o", "-", "--json", "a.json"], ["a.json"]),
-        (
-            [
-                "calibrate",
-                str(SCENES / "camoo4_campaign.toml"),
-                "--photons",
-                "3e5",
-                "--json",
-                "a.json",
-            ],
-            ["a.json"],
-        ),
-        (["crosscheck", BENCH, "--photons", "2e4", "--json", "a.json"], ["a.json"]),
-        (["check", BENCH, "-o", "x.png", "--json", "a.json"], ["x.png", "a.json"]),
-        (["simulate", BENCH, "--photons", "1e4", "--json", "-"], []),
-        (["check", "--json", "a.json"], ["a.json"]),
-        (["--help"], []),
-        ([], []),
-    ],
-    ids=lambda value: value[0] if value else "none",
-)
-def test_a_reader_that_leaves_costs_no_results(here, arguments, written):
-    done = into_a_closed_pipe(*arguments)
+@cases("line", "written")
+def test_a_reader_that_leaves_costs_no_results(campaign_here, here, line, written):
+    done = into_a_closed_pipe(*line.split())
     # who reads a table of standard output is told beside it what was spent
-    told = "1 points written to -: " if "-o -" in " ".join(arguments) else ""
+    told = "1 points written to -: " if "-o -" in line else ""
     assert done.returncode == 0 and done.stderr.startswith(told)
     assert done.stderr.count("\n") == bool(told)
     for name in written:

@@ -12,7 +12,7 @@ import click
 import findings_by_hand as by
 import numpy as np
 import pytest
-from places import SCENES
+from places import SCENES, cases_of
 
 from mcrim_mitsuba.cli.options import FURTHER_PHOTONS, PHOTONS
 from mcrim_mitsuba.core.rounding import p_equals
@@ -22,11 +22,7 @@ from mcrim_mitsuba.inference import diagnose as diagnosing
 from mcrim_mitsuba.inference import fit as fitting
 from mcrim_mitsuba.inference import repair as repairing
 from mcrim_mitsuba.inference.evidence import AveragedYield
-from mcrim_mitsuba.inference.hypotheses import (
-    NAMES,
-    FittedHypothesis,
-    SideBySide,
-)
+from mcrim_mitsuba.inference.hypotheses import NAMES, FittedHypothesis, SideBySide
 from mcrim_mitsuba.inference.next_measurements import configuration_words
 from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.repair import Repaired
@@ -37,6 +33,8 @@ from mcrim_mitsuba.output.description import Description
 from mcrim_mitsuba.output.diagnosis_figures import draw_ranking, draw_staircase
 from mcrim_mitsuba.output.fit_figures import draw_comparison, draw_hypotheses
 from mcrim_mitsuba.scene.scene_file import read_scene
+
+cases = cases_of(__file__)
 
 
 def title_of(figure):
@@ -59,6 +57,19 @@ def campaign(campaign_here) -> str:
     return campaign_here
 
 
+def repaired(diagnosis) -> Repaired:
+    """Where nothing was added."""
+    return Repaired(
+        diagnosis=diagnosis,
+        effects=(),
+        fit=by.calibration(),
+        campaign_path=None,
+        scene_path=None,
+        provenance=by.PROVENANCE,
+        simulations=None,
+    )
+
+
 @pytest.fixture
 def found(monkeypatch):
     """What the commands find: change it before they run."""
@@ -66,17 +77,15 @@ def found(monkeypatch):
         "compare": by.comparison(suspects=(by.BAD, by.SWAPPED)),
         "diagnose": by.diagnosis("missing_effect"),
     }
-    results["repair"] = Repaired(
-        diagnosis=results["diagnose"],
+    results["repair"] = replace(
+        repaired(results["diagnose"]),
         effects=(by.FIRST,),
         fit=by.calibration(by.MENDED, 0.3, 12.0),
         campaign_path=Path("new.toml"),
         scene_path=Path("new.xml"),
-        provenance=by.PROVENANCE,
-        simulations=None,
     )
 
-    def repaired(*_, on_step, **__):
+    def repair(*_, on_step, **__):
         for step in results["repair"].diagnosis.repair:
             on_step(step)
         return results["repair"]
@@ -85,7 +94,7 @@ def found(monkeypatch):
     monkeypatch.setattr(CampaignSimulations, "provenance", lambda _: by.PROVENANCE)
     monkeypatch.setattr(comparing, "comparison_of", lambda _: results["compare"])
     monkeypatch.setattr(diagnosing, "diagnose", lambda *_, **__: results["diagnose"])
-    monkeypatch.setattr(repairing, "repair", repaired)
+    monkeypatch.setattr(repairing, "repair", repair)
     # findings made by hand have no model
     monkeypatch.setattr(fitting, "profiles_of", lambda *_: ())
     return results
@@ -133,14 +142,11 @@ def test_compare_shows_where_the_misfit_lies(mcrim, campaign, found):
     assert "note: from afar" in out
 
 
-@pytest.mark.parametrize(
-    ("p_value", "says", "following"),
-    [
-        (0.3, "the model describes the readings", "Next: mcrim calibrate"),
-        (1e-5, "the model does not describe the readings", "Next: mcrim diagnose"),
-        (0.9999, "better than their errors allow", "Next: mcrim calibrate"),
-        (None, "without degrees of freedom", "Next: mcrim diagnose"),
-    ],
+@cases(
+    "p_value",
+    "says",
+    "following",
+    more=[(None, "without degrees of freedom", "Next: mcrim diagnose")],
 )
 def test_compare_says_what_chi2_means(mcrim, campaign, found, p_value, says, following):
     found["compare"] = by.comparison(p_value)
@@ -274,15 +280,7 @@ def test_an_unusual_size_is_told_and_not_added(mcrim, campaign, found):
     found["diagnose"] = aside
     lines = mcrim.shown("diagnose", campaign).splitlines()
     assert told in lines and "--effect gap_bubble -o" in lines[-1]
-    found["repair"] = Repaired(
-        diagnosis=found["diagnose"],
-        effects=(),
-        fit=by.calibration(),
-        campaign_path=None,
-        scene_path=None,
-        provenance=by.PROVENANCE,
-        simulations=None,
-    )
+    found["repair"] = repaired(aside)
     lines = mcrim.shown("repair", campaign, "-o", "new.toml").splitlines()
     assert told in lines and "Nothing was added, and no file written." in lines
     usual = by.diagnosis("missing_effect")
@@ -339,30 +337,9 @@ CAMOO4 = read_scene(SCENES / "camoo4.xml")
 COMMENTS = {name: known.comment for name, known in CAMOO4.defaults.items()}
 
 
-@pytest.mark.parametrize(
-    ("parameters", "comments", "words"),
-    [
-        (
-            {"n_gap": 1.46, "aperture_radius_mm": 4.0},
-            COMMENTS,
-            "optical gel (n = 1.46), mask of 4 mm radius",
-        ),
-        ({"n_gap": 1.333, "gap_mm": 0.5}, COMMENTS, "liquid (n = 1.333), gap of 0.5 mm"),
-        ({"n_gap": 1.0, "crystal_height_mm": 20.0}, {}, "air (n = 1), crystal 20 mm high"),
-        (
-            {"n_window": 1.5, "spot_mm": 2.0},
-            COMMENTS,
-            "Refractive index of the window (BK7 glass) 1.5, spot_mm = 2",
-        ),
-        (
-            {"kind": "transmittance", "acceptance_deg": 5.0, "beam_axis": "z"},
-            {},
-            "transmittance, within 5 degrees, beam along z",
-        ),
-    ],
-)
-def test_configurations_are_told_in_words(parameters, comments, words):
-    assert configuration_words(parameters, comments) == words
+@cases("parameters", "of_scene", "words")
+def test_configurations_are_told_in_words(parameters, of_scene, words):
+    assert configuration_words(parameters, COMMENTS if of_scene else {}) == words
 
 
 def test_transmittances_are_shown_in_per_cent_and_on_a_scale_of_their_own():
@@ -450,15 +427,7 @@ def test_a_profile_that_is_no_parabola_is_said():
 
 
 def test_repair_says_where_nothing_was_added(mcrim, campaign, found):
-    found["repair"] = Repaired(
-        diagnosis=by.diagnosis("adequate", repair=by.STEPS[:1]),
-        effects=(),
-        fit=by.calibration(),
-        campaign_path=None,
-        scene_path=None,
-        provenance=by.PROVENANCE,
-        simulations=None,
-    )
+    found["repair"] = repaired(by.diagnosis("adequate", repair=by.STEPS[:1]))
     out = mcrim.shown("repair", campaign, "-o", "new.toml")
     assert "Nothing was added, and no file written." in out.splitlines()
 
@@ -580,12 +549,9 @@ def test_frames_hold_numbers():
     ]
     effects = tables["effects, each added alone"].frame()
     assert [name for name in effects if effects[name].dtype == float] == numbers
-    assert list(effects.columns.difference(numbers)) == [
-        "effect",
-        "parameter",
-        "plausibility",
-        "title",
-    ]
+    assert (
+        list(effects.columns.difference(numbers)) == "effect parameter plausibility title".split()
+    )
     first, _, at_bound, switched = (row for _, row in effects.iterrows())
     assert (first["effect"], first["parameter"]) == (by.FIRST, "surface_loss")
     assert (first["size"], first["size_sigma"]) == (0.0123, 0.0008)
@@ -625,10 +591,7 @@ def test_frames_hold_numbers():
 def test_what_matters_is_shown_and_the_rest_is_counted():
     effects = [name for name in by.TITLES if name != by.FIRST][:30]
     # what leads is shown wherever it stands
-    many = (
-        *(by.candidate((name,), 1.0, {}) for name in effects),
-        by.CANDIDATES[0],
-    )
+    many = (*(by.candidate((name,), 1.0, {}) for name in effects), by.CANDIDATES[0])
     limits = dict.fromkeys((*effects, by.FIRST), by.diagnosis("adequate").upper_limits[by.OFF])
     of_all = by.diagnosis("missing_effect", candidates=many, upper_limits=limits)
     shown = shown_of(of_all)

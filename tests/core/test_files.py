@@ -7,10 +7,13 @@ import threading
 from pathlib import Path
 
 import pytest
+from places import cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.core import files
 from mcrim_mitsuba.core.errors import InputError
+
+cases = cases_of(__file__)
 
 
 def test_what_is_read_and_written_is_collected(here):
@@ -147,19 +150,7 @@ def test_nothing_of_others_is_replaced(here):
     assert "the folder cannot be made" in refusal(files.make_folder, "a.txt/x")
 
 
-@pytest.mark.parametrize(
-    ("outputs", "inputs", "says"),
-    [
-        ({"--json": "a.json", "-o": "./a.json"}, (), "--json and -o both write ./a.json"),
-        ({"-o": "in.csv"}, ("in.csv",), "-o would replace what this command reads"),
-        ({"-o": "raw/new.csv"}, ("raw",), "-o would replace what this command reads"),
-        ({"--json": "a.csv"}, (), "would write a result under the name of a table"),
-        ({"-o": "a.xml"}, (), "would write a result under the name of a scene"),
-        ({"-o": "no/a.csv"}, (), "the folder no does not exist"),
-        ({"-o": "raw"}, (), "-o names a folder"),
-        ({"-o": "/dev/nothing"}, (), "there is no such device"),
-    ],
-)
+@cases("outputs", "inputs", "says")
 def test_outputs_are_refused_before_the_work(here, outputs, inputs, says):
     Path("in.csv").touch()
     Path("raw").mkdir()

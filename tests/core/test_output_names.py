@@ -48,19 +48,7 @@ def test_a_campaign_without_a_name_is_refused(here, mcrim):
 @pytest.mark.parametrize(
     "words",
     [
-        (
-            "table",
-            BENCH,
-            "--alpha-scat",
-            "0.5",
-            "--alpha-abs",
-            "0.039",
-            "--n-gap",
-            "1",
-            "--unit",
-            "1/2",
-            "--units",
-        ),
+        ("table", BENCH, "--alpha-scat", "0.5", "--unit", "1/2", "--units"),
         ("scenes", "-o"),
         ("paper", "-o"),
         ("add", "gap_bubble", BENCH, "-o", "new.xml", "--effects-folder"),

@@ -6,10 +6,13 @@ import signal
 
 import numpy as np
 import pytest
+from places import cases_of
 from refusals import refusal
 from threadpoolctl import threadpool_info
 
 from mcrim_mitsuba.core.run import OverAxes, Provenance, Run, arguments_of, one_thread, signals_wait
+
+cases = cases_of(__file__)
 
 
 def test_a_run_takes_numbers_of_any_kind():
@@ -19,19 +22,7 @@ def test_a_run_takes_numbers_of_any_kind():
     assert arguments_of(10.0, "0") == (10, 0)
 
 
-@pytest.mark.parametrize(
-    ("given", "says"),
-    [
-        ({"photons": 0}, "the number of photons is 0; give a whole number, 1 to 1e13"),
-        ({"photons": 2e13}, "give a whole number, 1 to 1e13"),
-        ({"photons": 1.5}, "the number of photons is 1.5"),
-        ({"seed": -1}, "the seed is -1; give 0 or a positive integer"),
-        ({"threads": 0}, "give a whole number, 1 to 1024"),
-        ({"precision": 0.0}, "the precision is 0.0; give a relative error above 0"),
-        ({"precision": True}, "the precision is True"),
-        ({"variant": 3}, "the variant is 3; give a name: llvm_ad_rgb"),
-    ],
-)
+@cases("given", "says")
 def test_what_no_run_can_have_is_refused(given, says):
     assert says in refusal(Run, **given)
 

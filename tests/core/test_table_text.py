@@ -3,10 +3,13 @@
 from pathlib import Path
 
 import pytest
+from places import cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.core import table_text
 from mcrim_mitsuba.core.errors import InputError
+
+cases = cases_of(__file__)
 
 
 @pytest.mark.parametrize(
@@ -46,19 +49,7 @@ def test_cells_are_split_where_quotes_end():
     assert table_text.without_empty_end(["1", "", ""]) == ["1"]
 
 
-@pytest.mark.parametrize(
-    ("cell", "number", "none", "spoilt"),
-    [
-        ("1.5e-3", True, False, False),
-        (",5", True, False, False),
-        ("NaN", False, True, True),
-        ("", False, False, True),
-        ("54l", False, False, True),
-        ("12:30", False, False, False),  # a time
-        ("1/2/2024", False, False, False),
-        ("name", False, False, False),
-    ],
-)
+@cases("cell", "number", "none", "spoilt")
 def test_what_a_cell_is(cell, number, none, spoilt):
     assert table_text.is_number(cell) == number
     assert table_text.is_no_number(cell) == none
@@ -98,17 +89,7 @@ def test_names_above_columns():
     ]
 
 
-@pytest.mark.parametrize(
-    ("cell", "problem"),
-    [
-        ("", "the cell is empty"),
-        ("n/a", "'n/a' is not a finite number"),
-        ("1'234.5", '"1\'234.5" has thousands separators'.replace('"', "'", 2)),
-        ("1|2", "columns are separated by '|'"),
-        ("76 %", "'76 %' ends in %"),
-        ("54l", "'54l' is not a number"),
-    ],
-)
+@cases("cell", "problem")
 def test_what_is_wrong_with_a_cell(cell, problem):
     said, mend = table_text.what_is_wrong(cell)
     assert said == problem and mend

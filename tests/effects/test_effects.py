@@ -26,87 +26,16 @@ from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.simulation import Simulation
 
 cases = cases_of(__file__)
+TABLES = tables_of(__file__)
 
 KNOWN = catalogue()
 EDITS = [name for name, effect in KNOWN.items() if effect.edit is not None]
 #: Effects that change the same parts of a scene.
-NEIGHBOURS = [
-    ("anisotropic_scattering", "rayleigh_scattering", "scattering_gradient", "spectral_scattering"),
-    ("source_depth", "side_source"),
-    ("ground", "surface_absorption", "gap_bubble", "edge_chamfer", "surface_haze"),
-    ("ground_top", "ground_side", "ground_bottom", "gap_bubble", "edge_chamfer"),
-    (
-        "surface_roughness",
-        "surface_absorption",
-        "gap_index",
-        "gap_bubble",
-        "edge_chamfer",
-        "aperture_at_detector",
-    ),
-    (
-        "surface_haze",
-        "top_roughness",
-        "side_roughness",
-        "bottom_roughness",
-        "surface_absorption",
-        "gap_bubble",
-    ),
-    (
-        "gel_creep",
-        "gap_bubble",
-        "gap_index",
-        "edge_chamfer",
-        "side_roughness",
-        "bottom_roughness",
-        "surface_haze",
-        "gap_absorption",
-    ),
-    (
-        "gap_bubble_round",
-        "gap_bubble",
-        "edge_chamfer",
-        "gap_thickness",
-        "gel_creep",
-        "gap_index",
-        "bottom_roughness",
-        "surface_absorption",
-        "aperture_at_detector",
-    ),
-    ("gel_creep", "surface_roughness", "surface_absorption", "gap_thickness"),
-    ("gap_thickness", "gap_bubble", "edge_chamfer", "top_reflector", "gap_absorption"),
-    (
-        "detector_reflection",
-        "detector_angle",
-        "detector_radius",
-        "aperture_at_detector",
-        "gap_thickness",
-    ),
-    (
-        "detector_reflection",
-        "detector_specular",
-        "detector_angle",
-        "photocathode_film",
-        "mask_offset",
-        "housing_reflection",
-        "aperture_at_detector",
-        "surface_haze",
-    ),
-]
-EXCLUDED = {
-    frozenset(("anisotropic_scattering", "rayleigh_scattering")),
-    frozenset(("source_depth", "side_source")),
-    frozenset(("photocathode_film", "detector_reflection")),
-    frozenset(("photocathode_film", "detector_specular")),
-    frozenset(("photocathode_film", "detector_angle")),
-    frozenset(("gap_absorption", "gel_creep")),
-    frozenset(("gap_bubble", "gap_bubble_round")),
-    frozenset(("edge_chamfer", "gap_bubble_round")),
-}
+NEIGHBOURS = TABLES["neighbours"]
+EXCLUDED = set(map(frozenset, TABLES["excluded"]))
 
 #: Lines of scenes/camoo4.xml that an effect may take away or change; all other effects only add.
-MASK = r'aperture|"radius"|<bsdf type="dielectric">|_ior|</bsdf>|[Mm]ask|photodetector'
-SIDES = r'gap_side_|<transform|</transform|<scale|<rotate|<translate|<ref|</shape|^$|"gap_to_air"'
-MAY_CHANGE = tables_of(__file__)["may_change"]
+MAY_CHANGE = TABLES["may_change"]
 
 
 @pytest.fixture(scope="module")
@@ -150,44 +79,7 @@ def test_every_effect_of_the_definitions_is_there():
         assert effect.family != "others" and effect.look.endswith(".") and len(effect.look) > 50
     assert KNOWN["anisotropic_scattering"].excludes == ("rayleigh_scattering",)
     ranges = {p.name: (p.minimum, p.maximum) for e in KNOWN.values() for p in e.parameters}
-    assert ranges == {
-        "scattering_g": (-0.5, 0.95),
-        "scattering_gradient": (-1, 1),
-        "scattering_exponent": (0, 4),
-        "source_depth_mm": (0.2, 100),
-        "side_depth_mm": (0.2, 100),
-        "roughness_alpha": (0, 0.3),
-        "surface_loss": (0, 0.05),
-        "rms_roughness_nm": (0, 30),
-        "top_roughness_alpha": (0, 0.5),
-        "side_roughness_alpha": (0, 0.5),
-        "bottom_roughness_alpha": (0, 0.5),
-        "ground_alpha": (0.1, 0.6),
-        "ground_top_alpha": (0.1, 0.6),
-        "ground_side_alpha": (0.1, 0.6),
-        "ground_bottom_alpha": (0.1, 0.6),
-        "n_crystal": (-0.1, 0.1),
-        "gap_index_offset": (-0.1, 0.1),
-        "gap_offset_mm": (-0.04, 0.5),
-        "gap_absorption_per_cm": (0, 20),
-        "bubble_fraction": (0, 0.6),
-        "collar_mm": (0, 3),
-        "bubble_area_fraction": (0, 0.6),
-        "top_reflectance": (0, 0.99),
-        "detector_reflectance": (0, 0.5),
-        "cathode_nm": (10, 35),
-        "detector_specular": (0, 0.5),
-        "mask_offset_mm": (0, 6),
-        "housing_reflectance": (0, 0.2),
-        "angular_falloff": (-1, 1),
-        "radial_falloff": (0, 1),
-        "chamfer_mm": (0, 1),
-        "acceptance_deg": (-89, 89),
-        "background": (-math.inf, math.inf),
-        "saturation": (0, 0.05),
-        "gain_drift": (-0.1, 0.1),
-        "sample_scale": (-0.2, 0.2),
-    }
+    assert ranges == {name: tuple(ends) for name, ends in TABLES["ranges"].items()}
 
 
 @pytest.mark.parametrize("name", EDITS)
@@ -507,17 +399,7 @@ def test_an_effect_that_contradicts_itself_is_refused():
         Effect("x", "x", "x", "x", parameters=(number,), weight=len, proposal={"y": 1.0})
 
 
-@pytest.mark.parametrize(
-    "wrong, says",
-    [
-        ('editor.by_id["cristal_top"]', r"black_spot\.py, line \d+: .*KeyError: 'cristal_top'"),
-        ('editor.replace(editor.by_id["crystal_top"], "<shape>")', r"black_spot\.py, line .*sound"),
-        (
-            'editor.replace(editor.by_id["crystal_top"], "<shape type=\'$x\'/>")',
-            r"black_spot\.py, line .*sound",
-        ),
-    ],
-)
+@cases("wrong", "says")
 def test_what_is_wrong_in_a_user_s_effect_is_said_of_its_file(tmp_path, wrong, says):
     own = (SCENES / "own_effects" / "black_spot.py").read_text()
     start = own.index("def edit(editor):")
@@ -585,14 +467,7 @@ def test_a_broken_distribution_is_named(distribution, point, module, says):
 
 
 #: Effects that are written for a box.
-OF_A_BOX = {
-    "edge_chamfer",
-    "gap_bubble",
-    "gap_bubble_round",
-    "gap_thickness",
-    "gel_creep",
-    "top_reflector",
-}
+OF_A_BOX = "edge_chamfer gap_bubble gap_bubble_round gap_thickness gel_creep top_reflector".split()
 
 
 @pytest.mark.parametrize("form", ["cylinder", "cylinder_lying", "hexagonal", "pyramid"])

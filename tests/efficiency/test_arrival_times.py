@@ -6,7 +6,7 @@ else is said.
 
 import numpy as np
 import pytest
-from places import SCENES
+from places import SCENES, cases_of
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
@@ -18,6 +18,8 @@ from mcrim_mitsuba.efficiency.noise_free import bench_of
 from mcrim_mitsuba.optics.materials import material
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.simulation import Simulation
+
+cases = cases_of(__file__)
 
 BENCH = SCENES / "camoo4.xml"
 #: chi2 of ten below and above it in one run in 1,000 each, and |z| of one.
@@ -179,18 +181,7 @@ def test_group_indices_are_those_of_the_materials():
     assert not any("stands for the group index" in note for note in found.notes)
 
 
-@pytest.mark.parametrize(
-    ("given", "told"),
-    [
-        ({"group_index": {"glue": 1.5}}, "no medium 'glue'"),
-        ({"group_index": {"crystal": 0.5}}, "is below 1"),
-        ({"group_index": {"crystal": "CaMoO4"}}, "without a wavelength"),
-        ({"group_index": {"crystal": "slow"}}, "slow"),
-        ({"decay_ns": -1.0}, "no decay time"),
-        ({"detected": 0}, "detected is 0"),
-        ({"photons": 1}, "0 of 1 photons are detected"),
-    ],
-)
+@cases("given", "told")
 def test_wrong_input_is_refused(given, told):
     with pytest.raises(InputError, match=told):
         mcrim.arrival_times(BENCH, **{"photons": 1000} | given)

@@ -5,7 +5,7 @@ Random tests have fixed seeds; thresholds are stated where they stand.
 
 import numpy as np
 import pytest
-from places import SCENES
+from places import SCENES, cases_of
 
 import mcrim_mitsuba
 from mcrim_mitsuba.core.errors import InputError
@@ -16,6 +16,8 @@ from mcrim_mitsuba.efficiency.noise_free import solve_benches
 from mcrim_mitsuba.optics.materials import material
 from mcrim_mitsuba.scene.emitted_light import read_light
 from mcrim_mitsuba.scene.scene_file import read_scene
+
+cases = cases_of(__file__)
 
 BENCH = SCENES / "camoo4.xml"
 RAW = SCENES / "camoo4_raw"
@@ -126,16 +128,7 @@ def test_means_are_integrals_over_the_light(tenfold, tmp_path):
     assert made.eta.dims == ("wavelength_nm",) and made.attrs["seed"] == 3
 
 
-@pytest.mark.parametrize(
-    "text, said",
-    [
-        ("wavelength_nm,emission,alpha_abs\n400,1,2\n500,1,2\n", "no parameter 'alpha_abs'"),
-        ("wavelength_nm,emission,efficiency\n400,1,0.2\n500,1,1.2\n", "efficiency = 1.2 is out"),
-        ("wavelength_nm,emission,alpha_abs_per_cm\n400,1,1\n400,1,2\n", "400 nm stands there"),
-        ("wavelength_nm,emission (photons/nm)\n400,0\n500,0\n600,0\n", "no area"),
-        ("wavelength_nm,emission,alpha_scat_per_cm\n400,1,-1\n500,1,2\n", "-1 is out of range"),
-    ],
-)
+@cases("text", "said")
 def test_what_is_wrong_is_said_with_its_place(tmp_path, text, said):
     file = tmp_path / "light.csv"
     file.write_text(text)
@@ -152,10 +145,7 @@ def test_the_command_shows_and_draws_it(tenfold, mcrim, here):
         "300000",
         "--spectrum",
         str(tenfold),
-        "--figure",
-        "picture.png",
-        "--json",
-        "light.json",
+        *"--figure picture.png --json light.json".split(),
     )
     assert said.status == 0 and "what is detected would be off by" in said.out
     assert (here / "picture_spectrum.png").stat().st_size > 20_000

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from places import cases_of
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.polished_box import solve_box
+
+cases = cases_of(__file__)
 
 SCENE = "scenes/camoo4.xml"
 
@@ -65,14 +68,7 @@ def test_a_precision_is_enough_or_is_said_to_be_too_much():
     assert "the precision asked for is 0.0001 %; this method comes to 0.00" in str(too_much)
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"photons": 100}, "follows no photons, and photons was given"),
-        ({"polarization": True}, "knows no polarization"),
-        ({"method": "magic"}, "there is no method magic; take photons or modes"),
-    ],
-)
+@cases("given", "said")
 def test_what_does_not_fit_is_refused(given, said):
     with pytest.raises(InputError, match=said):
         mcrim.simulate(SCENE, **{"method": "modes", **given})

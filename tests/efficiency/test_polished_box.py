@@ -8,12 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from places import cases_of, tables_of
 from scipy.integrate import quad
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.efficiency.box_openings import fresnel
 from mcrim_mitsuba.efficiency.polished_box import _Modes, _nodes, _points, solve_box
+
+cases = cases_of(__file__)
+TABLES = tables_of(__file__)
 
 GEL = Bench(n_gap=1.46)
 THIN_GAP = 1e-9
@@ -167,40 +171,7 @@ def test_a_table_is_its_points(bench):
 
 #: What photons gave: ``mcrim simulate scenes/camoo4.xml --seed SEED``. All together: the family of
 #: 24 comparisons is tested at 1e-3, by Bonferroni at abs(z) < 4.06 each.
-PHOTONS = [
-    # bench, eta, its error, photons, seed
-    ({}, 0.2519318, 1.13e-5, 1e9, 7),
-    ({"n_gap": 1.46}, 0.4334547, 1.23e-5, 1e9, 7),
-    ({"n_gap": 1.46, "crystal_height_mm": 1}, 0.5956437, 1.17e-05, 1e9, 7),
-    ({"crystal_width_mm": 5, "crystal_height_mm": 20}, 0.1941664, 1.02e-05, 1e9, 7),
-    ({"n_gap": 1.46, "alpha_scat_per_cm": 2, "alpha_abs_per_cm": 0.2}, 0.2938414, 1.06e-05, 1e9, 7),
-    ({"gap_mm": 0.5}, 0.2428581, 3.58e-05, 1e8, 11),
-    ({"n_gap": 1.46, "gap_mm": 0.5}, 0.4252153, 3.93e-05, 1e8, 11),
-    ({"gap_mm": 2}, 0.2156695, 3.41e-05, 1e8, 11),
-    ({"n_gap": 1.46, "gap_mm": 2}, 0.4006453, 3.91e-05, 1e8, 11),
-    ({"aperture_radius_mm": 5.2}, 0.1103113, 2.64e-05, 1e8, 11),
-    ({"aperture_radius_mm": 6}, 0.1346114, 2.87e-05, 1e8, 11),
-    ({"n_gap": 1.2, "aperture_radius_mm": 6}, 0.2162669, 3.37e-05, 1e8, 11),
-    ({"n_crystal": 2.2, "n_gap": 1.74}, 0.4459507, 3.93e-05, 1e8, 11),
-    ({"aperture_radius_mm": 4}, 0.0660766, 2.08e-5, 1e8, 5),
-    ({"n_gap": 1.46, "aperture_radius_mm": 4}, 0.1699594, 3.08e-5, 1e8, 5),
-    ({"aperture_radius_mm": 2}, 0.0164590, 1.08e-5, 1e8, 5),
-    ({"gap_mm": 0.5, "aperture_radius_mm": 4}, 0.0650080, 2.06e-5, 1e8, 5),
-    ({"n_gap": 1.46, "gap_mm": 0.5, "aperture_radius_mm": 4}, 0.1680542, 3.09e-5, 1e8, 5),
-    # holes that end near the crystal's edge, and light in the plate that gets out at its edge
-    ({"gap_mm": 0.5, "aperture_radius_mm": 5}, 0.0986557, 2.51e-5, 1e8, 11),
-    ({"n_gap": 1.46, "gap_mm": 0.5, "aperture_radius_mm": 5}, 0.2586639, 3.57e-5, 1e8, 11),
-    ({"gap_mm": 0.5, "aperture_radius_mm": 6}, 0.1262586, 2.79e-5, 1e8, 11),
-    ({"n_gap": 1.53, "gap_mm": 0.8, "aperture_radius_mm": 12}, 0.4309217, 3.88e-5, 1e8, 11),
-    ({"aperture_radius_mm": 20, "window_width_mm": 20}, 0.2216687, 3.46e-05, 1e8, 11),
-    (
-        {"n_gap": 1.46, "alpha_scat_per_cm": 20, "alpha_abs_per_cm": 0.1},
-        0.2667075,
-        3.27e-05,
-        1e8,
-        11,
-    ),
-]
+PHOTONS = TABLES["photons"]
 
 
 @pytest.mark.parametrize(("changed", "eta", "sigma", "photons", "seed"), PHOTONS)
@@ -210,36 +181,7 @@ def test_photons_agree(changed, eta, sigma, photons, seed):
     assert abs(z) < 4.06, f"z = {z:.2f} against {photons:g} photons of seed {seed}"
 
 
-@pytest.mark.parametrize(
-    ("changed", "name"),
-    [
-        ({"polarization": True}, "polarization"),
-        ({"rayleigh_scattering": True}, "rayleigh_scattering"),
-        ({"scattering_g": 0.5}, "scattering_g"),
-        ({"scattering_gradient": 0.5}, "scattering_gradient"),
-        ({"roughness_alpha": 0.1}, "roughness_alpha"),
-        ({"rms_roughness_nm": 5.0}, "rms_roughness_nm"),
-        ({"surface_loss": 0.01}, "surface_loss"),
-        ({"chamfer_mm": 0.2}, "chamfer_mm"),
-        ({"top_reflectance": 0.9}, "top_reflectance"),
-        ({"wrap_reflectance": 0.9}, "wrap_reflectance"),
-        ({"n_gap": 1.46, "gap_absorption_per_cm": 1.0}, "gap_absorption_per_cm"),
-        ({"n_gap": 1.46, "bubble_fraction": 0.1}, "bubble_fraction"),
-        ({"detector_reflectance": 0.1}, "detector_reflectance"),
-        ({"radial_falloff": 0.1}, "radial_falloff"),
-        ({"aperture_at_detector": True}, "aperture_at_detector"),
-        ({"narrow_collar_mm": 1.0}, "narrow_collar_mm"),
-        ({"collar_mm": 1.0}, "collar_mm"),
-        ({"bubble_area_fraction": 0.1}, "bubble_area_fraction"),
-        ({"side_depth_mm": 2.0}, "side_depth_mm"),
-        ({"black_spot_mm": 1.0}, "black_spot_mm"),
-        ({"beam_diameter_mm": 2.0}, "beam_diameter_mm"),
-        ({"n_crystal": 1.5, "n_gap": 1.46}, "n_crystal"),
-        ({"n_window": 1.3}, "n_window"),
-        ({"n_gap": 1.74, "n_crystal": 2.2, "aperture_radius_mm": 7.0}, "aperture_radius_mm"),
-        ({"n_gap": 1.46, "window_width_mm": 12.0}, "window_width_mm"),
-    ],
-)
+@cases("changed", "name")
 def test_what_it_does_not_know_is_refused_in_a_line(changed, name):
     with pytest.raises(InputError, match=name) as refused:
         solve_box(Bench(**changed))

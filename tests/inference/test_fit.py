@@ -275,9 +275,7 @@ def test_surface_refuses_an_error_that_one_photon_makes():
 @cases(
     "changed",
     "says",
-    more=[
-        ({"further": {"reflections": np.zeros(3)}}, "reflections differ in length"),
-    ],
+    more=[({"further": {"reflections": np.zeros(3)}}, "reflections differ in length")],
 )
 def test_records_that_no_simulation_gives(changed, says):
     sound = {

@@ -307,17 +307,7 @@ def test_synthetic_histograms_have_the_mean_that_they_say():
     assert with_pedestal.sum() == pytest.approx(38_000, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    "numbers",
-    [
-        {"mean_photons": 0},
-        {"mean_photons": math.nan},
-        {"mean_photons": 1e6},
-        {"mean_photons": 9, "peak_events": -1},
-        {"mean_photons": 9, "intrinsic_spread": 0.5},
-        {"mean_photons": 9, "dark_photons": math.inf},
-    ],
-)
+@cases("numbers")
 def test_spectra_that_cannot_be_are_refused(numbers):
     with pytest.raises(InputError):
         PhotonSpectrum(**numbers)

@@ -132,14 +132,7 @@ def test_multiple_reflection_is_the_sum_of_its_orders_and_inverts():
             assert internal_transmittance(measured_transmittance(t, n), n) == pytest.approx(t)
 
 
-@cases(
-    "value",
-    "sigma",
-    "text",
-    more=[
-        (0.252, None, "0.252"),
-    ],
-)
+@cases("value", "sigma", "text", more=[(0.252, None, "0.252")])
 def test_pdg_rounding(value, sigma, text):
     assert pdg(value, sigma) == text
 

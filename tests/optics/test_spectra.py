@@ -139,16 +139,7 @@ def test_nothing_is_extrapolated_silently():
     assert "no area" in refusal(weighted_mean, dark, emission)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (([500], [1]), "two points at least"),
-        (([500, 600], [1]), "two points at least"),
-        (([500, 500], [1, 2]), "do not ascend"),
-        (([500, 600], [1, math.nan]), "not finite"),
-        (([500, 600], [1, 2], [0.1, -0.1]), "an error is negative"),
-    ],
-)
+@cases("arguments", "says")
 def test_curves_that_are_none_are_refused(arguments, says):
     assert says in refusal(Spectrum, *arguments)
 

@@ -116,15 +116,7 @@ def simulation(**changes):
 def diagnosis():
     own = {
         name: 1.0
-        for name in (
-            "ndf",
-            "p_value",
-            "delta_chi2",
-            "delta_chi2_sigma",
-            "p_global",
-            "left_out_error",
-            "aicc",
-        )
+        for name in "ndf p_value delta_chi2 delta_chi2_sigma p_global left_out_error aicc".split()
     }
     light = {"light_yield_ph_per_keV": {"value": 7.6, "sigma": 0.8, "change": 0.1}}
     return {

@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 from matplotlib import _pylab_helpers
 from matplotlib.image import imread
-from places import SCENES, tables_of
+from places import SCENES, cases_of, tables_of
 from refusals import refusal
 
 from mcrim_mitsuba.output.cross_section import COLOURS, cross_section_figure, write_cross_section
 from mcrim_mitsuba.transport.check import interfaces_of
 from mcrim_mitsuba.transport.cut import cross_section, masked
 from mcrim_mitsuba.transport.simulation import Simulation
+
+cases = cases_of(__file__)
 
 BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
 
@@ -219,15 +221,7 @@ def test_svg_and_pdf_are_sound(load, tmp_path):
     assert sum(1 for _ in root.iter("{http://www.w3.org/2000/svg}path")) > 50
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("bench.jpg", [".jpg", ".png or .svg or .pdf"]),
-        ("bench", ["without suffix", ".png or .svg or .pdf"]),
-        ("nowhere/bench.png", ["cannot be written", "folder"]),
-        ("folder.png", ["cannot be written"]),
-    ],
-)
+@cases("name", "words")
 def test_refusals_name_the_file_and_say_how_to_mend_it(name, words, load, tmp_path):
     simulation, faces, _ = load("camoo4")
     (tmp_path / "folder.png").mkdir()

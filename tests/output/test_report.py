@@ -29,17 +29,7 @@ SCRIPT = "<script>window.hacked = 1</script>"
 BREAKOUT = "{{7*7}}</pre></style></title>]]>--><svg onload=window.hacked=1> javascript:x"
 BACKWARDS, LONG = "\u202egnp.exe", "A<" * 5000
 LABELS = (f'{SCRIPT} "quoted"', BACKWARDS)
-SECTIONS = [
-    "summary",
-    "measured",
-    "bench",
-    "baseline",
-    "explanations",
-    "repair",
-    "result",
-    "next",
-    "reproduce",
-]
+SECTIONS = "summary measured bench baseline explanations repair result next reproduce".split()
 #: All that the page may hold: nothing that runs, loads or sends.
 ELEMENTS = set(
     "html head meta title style body header main section nav h1 h2 h3 p a br ol ul li dl dt dd "

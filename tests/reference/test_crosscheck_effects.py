@@ -9,6 +9,7 @@ import dataclasses
 import math
 
 import pytest
+from places import cases_of
 from refusals import refusal
 from scipy.special import ndtri
 from validate import benches
@@ -22,6 +23,8 @@ from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
 from mcrim_mitsuba.transport.simulation import Simulation
+
+cases = cases_of(__file__)
 
 #: The last size of every effect, in the second of its configurations.
 CASES = {case.effect: case for case in benches.effect_cases()}
@@ -74,18 +77,7 @@ def test_beams_and_rough_faces_are_the_same_in_both_programs():
     assert {name: z for name, z in scores.items() if abs(z) > limit} == {}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        *TOLD_APART,
-        "edge_chamfer",
-        "polarization",
-        "photocathode_film",
-        "detector_specular",
-        "mask_offset",
-        "housing_reflection",
-    ],
-)
+@cases("name", more=[*TOLD_APART])
 def test_an_effect_is_read_from_the_scene_of_the_bench_and_of_the_beam(name, scenes):
     bench = read_scene(scenes / "camoo4.xml")
     bench = bench.edited(add(name, bench))
@@ -122,26 +114,14 @@ def test_the_shipped_beam_is_compared(scenes):
     found = crosscheck(
         scenes / "spectrophotometer.xml", {"acceptance_deg": 30.0}, run=Run(20_000, seed=4)
     )
-    assert found.agrees and [row.quantity for row in found.rows] == [
-        "eta",
-        "absorbed_surface",
-        "escaped",
-        "absorbed_crystal",
-    ]
+    assert (
+        found.agrees
+        and [row.quantity for row in found.rows]
+        == "eta absorbed_surface escaped absorbed_crystal".split()
+    )
 
 
-@pytest.mark.parametrize(
-    ("written", "instead", "words"),
-    [
-        ('name="diameter" value="$beam_diameter_mm"', 'name="diameter" value="2"', "its emitter"),
-        ('value="$acceptance_deg"', 'value="2"', "detector"),
-        (
-            'name="polarization" value="$polarization"',
-            'name="polarization" value="true"',
-            "its polarization",
-        ),
-    ],
-)
+@cases("written", "instead", "words")
 def test_a_beam_of_other_numbers_than_its_parameters_is_refused(
     written, instead, words, scenes, tmp_path
 ):

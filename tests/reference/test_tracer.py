@@ -14,15 +14,7 @@ from comparisons import assert_compatible
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.efficiency.bench import Bench
-from mcrim_mitsuba.reference.geometry import (
-    BOTTOM,
-    TOP,
-    Box,
-    Layout,
-    Place,
-    box,
-    dot,
-)
+from mcrim_mitsuba.reference.geometry import BOTTOM, TOP, Box, Layout, Place, box, dot
 from mcrim_mitsuba.reference.interface import (
     amplitudes,
     basis,

@@ -11,6 +11,7 @@ import math
 import numpy as np
 import pytest
 from comparisons import assert_compatible, assert_same_eta
+from places import cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.efficiency.bench import Bench
@@ -18,6 +19,8 @@ from mcrim_mitsuba.reference.flight import Flights
 from mcrim_mitsuba.reference.geometry import Place, dot
 from mcrim_mitsuba.reference.interface import lambertian, scatter_by_haze, unpolarised_reflectance
 from mcrim_mitsuba.reference.tracer import trace
+
+cases = cases_of(__file__)
 
 BEAM = {"beam_diameter_mm": 3.0, "alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.02}
 
@@ -201,8 +204,7 @@ def test_rough_faces_one_by_one_are_all_faces():
 
 
 @pytest.mark.parametrize(
-    ("axis", "unseen"),
-    [("x", ("top", "bottom")), ("y", ("top", "bottom")), ("z", ("side",))],
+    ("axis", "unseen"), [("x", ("top", "bottom")), ("y", ("top", "bottom")), ("z", ("side",))]
 )
 def test_a_beam_meets_the_faces_that_it_goes_through(axis, unseen):
     bench = Bench(**BEAM, beam_axis=axis, acceptance_deg=30.0)
@@ -232,29 +234,7 @@ def test_a_chamfer_takes_what_it_covers_from_a_wide_beam():
     assert_compatible(found.eta, found.eta_sigma, expected.mean(), error)
 
 
-@pytest.mark.parametrize(
-    ("own", "air", "gel", "error"),
-    [
-        (
-            {"alpha_scat_per_cm": 0.03, "alpha_abs_per_cm": 0.02, "roughness_alpha": 0.05},
-            0.2775,
-            0.4773,
-            2e-4,
-        ),
-        (
-            {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0.001, "top_roughness_alpha": 0.22},
-            0.369,
-            0.590,
-            1e-3,
-        ),
-        (
-            {"alpha_scat_per_cm": 0.05, "alpha_abs_per_cm": 0.001, "top_roughness_alpha": 0.4},
-            0.368,
-            0.578,
-            1e-3,
-        ),
-    ],
-)
+@cases("own", "air", "gel", "error")
 def test_the_numbers_of_another_tracer(own, air, gel, error):
     """A third program's efficiencies, with their errors."""
     for number, (n_gap, expected) in enumerate(((1.0, air), (1.46, gel))):
@@ -281,18 +261,6 @@ def test_polarisation_is_nothing_to_normal_incidence():
     assert_same_eta(polarised, trace(bench, 60_000, 15))
 
 
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ({"beam_diameter_mm": 10.0}, "less than the crystal's side, 10 mm"),
-        ({"beam_diameter_mm": 5.0, "crystal_height_mm": 4.0}, "side, 4 mm"),
-        ({"beam_diameter_mm": 0.0}, "a finite number above 0"),
-        ({"beam_axis": "w"}, "give x or y or z"),
-        ({"acceptance_deg": 91.0}, "a number from 0 to 90"),
-        ({"beam_diameter_mm": 3.0, "top_reflectance": 0.9}, "no top_reflectance in a beam"),
-        ({"roughness_alpha": 0.1, "side_roughness_alpha": 0.1}, "where all faces are rough"),
-        ({"rms_roughness_nm": -1.0}, "a number from 0 to 200"),
-    ],
-)
+@cases("wrong", "words")
 def test_benches_that_cannot_be(wrong, words):
     assert words in refusal(lambda: Bench.from_parameters(wrong))

@@ -12,7 +12,7 @@ import math
 import numpy as np
 import pytest
 from comparisons import assert_compatible, assert_same_eta
-from places import cases_of
+from places import cases_of, tables_of
 from scipy import special
 
 from mcrim_mitsuba.core.errors import InputError
@@ -38,6 +38,7 @@ from mcrim_mitsuba.reference.interface import cathode_index as own_cathode_index
 from mcrim_mitsuba.reference.tracer import trace
 
 cases = cases_of(__file__)
+TABLES = tables_of(__file__)
 
 CLEAR = {"alpha_scat_per_cm": 0.0, "alpha_abs_per_cm": 0.0}
 MATCHED = {"n_crystal": 1.0, "n_gap": 1.0, "n_window": 1.0}
@@ -204,20 +205,7 @@ def _facets(view, alpha, beckmann=False):
 
 
 @pytest.mark.parametrize("beckmann", [False, True])
-@pytest.mark.parametrize(
-    ("alpha", "angle"),
-    [
-        (0.05, 1.0),
-        (0.3, 1.0),
-        (0.05, 40.0),
-        (0.3, 40.0),
-        (0.05, 85.0),
-        (0.3, 85.0),
-        (0.3, 91.0),
-        (0.3, 100.0),
-        (0.6, 120.0),
-    ],
-)
+@cases("alpha", "angle")
 def test_visible_normals_have_heitzs_distribution(alpha, angle, beckmann):
     """Also those that light sees which flies up, away from the face."""
     angle = math.radians(angle)
@@ -641,42 +629,14 @@ def test_histories_of_an_open_mask_predict_every_aperture(gap, at_detector, offs
 
 # ---------------------------------------------------------------- all of them
 
-EFFECTS = {
-    "scattering_g": 0.8,
-    "rayleigh_scattering": True,
-    "scattering_gradient": -1.0,
-    "scattering_exponent": 4.0,
-    "source_depth_mm": 0.5,
-    "side_depth_mm": 0.5,
-    "roughness_alpha": 0.3,
-    "surface_loss": 0.05,
-    "n_crystal": 1.91,
-    "gap_index_offset": 0.1,
-    "gap_offset_mm": -0.04,
-    "gap_absorption_per_cm": 20.0,
-    "bubble_fraction": 0.4,
-    "collar_mm": 2.0,
-    "bubble_area_fraction": 0.5,
-    "top_reflectance": 0.95,
-    "detector_reflectance": 0.5,
-    "angular_falloff": 1.0,
-    "radial_falloff": 1.0,
-    "aperture_at_detector": True,
-    "chamfer_mm": 0.7,
-    "detector_specular": 0.3,
-    "mask_offset_mm": 2.0,
-    "housing_reflectance": 0.2,
-}
+EFFECTS = TABLES["effects"]
 
 
 @pytest.mark.parametrize("polarization", [False, True])
 @pytest.mark.parametrize("gap", [{}, GEL], ids=["air", "gel"])
 def test_nothing_is_ever_lost(gap, polarization):
     excluded = (
-        "rayleigh_scattering",
-        "side_depth_mm",
-        "gap_absorption_per_cm",
-        "bubble_area_fraction",
+        "rayleigh_scattering side_depth_mm gap_absorption_per_cm bubble_area_fraction".split()
     )
     everything = {name: size for name, size in EFFECTS.items() if name not in excluded}
     alone = [{name: size} for name, size in EFFECTS.items()]
@@ -715,13 +675,7 @@ def test_fields_stay_transverse_whatever_is_met():
     assert met == {Place.CRYSTAL, Place.GAP, Place.WINDOW, Place.OUTSIDE}
 
 
-@cases(
-    "wrong",
-    more=[
-        {"alpha_scat_per_cm": None},
-        {"roughness_alpha": None},
-    ],
-)
+@cases("wrong", more=[{"alpha_scat_per_cm": None}, {"roughness_alpha": None}])
 def test_bench_refuses_values_that_cannot_be(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         Bench.from_parameters(wrong)

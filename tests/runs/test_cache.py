@@ -16,10 +16,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.runs import cache_files as housekeeping
 from mcrim_mitsuba.runs.cache import RecordCache, cache_folder, record_versions, size_limit_bytes
+
+cases = cases_of(__file__)
 
 KEY = {"scene": "0a1b", "seed": 7, "plan": {"alpha_scat_per_mm": [0.01, 0.1], "lanes": 65536}}
 
@@ -444,15 +447,7 @@ def test_where_the_cache_lies(tmp_path, monkeypatch):
         assert cache.read(0) is cache.folder is cache.trouble is None
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "problem"),
-    [
-        ("MCRIM_CACHE", "FILE", "it is not a folder"),
-        ("MCRIM_CACHE", "FILE/below", "Not a directory"),
-        ("MCRIM_CACHE", "~no_such_user/cache", "home"),
-        *(("MCRIM_CACHE_GB", size, "no size") for size in ("many", "0", "-1", "nan", "inf", "5GB")),
-    ],
-)
+@cases("name", "value", "problem")
 def test_a_wrong_setting_is_refused_in_one_line(tmp_path, monkeypatch, name, value, problem):
     (tmp_path / "file").touch()
     monkeypatch.setenv("MCRIM_CACHE", str(tmp_path))

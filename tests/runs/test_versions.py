@@ -13,14 +13,7 @@ from pathlib import Path
 import pytest
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.effects import (
-    crystal,
-    crystal_faces,
-    detector,
-    gap,
-    readings,
-    surroundings,
-)
+from mcrim_mitsuba.effects import crystal, crystal_faces, detector, gap, readings, surroundings
 from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.effects.effect import Effect, modules_of
 from mcrim_mitsuba.efficiency.eta_grid import TableUnit

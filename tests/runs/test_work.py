@@ -100,22 +100,8 @@ def test_parts_of_an_array_job_merge_to_the_same_digits(scenes, tmp_path, whole,
     ]
     assert len(made) > 10
     # nobody may mix in parts of something else
-    assert (
-        main(
-            [
-                "table",
-                str(scenes / "camoo4.xml"),
-                *TABLE,
-                "--seed",
-                "1",
-                "-o",
-                str(path),
-                *parts,
-                "1/3",
-            ]
-        )
-        == 2
-    )
+    line = ["table", str(scenes / "camoo4.xml"), *TABLE, "--seed", "1", "-o", str(path)]
+    assert main([*line, *parts, "1/3"]) == 2
     assert "parts of another command" in capsys.readouterr().err
     command = json.loads((tmp_path / "units" / "command.json").read_text())
     command["versions"]["mitsuba"] = "3.9.0"

@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
-from places import SCENES
+from places import SCENES, cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.optics.spectrum import Spectrum
@@ -19,6 +19,8 @@ from mcrim_mitsuba.scene.spectrophotometer import (
     spectrophotometer_of,
     too_wide,
 )
+
+cases = cases_of(__file__)
 
 BENCH = SCENES / "camoo4.xml"
 
@@ -67,10 +69,7 @@ def test_a_plan_is_put_together_when_it_is_needed(bench):
 
 def test_the_beam_s_scene_is_the_crystal_alone_in_air(bench):
     derived = spectrophotometer_of(bench.with_overrides({"n_gap": 1.46, "n_crystal": 1.9}))
-    assert {shape.get("id") for shape in derived.parts.shapes} >= {
-        "crystal_top",
-        "beam_detector",
-    }
+    assert {shape.get("id") for shape in derived.parts.shapes} >= {"crystal_top", "beam_detector"}
     assert not any("window" in (shape.get("id") or "") for shape in derived.parts.shapes)
     faces = [indices_of(derived, shape) for shape in derived.parts.shapes]
     assert set(faces) == {(1.9, 1.0), None}
@@ -89,15 +88,7 @@ def test_a_bench_whose_liquid_has_no_name_has_no_beam(tmp_path):
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "says"),
-    [
-        ("beam_axis", "w", "give x, y or z"),
-        ("acceptance_deg", 0.0, "give degrees: 1 to 7 in most instruments, 90 for an integrating"),
-        ("acceptance_deg", 91.0, "give degrees"),
-        ("beam_diameter_mm", 0.0, "give the beam's width in mm"),
-    ],
-)
+@cases("name", "value", "says")
 def test_beams_that_no_instrument_has(name, value, says):
     assert refused_of_beam(name, value)[1].startswith(says)
     assert refused_of_beam(name, BEAM_PARAMETERS[name]) is None
@@ -140,15 +131,7 @@ def test_light_is_weighed_and_parted_into_colours(bench, tmp_path):
     assert flat.mean_nm == pytest.approx(500.0)
 
 
-@pytest.mark.parametrize(
-    ("header", "row", "says"),
-    [
-        ("wavelength_nm,emission (photons/nm),gapp_mm", "500,1,1", "has no parameter 'gapp_mm'"),
-        ("wavelength_nm,emission (photons/nm),efficiency", "500,1,2", "efficiency = 2 is out of"),
-        ("wavelength_nm,emission (photons/nm)", "400,1", "400 nm stands there twice"),
-        ("wavelength_nm,emission", "500,1", "photons or power per nm"),
-    ],
-)
+@cases("header", "row", "says")
 def test_a_table_of_light_that_cannot_be_used(bench, tmp_path, header, row, says):
     first = "400,1,0.5"[: len(row) if "," in row[4:] else 5]
     (tmp_path / "light.csv").write_text(f"{header}\n{first}\n{row}\n")

@@ -4,13 +4,15 @@ import difflib
 from pathlib import Path
 
 import pytest
-from places import SCENES
+from places import SCENES, cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.xml_tree import Node
+
+cases = cases_of(__file__)
 
 BENCH = SCENES / "camoo4.xml"
 
@@ -219,21 +221,7 @@ def test_what_is_no_utf_8_is_not_edited(tmp_path):
         edited(text.encode("latin-1"), tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "part", "says"),
-    [
-        ('type="scintillation"', 'type="area"', "emitter", "the scene has no scintillation"),
-        ('<ref id="crystal"/>', "", "crystal", "names no medium of type bulk"),
-        ('type="photodetector"', 'type="diffuse"', "detectors", "has no photodetector"),
-        (
-            '<ref name="interior" id="crystal"/>',
-            "",
-            "crystal_faces",
-            "no shape borders the crystal",
-        ),
-        ('<ref name="exterior" id="gap"/>', "", "gap", "0 media of type bulk touch the crystal"),
-    ],
-)
+@cases("old", "new", "part", "says")
 def test_a_bench_without_a_part_is_refused_with_the_mend(tmp_path, old, new, part, says):
     text = BENCH.read_text()
     assert old in text

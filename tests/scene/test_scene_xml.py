@@ -8,12 +8,7 @@ from places import cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.runs.scene_units import PortableScene
-from mcrim_mitsuba.scene.scene_file import (
-    DefaultParameter,
-    SceneFile,
-    parse_define,
-    read_scene,
-)
+from mcrim_mitsuba.scene.scene_file import DefaultParameter, SceneFile, parse_define, read_scene
 
 cases = cases_of(__file__)
 
@@ -136,9 +131,7 @@ def test_an_edited_text_stands_for_the_file(tmp_path):
     "text",
     "place",
     "says",
-    more=[
-        (b"<scene version='3.0.0'>\n<a b='\xe9'/></scene>", "line 2", "UTF-8"),
-    ],
+    more=[(b"<scene version='3.0.0'>\n<a b='\xe9'/></scene>", "line 2", "UTF-8")],
 )
 def test_bad_scenes_are_refused_in_one_line(tmp_path, text, place, says):
     refused = refusal(read_scene, write(tmp_path, text))

@@ -1,6 +1,7 @@
 """Values of scene parameters from texts: one, a list, or a material's index."""
 
 import pytest
+from places import cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.scene import values
@@ -12,35 +13,16 @@ from mcrim_mitsuba.scene.values import (
     read_index,
 )
 
+cases = cases_of(__file__)
 
-@pytest.mark.parametrize(
-    ("name", "text", "value"),
-    [
-        ("gap_mm", "1", 1.0),
-        ("n_gap", "1", 1.0),
-        ("max_depth", "100", 100),
-        ("polarization", "True", True),
-        ("axis", "x", "x"),
-        ("size", "1e3", 1000.0),
-        ("n_crystal", "CaMoO4@540nm", 2.00562),
-    ],
-)
+
+@cases("name", "text", "value")
 def test_a_value_is_of_the_kind_that_its_text_shows(name, text, value):
     parsed = parse_value(name, text)
     assert parsed == value and type(parsed) is type(value)
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "example", "value"),
-    [
-        ("max_depth", "10.0", 100, 10),
-        ("max_depth", "10.5", 100, 10.5),
-        ("size", "10", 1.5, 10.0),
-        ("polarization", "FALSE", True, False),
-        ("axis", "1", "x", "1"),
-        ("n_gap", "BK7@540nm", 1.0, 1.51904),
-    ],
-)
+@cases("name", "text", "example", "value")
 def test_another_value_is_of_the_scene_s_kind(name, text, example, value):
     parsed = parse_like(name, text, example)
     assert parsed == pytest.approx(value, abs=1e-4) and type(parsed) is type(value)
@@ -83,47 +65,18 @@ def test_an_index_over_an_emission(scenes):
     assert index.group_index == pytest.approx(at.group_index, abs=0.05)
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("Glas@540nm", "no material is called 'Glas'; known are: CaMoO4"),
-        ("BK7", "names a material without a wavelength; write BK7@540nm"),
-        ("BK7@540", "gives the wavelength without its unit; write it in nm: BK7@540nm"),
-        ("BK7@0.54um", "gives the wavelength in 'um'"),
-        ("BK7@no.csv", "names neither a wavelength nor a file"),
-        ("BK7@9999nm", "the index of BK7 is known from"),
-    ],
-)
+@cases("text", "says")
 def test_a_material_that_says_no_index_is_refused(text, says):
     refused = refusal(read_index, f"n_gap = '{text}'", text, path="bench.xml", line=3)
     assert refused.startswith("bench.xml, line 3: ") and says in refused
 
 
-@pytest.mark.parametrize(
-    ("text", "numbers"),
-    [
-        ("0.1, 0.5", [0.1, 0.5]),
-        ("1:2:3", [1.0, 1.5, 2.0]),
-        ("log:0.01:1:3", [0.01, 0.1, 1.0]),
-        ("0,1;0,5", [0.1, 0.5]),
-        ("1.0,BK7@540nm", [1.0, 1.51904]),
-    ],
-)
+@cases("text", "numbers")
 def test_lists(text, numbers):
     assert parse_list("--n-gap", text, "n_gap") == pytest.approx(numbers, rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("", "--x is empty; give 0.1,0.5 or start:stop:count"),
-        ("1:2", "is not a range"),
-        ("1:2:0", "the count '0' is not a whole number above 0"),
-        ("log:0:1:3", "a logarithmic range cannot touch 0"),
-        ("0,039", "'039' begins with 0, as after a decimal comma; write 0.039"),
-        ("1,BK7@540nm", "is not a finite number"),
-    ],
-)
+@cases("text", "says")
 def test_lists_that_are_none(text, says):
     assert says in refusal(parse_list, "--x", text, "gap_mm")
 

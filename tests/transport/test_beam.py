@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from places import SCENES
+from places import SCENES, cases_of
 from refusals import refusal
 from scipy.special import ndtri
 
@@ -13,6 +13,8 @@ from mcrim_mitsuba.optics.slab_transmittance import measured_transmittance, tran
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.spectrophotometer import scattered_share, spectrophotometer_of
 from mcrim_mitsuba.transport.simulation import Simulation
+
+cases = cases_of(__file__)
 
 BEAM = SCENES / "spectrophotometer.xml"
 PAIRS = [(s, a) for s in (0.0, 0.02, 0.1, 0.5) for a in (0.005, 0.05, 0.2)]
@@ -71,12 +73,9 @@ def test_effects_of_the_bench_alone_leave_the_beam_as_it_is():
             "crystal_index",
         )
     }
-    assert [name for name, is_seen in seen.items() if is_seen] == [
-        "surface_haze",
-        "side_roughness",
-        "scattering_gradient",
-        "crystal_index",
-    ]
+    assert [
+        name for name, is_seen in seen.items() if is_seen
+    ] == "surface_haze side_roughness scattering_gradient crystal_index".split()
 
 
 def test_what_the_liquid_does_is_not_seen_by_the_beam():
@@ -134,13 +133,6 @@ def test_where_the_closed_form_holds_and_how_well():
         assert scattered_share(edited, 5.0) is None
 
 
-@pytest.mark.parametrize(
-    ("overrides", "words"),
-    [
-        ({"beam_diameter_mm": 10.5}, "the beam is 10.5 mm wide, and the crystal's side 10 mm"),
-        ({"beam_axis": "w"}, "axis is 'w'; give x, y or z"),
-        ({"acceptance_deg": 95.0}, "acceptance_deg is 95; give 0 to 90"),
-    ],
-)
+@cases("overrides", "words")
 def test_what_no_spectrophotometer_is(overrides, words):
     assert words in refusal(lambda: Simulation(BEAM, overrides))

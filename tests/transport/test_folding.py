@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from places import cases_of
 
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.scene.scene_file import read_scene
@@ -21,6 +22,8 @@ from mcrim_mitsuba.transport.folding import (
     wall_folds,
 )
 from mcrim_mitsuba.transport.simulation import Simulation
+
+cases = cases_of(__file__)
 
 GEL = {"n_gap": 1.46}
 
@@ -38,36 +41,11 @@ def folded(scenes):
     return load
 
 
-@pytest.mark.parametrize(
-    ("crystal", "effects", "axes", "wall"),
-    [
-        ("", (), (0, 1, 2), False),
-        ("_wrapped", (), (0, 1, 2), False),
-        ("_hexagonal", (), (2,), False),
-        ("_pyramid", (), (), False),
-        ("_cylinder", (), (2,), True),
-        ("_cylinder_lying", (), (0,), True),
-        # the strength of scattering depends on the height
-        ("", ("scattering_gradient",), (0, 1), False),
-        ("_cylinder", ("scattering_gradient",), (), True),
-        ("_cylinder_lying", ("scattering_gradient",), (0,), False),
-        # a rough top is met every time, but not what is across from it
-        ("", ("top_roughness",), (0, 1, 2), False),
-        ("", ("side_roughness",), (2,), False),
-        ("", ("surface_roughness",), (), False),
-        ("", ("surface_haze",), (), False),
-        ("", ("surface_absorption",), (), False),
-        # faces in parts, of which the one that reflects least decides
-        ("", ("gap_bubble_round", "top_reflector"), (0, 1, 2), False),
-        ("", ("gel_creep",), (0, 1, 2), False),
-        # bevels are across no axis
-        ("", ("edge_chamfer",), (), False),
-    ],
-)
+@cases("crystal", "effects", "axes", "wall")
 def test_flights_pass_over_what_only_reflects(folded, crystal, effects, axes, wall):
     simulation = folded(crystal, *effects)
     (solid,) = (s for s in convex_solids(simulation.model) if s.volume == simulation.crystal.volume)
-    assert folded_axes(simulation.model, solid) == axes
+    assert list(folded_axes(simulation.model, solid)) == axes
     assert wall_folds(simulation.model, solid) == wall
     path = simulation.launcher().path.folded
     assert isinstance(path, FoldedBody) if axes or wall else path is None

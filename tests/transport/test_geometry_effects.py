@@ -212,15 +212,7 @@ def test_nonsense_is_refused_in_one_line(write, tmp_path, shape, words):
 
 
 @pytest.mark.parametrize("n_gap", [1.0, 1.46])
-@pytest.mark.parametrize(
-    ("effects", "overrides"),
-    [
-        (("chamfer", "bubble", "thickness", "reflector"), {}),
-        (("chamfer", "bubble"), {"bubble_fraction": 0.02, "chamfer_mm": 1.0}),
-        (("chamfer",), {"crystal_height_mm": 2, "chamfer_mm": 0.01}),
-        (("creep", "chamfer"), {"crystal_height_mm": 2}),
-    ],
-)
+@cases("effects", "overrides")
 def test_scenes_with_effects_are_sound(write, effects, overrides, n_gap):
     report = check_scene(write(*effects), overrides | {"n_gap": n_gap}, light=False)
     assert report.ok, report.problems
@@ -231,69 +223,17 @@ def test_scenes_with_effects_are_sound(write, effects, overrides, n_gap):
     assert "transport: fast path for flat faces" in report.words
 
 
-POLISH = '<bsdf type="polish" id="{}"><float name="int_offset" value="0.02"/>'
+def replaced(text: str, name: str, old: str, new: str) -> str:
+    """An edit of a shape in the text, or anywhere where none is named; an old text of "" is all."""
+    where = shape(text, name) if name else text
+    assert old in where
+    return text.replace(where, where.replace(old or where, new))
 
 
-def without(name: str):
-    return lambda text: text.replace(shape(text, name), "")
-
-
-def replaced(old: str, new: str, name: str = ""):
-    """An edit of the text, or of one shape in it."""
-
-    def edit(text: str) -> str:
-        where = shape(text, name) if name else text
-        assert old in where
-        return text.replace(where, where.replace(old, new))
-
-    return edit
-
-
-DOWN = '<scale z="-1"/><translate z="$gap_offset_mm"/><scale z="-1"/>'
-
-
-@pytest.mark.parametrize(
-    ("effects", "edit", "kinds", "words"),
-    [
-        (("chamfer",), without("gap_top_rim"), ["missing_face"], ["gap", "z = 0 mm"]),
-        (("chamfer",), without("crystal_chamfers"), ["missing_face"], ["crystal"]),
-        (
-            ("chamfer",),
-            replaced('"leg" value="$chamfer_mm"', '"leg" value="0.41"'),
-            ["leak", "missing_face"],
-            ["crystal"],
-        ),
-        (("bubble",), without("window_under_bubble"), ["missing_face"], ["window", "z = -0.05"]),
-        (
-            ("bubble",),
-            replaced('"cut" value="$bubble_fraction"', '"cut" value="0"', "gap_sides"),
-            ["missing_face"],
-            ["gap"],
-        ),
-        (
-            ("bubble",),
-            replaced('"keep" value="before"', '"keep" value="beyond"'),
-            ["overlap"],
-            ["lie on each other"],
-        ),
-        (
-            ("thickness",),
-            replaced(DOWN, '<translate z="$gap_offset_mm"/>', "window_under_gap"),
-            ["missing_face"],
-            ["gap"],
-        ),
-        (
-            ("bubble",),
-            replaced('<bsdf type="dielectric" id="gap_to_air">', POLISH.format("gap_to_air")),
-            ["index"],
-            ["gap", "1.48", "1.46"],
-        ),
-    ],
-    ids=["no_rim", "no_chamfers", "leg", "no_bubble_face", "no_cut", "twice", "up", "offset"],
-)
-def test_planted_faults_are_found(tmp_path, effects, edit, kinds, words):
+@cases("effect", "edit", "kinds", "words")
+def test_planted_faults_are_found(tmp_path, effect, edit, kinds, words):
     path = tmp_path / "scene.xml"
-    path.write_text(edit(text_of(*effects)), encoding="utf-8")
+    path.write_text(replaced(text_of(effect), *edit), encoding="utf-8")
     problem = check_scene(path, {"n_gap": 1.46}, light=False).problems[0]
     assert problem.kind in kinds, problem
     assert all(word in problem.text for word in words), problem

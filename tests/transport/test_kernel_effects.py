@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 import pytest
 from comparisons import assert_compatible, assert_same_light, eta_slope
-from places import tables_of
+from places import cases_of, tables_of
 from scipy.integrate import quad
 from scipy.stats import kstest
 
@@ -30,6 +30,9 @@ from mcrim_mitsuba.transport.record_store import COLUMNS, TrailStore
 from mcrim_mitsuba.transport.simulation import Simulation
 from mcrim_mitsuba.transport.variants import use_variant
 
+cases = cases_of(__file__)
+TABLES = tables_of(__file__)
+
 Z = 4.0
 GEL = {"n_gap": 1.46}
 KNOWN = catalogue()
@@ -38,7 +41,7 @@ NO_MASK = {"aperture_radius_mm": 30}
 
 _CRYSTAL = '<float name="alpha_abs_per_cm" value="$alpha_abs_per_cm"/>\n'
 #: Effects of the catalogue, by the words below, and their sizes.
-EFFECTS = tables_of(__file__)["effects"]
+EFFECTS = TABLES["effects"]
 #: A crystal in which all light is detected: its faces are the detector.
 BOX = """<scene version="3.0.0">
   <default name="alpha_scat_per_cm" value="3"/><default name="q" value="0"/>
@@ -279,26 +282,7 @@ def test_facets_are_drawn_as_they_are_seen(cosine, alpha, beckmann):
 
 
 #: Roughness, negative of Beckmann's facets, and heights in nm, of faces in equilibrium.
-FACES = [
-    (0.02, 0),
-    (0.1, 0),
-    (0.2, 0),
-    (0.3, 0),
-    (0.45, 0),
-    (0.6, 0),
-    (1.0, 0),
-    (-0.02, 0),
-    (-0.1, 0),
-    (-0.2, 0),
-    (-0.3, 0),
-    (-0.45, 0),
-    (-0.6, 0),
-    (-1.0, 0),
-    (0, 2),
-    (0, 10),
-    (0, 30),
-    (0.2, 15),
-]
+FACES = TABLES["faces"]
 
 
 @pytest.mark.parametrize("contrast", [(2.01, 1.0), (2.01, 1.46), (1.82, 1.0003), (1.46, 1.0)])
@@ -532,16 +516,7 @@ DARK_BOX = """<scene version="3.0.0">
 OWN_INDEX = '<float name="cathode_n" value="2.5"/><float name="cathode_k" value="0.3"/>'
 
 
-@pytest.mark.parametrize(
-    ("polarization", "general", "index"),
-    [
-        ("false", False, ""),
-        ("false", True, ""),
-        ("true", False, ""),
-        ("true", True, ""),
-        ("false", False, OWN_INDEX),
-    ],
-)
+@cases("polarization", "general", "index", more=[("false", False, OWN_INDEX)])
 def test_straight_light_on_a_photocathode(tmp_path, polarization, general, index):
     turns = [
         "",
@@ -710,18 +685,7 @@ def test_half_an_index_of_a_photocathode_is_refused(tmp_path):
         Simulation(path, check=False)
 
 
-@pytest.mark.parametrize(
-    ("effects", "name", "value", "message"),
-    [
-        ("depth", "source_depth_mm", -1, "source_depth_mm is -1; give a positive number"),
-        ("side", "side_depth_mm", 0, "side_depth_mm is 0; give a positive number"),
-        ("polish", "roughness_alpha", -0.1, "roughness_alpha is -0.1; give 0 to 1"),
-        ("polish", "surface_loss", 1.5, "surface_loss is 1.5; give 0 to 1"),
-        ("detector", "detector_reflectance", 1.2, "reflectance is 1.2; give 0 to 1"),
-        ("film", "cathode_nm", -1, "cathode_nm is -1; give 0 to 200"),
-        ("housing", "housing_reflectance", 1.2, "reflectance is 1.2; give 0 to 1"),
-    ],
-)
+@cases("effects", "name", "value", "message")
 def test_impossible_values_are_refused(bench, effects, name, value, message):
     with pytest.raises(InputError, match=message):
         bench(effects, {name: value})

@@ -8,10 +8,12 @@ import tomllib
 
 import pytest
 from packaging.requirements import Requirement
-from places import ROOT
+from places import ROOT, cases_of
 from refusals import refusal
 
 from mcrim_mitsuba.transport import variants as llvm
+
+cases = cases_of(__file__)
 
 LIBRARY = "the library"
 KARELLEN, NANOBIND = "karellen_llvm_core-23.1.4", "llvm_nanobind-21.1.6.3"
@@ -71,18 +73,7 @@ def test_without_a_wheel_the_line_names_that_of_every_system(installed):
     assert all(f"pip install {wheel}" in line for wheel in llvm.WHEELS)
 
 
-@pytest.mark.parametrize(
-    ("system", "machine", "python", "wheels"),
-    [
-        ("linux", "x86_64", "3.11", ["karellen-llvm-core"]),
-        ("linux", "x86_64", "3.13", ["karellen-llvm-core"]),
-        ("linux", "aarch64", "3.12", ["llvm-nanobind"]),
-        ("darwin", "arm64", "3.12", ["llvm-nanobind"]),
-        ("win32", "AMD64", "3.14", ["llvm-nanobind"]),
-        ("win32", "AMD64", "3.11", []),  # there is none that could be installed
-        ("darwin", "x86_64", "3.12", []),  # nor a Mitsuba
-    ],
-)
+@cases("system", "machine", "python", "wheels")
 def test_one_wheel_brings_llvm_to_every_system(system, machine, python, wheels):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     here = {"sys_platform": system, "platform_machine": machine, "python_version": python}

@@ -13,7 +13,7 @@ import drjit as dr
 import numpy as np
 import pytest
 from comparisons import assert_compatible
-from places import BALL, ROOT
+from places import BALL, ROOT, cases_of
 from scipy.stats import chisquare
 
 from mcrim_mitsuba.core.errors import InputError
@@ -23,6 +23,8 @@ from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.bulk import lane_generators
 from mcrim_mitsuba.transport.simulation import Simulation
 from mcrim_mitsuba.transport.variants import ENVIRONMENT_VARIABLE, selected_llvm, use_variant
+
+cases = cases_of(__file__)
 
 SCAT, ABS = "crystal.alpha_scat_per_cm", "crystal.alpha_abs_per_cm"
 PAGE = (ROOT / "docs" / "mitsuba.md").read_text()
@@ -52,16 +54,7 @@ def sampled(mi, emitter, count=50_000):
     return sample(0.0, one, mi.Point2f(*four[:2]), mi.Point2f(*four[2:]), True)[:2]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "camoo4.xml",
-        "camoo4_mask_at_detector.xml",
-        "camoo4_wrapped.xml",
-        "cawo4.xml",
-        "spectrophotometer.xml",
-    ],
-)
+@cases("name")
 def test_mitsuba_renders_a_shipped_scene(mi, load, scenes, name):
     scene = load(name)
     assert "LightMeter" in str(scene)

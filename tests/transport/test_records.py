@@ -15,6 +15,7 @@ import drjit as dr
 import numpy as np
 import pytest
 from comparisons import eta_slope
+from places import tables_of
 from refusals import refusal
 from scipy.stats import chi2, norm
 
@@ -48,22 +49,11 @@ from mcrim_mitsuba.transport.launch_plan import (
 from mcrim_mitsuba.transport.simulation import Simulation
 from mcrim_mitsuba.transport.variants import use_variant
 
+TABLES = tables_of(__file__)
+
 COUPLINGS = (1.0, 1.46)
 #: From little to much of both, and the article's own values among them.
-PAIRS = [
-    (0.01, 0.01),
-    (0.01, 0.1),
-    (0.03, 0.039),
-    (0.1, 0.014),
-    (0.2, 0.072),
-    (0.395, 0.014),
-    (0.54, 0.039),
-    (0.709, 0.072),
-    (1.0, 0.01),
-    (1.6, 0.05),
-    (3.0, 0.01),
-    (3.0, 0.1),
-]
+PAIRS = TABLES["pairs"]
 
 
 @pytest.fixture(scope="module")
@@ -92,16 +82,10 @@ def test_one_simulation_answers_every_pair(bench):
     assert ends[0] < np.mean(np.square(scores)) < ends[1], scores
 
 
-MASKED = [
-    "camoo4",
-    "camoo4_cylinder",
-    "camoo4_cylinder_lying",
-    "camoo4_hexagonal",
-    "camoo4_mask_at_detector",
-    "camoo4_pyramid",
-    "camoo4_thin",
-    "camoo4_wrapped",
-]
+MASKED = (
+    "camoo4 camoo4_cylinder camoo4_cylinder_lying camoo4_hexagonal camoo4_mask_at_detector "
+    "camoo4_pyramid camoo4_thin camoo4_wrapped"
+).split()
 
 
 def test_masks_cut_out_of_records_are_those_in_the_scene(scenes):

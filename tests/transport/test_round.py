@@ -12,6 +12,7 @@ from comparisons import (
     assert_same_fates,
     assert_same_light,
 )
+from places import cases_of
 from scipy.integrate import dblquad
 
 from mcrim_mitsuba.core.errors import InputError
@@ -22,6 +23,8 @@ from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.transport.convex import convex_solids
 from mcrim_mitsuba.transport.simulation import Simulation
 from mcrim_mitsuba.transport.solid_names import form_of
+
+cases = cases_of(__file__)
 
 Z = 3.5
 IN_REGISTERS = "fast path for flat and round faces"
@@ -184,22 +187,7 @@ def test_a_sheet_around_a_cylinder_is_met_from_both_sides(scenes, tmp_path):
     assert_same_fates(fast, simulation.collect(100_000, seed=10, general=True), z_max=Z)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ('"sides" value="6"', '"sides" value="40"', "sides is 40; give 3 to 12, or a cylinder"),
-        (
-            '"outer_width" value="$window_width_mm"',
-            '"outer_width" value="11"',
-            "a frame's hole reaches beyond its outer_width",
-        ),
-        (
-            '"height" value="$crystal_height_mm"',
-            '"height" value="0"',
-            "the width and the height of a prism must be positive",
-        ),
-    ],
-)
+@cases("old", "new", "words")
 def test_what_is_no_prism_is_refused(scenes, tmp_path, old, new, words):
     path = tmp_path / "prism.xml"
     path.write_text((scenes / "camoo4_hexagonal.xml").read_text().replace(old, new))
@@ -207,15 +195,7 @@ def test_what_is_no_prism_is_refused(scenes, tmp_path, old, new, words):
         Simulation(path)
 
 
-@pytest.mark.parametrize(
-    ("numbers", "words"),
-    [
-        ({"crystal_length_mm": 10.0}, "crystal_length_mm is that of a cylinder"),
-        ({"crystal_diameter_mm": 10.0, "chamfer_mm": 0.1}, "has no chamfer_mm on a cylinder"),
-        ({"crystal_diameter_mm": 10.0, "crystal_length_mm": 9.0}, "wetted_width_mm = None"),
-        ({"crystal_diameter_mm": 30.0}, "at least crystal_diameter_mm = 30"),
-    ],
-)
+@cases("numbers", "words")
 def test_the_tracer_refuses_what_is_no_cylinder(numbers, words):
     with pytest.raises(InputError, match=words):
         Bench(**numbers)
