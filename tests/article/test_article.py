@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from places import tables_of
+from places import cases_of, tables_of
 from refusals import refusal
 from scipy import optimize
 
@@ -42,6 +42,8 @@ from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.shipped import scene_path
 from mcrim_mitsuba.scene.spectrophotometer import spectrophotometer_of
 from mcrim_mitsuba.transport.simulation import Simulation
+
+cases = cases_of(__file__)
 
 # alpha_scat, 1/cm, where R = 0.583, by (polarised, T in %); of an independent calculation
 ALPHA_SCAT_REFERENCE = {
@@ -85,22 +87,7 @@ def test_printed_numbers_know_their_rounding():
         printed("about 5", "nowhere")
 
 
-@pytest.mark.parametrize(
-    ("ours", "errors", "expected"),
-    [
-        (7.55, {}, AGREES),  # exactly the rounding of 7.5
-        (7.551, {}, DIFFERS),
-        (7.551, {"rounding": 0.002}, AGREES),  # rounding of the inputs counts
-        (7.75, {"sigma": 0.1}, AGREES),  # rounding and two standard errors
-        (7.751, {"sigma": 0.1}, DIFFERS),
-        (7.05, {"sigma": 0.12, "systematic": 0.16}, AGREES),  # errors in quadrature
-        (7.04, {"sigma": 0.12, "systematic": 0.16}, DIFFERS),
-        (7.75, {"sigma": 0.1, "difference_sigma": 0.0}, DIFFERS),  # shared errors do not count
-        (7.5, {"inconsistent": True}, INCONSISTENT),
-        (7.5, {"judged": False}, REFERENCE),
-        (None, {}, REFERENCE),
-    ],
-)
+@cases("ours", "errors", "expected", more=[(None, {}, REFERENCE)])
 def test_verdict(ours, errors, expected):
     assert compare("", printed("7.5", ""), ours, **errors).verdict == expected
 

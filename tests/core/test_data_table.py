@@ -42,25 +42,11 @@ def test_names_and_units(cell, name, unit):
     assert name_and_unit(cell) == (name, unit or None)
 
 
-@pytest.mark.parametrize(
-    ("content", "names", "units"),
-    [
-        ("Wavelength (nm),QE (%)\n400,20.5\n", ("Wavelength", "QE"), ("nm", "%")),
-        ("Wavelength (nm)  QE (%)\n400 20.5\n", ("Wavelength", "QE"), ("nm", "%")),
-        ("wavelength nm QE %\n400 20.5\n", ("wavelength", "QE"), ("nm", "%")),
-        ("# wavelength_nm QE\n400 20.5\n", ("wavelength", "QE"), ("nm", None)),
-        ("Sample 1,\nWavelength (nm),%T,\n400,20.5,\n", ("Wavelength", "T"), ("nm", "%")),
-        ("Wavelength;QE\nnm;%\n400;20.5\n", ("Wavelength", "QE"), ("nm", "%")),
-        ("Wavelength;Intensity\nnm;counts\n400;20.5\n", ("Wavelength", "Intensity"), ("nm", None)),
-        ('"Wave\nlength [nm]";"QE\n[%]"\n400;20.5\n', ("Wave length", "QE"), ("nm", "%")),
-        ("400,20.5\n", None, (None, None)),
-        ("# of our crystal\n400,20.5\n", None, (None, None)),
-        ("NPOINTS,2\n400,20.5\n", None, (None, None)),
-    ],
-)
+@cases("content", "names", "units")
 def test_names_above_the_numbers(tmp_path, content, names, units):
     table = read(tmp_path, content)
-    assert (table.names, table.units) == (names, units)
+    assert list(table.names or ()) == names
+    assert [unit or "" for unit in table.units] == units
     assert table.values.tolist() == [[400.0, 20.5]]
 
 

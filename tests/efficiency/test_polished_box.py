@@ -126,22 +126,9 @@ def test_strong_scattering_lets_less_and_less_out():
     assert etas[2] > 0.5 * etas[0]
 
 
-@pytest.mark.parametrize(
-    "bench",
-    [
-        Bench(),
-        GEL,
-        Bench(n_gap=1.2, gap_mm=0.4),
-        Bench(aperture_radius_mm=6.0),
-        Bench(aperture_radius_mm=4.0),
-        Bench(aperture_radius_mm=3.0, n_gap=1.4, gap_mm=0.2),
-        Bench(crystal_width_mm=5.0, crystal_height_mm=20.0),
-        Bench(crystal_height_mm=1.0, n_gap=1.46, alpha_scat_per_cm=3.0),
-        Bench(n_crystal=2.2, n_gap=1.74),
-        Bench(window_width_mm=16.0, aperture_radius_mm=9.0),
-    ],
-)
-def test_error_holds_against_twice_the_modes_and_nodes(bench):
+@cases("numbers")
+def test_error_holds_against_twice_the_modes_and_nodes(numbers):
+    bench = Bench(**numbers)
     coefficients = bench.alpha_scat_per_cm, bench.alpha_abs_per_cm
     few, coarser = _nodes(bench, *coefficients)
     more = few._replace(

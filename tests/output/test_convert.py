@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,15 @@ import mcrim_mitsuba as mcrim
 
 cases = cases_of(__file__)
 
-HOSTILE = r"50 % & $x$_1 #2 {a}~^\ <b> ± | " + "\nnext\u202e line"
+DOCUMENTS = Path(__file__).with_suffix(".json").read_text()
+
+
+def document(kind):
+    """As ``mcrim ... --json`` writes it, in short."""
+    return json.loads(DOCUMENTS)[kind]
+
+
+HOSTILE = document("calibration")["rows"][0]["label"]
 
 
 def estimate(value, sigma, **further):
@@ -30,45 +39,7 @@ def estimate(value, sigma, **further):
 
 
 def calibration(**changes):
-    """As ``mcrim calibrate --json`` writes it."""
-    return {
-        "parameters": {
-            "alpha_scat_per_cm": estimate(0.566, 0.126),
-            "light_yield_ph_per_keV": estimate(7.494, 0.79),
-        },
-        "fixed": {"n_crystal": 2.01},
-        "chi2": 1.25,
-        "ndf": 0,
-        "p_value": None,
-        "rows": [
-            {
-                "label": HOSTILE,
-                "measured": 14.3,
-                "sigma": 0.2,
-                "model": 14.2,
-                "model_sigma": 0.01,
-                "pull": 0.5,
-                "eta": 0.25,
-                "eta_sigma": 0.0002,
-                "use": True,
-            },
-            {
-                "label": "gel",
-                "measured": 24.5,
-                "sigma": 0.4,
-                "model": 24.6,
-                "model_sigma": 0.01,
-                "pull": -0.25,
-                "eta": 0.43,
-                "eta_sigma": 0.0003,
-                "use": False,
-            },
-        ],
-        "seed": 2**62 + 1,
-        "scene_hash": "ab" * 32,
-        "versions": {"mitsuba": "3.9.1"},
-        "notes": ["a note with ± and \u03b1"],
-    } | changes
+    return document("calibration") | changes
 
 
 def eta_rows(n_gap=(1.0, 1.46), alpha_abs=(0.014, 0.039), alpha_scat=(0.1, 0.5, 1 / 3)):
@@ -102,48 +73,11 @@ def table(**changes):
 
 
 def simulation(**changes):
-    return {
-        "eta": 0.2528,
-        "eta_sigma": 0.0007,
-        "photons": 300_000,
-        "seed": 0,
-        "budget": {"detected": 0.2528, "absorbed_my-crystal": 0.7472, "lost": 0.0},
-        "budget_sigma": {"detected": 0.0007, "absorbed_my-crystal": 0.0007, "lost": 3e-6},
-        "parameters": {"n_gap": 1.0, "polarization": False},
-    } | changes
+    return document("simulation") | changes
 
 
 def diagnosis():
-    own = {
-        name: 1.0
-        for name in "ndf p_value delta_chi2 delta_chi2_sigma p_global left_out_error aicc".split()
-    }
-    light = {"light_yield_ph_per_keV": {"value": 7.6, "sigma": 0.8, "change": 0.1}}
-    return {
-        "verdict": "ambiguous",
-        "leading": ["gap_bubble"],
-        "baseline": calibration(chi2=110.0),
-        "candidates": [
-            {
-                "effect": "gap_bubble",
-                "effect_parameters": ["bubble_fraction"],
-                "chi2": 9.07,
-                "parameters": {"bubble_fraction": estimate(0.27, 0.07)},
-                "plausible": True,
-                **own,
-                **light,
-            },
-            {
-                "effect": "polarization",
-                "effect_parameters": [],
-                "chi2": 100.0,
-                "parameters": {},
-                "plausible": None,
-                **own,
-                **light,
-            },
-        ],
-    }
+    return document("diagnosis") | {"baseline": calibration(chi2=110.0)}
 
 
 @pytest.fixture

@@ -113,29 +113,7 @@ def test_parts_of_an_array_job_merge_to_the_same_digits(scenes, tmp_path, whole,
     assert "the file is damaged; remove the folder" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"arguments": 5},
-        {"arguments": ["table", 5]},
-        {"arguments": ["table", "a\0b"]},
-        {"arguments": []},
-        {"arguments": ["app", "c.toml"]},
-        {"arguments": ["merge", "."]},
-        {"arguments": ["lab"]},
-        {"folder": None},
-        {"folder": "\ud800"},
-        {"parts": "1"},
-        {"parts": 1e999},
-        {"parts": 10**8},
-        {"parts": 0},
-        {"versions": {}},
-        {"versions": {"variant": 4}},
-        {"files": []},
-        {"files": {"a.xml": 5}},
-        None,
-    ],
-)
+@cases("changes", more=[{"folder": None}, {"folder": "\ud800"}, {"parts": 10**8}, None])
 def test_merge_runs_nothing_that_no_part_has_written(here, mcrim, changes):
     command = {
         "arguments": ["table"],

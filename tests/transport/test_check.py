@@ -1,10 +1,7 @@
 """`check` finds what is wrong with a scene and names the place; the shipped scenes are sound."""
 
-import tomllib
-from pathlib import Path
-
 import pytest
-from places import BALL, SCENES
+from places import BALL, SCENES, cases_of, tables_of
 from refusals import refusal
 
 import mcrim_mitsuba as mcrim
@@ -14,6 +11,8 @@ from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.scene.xml_tree import PLUGIN_TYPES
 from mcrim_mitsuba.transport.simulation import Simulation, check_scene
 from mcrim_mitsuba.transport.variants import use_variant
+
+cases = cases_of(__file__)
 
 BENCH = (SCENES / "camoo4.xml").read_text(encoding="utf-8")
 
@@ -36,83 +35,14 @@ def edited(*edits: tuple[str, str, str]) -> str:
     text = BENCH
     for name, old, new in edits:
         where = shape(name) if name else text
-        text = replaced(where, replaced(old, new, where), text)
+        text = replaced(where, replaced(old or where, new, where), text)
     return text
 
 
-def added(text: str) -> str:
-    return replaced("</scene>", text + "\n</scene>")
-
-
-HOMOGENEOUS = """<medium type="homogeneous" id="crystal">
-    <float name="sigma_t" value="$alpha_scat_per_cm"/><float name="albedo" value="{}"/>
-    <float name="scale" value="$alpha_abs_per_cm"/></medium>"""
-BULK = BENCH[
-    BENCH.index('<medium type="bulk" id="crystal">') : BENCH.index('<medium type="bulk" id="gap"/>')
-]
-DISC = """<shape type="rectangle" id="extra"><transform name="to_world"><scale value="3"/>
-  <translate z="{}"/></transform><ref id="crystal_to_air"/></shape>"""
-BLOCK = """<medium type="bulk" id="block"/><shape type="cube" id="block_faces">
-  <transform name="to_world"><translate x="{}" y="0.1" z="5.1"/></transform>
-  <ref id="crystal_to_air"/><ref name="interior" id="block"/></shape>"""
-
 #: Text of the scene, kind of the problem, words that the one line must contain.
 BROKEN = {
-    **{
-        name: (edited(*case["edits"]), case["kind"], case["says"])
-        for name, case in tomllib.loads(Path(__file__).with_suffix(".toml").read_text()).items()
-    },
-    "missing top": (replaced(shape("crystal_top"), ""), "missing_face", ["crystal", "z = 10"]),
-    "missing side of the gap": (
-        replaced(shape("gap_side_left"), ""),
-        "missing_face",
-        ["gap", "x = -5"],
-    ),
-    "missing detector": (replaced(shape("detector"), ""), "file", ["detector", "photodetector"]),
-    "face drawn twice": (
-        added(shape("gap_side_front").replace("gap_side_front", "gap_side_again")),
-        "overlap",
-        ["gap_side_again", "gap_side_front"],
-    ),
-    "face under the gap's bottom": (added(DISC.format("-0.0501")), "thin_gap", ["extra", "thin"]),
-    "block inside the crystal": (added(BLOCK.format(0.3)), "overlap", ["crystal", "block"]),
-    "block half in the crystal": (added(BLOCK.format(5.0)), "overlap", ["crystal", "block"]),
-    "albedo above 1": (
-        replaced(BULK, HOMOGENEOUS.format(1.2)),
-        "coefficient",
-        ["crystal", "albedo", "1.2"],
-    ),
-    "detector behind a wall": (
-        edited(
-            ("window_under_gap", '<ref id="masked_window_to_gap"/>', '<ref id="wall"/>'),
-            ("window_beside_gap", "masked_window_to_air", "wall"),
-            (
-                "",
-                '<bsdf type="dielectric" id="gap_to_air">',
-                '<bsdf type="twosided" id="wall"><bsdf type="diffuse">'
-                '<spectrum name="reflectance" value="0"/></bsdf></bsdf>\n'
-                '  <bsdf type="dielectric" id="gap_to_air">',
-            ),
-            # the masks are no longer used
-            (
-                "",
-                BENCH[
-                    BENCH.index('  <bsdf type="aperture" id="masked_window_to_gap">') : BENCH.index(
-                        "  <!-- ============================= Crystal"
-                    )
-                ],
-                "",
-            ),
-            (
-                "",
-                "  <!-- Radius of the round hole in the black mask on the window's entrance face, "
-                'mm -->\n  <default name="aperture_radius_mm" value="14"/>\n',
-                "",
-            ),
-        ),
-        "detector",
-        ["detector", "no light"],
-    ),
+    name: (edited(*case["edits"]), case["kind"], case["says"])
+    for name, case in tables_of(__file__)["broken"].items()
 }
 
 
@@ -159,17 +89,7 @@ def test_shipped_scenes_are_sound(path):
     assert report.ok, report.problems
 
 
-@pytest.mark.parametrize(
-    "overrides",
-    [
-        {"gap_mm": 0.02},
-        {"gap_mm": 2, "n_gap": 1.8},
-        {"crystal_width_mm": 5, "crystal_height_mm": 20},
-        {"aperture_radius_mm": 3, "alpha_scat_per_cm": 20},
-        {"alpha_scat_per_cm": 0, "alpha_abs_per_cm": 0},
-    ],
-    ids=str,
-)
+@cases("overrides")
 def test_sound_variations_are_not_refused(overrides):
     report = check_scene(SCENES / "camoo4.xml", overrides)
     assert report.ok, report.problems
@@ -200,15 +120,7 @@ def test_an_index_left_out_is_missed_where_its_bsdf_is_written(tmp_path):
     assert problem.line == read_scene(path).line_of("crystal_to_air")
 
 
-@pytest.mark.parametrize(
-    ("overrides", "words"),
-    [
-        ({"alpha_abs_per_cm": -1}, "negative"),
-        ({"n_gap": 0.3}, "refractive index"),
-        ({"gap_mm": 50}, "micrometres"),
-        ({"gap_mm": 0.001}, "too thin"),
-    ],
-)
+@cases("overrides", "words")
 def test_the_python_api_refuses_what_the_command_line_refuses(overrides, words):
     assert words in refusal(Simulation, SCENES / "camoo4.xml", overrides)
 

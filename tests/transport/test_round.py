@@ -105,22 +105,7 @@ def test_a_standing_cylinder_as_the_numpy_tracer_has_it(scenes, n_gap):
     assert_same_light(ours, reference, z_max=Z)
 
 
-@pytest.mark.parametrize(
-    ("name", "form", "transport"),
-    [
-        ("cylinder", "cylinder of 10 mm diameter, 10 mm high", IN_REGISTERS),
-        (
-            "hexagonal",
-            "hexagonal prism, 10 mm across flats, 10 mm high",
-            "fast path for flat faces",
-        ),
-        (
-            "pyramid",
-            "cut square pyramid, 10 mm wide below and 6 mm above, 10 mm high",
-            "fast path for flat faces",
-        ),
-    ],
-)
+@cases("name", "form", "transport")
 def test_mitsubas_own_intersections_agree(scenes, name, form, transport):
     simulation = Simulation(scenes / f"camoo4_{name}.xml", {"n_gap": 1.46})
     assert form_of(simulation.model, simulation.crystal.volume) == form
