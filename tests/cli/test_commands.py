@@ -28,20 +28,8 @@ BENCH = str(SCENES / "camoo4.xml")
 
 def test_table_agrees_with_the_solution_without_photons(mcrim, tmp_path):
     path = tmp_path / "T.csv"
-    mcrim.shown(
-        "table",
-        BENCH,
-        "--alpha-scat",
-        "0,0.02,0.54,6",
-        "--alpha-abs",
-        "0.014:0.072:2",
-        "--n-gap",
-        "1,1.46",
-        "--photons",
-        "4e5",
-        "-o",
-        path,
-    )
+    line = "--alpha-scat 0,0.02,0.54,6 --alpha-abs 0.014:0.072:2 --n-gap 1,1.46 --photons 4e5"
+    mcrim.shown("table", BENCH, *line.split(), "-o", path)
     with path.open() as stream:
         rows = list(csv.DictReader(stream))
     assert list(rows[0]) == ["n_gap", "alpha_abs_per_cm", "alpha_scat_per_cm", "eta", "eta_sigma"]
@@ -226,18 +214,8 @@ def test_notes_and_what_was_spent_are_seen_beside_a_table_on_standard_output(mcr
 
 def test_what_a_table_is_asked_twice_is_simulated_once(mcrim):
     def table(absorption, couplings):
-        return mcrim.json(
-            "table",
-            BENCH,
-            "--alpha-scat",
-            "0.5",
-            "--alpha-abs",
-            absorption,
-            "--n-gap",
-            couplings,
-            "--photons",
-            "2e4",
-        )
+        line = f"--alpha-scat 0.5 --alpha-abs {absorption} --n-gap {couplings} --photons 2e4"
+        return mcrim.json("table", BENCH, *line.split())
 
     once, again = table("100,0.039", "1.46,1"), table("100,0.039,100", "1.46,1,1.46")
     gel, air = once["rows"][:2], once["rows"][2:]
@@ -290,11 +268,8 @@ def test_campaigns_are_refused_with_their_line(mcrim, campaign_here, scene, rows
 
 
 def test_a_table_says_what_it_understood(mcrim):
-    out = mcrim.shown(
-        "table",
-        BENCH,
-        *"--alpha-scat 0.1:1.0:10 --alpha-abs 0.039 --n-gap 1,1.46 --photons 1e4".split(),
-    )
+    line = "--alpha-scat 0.1:1.0:10 --alpha-abs 0.039 --n-gap 1,1.46 --photons 1e4"
+    out = mcrim.shown("table", BENCH, *line.split())
     said = "alpha_scat 0.1, 0.2, ..., 1 (10 values) /cm; alpha_abs 0.039 /cm; n_gap 1, 1.46"
     assert out.splitlines()[0] == said
 

@@ -206,20 +206,7 @@ def test_another_copy_of_the_package_mixes_into_nothing(scenes, tmp_path):
     text = rule.read_text()
     rule.write_text(text.replace("FILLED_ABOVE = 1.0005", "FILLED_ABOVE = 1.9"))
     assert rule.read_text() != text
-    made = [
-        "table",
-        "gap.xml",
-        "--alpha-scat",
-        "0.5",
-        "--alpha-abs",
-        "0.039",
-        "--n-gap",
-        "1.46",
-        "--photons",
-        "6e4",
-        "-o",
-        "T.csv",
-    ]
+    line = "table gap.xml --alpha-scat 0.5 --alpha-abs 0.039 --n-gap 1.46 --photons 6e4 -o T.csv"
 
     def run(package: Path, *arguments: str, cached: bool = True) -> subprocess.CompletedProcess:
         place = {"PYTHONPATH": str(package), "MCRIM_CACHE": "cache" if cached else "off"}
@@ -232,7 +219,7 @@ def test_another_copy_of_the_package_mixes_into_nothing(scenes, tmp_path):
         )
 
     def table(package: Path, *arguments: str, **how: bool) -> str:
-        done = run(package, *made, *arguments, **how)
+        done = run(package, *line.split(), *arguments, **how)
         assert done.returncode == 0, done.stderr
         return (tmp_path / "T.csv").read_text() if "--unit" not in arguments else ""
 

@@ -188,25 +188,16 @@ def test_parts_of_files_that_were_edited_are_not_merged(scenes, here, mcrim, edi
     campaign = campaign.replace("camoo4_measured.csv", "readings.csv")
     Path("first.toml").write_text('effects_folder = "own"\n' + campaign)
     Path("second.toml").write_text(campaign)
-    command = [
-        "compare",
-        "first.toml",
-        "second.toml",
-        "--trust-effects",
-        "--photons",
-        "16384",
-        "--json",
-        "found.json",
-    ]
-    mcrim(*command, "--unit", "1/2")
+    line = "compare first.toml second.toml --trust-effects --photons 16384 --json found.json"
+    mcrim(*line.split(), "--unit", "1/2")
     text = Path(edited).read_text()
     remark = "<!-- edited -->\n" if edited.endswith(".xml") else "# edited\n"
     Path(edited).write_text(f"{text}{remark}")
     hashes = [hashlib.sha256(f"{text}{end}".encode()).hexdigest()[:12] for end in ("", remark)]
     problem = f"{edited} (SHA-256 {hashes[0]}; here is {hashes[1]})"
-    assert problem in mcrim.refused(*command, "--unit", "2/2")
+    assert problem in mcrim.refused(*line.split(), "--unit", "2/2")
     Path(edited).write_text(text)
-    mcrim(*command, "--unit", "2/2")
+    mcrim(*line.split(), "--unit", "2/2")
     Path(edited).write_text(f"{text}{remark}")
     assert problem in mcrim.refused("merge")
     assert not Path("found.json").exists()
@@ -218,14 +209,8 @@ def test_parts_of_files_that_were_edited_are_not_merged(scenes, here, mcrim, edi
 def test_parts_that_follow_each_other_share_the_same_units(scenes, tmp_path):
     """A part that finds what others have made still does its own half, and no less."""
     units, found = str(tmp_path / "units"), tmp_path / "found.json"
-    command = [
-        "compare",
-        str(scenes / "camoo4_campaign.toml"),
-        "--photons",
-        "16384",
-        "--json",
-        str(found),
-    ]
+    command = ["compare", str(scenes / "camoo4_campaign.toml"), "--photons", "16384"]
+    command += ["--json", str(found)]
     for part in ("1/2", "2/2"):
         assert main([*command, "--units", units, "--unit", part]) == 0
         assert not found.exists()

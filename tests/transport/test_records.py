@@ -352,19 +352,8 @@ TABLE = ["--alpha-scat", "0.05:2:20", "--alpha-abs", "0.014,0.072", "--n-gap", "
 def table(scenes, folder, cache, *options):
     """A process that writes a table, and where it writes it."""
     path = folder / "T.csv"
-    command = [
-        sys.executable,
-        "-m",
-        "mcrim_mitsuba",
-        "table",
-        str(scenes / "camoo4.xml"),
-        *TABLE,
-        "--photons",
-        "1.5e6",
-        "-o",
-        str(path),
-        *options,
-    ]
+    line = ["table", str(scenes / "camoo4.xml"), *TABLE, "--photons", "1.5e6", "-o", str(path)]
+    command = [sys.executable, "-m", "mcrim_mitsuba", *line, *options]
     environment = {**os.environ, "MCRIM_CACHE": str(cache)}
     return subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE

@@ -13,7 +13,6 @@ from places import tables_of
 from refusals import refusal
 from scipy.stats import norm
 
-from mcrim_mitsuba.cli.main import main
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.runs.cache import record_versions
 from mcrim_mitsuba.transport import simulation as loading
@@ -106,35 +105,17 @@ def test_a_gpu_gives_the_same_digits_again(scenes):
 
 
 @needs_gpu
-def test_a_gpus_photon_records_answer_like_the_processors(scenes, tmp_path, monkeypatch):
+def test_a_gpus_photon_records_answer_like_the_processors(mcrim, scenes, tmp_path, monkeypatch):
     """The scattering and absorption of a table are weights of records: sums over their rows."""
     monkeypatch.setenv("MCRIM_CACHE", str(tmp_path / "cache"))
-    tables = []
+    tables, line = (
+        [],
+        "--alpha-scat 0.1,0.54 --alpha-abs 0.014,0.039 --n-gap 1.0,1.46 --photons 4e6",
+    )
     for variant, seed in ((PROCESSOR, "1"), (GPU, "2")):
         path = tmp_path / f"{variant}.csv"
-        assert (
-            main(
-                [
-                    "table",
-                    str(scenes / "camoo4.xml"),
-                    "--alpha-scat",
-                    "0.1,0.54",
-                    "--alpha-abs",
-                    "0.014,0.039",
-                    "--n-gap",
-                    "1.0,1.46",
-                    "--photons",
-                    "4e6",
-                    "--seed",
-                    seed,
-                    "--variant",
-                    variant,
-                    "-o",
-                    str(path),
-                ]
-            )
-            == 0
-        )
+        where = ("--seed", seed, "--variant", variant, "-o", path)
+        mcrim.shown("table", scenes / "camoo4.xml", *line.split(), *where)
         tables.append(np.genfromtxt(path, delimiter=",", names=True, comments="#"))
     one, other = tables
     error = np.hypot(one["eta_sigma"], other["eta_sigma"])
