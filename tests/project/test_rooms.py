@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "mcrim_mitsuba"
-MODULES = {path: ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}
+MODULES = sorted(PACKAGE.rglob("*.py"))
 
 
 def test_rooms_import_downwards_only():
@@ -31,8 +31,8 @@ def test_nothing_but_three_files_is_at_the_root():
 
 def test_no_class_name_stands_twice():
     homes = collections.defaultdict(list)
-    for path, tree in MODULES.items():
-        for node in ast.walk(tree):
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ClassDef):
                 homes[node.name].append(path.relative_to(PACKAGE).as_posix())
     assert {name: found for name, found in homes.items() if len(found) > 1} == {}
@@ -47,4 +47,4 @@ def test_no_module_has_a_name_that_says_nothing(name):
 
 def test_every_room_says_what_it_is_for():
     for path in PACKAGE.glob("*/__init__.py"):
-        assert len((ast.get_docstring(MODULES[path]) or "").split()) > 10, path
+        assert len((ast.get_docstring(ast.parse(path.read_text())) or "").split()) > 10, path
