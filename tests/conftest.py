@@ -125,7 +125,6 @@ LONGEST = (
     "test_session",
     "test_plugins",
     "test_rival_causes",
-    "test_annotations",
     "test_tracer_effects",
     "test_types",
     "test_commands",
@@ -156,12 +155,13 @@ def pytest_collect_directory(path, parent):
 
 
 def pytest_collection_modifyitems(items):
-    """Tests that run alone come first, when nobody has to end before they can begin."""
+    """Files with a test that runs alone come last: no other process has much to end before it."""
+    last = {item.path for item in items if item.get_closest_marker("alone")}
 
     def place(item) -> tuple[bool, int, Path]:
         file = item.path.stem
         rank = LONGEST.index(file) if file in LONGEST else len(LONGEST)
-        return item.get_closest_marker("alone") is None, rank, item.path
+        return item.path in last, rank, item.path
 
     items.sort(key=place)
 

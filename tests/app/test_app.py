@@ -2,10 +2,8 @@
 
 import csv
 import json
-import statistics
 import time
 import zipfile
-from pathlib import Path
 
 import pytest
 from app_page import KEYS, LONGEST_SIMULATION_S, running
@@ -14,7 +12,6 @@ from mcrim_mitsuba.cli.main import main
 
 READINGS = "camoo4_misfit.csv"
 COLUMNS = ("n_gap", "aperture_radius_mm", "crystal_height_mm", "gap_mm")
-LARGEST_LATENCY_MS = 100
 
 
 @pytest.fixture
@@ -46,8 +43,7 @@ def width_of_page(browser) -> int:
 
 
 def test_from_readings_to_the_mended_scene(browser, campaign, shared_cache, scenes, tmp_path):
-    # by fewer, bevels may do as well
-    with running(campaign, shared_cache, browser, 49152) as app:
+    with running(campaign, shared_cache, browser) as app:
         assert app.is_about("bench.toml") and app.is_about("two.csv (2)")
         assert [row[0] for row in app.table()] == ["air", "gel"]
         app.take(scenes / READINGS, 16)
@@ -131,52 +127,6 @@ def test_from_readings_to_the_mended_scene(browser, campaign, shared_cache, scen
         assert width_of_page(browser) <= 390
         assert browser.complaints() == []
         assert all(asked.startswith(app.address) for asked in browser.requests())
-
-
-STOPWATCH = Path(__file__).with_name("stopwatch.js").read_text()
-# All that a chart shows, as it is drawn.
-DRAWN = """
-return [...document.querySelectorAll('#readings-chart path, #readings-chart text')].map(
-    each => ['d', 'transform', 'class'].map(name => each.getAttribute(name)) + each.textContent);
-"""
-REDRAW = "const chart = document.querySelector('#readings-chart'); chart.key = ''; chart.redraw()"
-
-
-@pytest.mark.alone
-def test_a_slider_answers_at_once(browser, campaign, shared_cache, scenes, record_property):
-    with running(campaign, shared_cache, browser) as app:
-        app.take(scenes / READINGS, 16)
-        for effect in ("gap_bubble", "surface_absorption", "detector_reflection"):
-            app.switch_on(effect)
-        browser.run(STOPWATCH)
-        sliders = ("alpha_scat_per_cm", "bubble_fraction", "surface_loss", "detector_reflectance")
-        # another program may take the processor from some rounds, not from all
-        for _ in range(6):
-            browser.run("moves.length = 0")
-            for number in range(40):
-                slider = app.control("slider", sliders[number % len(sliders)])
-                slider.send_keys(KEYS["right"])
-                browser.wait_for(lambda n=number: browser.run("return moves.length") > n, "move")
-                time.sleep(0.05)
-            taken = browser.run("return moves")
-            median, late = statistics.median(taken), statistics.quantiles(taken, n=20)[-1]
-            record_property("milliseconds", (median, late))
-            print(f"a slider's move: median {median:.0f} ms, 95 % within {late:.0f} ms")
-            if late < LARGEST_LATENCY_MS:
-                break
-        assert median < LARGEST_LATENCY_MS and late < LARGEST_LATENCY_MS
-
-        # a slider that is pulled along, faster than anything is drawn, ends where it is let go
-        app.control("slider", "bubble_fraction").send_keys(KEYS["right"] * 40)
-        time.sleep(3)
-        shown, rows = browser.text("#chi2"), app.table()
-        drawn = browser.run(DRAWN)  # only what moved was: bars of the first fit must not be gone
-        browser.run(REDRAW)
-        assert browser.run(DRAWN) == drawn and len(drawn) >= 2 * len(rows)
-        browser.driver.refresh()
-        app.settled()
-        assert (browser.text("#chi2"), app.table()) == (shown, rows)
-        assert browser.complaints() == []
 
 
 # Whether an element, or what is closely around it, shows that it has the focus.

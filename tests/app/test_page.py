@@ -6,7 +6,9 @@ import signal
 import time
 
 import pytest
-from app_page import KEYS, LONGEST_SIMULATION_S, PHOTONS, running
+from app_page import KEYS, LONGEST_SIMULATION_S, running
+
+MANY_PHOTONS = 2_097_152
 
 
 @pytest.fixture
@@ -22,10 +24,10 @@ def campaign(scenes, tmp_path):
 
 
 def test_jobs_wait_and_stop(browser, scenes):
-    # all of it is simulated, with as many photons as there may be: else it is over, now and then,
-    # before the page is there, and nothing is left to be stopped
+    # all of it is simulated, with so many photons that it is not over before the page is there,
+    # when nothing would be left to be stopped
     campaign = scenes / "camoo4_misfit.toml"
-    with running(campaign, "off", browser, 64 * PHOTONS, settled=False) as app:
+    with running(campaign, "off", browser, MANY_PHOTONS, settled=False) as app:
         status = lambda: browser.text("#status")  # noqa: E731
         browser.wait_for(lambda: status().startswith("simulating the bench"), "simulation")
         browser.find("#stop").click()
@@ -39,11 +41,12 @@ def test_jobs_wait_and_stop(browser, scenes):
         browser.find("#fit").click()
         browser.wait_for(lambda: status().startswith("fitting"), "fit")
         assert not browser.text("#error") and browser.text("#chi2-words") == "being simulated"
-        # what is asked for meanwhile waits; all of it stays in sight
-        for effect in ("gap_bubble", "edge_chamfer", "background"):
+        # what is asked for meanwhile waits; all of it stays in sight; an index is simulated at two
+        # values, a bubble at seven
+        for effect in ("crystal_index", "edge_chamfer", "background"):
             app.control("effect", effect).click()
         browser.wait_for(
-            lambda: "; then simulating air bubble in the gap and 2 more" in status(), "queue"
+            lambda: "; then simulating wrong index of the crystal and 2 more" in status(), "queue"
         )
         fit, box = browser.find("#fit"), app.control("effect", "edge_chamfer")
         assert fit.text == "Stop" and fit.get_attribute("aria-label") == "Stop: Fit"
@@ -56,7 +59,9 @@ def test_jobs_wait_and_stop(browser, scenes):
         browser.wait_for(lambda: not box.is_selected(), "switch")
         browser.wait_for(app.is_idle, "all of them", LONGEST_SIMULATION_S)
         assert not browser.text("#error") and not browser.text("#pending")
-        rest = [app.control("effect", name).is_selected() for name in ("gap_bubble", "background")]
+        rest = [
+            app.control("effect", name).is_selected() for name in ("crystal_index", "background")
+        ]
         assert rest == [True, True] and "as it came" in browser.text("#fitted")
         assert fit.text == "Fit" and browser.complaints() == []
 
@@ -327,6 +332,7 @@ def test_from_a_file_to_the_averaged_yield_by_keyboard(
             app.tab_to("#undo")
             app.press(KEYS["enter"])
             browser.wait_for(lambda n=readings: app.is_about(f"({n})"), "undone")
+            app.settled()
         browser.wait_for(lambda: app.is_idle() and app.table()[0][-1] != eta, "former index", 60)
         browser.screenshot(f"{wide} 6 table")
 
