@@ -30,15 +30,18 @@ return one !== document.body && (one.contains(there) || (there && there.contains
 """
 
 # How many presses of Tab lead to an element, as far as the page's elements tell: what is scrolled
-# takes a press of its own, and so does leaving the page.
+# takes a press of its own, and so does leaving the page; where nothing has the focus, one.
 PRESSES = """
+const at = document.activeElement;
+if (at === document.body) { return 1; }
 const stops = [...document.querySelectorAll(
     'a[href], button, input, select, textarea, summary, [tabindex]')].filter(
-    e => e.checkVisibility({visibilityProperty: true}) && e.tabIndex >= 0 && !e.disabled
-        && !e.closest('[inert]'));
-const from = stops.indexOf(document.activeElement), isWanted = e => e.matches(arguments[0]);
-const to = stops.findIndex((e, i) => i > from && isWanted(e));
-return to >= 0 ? to - from : Math.max(stops.length - from + stops.findIndex(isWanted), 1);
+    e => e.checkVisibility({visibilityProperty: true}) && e.tabIndex >= 0 && !e.disabled);
+const isAfter = e => at.compareDocumentPosition(e) & Node.DOCUMENT_POSITION_FOLLOWING;
+const isWanted = e => e.matches(arguments[0]);
+const after = stops.filter(isAfter);
+const way = 1 + after.findIndex(isWanted) || 1 + after.length + stops.findIndex(isWanted);
+return Math.max(way, 1);
 """
 
 
@@ -104,8 +107,9 @@ class App:
             ActionChains(self.browser.driver).send_keys(KEYS["tab"] * presses).perform()
             left -= presses
             if self.browser.run("return document.activeElement.matches(arguments[0])", selector):
-                break
-        assert self.browser.run(IN_SIGHT), f"{selector} is not reached, or hidden"
+                assert self.browser.run(IN_SIGHT), f"{selector} is hidden"
+                return
+        raise AssertionError(f"{selector} is not reached")
 
     def press(self, *keys: str) -> None:
         """Press keys, wherever the focus is."""

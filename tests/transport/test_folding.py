@@ -97,22 +97,27 @@ def test_a_folded_flight_ends_where_one_from_face_to_face_does(folded):
     place, direction, length = _flights(4000, MOST_WIDTHS * 10.0)
     place = ((low + high) / 2 + place * (high - low) / 2).astype(np.float32).astype(float)
     end, flying, folds = _ends(body, place, direction, length)
-    wrong = 0
-    for o, d, left, *seen in zip(place, direction, length, end, flying, folds, strict=True):
-        count = 0
-        while True:
-            t = np.where(d > 0, high - o, low - o) / d
-            axis = int(np.argmin(t))
-            if t[axis] >= left:
-                break
-            o, left, count = o + t[axis] * d, left - t[axis], count + 1
-            o[axis] = high[axis] if d[axis] > 0 else low[axis]
-            d = np.where(np.arange(3) == axis, -d, d)
-        wrong += count != seen[2]
-        assert seen[0] == pytest.approx(o + left * d, abs=6e-5)
-        assert count != seen[2] or seen[1] == pytest.approx(d, abs=1e-6)
+    reflections = np.zeros(len(place), dtype=int)
+    going = np.arange(len(place))
+    while len(going):
+        o, d = place[going], direction[going]
+        t = np.where(d > 0, high - o, low - o) / d
+        axis = np.argmin(t, axis=1)
+        nearest = t[np.arange(len(going)), axis]
+        meets = nearest < length[going]
+        going, o, d, axis = going[meets], o[meets], d[meets], axis[meets]
+        met = np.arange(len(going)), axis
+        o = o + nearest[meets, None] * d
+        o[met] = np.where(d[met] > 0, high[axis], low[axis])
+        d[met] = -d[met]
+        place[going], direction[going] = o, d
+        length[going] -= nearest[meets]
+        reflections[going] += 1
+    np.testing.assert_allclose(end, place + length[:, None] * direction, rtol=0, atol=6e-5)
+    same = reflections == folds
+    np.testing.assert_allclose(flying[same], direction[same], rtol=0, atol=1e-6)
     # what ends at a face may have met it or not
-    assert wrong < 8
+    assert np.count_nonzero(~same) < 8
 
 
 @pytest.mark.parametrize(("crystal", "n_out"), [("_cylinder", 1.0), ("_cylinder_lying", 1.46)])
@@ -133,20 +138,22 @@ def test_a_flight_round_a_wall_ends_where_one_from_chord_to_chord_does(folded, c
     assert 0.2 < kept.mean() < 0.9
     place, direction, length = place[kept], direction[kept], length[kept]
     end, flying, folds = _ends(body, place + middle, direction, length)
-    for o, d, left, *seen in zip(place, direction, length, end, flying, folds, strict=True):
-        o, d = o[across], d[across]
-        while True:
-            a, b = d @ d, o @ d
-            t = (-b + np.sqrt(b * b - a * (o @ o - circle.radius_mm**2))) / a
-            if t >= left:
-                break
-            o, left = o + t * d, left - t
-            normal = o / np.linalg.norm(o)
-            d = d - 2 * (d @ normal) * normal
-            # exactly on the wall, where the next chord has its other end
-            o = normal * circle.radius_mm
-        expected = o + left * d
-        assert seen[0][across] - middle[across] == pytest.approx(expected, abs=2e-3)
+    place, direction = place[:, across], direction[:, across]
+    going = np.arange(len(place))
+    while len(going):
+        o, d = place[going], direction[going]
+        a, b, c = (d * d).sum(axis=1), (o * d).sum(axis=1), (o * o).sum(axis=1)
+        t = (-b + np.sqrt(b * b - a * (c - circle.radius_mm**2))) / a
+        meets = t < length[going]
+        going, o, d, t = going[meets], o[meets], d[meets], t[meets]
+        o = o + t[:, None] * d
+        normal = o / np.linalg.norm(o, axis=1)[:, None]
+        direction[going] = d - 2 * (d * normal).sum(axis=1)[:, None] * normal
+        # exactly on the wall, where the next chord has its other end
+        place[going] = normal * circle.radius_mm
+        length[going] -= t
+    expected = middle[across] + place + length[:, None] * direction
+    np.testing.assert_allclose(end[:, across], expected, rtol=0, atol=2e-3)
     assert np.linalg.norm(flying, axis=1) == pytest.approx(np.ones(len(flying)), abs=1e-5)
     assert folds.max() > 50
 
