@@ -34,9 +34,11 @@ return one !== document.body && (one.contains(there) || (there && there.contains
 PRESSES = """
 const at = document.activeElement;
 if (at === document.body) { return 1; }
+const isOther = e => e.type === 'radio' && !e.checked;  // the chosen one stands for all
 const stops = [...document.querySelectorAll(
     'a[href], button, input, select, textarea, summary, [tabindex]')].filter(
-    e => e.checkVisibility({visibilityProperty: true}) && e.tabIndex >= 0 && !e.disabled);
+    e => e.checkVisibility({visibilityProperty: true}) && e.tabIndex >= 0 && !e.disabled
+        && !isOther(e));
 const isAfter = e => at.compareDocumentPosition(e) & Node.DOCUMENT_POSITION_FOLLOWING;
 const isWanted = e => e.matches(arguments[0]);
 const after = stops.filter(isAfter);
@@ -100,16 +102,15 @@ class App:
         """Press Tab until an element has the focus; it must be in sight then."""
         from selenium.webdriver import ActionChains
 
+        has_focus = "return document.activeElement.matches(arguments[0])"
         left = 400
-        while left > 0:
+        while left > 0 and not self.browser.run(has_focus, selector):
             # many at once: to look after each of them takes longer than they do
             presses = min(self.browser.run(PRESSES, selector), left)
             ActionChains(self.browser.driver).send_keys(KEYS["tab"] * presses).perform()
             left -= presses
-            if self.browser.run("return document.activeElement.matches(arguments[0])", selector):
-                assert self.browser.run(IN_SIGHT), f"{selector} is hidden"
-                return
-        raise AssertionError(f"{selector} is not reached")
+        assert self.browser.run(has_focus, selector), f"{selector} is not reached"
+        assert self.browser.run(IN_SIGHT), f"{selector} is hidden"
 
     def press(self, *keys: str) -> None:
         """Press keys, wherever the focus is."""
