@@ -40,7 +40,7 @@ class Site:
             (folder / name).symlink_to(ROOT / name)
         complaints = io.StringIO()
         self.folder = folder / "site"
-        sphinx_application.Sphinx(
+        application = sphinx_application.Sphinx(
             source,
             source,
             self.folder,
@@ -50,7 +50,9 @@ class Site:
             warning=complaints,
             # every page would list all objects of all modules in its margin: a third of the time
             confoverrides={"nb_execution_mode": "off", "toc_object_entries": False},
-        ).build()
+        )
+        application.builder.search = False  # an index of all words: nothing here asks it
+        application.build()
         stubs = "\n".join(path.read_text() for path in (source / "api").glob("*.rst"))
         self.modules = set(re.findall(r"automodule:: (\S+)", stubs))
         self.complaints = complaints.getvalue()
