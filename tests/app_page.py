@@ -7,8 +7,8 @@ import subprocess
 import sys
 from contextlib import contextmanager
 
-#: With an effect; the bench as it is gets four times as many. All tests that diagnose the misfit
-#: take as many, and share the records. By fewer, bevels may do as well as the bubble that is hidden.
+#: With an effect; the bench as it is gets four times as many. All tests of the page take as many,
+#: and share the records; by fewer, bevels may do as well as the bubble that is hidden.
 PHOTONS = 49152
 LONGEST_SIMULATION_S = 600
 KEYS = {

@@ -14,6 +14,10 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+# Before NumPy is imported, here and in all processes that tests start: threads of linear algebra
+# that wait for each other beside other tests take ten times the processor's time of one.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import pytest
 from browser import browser  # noqa: F401  (a fixture for all tests)
 from places import CAMPAIGN_FILES, SCENES

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from places import cases_of
 from refusals import refusal
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from mcrim_mitsuba.core.run import OverAxes, Provenance, Run, arguments_of, one_thread, signals_wait
 
@@ -40,11 +40,11 @@ def test_progress_is_told_here_and_sent_nowhere():
 def test_linear_algebra_has_one_thread_meanwhile():
     np.eye(2) @ np.eye(2)
 
-    @one_thread()
     def threads() -> set[int]:
         return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
-    assert threads() == {1}
+    with threadpool_limits(2, "blas"):
+        assert (threads(), one_thread()(threads)(), threads()) == ({2}, {1}, {2})
 
 
 def test_a_signal_waits_for_the_end():
