@@ -49,7 +49,11 @@ class Site:
             status=None,
             warning=complaints,
             # every page would list all objects of all modules in its margin: a third of the time
-            confoverrides={"nb_execution_mode": "off", "toc_object_entries": False},
+            confoverrides={
+                "nb_execution_mode": "off",
+                "toc_object_entries": False,
+                "autodoc_use_type_comments": False,  # nobody writes any
+            },
         )
         application.builder.search = False  # an index of all words: nothing here asks it
         application.build()
