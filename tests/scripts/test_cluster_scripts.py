@@ -55,6 +55,7 @@ def test_a_command_on_a_batch_system(system, scenes, tmp_path):
         [sys.executable, "-m", "mcrim_mitsuba", *SIMULATE, str(scenes / "camoo4.xml")],
         capture_output=True,
         text=True,
+        env=os.environ,  # without the width that readline, if pytest loads it, adds to ours
     )
     done = run(
         system,
