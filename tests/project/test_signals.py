@@ -43,7 +43,7 @@ sys.exit(main())
         (SIGHUP, "plugins/light.py:LightCollectionIntegrator.__init__", ["check"]),
         (SIGTERM, "loop.py:Loop.step", ["check"]),
         (SIGINT, "surface_physics.py:interact", ["table", "--n-gap", "1.0", "--photons", "1e5"]),
-        (SIGINT, "mitsuba/python/util.py:render", ["render", "-o", "x.png"]),
+        (SIGINT, "mitsuba/python/util.py:render", ["render", "-o", "x.png", "--samples", "1"]),
     ],
 )
 def test_signals_wait_for_mitsuba(scenes, here, number, place, verb):
