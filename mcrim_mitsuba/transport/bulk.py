@@ -15,6 +15,7 @@ cosine.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -125,6 +126,37 @@ class BirthLattice:
         # 32-bit integers wrap, which is just what a fractional part needs
         word = self._shift[dimension] + mirrored * mi.UInt32(GENERATORS[dimension])
         return mi.Float(word >> 8) * 2.0**-24
+
+
+@dataclass(frozen=True)
+class LaneNumbers:
+    """Random numbers of a launch's lanes, as they are before it."""
+
+    #: Increment of each lane's PCG32 (UInt64), which tells its stream.
+    stream: Any
+    seeds: PhotonSeeds
+    lattice: BirthLattice
+    #: Number of each lane's first photon among all of the launch (UInt32).
+    first_slot: Any
+
+
+@functools.lru_cache(maxsize=4)
+def lane_numbers(variant: str, plan: LanePlan, *seed: int) -> LaneNumbers:
+    """Numbers of a plan's lanes in the active variant, kept: small launches have those in common.
+
+    `seed` is of the run and of the launch within it, as of `seed_words`.
+    """
+    stream = mi.UInt64(lane_generators(plan.lanes, *seed).inc)
+    numbers = LaneNumbers(
+        stream,
+        PhotonSeeds(plan.lanes, *seed, 2),
+        BirthLattice(plan, *seed),
+        opaque(plan.first_slot, mi.UInt32),
+    )
+    dr.eval(stream)
+    # other threads will use them, who would not wait for this one
+    dr.sync_thread()
+    return numbers
 
 
 #: Candidates per wanted birth after which a volume counts as empty.

@@ -188,7 +188,7 @@ class _FacetWalk:
 
     def meet(self, walking, met, state, towards, turned, crossed, height):
         """Meet one facet, and fly on: the body of the loop."""
-        numbers = _resumed(self.rng, state)
+        numbers = resumed(self.rng.inc, state)
         u, v, choice, uniform = (numbers.next_float32() for _ in range(4))
         facet, taken = self._facet(-towards, u, v, numbers)
         cosine = dr.clip(-dr.dot(towards, facet), 0.0, 1.0)
@@ -290,7 +290,7 @@ def scatter_by_haze(way, haze, hazy, field, facing, ratio, cos_i, rng):
     _, most = _scattered_part(reflected, back_haze, back_ratio, largest, 0.0)
 
     def try_direction(searching, tries, state, scattered):
-        numbers = _resumed(rng, state)
+        numbers = resumed(rng.inc, state)
         u, v, choice, again = (numbers.next_float32() for _ in range(4))
         # reflected as the cosine's third power, which S follows at small phases, else as its first
         cosine = dr.sqrt(dr.select(reflected, dr.sqrt(u), u))
@@ -318,7 +318,7 @@ def scatter_by_haze(way, haze, hazy, field, facing, ratio, cos_i, rng):
     scattered = frame.to_world(scattered)
     scatters &= tries < _MOST_DIRECTIONS
     if field is not None:
-        turn = dr.two_pi * _resumed(rng, state).next_float32()
+        turn = dr.two_pi * resumed(rng.inc, state).next_float32()
         smooth_field = dr.select(scatters, unpolarised_field(scattered, turn), smooth_field)
     return dr.select(scatters, scattered, direction), smooth_field, reflected
 
@@ -329,8 +329,8 @@ def _scattered_part(reflected, haze, ratio, cosine, beyond):
     return phase, 1.0 - dr.exp(-dr.square(phase))
 
 
-def _resumed(rng, state):
-    """A generator (PCG32) of the stream of `rng` at another state (UInt64)."""
+def resumed(stream, state):
+    """A generator (PCG32) of a `stream`, as ``inc`` of PCG32 has it, at a state (both UInt64)."""
     numbers = mi.PCG32()
-    numbers.state, numbers.inc = state, rng.inc
+    numbers.state, numbers.inc = state, stream
     return numbers

@@ -6,8 +6,9 @@ a tally adds launches up and knows how well eta is known, and how many photons t
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,7 +29,7 @@ SHARE_STEPS = LANES // BATCHES
 MARGIN = 1.06
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LanePlan:
     """Plan of one launch; arrays have shape (lanes,).
 
@@ -62,8 +63,9 @@ class LanePlan:
         return np.asarray(np.bincount(self.batch, values), float)
 
 
+@functools.lru_cache(maxsize=16)
 def plan_lanes(
-    photons: int, units: Sequence[int] = (SHARE_STEPS,), batches: int = BATCHES
+    photons: int, units: tuple[int, ...] = (SHARE_STEPS,), batches: int = BATCHES
 ) -> LanePlan:
     """Share photons out among lanes, batches (`BATCHES` at most) and proposals.
 

@@ -20,15 +20,14 @@ import numpy as np
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.transport import surface_physics as physics
 from mcrim_mitsuba.transport.bulk import (
-    BirthLattice,
     CrystalVolume,
-    PhotonSeeds,
     Scattering,
     lane_generators,
+    lane_numbers,
 )
 from mcrim_mitsuba.transport.conversion import opaque, opaque_vector
 from mcrim_mitsuba.transport.convex import NO_FACE
-from mcrim_mitsuba.transport.dielectric import unpolarised_field
+from mcrim_mitsuba.transport.dielectric import resumed, unpolarised_field
 from mcrim_mitsuba.transport.launch_plan import LanePlan, ScatteringProposals
 from mcrim_mitsuba.transport.record_store import RecordStore
 from mcrim_mitsuba.transport.scene_model import DIFFUSE, OUTSIDE
@@ -65,7 +64,7 @@ class Photon:
     history: Any  #: what records keep of the flights (`RecordStore.nothing`)
     left: mi.UInt32  #: photons the lane has yet to follow, this one included
     serial: mi.UInt32  #: number of this one in the lane
-    rng: mi.PCG32  #: starts from a state of its own for every photon
+    state: mi.UInt64  #: of its random numbers, which start anew for every photon
     fates: dict  #: weight that met each frequent fate, all photons of the lane so far
     absorbed: dict  #: weight absorbed in each volume that absorbs, likewise
 
@@ -163,11 +162,10 @@ class Loop:
         self.store = None if columns is None else RecordStore(emitter, photons, columns)
         assert trails is None or path.folded is None
         self.trails, self._tangent = trails, tangent
-        self._rng = lane_generators(lanes, seed, number)
-        self._seeds = PhotonSeeds(lanes, seed, number, 2)
-        self._lattice = BirthLattice(plan, seed, number)
+        numbers = lane_numbers(mi.variant(), plan, seed, number)
+        self._stream, self._first_slot = numbers.stream, numbers.first_slot
+        self._seeds, self._lattice = numbers.seeds, numbers.lattice
         self._lane = dr.arange(mi.UInt32, lanes)
-        self._first_slot = opaque(plan.first_slot, mi.UInt32)
         self._depth_limit = opaque([max_depth], mi.UInt32)
         self._aim = None if emitter.aim is None else opaque_vector(emitter.aim)
         self._births = None
@@ -208,7 +206,6 @@ class Loop:
         born = mi.warp.square_to_uniform_sphere(mi.Point2f(u, v))
         if self._aim is not None:
             born = self._aim + dr.zeros(mi.Vector3f, lanes)
-        self._rng.state = self._seeds.state(zero)
         field = None
         if self.path.polarization:
             turn = self._lattice.coordinate(point, 5)
@@ -224,14 +221,15 @@ class Loop:
             history=None if self.store is None else self.store.nothing(lanes),
             left=opaque(self.plan.photons, mi.UInt32),
             serial=dr.zeros(mi.UInt32, lanes),
-            rng=self._rng,
+            state=self._seeds.state(zero),
             fates={code: dr.zeros(mi.Float, lanes) for code in self._frequent},
             absorbed={number: dr.zeros(mi.Float, lanes) for number in self._absorb},
         )
 
     def step(self, p: Photon) -> Photon:
         """One free flight and what follows from it."""
-        path, polarized, rng = self.path, self.path.polarization, p.rng
+        path, polarized = self.path, self.path.polarization
+        rng = resumed(self._stream, p.state)
 
         # ---------------- random numbers, in this order whatever the step will need
         free, survive, u, v = (rng.next_float32() for _ in range(4))
@@ -332,7 +330,6 @@ class Loop:
             scattered = dr.select(ended, self._aim, scattered)
         # A new photon and a scattered one are unpolarised alike.
         fresh = ended | ~(at_surface | onwards)
-        rng.state = dr.select(ended, self._seeds.state(serial), rng.state)
         field = None
         if polarized:
             turn = dr.select(ended, self._lattice.coordinate(point, 5), turn)
@@ -372,7 +369,7 @@ class Loop:
             history=history,
             left=left,
             serial=serial,
-            rng=rng,
+            state=dr.select(ended, self._seeds.state(serial), rng.state),
             fates=fates,
             absorbed=absorbed,
         )
