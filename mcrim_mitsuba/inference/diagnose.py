@@ -51,6 +51,7 @@ from mcrim_mitsuba.inference.rival_causes import UNKNOWN, bad_readings, unknown_
 from mcrim_mitsuba.inference.screening import ScreeningCache, promising_effects
 from mcrim_mitsuba.inference.settings import JUDGING
 from mcrim_mitsuba.inference.simulations import CampaignSimulations, MeasurementProposals
+from mcrim_mitsuba.runs.executors import more_units_follow
 
 #: The family of wrong readings.
 INSTRUMENT = "instrument"
@@ -187,6 +188,7 @@ class Diagnosis:
         return next((fit for fit in tried if set(fit.effects) == set(effects)), None)
 
 
+@more_units_follow()
 def diagnose(
     simulations: CampaignSimulations,
     *,

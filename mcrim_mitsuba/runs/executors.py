@@ -256,7 +256,7 @@ class PoolExecutor(Executor):
 
 def pickled(unit: WorkItem) -> bytes:
     """A unit as bytes, with the user's own effects by value: others do not have their modules."""
-    modules = [module for name, module in sys.modules.items() if name.startswith(OWN_MODULES)]
+    modules = [sys.modules[name] for name in sys.modules if name.startswith(OWN_MODULES)]
     for module in modules:
         cloudpickle.register_pickle_by_value(module)
     try:
@@ -327,8 +327,26 @@ AHEAD = 4
 LEAST_S = 5.0
 #: From how many units on.
 FEWEST_UNITS = 8
+#: Both, of the first units where many follow: several times their work.
+FIRST_OF_MANY = 2, 1.0
 #: Seconds that processes wait for more units.
 IDLE_S = 60.0
+
+
+_more_follow: contextvars.ContextVar[bool] = contextvars.ContextVar("more_follow", default=False)
+
+
+@contextlib.contextmanager
+def more_units_follow() -> Iterator[None]:
+    """Let few units that are begun within the ``with`` block be done by processes too.
+
+    These will have to be started anyway, and this process need not load Mitsuba.
+    """
+    token = _more_follow.set(True)
+    try:
+        yield
+    finally:
+        _more_follow.reset(token)
 
 
 def many_units_executor(threads: int | None) -> Executor:
@@ -359,7 +377,8 @@ class ProcessExecutor(PoolExecutor):
         **how: Any,
     ) -> Iterator[Finished]:
         """See `Executor.do`; a little work is done here."""
-        if len(jobs) < FEWEST_UNITS or sum(job.unit.expected_s for job in jobs) < LEAST_S:
+        fewest, least_s = FIRST_OF_MANY if _more_follow.get() else (FEWEST_UNITS, LEAST_S)
+        if len(jobs) < fewest or sum(job.unit.expected_s for job in jobs) < least_s:
             return Executor.do(self, jobs, threads=threads, progress=progress, **how)
         return super().do(jobs, progress=progress)
 

@@ -41,6 +41,7 @@ from mcrim_mitsuba.runs.executors import (
     ProcessExecutor,
     current_executor,
     many_units_executor,
+    more_units_follow,
     pickled,
     use_executor,
 )
@@ -482,6 +483,34 @@ def test_processes_of_this_machine_give_the_same_digits(scenes, tmp_path, monkey
         list(waiting)
     # what was finished is kept, and new processes go on
     assert len(list(ProcessExecutor(2).do(jobs))) == len(units)
+
+
+def test_few_units_are_done_by_processes_where_many_follow(tmp_path):
+    """Else they are done here; and so is what takes less than starting processes does."""
+
+    def who_did(expected_s):
+        def unit(number):
+            return SimpleNamespace(
+                what="x",
+                photons=1,
+                expected_s=expected_s,
+                numbers=(number,),
+                check=lambda threads: None,
+                make=lambda threads: {number: ({"process": np.array([os.getpid()])}, {})},
+            )
+
+        units = [unit(n) for n in range(executors.FIRST_OF_MANY[0])]
+        cache = RecordCache({"time": next(times)}, tmp_path)
+        done = ProcessExecutor(2).do([Job(unit, cache) for unit in units])
+        return {int(of.chunks[n].arrays["process"][0]) for n, of in enumerate(done)}
+
+    times = itertools.count()
+
+    assert who_did(expected_s=1.0) == {os.getpid()}
+    with more_units_follow():
+        assert os.getpid() not in who_did(expected_s=1.0)
+        assert who_did(expected_s=0.1) == {os.getpid()}
+    assert who_did(expected_s=1.0) == {os.getpid()}
 
 
 #: A process that hands units to others and is killed: what a worker made is more than a pipe holds.
