@@ -234,12 +234,14 @@ class GridReweighter:
         batches: int = BATCHES,
     ) -> None:
         self._batches = batches
-        batch = records.batch.astype(np.int64) % batches
+        # small integers are sorted by their digits
+        batch = records.batch if batches == records.batches else records.batch % np.uint8(batches)
         order = np.argsort(batch, kind="stable")
         if kept is not None:
             order = order[kept[order]]
         self.order = order
-        self._ends = np.searchsorted(batch[order], np.arange(batches + 1))
+        counts = np.bincount(batch if kept is None else batch[kept], minlength=batches)
+        self._ends = np.concatenate([[0], np.cumsum(counts)])
         self._photons = records.photons
         self._k = records.k[order].astype(np.float32)
         path = records.path_cm[order]
@@ -250,7 +252,8 @@ class GridReweighter:
             self._k, self._scattering_path, shares, records.alpha_scat_proposals_per_cm
         )
         self._alpha_scat_per_cm = np.exp(grid.scattering.nodes)
-        self._scattering = self._densities(1.0)
+        self._scattering = np.empty((grid.counts[0], len(order)), dtype=np.float32)
+        self._fill_densities(self._scattering, 1.0)
         self._absorption = np.empty((grid.counts[1], len(order)), dtype=np.float32)
         w = records.w[order]
         _, alpha_abs_per_cm = grid.coefficients_per_cm()
@@ -259,15 +262,14 @@ class GridReweighter:
             np.exp(np.maximum(row, _LEAST_LOG, out=row), out=row)
             row *= w
 
-    def _densities(self, factor: float) -> NDArray[np.float32]:
-        """(nodes, kept) density at so many times alpha_scat, over that of the proposals."""
-        found = np.empty((len(self._alpha_scat_per_cm), len(self._k)), dtype=np.float32)
-        for row, alpha in zip(found, factor * self._alpha_scat_per_cm, strict=True):
+    def _fill_densities(self, densities: NDArray[np.float32], factor: float) -> None:
+        """Write (nodes, kept) densities at so many times alpha_scat, over that of the proposals."""
+        scattered = np.empty_like(self._scattering_path)
+        for row, alpha in zip(densities, factor * self._alpha_scat_per_cm, strict=True):
             np.multiply(self._k, np.float32(np.log(alpha)), out=row)
-            row -= np.float32(alpha) * self._scattering_path
+            row -= np.multiply(self._scattering_path, np.float32(alpha), out=scattered)
             row -= self._log_mixture
             np.exp(np.clip(row, _LEAST_LOG, -_LEAST_LOG, out=row), out=row)
-        return found
 
     def table(
         self,
@@ -281,9 +283,12 @@ class GridReweighter:
         """
         scattering, absorption = self._scattering, self._absorption
         if colours is not None:
-            scattering = np.zeros_like(self._scattering)
+            # memory that is new takes longer to come by than what is written to it
+            scattering, of_colour = np.zeros((2, *self._scattering.shape), dtype=np.float32)
             for part, factor in zip(*colours, strict=True):
-                scattering += np.float32(part) * self._densities(factor)
+                self._fill_densities(of_colour, factor)
+                of_colour *= np.float32(part)
+                scattering += of_colour
         by_batch = np.empty((self._batches, len(scattering), len(absorption)))
         if weight is not None:
             absorption = absorption * weight.astype(np.float32)
@@ -304,10 +309,10 @@ def _log_mixture(
 ) -> NDArray[np.float32]:
     """Logarithm of sum_j share_j a_j^k exp(-a_j L), shaped like `k`."""
     drawn = [(share, a) for share, a in zip(shares, proposals_per_cm, strict=True) if share > 0]
-    terms = np.empty((len(drawn), len(k)), dtype=np.float32)
+    terms, scattered = np.empty((len(drawn), len(k)), dtype=np.float32), np.empty_like(path_cm)
     for row, (share, proposal) in zip(terms, drawn, strict=True):
         np.multiply(k, np.float32(np.log(proposal)), out=row)
-        row -= np.float32(proposal) * path_cm
+        row -= np.multiply(path_cm, np.float32(proposal), out=scattered)
         row += np.float32(np.log(share))
     # one exponential each is a tenth of the time of logaddexp
     largest = terms.max(axis=0)
