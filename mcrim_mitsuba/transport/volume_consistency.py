@@ -91,12 +91,14 @@ def _through_flat_faces(model, origin, direction) -> Crossings:
     distance = np.full((len(origin), len(model.faces) + 2 * len(model.walls)), np.inf)
     behind = np.zeros(distance.shape, dtype=bool)
     ambiguous = np.zeros(len(origin), dtype=bool)
+    # numbers that are used together lie together
+    starts, ways = np.ascontiguousarray(origin.T), np.ascontiguousarray(direction.T)
     for number, face in enumerate(model.faces):
         towards = direction @ face.normal
         behind[:, number] = towards > 0
         with np.errstate(divide="ignore", invalid="ignore"):
             t = (face.corner @ face.normal - origin @ face.normal) / towards
-            margin = face.margin(origin + t[:, None] * direction)
+            margin = face.margin((starts + t * ways).T)
         rim = RIM * model.size_mm / min(np.linalg.norm(face.edge_u), np.linalg.norm(face.edge_v))
         ambiguous |= np.abs(margin) <= rim
         distance[:, number] = np.where((margin > 0) & (t > 0), t, np.inf)
