@@ -351,20 +351,20 @@ class _Assembly:
         """Declare, include and substitute below `parent`; `declared`: lines in this file."""
         defaults = []
         for child in list(parent.iterchildren(etree.Element)):
-            self.files[child] = path
+            self.files[child], tag = path, child.tag
             place: dict[str, Any] = {"path": path, "line": child.sourceline}
             if len(self.files) > _MOST_ELEMENTS:
                 raise InputError(f"more than {_MOST_ELEMENTS:,} elements", _MEANT, **place)
-            if child.tag == "default":
+            if tag == "default":
                 self.declare(child, declared, place)
                 defaults.append(child)
                 continue
-            for key, text in child.attrib.items():
+            for key, text in child.items():
                 if "$" in text:
                     child.set(key, self.substitute(text, place))
-            if child.tag == "include":
+            if tag == "include":
                 self.include(child, chain, place)
-            else:
+            elif len(child):
                 self.process(child, path, chain, declared)
         # only now: the comments of later defaults are found through their neighbours
         for child in defaults:

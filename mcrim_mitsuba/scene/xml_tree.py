@@ -67,7 +67,7 @@ def parse_scene_xml(data: bytes, path: Path) -> Node:
     return copy.deepcopy(_parsed(data, path))
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=32)
 def _parsed(data: bytes, path: Path) -> Node:
     """The root, of scenes that differ in their parameters once."""
     if data.count(b"<") > _MOST_TAGS:

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.scene.check_text import is_filled
+from mcrim_mitsuba.transport.conversion import write_parameters
 from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis
 from mcrim_mitsuba.transport.scene_model import Circle, RoundWall
 
@@ -43,10 +44,11 @@ class Polygons(mi.Mesh):
         for polygon in polygons:
             triangles += [(first, first + i, first + i + 1) for i in range(1, len(polygon) - 1)]
             first += len(polygon)
-        parameters = mi.traverse(self)
-        parameters["vertex_positions"] = mi.Float(corners[:, :3].ravel())
-        parameters["faces"] = mi.UInt32(np.ravel(triangles))
-        parameters.update()
+        write_parameters(
+            self,
+            vertex_positions=mi.Float(corners[:, :3].ravel()),
+            faces=mi.UInt32(np.ravel(triangles)),
+        )
 
     def polygons(self, props: mi.Properties, to_world: np.ndarray) -> Sequence:
         """The polygons, convex, by their corners, shape (corners, 3) each.
