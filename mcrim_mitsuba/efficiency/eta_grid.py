@@ -240,7 +240,7 @@ class GridReweighter:
         if kept is not None:
             order = order[kept[order]]
         self.order = order
-        counts = np.bincount(batch if kept is None else batch[kept], minlength=batches)
+        counts = np.bincount(batch[order], minlength=batches)
         self._ends = np.concatenate([[0], np.cumsum(counts)])
         self._photons = records.photons
         self._k = records.k[order].astype(np.float32)

@@ -159,10 +159,10 @@ class Schedule:
             first.setdefault(identity.scene_hash, identity)
         ordered = sorted(missing, key=lambda identity: identity != first[identity.scene_hash])
         groups = [list(missing[identity].values()) for identity in ordered]
-        errors: list[float] = []
+        largest_error = 0.0
 
         def report(what: str, done: int, total: int, note: str = "") -> None:
-            worst = f", errors up to {100 * max(errors):.2g} %" if errors else ""
+            worst = f", errors up to {100 * largest_error:.2g} %" if largest_error else ""
             self._run.tell(what, done, total, f"{note}{worst}")
 
         jobs = [Job(self._unit(members), self._cache) for members in groups]
@@ -173,7 +173,7 @@ class Schedule:
             for table in members:
                 eta = self._of_light(table, done.chunks[table.number].arrays)
                 self._made[table.number] = eta
-                errors.append(eta.usual_error)
+                largest_error = max(largest_error, eta.usual_error)
         return self._made
 
     def _unit(self, tables: Sequence[WantedTable]) -> TableUnit:

@@ -256,7 +256,9 @@ class PoolExecutor(Executor):
 
 def pickled(unit: WorkItem) -> bytes:
     """A unit as bytes, with the user's own effects by value: others do not have their modules."""
-    modules = [sys.modules[name] for name in sys.modules if name.startswith(OWN_MODULES)]
+    # mostly there are none among some two thousand, which takes a sixth of the time to see
+    names = sys.modules if OWN_MODULES in " ".join(sys.modules) else ()
+    modules = [sys.modules[name] for name in names if name.startswith(OWN_MODULES)]
     for module in modules:
         cloudpickle.register_pickle_by_value(module)
     try:
