@@ -32,7 +32,7 @@ from mcrim_mitsuba.core.run import one_thread
 from mcrim_mitsuba.effects.effect import Effect, modules_of
 from mcrim_mitsuba.efficiency.surface import Lagrange, chebyshev_nodes
 from mcrim_mitsuba.runs.executors import Content
-from mcrim_mitsuba.runs.scene_units import PHOTONS_PER_S, PortableScene, SceneUnit
+from mcrim_mitsuba.runs.scene_units import PortableScene, SceneUnit
 from mcrim_mitsuba.scene.emitted_light import Colours
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.transport.launch_plan import PhotonRecords, ScatteringProposals
@@ -240,8 +240,7 @@ class GridReweighter:
         if kept is not None:
             order = order[kept[order]]
         self.order = order
-        counts = np.bincount(batch[order], minlength=batches)
-        self._ends = np.concatenate([[0], np.cumsum(counts)])
+        self._ends = np.cumsum([0, *np.bincount(batch[order], minlength=batches)])
         self._photons = records.photons
         self._k = records.k[order].astype(np.float32)
         path = records.path_cm[order]
@@ -406,10 +405,6 @@ class TableUnit(SceneUnit):
     #: The fine one and the coarse one.
     grids: tuple[Grid, Grid]
     requests: tuple[TableRequest, ...]
-
-    @property
-    def expected_s(self) -> float:
-        return self.photons / PHOTONS_PER_S
 
     @property
     def numbers(self) -> tuple[int, ...]:

@@ -574,51 +574,27 @@ def _nodes(axes: Sequence[Axis]) -> Iterator[tuple[tuple[int, ...], dict[str, fl
 
 
 def _as_effect(campaign: Campaign, name: str) -> Effect:
-    """A fitted scene parameter as an effect that is absent at the scene's value."""
+    """A fitted scene parameter as an effect, absent at the scene's value; acceptance by angle."""
     known, own = campaign.parameters[name], float(campaign.values[name])
-    if not (math.isfinite(known.minimum) and math.isfinite(known.maximum)):
-        problem = f"{name} has the range {known.minimum:g}..{known.maximum:g}"
+    low, high = known.minimum, known.maximum
+    if not (math.isfinite(low) and math.isfinite(high)):
+        problem = f"{name} has the range {low:g}..{high:g}"
         mend = "give a finite min and a larger finite max: it is simulated between them"
         raise InputError(problem, mend, path=campaign.path)
     if name == ACCEPTANCE:
-        return _acceptance_as_effect(campaign)
-    nodes = chebyshev_nodes(known.minimum, known.maximum, _SCENE_NODES)
+        first, last = np.log1p(np.array([low, high]) / _ACCEPTANCE_SCALE_DEG)
+        nodes = _ACCEPTANCE_SCALE_DEG * np.expm1(chebyshev_nodes(first, last, _ACCEPTANCE_NODES))
+        nodes = np.clip(nodes, low, high)
+    else:
+        nodes = chebyshev_nodes(low, high, _SCENE_NODES)
     # the scene's value stands in for the nearest of them
     nodes = np.delete(nodes, int(np.abs(nodes - own).argmin()))
-    parameter = EffectParameter(
-        name=name,
-        unit="",
-        meaning="a parameter of the scene",
-        minimum=known.minimum,
-        maximum=known.maximum,
-        start=known.start,
-        absent=own,
-        plausible=(known.minimum, known.maximum),
-        nodes=tuple(map(float, nodes)),
-    )
+    fields: dict[str, Any] = {"minimum": low, "maximum": high, "plausible": (low, high)}
+    fields |= {"start": known.start, "absent": own, "nodes": tuple(map(float, nodes))}
+    if name == ACCEPTANCE:
+        (parameter,) = FORWARD_BEAM.parameters
+        fields |= {"nominal": None, "scale": _ACCEPTANCE_SCALE_DEG, "limits": None}
+        return replace(FORWARD_BEAM, name=name, parameters=(replace(parameter, **fields),))
+    parameter = EffectParameter(name=name, unit="", meaning="a parameter of the scene", **fields)
     # nothing to be written into the scene: it has the parameter
     return Effect(name, name, "", "", parameters=(parameter,), edit=lambda editor: None)
-
-
-def _acceptance_as_effect(campaign: Campaign) -> Effect:
-    """The fitted acceptance of a spectrophotometer, by the half angle itself."""
-    known, own = campaign.parameters[ACCEPTANCE], float(campaign.values[ACCEPTANCE])
-    scale = _ACCEPTANCE_SCALE_DEG
-    low, high = np.log1p(np.array([known.minimum, known.maximum]) / scale)
-    nodes = scale * np.expm1(chebyshev_nodes(low, high, _ACCEPTANCE_NODES))
-    nodes = np.clip(nodes, known.minimum, known.maximum)
-    nodes = np.delete(nodes, int(np.abs(nodes - own).argmin()))
-    (parameter,) = FORWARD_BEAM.parameters
-    by_angle = replace(
-        parameter,
-        minimum=known.minimum,
-        maximum=known.maximum,
-        start=known.start,
-        absent=own,
-        plausible=(known.minimum, known.maximum),
-        nodes=tuple(map(float, nodes)),
-        nominal=None,
-        scale=scale,
-        limits=None,
-    )
-    return replace(FORWARD_BEAM, name=ACCEPTANCE, parameters=(by_angle,))

@@ -54,10 +54,6 @@ class WorkItem(Protocol):
         """That it follows."""
 
     @property
-    def expected_s(self) -> float:
-        """Processor time that it takes, roughly."""
-
-    @property
     def variant(self) -> str:
         """Of Mitsuba."""
 
@@ -325,12 +321,10 @@ def use_executor(executor: Executor) -> Iterator[Executor]:
 
 #: Units that are handed out ahead, per process.
 AHEAD = 4
-#: From how much processor time on it is worth while to start processes.
-LEAST_S = 5.0
-#: From how many units on.
-FEWEST_UNITS = 8
-#: Both, of the first units where many follow: several times their work.
-FIRST_OF_MANY = 2, 1.0
+#: From how many units, and photons in all, on it is worth while to start processes.
+FEWEST = 8, 12_500_000
+#: The same of the first units where many follow: several times their work.
+FEWEST_OF_MANY = 2, 2_500_000
 #: Seconds that processes wait for more units.
 IDLE_S = 60.0
 
@@ -340,10 +334,7 @@ _more_follow: contextvars.ContextVar[bool] = contextvars.ContextVar("more_follow
 
 @contextlib.contextmanager
 def more_units_follow() -> Iterator[None]:
-    """Let few units that are begun within the ``with`` block be done by processes too.
-
-    These will have to be started anyway, and this process need not load Mitsuba.
-    """
+    """Let few units of the ``with`` block be done by processes too, which are started anyway."""
     token = _more_follow.set(True)
     try:
         yield
@@ -379,8 +370,8 @@ class ProcessExecutor(PoolExecutor):
         **how: Any,
     ) -> Iterator[Finished]:
         """See `Executor.do`; a little work is done here."""
-        fewest, least_s = FIRST_OF_MANY if _more_follow.get() else (FEWEST_UNITS, LEAST_S)
-        if len(jobs) < fewest or sum(job.unit.expected_s for job in jobs) < least_s:
+        units, photons = FEWEST_OF_MANY if _more_follow.get() else FEWEST
+        if len(jobs) < units or sum(job.unit.photons for job in jobs) < photons:
             return Executor.do(self, jobs, threads=threads, progress=progress, **how)
         return super().do(jobs, progress=progress)
 

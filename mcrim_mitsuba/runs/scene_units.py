@@ -86,8 +86,6 @@ def _scratch() -> tempfile.TemporaryDirectory[str]:
 
 # Scenes that are loaded: units that follow each other are often of one.
 
-#: Photons that a processor follows in a second, their records kept: a rough guess.
-PHOTONS_PER_S = 2.5e6
 #: Loaded scenes are held by Mitsuba too, and take memory.
 _MOST = 2
 _loaded: OrderedDict[tuple[str, bytes | str, str], Simulation] = OrderedDict()
@@ -169,11 +167,6 @@ class LaunchBlock(SceneUnit):
     def photons(self) -> int:
         """Of all launches."""
         return sum(self.launches)
-
-    @property
-    def expected_s(self) -> float:
-        """See `runs.executors.WorkItem`."""
-        return self.photons / PHOTONS_PER_S
 
     @property
     def numbers(self) -> tuple[int]:

@@ -128,35 +128,18 @@ class BirthLattice:
         return mi.Float(word >> 8) * 2.0**-24
 
 
-@dataclass(frozen=True)
-class LaneNumbers:
-    """Random numbers of a launch's lanes, as they are before it."""
-
-    #: Increment of each lane's PCG32 (UInt64), which tells its stream.
-    stream: Any
-    seeds: PhotonSeeds
-    lattice: BirthLattice
-    #: Number of each lane's first photon among all of the launch (UInt32).
-    first_slot: Any
-
-
 @functools.lru_cache(maxsize=4)
-def lane_numbers(variant: str, plan: LanePlan, *seed: int) -> LaneNumbers:
-    """Numbers of a plan's lanes in the active variant, kept: small launches have those in common.
+def lane_numbers(_variant: str, plan: LanePlan, *seed: int):
+    """What lanes draw numbers by, kept for launches of one plan and seed, as of `seed_words`.
 
-    `seed` is of the run and of the launch within it, as of `seed_words`.
+    Streams of PCG32 (UInt64), `PhotonSeeds`, `BirthLattice`, slots of first photons (UInt32).
     """
     stream = mi.UInt64(lane_generators(plan.lanes, *seed).inc)
-    numbers = LaneNumbers(
-        stream,
-        PhotonSeeds(plan.lanes, *seed, 2),
-        BirthLattice(plan, *seed),
-        opaque(plan.first_slot, mi.UInt32),
-    )
+    seeds, lattice = PhotonSeeds(plan.lanes, *seed, 2), BirthLattice(plan, *seed)
+    first_slot = opaque(plan.first_slot, mi.UInt32)
     dr.eval(stream)
-    # other threads will use them, who would not wait for this one
-    dr.sync_thread()
-    return numbers
+    dr.sync_thread()  # other threads that use them would not wait for this one
+    return stream, seeds, lattice, first_slot
 
 
 #: Candidates per wanted birth after which a volume counts as empty.

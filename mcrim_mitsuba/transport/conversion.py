@@ -40,10 +40,7 @@ _MESHES = 256
 
 
 def parameters_of(node, *, nested: bool = True) -> dict[str, Any]:
-    """What ``mi.traverse`` gives of an object, to be read only: in a fifth of its time.
-
-    Those of other objects in it are left out where they are not `nested`.
-    """
+    """What ``mi.traverse`` gives of an object, and of those `nested` in it: to be read only."""
     parts, met, collect = dict[str, Any](), {node}, _collector()
     objects = [("", node)]
     for path, owner in objects:

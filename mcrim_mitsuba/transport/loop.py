@@ -19,12 +19,7 @@ import numpy as np
 
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.transport import surface_physics as physics
-from mcrim_mitsuba.transport.bulk import (
-    CrystalVolume,
-    Scattering,
-    lane_generators,
-    lane_numbers,
-)
+from mcrim_mitsuba.transport.bulk import CrystalVolume, Scattering, lane_generators, lane_numbers
 from mcrim_mitsuba.transport.conversion import opaque, opaque_vector
 from mcrim_mitsuba.transport.convex import NO_FACE
 from mcrim_mitsuba.transport.dielectric import resumed, unpolarised_field
@@ -163,8 +158,7 @@ class Loop:
         assert trails is None or path.folded is None
         self.trails, self._tangent = trails, tangent
         numbers = lane_numbers(mi.variant(), plan, seed, number)
-        self._stream, self._first_slot = numbers.stream, numbers.first_slot
-        self._seeds, self._lattice = numbers.seeds, numbers.lattice
+        self._stream, self._seeds, self._lattice, self._first_slot = numbers
         self._lane = dr.arange(mi.UInt32, lanes)
         self._depth_limit = opaque([max_depth], mi.UInt32)
         self._aim = None if emitter.aim is None else opaque_vector(emitter.aim)

@@ -458,9 +458,9 @@ def test_an_own_effect_travels_with_the_unit(scenes, tmp_path):
 
 def test_processes_of_this_machine_give_the_same_digits(scenes, tmp_path, monkeypatch):
     """Units in the order of the jobs; a process that is killed ends in one line."""
-    monkeypatch.setattr(executors, "LEAST_S", 0.0)
+    monkeypatch.setattr(executors, "FEWEST", (2, 0))
     scene = read_scene(scenes / "camoo4.xml")
-    units = [block(scene, first=n) for n in range(executors.FEWEST_UNITS)]
+    units = [block(scene, first=n) for n in range(8)]
     here, there = (
         [done.chunks for done in who.do([Job(unit, cache) for unit in units])]
         for who, cache in (
@@ -488,29 +488,29 @@ def test_processes_of_this_machine_give_the_same_digits(scenes, tmp_path, monkey
 def test_few_units_are_done_by_processes_where_many_follow(tmp_path):
     """Else they are done here; and so is what takes less than starting processes does."""
 
-    def who_did(expected_s):
+    def who_did(photons):
         def unit(number):
             return SimpleNamespace(
                 what="x",
-                photons=1,
-                expected_s=expected_s,
+                photons=photons,
                 numbers=(number,),
                 check=lambda threads: None,
                 make=lambda threads: {number: ({"process": np.array([os.getpid()])}, {})},
             )
 
-        units = [unit(n) for n in range(executors.FIRST_OF_MANY[0])]
+        units = [unit(n) for n in range(2)]
         cache = RecordCache({"time": next(times)}, tmp_path)
         done = ProcessExecutor(2).do([Job(unit, cache) for unit in units])
         return {int(of.chunks[n].arrays["process"][0]) for n, of in enumerate(done)}
 
     times = itertools.count()
 
-    assert who_did(expected_s=1.0) == {os.getpid()}
+    enough = executors.FEWEST_OF_MANY[1] // 2
+    assert who_did(enough) == {os.getpid()}
     with more_units_follow():
-        assert os.getpid() not in who_did(expected_s=1.0)
-        assert who_did(expected_s=0.1) == {os.getpid()}
-    assert who_did(expected_s=1.0) == {os.getpid()}
+        assert os.getpid() not in who_did(enough)
+        assert who_did(enough // 2) == {os.getpid()}
+    assert who_did(enough) == {os.getpid()}
 
 
 #: A process that hands units to others and is killed: what a worker made is more than a pipe holds.
@@ -526,7 +526,7 @@ class Unit(SimpleNamespace):
     def check(self, threads): pass
     def make(self, threads): return {self.numbers[0]: ({"a": np.zeros(1_000_000)}, {})}
 
-units = [Unit(what="x", photons=1, expected_s=9.0, numbers=(n,)) for n in range(40)]
+units = [Unit(what="x", photons=1_000_000, numbers=(n,)) for n in range(40)]
 cache = RecordCache({"x": 1})
 for done in ProcessExecutor(2).do([Job(unit, cache) for unit in units]):
     os.kill(os.getpid(), signal.SIGKILL)

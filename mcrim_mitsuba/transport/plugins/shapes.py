@@ -44,11 +44,8 @@ class Polygons(mi.Mesh):
         for polygon in polygons:
             triangles += [(first, first + i, first + i + 1) for i in range(1, len(polygon) - 1)]
             first += len(polygon)
-        write_parameters(
-            self,
-            vertex_positions=mi.Float(corners[:, :3].ravel()),
-            faces=mi.UInt32(np.ravel(triangles)),
-        )
+        vertices, faces = mi.Float(corners[:, :3].ravel()), mi.UInt32(np.ravel(triangles))
+        write_parameters(self, vertex_positions=vertices, faces=faces)
 
     def polygons(self, props: mi.Properties, to_world: np.ndarray) -> Sequence:
         """The polygons, convex, by their corners, shape (corners, 3) each.
