@@ -10,10 +10,24 @@ from scipy.stats import chisquare, kstest
 
 from mcrim_mitsuba.output.photograph import render
 from mcrim_mitsuba.scene.scene_file import read_scene
-from mcrim_mitsuba.transport.bulk import PhotonSeeds, lane_generators
+from mcrim_mitsuba.transport.bulk import (
+    BirthLattice,
+    PhotonSeeds,
+    lane_generators,
+    lane_numbers,
+)
 from mcrim_mitsuba.transport.collection import Recorder, follow_trails
-from mcrim_mitsuba.transport.conversion import read_scene_model
-from mcrim_mitsuba.transport.launch_plan import LANES, SHARE_STEPS, ScatteringProposals
+from mcrim_mitsuba.transport.conversion import (
+    parameters_of,
+    read_scene_model,
+    write_parameters,
+)
+from mcrim_mitsuba.transport.launch_plan import (
+    LANES,
+    SHARE_STEPS,
+    ScatteringProposals,
+    plan_lanes,
+)
 from mcrim_mitsuba.transport.simulation import Simulation, load_scene
 from mcrim_mitsuba.transport.variants import use_variant
 
@@ -110,6 +124,38 @@ def test_flat_faces_are_read_from_the_scene_and_merged(scenes, mi):
     for face in faces:
         outwards = face.corner + (face.edge_u + face.edge_v) / 2 - centre
         assert outwards @ face.normal == pytest.approx(1, abs=1e-5)
+
+
+def test_numbers_of_lanes_that_are_kept_are_those_made_anew(mi):
+    plan, other = plan_lanes(4096, batches=32), plan_lanes(8192, batches=32)
+    kept = lane_numbers(mi.variant(), plan, 3, 1)
+    assert lane_numbers(mi.variant(), plan, 3, 1) is kept
+    stream, seeds, lattice, first_slot = kept
+    assert np.array_equal(np.array(stream), np.array(lane_generators(plan.lanes, 3, 1).inc))
+    serial = mi.UInt32(5)
+    anew = PhotonSeeds(plan.lanes, 3, 1, 2).state(serial), BirthLattice(plan, 3, 1)
+    assert np.array_equal(np.array(seeds.state(serial)), np.array(anew[0]))
+    assert np.array_equal(np.array(lattice.mirrored(serial)), np.array(anew[1].mirrored(serial)))
+    assert first_slot[-1] == plan.first_slot[-1]
+    # of another plan, launch or seed they are others
+    for numbers in (lane_numbers(mi.variant(), plan, 3, 2), lane_numbers(mi.variant(), plan, 4, 1)):
+        assert not np.array_equal(np.array(numbers[0]), np.array(stream))
+    assert lane_numbers(mi.variant(), other, 3, 1)[3][-1] == other.first_slot[-1]
+
+
+def test_parameters_are_written_as_by_traversal(mi):
+    """A mesh is the same, whoever gives it its corners, and where it is follows."""
+    corners, faces = mi.Float([0, 0, 1, 2, 0, 1, 0, 3, 1]), mi.UInt32([0, 1, 2])
+    mesh, slow = mi.Mesh("fast", 3, 1), mi.Mesh("slow", 3, 1)
+    write_parameters(mesh, vertex_positions=corners, faces=faces)
+    parameters = mi.traverse(slow)
+    parameters["vertex_positions"], parameters["faces"] = corners, faces
+    parameters.update()
+    assert list(mesh.bbox().max) == list(slow.bbox().max) == [2, 3, 1]
+    own = parameters_of(mesh, nested=False)
+    assert {"vertex_positions", "faces"} < own.keys() < parameters_of(mesh).keys()
+    for name, value in own.items():
+        assert np.array_equal(np.array(value), np.array(parameters[name])), name
 
 
 def test_lanes_and_their_photons_draw_unrelated_numbers(mi):
