@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.inference.displacement import Curve
 from mcrim_mitsuba.inference.drivers import Minimum, newton
 from mcrim_mitsuba.inference.estimates import (
     LIGHT_YIELD,
@@ -19,7 +20,7 @@ from mcrim_mitsuba.inference.estimates import (
     light_yields,
 )
 from mcrim_mitsuba.inference.evidence import Evidence
-from mcrim_mitsuba.inference.explanations import Curve, Explanations, Ranking
+from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.profiles import ProfileWalk
 from mcrim_mitsuba.inference.settings import (
@@ -33,9 +34,9 @@ from mcrim_mitsuba.inference.settings import (
 
 @dataclass(frozen=True)
 class Candidate:
-    """The campaign fitted with one effect added, or with a pair."""
+    """The campaign fitted with one effect added, or with several."""
 
-    #: Its name; of a pair both, joined by ``+``.
+    #: Its name; of several all, joined by ``+``.
     effect: str
     effects: tuple[str, ...]
     #: Of the fit with it.
@@ -45,9 +46,9 @@ class Candidate:
     #: What chi2 falls by, and the simulation's error of that.
     delta_chi2: float
     delta_chi2_sigma: float
-    #: Probability of this gain by chance, were this effect the only one tried; None for a pair.
+    #: Probability of this gain by chance, were this effect the only one tried; None for several.
     p_gain: float | None
-    #: Of the best of all effects gaining as much; None for a pair.
+    #: Of the best of all effects gaining as much; None for several.
     p_global: float | None
     #: Relative to the baseline: negative is better; None where there are too few readings.
     aicc: float | None
@@ -71,7 +72,7 @@ class Candidate:
     collinearity: float
     #: Effects that it could be mistaken for.
     mimics: tuple[str, ...]
-    #: What it is a relative of; of a pair of two families both, joined by ``+``.
+    #: What it is a relative of; of several families all, joined by ``+``.
     family: str = ""
     #: How to look for it without any fit.
     look: str = ""
@@ -86,15 +87,15 @@ class CandidateMaker:
     """Turns the fits with effects that a judgement rests on into candidates."""
 
     def __init__(self, judgement: Judgement) -> None:
+        self._judgement = judgement
         self._explanations, self._null = judgement.explanations, judgement.null
-        self._singles, self._pairs = judgement.singles, judgement.pairs
         self._baseline_estimates = estimates(judgement.baseline)
 
     def singles(self) -> tuple[Candidate, ...]:
         """All effects alone, the best first."""
         candidates = []
-        for effects in self._singles.order:
-            candidate, (effect,) = self._candidate(effects, self._singles), effects
+        for effects in self._judgement.singles:
+            candidate, (effect,) = self._candidate(effects), effects
             candidates.append(
                 replace(
                     candidate,
@@ -105,12 +106,11 @@ class CandidateMaker:
             )
         return tuple(candidates)
 
-    def pairs(self) -> tuple[Candidate, ...]:
-        """Pairs of effects, the best first."""
-        pairs = self._pairs
-        return () if pairs is None else tuple(self._candidate(pair, pairs) for pair in pairs.order)
+    def larger_sets(self) -> tuple[Candidate, ...]:
+        """Sets of two effects and three, the best first."""
+        return tuple(map(self._candidate, self._judgement.larger_sets))
 
-    def _candidate(self, effects: tuple[str, ...], ranking: Ranking) -> Candidate:
+    def _candidate(self, effects: tuple[str, ...]) -> Candidate:
         """Effects as a candidate, by what their own fit says; mimics are found later."""
         fit, baseline = self._explanations.fit(effects), self._explanations.baseline
         own = [n for e in effects for n in self._explanations.free_parameters(effects, e)]
@@ -134,7 +134,7 @@ class CandidateMaker:
             p_global=None,
             aicc=gained if math.isfinite(gained) else None,
             log_evidence=evidence.log - self._explanations.evidence(()).log,
-            behind=ranking.behind(effects),
+            behind=self._judgement.behind(effects),
             left_out_error=left_out_error(fit),
             parameters=parameters,
             effect_parameters=tuple(own),

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.effects.catalogue import effect_of
 from mcrim_mitsuba.effects.effect import Effect
@@ -23,6 +24,7 @@ from mcrim_mitsuba.inference.candidates import (
     upper_limits,
 )
 from mcrim_mitsuba.inference.compare import Comparison, Suspect, comparison_of
+from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.estimates import (
     LIGHT_YIELD,
     ParameterEstimate,
@@ -30,14 +32,8 @@ from mcrim_mitsuba.inference.estimates import (
     left_out_error,
     rms_pull,
 )
-from mcrim_mitsuba.inference.evidence import (
-    NOTHING_MISSING,
-    AveragedYield,
-    Hypothesis,
-    Weighing,
-    weigh,
-)
-from mcrim_mitsuba.inference.explanations import Explanations, Models, NullDistribution, Ranking
+from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
+from mcrim_mitsuba.inference.explanations import Explanations, Models
 from mcrim_mitsuba.inference.fit import Calibration, fit_model
 from mcrim_mitsuba.inference.judgement import (
     ADEQUATE,
@@ -45,16 +41,21 @@ from mcrim_mitsuba.inference.judgement import (
     TOO_FEW_READINGS,
     UNEXPLAINED,
     Judgement,
+    explains,
 )
 from mcrim_mitsuba.inference.next_measurements import NextMeasurement, next_measurements
-from mcrim_mitsuba.inference.rival_causes import UNKNOWN, bad_readings, unknown_cause
+from mcrim_mitsuba.inference.rehearsal import Capability, capability
+from mcrim_mitsuba.inference.rival_causes import UNKNOWN
 from mcrim_mitsuba.inference.screening import ScreeningCache, promising_effects
-from mcrim_mitsuba.inference.settings import JUDGING
+from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, EXPLAINING, HYPOTHESES, JUDGING
 from mcrim_mitsuba.inference.simulations import CampaignSimulations, MeasurementProposals
+from mcrim_mitsuba.inference.weighing import (
+    INSTRUMENT,
+    OTHERS,
+    AveragedYield,
+    weigh_hypotheses,
+)
 from mcrim_mitsuba.runs.executors import more_units_follow
-
-#: The family of wrong readings.
-INSTRUMENT = "instrument"
 
 # ---- the steps of a repair ----
 
@@ -134,10 +135,11 @@ def steps(explanations: Explanations, chosen: tuple[str, ...]) -> tuple[RepairSt
 class FamilyProbability:
     """How likely it is that something of a family is missing: its effects are relatives."""
 
-    #: ``none`` where nothing is missing; of a pair of two families both, joined by ``+``.
+    #: ``none`` where nothing is missing.
     family: str
+    #: Of all sets with a member: those of several families add up to more than 1.
     probability: float
-    #: Those of `Diagnosis.probabilities`, the likeliest first.
+    #: Its members in sets of `Diagnosis.probabilities`, the likeliest first.
     effects: tuple[str, ...]
 
 
@@ -153,9 +155,9 @@ class Diagnosis:
     baseline: Comparison
     #: Every effect alone, the best first.
     candidates: tuple[Candidate, ...] = ()
-    #: The best pairs, where no effect alone suffices; the best first.
+    #: Likely sets of two effects and three, the best first.
     pairs: tuple[Candidate, ...] = ()
-    #: Effects that the data cannot tell apart, the best first; of pairs, their effects.
+    #: Effects that the data cannot tell apart, the best first; of sets, their effects.
     leading: tuple[str, ...] = ()
     #: The same as sets that each explain the data, or may do so: see `unsettled`.
     leading_sets: tuple[tuple[str, ...], ...] = ()
@@ -166,9 +168,14 @@ class Diagnosis:
     next_measurements: tuple[NextMeasurement, ...] = ()
     #: Effects that could not be fitted, with the reason.
     not_tried: dict[str, str] = field(default_factory=dict)
-    #: How likely the sets of effects that were fitted are beside each other, averaged over
-    #: plausible sizes, ``none`` among them; pairs joined by ``+``. Empty with too few readings.
+    #: How likely causes are beside each other, averaged over plausible sizes: ``none``, and several
+    #: joined by ``+``, each with what adds nothing to it; all that are not listed are ``others``.
+    #: Empty with too few readings.
     probabilities: dict[str, float] = field(default_factory=dict)
+    #: By effect, the probability of all sets with it.
+    inclusion: dict[str, float] = field(default_factory=dict)
+    #: What such readings could say, whatever they say; None with too few.
+    capability: Capability | None = None
     #: Averaged over all of these; None where the campaign does not say how to get it.
     light_yield_averaged: AveragedYield | None = None
     #: Wall time.
@@ -221,6 +228,7 @@ def diagnose(
         diagnosis = diagnose_models(
             models.model,
             candidates,
+            catalogue=simulations.possible(),
             fit=baseline,
             proposals=simulations.proposals(),
             adding=tuple(dict.fromkeys(adding)),
@@ -303,6 +311,7 @@ def diagnose_models(
     models: Models,
     effects: Mapping[str, Effect],
     *,
+    catalogue: Mapping[str, Effect] | None = None,
     fit: Calibration | None = None,
     proposals: MeasurementProposals | None = None,
     adding: tuple[str, ...] = (),
@@ -317,14 +326,15 @@ def diagnose_models(
     simulation that are common to all models, gains have an error. It may raise `InputError` where
     the scene cannot take an effect.
 
-    `effects` may be missing, and `proposals` be measured next. `fit` is that of the campaign as it
+    `effects` are tried, of all in the `catalogue` that may be missing (by default the same), and
+    `proposals` may be measured next. `fit` is that of the campaign as it
     is, made here where it is not given. The repair adds `adding`, whatever the verdict. `seed` is
     of the campaigns that are drawn to know what chance gains, and `progress` is told in words what
     is being done.
     """
     began = time.perf_counter()
     fit = fit_model(models(())) if fit is None else fit
-    explanations = Explanations(models, effects, fit.minimum)
+    explanations = Explanations(models, effects, fit.minimum, catalogue=catalogue)
     progress("looking for suspect readings")
     compared = comparison_of(fit)
     titles = {name: effect.title for name, effect in effects.items()}
@@ -339,9 +349,8 @@ def diagnose_models(
             titles=titles,
         )
     judgement = _judged(explanations, seed, progress)
-    verdict, hypotheses = judgement.verdict, judgement.hypotheses
+    verdict, weighing = judgement.verdict, judgement.weighing
     candidates = CandidateMaker(judgement)
-    weighing = weigh(hypotheses, fit.model.campaign.light_yield)
     limits = {}
     if verdict.word == ADEQUATE:
         progress("following limits")
@@ -350,13 +359,13 @@ def diagnose_models(
     advice: tuple[NextMeasurement, ...] = ()
     if proposals is not None and verdict.word in (AMBIGUOUS, UNEXPLAINED):
         progress("looking for what to measure next")
-        advice = next_measurements(explanations, verdict.leading, hypotheses, proposals)
+        advice = next_measurements(judgement, proposals)
     return Diagnosis(
         verdict=verdict.word,
         reason=verdict.reason,
         baseline=compared,
         candidates=candidates.singles(),
-        pairs=candidates.pairs(),
+        pairs=candidates.larger_sets(),
         leading=tuple(dict.fromkeys(name for group in verdict.leading for name in group)),
         leading_sets=verdict.leading,
         unsettled=verdict.unsettled,
@@ -365,36 +374,34 @@ def diagnose_models(
         repair=steps(explanations, chosen),
         next_measurements=advice,
         not_tried=dict(explanations.refused),
-        probabilities=dict(sorted(weighing.probabilities.items(), key=lambda item: -item[1])),
-        light_yield_averaged=weighing.light_yield,
+        probabilities=judgement.probabilities,
+        inclusion=weighing.inclusion,
+        capability=capability(
+            weighing.design,
+            {name: effect.family for name, effect in explanations.effects.items()},
+            seed,
+        ),
+        light_yield_averaged=weighing.light_yield(
+            fit.model.campaign.light_yield, explanations.baseline.values.get(SCALE)
+        ),
         seconds=time.perf_counter() - began,
-        families=_families(hypotheses, weighing, explanations),
+        families=_families(judgement),
         set_aside=set_aside,
         titles=titles,
     )
 
 
 def _judged(explanations: Explanations, seed: int, progress: Callable[[str], None]) -> Judgement:
-    """Every effect fitted, pairs where no effect alone suffices, and what else there may be."""
+    """Every effect fitted, and all sets of causes weighed."""
     progress(f"fitting {len(explanations.effects)} effects")
-    alone = [(name,) for name in explanations.singles()]
-    progress("averaging over plausible sizes")
-    singles = Ranking(explanations, alone)
+    fits = explanations.singles()
+    lowest = min((fit.deviance for fit in fits.values()), default=0.0)
+    for name, fit in fits.items():
+        explanations.evidence((name,), hopeless=fit.deviance > lowest + EXPLAINING.hopeless)
     progress("drawing what chance would gain")
-    null = NullDistribution(explanations, [name for (name,) in singles.order], seed)
-    judgement = Judgement(explanations, singles, null)
-    if judgement.is_adequate:
-        return replace(judgement, unknown_causes=unknown_cause(explanations, ()))
-    progress("looking for what is no effect")
-    judgement = replace(
-        judgement,
-        instrument=bad_readings(explanations),
-        unknown_causes=unknown_cause(explanations, singles.order),
-    )
-    if judgement.single_explains:
-        return judgement
-    progress("fitting pairs of effects")
-    return replace(judgement, pairs=Ranking(explanations, explanations.ranked_pairs()))
+    null = NullDistribution(explanations, fits, seed)
+    progress("weighing all sets of causes")
+    return Judgement(explanations, null, weigh_hypotheses(explanations, null))
 
 
 def _repair(
@@ -410,7 +417,7 @@ def _repair(
             problem = f"{', '.join(adding)} cannot be fitted to these readings"
             raise InputError(problem, "choose fewer, or others")
         return adding, ()
-    if verdict.word == ADEQUATE or not judgement.singles.order:
+    if verdict.word == ADEQUATE or not judgement.singles:
         return (), ()
     if verdict.word == UNEXPLAINED and verdict.suspects:
         return (), ()
@@ -418,32 +425,27 @@ def _repair(
     if not verdict.leading:
         # what would be needed: effects that do not explain the readings would only bias what is
         # fitted
-        return (), judgement.chain()
+        sets = [
+            key for key in judgement.larger_sets if explains(explanations.fit(key), ACCEPTABLE_P)
+        ]
+        return (), sets[0] if sets else ()
     # the one that does more comes first
     best = sorted(verdict.leading[0], key=lambda name: explanations.fit((name,)).chi2)
     chosen = tuple(best)
     return (chosen, ()) if explanations.is_plausible(chosen) else ((), chosen)
 
 
-def _families(
-    hypotheses: Sequence[Hypothesis], weighed: Weighing, explanations: Explanations
-) -> tuple[FamilyProbability, ...]:
+def _families(judgement: Judgement) -> tuple[FamilyProbability, ...]:
     """Probabilities by family, the likeliest first: relatives among effects, or readings."""
-    members: dict[str, list[tuple[float, str]]] = {}
-    # hypotheses of one name, such as sizes of an unknown cause, are weighed together
-    for name, hypothesis in {hypothesis.name: hypothesis for hypothesis in hypotheses}.items():
-        family = NOTHING_MISSING
-        if hypothesis.besides:
-            family = UNKNOWN if hypothesis.besides == UNKNOWN else INSTRUMENT
-        elif hypothesis.effects:
-            family = explanations.family(hypothesis.effects)
-        members.setdefault(family, []).append((weighed.probabilities[name], name))
-    families = (
-        FamilyProbability(
-            family,
-            sum(p for p, _ in weighed_names),
-            tuple(n for _, n in sorted(weighed_names, reverse=True) if n != NOTHING_MISSING),
-        )
-        for family, weighed_names in members.items()
+    effects = judgement.explanations.effects
+    members: dict[str, dict[str, None]] = {}
+    for cause in (cause for name in judgement.probabilities for cause in name.split(" + ")):
+        if cause in effects:
+            members.setdefault(effects[cause].family, {})[cause] = None
+        elif cause not in (UNKNOWN, NOTHING_MISSING, OTHERS):
+            members.setdefault(INSTRUMENT, {})[cause] = None
+    return tuple(
+        FamilyProbability(family, p, tuple(members.get(family, ())))
+        for family, p in judgement.weighing.families.items()
+        if p >= HYPOTHESES.listed or family == NOTHING_MISSING
     )
-    return tuple(sorted(families, key=lambda family: -family.probability))

@@ -16,12 +16,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import logsumexp, ndtr, ndtri, stdtr, stdtrit
 
-from mcrim_mitsuba.campaign.parameter import SCALE, CampaignParameter, LightYieldInput
+from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.core.rounding import number, pdg
 from mcrim_mitsuba.inference.drivers import Minimum
 from mcrim_mitsuba.inference.settings import EVIDENCE
 from mcrim_mitsuba.inference.statistic import Statistic
@@ -279,113 +277,3 @@ def _log_student(n: float, away: Array, factor: Array) -> Array:
     log_determinant = float(np.log(np.diag(factor)).sum())
     constant = math.lgamma((n + k) / 2) - math.lgamma(n / 2) - 0.5 * k * math.log(n * math.pi)
     return np.asarray(constant - log_determinant - 0.5 * (n + k) * np.log1p(squared / n), float)
-
-
-# ---- models side by side ----
-
-#: Where it begins, the median and where it ends, as parts below; how wide it is in standard
-#: deviations of a Gaussian.
-QUANTILES = 0.5 - 0.5 * EVIDENCE.interval, 0.5, 0.5 + 0.5 * EVIDENCE.interval
-WIDTH = float(2.0 * ndtri(QUANTILES[-1]))
-
-
-@dataclass(frozen=True)
-class AveragedYield:
-    """The light yield averaged over the models that the data allow, photons per keV.
-
-    The average is no Gaussian: an unlikely model may be far from the others. So the value is the
-    median, and the error the width of the interval that holds 85 % of it, in standard deviations of
-    a Gaussian: what is as likely as one in thirteen counts.
-    """
-
-    value: float
-    sigma: float
-    #: Its parts, by their variances: within the models, the detector's efficiency included; between
-    #: them; and the allowance for what is in no catalogue and acts on all readings alike.
-    within: float
-    between: float
-    catalogue: float
-
-    def __str__(self) -> str:
-        named = {
-            "within models": self.within,
-            "between them": self.between,
-            "for what is in no catalogue": self.catalogue,
-        }
-        parts = ", ".join(f"{words} {number(part, 2)}" for words, part in named.items())
-        return f"{pdg(self.value, self.sigma)} ph/keV ({parts})"
-
-
-@dataclass(frozen=True)
-class Hypothesis:
-    """Something that may explain the readings: effects of the catalogue, or what is none."""
-
-    evidence: Evidence
-    #: Natural logarithm of the odds before the readings, over those that nothing is missing.
-    log_odds: float
-    #: Effects that are added.
-    effects: tuple[str, ...] = ()
-    #: What is there besides, which is no effect; empty for nothing.
-    besides: str = ""
-    #: Relative standard error of the light yield that no reading tells.
-    common: float = 0.0
-    #: Relative size of what has no name.
-    amplitude: float = 0.0
-
-    @property
-    def log_weight(self) -> float:
-        """Natural logarithm of how likely it is, up to a constant."""
-        return self.evidence.log + self.log_odds
-
-    @property
-    def name(self) -> str:
-        """As probabilities are listed."""
-        return self.besides or " + ".join(self.effects) or NOTHING_MISSING
-
-
-@dataclass(frozen=True)
-class Weighing:
-    """How likely hypotheses are beside each other."""
-
-    #: By name; they sum to 1.
-    probabilities: dict[str, float]
-    #: None where nothing turns a fitted scale into a light yield.
-    light_yield: AveragedYield | None
-
-
-def weigh(hypotheses: Sequence[Hypothesis], known: LightYieldInput | None) -> Weighing:
-    """Probabilities of hypotheses from their evidences, those of one name together."""
-    logs = np.array([each.log_weight for each in hypotheses])
-    shares = np.exp(logs - logsumexp(logs))
-    probabilities: dict[str, float] = {}
-    for each, share in zip(hypotheses, shares, strict=True):
-        probabilities[each.name] = probabilities.get(each.name, 0.0) + float(share)
-    light_yield = None
-    evidences = [each.evidence for each in hypotheses]
-    if known is not None and all(SCALE in evidence.mean for evidence in evidences):
-        values = known.per_scale * np.array([e.mean[SCALE] for e in evidences])
-        sigmas = known.per_scale * np.array([e.sigma[SCALE] for e in evidences])
-        allowed = np.array([each.common for each in hypotheses]) * values
-        mean = float(shares @ values)
-        variances = np.array(
-            [shares @ sigmas**2, shares @ (values - mean) ** 2, shares @ allowed**2]
-        )
-        sigmas = np.hypot(sigmas, allowed)
-        low, median, high = (_quantile(shares, values, sigmas, part) for part in QUANTILES)
-        parts = np.sqrt(variances / variances.sum()) * (high - low) / WIDTH
-        within, between, catalogue = parts.tolist()
-        of_detector = median * known.detector_efficiency_sigma / known.detector_efficiency
-        within = math.hypot(within, of_detector)
-        sigma = math.hypot(within, between, catalogue)
-        light_yield = AveragedYield(median, sigma, within, between, catalogue)
-    return Weighing(probabilities, light_yield)
-
-
-def _quantile(shares: Array, values: Array, sigmas: Array, part: float) -> float:
-    """Below which this part of Gaussians lies that have these shares."""
-
-    def above(x: float) -> float:
-        return float(shares @ ndtr((x - values) / sigmas)) - part
-
-    low, high = (values - 9.0 * sigmas).min(), (values + 9.0 * sigmas).max()
-    return float(brentq(above, low, high, rtol=1e-6))

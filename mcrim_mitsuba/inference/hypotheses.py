@@ -13,6 +13,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
+from scipy.special import softmax
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
 from mcrim_mitsuba.campaign.measurements import Reading
@@ -28,7 +29,6 @@ from mcrim_mitsuba.inference.estimates import (
     estimates,
     left_out_error,
 )
-from mcrim_mitsuba.inference.evidence import Hypothesis, weigh
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.fit import Calibration, result_of
 from mcrim_mitsuba.inference.judgement import AMBIGUOUS, UNEXPLAINED, explains
@@ -190,9 +190,7 @@ def side_by_side(
     evidences = {name: own.evidence(effects[name]) for name, own in explained.items()}
     order = sorted(explained, key=lambda name: -evidences[name].log)
     best = order[0]
-    weighed = weigh(
-        [Hypothesis(found, 0.0, besides=name) for name, found in evidences.items()], None
-    )
+    probabilities = dict(zip(evidences, softmax([e.log for e in evidences.values()]), strict=True))
     noise = {name: error_of_difference(fit, fits[best]) for name, fit in fits.items()}
     hypotheses = tuple(
         FittedHypothesis(
@@ -209,7 +207,7 @@ def side_by_side(
             else math.hypot(
                 evidences[name].log_sigma, evidences[best].log_sigma, 0.5 * noise[name]
             ),
-            probability=weighed.probabilities[name],
+            probability=float(probabilities[name]),
             parameters=estimates(fit),
             rows=results[name].rows,
             titles=tuple(each.title for each in explained[name].effects.values()),

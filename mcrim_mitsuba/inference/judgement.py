@@ -1,22 +1,21 @@
-"""What the fits of a campaign's explanations say: the verdict, and what it rests on."""
+"""What the hypotheses' probabilities say of a campaign: the verdict, and what it rests on."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from scipy.special import chdtrc, logsumexp
-
-from mcrim_mitsuba.core.rounding import p_equals
+from mcrim_mitsuba.core.rounding import p_equals, probability
 from mcrim_mitsuba.inference.compare import Suspect
+from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.drivers import Minimum
-from mcrim_mitsuba.inference.estimates import corrected, left_out_error
-from mcrim_mitsuba.inference.evidence import Hypothesis
-from mcrim_mitsuba.inference.explanations import Explanations, NullDistribution, Ranking
-from mcrim_mitsuba.inference.rival_causes import UNKNOWN
-from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, JUDGING, RIVALS
+from mcrim_mitsuba.inference.estimates import error_of_difference
+from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
+from mcrim_mitsuba.inference.explanations import Explanations
+from mcrim_mitsuba.inference.rival_causes import UNDERSTATED, UNKNOWN
+from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, HYPOTHESES, JUDGING
+from mcrim_mitsuba.inference.weighing import INSTRUMENT, OTHERS, Hypothesis, Weighing
 
 #: The verdicts of a diagnosis.
 TOO_FEW_READINGS = "too_few_readings"
@@ -24,6 +23,14 @@ ADEQUATE = "adequate"
 MISSING_EFFECT = "missing_effect"
 AMBIGUOUS = "ambiguous"
 UNEXPLAINED = "unexplained"
+
+
+#: What has a probability beside effects and readings that are wrong, in words.
+NO_EFFECTS = {
+    UNKNOWN: "something that is in no catalogue",
+    UNDERSTATED: "errors of the readings that are all stated too small",
+    NOTHING_MISSING: "nothing missing",
+}
 
 
 @dataclass(frozen=True)
@@ -46,15 +53,8 @@ class Judgement:
     """What a verdict rests on."""
 
     explanations: Explanations
-    #: Of the effects alone.
-    singles: Ranking
     null: NullDistribution
-    #: Of two at once; None where an effect alone explains the readings.
-    pairs: Ranking | None = None
-    #: What else may explain the readings: wrong ones, the likeliest first, with whose they are.
-    instrument: Sequence[tuple[Hypothesis, Suspect]] = ()
-    #: What has no name.
-    unknown_causes: Sequence[Hypothesis] = ()
+    weighing: Weighing
 
     @property
     def baseline(self) -> Minimum:
@@ -62,123 +62,190 @@ class Judgement:
         return self.explanations.baseline
 
     @property
-    def p_of_best_gain(self) -> float:
-        """Probability that chance alone gains as much as the effect that gains most."""
-        chi2 = [self.explanations.fit(effects).chi2 for effects in self.singles.order]
-        return self.null.p_global(self.baseline.chi2 - min(chi2)) if chi2 else 1.0
-
-    @property
     def is_adequate(self) -> bool:
-        """Whether neither the readings nor the best effect's gain refuse the campaign as it is."""
-        p = self.baseline.p_value
-        return p is not None and p >= ACCEPTABLE_P and self.p_of_best_gain >= ACCEPTABLE_P
+        """Whether nothing that matters is missing, as far as the readings tell.
+
+        It is where they are not unlike what is expected, and nothing is likely to move the light
+        yield by more than its error, or a reading by two of its own.
+        """
+        weighing = self.weighing
+        return weighing.p_value >= ACCEPTABLE_P and weighing.moving < JUDGING.harmless
 
     @cached_property
-    def hypotheses(self) -> list[Hypothesis]:
-        """All that may explain the readings."""
-        pairs = () if self.pairs is None else self.pairs.order
-        of_effects = [(), *self.singles.order, *pairs]
-        return [
-            *map(self._of_effects, of_effects),
-            *(hypothesis for hypothesis, _ in self.instrument),
-            *self.unknown_causes,
-        ]
+    def singles(self) -> tuple[tuple[str, ...], ...]:
+        """Effects alone, the likeliest first."""
+        evidence = self.explanations.evidence
+        return tuple(sorted(((n,) for n in self.null.curves), key=lambda key: -evidence(key).log))
 
-    def _of_effects(self, effects: tuple[str, ...]) -> Hypothesis:
-        explanations = self.explanations
-        common = RIVALS.common_to_pairs if len(effects) > 1 else 0.0
-        return Hypothesis(
-            explanations.evidence(effects), explanations.log_odds(effects), effects, common=common
+    @property
+    def larger_sets(self) -> tuple[tuple[str, ...], ...]:
+        """Sets of two effects and more that explain what fewer do not, the likeliest first."""
+        evident = {h.effects for h in self.weighing.hypotheses if h.evidence and not h.besides}
+        sets = (h.effects for h, _ in self.groups if len(h.effects) > 1)
+        return tuple(effects for effects in dict.fromkeys(sets) if effects in evident)
+
+    def behind(self, effects: tuple[str, ...]) -> float:
+        """How far effects are behind the best of as many, twice the logarithm of the evidence."""
+        same = self.singles if len(effects) == 1 else self.larger_sets
+        best = max(self.explanations.evidence(key).log for key in same)
+        return 2.0 * (best - self.explanations.evidence(effects).log)
+
+    @cached_property
+    def group_of(self) -> dict[str, str]:
+        """By hypotheses' names, that of the one to which it adds nothing, or its own.
+
+        To a set of effects nothing is added by what is less likely and holds more: a further cause
+        that the readings do not ask for.
+        """
+        shares: dict[str, float] = {}
+        weighing = self.weighing
+        for hypothesis, share in zip(weighing.hypotheses, weighing.shares.tolist(), strict=True):
+            shares[hypothesis.name] = shares.get(hypothesis.name, 0.0) + share
+        with_effects = {h.name for h in weighing.hypotheses if h.effects}
+        groups: dict[str, str] = {}
+        heads: list[tuple[str, frozenset[str]]] = []
+        for name in sorted(shares, key=lambda name: -shares[name]):
+            causes = frozenset(name.split(" + "))
+            groups[name] = next((head for head, fewer in heads if fewer < causes), name)
+            if groups[name] == name and name in with_effects:
+                heads.append((name, causes))
+        return groups
+
+    @cached_property
+    def groups(self) -> tuple[tuple[Hypothesis, float], ...]:
+        """The hypotheses that head a group, with the probability of it, the likeliest first."""
+        weighing, shares = self.weighing, dict.fromkeys(self.group_of.values(), 0.0)
+        for hypothesis, share in zip(weighing.hypotheses, weighing.shares.tolist(), strict=True):
+            shares[self.group_of[hypothesis.name]] += share
+        heads = {h.name: h for h in reversed(weighing.hypotheses)}
+        return tuple(
+            (heads[name], shares[name]) for name in sorted(shares, key=lambda name: -shares[name])
+        )
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Of these groups by name, the likeliest first; all that are not listed are ``others``."""
+        by_name = {hypothesis.name: share for hypothesis, share in self.groups}
+        listed = {n: p for n, p in by_name.items() if p >= HYPOTHESES.listed}
+        listed.setdefault(NOTHING_MISSING, by_name.get(NOTHING_MISSING, 0.0))
+        return {**listed, OTHERS: max(1.0 - sum(listed.values()), 0.0)}
+
+    @cached_property
+    def credible(self) -> tuple[tuple[Hypothesis, float], ...]:
+        """The fewest of these groups that hold 95 %."""
+        credible, sum_so_far = [], 0.0
+        for hypothesis, share in self.groups:
+            credible.append((hypothesis, share))
+            sum_so_far += share
+            if sum_so_far >= JUDGING.credible:
+                break
+        return tuple(credible)
+
+    @cached_property
+    def leading(self) -> tuple[tuple[str, ...], ...]:
+        """Sets of effects among them, the likeliest first."""
+        return tuple(dict.fromkeys(h.effects for h, _ in self.credible if h.effects))
+
+    @cached_property
+    def unsettled(self) -> tuple[tuple[str, ...], ...]:
+        """Further sets of effects that more photons might let lead: within two of its errors."""
+        if not self.leading:
+            return ()
+        fit_of, best = self.explanations.fit, self.explanations.fit(self.leading[0])
+        best_weight = max(h.log_weight for h, _ in self.credible if h.effects)
+        lowest = best_weight + math.log(1.0 - JUDGING.credible)
+        return tuple(
+            h.effects
+            for h in self.weighing.hypotheses
+            if h.effects and not h.besides and h.evidence is not None
+            # two errors of chi2, which is twice the logarithm of a weight
+            if not any(set(leads) <= set(h.effects) for leads in self.leading)
+            and h.log_weight + error_of_difference(fit_of(h.effects), best) >= lowest
+        )
+
+    @property
+    def named_families(self) -> tuple[str, ...]:
+        """Families of which a member is missing as good as surely, the likeliest first."""
+        others = (INSTRUMENT, UNKNOWN, NOTHING_MISSING)
+        return tuple(
+            family
+            for family, p in self.weighing.families.items()
+            if p >= JUDGING.named and family not in others
         )
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:
-        """Readings that explain the misfit about as well as those that do best."""
-        if not self.instrument:
-            return ()
-        best = self.instrument[0][0].log_weight
-        return tuple(
-            suspect
-            for hypothesis, suspect in self.instrument
-            if suspect.p_value is not None
-            and suspect.p_value >= JUDGING.barely_explains
-            and hypothesis.log_weight > best - JUDGING.rival
-        )
-
-    @property
-    def single_explains(self) -> bool:
-        """Whether an effect alone explains the readings, and no worse than what has no name."""
-        order = self.singles.order
-        return bool(order) and self._names(order[0]) and explains(self.singles.best, ACCEPTABLE_P)
-
-    def _names(self, effects: tuple[str, ...]) -> bool:
-        """Whether effects are likelier than anything that has no name."""
-        weights = [each.log_weight for each in self.unknown_causes]
-        return not weights or self._of_effects(effects).log_weight >= float(logsumexp(weights))
+        """Wrong readings that may explain the misfit, the likeliest first."""
+        suspects = (h.suspect for h, _ in self.credible if h.suspect is not None)
+        return tuple({s.words: s for s in suspects}.values())
 
     @cached_property
     def verdict(self) -> Verdict:
         """What is said of the campaign."""
-        baseline, suspects = self.baseline, self.suspects
+        baseline, weighing = self.baseline, self.weighing
+        quality = f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom"
         if self.is_adequate:
             return Verdict(
                 ADEQUATE,
-                f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom ("
-                f"{p_equals(baseline.p_value)}), and no effect gains more than chance would ("
-                f"{p_equals(self.p_of_best_gain)})",
+                f"{quality} ({p_equals(baseline.p_value)}), and with a probability of "
+                f"{probability(1.0 - weighing.moving)} nothing that is missing matters",
             )
-        ranking, best = self._leading()
-        leading = () if ranking is None else ranking.leading()
-        if suspects:
-            others = [h for h in self.hypotheses if h.effects or h.besides == UNKNOWN]
-            rivals = float(logsumexp([each.log_weight for each in others]))
-            lead = self.instrument[0][0].log_weight - rivals
-            if lead > JUDGING.rival or (lead > 0.0 and not leading):
+        of_instrument = weighing.families[INSTRUMENT]
+        of_effects = weighing.probability(lambda h: bool(h.effects))
+        suspects = self.suspects
+        if suspects and of_instrument >= JUDGING.named:
+            return _of_suspects(suspects)
+        if weighing.p_value < ACCEPTABLE_P or of_effects < 0.5 or not self.leading:
+            if suspects and of_instrument > of_effects:
                 return _of_suspects(suspects)
-            if lead > -JUDGING.rival and leading:
-                return Verdict(
-                    AMBIGUOUS,
-                    f"{self._titles(leading)} and {suspects[0].words} explain the misfit about "
-                    "equally well: check the reading first",
-                    leading,
-                    suspects,
-                )
-        if ranking is not None:
-            return self._of_leading(ranking)
-        return Verdict(
-            UNEXPLAINED,
-            f"chi2 = {baseline.chi2:.3g} for {baseline.ndf} degrees of freedom, and something that "
-            "is in no catalogue is likelier than any effect, or two together: of these "
-            f"{best.chi2:.3g} for {best.ndf} at best",
-        )
+            return Verdict(
+                UNEXPLAINED,
+                f"{quality}, and that an effect of the catalogue explains it has a probability of "
+                f"{probability(of_effects)} only; likeliest is {self._likeliest()}",
+                suspects=suspects,
+            )
+        return self._of_leading(suspects)
 
-    def _of_leading(self, ranking: Ranking) -> Verdict:
-        """The verdict where explanations lead: one is missing, several cannot be told apart."""
-        leading, best = ranking.leading(), ranking.best
-        p = best.p_value
+    def _likeliest(self) -> str:
+        """The likeliest but for nothing, in words, with its probability."""
+        hypothesis, share = next(item for item in self.groups if item[0].name != NOTHING_MISSING)
+        words = [self.explanations.title(hypothesis.effects)] if hypothesis.effects else []
+        if hypothesis.suspect is not None:
+            words.append(hypothesis.suspect.words)
+        words += [
+            NO_EFFECTS[name] for name in hypothesis.besides.split(" + ") if name in NO_EFFECTS
+        ]
+        return f"{' with '.join(words)} ({probability(share)})"
+
+    def _of_leading(self, suspects: tuple[Suspect, ...]) -> Verdict:
+        """The verdict where effects lead: one is missing, or several cannot be told apart."""
+        leading, best = self.leading, self.explanations.fit(self.leading[0])
         quality = f"chi2 = {best.chi2:.3g} for {best.ndf} degrees of freedom"
-        quality += f" ({p_equals(p)})" if p is not None else ""
+        quality += f" ({p_equals(best.p_value)})" if best.p_value is not None else ""
+        if suspects:
+            return Verdict(
+                AMBIGUOUS,
+                f"{self._titles(leading)} or {suspects[0].words} may explain the misfit: check the "
+                "reading first",
+                leading,
+                suspects,
+            )
+        named, unsettled = self.named_families, self.unsettled
+        if unsettled:
+            reason = f"{self._titles(leading)} may explain the misfit: {quality} with the first; "
+            reason += f"more photons would tell whether {self._titles(unsettled)} may as well"
+            return Verdict(AMBIGUOUS, reason, leading + unsettled, unsettled=unsettled)
         if len(leading) == 1:
             reason = f"{self._titles(leading)} explains the misfit: {quality}"
-            unknown, others = (
-                [h.log_weight for h in self.hypotheses if (h.besides == UNKNOWN) is of_none]
-                for of_none in (True, False)
-            )
-            if unknown and logsumexp(unknown) - logsumexp(others) > -JUDGING.doubt:
-                reason += "; but so may something that is in no catalogue"
-                return Verdict(AMBIGUOUS, reason, leading)
-            return Verdict(MISSING_EFFECT, reason, leading)
-        unsettled = ranking.unsettled()
-        near = tuple(each for each in leading if each not in unsettled)
-        if len(near) > 1:
-            reason = (
-                f"the readings cannot tell apart {self._titles(near)}: {quality} with the first"
-            )
-        else:
-            reason = f"{self._titles(near)} explains the misfit: {quality}"
-        if unsettled:
-            reason += f"; more photons would tell whether {self._titles(unsettled)} may as well"
-        return Verdict(AMBIGUOUS, reason, leading, unsettled=unsettled)
+            families = {self.explanations.effects[name].family for name in leading[0]}
+            if families <= set(named):
+                return Verdict(MISSING_EFFECT, reason, leading)
+            reason += "; but so may something that is in no catalogue"
+            return Verdict(AMBIGUOUS, reason, leading)
+        reason = f"the readings cannot tell apart {self._titles(leading)}: {quality} with the first"
+        if named:
+            reason += f"; that it is of the family {' and '.join(named)} is as good as sure"
+        return Verdict(AMBIGUOUS, reason, leading)
 
     def _titles(self, leading: tuple[tuple[str, ...], ...]) -> str:
         """What leads, in words; of many the likeliest: the ranking has them all."""
@@ -186,65 +253,6 @@ class Judgement:
         if len(leading) > JUDGING.most_named:
             first, last = first[: JUDGING.most_named], f"{len(leading) - JUDGING.most_named} others"
         return f"{', '.join(first)} and {last}" if first else last
-
-    def _leading(self) -> tuple[Ranking | None, Minimum]:
-        """Which explanations lead, if any do, and of all effects the fit that does best.
-
-        First single effects, then pairs, where these were needed and tried: those lead of which the
-        best has a name and fits well enough.
-        """
-        singles, pairs, best = self.singles, self.pairs, self.baseline
-        significant = self.p_of_best_gain < ACCEPTABLE_P
-        needs_pairs = pairs is not None and self._needs(pairs)
-        if singles.order:
-            best = singles.best
-            level = JUDGING.barely_explains if pairs is not None else ACCEPTABLE_P
-            named = self._names(singles.order[0])
-            if significant and not needs_pairs and named and explains(best, level):
-                return singles, best
-        if pairs is not None and pairs.order:
-            best = pairs.best
-            named = self._names(pairs.order[0])
-            if needs_pairs and named and explains(best, JUDGING.pair_explains):
-                return pairs, best
-        return None, best
-
-    def _needs(self, pairs: Ranking) -> bool:
-        """Whether two effects explain the readings significantly better than the best one alone.
-
-        Asked where that one leaves a p-value below 0.01. The gain is corrected for the number of
-        partners, or of all pairs where the best does without the best single effect.
-        """
-        if not pairs.order:
-            return False
-        alone, best = self.singles.best, pairs.best
-        if not explains(alone, JUDGING.barely_explains):
-            return True
-        order = self.singles.order
-        tries = len(order) if order[0][0] in pairs.order[0] else math.comb(len(order), 2)
-        further = max(len(best.names) - len(alone.names), 1)
-        gain = max(alone.chi2 - best.chi2, 0.0)
-        return corrected(float(chdtrc(further, gain)), tries) < ACCEPTABLE_P
-
-    def chain(self) -> tuple[str, ...]:
-        """Effects that together explain the readings where no two do; empty if none do.
-
-        One after the other, from the best pair on, while its gain is significant, and it explains
-        what was not explained or the error on readings left out falls.
-        """
-        explanations, null, pairs = self.explanations, self.null, self.pairs
-        chosen = pairs.order[0] if pairs is not None and pairs.order else self.singles.order[0]
-        while len(chosen) < JUDGING.most_effects:
-            ranked = explanations.ranked_further(chosen)
-            if not ranked:
-                break
-            now, best = explanations.fit(chosen), explanations.fit(ranked[0])
-            further = ranked[0][-1]
-            significant = null.p_of_best(further, now.chi2 - best.chi2) < JUDGING.significant
-            if not (significant and _justified(now, best)):
-                break
-            chosen = (*chosen, further)
-        return chosen if explains(explanations.fit(chosen), JUDGING.pair_explains) else ()
 
 
 def explains(fit: Minimum, level: float) -> bool:
@@ -262,14 +270,3 @@ def _of_suspects(suspects: tuple[Suspect, ...]) -> Verdict:
         "before physics is blamed",
         suspects=suspects,
     )
-
-
-def _justified(now: Minimum, more: Minimum) -> bool:
-    """Whether a fit with more effects is worth them.
-
-    It is where it explains what was not explained; else the error on readings left out must fall.
-    A reading that alone holds a new parameter has a large one, however right the effect.
-    """
-    if explains(more, ACCEPTABLE_P) and not explains(now, ACCEPTABLE_P):
-        return True
-    return left_out_error(more) < left_out_error(now)

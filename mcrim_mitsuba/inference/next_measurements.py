@@ -19,18 +19,19 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp, ndtr
+from scipy.special import ndtr
 
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import Value, unit_of
 from mcrim_mitsuba.core.rounding import short_text
-from mcrim_mitsuba.inference.evidence import QUANTILES, WIDTH, Hypothesis
-from mcrim_mitsuba.inference.explanations import Explanations
-from mcrim_mitsuba.inference.rival_causes import unknown_cause_at
+from mcrim_mitsuba.inference.judgement import Judgement
+from mcrim_mitsuba.inference.rehearsal import QUANTILES
+from mcrim_mitsuba.inference.rival_causes import discrepancy_at
 from mcrim_mitsuba.inference.settings import ADVICE
 from mcrim_mitsuba.inference.simulations import MeasurementProposals
+from mcrim_mitsuba.inference.weighing import Hypothesis
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE, BEAM_AXIS, GAP_INDEX
 
@@ -98,22 +99,12 @@ def configuration_words(parameters: Mapping[str, Value], comments: Mapping[str, 
 
 
 def next_measurements(
-    explanations: Explanations,
-    leading: Sequence[tuple[str, ...]],
-    hypotheses: Sequence[Hypothesis],
-    proposals: MeasurementProposals,
+    judgement: Judgement, proposals: MeasurementProposals
 ) -> tuple[NextMeasurement, ...]:
     """Configurations by what a reading there would buy per hour.
 
     That is half of the part by which the light yield's error would fall, and half of that by which
     the doubt which explanation is right would, discounted by how surely it does.
-
-    Parameters
-    ----------
-    leading : sequence of tuple of str
-        Sets of effects that each explain the readings.
-    hypotheses : sequence of Hypothesis
-        All that may explain them; the likely ones predict.
 
     Returns
     -------
@@ -122,9 +113,10 @@ def next_measurements(
     """
     if not proposals.configurations:
         return ()
-    known = explanations.baseline.statistic.model.campaign.light_yield
+    leading = judgement.leading
+    known = judgement.baseline.statistic.model.campaign.light_yield
     efficiency = known.detector_efficiency_sigma / known.detector_efficiency if known else 0.0
-    cloud = _cloud(explanations, leading, hypotheses, proposals)
+    cloud = _cloud(judgement, proposals)
     outcomes = cloud.outcomes()
     before, _, sure = cloud.left(np.zeros((1, len(cloud.weights))), efficiency)
 
@@ -211,12 +203,16 @@ class _Cloud:
     yields: Array | None
 
     def outcomes(self) -> Array:
-        """(outcomes, m) further readings, made at some of the points."""
+        """(outcomes, m) further readings, made at some of the points: every other one.
+
+        The others answer them (`left`): a point that made a reading knows it too well.
+        """
         rng = np.random.default_rng(0)
         at = (np.arange(ADVICE.outcomes) + 0.5) / ADVICE.outcomes
-        true = np.minimum(np.searchsorted(np.cumsum(self.weights), at), len(self.weights) - 1)
+        cumulated = np.cumsum(self.weights[::2])
+        true = np.minimum(np.searchsorted(cumulated, at * cumulated[-1]), len(cumulated) - 1)
         noise = rng.standard_normal((ADVICE.outcomes, self.signals.shape[1]))
-        return self.signals[true] * (1.0 + self.relative_sigma * noise)
+        return self.signals[2 * true] * (1.0 + self.relative_sigma * noise)
 
     def log_likelihood(self, readings: Array, place: int) -> Array:
         """(outcomes, points) of the readings of one configuration, by all points."""
@@ -230,18 +226,19 @@ class _Cloud:
         The one that most outcomes are near, their part, and the mean probability of the likeliest
         explanation.
         """
-        weights = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True)) * self.weights
+        answering = np.where(np.arange(len(self.weights)) % 2 == 1, self.weights, 0.0)
+        weights = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True)) * answering
         weights /= weights.sum(axis=1, keepdims=True)
         by_name = np.stack([weights[:, self.of == k].sum(axis=1) for k in range(len(self.names))])
         probability = float(by_name.max(axis=0).mean())
         if self.yields is None:
             return math.nan, math.nan, probability
         cumulated = np.cumsum(weights, axis=1)
-        low, median, high = (
+        _, low, median, high, _ = (
             self.yields[np.minimum((cumulated < part).sum(axis=1), len(self.yields) - 1)]
             for part in QUANTILES
         )
-        error = np.hypot((high - low) / WIDTH / median, efficiency)
+        error = np.hypot(0.5 * (high - low) / median, efficiency)
         return *_most_kept(error), probability
 
     def rises(self, leading: Sequence[tuple[str, ...]]) -> tuple[Array, list[tuple[int, int]]]:
@@ -279,34 +276,35 @@ def _most_kept(errors: Array) -> tuple[float, float]:
     return promised, float(np.mean(np.abs(errors / promised - 1.0) < ADVICE.kept))
 
 
-def _cloud(
-    explanations: Explanations,
-    leading: Sequence[tuple[str, ...]],
-    hypotheses: Sequence[Hypothesis],
-    proposals: MeasurementProposals,
-) -> _Cloud:
+def _cloud(judgement: Judgement, proposals: MeasurementProposals) -> _Cloud:
     """Points of the leading explanations and of all others that are likely."""
-    likely = _likely(leading, hypotheses)
+    likely = _likely(judgement)
     count = len(proposals.configurations)
-    names = tuple(dict.fromkeys(each.name for each, _ in likely))
-    rng = np.random.default_rng(1)
+    group_of = judgement.group_of
+    names = tuple(dict.fromkeys(group_of[each.name] for each, _ in likely))
     of, weights, signals, scales = [], [], [], []
     variance = np.zeros(count)
     for each, share in likely:
+        assert each.evidence is not None  # those alone predict
         effects, points = tuple(sorted(each.effects)), each.evidence.draws
         predicted = proposals.predict(effects, points)
         variance += share * proposals.noise(effects, np.median(points, axis=0)) ** 2
         if each.amplitude:  # something without a name
             predicted = predicted * np.exp(
-                unknown_cause_at(explanations, each, points, proposals.configurations)
+                discrepancy_at(
+                    judgement.explanations,
+                    judgement.null.frame,
+                    effects,
+                    each.amplitude,
+                    points,
+                    proposals.configurations,
+                )
             )
-        of.append(np.full(len(points), names.index(each.name)))
+        of.append(np.full(len(points), names.index(group_of[each.name])))
         weights.append(np.full(len(points), share / len(points)))
         signals.append(np.maximum(predicted, 1e-300))
         free = tuple(each.evidence.mean)
-        scale = points[:, free.index(SCALE)] if SCALE in free else np.zeros(len(points))
-        # with what no reading tells of it
-        scales.append(scale * (1.0 + each.common * rng.standard_normal(len(points))))
+        scales.append(points[:, free.index(SCALE)] if SCALE in free else np.zeros(len(points)))
     relative = np.broadcast_to(np.asarray(proposals.relative_sigma, float), (count,))
     # what the simulation does not tell apart, a reading will not tell either
     relative = np.sqrt(relative**2 + variance / sum(share for _, share in likely))
@@ -322,25 +320,22 @@ def _cloud(
     )
 
 
-def _likely(
-    leading: Sequence[tuple[str, ...]], hypotheses: Sequence[Hypothesis]
-) -> list[tuple[Hypothesis, float]]:
+def _likely(judgement: Judgement) -> list[tuple[Hypothesis, float]]:
     """Hypotheses that predict, with their probabilities, the likeliest first.
 
     The first few of those that lead, and all others that are likely, as long as their sets of
     effects, each of which takes a simulation, are not too many.
     """
-    logs = np.array([each.log_weight for each in hypotheses])
-    shares = np.exp(logs - logsumexp(logs))
-    rivals = {tuple(sorted(effects)) for effects in leading[: ADVICE.most_rivals]}
-    sets = {(), *rivals}
-    likely = []
-    for i in np.argsort(-shares, kind="stable"):
-        each = hypotheses[i]
+    rivals = {tuple(sorted(effects)) for effects in judgement.leading[: ADVICE.most_rivals]}
+    sets, likely = {(), *rivals}, []
+    weighing = judgement.weighing
+    for each, share in zip(weighing.hypotheses, weighing.shares.tolist(), strict=True):
         effects = tuple(sorted(each.effects))
+        if each.evidence is None:
+            continue
         leads = not each.besides and effects in rivals
         affordable = effects in sets or len(sets) <= ADVICE.most_sets
-        if leads or (shares[i] >= ADVICE.likely and affordable):
+        if leads or (share >= ADVICE.likely and affordable):
             sets.add(effects)
-            likely.append((each, float(shares[i])))
+            likely.append((each, share))
     return likely

@@ -15,9 +15,9 @@ from mcrim_mitsuba.core.files import is_there, read_text, refuse_to_replace, wri
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import add
 from mcrim_mitsuba.inference.diagnose import Diagnosis, RepairStep, diagnose
-from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
+from mcrim_mitsuba.inference.weighing import AveragedYield
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 

@@ -1,97 +1,194 @@
-"""Causes that are no effect of the catalogue: wrong readings, and something without a name.
+"""Causes that are no effect of the catalogue: wrong readings, understated errors, a discrepancy.
 
 If what a bench lacks is in no catalogue, the best of many wrong effects may fit all the same, with
-an error that is much too small. So these causes are rivals of all effects, weighed by evidence as
-they are.
+an error that is much too small. So these causes are weighed with effects, in the same sets.
 
-Wrong readings: one, two or three readings are wrong, or two rows were exchanged. A wrong reading
-has a further error of its own. To first order its evidence is a closed form, so that all sets of
-three are looked at; the best few are fitted.
+Wrong readings have a further error of their own; two rows may have been exchanged; or all stated
+errors are too small by one factor.
 
-Something without a name: a smooth function g of the configuration multiplies the predictions by
-exp(g). It is a Gaussian process (C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for
-Machine Learning, MIT Press 2006; for what models lack: M. C. Kennedy and A. O'Hagan, J. R. Statist.
-Soc. B 63 (2001) 425) over index, mask, height, gap and whatever else differs between readings; its
-amplitude is learned from the misfit. No reading tells what g has in common to all: that much the
-light yield may be off, in the proportion that trials with effects left out of the catalogue show.
+A discrepancy delta changes the logarithms of all predictions (M. C. Kennedy and A. O'Hagan, J. R.
+Statist. Soc. B 63 (2001) 425). It is Gaussian, delta ~ N(0, tau^2 Sigma), and made of what a bench
+can do:
+
+    Sigma = (U Omega U^T) o [(1 - rho) 1 1^T + rho K] + m (kappa^2 K + lambda^2)
+
+The columns of U are what every effect of the catalogue does at its usual size, nothing refitted;
+Omega weighs families alike, and effects of one family; K is a Gaussian kernel over the readings'
+configurations, m the mean of the diagonal of U Omega U^T; o multiplies element by element. As it
+moves all readings together, too, what it does to the light yield follows.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from itertools import combinations, islice
 
 import numpy as np
+from scipy.special import erfinv
 
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import Value
-from mcrim_mitsuba.inference.compare import (
-    BAD_READING,
-    SWAPPED_ROWS,
-    Suspect,
-    likely_swaps,
-    suspected,
-)
-from mcrim_mitsuba.inference.drivers import Minimum, settle
-from mcrim_mitsuba.inference.evidence import Hypothesis, evidence_of
+from mcrim_mitsuba.inference.closed_form import Cause, Discrepancy, Surroundings
+from mcrim_mitsuba.inference.compare import likely_swaps
+from mcrim_mitsuba.inference.displacement import BaselineFrame
 from mcrim_mitsuba.inference.explanations import Explanations
-from mcrim_mitsuba.inference.settings import RIVALS
+from mcrim_mitsuba.inference.settings import DISCREPANCY, RIVALS
 from mcrim_mitsuba.inference.statistic import Statistic
 
-#: What something without a name is called beside effects.
+#: What a discrepancy is called beside effects.
 UNKNOWN = "unknown"
+#: And stated errors that are too small.
+UNDERSTATED = "understated errors"
 
 
-def unknown_cause(
-    explanations: Explanations, singles: Sequence[tuple[str, ...]]
-) -> list[Hypothesis]:
-    """Something without a name, alone and besides each of the best effects.
+def surroundings() -> tuple[Surroundings, ...]:
+    """Nothing besides causes, then discrepancies of rising amplitude, then understated errors."""
+    shares = 1.0 / (1.0 + np.square(DISCREPANCY.amplitudes))
+    shares *= DISCREPANCY.odds / shares.sum()
+    # ln(factor) is half-normal: the middle of as many parts of it
+    parts = (np.arange(RIVALS.error_factors) + 0.5) / RIVALS.error_factors
+    factors = np.exp(RIVALS.error_factor_sigma * np.sqrt(2.0) * erfinv(parts))
+    odds = RIVALS.understated_odds / len(factors)
+    return (
+        Surroundings(log_prior=0.0),
+        *(
+            Surroundings(log_prior=math.log(share), amplitude=amplitude)
+            for share, amplitude in zip(shares.tolist(), DISCREPANCY.amplitudes, strict=True)
+        ),
+        *(
+            Surroundings(log_prior=math.log(odds), error_factor=factor)
+            for factor in factors.tolist()
+        ),
+    )
 
-    `singles` are fitted effects, the likeliest first.
+
+# ---- wrong readings ----
+
+
+def suspicious(frame: BaselineFrame) -> dict[str, tuple[int, ...]]:
+    """Readings that may be wrong, and rows that may be exchanged: their places, by name.
+
+    Of many readings those whose error would explain most, of all exchanges the likeliest.
     """
-    fits = {effects: explanations.fit(effects) for effects in singles}
-    lowest = min((fit.deviance for fit in fits.values()), default=0.0)
-    near = [effects for effects, fit in fits.items() if fit.deviance < lowest + RIVALS.beside]
-    correlation = _correlation(explanations.baseline.statistic)
-    hypotheses = []
-    # twice the size is half as likely: prior 1 / (amplitude norm)
-    norm = sum(1.0 / amplitude for amplitude in RIVALS.amplitudes)
-    for effects in [(), *near[: RIVALS.most_beside]]:
-        best, priors = -math.inf, explanations.priors(effects)
-        of_effects = explanations.log_odds(effects)
-        odds = RIVALS.beside_odds if effects else RIVALS.unknown_odds
-        for amplitude in RIVALS.amplitudes:
-            own = explanations.statistic(effects).with_unexplained(amplitude**2 * correlation)
-            fit = settle(own, explanations.fit(effects).theta)
-            evidence = evidence_of(fit, priors, hopeless=True)
-            log_odds = of_effects + math.log(odds / (amplitude * norm))
-            common = RIVALS.common_to_all * amplitude
-            hypotheses.append(Hypothesis(evidence, log_odds, effects, UNKNOWN, common, amplitude))
-            best = max(best, evidence.log)
-            if evidence.log < best - RIVALS.fallen:
-                break
-    return hypotheses
+    labels = frame.fit.statistic.labels
+    moves, _ = frame.of_factors(np.eye(len(labels)))
+    gains = (frame.z @ moves) ** 2 / np.maximum((moves**2).sum(axis=0), 1e-300)
+    likeliest = np.sort(np.argsort(-gains, kind="stable")[: RIVALS.most_readings])
+    swaps = likely_swaps(frame.fit, RIVALS.most_swaps)
+    return {
+        **{f"bad reading {labels[place]}": (place,) for place in likeliest.tolist()},
+        **{f"swapped rows {labels[a]} and {labels[b]}": (a, b) for a, b in swaps},
+    }
 
 
-def unknown_cause_at(
+def wrong_readings(frame: BaselineFrame, places: Mapping[str, tuple[int, ...]]) -> list[Cause]:
+    """Suspicious readings and rows as causes."""
+    statistic = frame.fit.statistic
+    signal, measured = frame.fit.signal[statistic.used], statistic.signal
+    count, pairs = len(signal), max(math.comb(len(signal), 2), 1)
+    causes = []
+    for name, rows in places.items():
+        wrong, sizes = len(rows) == 1, np.array(RIVALS.bad_sizes if len(rows) == 1 else (1.0,))
+        change = np.zeros((count, 1))
+        here, there = list(rows), list(rows[::-1])
+        # a factor on the reading, or what it would change by, were it put where it belongs
+        change[here, 0] = 1.0 if wrong else (measured[here] - measured[there]) / signal[here]
+        moves, of_scale = frame.of_factors(change)
+        origins, slopes = np.zeros((len(sizes), len(frame.z))), np.outer(sizes, moves)
+        log_scales, log_scale_slopes = np.zeros(len(sizes)), sizes * of_scale
+        if not wrong:
+            origins, slopes = slopes, origins
+            log_scales, log_scale_slopes = log_scale_slopes, log_scales
+        odds = RIVALS.bad_odds / count if wrong else RIVALS.swapped_odds / pairs
+        causes.append(
+            Cause(
+                name=name,
+                log_odds=math.log(odds),
+                log_weights=np.full(len(sizes), -math.log(len(sizes))),
+                origins=origins,
+                slopes=slopes,
+                log_scales=log_scales,
+                log_scale_slopes=log_scale_slopes,
+            )
+        )
+    return causes
+
+
+# ---- a discrepancy ----
+
+
+class DiscrepancyModel:
+    """The covariance of what the model does not explain, per squared amplitude."""
+
+    def __init__(self, explanations: Explanations, frame: BaselineFrame) -> None:
+        self._statistic = frame.fit.statistic
+        names = [name for name in explanations.effects if explanations.possible((name,))]
+        families = Counter(explanations.effects[name].family for name in names)
+        shares = [1.0 / families[explanations.effects[name].family] for name in names]
+        self._weights = np.array(shares) / max(len(families), 1)
+        #: (used, effects) What effects of usual sizes do to the logarithms of readings.
+        self._usual = np.zeros((len(self._statistic.signal), 0))
+        if names:
+            self._usual = np.column_stack([_usual(explanations, name, frame) for name in names])
+
+    def covariance(self, further: Sequence[Mapping[str, Value]] = ()) -> Array:
+        """(used + further,) squared, of the logarithms of readings.
+
+        `further` are configurations by what they differ from the scene: an effect acts there as it
+        does, by the kernel, on the readings around them.
+        """
+        usual, count = self._usual, len(self._usual)
+        kernel = _correlation(self._statistic, further)
+        if further:
+            near = kernel[:count, :count] + DISCREPANCY.smoothing * np.eye(count)
+            usual = np.vstack([usual, kernel[count:, :count] @ np.linalg.solve(near, usual)])
+        together = (usual * self._weights) @ usual.T
+        mean = float(np.trace(together[:count, :count])) / max(count, 1)
+        rho = DISCREPANCY.kernel_part
+        own = DISCREPANCY.kernel_variance * kernel
+        own = own + DISCREPANCY.lone_variance * np.eye(len(kernel))
+        return np.asarray(together * (1.0 - rho + rho * kernel) + mean * own, float)
+
+    def seen_from(self, frame: BaselineFrame) -> Discrepancy:
+        """As sets are weighed with it around a fit."""
+        covariance = self.covariance()
+        moves, of_scale = frame.of_factors(np.eye(len(covariance)))
+        return Discrepancy(
+            covariance=moves @ covariance @ moves.T,
+            with_scale=moves @ covariance @ of_scale,
+            of_scale=float(of_scale @ covariance @ of_scale),
+        )
+
+
+def _usual(explanations: Explanations, effect: str, frame: BaselineFrame) -> Array:
+    """(used,) change of ln(reading) by an effect of its usual size, nothing fitted."""
+    statistic, values = explanations.statistic((effect,)), dict(frame.fit.values)
+    priors = explanations.priors((effect,))
+    for name in explanations.free_parameters((effect,), effect):
+        values[name] = float(priors[name].value(np.array([DISCREPANCY.usual_size]))[0])
+    signal = statistic.model.predict(statistic.theta(values)).signal[statistic.used]
+    return np.log(np.maximum(signal / frame.fit.signal[frame.fit.statistic.used], 1e-6))
+
+
+def discrepancy_at(
     explanations: Explanations,
-    hypothesis: Hypothesis,
+    frame: BaselineFrame,
+    effects: tuple[str, ...],
+    amplitude: float,
     thetas: Array,
     configurations: Sequence[Mapping[str, Value]],
 ) -> Array:
-    """(points, configurations) what has no name, of log(reading), drawn given the readings.
+    """(points, configurations) a discrepancy of ln(reading), drawn given the readings.
 
-    The hypothesis is one of `unknown_cause`; `thetas` are (points, free) parameters of the model
-    with its effects. Configurations are given by what they differ from the scene; a transmittance
-    has a ``kind``, and feels nothing of an unknown cause.
+    `thetas` are (points, free) parameters of the model with these effects. Configurations are given
+    by what they differ from the scene; a transmittance has a ``kind``.
     """
-    fit = explanations.fit(hypothesis.effects)
+    fit = explanations.fit(effects)
     statistic = fit.statistic
     used, count = len(statistic.signal), len(thetas)
-    covariance = hypothesis.amplitude**2 * _correlation(statistic, configurations)
+    covariance = amplitude**2 * DiscrepancyModel(explanations, frame).covariance(configurations)
     signal = fit.signal[statistic.used]
     errors = fit.weights.covariance / np.outer(signal, signal)
     predicted = statistic.model.predict_many(thetas)[:, statistic.used]
@@ -105,11 +202,11 @@ def unknown_cause_at(
 
 
 def _correlation(statistic: Statistic, further: Sequence[Mapping[str, Value]] = ()) -> Array:
-    """Correlations of what something without a name does to readings: exp(-d^2 / 2 length^2).
+    """Correlations of a discrepancy between readings: exp(-d^2 / 2 length^2).
 
     (used + further,) squared; `further` are configurations by what they differ from the scene. d is
     the distance of two configurations: of every parameter that differs between readings in parts of
-    their range, of lengths in that of their logarithms. To a beam it does nothing.
+    their range, of lengths in that of their logarithms. A beam has nothing in common with light.
     """
     readings = [r for r in statistic.model.readings if r.use]
     values = statistic.model.campaign.values
@@ -125,8 +222,8 @@ def _correlation(statistic: Statistic, further: Sequence[Mapping[str, Value]] = 
         cells = [rows[i][0].get(name, values.get(name)) for i in light]
         places = _places(name, cells, read)
         squared_distance += np.subtract.outer(places, places) ** 2
-    correlation = np.zeros((len(rows), len(rows)))
-    correlation[np.ix_(light, light)] = np.exp(-0.5 * squared_distance / RIVALS.length**2)
+    correlation = np.eye(len(rows))
+    correlation[np.ix_(light, light)] = np.exp(-0.5 * squared_distance / DISCREPANCY.length**2)
     return correlation
 
 
@@ -142,80 +239,3 @@ def _places(name: str, cells: Sequence[Value | None], read: int) -> Array:
         at = np.array([float(levels.index(str(cell))) for cell in cells])
     low, span = at[:read].min(), float(np.ptp(at[:read]))
     return (at - low) / span if span > 0.0 else np.zeros(len(at))
-
-
-def bad_readings(explanations: Explanations) -> list[tuple[Hypothesis, Suspect]]:
-    """Wrong readings and exchanged rows that explain the readings, the likeliest first.
-
-    The campaign is as it is otherwise.
-    """
-    statistic = explanations.baseline.statistic
-    suspected_sets = [_bad(explanations, places) for places in _worst(explanations)]
-    log_odds = math.log(RIVALS.swapped_odds / max(math.comb(len(statistic.signal), 2), 1))
-    for places in likely_swaps(explanations.baseline, RIVALS.fitted):
-        order = np.arange(len(statistic.signal), dtype=np.int64)
-        order[list(places)] = places[::-1]
-        fit = settle(statistic.exchanged(order), explanations.baseline.theta)
-        suspected_sets.append(_named(explanations, SWAPPED_ROWS, places, fit, log_odds))
-    return sorted(suspected_sets, key=lambda each: -each[0].log_weight)
-
-
-def _named(
-    explanations: Explanations, kind: str, places: Sequence[int], fit: Minimum, log_odds: float
-) -> tuple[Hypothesis, Suspect]:
-    """What a fit without trust in some readings says, and of which it is."""
-    evidence = evidence_of(fit, explanations.priors(()), hopeless=True)
-    baseline, pull = explanations.baseline, None
-    if kind == BAD_READING and len(places) == 1:
-        # to first order the square of the pull is the gain
-        away = float(baseline.weighted_residuals[places[0]])
-        pull = math.copysign(math.sqrt(max(baseline.chi2 - fit.chi2, 0.0)), away)
-    suspect = suspected(baseline, kind, places, fit.chi2, pull)
-    return Hypothesis(evidence, log_odds, besides=suspect.words, common=RIVALS.bad_common), suspect
-
-
-def _bad(explanations: Explanations, places: tuple[int, ...]) -> tuple[Hypothesis, Suspect]:
-    """Wrong readings, averaged over how wrong they are."""
-    statistic, made = explanations.baseline.statistic, []
-    log_odds = len(places) * math.log(RIVALS.bad_odds / len(statistic.signal))
-    for size in RIVALS.bad_sizes:
-        further = np.zeros(len(statistic.signal))
-        further[list(places)] = size**2
-        fit = settle(statistic.with_unexplained(np.diag(further)), explanations.baseline.theta)
-        made.append(_named(explanations, BAD_READING, places, fit, log_odds))
-    best, suspect = max(made, key=lambda each: each[0].evidence.log)
-    # what the other sizes say of the parameters is much the same
-    shares = [math.exp(each.evidence.log - best.evidence.log) for each, _ in made]
-    return replace(best, log_odds=log_odds + math.log(sum(shares) / len(made))), suspect
-
-
-def _worst(explanations: Explanations) -> list[tuple[int, ...]]:
-    """Sets of readings that, were they wrong, would explain most, a few of each size.
-
-    With a further variance t of the readings B the logarithm of the evidence rises to first order
-    by (v^T (1/t + P_B)^-1 v - log det(1 + t P_B)) / 2, P the inverse covariance of readings whose
-    parameters are unknown, and v = (C^-1 r)_B of the residuals r (`Minimum.weighted_residuals`).
-    """
-    baseline = explanations.baseline
-    precision, weighted = baseline.precision, baseline.weighted_residuals
-    signal = np.abs(baseline.signal[baseline.statistic.used])
-    found = []
-    for count in range(1, min(RIVALS.most_bad, max(baseline.ndf - 1, 0)) + 1):
-        best: list[tuple[float, tuple[int, ...]]] = []
-        every = combinations(range(len(signal)), count)
-        # of hundreds of readings there are millions
-        while some := list(islice(every, RIVALS.sets_at_once)):
-            sets = np.array(some)
-            within = precision[sets[:, :, None], sets[:, None, :]]
-            pulled, gains = weighted[sets], np.full(len(sets), -np.inf)
-            for size in RIVALS.bad_sizes:
-                t = (size * signal[sets]) ** 2
-                inner = within + np.eye(count) / t[:, None, :]
-                follow = np.linalg.solve(inner, pulled[..., None])[..., 0]
-                log_det = np.linalg.slogdet(inner)[1] + np.log(t).sum(axis=1)
-                gains = np.maximum(gains, 0.5 * ((pulled * follow).sum(axis=1) - log_det))
-            highest = np.argsort(-gains, kind="stable")[: RIVALS.fitted]
-            best += [(gains[i], some[i]) for i in highest]
-            best = sorted(best, key=lambda each: -each[0])[: RIVALS.fitted]
-        found += [places for _, places in best]
-    return found

@@ -11,11 +11,13 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict
 
 from mcrim_mitsuba.effects.effect import Effect, modules_of
+from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.drivers import Minimum
 from mcrim_mitsuba.inference.estimates import error_of_difference
 from mcrim_mitsuba.inference.explanations import Explanations, Models
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, SCREENING
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
+from mcrim_mitsuba.inference.weighing import weigh_hypotheses
 from mcrim_mitsuba.runs.cache import RecordCache, code_hash, record_versions
 from mcrim_mitsuba.runs.executors import current_executor, number_of
 
@@ -44,9 +46,8 @@ def promising_effects(models: Models, effects: Mapping[str, Effect], baseline: M
             > SCREENING.least_gain - SCREENING.errors * error_of_difference(fits[name], baseline)
         }
     if best.p_value is not None and best.p_value < ACCEPTABLE_P:
-        promising |= {
-            name for pair in explanations.ranked_pairs()[: SCREENING.most_pairs] for name in pair
-        }
+        weighing = weigh_hypotheses(explanations, NullDistribution(explanations, fits), closed=True)
+        promising |= {n for n, p in weighing.inclusion.items() if p > SCREENING.included}
     return promising
 
 

@@ -200,8 +200,9 @@ class ScreeningSettings:
     least_gain: float = 6.0
     #: Standard errors of the simulation by which both are eased.
     errors: float = 1.0
-    #: Pairs whose effects deserve more, where no effect alone explains the readings.
-    most_pairs: int = 4
+    #: Probability of all sets with an effect from which it deserves more, where no effect alone
+    #: explains the readings.
+    included: float = 0.02
 
 
 SCREENING = ScreeningSettings()
@@ -215,19 +216,30 @@ class ExplanationSettings:
     most_nodes: int = 27
     #: Nodes in standard errors, where the catalogue has none.
     sizes: tuple[float, ...] = (-60.0, -20.0, -6.0, -2.0, 2.0, 6.0, 20.0, 60.0)
-    #: Pairs that are fitted to the end after all were followed for a few steps.
-    pairs_to_the_end: int = 12
-    #: The same of effects added to those that are there.
-    further_to_the_end: int = 3
     #: Explanations this close to the best in twice the logarithm of their evidence lead together
     #: with it; twice the simulation's error of their difference in chi2 is added.
     leading: float = 6.0
-    #: Deviance above that of the best from which an explanation has no share in anything: what the
-    #: best loses by its prior is less.
+    #: Deviance above that of the best from which a few points tell an effect's evidence.
     hopeless: float = 50.0
 
 
 EXPLAINING = ExplanationSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class StripSettings:
+    """How the prior of a size is cut into strips, in each of which effects are straight.
+
+    Edges are standard normal numbers of the prior. Toward an absence inside or at an end of the
+    range strips become narrow, so that the Gaussian of none reaches far beyond it.
+    """
+
+    count: int = 6
+    one_sided: tuple[float, ...] = (-8.0, -0.8, 0.1, 0.8, 1.5, 2.3, 3.2)
+    two_sided: tuple[float, ...] = (-3.0, -1.7, -0.8, 0.0, 0.8, 1.7, 3.0)
+
+
+STRIPS = StripSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -276,54 +288,88 @@ class EvidenceSettings:
     #: Step of slopes, in standard normals, and steps towards a maximum.
     step: float = 1e-3
     descents: int = 12
-    #: Part of a distribution whose width counts as its error.
-    interval: float = 0.85
 
 
 EVIDENCE = EvidenceSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
-class RivalSettings:
-    """How likely it is, before the readings, that what is missing is no effect of the catalogue.
+class HypothesisSettings:
+    """How sets of causes are weighed."""
 
-    Calibrated by 400 campaigns of as many designs with their effect left out of the catalogue: what
-    was found, and what other settings would give, is in docs/trials.md.
-    """
+    #: Effects that are expected before the readings, of all that may be missing.
+    expected_effects: float = 0.5
+    #: Sets that are averaged over in full, besides single effects; and the part of all probability
+    #: below which the next one is not worth it.
+    in_full: int = 20
+    worth: float = 0.003
+    #: Single effects around whose own fit sets with them are weighed: those that have this part of
+    #: the weight of the likeliest, and how many.
+    centred: float = 0.01
+    most_centres: int = 3
+    #: Least probability of a set that is listed by itself.
+    listed: float = 1e-3
 
-    #: Odds, before the readings, that something without a name is there: alone, and besides an
-    #: effect.
-    unknown_odds: float = 1.0
-    beside_odds: float = 0.025
-    #: Relative sizes that it may have, the larger the rarer.
-    amplitudes: tuple[float, ...] = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
-    #: Ranges of the configurations over which it changes.
+
+HYPOTHESES = HypothesisSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RehearsalSettings:
+    """How a campaign's design is tried on causes that are known."""
+
+    #: What intervals that hold 68 % and 95 % have to hold of effects that are withheld.
+    held: tuple[float, float] = (0.68, 0.95)
+    #: Probability of a set below which it is left out of a rehearsal's light yield.
+    least_share: float = 1e-6
+    #: Sizes of every effect that are drawn to see what a campaign can say.
+    draws: int = 40
+
+
+REHEARSALS = RehearsalSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscrepancySettings:
+    """What is known, before the readings, of what no cause explains; see `rival_causes`."""
+
+    #: Its odds, and its amplitudes: those of a usual effect are 1. Their prior is
+    #: 1 / (1 + amplitude^2).
+    odds: float = 0.15
+    amplitudes: tuple[float, ...] = (0.1, 0.2, 0.4, 0.8, 1.6)
+    #: Part of what effects have in common that the kernel takes away with the distance.
+    kernel_part: float = 0.3
+    #: Variances that follow the kernel, and that every reading has alone, over that of effects.
+    kernel_variance: float = 0.1
+    lone_variance: float = 0.1
+    #: Ranges of the configurations over which the kernel falls.
     length: float = 1.0
-    #: What it does to all readings alike, and so to the light yield, over what it does to each.
-    common_to_all: float = 4.0
-    #: What the light yield may be off by where two effects explain the readings: of so many pairs
-    #: one may fit that has nothing to do with what is missing.
-    common_to_pairs: float = 0.05
-    #: Deviance above the best effect's up to which something may be there besides one, and how
-    #: many.
-    beside: float = 30.0
-    most_beside: int = 4
-    #: Fall of the logarithm of the evidence that ends the search over sizes.
-    fallen: float = 8.0
+    #: A usual size, as a standard normal number of its prior.
+    usual_size: float = 0.7
+    #: Added to the kernel where it carries effects to further configurations.
+    smoothing: float = 0.01
+
+
+DISCREPANCY = DiscrepancySettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RivalSettings:
+    """How likely it is, before the readings, that these are wrong."""
+
     #: Odds that some reading is wrong, each as likely as the next, and that two rows are exchanged.
     bad_odds: float = 0.1
     swapped_odds: float = 0.1
-    #: What the light yield may be off by where readings are called wrong: they may have seen most
-    #: of an effect that is in no catalogue.
-    bad_common: float = 0.08
-    #: Readings that are wrong at the same time, at most.
-    most_bad: int = 3
     #: Relative errors of a wrong reading, each as likely as the next.
     bad_sizes: tuple[float, ...] = (0.04, 0.15)
-    #: Hypotheses of each kind that are fitted, after all were judged to first order.
-    fitted: int = 3
-    #: Sets of readings that are judged at the same time.
-    sets_at_once: int = 20_000
+    #: Readings, and exchanges, that are looked at: of more those that would explain most.
+    most_readings: int = 16
+    most_swaps: int = 3
+    #: Odds that all stated errors are too small, the width of the half-normal prior of the
+    #: factor's logarithm, and how many values stand for it.
+    understated_odds: float = 0.25
+    error_factor_sigma: float = 0.6
+    error_factors: int = 4
 
 
 RIVALS = RivalSettings()
@@ -350,31 +396,16 @@ CANDIDATES = CandidateSettings()
 
 @dataclass(frozen=True, kw_only=True)
 class VerdictSettings:
-    """When a diagnosis gives which verdict.
+    """When a diagnosis gives which verdict."""
 
-    A campaign is adequate where neither its own p-value is below `ACCEPTABLE_P` nor that of the
-    best effect's gain: together they refuse 2 % of campaigns with nothing hidden.
-    """
-
-    #: p-value of a pair that explains the readings: nothing is tried after it, so it is given more
-    #: room than one effect.
-    pair_explains: float = 0.003
-    #: An effect alone that fits no better than `ACCEPTABLE_P`, but no worse than this, still
-    #: explains the readings where no pair is significantly better: with the right effect one
-    #: campaign in a hundred is such.
-    barely_explains: float = 1e-4
-    #: How rarely chance may give the best of all effects what a further effect gains.
-    significant: float = 0.01
-    #: Logarithm of the odds from which one explanation is no rival of another.
-    rival: float = 3.0
-    #: The only effect that leads is doubted where a cause without a name has odds above exp(-this)
-    #: against all else. In trials with effects left out of the catalogue such a cause was there,
-    #: and a relative of it in the catalogue had fitted well, at a usual size.
-    doubt: float = 2.7
+    #: Probability that something which matters is missing, below which a campaign is adequate.
+    harmless: float = 0.2
+    #: Probability of a family from which it is named.
+    named: float = 0.9
+    #: What the leading hypotheses hold together.
+    credible: float = 0.95
     #: Explanations that a sentence names.
     most_named: int = 4
-    #: Effects added at most.
-    most_effects: int = 4
     #: Probability from which an effect counts as one that the diagnosis rests on.
     likely: float = 0.01
 

@@ -431,6 +431,7 @@ def explanation_pieces(diagnosis: Diagnosis) -> list[Piece]:
         _LEGEND_OF_EXPLANATIONS if diagnosis.candidates else "",
         families if diagnosis.families else "",
         sentences.mistakable(diagnosis),
+        sentences.capability_text(diagnosis),
     ]
 
 

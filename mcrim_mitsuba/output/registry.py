@@ -35,7 +35,7 @@ _PROVENANCE = (
 )
 _DIAGNOSIS = (
     "verdict reason baseline candidates pairs leading leading_sets upper_limits suspect_readings "
-    "repair next_measurements not_tried probabilities light_yield_averaged "
+    "repair next_measurements not_tried probabilities inclusion capability light_yield_averaged "
     "seconds=provenance.seconds families set_aside titles unsettled"
 )
 _CHECKED = (

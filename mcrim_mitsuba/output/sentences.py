@@ -25,7 +25,12 @@ from mcrim_mitsuba.core.rounding import (
 )
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD, ParameterEstimate
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
-from mcrim_mitsuba.inference.judgement import AMBIGUOUS, MISSING_EFFECT, UNEXPLAINED
+from mcrim_mitsuba.inference.judgement import (
+    AMBIGUOUS,
+    MISSING_EFFECT,
+    NO_EFFECTS,
+    UNEXPLAINED,
+)
 from mcrim_mitsuba.inference.plan import (
     EFFICIENCY,
     EVENTS_ORIGIN,
@@ -222,7 +227,7 @@ def averaged_yield(diagnosis: Diagnosis) -> str:
     elif name == NOTHING_MISSING:
         best += f" with nothing missing {likely}"
     else:
-        what = IN_NO_CATALOGUE if name == UNKNOWN else f"a {name}"
+        what = NO_EFFECTS.get(name, f"a {name}")
         best += f" with nothing missing; the likeliest is {what} {likely}"
     return (
         f"Light yield: {averaged}, averaged over all explanations and sizes that the readings "
@@ -245,6 +250,29 @@ def family_probabilities(diagnosis: Diagnosis) -> str:
     ]
     others = "; others < 0.1 % each" if len(likely_families) < len(probabilities) else ""
     return f"{', '.join([*likely_families, f'nothing missing {nothing}'])}{others}"
+
+
+def capability_text(diagnosis: Diagnosis) -> str:
+    """What such readings could say of effects of usual sizes, in a sentence; or nothing."""
+    can = diagnosis.capability
+    if can is None or not can.named:
+        return ""
+    often = sorted((n for n, p in can.named.items() if p > 0.5), key=lambda n: -can.named[n])
+    words = (
+        f"{len(often)} of {counted(len(can.named), 'effect')} in more than half of all campaigns"
+    )
+    if often:
+        first = [
+            f"{t} {probability(can.named[n])}"
+            for n, t in zip(often, titles_of(diagnosis, often), strict=True)
+        ]
+        words += f" ({', '.join(first[:MOST_NAMED])}{', ...' if len(first) > MOST_NAMED else ''})"
+    error = can.light_yield_sigma
+    light = "" if error is None else f"; the light yield to {percent(error)}, but for the detector"
+    return (
+        f"What such readings can say of effects of usual sizes: they name {words}, "
+        f"and another one in {probability(can.false)}{light}."
+    )
 
 
 def mistakable(diagnosis: Diagnosis) -> str:
@@ -691,9 +719,7 @@ NAMES = {
     ALPHA_ABS: ("absorption coefficient of the crystal", "1/cm"),
 }
 #: What has no name, in words.
-IN_NO_CATALOGUE = "something that is in no catalogue"
-#: What has a probability beside effects and readings that are wrong, in words.
-NO_EFFECTS = {UNKNOWN: IN_NO_CATALOGUE, NOTHING_MISSING: "nothing missing"}
+IN_NO_CATALOGUE = NO_EFFECTS[UNKNOWN]
 #: Leading effects that are named in a sentence and explained; tables have all.
 MOST_NAMED = 4
 #: Effects and pairs of them that a table or figure shows, besides the leading ones.

@@ -10,22 +10,23 @@ import numpy as np
 import pytest
 import synthetic_bench as bench
 from scipy import stats
+from scipy.special import softmax
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.files import plain
-from mcrim_mitsuba.inference import explanations as explanations_module
-from mcrim_mitsuba.inference import simulations
+from mcrim_mitsuba.inference import judgement, simulations
 from mcrim_mitsuba.inference.candidates import upper_limits
 from mcrim_mitsuba.inference.compare import comparison_of, find_trends
 from mcrim_mitsuba.inference.diagnose import diagnose_models
+from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.drivers import find_minima, newton, settle
 from mcrim_mitsuba.inference.estimates import left_out, left_out_error
-from mcrim_mitsuba.inference.explanations import NullDistribution, Ranking
 from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.screening import promising_effects
 from mcrim_mitsuba.inference.simulations import MeasurementProposals
 from mcrim_mitsuba.inference.statistic import Statistic
+from mcrim_mitsuba.inference.weighing import Hypothesis
 from mcrim_mitsuba.output.registry import encoded
 from mcrim_mitsuba.output.sentences import limit_text
 
@@ -261,7 +262,8 @@ def test_swapped_rows_are_named_before_physics():
 def test_what_no_effect_explains_is_unexplained():
     pattern = np.random.default_rng(8).standard_normal(len(bench.ROWS))
     found = diagnosed(8, change=lambda signal: signal * np.exp(0.04 * pattern))
-    assert found.verdict == "unexplained" and found.leading == () and found.pairs
+    assert found.verdict == "unexplained" and found.leading == ()
+    assert {family.family: family.probability for family in found.families}["unknown"] > 0.5
 
 
 def test_too_few_readings_are_said_to_be():
@@ -397,18 +399,30 @@ def test_a_sentence_names_some_of_many_explanations():
 
 def test_what_only_the_simulations_error_lets_lead_is_named_apart(monkeypatch):
     """Staff read that 96 % could not be told apart from less than 0.1 %."""
-    log = {("bubble",): 0.0, ("bevel",): -2.0, ("source",): -10.0, ("haze",): -40.0}
+    logs = {("bubble",): 0.0, ("bevel",): -2.0, ("source",): -10.0, ("haze",): -40.0}
+    logs |= {("bubble", "source"): -9.0}  # holds a leading one
+    effects = {name: SimpleNamespace(family=name) for key in logs for name in key}
     explanations = SimpleNamespace(
-        fit=lambda key: SimpleNamespace(deviance=0.0, key=key, chi2=5.0, ndf=3, p_value=0.15),
-        evidence=lambda key, hopeless: SimpleNamespace(log=log[key]),
+        fit=lambda key: SimpleNamespace(key=key, chi2=5.0, ndf=3, p_value=0.15),
         title=" with ".join,
+        effects=effects,
     )
-    monkeypatch.setattr(explanations_module, "error_of_difference", lambda fit, best: 8.0)
-    for sets, words in (
-        (log, "cannot tell apart bubble and bevel: .* first; more photons .* source may as well$"),
-        ([("bubble",), ("source",)], "^bubble explains .*; more photons .* whether source may as"),
+    monkeypatch.setattr(judgement, "error_of_difference", lambda fit, best: 8.5)
+    # the leading ones hold 95 %: of bubble and bevel, or of bubble alone
+    for without, words in (
+        ((), "^bubble and bevel may explain .*; more photons .* whether source may as well$"),
+        (("bevel",), "^bubble may explain .*; more photons .* whether source may as well$"),
     ):
-        judge = Judgement(explanations, Ranking(explanations, sets), None)
-        said = judge._of_leading(judge.singles)
-        assert said.word == "ambiguous" and re.search(words, said.reason)
-        assert said.unsettled == (("source",),) and ("haze",) not in said.leading
+        hypotheses = tuple(
+            Hypothesis(
+                effects=key, log_weight=log, log_scale=0.0, log_scale_sigma=0.1, evidence=object()
+            )
+            for key, log in logs.items()
+            if key != without
+        )
+        shares = softmax([hypothesis.log_weight for hypothesis in hypotheses])
+        weighing = SimpleNamespace(hypotheses=hypotheses, shares=shares, families={"bubble": 0.9})
+        judge = Judgement(explanations, None, weighing)
+        verdict = judge._of_leading(())
+        assert verdict.word == "ambiguous" and re.search(words, verdict.reason), verdict.reason
+        assert verdict.unsettled == (("source",),) and ("haze",) not in verdict.leading

@@ -9,15 +9,8 @@ from scipy import special, stats
 
 import mcrim_mitsuba
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
-from mcrim_mitsuba.inference.evidence import (
-    Evidence,
-    Hypothesis,
-    even,
-    evidence_of,
-    gaussian,
-    size,
-    weigh,
-)
+from mcrim_mitsuba.inference.evidence import even, evidence_of, gaussian, size
+from mcrim_mitsuba.inference.weighing import Hypothesis, Weighing
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 
@@ -140,63 +133,90 @@ def test_densities_hold_what_they_say(density, low, high, inside):
     assert density.value(np.array([density.z_of(values[6000])]))[0] == pytest.approx(values[6000])
 
 
-def test_probabilities_and_the_averaged_yield():
+def weighing(hypotheses):
+    """Some hypotheses by their weights."""
+    hypotheses = tuple(hypotheses)
+    return Weighing(
+        hypotheses=hypotheses,
+        shares=special.softmax([hypothesis.log_weight for hypothesis in hypotheses]),
+        inclusion={},
+        families={},
+        closed_part=0.0,
+        moving=0.0,
+        p_value=0.5,
+        design=None,
+    )
+
+
+def test_the_averaged_yield_is_the_mixtures():
     known = LightYieldInput(50.0, 0.1, 0.01)  # a scale of 5 is 1 ph/keV
-    at = {(): (0.0, 40.0), ("one",): (3.0, 35.0), ("other",): (2.0, 30.0)}
-    hypotheses = [
+    scales, sigmas = np.array([40.0, 35.0, 30.0]), np.array([0.025, 0.03, 0.05])
+    weighed = weighing(
         Hypothesis(
-            Evidence(log, 0.0, {"scale": scale}, {"scale": 1.0}, 1e3, np.empty((0, 1))),
-            -len(key) * math.log(2),
-            key,
-            common=0.05 * len(key),
+            effects=effects,
+            besides=besides,
+            amplitude=0.1 * bool(besides),
+            log_weight=log,
+            log_scale=math.log(scale / 40.0),
+            log_scale_sigma=sigma,
         )
-        for key, (log, scale) in at.items()
+        for effects, besides, log, scale, sigma in zip(
+            ((), ("one",), ("other",)),
+            ("", "", "unknown"),
+            (0.0, 2.0, 1.5),
+            scales,
+            sigmas,
+            strict=True,
+        )
+    )
+    assert [hypothesis.name for hypothesis in weighed.hypotheses] == [
+        "none",
+        "one",
+        "other + unknown",
     ]
-    found = weigh(hypotheses, known)
-    assert list(found.probabilities) == ["none", "one", "other"]
-    odds = np.array([1.0, math.exp(3.0) / 2, math.exp(2.0) / 2])
-    p = odds / odds.sum()
-    assert list(found.probabilities.values()) == pytest.approx(p)
-    values = np.array([8.0, 7.0, 6.0])
-    mean = p @ values
-    # the median and the interval that holds 85 %, by drawing; its parts as the variances are
+    p = special.softmax([0.0, 2.0, 1.5])
+    assert weighed.probability(lambda h: bool(h.effects)) == pytest.approx(p[1] + p[2])
+    averaged = weighed.light_yield(known, 40.0)
+    # the median and the intervals that hold 68 and 95 %, by drawing; its parts as the variances are
     rng = np.random.default_rng(4)
     model = rng.choice(3, 400_000, p=p)
-    sigmas = np.hypot(0.2, 0.05 * values * [0, 1, 1])
-    drawn = values[model] + sigmas[model] * rng.standard_normal(len(model))
-    low, median, high = np.quantile(drawn, [0.075, 0.5, 0.925])
-    width = (high - low) / (2.0 * 1.439531)
-    parts = np.array(
-        [0.2, math.sqrt(p @ (values - mean) ** 2), 0.05 * math.sqrt(p[1:] @ values[1:] ** 2)]
+    widths = np.hypot(sigmas, 0.1)
+    logs = np.log(scales / 5.0)
+    drawn = np.exp(logs[model] + widths[model] * rng.standard_normal(len(model)))
+    ends = np.quantile(drawn, [0.025, 0.159, 0.5, 0.841, 0.975])
+    assert ends == pytest.approx(
+        [averaged.lower_95, averaged.lower, averaged.value, averaged.upper, averaged.upper_95],
+        rel=4e-3,
     )
-    within, between, catalogue = parts / np.linalg.norm(parts) * width
-    averaged = found.light_yield
-    assert averaged.value == pytest.approx(median, rel=3e-3)
-    assert averaged.within == pytest.approx(math.hypot(within, 0.1 * median), rel=3e-3)
-    assert averaged.between == pytest.approx(between, rel=5e-3)
-    assert averaged.catalogue == pytest.approx(catalogue, rel=5e-3)
-    assert averaged.sigma == pytest.approx(math.hypot(width, 0.1 * median), rel=3e-3)
+    assert averaged.sigma == pytest.approx(0.5 * (ends[3] - ends[1]), rel=5e-3)
+    away = (logs - p @ logs) ** 2
+    variances = np.array(
+        [
+            p[:2] @ sigmas[:2] ** 2 + 0.01,  # the efficiency's error with it
+            p[:2] @ away[:2],
+            p[2] * (sigmas[2] ** 2 + away[2]),
+        ]
+    )
+    parts = np.sqrt(variances)
+    parts *= averaged.sigma / np.linalg.norm(parts)
+    assert parts == pytest.approx([averaged.within, averaged.between, averaged.catalogue], rel=5e-3)
 
 
 def test_an_unlikely_model_far_away_is_no_error():
     """One in fifty is off by half: the standard deviation would be seven times the likely one."""
 
     def light_yield(log):
-        return weigh(
-            [
-                Hypothesis(
-                    Evidence(at, 0.0, {"scale": scale}, {"scale": 0.4}, 1e3, np.empty((0, 1))), 0.0
-                )
-                for at, scale in ((0.0, 40.0), (log, 20.0))
-            ],
-            LightYieldInput(50.0, 0.1, 0.0),
-        ).light_yield
+        return weighing(
+            Hypothesis(log_weight=at, log_scale=math.log(scale / 40.0), log_scale_sigma=0.01)
+            for at, scale in ((0.0, 40.0), (log, 20.0))
+        ).light_yield(LightYieldInput(50.0, 0.1, 0.0), 40.0)
 
     alone = light_yield(-50.0)
-    assert alone.sigma == pytest.approx(0.08, rel=1e-3)
+    assert alone.sigma == pytest.approx(0.08, rel=2e-3)
     assert light_yield(math.log(0.02)).sigma < 1.2 * alone.sigma
-    # where it is as likely as one in eleven it is one
-    assert light_yield(math.log(0.1)).sigma > 10.0 * alone.sigma
+    # the interval that holds 95 % knows of it where it is as likely as one in eleven
+    unsure = light_yield(math.log(0.1))
+    assert unsure.lower_95 < 4.2 and unsure.upper_95 < 8.3
 
 
 def test_a_model_without_free_parameters_is_its_likelihood(scenes):

@@ -1,0 +1,485 @@
+"""All sets of up to three causes at once, in closed form.
+
+Around the baseline fit the readings and priors, whitened and freed of what the free parameters
+follow, are independent standard normal numbers z. A cause of the size v displaces them by s(v), and
+the logarithm of the fitted scale by t(v); several causes add. The prior of a size is cut into
+strips, in each of which it is a Gaussian, and s and t are straight:
+
+    s = o + a x,  t = c + b x,  x ~ N(0, 1).
+
+With a set's strips, r = z - sum of o, A = 1 + a^T a (a, b with a column and a row for each strip)
+
+    ln Z = -r^T r / 2 + (a^T r)^T A^-1 (a^T r) / 2 - ln|A| / 2 + sum of ln w
+    ln S = ln S0 + sum of c + b^T A^-1 a^T r,  variance s0^2 + b^T A^-1 b
+
+(C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for Machine Learning, MIT Press 2006,
+section 2.7, for a linear model with Gaussian weights). No fit is needed for a set, so that all of
+them are weighed, not only those that some rule lets through.
+
+What no cause explains, a discrepancy, is Gaussian with a covariance: z then has the covariance
+V = f^2 + tau^2 D, f a factor by which all stated errors are too small, and is whitened once more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from mcrim_mitsuba.core.descent import Array
+
+Indices = NDArray[np.int64]
+
+#: Causes of one set, at most.
+MOST_CAUSES = 3
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Cause:
+    """Something that may displace readings, with what is known of its size before them."""
+
+    #: As sets are listed; that of an effect is its id.
+    name: str
+    #: Natural logarithm of the odds, before the readings, that it is there.
+    log_odds: float
+    #: (strips,) float64: Natural logarithms of the prior's parts, which add up to 1.
+    log_weights: Array
+    #: (strips, dimensions) float64: Displacement of z in the middle of a strip, and per standard
+    #: deviation of the size inside of it.
+    origins: Array
+    slopes: Array
+    #: (strips,) float64: The same of the logarithm of the scale.
+    log_scales: Array
+    log_scale_slopes: Array
+
+    def seen_through(self, whitening: Array, followed: Array) -> Cause:
+        """The same in other numbers, (dimensions, dimensions) times z.
+
+        Of the logarithm of the scale is taken off what is said of it, (dimensions,), by these
+        numbers through the discrepancy that they know of.
+        """
+        origins, slopes = self.origins @ whitening.T, self.slopes @ whitening.T
+        return replace(
+            self,
+            origins=origins,
+            slopes=slopes,
+            log_scales=self.log_scales - origins @ followed,
+            log_scale_slopes=self.log_scale_slopes - slopes @ followed,
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Discrepancy:
+    """Covariance, per squared amplitude, of what no cause explains."""
+
+    #: (dimensions, dimensions) float64: Of z.
+    covariance: Array
+    #: (dimensions,) float64: Of z with the logarithm of the scale.
+    with_scale: Array
+    #: Variance of the logarithm of the scale.
+    of_scale: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surroundings:
+    """What besides causes the readings are weighed with."""
+
+    #: Natural logarithm of its prior probability.
+    log_prior: float
+    #: Of the discrepancy; 0: there is none.
+    amplitude: float = 0.0
+    #: By which all stated errors are too small.
+    error_factor: float = 1.0
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether there is nothing besides causes."""
+        return self.amplitude == 0.0 and self.error_factor == 1.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WeighedSets:
+    """Every set of causes in every surroundings, and what the readings say of the scale with it."""
+
+    causes: tuple[Cause, ...]
+    surroundings: tuple[Surroundings, ...]
+    #: (sets, 3) int64: Places of the causes; -1 where there are fewer.
+    members: Indices
+    #: (sets,) int64: Places of the surroundings.
+    within: Indices
+    #: (sets,) float64: Natural logarithms of the weights, up to a constant.
+    log_weights: Array
+    #: (sets,) float64: Mean and variance of ln(scale / that of the baseline).
+    log_scales: Array
+    variances: Array
+
+    def names(self, place: int) -> tuple[str, ...]:
+        """Causes of a set."""
+        return tuple(self.causes[i].name for i in self.members[place] if i >= 0)
+
+    def moved(self, place: int, z: Array) -> Array:
+        """(dimensions,) mean displacement by a set's causes, without any discrepancy."""
+        members = self.members[place]
+        causes = [self.causes[i] for i in members[members >= 0]]
+        if not causes:
+            return np.zeros(len(z))
+        strips = np.indices([len(cause.log_weights) for cause in causes]).reshape(len(causes), -1)
+        log_weights, moves = [], []
+        for chosen in strips.T:
+            origin = sum(c.origins[i] for c, i in zip(causes, chosen, strict=True))
+            slopes = np.array([c.slopes[i] for c, i in zip(causes, chosen, strict=True)])
+            matrix = np.eye(len(causes)) + slopes @ slopes.T
+            left = z - origin
+            along = np.linalg.solve(matrix, slopes @ left)
+            log_weight = 0.5 * ((slopes @ left) @ along - left @ left)
+            log_weight -= 0.5 * np.linalg.slogdet(matrix)[1]
+            log_weights.append(
+                log_weight + sum(c.log_weights[i] for c, i in zip(causes, chosen, strict=True))
+            )
+            moves.append(origin + slopes.T @ along)
+        shares = np.exp(np.array(log_weights) - logsumexp(log_weights))
+        return np.asarray(shares @ np.array(moves), float)
+
+
+def weigh_sets(
+    causes: Sequence[Cause],
+    surroundings: Sequence[Surroundings],
+    z: Array,
+    *,
+    discrepancy: Discrepancy,
+    scale_variance: float,
+    excluded: NDArray[np.bool_],
+    most: int = MOST_CAUSES,
+) -> WeighedSets:
+    """Weigh every set of up to three causes, or fewer; one less where there is something besides.
+
+    Parameters
+    ----------
+    z : (dimensions,) float64
+        The readings, whitened and freed of what the free parameters follow.
+    scale_variance : float
+        Of the logarithm of the scale in the baseline fit.
+    excluded : (causes, causes) bool
+        Which two cannot be there at the same time.
+    """
+    parts = []
+    for place, around in enumerate(surroundings):
+        seen = _Seen.through(around, causes, discrepancy, scale_variance)
+        own = seen.whitening @ z
+        strips = _Strips(seen.causes, own, seen.scale_variance, excluded)
+        shift = float(seen.followed @ own)
+        causes_here = most if around.is_plain else most - 1
+        for members, log_weights, log_scales, variances in strips.sets(causes_here):
+            within, log_weights = np.full(len(members), place), log_weights + seen.log_weight
+            parts.append((members, within, log_weights, log_scales + shift, variances))
+    members, within, log_weights, log_scales, variances = map(
+        np.concatenate, zip(*parts, strict=True)
+    )
+    return WeighedSets(
+        causes=tuple(causes),
+        surroundings=tuple(surroundings),
+        members=members,
+        within=within,
+        log_weights=log_weights,
+        log_scales=log_scales,
+        variances=variances,
+    )
+
+
+def weigh_singles(
+    causes: Sequence[Cause],
+    surroundings: Sequence[Surroundings],
+    z: Array,
+    *,
+    discrepancy: Discrepancy,
+    scale_variance: float,
+) -> tuple[Indices, Array, Array, Array]:
+    """The same of none or one cause, for many (draws, dimensions) readings at once.
+
+    Returns
+    -------
+    members : (sets,) int64
+        The cause; -1 for none.
+    log_weights, log_scales, variances : (draws, sets) float64
+    """
+    parts = []
+    owner = np.repeat(np.arange(len(causes)), [len(cause.log_weights) for cause in causes])
+    for around in surroundings:
+        seen = _Seen.through(around, causes, discrepancy, scale_variance)
+        own = z @ seen.whitening.T
+        none = -0.5 * (own**2).sum(axis=1, keepdims=True)
+        origins = np.vstack([cause.origins for cause in seen.causes])
+        slopes = np.vstack([cause.slopes for cause in seen.causes])
+        t = np.concatenate([cause.log_scales for cause in seen.causes])
+        b = np.concatenate([cause.log_scale_slopes for cause in seen.causes])
+        odds = np.concatenate([cause.log_weights + cause.log_odds for cause in seen.causes])
+        width = 1.0 + (slopes**2).sum(axis=1)
+        along = own @ slopes.T - (slopes * origins).sum(axis=1)
+        heights = own @ origins.T - 0.5 * (origins**2).sum(axis=1) + odds - 0.5 * np.log(width)
+        of_strips = none + heights + 0.5 * along**2 / width
+        means = t + b * along / width + own @ seen.followed[:, None]
+        log_weights = np.hstack([none, of_strips]) + seen.log_weight
+        log_scales = np.hstack([own @ seen.followed[:, None], means])
+        variances = seen.scale_variance + np.append(0.0, b**2 / width)
+        parts.append((log_weights, log_scales, np.broadcast_to(variances, log_scales.shape)))
+    members = np.tile(np.append(-1, owner), len(surroundings))
+    log_weights, log_scales, variances = (np.hstack(part) for part in zip(*parts, strict=True))
+    return members, log_weights, log_scales, variances
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Seen:
+    """Causes in the numbers in which z is standard normal, in some surroundings."""
+
+    causes: list[Cause]
+    #: (dimensions, dimensions) float64: Of z.
+    whitening: Array
+    #: (dimensions,) float64: What these numbers say of ln(scale), and its variance besides.
+    followed: Array
+    scale_variance: float
+    #: Natural logarithm of the surroundings' prior, over the root of the determinant.
+    log_weight: float
+
+    @classmethod
+    def through(
+        cls,
+        around: Surroundings,
+        causes: Sequence[Cause],
+        discrepancy: Discrepancy,
+        scale_variance: float,
+    ) -> _Seen:
+        """What a discrepancy and a factor of the errors make of causes."""
+        covariance = around.amplitude**2 * discrepancy.covariance
+        covariance = covariance + around.error_factor**2 * np.eye(len(covariance))
+        factor = np.linalg.cholesky(covariance)
+        whitening = np.asarray(np.linalg.inv(factor), float)
+        followed = around.amplitude**2 * (whitening @ discrepancy.with_scale)
+        variance = around.error_factor**2 * scale_variance
+        variance += around.amplitude**2 * discrepancy.of_scale - float(followed @ followed)
+        return cls(
+            causes=[cause.seen_through(whitening, followed) for cause in causes],
+            whitening=whitening,
+            followed=followed,
+            scale_variance=max(variance, 0.0),
+            log_weight=around.log_prior - float(np.log(np.diag(factor)).sum()),
+        )
+
+
+class _Strips:
+    """The strips of all causes one after the other, and their products."""
+
+    def __init__(
+        self, causes: Sequence[Cause], z: Array, variance: float, excluded: NDArray[np.bool_]
+    ) -> None:
+        dimensions = len(z)
+        counts = [len(cause.log_weights) for cause in causes]
+        self._owner = np.repeat(np.arange(len(causes)), counts)
+        origins = np.vstack([np.empty((0, dimensions)), *(cause.origins for cause in causes)])
+        slopes = np.vstack([np.empty((0, dimensions)), *(cause.slopes for cause in causes)])
+        self._log_weights = np.concatenate([[], *(c.log_weights + c.log_odds for c in causes)])
+        self._t = np.concatenate([[], *(cause.log_scales for cause in causes)])
+        self._b = np.concatenate([[], *(cause.log_scale_slopes for cause in causes)])
+        self._variance, self._excluded = variance, excluded
+        self._squared = float(z @ z)
+        self._oo, self._aa, self._ao = origins @ origins.T, slopes @ slopes.T, slopes @ origins.T
+        # of a strip alone: -r^2 / 2 but for z^2, its row of A, a^T r
+        self._heights = origins @ z - 0.5 * np.diag(self._oo) + self._log_weights
+        self._own = 1.0 + np.diag(self._aa)
+        self._along = slopes @ z - np.diag(self._ao)
+
+    def sets(self, most: int) -> Iterator[tuple[Indices, Array, Array, Array]]:
+        """Members, log weights, and mean and variance of the scale's logarithm, of all sets."""
+        none = np.full((1, MOST_CAUSES), -1)
+        yield (none, np.array([-0.5 * self._squared]), np.zeros(1), np.array([self._variance]))
+        if not len(self._owner):
+            return
+        yield self._singles()
+        if most < 2:
+            return
+        pairs = self._pairs()
+        if not len(pairs.first):
+            return
+        members = pairs.members(self._owner)
+        starts = _starts(members)
+        yield (
+            members[starts],
+            *self._gathered(starts, pairs.log_weights, pairs.means, pairs.variances),
+        )
+        if most == MOST_CAUSES:
+            # there are millions of strips: float32 holds their logarithms to 1e-4
+            pairs = pairs.in_single_precision()
+            self._oo, self._aa, self._ao = (
+                products.astype(np.float32) for products in (self._oo, self._aa, self._ao)
+            )
+            for third in range(1, self._owner[-1] + 1):
+                yield from self._triples(pairs, third)
+
+    def _singles(self) -> tuple[Indices, Array, Array, Array]:
+        own, along = self._own, self._along
+        log_weights = self._heights + 0.5 * along**2 / own - 0.5 * np.log(own)
+        members = np.full((len(own), MOST_CAUSES), -1)
+        members[:, 0] = self._owner
+        starts = _starts(members)
+        return (
+            members[starts],
+            *self._gathered(
+                starts,
+                log_weights - 0.5 * self._squared,
+                self._t + self._b * along / own,
+                self._b**2 / own,
+            ),
+        )
+
+    def _pairs(self) -> _Pairs:
+        """Two strips of two causes, the set with the lower last cause first."""
+        owner = self._owner
+        together = (owner[:, None] < owner[None, :]) & ~self._excluded[owner[:, None], owner]
+        first, second = np.nonzero(together)
+        order = np.lexsort((owner[first], owner[second]))
+        i, j = first[order], second[order]
+        between = self._aa[i, j]
+        d1 = self._own[i]
+        ratio = between / d1
+        d2 = self._own[j] - ratio * between
+        along1, along2 = self._along[i] - self._ao[i, j], self._along[j] - self._ao[j, i]
+        b2 = self._b[j] - ratio * self._b[i]
+        left2 = along2 - ratio * along1
+        heights = self._heights[i] + self._heights[j] - self._oo[i, j]
+        log_determinants = np.log(d1 * d2)
+        return _Pairs(
+            first=i,
+            second=j,
+            d1=d1,
+            d2=d2,
+            ratio=ratio,
+            along1=along1,
+            along2=along2,
+            b1=self._b[i],
+            b2=b2,
+            t=self._t[i] + self._t[j],
+            heights=heights,
+            log_determinants=log_determinants,
+            log_weights=heights
+            - 0.5 * (self._squared + log_determinants)
+            + 0.5 * (along1**2 / d1 + left2**2 / d2),
+            means=self._t[i] + self._t[j] + self._b[i] * along1 / d1 + b2 * left2 / d2,
+            variances=self._b[i] ** 2 / d1 + b2**2 / d2,
+        )
+
+    def _triples(self, pairs: _Pairs, third: int) -> Iterator[tuple[Indices, Array, Array, Array]]:
+        """Sets of a cause with all pairs of causes before it.
+
+        The pair's rows of A were eliminated before: what is left is one row for each third strip.
+        """
+        owner = self._owner
+        last = int(np.searchsorted(owner[pairs.second], third))
+        allowed = ~(
+            self._excluded[owner[pairs.first[:last]], third]
+            | self._excluded[owner[pairs.second[:last]], third]
+        )
+        at = np.flatnonzero(allowed)
+        if not len(at):
+            return
+        p = pairs.taken(at)
+        members = p.members(owner)
+        members[:, 2] = third
+        log_weights, means, variances = [], [], []
+        for k in np.flatnonzero(owner == third):
+            row, lower, along = self._aa[k], self._ao[:, k].copy(), self._ao[k]
+            own, height, along_own, b, t = (
+                np.float32(values[k])
+                for values in (self._own, self._heights, self._along, self._b, self._t)
+            )
+            along1, along2 = p.along1 - lower[p.first], p.along2 - lower[p.second]
+            left2 = along2 - p.ratio * along1
+            with1 = row[p.first]
+            with2 = row[p.second] - p.ratio * with1
+            ratio1, ratio2 = with1 / p.d1, with2 / p.d2
+            d3 = own - ratio1 * with1 - ratio2 * with2
+            left3 = along_own - along[p.first] - along[p.second]
+            left3 -= ratio1 * along1 + ratio2 * left2
+            b3 = b - ratio1 * p.b1 - ratio2 * p.b2
+            heights = p.heights + height - self._oo[k][p.first] - self._oo[k][p.second]
+            gains = along1**2 / p.d1 + left2**2 / p.d2 + left3**2 / d3
+            log_determinants = p.log_determinants + np.log(d3)
+            log_weights.append(
+                heights + np.float32(0.5) * (gains - log_determinants - np.float32(self._squared))
+            )
+            step = p.b1 * along1 / p.d1 + p.b2 * left2 / p.d2 + b3 * left3 / d3
+            means.append(p.t + t + step)
+            variances.append(p.variances + b3**2 / d3)
+        count = len(log_weights)
+        starts = _starts(members)
+        yield (
+            members[starts],
+            # strips of one set stand together
+            *self._gathered(
+                count * starts,
+                *(np.stack(values, axis=1).ravel() for values in (log_weights, means, variances)),
+            ),
+        )
+
+    def _gathered(
+        self, starts: Indices, log_weights: Array, means: Array, variances: Array
+    ) -> tuple[Array, Array, Array]:
+        """Strips of one set, which stand together from `starts` on, as one Gaussian."""
+        highest = np.maximum.reduceat(log_weights, starts)
+        counts = np.diff(np.append(starts, len(log_weights)))
+        weights = np.exp(log_weights - np.repeat(highest, counts))
+        total = np.add.reduceat(weights, starts)
+        mean = np.add.reduceat(weights * means, starts) / total
+        square = np.add.reduceat(weights * (variances + means**2), starts) / total
+        variance = np.maximum(square - mean**2, 0.0) + self._variance
+        return highest + np.log(total), mean, variance
+
+
+def _starts(members: Indices) -> Indices:
+    """Where strips of another set begin; (strips, 3) causes, those of one set together."""
+    return np.flatnonzero(np.append(True, (members[1:] != members[:-1]).any(axis=1)))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Pairs:
+    """Pairs of strips: the elimination of their two rows, all (pairs,)."""
+
+    first: Indices
+    second: Indices
+    #: Diagonal of A after elimination, and what of the first row is taken off the second.
+    d1: Array
+    d2: Array
+    ratio: Array
+    #: a^T r of either strip, r without both origins.
+    along1: Array
+    along2: Array
+    #: Slopes of ln S after elimination, and its shift.
+    b1: Array
+    b2: Array
+    t: Array
+    #: -r^2 / 2 + z^2 / 2 with the weights; ln |A|.
+    heights: Array
+    log_determinants: Array
+    #: Of the pair as a set.
+    log_weights: Array
+    means: Array
+    variances: Array
+
+    def taken(self, at: Indices) -> _Pairs:
+        """Some of them."""
+        return _Pairs(**{name: values[at] for name, values in vars(self).items()})
+
+    def in_single_precision(self) -> _Pairs:
+        """The same numbers in float32."""
+        return _Pairs(
+            **{
+                name: values.astype(np.float32) if values.dtype == np.float64 else values
+                for name, values in vars(self).items()
+            }
+        )
+
+    def members(self, owner: Indices) -> Indices:
+        """(pairs, 3) causes, the third of which is none."""
+        none = np.full(len(self.first), -1)
+        return np.stack([owner[self.first], owner[self.second], none], axis=1)

@@ -1,0 +1,186 @@
+"""Rehearsals: what a campaign's own design makes of causes that are known, in closed form.
+
+An effect is hidden in readings that were not made, at the campaign's configurations and with its
+errors, and all causes are weighed. Withheld from the causes it shows how far the light yield is
+then from the truth, and so by how much the error is too small where what is missing has no name.
+Left among them it shows how often such readings would name it, before they are believed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import logsumexp, ndtr
+
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.inference.closed_form import (
+    MOST_CAUSES,
+    Cause,
+    Discrepancy,
+    Surroundings,
+    WeighedSets,
+    weigh_sets,
+    weigh_singles,
+)
+from mcrim_mitsuba.inference.displacement import BaselineFrame, Curve
+from mcrim_mitsuba.inference.settings import HYPOTHESES, JUDGING, REHEARSALS
+
+#: Where the intervals that hold 95 % and 68 % end, and the median: parts below.
+QUANTILES = (0.025, 0.159, 0.5, 0.841, 0.975)
+
+
+def quantile(shares: Array, means: Array, sigmas: Array, part: float) -> float:
+    """Below which this part of Gaussians lies that have these shares; all (k,) float64."""
+
+    def above(x: float) -> float:
+        return float(shares @ ndtr((x - means) / sigmas)) - part
+
+    low, high = (means - 9.0 * sigmas).min(), (means + 9.0 * sigmas).max()
+    return float(brentq(above, low, high, xtol=1e-9))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Design:
+    """A campaign without its readings: all that these could be explained by."""
+
+    frame: BaselineFrame
+    #: Of effects, which are the first causes, by name.
+    curves: Mapping[str, Curve]
+    causes: tuple[Cause, ...]
+    surroundings: tuple[Surroundings, ...]
+    discrepancy: Discrepancy
+    #: (causes, causes) Which two cannot be there at the same time.
+    excluded: NDArray[np.bool_]
+
+    def weighed(
+        self, z: Array, *, withheld: Collection[int] = (), most: int = MOST_CAUSES
+    ) -> WeighedSets:
+        """All sets of causes but the withheld ones, with `most` of them at a time."""
+        causes = [place for place in range(len(self.causes)) if place not in withheld]
+        return weigh_sets(
+            [self.causes[place] for place in causes],
+            self.surroundings,
+            z,
+            discrepancy=self.discrepancy,
+            scale_variance=self.frame.scale_variance,
+            excluded=self.excluded[np.ix_(causes, causes)],
+            most=most,
+        )
+
+
+def _mixture(weighed: WeighedSets) -> tuple[Array, Array, Array]:
+    """Shares, means and standard deviations of ln(scale), of sets that matter."""
+    shares = np.exp(weighed.log_weights - logsumexp(weighed.log_weights))
+    likely = shares > REHEARSALS.least_share
+    sigmas = np.sqrt(np.maximum(weighed.variances[likely], 1e-16))
+    return shares[likely] / shares[likely].sum(), weighed.log_scales[likely], sigmas
+
+
+# ---- an effect withheld ----
+
+
+def widening(design: Design, p_unnamed: float) -> tuple[float, float]:
+    """Factors on the intervals of ln(scale) that hold 68 % and 95 %.
+
+    Every effect in turn is there, of the size that gives the campaign's own misfit, and withheld
+    from the causes. How far the truth is then from the median, over the half intervals, says how
+    much they hold where what is missing has no name: by that probability they are widened.
+    """
+    z = design.frame.z
+    excess = float(z @ z) - len(z)
+    if excess <= 0.0 or p_unnamed < HYPOTHESES.worth or design.frame.scale_variance == 0.0:
+        return 1.0, 1.0
+    noise = np.random.default_rng(0).standard_normal((len(design.curves), len(z)))
+    ratios, weights = [], []
+    for place, curve in enumerate(design.curves.values()):
+        hidden = curve.at_distance(excess)
+        if hidden is not None:
+            moved, log_scale = hidden
+            weighed = design.weighed(moved + noise[place], withheld=(place,), most=MOST_CAUSES - 1)
+            ratios.append(_missed_by(weighed, log_scale))
+            weights.append(math.exp(design.causes[place].log_odds))
+    if not ratios:
+        return 1.0, 1.0
+    needed = (
+        _weighted_quantile(np.array(column), np.array(weights), part)
+        for column, part in zip(zip(*ratios, strict=True), REHEARSALS.held, strict=True)
+    )
+    factor_68, factor_95 = (1.0 + p_unnamed * max(ratio - 1.0, 0.0) for ratio in needed)
+    return factor_68, factor_95
+
+
+def _missed_by(weighed: WeighedSets, log_scale: float) -> tuple[float, float]:
+    """How far the median is from the truth, over the half intervals that hold 68 and 95 %."""
+    mixture = _mixture(weighed)
+    lower_95, lower, median, upper, upper_95 = (quantile(*mixture, part) for part in QUANTILES)
+    missed = log_scale - median
+    if missed > 0.0:
+        return missed / (upper - median), missed / (upper_95 - median)
+    return missed / (lower - median), missed / (lower_95 - median)
+
+
+def _weighted_quantile(values: Array, weights: Array, part: float) -> float:
+    """Value below which a part of the weights lies."""
+    order = np.argsort(values)
+    cumulated = np.cumsum(weights[order]) / weights.sum()
+    place = min(int(np.searchsorted(cumulated, part)), len(values) - 1)
+    return float(values[order][place])
+
+
+# ---- what a campaign can say ----
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capability:
+    """What readings of a campaign's design would say of effects of usual sizes."""
+
+    #: By effect, how often it, or its family, would be named (0..1).
+    named: dict[str, float]
+    #: How often another family would be.
+    false: float
+    #: Relative standard error of the light yield, without the detector's efficiency, in the middle
+    #: of all these campaigns; None where the scale is held.
+    light_yield_sigma: float | None
+
+
+def capability(design: Design, families: Mapping[str, str], seed: int = 0) -> Capability:
+    """Readings with every effect in turn, of sizes drawn from its prior, weighed one at a time.
+
+    `families` are those of effects, by name.
+    """
+    if not design.curves:
+        return Capability(named={}, false=0.0, light_yield_sigma=None)
+    rng, names = np.random.default_rng(seed), list(design.curves)
+    readings = []
+    for cause in design.causes[: len(names)]:
+        strips = rng.choice(len(cause.log_weights), REHEARSALS.draws, p=np.exp(cause.log_weights))
+        size = rng.standard_normal((REHEARSALS.draws, 1))
+        readings.append(cause.origins[strips] + size * cause.slopes[strips])
+    z = np.concatenate([np.empty((0, len(design.frame.z))), *readings])
+    members, log_weights, log_scales, variances = weigh_singles(
+        design.causes,
+        design.surroundings,
+        z + rng.standard_normal(z.shape),
+        discrepancy=design.discrepancy,
+        scale_variance=design.frame.scale_variance,
+    )
+    shares = np.exp(log_weights - logsumexp(log_weights, axis=1, keepdims=True))
+    kinds = sorted({families[name] for name in names})
+    own = np.array([kinds.index(families[name]) for name in names], int)
+    of_sets = np.append(own, np.full(len(design.causes) - len(names) + 1, -1))[members]
+    by_kind = np.stack([shares[:, of_sets == kind].sum(axis=1) for kind in range(len(kinds))], 1)
+    likeliest = np.where(by_kind.max(axis=1) >= JUDGING.named, by_kind.argmax(axis=1), -1)
+    true = np.repeat(own, REHEARSALS.draws)
+    hits = (likeliest == true).reshape(len(names), -1).mean(axis=1)
+    means = (shares * log_scales).sum(axis=1, keepdims=True)
+    sigmas = np.sqrt((shares * (variances + (log_scales - means) ** 2)).sum(axis=1))
+    return Capability(
+        named=dict(zip(names, hits.tolist(), strict=True)),
+        false=float(np.mean((likeliest >= 0) & (likeliest != true))),
+        light_yield_sigma=float(np.median(sigmas)) if design.frame.scale_variance > 0.0 else None,
+    )

@@ -1,0 +1,511 @@
+"""All that may explain the readings, weighed: sets of effects, wrong readings, a discrepancy.
+
+All sets of up to three causes are weighed in closed form (`closed_form`). Single effects and the
+likeliest other sets get the evidence of the model itself, which knows no straight lines; what is
+left of the probability keeps its closed form. So neither the hypotheses nor their odds depend on
+what the readings happen to say.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp, ndtr
+
+from mcrim_mitsuba.campaign.parameter import SCALE, LightYieldInput
+from mcrim_mitsuba.core.descent import Array
+from mcrim_mitsuba.core.rounding import number, pdg
+from mcrim_mitsuba.inference.closed_form import (
+    MOST_CAUSES,
+    Indices,
+    Surroundings,
+    WeighedSets,
+    weigh_sets,
+)
+from mcrim_mitsuba.inference.compare import BAD_READING, SWAPPED_ROWS, Suspect, suspected
+from mcrim_mitsuba.inference.displacement import (
+    BaselineFrame,
+    NullDistribution,
+    cause_of,
+    curve_of,
+)
+from mcrim_mitsuba.inference.drivers import Minimum, settle
+from mcrim_mitsuba.inference.evidence import NOTHING_MISSING, Evidence, evidence_of
+from mcrim_mitsuba.inference.explanations import Explanations
+from mcrim_mitsuba.inference.rehearsal import QUANTILES, Design, quantile, widening
+from mcrim_mitsuba.inference.rival_causes import (
+    UNDERSTATED,
+    UNKNOWN,
+    DiscrepancyModel,
+    surroundings,
+    suspicious,
+    wrong_readings,
+)
+from mcrim_mitsuba.inference.settings import HYPOTHESES, RIVALS
+
+#: All hypotheses that are too unlikely to be listed.
+OTHERS = "others"
+#: The family of wrong readings and understated errors.
+INSTRUMENT = "instrument"
+
+
+@dataclass(frozen=True)
+class AveragedYield:
+    """The light yield averaged over all that may explain the readings, photons per keV.
+
+    The average is no Gaussian: an unlikely model may be far from the others. So the value is the
+    median, with the intervals that hold 68 % and 95 %.
+    """
+
+    value: float
+    #: Half the width of the interval that holds 68 %.
+    sigma: float
+    #: Its parts, by their variances: within the models, the detector's efficiency included; between
+    #: them; and by what is in no catalogue.
+    within: float
+    between: float
+    catalogue: float
+    #: Ends of the intervals that hold 68 % and 95 %.
+    lower: float = math.nan
+    upper: float = math.nan
+    lower_95: float = math.nan
+    upper_95: float = math.nan
+
+    def __str__(self) -> str:
+        named = {
+            "within models": self.within,
+            "between them": self.between,
+            "for what is in no catalogue": self.catalogue,
+        }
+        parts = ", ".join(f"{words} {number(part, 2)}" for words, part in named.items())
+        ends = ""
+        if math.isfinite(self.lower_95):
+            ends = f"95 %: {number(self.lower_95, 2)} to {number(self.upper_95, 2)}; "
+        return f"{pdg(self.value, self.sigma)} ph/keV ({ends}{parts})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hypothesis:
+    """Something that may explain the readings."""
+
+    #: Effects that are added.
+    effects: tuple[str, ...] = ()
+    #: What is there besides, which is no effect; empty for nothing.
+    besides: str = ""
+    #: Of the discrepancy; 0: there is none.
+    amplitude: float = 0.0
+    #: Natural logarithm of its weight, over that of the campaign as it is.
+    log_weight: float
+    #: Mean and standard deviation of ln(scale / that of the baseline).
+    log_scale: float
+    log_scale_sigma: float
+    #: Where the model itself was averaged over.
+    evidence: Evidence | None = None
+    #: Of the fit with it.
+    p_value: float | None = None
+    #: Of its wrong readings.
+    suspect: Suspect | None = None
+
+    @property
+    def name(self) -> str:
+        """As probabilities are listed."""
+        return " + ".join(filter(None, (*self.effects, self.besides))) or NOTHING_MISSING
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weighing:
+    """How likely all hypotheses are beside each other."""
+
+    #: The likeliest first, those alike but for an amplitude or a factor each by itself.
+    hypotheses: tuple[Hypothesis, ...]
+    #: (hypotheses,) float64: Their probabilities, which sum to 1.
+    shares: Array
+    #: By effect and by family, what includes it; the instrument is a family, and so is what has no
+    #: name.
+    inclusion: dict[str, float]
+    families: dict[str, float]
+    #: Probability of what was weighed in closed form alone.
+    closed_part: float
+    #: Probability that something moves the light yield by more than its error, or a reading by two
+    #: of its errors.
+    moving: float
+    #: Of a larger misfit than that of the readings, whichever hypothesis is true.
+    p_value: float
+    #: What they are weighed with.
+    design: Design
+    #: Factors on the intervals of ln(scale) that hold 68 % and 95 %, by rehearsals.
+    widening: tuple[float, float] = (1.0, 1.0)
+
+    def probability(self, holds: Callable[[Hypothesis], bool]) -> float:
+        """Of all hypotheses for which something holds."""
+        which = np.array([holds(hypothesis) for hypothesis in self.hypotheses])
+        return float(self.shares[which].sum())
+
+    def light_yield(
+        self, known: LightYieldInput | None, scale: float | None
+    ) -> AveragedYield | None:
+        """Averaged over all; None where nothing turns the baseline's fitted scale into it."""
+        if known is None or scale is None:
+            return None
+        means = np.array([h.log_scale for h in self.hypotheses])
+        sigmas = np.array([h.log_scale_sigma for h in self.hypotheses])
+        efficiency = known.detector_efficiency_sigma / known.detector_efficiency
+        unnamed = np.array([h.amplitude > 0.0 for h in self.hypotheses])
+        middle = quantile(self.shares, means, sigmas, 0.5)
+        factor_68, factor_95 = self.widening
+        # all that the efficiency does is common to all hypotheses, and is not widened
+        ends = [
+            quantile(
+                self.shares,
+                middle + factor * (means - middle),
+                np.hypot(factor * sigmas, efficiency),
+                part,
+            )
+            for part, factor in zip(
+                QUANTILES, (factor_95, factor_68, 1.0, factor_68, factor_95), strict=True
+            )
+        ]
+        lower_95, lower, value, upper, upper_95 = (known.per_scale * scale * np.exp(ends)).tolist()
+        mean = float(self.shares @ means)
+        between, own = self.shares * (means - mean) ** 2, self.shares * sigmas**2
+        variances = np.array(
+            [own[~unnamed].sum(), between[~unnamed].sum(), (own + between)[unnamed].sum()]
+        )
+        # what rehearsals add is for what is in no catalogue
+        variances[2] += (factor_68**2 - 1.0) * variances.sum()
+        variances[0] += efficiency**2
+        sigma = 0.5 * (upper - lower)
+        within, unsure, catalogue = (sigma * np.sqrt(variances / variances.sum())).tolist()
+        return AveragedYield(
+            value, sigma, within, unsure, catalogue, lower, upper, lower_95, upper_95
+        )
+
+
+def weigh_hypotheses(
+    explanations: Explanations, null: NullDistribution, *, closed: bool = False
+) -> Weighing:
+    """Weigh all sets of causes, the likeliest by the model's own evidence, or all `closed`."""
+    weigher = _Weigher(explanations, null)
+    if closed:
+        return weigher.weighing()
+    for effects in ((), *((name,) for name in null.curves)):
+        weigher.average_over(weigher.place_of(effects))
+    for effect in weigher.centres():
+        weigher.centre_on(effect)
+    for _ in range(HYPOTHESES.in_full):
+        place = weigher.likeliest_closed()
+        if place is None:
+            break
+        weigher.average_over(place)
+    return weigher.weighing()
+
+
+class _Weigher:
+    """Sets in closed form, of which one after the other gets its own evidence."""
+
+    def __init__(self, explanations: Explanations, null: NullDistribution) -> None:
+        self._explanations, self._frame = explanations, null.frame
+        self._readings = suspicious(null.frame)
+        self._effects, self._surroundings = tuple(null.curves), surroundings()
+        self._discrepancy = DiscrepancyModel(explanations, null.frame)
+        self._covariance = self._discrepancy.covariance()
+        causes = [cause_of(explanations, name, curve) for name, curve in null.curves.items()]
+        causes += wrong_readings(null.frame, self._readings)
+        self._log_odds_of = {cause.name: cause.log_odds for cause in causes}
+        self._excluded = self._excluding()
+        self.design = Design(
+            frame=null.frame,
+            curves=null.curves,
+            causes=tuple(causes),
+            surroundings=self._surroundings,
+            discrepancy=self._discrepancy.seen_from(null.frame),
+            excluded=self._excluded,
+        )
+        self.sets: WeighedSets = self.design.weighed(null.frame.z)
+        self._keys = self._keys_of(self.sets.members, self.sets.within)
+        self._by_key = np.argsort(self._keys)
+        self._log_weights = self.sets.log_weights - self.sets.log_weights[0]
+        self._log_scales, self._variances = self.sets.log_scales.copy(), self.sets.variances.copy()
+        self._full: dict[int, Hypothesis] = {}
+        self._centred = np.zeros(len(self._log_weights), bool)
+
+    def _keys_of(self, members: Indices, within: Indices) -> Indices:
+        """(sets,) A number for every set in its surroundings, whatever its members' order."""
+        count = len(self._effects) + len(self._readings) + 1
+        first, second, third = np.sort(members, axis=1).T + 1
+        return ((within * count + first) * count + second) * count + third
+
+    def centres(self) -> list[str]:
+        """Effects around whose own fit sets are to be weighed, the likeliest first."""
+        weights = {name: self._log_weights[self.place_of((name,))] for name in self._effects}
+        least = max(weights.values(), default=0.0) + math.log(HYPOTHESES.centred)
+        names = sorted(
+            (name for name, weight in weights.items() if weight > max(least, 0.0)),
+            key=lambda name: -weights[name],
+        )
+        return names[: HYPOTHESES.most_centres]
+
+    def centre_on(self, effect: str) -> None:
+        """Weigh all sets with an effect around its own fit: lines are straight for less far."""
+        centre, explanations = self._effects.index(effect), self._explanations
+        frame = BaselineFrame(explanations.fit((effect,)))
+        others, causes = [], []
+        for i, other in enumerate(self._effects):
+            if not self._excluded[i, centre] and i != centre:
+                if explanations.possible((effect, other)):
+                    curve = curve_of(explanations, other, frame, (effect,))
+                    causes.append(cause_of(explanations, other, curve))
+                    others.append(i)
+        causes += wrong_readings(frame, self._readings)
+        others += range(len(self._effects), len(self._excluded))
+        sets = weigh_sets(
+            causes,
+            self._surroundings,
+            frame.z,
+            discrepancy=self._discrepancy.seen_from(frame),
+            scale_variance=frame.scale_variance,
+            excluded=self._excluded[np.ix_(others, others)],
+            most=MOST_CAUSES - 1,
+        )
+        members = np.append(others, -1)[sets.members]
+        members[:, -1] = centre  # two further causes at most
+        keys = self._keys_of(members, sets.within)
+        at = np.searchsorted(self._keys, keys, sorter=self._by_key)
+        places = self._by_key[np.minimum(at, len(self._keys) - 1)]
+        there = (self._keys[places] == keys) & ~self._centred[places]
+        there &= ~np.isin(places, list(self._full))
+        places, own = places[there], self._full[self.place_of((effect,))]
+        self._centred[places] = True
+        self._log_weights[places] = own.log_weight + (sets.log_weights - sets.log_weights[0])[there]
+        self._log_scales[places] = own.log_scale + sets.log_scales[there]
+        self._variances[places] = sets.variances[there]
+
+    def _excluding(self) -> NDArray[np.bool_]:
+        """Which two causes cannot be there together."""
+        readings, effects = (
+            [set(rows) for rows in self._readings.values()],
+            self._explanations.effects,
+        )
+        count = len(self._effects)
+        excluded = np.zeros((count + len(readings),) * 2, bool)
+        for i, one in enumerate(self._effects):
+            for j, other in enumerate(self._effects[:i]):
+                refused = one in effects[other].excludes or other in effects[one].excludes
+                excluded[i, j] = excluded[j, i] = refused
+        for i, one_row in enumerate(readings):
+            for j, other_row in enumerate(readings):
+                excluded[count + i, count + j] = i != j and bool(one_row & other_row)
+        return excluded
+
+    def place_of(self, effects: tuple[str, ...]) -> int:
+        """Of a set of none or one effect in plain surroundings."""
+        if not effects:
+            return 0
+        first = self._effects.index(effects[0])
+        alone = (self.sets.members[:, 0] == first) & (self.sets.members[:, 1] < 0)
+        return int(np.flatnonzero(alone & (self.sets.within == 0))[0])
+
+    def likeliest_closed(self) -> int | None:
+        """The likeliest set that has no evidence of its own; None where it is not worth one."""
+        closed = self._log_weights.copy()
+        closed[list(self._full)] = -math.inf
+        place = int(closed.argmax())
+        worth = math.log(HYPOTHESES.worth) + float(logsumexp(self._log_weights))
+        return place if closed[place] > worth else None
+
+    def average_over(self, place: int) -> None:
+        """Give a set the evidence of its model, averaged over plausible sizes."""
+        names, around = self.sets.names(place), self.sets.surroundings[self.sets.within[place]]
+        effects = tuple(name for name in names if name not in self._readings)
+        wrong = tuple(name for name in names if name in self._readings)
+        if not self._explanations.possible(effects):  # more parameters than readings and priors
+            self._full[place] = self._closed(place)
+            return
+        plain = around.is_plain and not wrong
+        if plain:
+            fit = self._explanations.fit(effects)
+            evidences = [(fit, self._explanations.evidence(effects))]
+        else:
+            evidences = self._averaged(effects, wrong, around)
+        logs = [evidence.log for _, evidence in evidences]
+        fit, evidence = evidences[int(np.argmax(logs))]
+        log = float(logsumexp(logs)) - math.log(len(logs))
+        own = self._explanations.log_odds(effects) + around.log_prior
+        own += sum(self._log_odds_of[name] for name in wrong)
+        self._log_weights[place] = log - self._explanations.evidence(()).log + own
+        log_scale, sigma = self._scale_of(evidence)
+        self._full[place] = replace(
+            self._closed(place),
+            log_scale=log_scale,
+            log_scale_sigma=sigma,
+            evidence=evidence,
+            p_value=fit.p_value,
+            suspect=self._suspect(wrong, fit),
+        )
+
+    def _averaged(
+        self, effects: tuple[str, ...], wrong: tuple[str, ...], around: Surroundings
+    ) -> list[tuple[Minimum, Evidence]]:
+        """Fits and evidences with wrong readings of every size, in some surroundings."""
+        explanations, start = self._explanations, self._explanations.fit(effects)
+        statistic, order = start.statistic, np.arange(len(self._covariance))
+        covariance = around.amplitude**2 * self._covariance
+        if around.error_factor != 1.0:
+            signal = start.signal[statistic.used]
+            stated = start.weights.errors.readings / np.outer(signal, signal)
+            covariance = covariance + (around.error_factor**2 - 1.0) * stated
+        single = np.zeros(len(covariance))
+        for name in wrong:
+            places = list(self._readings[name])
+            if len(places) == 1:
+                single[places] = 1.0
+            else:
+                order[places] = places[::-1]
+        evidences = []
+        for size in RIVALS.bad_sizes if single.any() else (0.0,):
+            own = statistic.exchanged(order)
+            own = own.with_unexplained(covariance + np.diag(size**2 * single))
+            fit = settle(own, start.theta)
+            evidences.append((fit, evidence_of(fit, explanations.priors(effects), hopeless=True)))
+        return evidences
+
+    def _scale_of(self, evidence: Evidence) -> tuple[float, float]:
+        """Mean and standard deviation of ln(scale / that of the baseline)."""
+        if SCALE not in evidence.mean or not evidence.mean[SCALE] > 0.0:
+            return 0.0, 0.0
+        mean = evidence.mean[SCALE] / self._frame.fit.values[SCALE]
+        variance = math.log1p((evidence.sigma[SCALE] / evidence.mean[SCALE]) ** 2)
+        return math.log(mean) - 0.5 * variance, math.sqrt(variance)
+
+    def _suspect(self, wrong: tuple[str, ...], fit: Minimum) -> Suspect | None:
+        """Wrong readings, or two exchanged rows, as they are told."""
+        if not wrong:
+            return None
+        baseline = self._frame.fit
+        places = sorted({place for name in wrong for place in self._readings[name]})
+        alone = len(wrong) == 1
+        kind = SWAPPED_ROWS if alone and len(places) == 2 else BAD_READING
+        pull = None
+        if kind == BAD_READING and len(places) == 1:
+            # to first order the square of the pull is the gain
+            away = float(baseline.weighted_residuals[places[0]])
+            pull = math.copysign(math.sqrt(max(baseline.chi2 - fit.chi2, 0.0)), away)
+        return suspected(baseline, kind, places, fit.chi2, pull)
+
+    def _closed(self, place: int) -> Hypothesis:
+        """A set by its closed form."""
+        names, around = self.sets.names(place), self.sets.surroundings[self.sets.within[place]]
+        besides = [name for name in names if name in self._readings]
+        besides += [UNKNOWN] if around.amplitude > 0.0 else []
+        besides += [UNDERSTATED] if around.error_factor != 1.0 else []
+        return Hypothesis(
+            effects=tuple(name for name in names if name not in self._readings),
+            besides=" + ".join(besides),
+            amplitude=around.amplitude,
+            log_weight=float(self._log_weights[place]),
+            log_scale=float(self._log_scales[place]),
+            log_scale_sigma=math.sqrt(max(self._variances[place], 1e-16)),
+        )
+
+    def weighing(self) -> Weighing:
+        """All hypotheses with their probabilities."""
+        shares = np.exp(self._log_weights - logsumexp(self._log_weights))
+        listed = set(np.flatnonzero(shares >= 0.01 * HYPOTHESES.listed).tolist()) | set(self._full)
+        order = sorted(listed, key=lambda place: -shares[place])
+        hypotheses = [
+            replace(self._full.get(p) or self._closed(p), log_weight=float(self._log_weights[p]))
+            for p in order
+        ]
+        kept = np.array([shares[place] for place in order])
+        in_full = np.array([place in self._full for place in order])
+        return Weighing(
+            hypotheses=tuple(hypotheses),
+            shares=kept / kept.sum(),
+            inclusion=self._inclusion(shares),
+            families=self._families(shares),
+            closed_part=float(1.0 - kept[in_full].sum()),
+            moving=self._moving(shares),
+            p_value=_p_value(hypotheses, kept),
+            design=self.design,
+            widening=widening(self.design, self._p_unnamed(shares)),
+        )
+
+    def _p_unnamed(self, shares: Array) -> float:
+        """Probability that what is there has no name: no effect, nor anything of the instrument.
+
+        A cause in no catalogue may look like the instrument's: by the odds before the readings so
+        much of that is its, too.
+        """
+        sets, priors = self.sets, np.exp([around.log_prior for around in self._surroundings])
+        effects = ((sets.members >= 0) & (sets.members < len(self._effects))).any(axis=1)
+        unknown = np.array([around.amplitude > 0.0 for around in self._surroundings])
+        nothing = (sets.members[:, 0] < 0) & (sets.within == 0)
+        of_instrument = ~effects & ~unknown[sets.within] & ~nothing
+        rivals = priors[1:][~unknown[1:]].sum() + RIVALS.bad_odds + RIVALS.swapped_odds
+        mistaken = priors[unknown].sum() / (priors[unknown].sum() + rivals)
+        without_name = shares[~effects & unknown[sets.within]].sum()
+        return float(without_name + mistaken * shares[of_instrument].sum())
+
+    def _inclusion(self, shares: Array) -> dict[str, float]:
+        """Probability of all sets with an effect, by effect."""
+        return {
+            name: float(shares[(self.sets.members == i).any(axis=1)].sum())
+            for i, name in enumerate(self._effects)
+        }
+
+    def _families(self, shares: Array) -> dict[str, float]:
+        """Probability of all sets with a member of a family, the likeliest first."""
+        sets, count = self.sets, len(self._effects)
+        members: dict[str, NDArray[np.bool_]] = {}
+        for i, name in enumerate(self._effects):
+            family = self._explanations.effects[name].family
+            held = (sets.members == i).any(axis=1)
+            members[family] = members.get(family, np.zeros(len(shares), bool)) | held
+        amplitudes = np.array([s.amplitude > 0.0 for s in sets.surroundings])
+        factors = np.array([s.error_factor != 1.0 for s in sets.surroundings])
+        members[INSTRUMENT] = (sets.members >= count).any(axis=1) | factors[sets.within]
+        members[UNKNOWN] = amplitudes[sets.within]
+        members[NOTHING_MISSING] = (sets.members[:, 0] < 0) & (sets.within == 0)
+        families = {family: float(shares[held].sum()) for family, held in members.items()}
+        return dict(sorted(families.items(), key=lambda item: -item[1]))
+
+    def _moving(self, shares: Array) -> float:
+        """Probability that a cause moves the light yield, or a reading, by more than is harmless.
+
+        A set moves the yield by a Gaussian of its own mean and width, with that of the baseline
+        taken off. The error of the yield is the whole one, with the detector's efficiency.
+        """
+        sets, own = self.sets, self._frame.scale_variance
+        means, variances = self._log_scales.copy(), self._variances.copy()
+        for place, hypothesis in self._full.items():
+            means[place], variances[place] = hypothesis.log_scale, hypothesis.log_scale_sigma**2
+        factors = np.array([s.error_factor for s in sets.surroundings])[sets.within]
+        amplitudes = np.array([s.amplitude for s in sets.surroundings])[sets.within]
+        there = (sets.members[:, 0] >= 0) | (amplitudes > 0.0)
+        width = np.sqrt(np.maximum(variances - own * factors**2, 1e-12 + 1e-6 * own))
+        limit = math.sqrt(own)
+        if (known := self._frame.fit.statistic.model.campaign.light_yield) is not None:
+            efficiency = known.detector_efficiency_sigma / known.detector_efficiency
+            limit = math.hypot(limit, efficiency)
+        moves = ndtr((-limit - means) / width) + ndtr((means - limit) / width)
+        moves *= there
+        for likely in np.flatnonzero(there & (shares > HYPOTHESES.listed)).tolist():
+            readings = self._frame.readings_moved(sets.moved(likely, self._frame.z))
+            if np.abs(readings).max(initial=0.0) > 2.0:
+                moves[likely] = 1.0
+        return float(shares @ moves)
+
+
+def _p_value(hypotheses: Iterable[Hypothesis], shares: Array) -> float:
+    """Of a larger misfit than that of the readings, averaged over hypotheses that were fitted."""
+    fitted = [
+        (share, hypothesis.p_value)
+        for hypothesis, share in zip(hypotheses, shares.tolist(), strict=True)
+        if hypothesis.p_value is not None
+    ]
+    total = sum(share for share, _ in fitted)
+    return sum(share * p for share, p in fitted) / total if total > 0.0 else 1.0
