@@ -18,9 +18,9 @@ from mcrim_mitsuba.inference.compare import Absorbed, Comparison, Suspect, Trend
 from mcrim_mitsuba.inference.diagnose import Diagnosis, FamilyProbability, RepairStep
 from mcrim_mitsuba.inference.drivers import Minimum
 from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate
-from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.fit import Calibration
 from mcrim_mitsuba.inference.next_measurements import NextMeasurement
+from mcrim_mitsuba.inference.weighing import AveragedYield
 from mcrim_mitsuba.output import photograph
 from mcrim_mitsuba.output import report as reporting
 from mcrim_mitsuba.output import report_sections as sections

@@ -113,10 +113,11 @@ def next_measurements(
     """
     if not proposals.configurations:
         return ()
-    leading = judgement.leading
     known = judgement.baseline.statistic.model.campaign.light_yield
     efficiency = known.detector_efficiency_sigma / known.detector_efficiency if known else 0.0
     cloud = _cloud(judgement, proposals)
+    # what leads only beside wrong readings predicts with them
+    leading = [effects for effects in judgement.leading if " + ".join(effects) in cloud.names]
     outcomes = cloud.outcomes()
     before, _, sure = cloud.left(np.zeros((1, len(cloud.weights))), efficiency)
 

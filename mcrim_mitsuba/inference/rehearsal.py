@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import logsumexp, ndtr
+from scipy.special import logsumexp, ndtr, ndtri
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.closed_form import (
@@ -89,7 +89,7 @@ def widening(design: Design, p_unnamed: float) -> tuple[float, float]:
 
     Every effect in turn is there, of the size that gives the campaign's own misfit, and withheld
     from the causes. How far the truth is then from the median, over the half intervals, says how
-    much they hold where what is missing has no name: by that probability they are widened.
+    much they hold where what is missing has no name, which has this probability.
     """
     z = design.frame.z
     excess = float(z @ z) - len(z)
@@ -106,30 +106,36 @@ def widening(design: Design, p_unnamed: float) -> tuple[float, float]:
             weights.append(math.exp(design.causes[place].log_odds))
     if not ratios:
         return 1.0, 1.0
-    needed = (
-        _weighted_quantile(np.array(column), np.array(weights), part)
-        for column, part in zip(zip(*ratios, strict=True), REHEARSALS.held, strict=True)
+    shares = np.array(weights) / sum(weights)
+    factor_95, factor_68 = (
+        _held_by(np.array(column), shares, p_unnamed, float(ndtri(QUANTILES[3 + wide])))
+        for wide, column in zip((1, 0), zip(*ratios, strict=True), strict=True)
     )
-    factor_68, factor_95 = (1.0 + p_unnamed * max(ratio - 1.0, 0.0) for ratio in needed)
     return factor_68, factor_95
 
 
+def _held_by(ratios: Array, shares: Array, p_unnamed: float, width: float) -> float:
+    """Factor on a half interval of so many standard deviations from which it holds its part.
+
+    It does of a Gaussian with 1 - `p_unnamed`, and else of distances of the truth, (k,) in half
+    intervals, with shares.
+    """
+    level = float(2.0 * ndtr(width) - 1.0)
+    factors = np.unique(np.concatenate([np.linspace(1.0, 3.0, 41), np.maximum(ratios, 1.0)]))
+    of_rehearsals = (shares * (ratios <= factors[:, None])).sum(axis=1)
+    held = (1.0 - p_unnamed) * (2.0 * ndtr(width * factors) - 1.0) + p_unnamed * of_rehearsals
+    enough = np.flatnonzero(held >= level)
+    return float(factors[enough[0]] if len(enough) else factors[-1])
+
+
 def _missed_by(weighed: WeighedSets, log_scale: float) -> tuple[float, float]:
-    """How far the median is from the truth, over the half intervals that hold 68 and 95 %."""
+    """How far the median is from the truth, over the half intervals that hold 95 and 68 %."""
     mixture = _mixture(weighed)
     lower_95, lower, median, upper, upper_95 = (quantile(*mixture, part) for part in QUANTILES)
     missed = log_scale - median
     if missed > 0.0:
-        return missed / (upper - median), missed / (upper_95 - median)
-    return missed / (lower - median), missed / (lower_95 - median)
-
-
-def _weighted_quantile(values: Array, weights: Array, part: float) -> float:
-    """Value below which a part of the weights lies."""
-    order = np.argsort(values)
-    cumulated = np.cumsum(weights[order]) / weights.sum()
-    place = min(int(np.searchsorted(cumulated, part)), len(values) - 1)
-    return float(values[order][place])
+        return missed / (upper_95 - median), missed / (upper - median)
+    return missed / (lower_95 - median), missed / (lower - median)
 
 
 # ---- what a campaign can say ----

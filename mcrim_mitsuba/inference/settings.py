@@ -318,8 +318,6 @@ HYPOTHESES = HypothesisSettings()
 class RehearsalSettings:
     """How a campaign's design is tried on causes that are known."""
 
-    #: What intervals that hold 68 % and 95 % have to hold of effects that are withheld.
-    held: tuple[float, float] = (0.68, 0.95)
     #: Probability of a set below which it is left out of a rehearsal's light yield.
     least_share: float = 1e-6
     #: Sizes of every effect that are drawn to see what a campaign can say.

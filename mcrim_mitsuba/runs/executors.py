@@ -381,7 +381,9 @@ class ProcessExecutor(PoolExecutor):
     def submit(self, unit: WorkItem) -> Future[Contents]:
         import loky  # slow, and of no use where nothing is missing
 
-        self._pool = loky.get_reusable_executor(self._processes, timeout=IDLE_S, initializer=_begin)
+        self._pool = loky.get_reusable_executor(
+            self._processes, timeout=IDLE_S, initializer=_begin, initargs=(os.getpid(),)
+        )
         return self._pool.submit(make_sent, pickled(unit))
 
     def result(self, future: Future[Contents], job: Job) -> Contents:
@@ -396,14 +398,17 @@ class ProcessExecutor(PoolExecutor):
         self._pool.shutdown(wait=False, kill_workers=True)
 
 
-def _begin() -> None:
-    """An interrupt is the parent's to answer; the records of a large unit are no leak of memory."""
+def _begin(parent: int) -> None:
+    """An interrupt is the parent's to answer; the records of a large unit are no leak of memory.
+
+    The parent is named: asked for here it may have been killed before, and be another.
+    """
     import loky
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # else loky starts a process anew when one has grown
     loky.process_executor._USE_PSUTIL = False
-    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
 
 def _end_with(parent: int) -> None:

@@ -70,7 +70,7 @@ def rates(trials: Sequence[dict]) -> list[Rate]:
     made = [
         rate("one effect: first place right", single, lambda t: t["first"] == t["what"], 0.9),
         rate("one effect: leads, or its family", single, _leads, 0.97),
-        rate("one effect: averaged yield within 2 of its errors", single, _covers, 0.9),
+        rate("one effect: 95 % of the averaged yield hold it", single, _covers, 0.9),
         rate("one effect: p > 0.01 after repair", single, _fits_after),
         rate(
             "one effect: repair adds it and nothing else",
@@ -92,7 +92,7 @@ def rates(trials: Sequence[dict]) -> list[Rate]:
             0.95,
         ),
         rate("two effects: both lead, or nothing else does", pairs, _no_other, 0.9),
-        rate("two effects: averaged yield within 2 of its errors", pairs, _covers, 0.85),
+        rate("two effects: 95 % of the averaged yield hold it", pairs, _covers, 0.85),
         rate(
             "two effects: both found by repair",
             pairs,
@@ -107,8 +107,8 @@ def rates(trials: Sequence[dict]) -> list[Rate]:
             )
             for what in INSTRUMENT_IN_TURN
         ),
-        rate("instrument: averaged yield within 2 of its errors", instrument, _covers, 0.9),
-        rate("outsiders: averaged yield within 2 of its errors", outsiders, _covers),
+        rate("instrument: 95 % of the averaged yield hold it", instrument, _covers, 0.9),
+        rate("outsiders: 95 % of the averaged yield hold it", outsiders, _covers),
         rate("outsiders: not adequate", outsiders, lambda t: t["verdict"] != "adequate", 1.0),
         rate(
             "outsiders: not a missing effect with a yield that is off", outsiders, _no_false_claim
@@ -125,7 +125,7 @@ def rates(trials: Sequence[dict]) -> list[Rate]:
         ),
         *_of_left_out(of(LEFT_OUT), "effect left out", rate, 0.85),
         rate(
-            "  the same campaigns, the effect known: averaged yield within 2 of its errors",
+            "  the same campaigns, the effect known: 95 % of the averaged yield hold it",
             known,
             _covers,
             0.9,
@@ -144,7 +144,7 @@ def rates(trials: Sequence[dict]) -> list[Rate]:
             0.85,
         ),
         rate(
-            "advice followed: averaged yield within 2 of its errors",
+            "advice followed: 95 % of the averaged yield hold it",
             advised,
             lambda t: _covers(t["advice"]),
         ),
@@ -161,10 +161,8 @@ def _of_left_out(
 ) -> list[Rate]:
     """Where the truth is in no catalogue: the averaged light yield, and what is said of it."""
     return [
-        rate(f"{words}: averaged yield within {CLOSE:g} of its errors", own, _covers, least),
-        rate(
-            "  within 1 of its errors", own, lambda t: abs(t["averaged"]["pull"]) < 1.0, 0.55, 0.8
-        ),
+        rate(f"{words}: 95 % of the averaged yield hold it", own, _covers, least),
+        rate("  68 % of it hold it", own, lambda t: t["averaged"]["in_68"], 0.55, 0.8),
         rate("  not adequate", own, lambda t: t["verdict"] != "adequate", 1.0),
         rate("  not a missing effect with a yield that is off", own, _no_false_claim, 0.97),
     ]
@@ -208,8 +206,8 @@ def _no_false_claim(trial: dict) -> bool:
 
 
 def _covers(trial: dict) -> bool:
-    """Whether the averaged light yield is near the truth."""
-    return abs(trial["averaged"]["pull"]) < CLOSE
+    """Whether the interval with 95 % of the averaged light yield holds the truth."""
+    return trial["averaged"]["in_95"]
 
 
 def _fits_after(trial: dict) -> bool:

@@ -644,6 +644,8 @@ def _judged(trial: Trial, said: dict) -> dict:
         "averaged": {
             "relative_sigma": averaged["sigma"] / truth,
             "pull": (averaged["value"] - truth) / averaged["sigma"],
+            "in_68": averaged["lower"] <= truth <= averaged["upper"],
+            "in_95": averaged["lower_95"] <= truth <= averaged["upper_95"],
             "value": averaged["value"],
             "within": averaged["within"],
             "between": averaged["between"],

@@ -21,12 +21,12 @@ from mcrim_mitsuba.inference import compare as comparing
 from mcrim_mitsuba.inference import diagnose as diagnosing
 from mcrim_mitsuba.inference import fit as fitting
 from mcrim_mitsuba.inference import repair as repairing
-from mcrim_mitsuba.inference.evidence import AveragedYield
 from mcrim_mitsuba.inference.hypotheses import NAMES, FittedHypothesis, SideBySide
 from mcrim_mitsuba.inference.next_measurements import configuration_words
 from mcrim_mitsuba.inference.profiles import Profile
 from mcrim_mitsuba.inference.repair import Repaired
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
+from mcrim_mitsuba.inference.weighing import AveragedYield
 from mcrim_mitsuba.output import describe_campaign, description, sentences
 from mcrim_mitsuba.output.campaign_results import DiagnosisResult, HypothesesResult
 from mcrim_mitsuba.output.description import Description

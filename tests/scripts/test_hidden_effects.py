@@ -151,10 +151,10 @@ def test_a_bad_reading_is_named_before_physics_is_blamed(run):
 def test_what_is_left_out_of_the_catalogue_is_allowed_for(run):
     found = run("left_out", 0, ("surface_absorption",))
     assert found["verdict"] == "unexplained" and not found["added"]
-    assert abs(found["averaged"]["pull"]) < scores.CLOSE < 100 * found["averaged"]["relative_sigma"]
+    assert found["averaged"]["in_95"]
     known = found["known"]
-    assert known["leading"] == ["surface_absorption"] and abs(known["averaged"]["pull"]) < 3.0
-    assert known["right_relative_sigma"] < found["averaged"]["relative_sigma"]
+    assert known["leading"] == ["surface_absorption"] and known["averaged"]["in_95"]
+    assert known["right_relative_sigma"] < known["averaged"]["relative_sigma"]
 
 
 def test_what_is_measured_on_advice_is_the_same_bench(monkeypatch):
@@ -217,8 +217,9 @@ def test_whatever_may_be_proposed_can_be_measured(monkeypatch):
 
 def test_two_effects_are_both_found(run):
     found = run("pairs", 8)
-    assert {effect for effect, _ in found["hidden"]} == set(found["added"])
-    assert found["p_after"] > scores.ACCEPTABLE_P
+    hidden = {effect for effect, _ in found["hidden"]}
+    assert hidden in [set(effects) for effects in found["leading_sets"]]
+    assert found["p_after"] > scores.ACCEPTABLE_P and found["averaged"]["in_95"]
 
 
 def test_a_transmittance_is_the_last_reading(tmp_path):
@@ -258,7 +259,7 @@ def a_trial(**changed):
         "seconds": 1.0,
         "leading_sets": [["gap_bubble"]],
         "families": [["gap", 0.9]],
-        "averaged": {"pull": 0.5, "relative_sigma": 0.1},
+        "averaged": {"pull": 0.5, "relative_sigma": 0.1, "in_68": True, "in_95": True},
         "pulls_before": {"alpha_scat_per_cm": 3.0, "light_yield_ph_per_keV": 1.0},
         "pulls_after": {"alpha_scat_per_cm": 0.3, "light_yield_ph_per_keV": -1.0},
     } | changed
@@ -291,7 +292,7 @@ def test_rates_and_confusion():
         a_trial(kind="left_out", known=a_trial(right_relative_sigma=0.08)),
         a_trial(
             kind="left_out",
-            averaged={"pull": -2.5, "relative_sigma": 0.1},
+            averaged={"pull": -2.5, "relative_sigma": 0.1, "in_68": False, "in_95": False},
             known=a_trial(right_relative_sigma=0.06),
         ),
         a_trial(kind="advice", advice=None),
@@ -309,7 +310,7 @@ def test_rates_and_confusion():
     assert found["two effects: both found by repair"] == (0, 1)
     assert found["effect too small to see: limit holds the truth"] == (0, 1)
     assert found["with a transmittance: haze and roughness told apart"] == (1, 3)
-    assert found["effect left out: averaged yield within 2 of its errors"] == (1, 2)
+    assert found["effect left out: 95 % of the averaged yield hold it"] == (1, 2)
     assert found["not a missing effect with a yield that is off"] == (1, 2)
     assert found["advice followed: light yield's error as promised within 30 %"] == (1, 1)
     assert found["advice followed: the effect leads"] == (0, 1)
