@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from mcrim_mitsuba.campaign.campaign import Campaign
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from mcrim_mitsuba.core.run import one_thread
 from mcrim_mitsuba.effects.catalogue import effect_of
 from mcrim_mitsuba.effects.effect import Effect
 from mcrim_mitsuba.inference.candidates import (
@@ -307,6 +308,7 @@ def _rests_on(diagnosis: Diagnosis, tried: Collection[str]) -> set[str]:
     return {*diagnosis.leading, *diagnosis.set_aside, *counted, *added}
 
 
+@one_thread()
 def diagnose_models(
     models: Models,
     effects: Mapping[str, Effect],
