@@ -66,10 +66,16 @@ class Judgement:
         """Whether nothing that matters is missing, as far as the readings tell.
 
         It is where they are not unlike what is expected, and nothing is likely to move the light
-        yield by more than its error, or a reading by two of its own.
+        yield by more than its error, or the prediction of a reading by two of its own.
         """
         weighing = self.weighing
-        return weighing.p_value >= ACCEPTABLE_P and weighing.moving < JUDGING.harmless
+        described = self._is_described and weighing.p_value >= ACCEPTABLE_P
+        return described and weighing.moving < JUDGING.harmless
+
+    @property
+    def _is_described(self) -> bool:
+        """Whether the campaign as it is describes its readings."""
+        return explains(self.baseline, ACCEPTABLE_P)
 
     @cached_property
     def singles(self) -> tuple[tuple[str, ...], ...]:
@@ -195,16 +201,24 @@ class Judgement:
         suspects = self.suspects
         if suspects and of_instrument >= JUDGING.named:
             return _of_suspects(suspects)
-        if weighing.p_value < ACCEPTABLE_P or of_effects < 0.5 or not self.leading:
-            if suspects and of_instrument > of_effects:
-                return _of_suspects(suspects)
+        if of_effects >= 0.5 and weighing.p_value >= ACCEPTABLE_P and self.leading:
+            return self._of_leading(suspects)
+        if self._is_described:
+            nothing = probability(weighing.families[NOTHING_MISSING])
             return Verdict(
-                UNEXPLAINED,
-                f"{quality}, and that an effect of the catalogue explains it has a probability of "
-                f"{probability(of_effects)} only; likeliest is {self._likeliest()}",
-                suspects=suspects,
+                AMBIGUOUS,
+                f"{quality} ({p_equals(baseline.p_value)}): the readings do not tell whether "
+                f"anything is missing; nothing is ({nothing}), or {self._likeliest()}",
+                self.leading,
             )
-        return self._of_leading(suspects)
+        if suspects and of_instrument > of_effects:
+            return _of_suspects(suspects)
+        return Verdict(
+            UNEXPLAINED,
+            f"{quality}, and that an effect of the catalogue explains it has a probability of "
+            f"{probability(of_effects)} only; likeliest is {self._likeliest()}",
+            suspects=suspects,
+        )
 
     def _likeliest(self) -> str:
         """The likeliest but for nothing, in words, with its probability."""

@@ -28,7 +28,7 @@ from mcrim_mitsuba.inference.closed_form import (
     weigh_singles,
 )
 from mcrim_mitsuba.inference.displacement import BaselineFrame, Curve
-from mcrim_mitsuba.inference.settings import HYPOTHESES, JUDGING, REHEARSALS
+from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, HYPOTHESES, JUDGING, REHEARSALS
 
 #: Where the intervals that hold 95 % and 68 % end, and the median: parts below.
 QUANTILES = (0.025, 0.159, 0.5, 0.841, 0.975)
@@ -89,11 +89,13 @@ def widening(design: Design, p_unnamed: float) -> tuple[float, float]:
 
     Every effect in turn is there, of the size that gives the campaign's own misfit, and withheld
     from the causes. How far the truth is then from the median, over the half intervals, says how
-    much they hold where what is missing has no name, which has this probability.
+    much they hold where what is missing has no name, which has this probability. Where the readings
+    are described there is no misfit that a size could have.
     """
-    z = design.frame.z
+    z, p = design.frame.z, design.frame.fit.p_value
     excess = float(z @ z) - len(z)
-    if excess <= 0.0 or p_unnamed < HYPOTHESES.worth or design.frame.scale_variance == 0.0:
+    described = p is None or p >= ACCEPTABLE_P or excess <= 0.0
+    if described or p_unnamed < HYPOTHESES.worth or design.frame.scale_variance == 0.0:
         return 1.0, 1.0
     noise = np.random.default_rng(0).standard_normal((len(design.curves), len(z)))
     ratios, weights = [], []

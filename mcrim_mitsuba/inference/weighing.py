@@ -170,7 +170,10 @@ class Weighing:
             )
         ]
         lower_95, lower, value, upper, upper_95 = (known.per_scale * scale * np.exp(ends)).tolist()
-        mean = float(self.shares @ means)
+        # parts as those of the variance, but no part is farther away than 95 % of all
+        reach = max(ends[4] - ends[2], ends[2] - ends[0])
+        means = middle + np.clip(means - middle, -reach, reach)
+        mean, sigmas = float(self.shares @ means), np.minimum(sigmas, reach)
         between, own = self.shares * (means - mean) ** 2, self.shares * sigmas**2
         variances = np.array(
             [own[~unnamed].sum(), between[~unnamed].sum(), (own + between)[unnamed].sum()]
@@ -493,7 +496,9 @@ class _Weigher:
             limit = math.hypot(limit, efficiency)
         moves = ndtr((-limit - means) / width) + ndtr((means - limit) / width)
         moves *= there
-        for likely in np.flatnonzero(there & (shares > HYPOTHESES.listed)).tolist():
+        # a wrong reading moves no prediction but through what is fitted
+        effects = ((sets.members >= 0) & (sets.members < len(self._effects))).any(axis=1)
+        for likely in np.flatnonzero(effects & (shares > HYPOTHESES.listed)).tolist():
             readings = self._frame.readings_moved(sets.moved(likely, self._frame.z))
             if np.abs(readings).max(initial=0.0) > 2.0:
                 moves[likely] = 1.0
