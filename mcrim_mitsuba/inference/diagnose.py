@@ -175,6 +175,9 @@ class Diagnosis:
     probabilities: dict[str, float] = field(default_factory=dict)
     #: By effect, the probability of all sets with it.
     inclusion: dict[str, float] = field(default_factory=dict)
+    #: A part of the probability is of sets that were weighed in closed form, and where this is not
+    #: exact: what may be wrong with it, in words; else empty.
+    caution: str = ""
     #: What such readings could say, whatever they say; None with too few.
     capability: Capability | None = None
     #: Averaged over all of these; None where the campaign does not say how to get it.
@@ -241,6 +244,8 @@ def diagnose(
         # what the diagnosis names gets all photons; if that names others again, all effects do
         precise |= named if precise <= first else set(names)
     screened.write(precise)
+    if diagnosis.caution:
+        simulations.notes.append(diagnosis.caution)
     if campaign.next_measurements and diagnosis.verdict not in (AMBIGUOUS, UNEXPLAINED):
         simulations.notes.append(
             "what to measure next is listed only where effects are to be told apart, or where none "
@@ -378,6 +383,7 @@ def diagnose_models(
         not_tried=dict(explanations.refused),
         probabilities=judgement.probabilities,
         inclusion=weighing.inclusion,
+        caution=weighing.caution,
         capability=capability(
             weighing.design,
             {name: effect.family for name, effect in explanations.effects.items()},

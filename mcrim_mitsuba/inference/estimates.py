@@ -222,16 +222,6 @@ def rms_pull(fit: Minimum) -> float:
     return float(np.sqrt(np.mean(pulls(fit) ** 2)))
 
 
-def criterion(fit: Minimum) -> float:
-    """What explanations are ranked by, up to a constant of the campaign: -2 log(likelihood) + 2 k.
-
-    Readings come with their errors. For these Akaike's criterion, which here is C. L. Mallows' Cp
-    (Technometrics 15 (1973) 661), is unbiased however few they are; the small-sample term of `aicc`
-    is the price of errors estimated from the same readings.
-    """
-    return fit.deviance + 2.0 * len(fit.names)
-
-
 def aicc(fit: Minimum) -> float:
     """Akaike's information criterion for small samples, up to a constant of the campaign.
 

@@ -307,6 +307,10 @@ class HypothesisSettings:
     #: the weight of the likeliest, and how many.
     centred: float = 0.01
     most_centres: int = 3
+    #: Difference of the logarithms of odds up to which the closed form counts as exact, and what it
+    #: has to decide for the reader to be told.
+    exact: float = 0.5
+    decides: float = 0.2
     #: Least probability of a set that is listed by itself.
     listed: float = 1e-3
 

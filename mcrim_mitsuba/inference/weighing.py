@@ -18,7 +18,7 @@ from scipy.special import logsumexp, ndtr
 
 from mcrim_mitsuba.campaign.parameter import SCALE, LightYieldInput
 from mcrim_mitsuba.core.descent import Array
-from mcrim_mitsuba.core.rounding import number, pdg
+from mcrim_mitsuba.core.rounding import number, pdg, probability
 from mcrim_mitsuba.inference.closed_form import (
     MOST_CAUSES,
     Indices,
@@ -128,8 +128,10 @@ class Weighing:
     #: name.
     inclusion: dict[str, float]
     families: dict[str, float]
-    #: Probability of what was weighed in closed form alone.
+    #: Probability of what was weighed in closed form alone, and by how much this differed, in the
+    #: middle, where sets were weighed in both ways: of the logarithm of the odds.
     closed_part: float
+    closed_error: float
     #: Probability that something moves the light yield by more than its error, or a reading by two
     #: of its errors.
     moving: float
@@ -139,6 +141,18 @@ class Weighing:
     design: Design
     #: Factors on the intervals of ln(scale) that hold 68 % and 95 %, by rehearsals.
     widening: tuple[float, float] = (1.0, 1.0)
+
+    @property
+    def caution(self) -> str:
+        """What is to be said of the closed form; empty where it decides little, or is exact."""
+        exact = self.closed_error < HYPOTHESES.exact
+        if exact or self.closed_part < HYPOTHESES.decides:
+            return ""
+        return (
+            f"{probability(self.closed_part)} of the probability is of sets of causes that were "
+            f"weighed in closed form, which differs by {self.closed_error:.1f} in the logarithm of "
+            "the odds from fits: such far effects are no straight lines"
+        )
 
     def probability(self, holds: Callable[[Hypothesis], bool]) -> float:
         """Of all hypotheses for which something holds."""
@@ -234,6 +248,7 @@ class _Weigher:
         self._log_weights = self.sets.log_weights - self.sets.log_weights[0]
         self._log_scales, self._variances = self.sets.log_scales.copy(), self.sets.variances.copy()
         self._full: dict[int, Hypothesis] = {}
+        self._errors: list[float] = []
         self._centred = np.zeros(len(self._log_weights), bool)
 
     def _keys_of(self, members: Indices, within: Indices) -> Indices:
@@ -258,11 +273,11 @@ class _Weigher:
         frame = BaselineFrame(explanations.fit((effect,)))
         others, causes = [], []
         for i, other in enumerate(self._effects):
-            if not self._excluded[i, centre] and i != centre:
-                if explanations.possible((effect, other)):
-                    curve = curve_of(explanations, other, frame, (effect,))
-                    causes.append(cause_of(explanations, other, curve))
-                    others.append(i)
+            apart = self._excluded[i, centre] or i == centre
+            if not apart and explanations.possible((effect, other)):
+                curve = curve_of(explanations, other, frame, (effect,))
+                causes.append(cause_of(explanations, other, curve))
+                others.append(i)
         causes += wrong_readings(frame, self._readings)
         others += range(len(self._effects), len(self._excluded))
         sets = weigh_sets(
@@ -289,11 +304,8 @@ class _Weigher:
 
     def _excluding(self) -> NDArray[np.bool_]:
         """Which two causes cannot be there together."""
-        readings, effects = (
-            [set(rows) for rows in self._readings.values()],
-            self._explanations.effects,
-        )
-        count = len(self._effects)
+        readings = [set(rows) for rows in self._readings.values()]
+        effects, count = self._explanations.effects, len(self._effects)
         excluded = np.zeros((count + len(readings),) * 2, bool)
         for i, one in enumerate(self._effects):
             for j, other in enumerate(self._effects[:i]):
@@ -339,7 +351,10 @@ class _Weigher:
         log = float(logsumexp(logs)) - math.log(len(logs))
         own = self._explanations.log_odds(effects) + around.log_prior
         own += sum(self._log_odds_of[name] for name in wrong)
+        closed = float(self._log_weights[place])
         self._log_weights[place] = log - self._explanations.evidence(()).log + own
+        if len(names) > 1 or not around.is_plain:
+            self._errors.append(abs(float(self._log_weights[place]) - closed))
         log_scale, sigma = self._scale_of(evidence)
         self._full[place] = replace(
             self._closed(place),
@@ -417,7 +432,7 @@ class _Weigher:
     def weighing(self) -> Weighing:
         """All hypotheses with their probabilities."""
         shares = np.exp(self._log_weights - logsumexp(self._log_weights))
-        listed = set(np.flatnonzero(shares >= 0.01 * HYPOTHESES.listed).tolist()) | set(self._full)
+        listed = set(np.flatnonzero(shares >= 1e-3 * HYPOTHESES.listed).tolist()) | set(self._full)
         order = sorted(listed, key=lambda place: -shares[place])
         hypotheses = [
             replace(self._full.get(p) or self._closed(p), log_weight=float(self._log_weights[p]))
@@ -431,6 +446,7 @@ class _Weigher:
             inclusion=self._inclusion(shares),
             families=self._families(shares),
             closed_part=float(1.0 - kept[in_full].sum()),
+            closed_error=float(np.median(self._errors)) if self._errors else 0.0,
             moving=self._moving(shares),
             p_value=_p_value(hypotheses, kept),
             design=self.design,

@@ -360,7 +360,8 @@ def of_hypotheses(compared: results.HypothesesResult) -> Description:
 _ID = Column("id", "effect", left=True, small=True)
 _LIGHT = Column("light yield", LIGHT_YIELD)
 _LEGEND_OF_EXPLANATIONS = (
-    "probability: among all that was tried and nothing, averaged over plausible sizes; light "
+    "probability: among all that was tried and nothing, averaged over plausible sizes, with what "
+    "adds nothing to it; Bayes factor: what the readings do to the odds of the effect alone; light "
     "yield: photons per keV, and its change; gain: fall of chi2, with the simulation's error; p, "
     "fit: of the fit with the effect; left out: rms error on readings left out of the fit, in "
     "standard errors"
@@ -390,6 +391,13 @@ def _gain(candidate: Candidate) -> Cell:
     return Cell(sentences.gain_text(candidate), candidate.delta_chi2, sigma)
 
 
+def _bayes_factor(candidate: Candidate) -> Cell:
+    """Of the readings with an effect over those without any, whatever the odds before them."""
+    log = candidate.log_evidence
+    text = number(math.exp(log)) if abs(log) < 7.0 else f"1e{log / math.log(10.0):+.0f}"
+    return Cell(text, log)
+
+
 def candidates_table(diagnosis: Diagnosis, candidates: Sequence[Candidate], heading: str) -> Table:
     """Effects, or pairs of them, as explanations; bold what leads; yields where they are known."""
     leading, probabilities = sentences.leading_candidates(diagnosis), diagnosis.probabilities
@@ -404,6 +412,7 @@ def candidates_table(diagnosis: Diagnosis, candidates: Sequence[Candidate], head
     columns = (
         Column("effect", "title", of=title),
         Column("probability", of=lambda c: shown(probabilities.get(c.effect), likely)),
+        Column("Bayes factor", "log_evidence", of=_bayes_factor),
         Column("", "parameter", of=lambda c: Cell("", tuple(c.sizes) or None), hidden=True),
         Column("size", of=_size, left=True),
         Column("plausible?", "plausibility", of=sentences.plausibility, left=True),

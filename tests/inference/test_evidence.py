@@ -142,6 +142,7 @@ def weighing(hypotheses):
         inclusion={},
         families={},
         closed_part=0.0,
+        closed_error=0.0,
         moving=0.0,
         p_value=0.5,
         design=None,
