@@ -215,7 +215,8 @@ def diagnose(
     Raises InputError if a scene is not sound, or the readings do not determine the parameters.
     """
     campaign, run = simulations.campaign, simulations.run
-    candidates = _candidates(simulations, without, only, adding)
+    possible = simulations.possible()
+    candidates = _candidates(simulations, possible, without, only, adding)
     simulations.simulate()
     run.tell("fitting the campaign as it is", 1, 1)
     baseline = simulations.fit()
@@ -232,7 +233,7 @@ def diagnose(
         diagnosis = diagnose_models(
             models.model,
             candidates,
-            catalogue=simulations.possible(),
+            catalogue=possible,
             fit=baseline,
             proposals=simulations.proposals(),
             adding=tuple(dict.fromkeys(adding)),
@@ -256,17 +257,17 @@ def diagnose(
 
 def _candidates(
     simulations: CampaignSimulations,
+    possible: Mapping[str, Effect],
     without: Sequence[str],
     only: Sequence[str],
     adding: Sequence[str],
 ) -> dict[str, Effect]:
-    """Effects that are tried; none without degrees of freedom, where nothing can be judged.
+    """Effects that are tried of those possible; none where no degrees of freedom are left to judge.
 
     What is to be left out, tried alone or added is refused here if that cannot be, and the notes
     tell of it.
     """
     campaign = simulations.campaign
-    possible = simulations.possible()
     tried = _tried(possible, campaign, without, only)
     if adding:  # refuses what cannot be added
         _tried(possible, campaign, (), adding)

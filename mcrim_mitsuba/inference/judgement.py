@@ -133,7 +133,8 @@ class Judgement:
         """Of these groups by name, the likeliest first; all that are not listed are ``others``."""
         by_name = {hypothesis.name: share for hypothesis, share in self.groups}
         listed = {n: p for n, p in by_name.items() if p >= HYPOTHESES.listed}
-        listed.setdefault(NOTHING_MISSING, by_name.get(NOTHING_MISSING, 0.0))
+        for name in (UNKNOWN, NOTHING_MISSING):
+            listed.setdefault(name, by_name.get(name, 0.0))
         return {**listed, OTHERS: max(1.0 - sum(listed.values()), 0.0)}
 
     @cached_property

@@ -299,10 +299,11 @@ class HypothesisSettings:
 
     #: Effects that are expected before the readings, of all that may be missing.
     expected_effects: float = 0.5
-    #: Sets that are averaged over in full, besides single effects; and the part of all probability
-    #: below which the next one is not worth it.
-    in_full: int = 20
+    #: Sets that are averaged over in full, besides single effects, at most; and the part of all
+    #: probability below which the next one is not worth it, and where the closed form was exact.
+    in_full: int = 30
     worth: float = 0.003
+    worth_if_exact: float = 0.01
     #: Single effects around whose own fit sets with them are weighed: those that have this part of
     #: the weight of the likeliest, and how many.
     centred: float = 0.01
@@ -325,7 +326,7 @@ class RehearsalSettings:
     #: Probability of a set below which it is left out of a rehearsal's light yield.
     least_share: float = 1e-6
     #: Sizes of every effect that are drawn to see what a campaign can say.
-    draws: int = 40
+    draws: int = 12
 
 
 REHEARSALS = RehearsalSettings()
