@@ -300,10 +300,9 @@ class HypothesisSettings:
     #: Effects that are expected before the readings, of all that may be missing.
     expected_effects: float = 0.5
     #: Sets that are averaged over in full, besides single effects, at most; and the part of all
-    #: probability below which the next one is not worth it, and where the closed form was exact.
+    #: probability below which the next one is not worth it.
     in_full: int = 30
     worth: float = 0.003
-    worth_if_exact: float = 0.01
     #: Single effects around whose own fit sets with them are weighed: those that have this part of
     #: the weight of the likeliest, and how many.
     centred: float = 0.01

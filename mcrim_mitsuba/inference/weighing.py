@@ -329,15 +329,8 @@ class _Weigher:
         closed = self._log_weights.copy()
         closed[list(self._full)] = -math.inf
         place = int(closed.argmax())
-        exact = len(self._errors) > 1 and self._closed_error < HYPOTHESES.exact
-        worth = math.log(HYPOTHESES.worth_if_exact if exact else HYPOTHESES.worth)
-        worth += float(logsumexp(self._log_weights))
+        worth = math.log(HYPOTHESES.worth) + float(logsumexp(self._log_weights))
         return place if closed[place] > worth else None
-
-    @property
-    def _closed_error(self) -> float:
-        """By how much the logarithm of the odds differed from the closed form, in the middle."""
-        return float(np.median(self._errors)) if self._errors else 0.0
 
     def average_over(self, place: int) -> None:
         """Give a set the evidence of its model, averaged over plausible sizes."""
@@ -453,7 +446,7 @@ class _Weigher:
             inclusion=self._inclusion(shares),
             families=self._families(shares),
             closed_part=float(1.0 - kept[in_full].sum()),
-            closed_error=self._closed_error,
+            closed_error=float(np.median(self._errors)) if self._errors else 0.0,
             moving=self._moving(shares),
             p_value=_p_value(hypotheses, kept),
             design=self.design,

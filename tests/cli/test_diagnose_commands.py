@@ -190,6 +190,7 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
     assert row_of(out, FIRST) == [
         FIRST,
         "70 %",
+        "1e+9",
         "surface loss = 0.0123 ± 0.0008",
         "usual size",
         "7.52 (-9.5 %)",
@@ -198,12 +199,13 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
         "1.3",
         by.FIRST,
     ]
-    assert row_of(out, "Air bubble in the gap")[3] == "unusual size"
-    assert row_of(out, "Absorbing liquid in the gap")[2:4] == [
+    assert row_of(out, "Air bubble in the gap")[4] == "unusual size"
+    assert row_of(out, "Absorbing liquid in the gap")[3:5] == [
         "gap absorption (1/cm) = 20, at its bound",
         "end of its range",
     ]
-    assert row_of(out, "Polarisation of the light")[1:6:2] == ["", "on or off", "-2.2 ± 0.8"]
+    switched = row_of(out, "Polarisation of the light")
+    assert [switched[i] for i in (1, 4, 6)] == ["", "on or off", "-2.2 ± 0.8"]
     named = verdict in ("missing_effect", "ambiguous")
     assert ("How to look for it, without a fit:" in lines) == named
     assert (f"- {FIRST}: Polish it again." in lines) == named
@@ -538,6 +540,7 @@ def test_frames_hold_numbers():
     tables = shown_of(by.diagnosis("adequate", pairs=(by.PAIR,))).tables
     numbers = [
         "probability",
+        "log_evidence",
         "size",
         "size_sigma",
         "light_yield_ph_per_keV",

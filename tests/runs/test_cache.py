@@ -227,7 +227,7 @@ def survive_kills(folder, kills):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and kill")
 def test_kill_at_any_moment(tmp_path):
-    call = f"survive_kills({str(tmp_path)!r}, 20)"
+    call = f"survive_kills({str(tmp_path)!r}, 60)"
     assert start_python(records, is_chunk, unfinished, survive_kills, call=call).wait(60) == 0
 
     young, *old = unfinished(tmp_path)
