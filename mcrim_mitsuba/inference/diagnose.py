@@ -12,7 +12,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from mcrim_mitsuba.campaign.campaign import Campaign
-from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.run import one_thread
 from mcrim_mitsuba.effects.catalogue import effect_of
@@ -45,7 +44,7 @@ from mcrim_mitsuba.inference.judgement import (
     explains,
 )
 from mcrim_mitsuba.inference.next_measurements import NextMeasurement, next_measurements
-from mcrim_mitsuba.inference.rehearsal import Capability, capability
+from mcrim_mitsuba.inference.rehearsal import Capability
 from mcrim_mitsuba.inference.rival_causes import UNKNOWN
 from mcrim_mitsuba.inference.screening import ScreeningCache, promising_effects
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, EXPLAINING, HYPOTHESES, JUDGING
@@ -385,14 +384,8 @@ def diagnose_models(
         probabilities=judgement.probabilities,
         inclusion=weighing.inclusion,
         caution=weighing.caution,
-        capability=capability(
-            weighing.design,
-            {name: effect.family for name, effect in explanations.effects.items()},
-            seed,
-        ),
-        light_yield_averaged=weighing.light_yield(
-            fit.model.campaign.light_yield, explanations.baseline.values.get(SCALE)
-        ),
+        capability=judgement.capability(seed),
+        light_yield_averaged=judgement.light_yield,
         seconds=time.perf_counter() - began,
         families=_families(judgement),
         set_aside=set_aside,

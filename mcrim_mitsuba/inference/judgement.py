@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
+from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.rounding import p_equals, probability
 from mcrim_mitsuba.inference.compare import Suspect
 from mcrim_mitsuba.inference.displacement import NullDistribution
@@ -13,9 +14,10 @@ from mcrim_mitsuba.inference.drivers import Minimum
 from mcrim_mitsuba.inference.estimates import error_of_difference
 from mcrim_mitsuba.inference.evidence import NOTHING_MISSING
 from mcrim_mitsuba.inference.explanations import Explanations
+from mcrim_mitsuba.inference.rehearsal import Capability, capability
 from mcrim_mitsuba.inference.rival_causes import UNDERSTATED, UNKNOWN
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, HYPOTHESES, JUDGING
-from mcrim_mitsuba.inference.weighing import INSTRUMENT, OTHERS, Hypothesis, Weighing
+from mcrim_mitsuba.inference.weighing import INSTRUMENT, OTHERS, AveragedYield, Hypothesis, Weighing
 
 #: The verdicts of a diagnosis.
 TOO_FEW_READINGS = "too_few_readings"
@@ -179,6 +181,17 @@ class Judgement:
             for family, p in self.weighing.families.items()
             if p >= JUDGING.named and family not in others
         )
+
+    @property
+    def light_yield(self) -> AveragedYield | None:
+        """Averaged over all; None where nothing turns the fitted scale into it."""
+        known = self.baseline.statistic.model.campaign.light_yield
+        return self.weighing.light_yield(known, self.baseline.values.get(SCALE))
+
+    def capability(self, seed: int) -> Capability:
+        """What such readings could say, whatever they say."""
+        families = {name: effect.family for name, effect in self.explanations.effects.items()}
+        return capability(self.weighing.design, families, seed)
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:
