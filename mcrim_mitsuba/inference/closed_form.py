@@ -24,10 +24,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
+from scipy.special import softmax
 
 from mcrim_mitsuba.core.descent import Array
 
@@ -54,21 +55,6 @@ class Cause:
     #: (strips,) float64: The same of the logarithm of the scale.
     log_scales: Array
     log_scale_slopes: Array
-
-    def seen_through(self, whitening: Array, followed: Array) -> Cause:
-        """The same in other numbers, (dimensions, dimensions) times z.
-
-        Of the logarithm of the scale is taken off what is said of it, (dimensions,), by these
-        numbers through the discrepancy that they know of.
-        """
-        origins, slopes = self.origins @ whitening.T, self.slopes @ whitening.T
-        return replace(
-            self,
-            origins=origins,
-            slopes=slopes,
-            log_scales=self.log_scales - origins @ followed,
-            log_scale_slopes=self.log_scale_slopes - slopes @ followed,
-        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -126,22 +112,18 @@ class WeighedSets:
         causes = [self.causes[i] for i in members[members >= 0]]
         if not causes:
             return np.zeros(len(z))
-        strips = np.indices([len(cause.log_weights) for cause in causes]).reshape(len(causes), -1)
-        log_weights, moves = [], []
-        for chosen in strips.T:
-            origin = sum(c.origins[i] for c, i in zip(causes, chosen, strict=True))
-            slopes = np.array([c.slopes[i] for c, i in zip(causes, chosen, strict=True)])
-            matrix = np.eye(len(causes)) + slopes @ slopes.T
-            left = z - origin
-            along = np.linalg.solve(matrix, slopes @ left)
-            log_weight = 0.5 * ((slopes @ left) @ along - left @ left)
-            log_weight -= 0.5 * np.linalg.slogdet(matrix)[1]
-            log_weights.append(
-                log_weight + sum(c.log_weights[i] for c, i in zip(causes, chosen, strict=True))
-            )
-            moves.append(origin + slopes.T @ along)
-        shares = np.exp(np.array(log_weights) - logsumexp(log_weights))
-        return np.asarray(shares @ np.array(moves), float)
+        chosen = np.indices([len(cause.log_weights) for cause in causes]).reshape(len(causes), -1)
+        pairs = list(zip(causes, chosen, strict=True))
+        left = z - sum(cause.origins[strips] for cause, strips in pairs)
+        slopes = np.stack([cause.slopes[strips] for cause, strips in pairs], axis=1)
+        matrix = np.eye(len(causes)) + slopes @ slopes.transpose(0, 2, 1)
+        of_left = slopes @ left[..., None]
+        sizes = np.linalg.solve(matrix, of_left)
+        log_weights = 0.5 * (of_left * sizes).sum(axis=(1, 2)) - 0.5 * (left**2).sum(axis=1)
+        log_weights -= 0.5 * np.linalg.slogdet(matrix)[1]
+        log_weights += sum(cause.log_weights[strips] for cause, strips in pairs)
+        moves = z - left + (slopes * sizes).sum(axis=1)
+        return np.asarray(softmax(log_weights) @ moves, float)
 
 
 def weigh_sets(
@@ -165,14 +147,14 @@ def weigh_sets(
     excluded : (causes, causes) bool
         Which two cannot be there at the same time.
     """
-    parts = []
+    parts, strips = [], _Strips.of(causes, len(z))
     for place, around in enumerate(surroundings):
-        seen = _Seen.through(around, causes, discrepancy, scale_variance)
+        seen = _Seen.through(around, strips, discrepancy, scale_variance)
         own = seen.whitening @ z
-        strips = _Strips(seen.causes, own, seen.scale_variance, excluded)
+        products = _Products(seen.strips, own, seen.scale_variance, excluded)
         shift = float(seen.followed @ own)
         causes_here = most if around.is_plain else most - 1
-        for members, log_weights, log_scales, variances in strips.sets(causes_here):
+        for members, log_weights, log_scales, variances in products.sets(causes_here):
             within, log_weights = np.full(len(members), place), log_weights + seen.log_weight
             parts.append((members, within, log_weights, log_scales + shift, variances))
     members, within, log_weights, log_scales, variances = map(
@@ -205,36 +187,60 @@ def weigh_singles(
         The cause; -1 for none.
     log_weights, log_scales, variances : (draws, sets) float64
     """
-    parts = []
-    owner = np.repeat(np.arange(len(causes)), [len(cause.log_weights) for cause in causes])
+    parts, strips = [], _Strips.of(causes, z.shape[1])
     for around in surroundings:
-        seen = _Seen.through(around, causes, discrepancy, scale_variance)
-        own = z @ seen.whitening.T
+        seen = _Seen.through(around, strips, discrepancy, scale_variance)
+        origins, slopes, own = seen.strips.origins, seen.strips.slopes, z @ seen.whitening.T
+        b, shift = seen.strips.b, own @ seen.followed[:, None]
         none = -0.5 * (own**2).sum(axis=1, keepdims=True)
-        origins = np.vstack([cause.origins for cause in seen.causes])
-        slopes = np.vstack([cause.slopes for cause in seen.causes])
-        t = np.concatenate([cause.log_scales for cause in seen.causes])
-        b = np.concatenate([cause.log_scale_slopes for cause in seen.causes])
-        odds = np.concatenate([cause.log_weights + cause.log_odds for cause in seen.causes])
         width = 1.0 + (slopes**2).sum(axis=1)
         along = own @ slopes.T - (slopes * origins).sum(axis=1)
-        heights = own @ origins.T - 0.5 * (origins**2).sum(axis=1) + odds - 0.5 * np.log(width)
-        of_strips = none + heights + 0.5 * along**2 / width
-        means = t + b * along / width + own @ seen.followed[:, None]
+        heights = own @ origins.T - 0.5 * (origins**2).sum(axis=1) + strips.log_weights
+        of_strips = none + heights + 0.5 * (along**2 / width - np.log(width))
         log_weights = np.hstack([none, of_strips]) + seen.log_weight
-        log_scales = np.hstack([own @ seen.followed[:, None], means])
+        log_scales = np.hstack([shift, seen.strips.t + b * along / width + shift])
         variances = seen.scale_variance + np.append(0.0, b**2 / width)
         parts.append((log_weights, log_scales, np.broadcast_to(variances, log_scales.shape)))
-    members = np.tile(np.append(-1, owner), len(surroundings))
+    members = np.tile(np.append(-1, strips.owner), len(surroundings))
     log_weights, log_scales, variances = (np.hstack(part) for part in zip(*parts, strict=True))
     return members, log_weights, log_scales, variances
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Seen:
-    """Causes in the numbers in which z is standard normal, in some surroundings."""
+class _Strips:
+    """The strips of all causes one after the other: (strips, ...) as of `Cause`."""
 
-    causes: list[Cause]
+    #: (strips,) int64: Places of their causes.
+    owner: Indices
+    #: With the odds of the cause.
+    log_weights: Array
+    origins: Array
+    slopes: Array
+    #: Of the logarithm of the scale.
+    t: Array
+    b: Array
+
+    @classmethod
+    def of(cls, causes: Sequence[Cause], dimensions: int) -> _Strips:
+        """Those of some causes, or of none."""
+        counts = [len(cause.log_weights) for cause in causes]
+        none = np.empty((0, dimensions))
+        return cls(
+            owner=np.repeat(np.arange(len(causes)), counts),
+            log_weights=np.concatenate([[], *(c.log_weights + c.log_odds for c in causes)]),
+            origins=np.vstack([none, *(cause.origins for cause in causes)]),
+            slopes=np.vstack([none, *(cause.slopes for cause in causes)]),
+            t=np.concatenate([[], *(cause.log_scales for cause in causes)]),
+            b=np.concatenate([[], *(cause.log_scale_slopes for cause in causes)]),
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Seen:
+    """Strips in the numbers in which z is standard normal, in some surroundings."""
+
+    #: Of ln(scale) is taken off what these numbers say of it through the discrepancy.
+    strips: _Strips
     #: (dimensions, dimensions) float64: Of z.
     whitening: Array
     #: (dimensions,) float64: What these numbers say of ln(scale), and its variance besides.
@@ -247,11 +253,11 @@ class _Seen:
     def through(
         cls,
         around: Surroundings,
-        causes: Sequence[Cause],
+        strips: _Strips,
         discrepancy: Discrepancy,
         scale_variance: float,
     ) -> _Seen:
-        """What a discrepancy and a factor of the errors make of causes."""
+        """What a discrepancy and a factor of the errors make of strips."""
         covariance = around.amplitude**2 * discrepancy.covariance
         covariance = covariance + around.error_factor**2 * np.eye(len(covariance))
         factor = np.linalg.cholesky(covariance)
@@ -259,8 +265,15 @@ class _Seen:
         followed = around.amplitude**2 * (whitening @ discrepancy.with_scale)
         variance = around.error_factor**2 * scale_variance
         variance += around.amplitude**2 * discrepancy.of_scale - float(followed @ followed)
+        origins, slopes = strips.origins @ whitening.T, strips.slopes @ whitening.T
         return cls(
-            causes=[cause.seen_through(whitening, followed) for cause in causes],
+            strips=replace(
+                strips,
+                origins=origins,
+                slopes=slopes,
+                t=strips.t - origins @ followed,
+                b=strips.b - slopes @ followed,
+            ),
             whitening=whitening,
             followed=followed,
             scale_variance=max(variance, 0.0),
@@ -268,25 +281,21 @@ class _Seen:
         )
 
 
-class _Strips:
-    """The strips of all causes one after the other, and their products."""
+class _Products:
+    """What strips have to do with each other and with the readings, and sets made of it."""
 
     def __init__(
-        self, causes: Sequence[Cause], z: Array, variance: float, excluded: NDArray[np.bool_]
+        self, strips: _Strips, z: Array, variance: float, excluded: NDArray[np.bool_]
     ) -> None:
-        dimensions = len(z)
-        counts = [len(cause.log_weights) for cause in causes]
-        self._owner = np.repeat(np.arange(len(causes)), counts)
-        origins = np.vstack([np.empty((0, dimensions)), *(cause.origins for cause in causes)])
-        slopes = np.vstack([np.empty((0, dimensions)), *(cause.slopes for cause in causes)])
-        self._log_weights = np.concatenate([[], *(c.log_weights + c.log_odds for c in causes)])
-        self._t = np.concatenate([[], *(cause.log_scales for cause in causes)])
-        self._b = np.concatenate([[], *(cause.log_scale_slopes for cause in causes)])
+        self._owner, self._t, self._b = strips.owner, strips.t, strips.b
+        origins, slopes = strips.origins, strips.slopes
         self._variance, self._excluded = variance, excluded
         self._squared = float(z @ z)
-        self._oo, self._aa, self._ao = origins @ origins.T, slopes @ slopes.T, slopes @ origins.T
+        self._oo: NDArray[Any] = origins @ origins.T
+        self._aa: NDArray[Any] = slopes @ slopes.T
+        self._ao: NDArray[Any] = slopes @ origins.T
         # of a strip alone: -r^2 / 2 but for z^2, its row of A, a^T r
-        self._heights = origins @ z - 0.5 * np.diag(self._oo) + self._log_weights
+        self._heights = origins @ z - 0.5 * np.diag(self._oo) + strips.log_weights
         self._own = 1.0 + np.diag(self._aa)
         self._along = slopes @ z - np.diag(self._ao)
 

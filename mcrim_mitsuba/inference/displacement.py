@@ -272,7 +272,7 @@ def _strips(
     at, first = np.unique(at, return_index=True)
     move_at = PchipInterpolator(at, moves[known][first])
     low, high = density.value(np.array([-8.0, 8.0]))
-    z_edges = ndtri(np.linspace(1e-9, 1.0 - 1e-9, STRIPS.count + 1))
+    z_edges = ndtri(np.linspace(1e-9, 1.0 - 1e-9, len(STRIPS.two_sided)))
     if absent is not None and math.isfinite(absent):
         nothing, margin = origin + absent, 1e-6 * (high - low)
         z_edges = np.array(STRIPS.two_sided)

@@ -28,7 +28,7 @@ from mcrim_mitsuba.core.numbers import Value, unit_of
 from mcrim_mitsuba.core.rounding import short_text
 from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.rehearsal import QUANTILES
-from mcrim_mitsuba.inference.rival_causes import discrepancy_at
+from mcrim_mitsuba.inference.rival_causes import DiscrepancyModel, discrepancy_at
 from mcrim_mitsuba.inference.settings import ADVICE
 from mcrim_mitsuba.inference.simulations import MeasurementProposals
 from mcrim_mitsuba.inference.weighing import Hypothesis
@@ -283,6 +283,7 @@ def _cloud(judgement: Judgement, proposals: MeasurementProposals) -> _Cloud:
     count = len(proposals.configurations)
     group_of = judgement.group_of
     names = tuple(dict.fromkeys(group_of[each.name] for each, _ in likely))
+    discrepancy = DiscrepancyModel(judgement.explanations, judgement.null.frame)
     of, weights, signals, scales = [], [], [], []
     variance = np.zeros(count)
     for each, share in likely:
@@ -293,9 +294,8 @@ def _cloud(judgement: Judgement, proposals: MeasurementProposals) -> _Cloud:
         if each.amplitude:  # something without a name
             predicted = predicted * np.exp(
                 discrepancy_at(
-                    judgement.explanations,
-                    judgement.null.frame,
-                    effects,
+                    judgement.explanations.fit(effects),
+                    discrepancy,
                     each.amplitude,
                     points,
                     proposals.configurations,

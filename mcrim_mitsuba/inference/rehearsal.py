@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import logsumexp, ndtr, ndtri
+from scipy.special import ndtr, ndtri, softmax
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.closed_form import (
@@ -75,7 +75,7 @@ class Design:
 
 def _mixture(weighed: WeighedSets) -> tuple[Array, Array, Array]:
     """Shares, means and standard deviations of ln(scale), of sets that matter."""
-    shares = np.exp(weighed.log_weights - logsumexp(weighed.log_weights))
+    shares = softmax(weighed.log_weights)
     likely = shares > REHEARSALS.least_share
     sigmas = np.sqrt(np.maximum(weighed.variances[likely], 1e-16))
     return shares[likely] / shares[likely].sum(), weighed.log_scales[likely], sigmas
@@ -169,7 +169,7 @@ def capability(design: Design, families: Mapping[str, str], seed: int = 0) -> Ca
         strips = rng.choice(len(cause.log_weights), REHEARSALS.draws, p=np.exp(cause.log_weights))
         size = rng.standard_normal((REHEARSALS.draws, 1))
         readings.append(cause.origins[strips] + size * cause.slopes[strips])
-    z = np.concatenate([np.empty((0, len(design.frame.z))), *readings])
+    z = np.concatenate(readings)
     members, log_weights, log_scales, variances = weigh_singles(
         design.causes,
         design.surroundings,
@@ -177,7 +177,7 @@ def capability(design: Design, families: Mapping[str, str], seed: int = 0) -> Ca
         discrepancy=design.discrepancy,
         scale_variance=design.frame.scale_variance,
     )
-    shares = np.exp(log_weights - logsumexp(log_weights, axis=1, keepdims=True))
+    shares = softmax(log_weights, axis=1)
     kinds = sorted({families[name] for name in names})
     own = np.array([kinds.index(families[name]) for name in names], int)
     of_sets = np.append(own, np.full(len(design.causes) - len(names) + 1, -1))[members]

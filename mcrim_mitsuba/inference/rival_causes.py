@@ -33,6 +33,8 @@ from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.inference.closed_form import Cause, Discrepancy, Surroundings
 from mcrim_mitsuba.inference.compare import likely_swaps
 from mcrim_mitsuba.inference.displacement import BaselineFrame
+from mcrim_mitsuba.inference.drivers import Minimum
+from mcrim_mitsuba.inference.estimates import left_out
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.settings import DISCREPANCY, RIVALS
 from mcrim_mitsuba.inference.statistic import Statistic
@@ -73,9 +75,9 @@ def suspicious(frame: BaselineFrame) -> dict[str, tuple[int, ...]]:
     Of many readings those whose error would explain most, of all exchanges the likeliest.
     """
     labels = frame.fit.statistic.labels
-    moves, _ = frame.of_factors(np.eye(len(labels)))
-    gains = (frame.z @ moves) ** 2 / np.maximum((moves**2).sum(axis=0), 1e-300)
-    likeliest = np.sort(np.argsort(-gains, kind="stable")[: RIVALS.most_readings])
+    # squared, what chi2 falls by without the reading
+    _, pulls = left_out(frame.fit)
+    likeliest = np.sort(np.argsort(-np.abs(pulls), kind="stable")[: RIVALS.most_readings])
     swaps = likely_swaps(frame.fit, RIVALS.most_swaps)
     return {
         **{f"bad reading {labels[place]}": (place,) for place in likeliest.tolist()},
@@ -173,22 +175,20 @@ def _usual(explanations: Explanations, effect: str, frame: BaselineFrame) -> Arr
 
 
 def discrepancy_at(
-    explanations: Explanations,
-    frame: BaselineFrame,
-    effects: tuple[str, ...],
+    fit: Minimum,
+    discrepancy: DiscrepancyModel,
     amplitude: float,
     thetas: Array,
     configurations: Sequence[Mapping[str, Value]],
 ) -> Array:
     """(points, configurations) a discrepancy of ln(reading), drawn given the readings.
 
-    `thetas` are (points, free) parameters of the model with these effects. Configurations are given
+    `thetas` are (points, free) parameters of the fit's model. Configurations are given
     by what they differ from the scene; a transmittance has a ``kind``.
     """
-    fit = explanations.fit(effects)
     statistic = fit.statistic
     used, count = len(statistic.signal), len(thetas)
-    covariance = amplitude**2 * DiscrepancyModel(explanations, frame).covariance(configurations)
+    covariance = amplitude**2 * discrepancy.covariance(configurations)
     signal = fit.signal[statistic.used]
     errors = fit.weights.covariance / np.outer(signal, signal)
     predicted = statistic.model.predict_many(thetas)[:, statistic.used]

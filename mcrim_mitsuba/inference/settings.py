@@ -234,7 +234,6 @@ class StripSettings:
     range strips become narrow, so that the Gaussian of none reaches far beyond it.
     """
 
-    count: int = 6
     one_sided: tuple[float, ...] = (-8.0, -0.8, 0.1, 0.8, 1.5, 2.3, 3.2)
     two_sided: tuple[float, ...] = (-3.0, -1.7, -0.8, 0.0, 0.8, 1.7, 3.0)
 

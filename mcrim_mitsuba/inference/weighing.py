@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, ndtr
+from scipy.special import logsumexp, ndtr, softmax
 
 from mcrim_mitsuba.campaign.parameter import SCALE, LightYieldInput
 from mcrim_mitsuba.core.descent import Array
@@ -431,7 +431,7 @@ class _Weigher:
 
     def weighing(self) -> Weighing:
         """All hypotheses with their probabilities."""
-        shares = np.exp(self._log_weights - logsumexp(self._log_weights))
+        shares = softmax(self._log_weights)
         listed = set(np.flatnonzero(shares >= 1e-3 * HYPOTHESES.listed).tolist()) | set(self._full)
         order = sorted(listed, key=lambda place: -shares[place])
         hypotheses = [

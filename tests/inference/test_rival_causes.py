@@ -202,10 +202,11 @@ def test_what_has_no_name_is_likely_to_go_on_where_it_was_measured():
     fit = explanations.baseline
     thetas = np.repeat(fit.theta[None], 400, axis=0)
     far = {**bench.ROWS[0], "n_gap": 9.0}
-    drawn = discrepancy_at(explanations, frame, (), amplitude, thetas, [*bench.ROWS, far])
+    discrepancy = DiscrepancyModel(explanations, frame)
+    drawn = discrepancy_at(fit, discrepancy, amplitude, thetas, [*bench.ROWS, far])
     residual = fit.statistic.signal / fit.signal - 1.0
     assert np.abs(drawn.mean(axis=0)[:-1] - residual).max() < 0.02
-    covariance = DiscrepancyModel(explanations, frame).covariance([far])
+    covariance = discrepancy.covariance([far])
     unread = amplitude * np.sqrt(np.diag(covariance))
     # what a reading has alone is not repeated
     assert (drawn[:, :-1].std(axis=0) / unread[:-1]).max() < 0.6
