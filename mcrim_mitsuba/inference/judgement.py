@@ -112,7 +112,7 @@ class Judgement:
         with_effects = {h.name for h in weighing.hypotheses if h.effects}
         groups: dict[str, str] = {}
         heads: list[tuple[str, frozenset[str]]] = []
-        for name in sorted(shares, key=lambda name: -shares[name]):
+        for name in _likeliest_first(shares):
             causes = frozenset(name.split(" + "))
             groups[name] = next((head for head, fewer in heads if fewer < causes), name)
             if groups[name] == name and name in with_effects:
@@ -126,9 +126,7 @@ class Judgement:
         for hypothesis, share in zip(weighing.hypotheses, weighing.shares.tolist(), strict=True):
             shares[self.group_of[hypothesis.name]] += share
         heads = {h.name: h for h in reversed(weighing.hypotheses)}
-        return tuple(
-            (heads[name], shares[name]) for name in sorted(shares, key=lambda name: -shares[name])
-        )
+        return tuple((heads[name], shares[name]) for name in _likeliest_first(shares))
 
     @property
     def probabilities(self) -> dict[str, float]:
@@ -287,6 +285,11 @@ def explains(fit: Minimum, level: float) -> bool:
     """Whether a fit leaves nothing to explain, as far as its readings can tell."""
     p = fit.p_value
     return fit.chi2 < 1.0 if p is None else p >= level
+
+
+def _likeliest_first(shares: dict[str, float]) -> list[str]:
+    """Names by their probabilities; where these differ by rounding only, by themselves."""
+    return sorted(shares, key=lambda name: (-round(shares[name], 9), name))
 
 
 def _of_suspects(suspects: tuple[Suspect, ...]) -> Verdict:

@@ -433,7 +433,8 @@ class _Weigher:
         """All hypotheses with their probabilities."""
         shares = softmax(self._log_weights)
         listed = set(np.flatnonzero(shares >= 1e-3 * HYPOTHESES.listed).tolist()) | set(self._full)
-        order = sorted(listed, key=lambda place: -shares[place])
+        # by place where they differ by rounding only
+        order = sorted(listed, key=lambda place: (-round(float(shares[place]), 9), place))
         hypotheses = [
             replace(self._full.get(p) or self._closed(p), log_weight=float(self._log_weights[p]))
             for p in order
