@@ -192,14 +192,17 @@ def diagnosis(verdict: str, **changed) -> Diagnosis:
         OFF: Limit(None, None, None, None, -9.3, True),
     }
     following = NextMeasurement(
-        {"n_gap": 1.333, "gap_mm": 0.5},
-        ((FIRST, SECOND),),
-        12.3,
-        {"n_gap": 1.46, "aperture_radius_mm": 7.0},
-        0.083,
-        0.94,
-        1.0,
-        "water, gap of 0.5 mm; and gel, mask of 7 mm radius",
+        kind="reading + reading",
+        parameters={"n_gap": 1.333, "gap_mm": 0.5},
+        separates=((FIRST, SECOND),),
+        expected_delta_chi2=12.3,
+        also={"n_gap": 1.46, "aperture_radius_mm": 7.0},
+        light_yield_sigma=0.083,
+        light_yield_kept=0.72,
+        light_yield_sigma_otherwise=0.105,
+        probability=0.94,
+        hours=1.0,
+        words="water, gap of 0.5 mm; and gel, mask of 7 mm radius",
     )
     made = Diagnosis(
         verdict=verdict,

@@ -127,6 +127,7 @@ class Model:
     noise: np.ndarray = field(default_factory=lambda: np.zeros((BATCHES, len(ROWS))))
     prior: float = PRIOR
     light_yield: LightYieldInput | None = None
+    prior_sigma: float = PRIOR_SIGMA
 
     def __post_init__(self) -> None:
         free = [
@@ -137,7 +138,7 @@ class Model:
                 0.0,
                 0.3,
                 prior=self.prior,
-                prior_sigma=PRIOR_SIGMA,
+                prior_sigma=self.prior_sigma,
             ),
         ]
         for effect in self.effects:

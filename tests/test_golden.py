@@ -92,7 +92,7 @@ UNIT_IS_ONE = re.compile("chi2|pull|^p_|^z$|collinearity|aicc")
 #: which is the first, or the last that is listed.
 LISTED = {"next_measurements", "mimics"}
 PROPOSALS = re.compile(
-    r"^what to measure next$.*^└[^\n]*$|^Next: measure .*\Z", re.MULTILINE | re.DOTALL
+    r"^what to measure next$.*^└[^\n]*$|^Next: .*diagnose\sagain.*\Z", re.MULTILINE | re.DOTALL
 )
 
 

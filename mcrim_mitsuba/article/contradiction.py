@@ -240,9 +240,9 @@ def sentences(contradiction: Contradiction) -> tuple[str, ...]:
 
 
 def _next(diagnosis: Diagnosis) -> tuple[str, ...]:
-    if not diagnosis.next_measurements:
+    best = next((new for new in diagnosis.next_measurements if new.is_of_readings), None)
+    if best is None:
         return ()
-    best = diagnosis.next_measurements[0]
     pairs = "; ".join(told_apart(diagnosis, best)[:2])
     separated = f" ({pairs})" if pairs else ""
     return (f"one more measurement would tell most at {best.words}{separated}",)

@@ -176,19 +176,25 @@ def _after_diagnosis(campaign: str, diagnosis) -> str:
                 "nothing that was looked at tells the leading effects apart: look at "
                 f"the bench itself, or allow others in [next_measurements]; or {repair}"
             )
-        what = diagnosis.next_measurements[0].words
-        return f"measure {what}, add it to the readings and diagnose again; or {repair}"
+        return f"{_first_proposed(diagnosis)}; or {repair}"
     if diagnosis.suspect_readings:
         return f"check the readings named above, then {showing.command('diagnose', campaign)}"
     if diagnosis.next_measurements:
-        what = diagnosis.next_measurements[0].words
-        return f"measure {what}, add it to the readings and diagnose again"
+        return _first_proposed(diagnosis)
     if diagnosis.verdict == AMBIGUOUS:
         return f"measure more configurations and diagnose again; or {repair}"
     return (
         f"measure more configurations; {showing.command('compare', campaign)} shows the pattern of "
         "the misfit"
     )
+
+
+def _first_proposed(diagnosis) -> str:
+    """What is proposed first, and what becomes of it."""
+    first = diagnosis.next_measurements[0]
+    if first.is_of_readings:
+        return f"measure {first.words}, add it to the readings and diagnose again"
+    return f"{first.words}, and diagnose again with what it says"
 
 
 @click.command(short_help="Add effects to a campaign while the data justify it.")

@@ -1,9 +1,11 @@
 """What to measure next: by how much a further reading would lower the light yield's error.
 
-Every explanation of the readings predicts a further one, with the parameters that it allows. Drawn
-from their probabilities these are points; a reading that is made at one of them changes the weights
-of all others by Bayes' theorem, and what is left of the light yield's spread and of the doubt which
-explanation it is is what the reading buys (preposterior analysis: H. Raiffa and R. Schlaifer,
+Beside readings in new configurations, those that may be wrong are made once more, numbers with a
+prior are measured again, and somebody looks for what may be missing: each is a column of one table.
+Every explanation of the readings predicts it, with the parameters that it allows. Drawn from their
+probabilities these are points; what is then measured at one of them changes the weights of all
+others by Bayes' theorem, and what is left of the light yield's spread and of the doubt which
+explanation it is is what the measurement buys (preposterior analysis: H. Raiffa and R. Schlaifer,
 Applied Statistical Decision Theory, Harvard 1961; K. Chaloner and I. Verdinelli, Statistical
 Science 10 (1995) 273). Something without a name predicts by its Gaussian process, given the
 readings.
@@ -14,18 +16,18 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from mcrim_mitsuba.campaign.measurements import KIND, LIGHT, TRANSMITTANCE
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.numbers import Value, unit_of
-from mcrim_mitsuba.core.rounding import short_text
+from mcrim_mitsuba.core.rounding import number, short_text
 from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.rehearsal import QUANTILES
 from mcrim_mitsuba.inference.rival_causes import DiscrepancyModel, discrepancy_at
@@ -35,28 +37,43 @@ from mcrim_mitsuba.inference.weighing import Hypothesis
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE, BEAM_AXIS, GAP_INDEX
 
+#: Kinds of what is proposed: a reading in a new configuration, a reading made once more, a number
+#: with a prior that is measured again, a look at the bench.
+READING, REPEAT, NUMBER, LOOK = "reading", "repeat", "number", "look"
+
 
 @dataclass(frozen=True)
 class NextMeasurement:
-    """A further reading, or two together, and what it would tell."""
+    """Something to be measured, or two things together, and what it would tell."""
 
-    #: Scene parameters; of a transmittance those of its beam, and ``kind``.
+    #: `READING`, `REPEAT`, `NUMBER` or `LOOK`; of two together both, joined by ``+``.
+    kind: str
+    #: Scene parameters of a reading; of a transmittance those of its beam, and ``kind``.
     parameters: dict[str, Value]
     #: Pairs of leading explanations that it would tell apart.
     separates: tuple[tuple[str, str], ...]
     #: Mean over all pairs of what the wrong one's chi2 would rise above the right one's.
     expected_delta_chi2: float
-    #: Those of a second reading, where two are proposed together.
+    #: Those of the second, where two are proposed together.
     also: dict[str, Value] | None
     #: Relative standard error that the averaged light yield would most likely have; None where
     #: nothing turns a fitted scale into a light yield.
     light_yield_sigma: float | None
+    #: Part of the outcomes that leave about this error, and the median error of all others; None
+    #: where there are no others.
+    light_yield_kept: float | None
+    light_yield_sigma_otherwise: float | None
     #: Expected probability of the explanation that would then be the likeliest.
     probability: float
-    #: To mount what is proposed.
+    #: To mount, measure or look.
     hours: float
-    #: The reading, or the two, in words: `configuration_words`.
-    words: str = ""
+    #: What is proposed, in words.
+    words: str
+
+    @property
+    def is_of_readings(self) -> bool:
+        """Whether nothing but readings in new configurations is proposed."""
+        return set(self.kind.split(" + ")) == {READING}
 
 
 # Parameters of usual benches: what is said of a value, {} being it.
@@ -92,16 +109,21 @@ def configuration_words(parameters: Mapping[str, Value], comments: Mapping[str, 
         elif value in called:
             said.append(f"{called[float(value)]} ({name} = {text})")
         else:
-            meaning = re.split("[,:]", comments.get(name, ""))[0].strip()
+            meaning = _meaning(name, comments)
             unit = unit_of(name) if meaning else None
             said.append(" ".join(filter(None, (meaning or f"{name} =", text, unit))))
     return ", ".join(said)
 
 
+def _meaning(name: str, comments: Mapping[str, str]) -> str:
+    """What a scene's comment calls a parameter; empty without one."""
+    return re.split("[,:]", comments.get(name, ""))[0].strip()
+
+
 def next_measurements(
     judgement: Judgement, proposals: MeasurementProposals
 ) -> tuple[NextMeasurement, ...]:
-    """Configurations by what a reading there would buy per hour.
+    """What can be done next, by what it would buy per hour.
 
     That is half of the part by which the light yield's error would fall, and half of that by which
     the doubt which explanation is right would, discounted by how surely it does.
@@ -111,81 +133,137 @@ def next_measurements(
     tuple of NextMeasurement
         The best first, at most ten, with the best two together among them.
     """
-    if not proposals.configurations:
+    likely = _likely(judgement)
+    offers = _offers(judgement, proposals, likely)
+    if not offers:
         return ()
     known = judgement.baseline.statistic.model.campaign.light_yield
     efficiency = known.detector_efficiency_sigma / known.detector_efficiency if known else 0.0
-    cloud = _cloud(judgement, proposals)
+    cloud = _cloud(judgement, proposals, likely, offers)
     # what leads only beside wrong readings predicts with them
     leading = [effects for effects in judgement.leading if " + ".join(effects) in cloud.names]
     outcomes = cloud.outcomes()
-    before, _, sure = cloud.left(np.zeros((1, len(cloud.weights))), efficiency)
+    before = cloud.left(np.zeros((1, len(cloud.weights))), efficiency)
 
-    def bought_by(places: tuple[int, ...]) -> _Bought:
-        told = np.sum([cloud.log_likelihood(outcomes, i) for i in places], axis=0)
-        error, kept, probability = cloud.left(told, efficiency)
-        fallen = 1.0 - error / before if cloud.yields is not None else 0.0
-        doubt = (probability - sure) / max(1.0 - sure, 1e-9)
-        worth = 0.5 * (fallen + doubt) / proposals.hours(*places)
-        has_yield = known is not None and cloud.yields is not None
-        return _Bought(worth * kept**ADVICE.discount, error if has_yield else None, probability)
+    def hours(places: tuple[int, ...]) -> float:
+        chosen = [offers[i] for i in places]
+        mounted = [offer.parameters for offer in chosen if offer.is_reading]
+        return proposals.hours(*mounted) + sum(offer.minutes for offer in chosen) / 60.0
 
-    single: list[tuple[int, ...]] = [(i,) for i in range(len(proposals.configurations))]
+    def bought_by(places: tuple[int, ...]) -> tuple[float, _Left]:
+        """Half the sum of the parts by which error and doubt fall, per hour, discounted."""
+        likelihood = np.sum([cloud.log_likelihood(outcomes, i) for i in places], axis=0)
+        left = cloud.left(likelihood, efficiency)
+        fallen = 1.0 - left.error / before.error if cloud.yields is not None else 0.0
+        doubt = (left.probability - before.probability) / max(1.0 - before.probability, 1e-9)
+        return 0.5 * (fallen + doubt) / hours(places) * left.kept**ADVICE.discount, left
+
+    single: list[tuple[int, ...]] = [(i,) for i in range(len(offers))]
     bought = {places: bought_by(places) for places in single}
-    best = sorted(bought, key=lambda places: -bought[places].worth)
+    best = sorted(bought, key=lambda places: -bought[places][0])
     best_single = [place for (place,) in best[: ADVICE.together]]
     pairs = {places: bought_by(places) for places in combinations(best_single, 2)}
     if pairs:
-        best_pair = max(pairs, key=lambda places: pairs[places].worth)
+        best_pair = max(pairs, key=lambda places: pairs[places][0])
         bought[best_pair] = pairs[best_pair]
-    order = sorted(bought, key=lambda places: -bought[places].worth)[: ADVICE.most]
+    order = sorted(bought, key=lambda places: -bought[places][0])[: ADVICE.most]
     rises, rivals = cloud.rises(leading[: ADVICE.most_rivals])
     names = [" + ".join(effects) for effects in leading]
-    rivals_named = [(names[a], names[b]) for a, b in rivals]
-    return tuple(
-        _proposed(places, bought[places], proposals, rises, rivals_named) for places in order
-    )
+    has_yield = known is not None and cloud.yields is not None
+
+    def proposed(places: tuple[int, ...]) -> NextMeasurement:
+        chosen, left = [offers[i] for i in places], bought[places][1]
+        # by which a reading would separate explanations that are rivals
+        risen = rises[:, list(places)].sum(axis=1)
+        return NextMeasurement(
+            kind=" + ".join(offer.kind for offer in chosen),
+            parameters=chosen[0].parameters,
+            separates=tuple(
+                (names[a], names[b])
+                for (a, b), rise in zip(rivals, risen, strict=True)
+                if rise >= ADVICE.separated
+            ),
+            expected_delta_chi2=float(risen.mean()) if len(risen) else 0.0,
+            also=chosen[1].parameters if chosen[1:] else None,
+            light_yield_sigma=left.error if has_yield else None,
+            light_yield_kept=left.kept if has_yield else None,
+            light_yield_sigma_otherwise=left.otherwise if has_yield else None,
+            probability=left.probability,
+            hours=hours(places),
+            words="; and ".join(offer.words for offer in chosen),
+        )
+
+    return tuple(map(proposed, order))
 
 
-class _Bought(NamedTuple):
-    """What readings in one or two configurations would buy."""
+@dataclass(frozen=True)
+class _Offer:
+    """Something that can be done next."""
 
-    #: Half the sum of the parts by which error and doubt fall, per hour, discounted.
-    worth: float
-    #: Relative error of the light yield that most outcomes leave; None where no yield is known.
-    light_yield_sigma: float | None
-    #: Mean probability of the explanation that would then be the likeliest.
-    probability: float
+    #: As of `NextMeasurement`.
+    kind: str
+    words: str
+    #: Standard error: of a reading the relative one, without the simulation's.
+    sigma: float
+    #: What is mounted for a reading, by what differs from the scene.
+    parameters: dict[str, Value] = field(default_factory=dict)
+    #: What it takes besides mountings.
+    minutes: float = 0.0
+    #: Place of a repeated reading; the parameter or the effect.
+    row: int = -1
+    name: str = ""
+
+    @property
+    def is_reading(self) -> bool:
+        """Whether something is mounted for it."""
+        return self.kind in (READING, REPEAT)
 
 
-def _proposed(
-    places: tuple[int, ...],
-    bought: _Bought,
+def _offers(
+    judgement: Judgement,
     proposals: MeasurementProposals,
-    rises: Array,
-    rivals: Sequence[tuple[str, str]],
-) -> NextMeasurement:
-    """Readings at the configurations of these places, as a proposal.
+    likely: Sequence[tuple[Hypothesis, float]],
+) -> list[_Offer]:
+    """New configurations, readings that may be wrong, numbers with a prior, looks; in this order.
 
-    `rises`, (rivals, configurations), is the difference in chi2 by which a reading would separate
-    two explanations that are rivals.
+    Looks are for effects that lead.
     """
-    risen = rises[:, list(places)].sum(axis=1)
-    first, *second = (dict(proposals.configurations[i]) for i in places)
-    return NextMeasurement(
-        parameters=first,
-        separates=tuple(
-            pair for pair, rise in zip(rivals, risen, strict=True) if rise >= ADVICE.separated
-        ),
-        expected_delta_chi2=float(risen.mean()) if len(risen) else 0.0,
-        also=second[0] if second else None,
-        light_yield_sigma=bought.light_yield_sigma,
-        probability=bought.probability,
-        hours=proposals.hours(*places),
-        words="; and ".join(
-            configuration_words(parameters, proposals.comments) for parameters in (first, *second)
-        ),
-    )
+    sigmas = np.broadcast_to(proposals.relative_sigma, len(proposals.configurations))
+    offers = [
+        _Offer(READING, configuration_words(parameters, proposals.comments), sigma, parameters)
+        for parameters, sigma in zip(proposals.configurations, sigmas.tolist(), strict=True)
+    ]
+    suspects = (hypothesis.suspect for hypothesis, _ in likely if hypothesis.suspect)
+    wrong = {label for suspect in suspects for label in suspect.labels}
+    statistic = judgement.baseline.statistic
+    for row, reading in enumerate(statistic.model.readings):
+        if reading.label in wrong:
+            of_beam = {KIND: reading.kind} if reading.of_beam else {}
+            offers.append(
+                _Offer(
+                    REPEAT,
+                    f"reading {reading.label} once more",
+                    reading.sigma / reading.signal,
+                    {**of_beam, **reading.parameters},
+                    row=row,
+                )
+            )
+    for parameter in statistic.free:
+        name, sigma = parameter.name, parameter.prior_sigma
+        if parameter.prior is not None and sigma is not None:
+            # of "1/cm" what follows a number
+            unit = (unit_of(name) or "").removeprefix("1")
+            words = f"{_meaning(name, proposals.comments) or name} measured again, to "
+            words += f"{number(sigma)} {unit}".strip()
+            offers.append(_Offer(NUMBER, words, sigma, minutes=ADVICE.number_minutes, name=name))
+    # of 1, there, or 0: with this error a look is so often on the right side of 1/2
+    blur = 0.5 / float(ndtri(ADVICE.look_right))
+    for name in dict.fromkeys(name for effects in judgement.leading for name in effects):
+        effect = judgement.explanations.effects[name]
+        if effect.look:
+            words = f"look for {effect.title}"
+            offers.append(_Offer(LOOK, words, blur, minutes=ADVICE.look_minutes, name=name))
+    return offers
 
 
 @dataclass(frozen=True)
@@ -196,15 +274,15 @@ class _Cloud:
     of: Array
     names: tuple[str, ...]
     weights: Array
-    #: (points, m) predicted further readings, and their (m,) or one relative standard error.
+    #: (points, m) what they predict of every offer, and its standard error.
     signals: Array
-    relative_sigma: Array
+    sigmas: Array
     #: (points,) light yields up to a factor, with what no reading tells, in rising order of these;
     #: None where the scale is not fitted.
     yields: Array | None
 
     def outcomes(self) -> Array:
-        """(outcomes, m) further readings, made at some of the points: every other one.
+        """(outcomes, m) what is then measured, made at some of the points: every other one.
 
         The others answer them (`left`): a point that made a reading knows it too well.
         """
@@ -213,58 +291,64 @@ class _Cloud:
         cumulated = np.cumsum(self.weights[::2])
         true = np.minimum(np.searchsorted(cumulated, at * cumulated[-1]), len(cumulated) - 1)
         noise = rng.standard_normal((ADVICE.outcomes, self.signals.shape[1]))
-        return self.signals[2 * true] * (1.0 + self.relative_sigma * noise)
+        return self.signals[2 * true] + self.sigmas[2 * true] * noise
 
     def log_likelihood(self, readings: Array, place: int) -> Array:
-        """(outcomes, points) of the readings of one configuration, by all points."""
-        predicted = self.signals[:, place]
-        away = (readings[:, place, None] - predicted) / (self.relative_sigma[place] * predicted)
-        return np.asarray(-0.5 * away**2 - np.log(predicted), float)
+        """(outcomes, points) of what is measured of one offer, by all points."""
+        sigma = self.sigmas[:, place]
+        away = (readings[:, place, None] - self.signals[:, place]) / sigma
+        return np.asarray(-0.5 * away**2 - np.log(sigma), float)
 
-    def left(self, log_likelihood: Array, efficiency: float) -> tuple[float, float, float]:
-        """Relative error of the light yield after outcomes, (outcomes, points) of logarithms.
-
-        The one that most outcomes are near, their part, and the mean probability of the likeliest
-        explanation.
-        """
+    def left(self, log_likelihood: Array, efficiency: float) -> _Left:
+        """What outcomes leave, (outcomes, points) of logarithms."""
         answering = np.where(np.arange(len(self.weights)) % 2 == 1, self.weights, 0.0)
         weights = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True)) * answering
         weights /= weights.sum(axis=1, keepdims=True)
         by_name = np.stack([weights[:, self.of == k].sum(axis=1) for k in range(len(self.names))])
         probability = float(by_name.max(axis=0).mean())
         if self.yields is None:
-            return math.nan, math.nan, probability
+            return _Left(math.nan, 1.0, None, probability)
         cumulated = np.cumsum(weights, axis=1)
         _, low, median, high, _ = (
             self.yields[np.minimum((cumulated < part).sum(axis=1), len(self.yields) - 1)]
             for part in QUANTILES
         )
         error = np.hypot(0.5 * (high - low) / median, efficiency)
-        return *_most_kept(error), probability
+        return _Left(*_most_kept(error), probability)
 
     def rises(self, leading: Sequence[tuple[str, ...]]) -> tuple[Array, list[tuple[int, int]]]:
         """(pairs, m): with one of two true, what a reading raises the chi2 of the other by."""
         pairs = list(combinations(range(len(leading)), 2))
-        means, variances = [], []
+        means, sigmas, variances = [], [], []
         for effects in leading:
             own = self.of == self.names.index(" + ".join(effects))
             # by quantiles: one point far away would make up most of a variance
             low, middle, high = np.quantile(self.signals[own], ndtr((-1.0, 0.0, 1.0)), axis=0)
             means.append(middle)
+            sigmas.append(np.median(self.sigmas[own], axis=0))
             variances.append((0.5 * (high - low)) ** 2)
         rises = [
             (means[a] - means[b]) ** 2
-            / (
-                (self.relative_sigma * 0.5 * (means[a] + means[b])) ** 2
-                + np.maximum(variances[a], variances[b])
-            )
+            / (0.25 * (sigmas[a] + sigmas[b]) ** 2 + np.maximum(variances[a], variances[b]))
             for a, b in pairs
         ]
         return np.array(rises).reshape(len(pairs), self.signals.shape[1]), pairs
 
 
-def _most_kept(errors: Array) -> tuple[float, float]:
-    """An error that most of (outcomes,) errors are near, and the part of them that are.
+class _Left(NamedTuple):
+    """What outcomes leave."""
+
+    #: Relative error of the light yield that most leave, the part of them that do, and the median
+    #: of the others, None where there are none; nan and all where the scale is not fitted.
+    error: float
+    kept: float
+    otherwise: float | None
+    #: Mean probability of the explanation that is then the likeliest.
+    probability: float
+
+
+def _most_kept(errors: Array) -> tuple[float, float, float | None]:
+    """An error that most of (outcomes,) errors are near, their part, and the others' median.
 
     The median of as many as lie within `ADVICE.kept` of one value: of outcomes that go either way
     the median of all may lie where hardly any are.
@@ -274,13 +358,21 @@ def _most_kept(errors: Array) -> tuple[float, float]:
     ends = np.searchsorted(errors, errors * (1.0 + ADVICE.kept) / (1.0 - ADVICE.kept), side="right")
     first = int(np.argmax(ends - np.arange(len(errors))))
     promised = float(np.median(errors[first : ends[first]]))
-    return promised, float(np.mean(np.abs(errors / promised - 1.0) < ADVICE.kept))
+    near = np.abs(errors / promised - 1.0) < ADVICE.kept
+    otherwise = None if near.all() else float(np.median(errors[~near]))
+    return promised, float(near.mean()), otherwise
 
 
-def _cloud(judgement: Judgement, proposals: MeasurementProposals) -> _Cloud:
-    """Points of the leading explanations and of all others that are likely."""
-    likely = _likely(judgement)
-    count = len(proposals.configurations)
+def _cloud(
+    judgement: Judgement,
+    proposals: MeasurementProposals,
+    likely: Sequence[tuple[Hypothesis, float]],
+    offers: Sequence[_Offer],
+) -> _Cloud:
+    """Points of all these explanations, and what they predict of every offer."""
+    configurations = [offer.parameters for offer in offers if offer.is_reading]
+    rows = [offer.row for offer in offers if offer.kind == REPEAT]
+    count = len(configurations)
     group_of = judgement.group_of
     names = tuple(dict.fromkeys(group_of[each.name] for each, _ in likely))
     discrepancy = DiscrepancyModel(judgement.explanations, judgement.null.frame)
@@ -289,8 +381,8 @@ def _cloud(judgement: Judgement, proposals: MeasurementProposals) -> _Cloud:
     for each, share in likely:
         assert each.evidence is not None  # those alone predict
         effects, points = tuple(sorted(each.effects)), each.evidence.draws
-        predicted = proposals.predict(effects, points)
-        variance += share * proposals.noise(effects, np.median(points, axis=0)) ** 2
+        predicted = proposals.predict(effects, points, rows)
+        variance += share * proposals.noise(effects, np.median(points, axis=0), rows) ** 2
         if each.amplitude:  # something without a name
             predicted = predicted * np.exp(
                 discrepancy_at(
@@ -298,25 +390,32 @@ def _cloud(judgement: Judgement, proposals: MeasurementProposals) -> _Cloud:
                     discrepancy,
                     each.amplitude,
                     points,
-                    proposals.configurations,
+                    configurations,
                 )
             )
         of.append(np.full(len(points), names.index(group_of[each.name])))
         weights.append(np.full(len(points), share / len(points)))
-        signals.append(np.maximum(predicted, 1e-300))
         free = tuple(each.evidence.mean)
+        others = [
+            points[:, free.index(offer.name)]
+            if offer.kind == NUMBER
+            else np.full(len(points), float(offer.name in effects))
+            for offer in offers[count:]
+        ]
+        signals.append(np.column_stack([np.maximum(predicted, 1e-300), *others]))
         scales.append(points[:, free.index(SCALE)] if SCALE in free else np.zeros(len(points)))
-    relative = np.broadcast_to(np.asarray(proposals.relative_sigma, float), (count,))
+    weight, scale, signal = map(np.concatenate, (weights, scales, signals))
+    sigma = np.tile([offer.sigma for offer in offers], (len(signal), 1))
     # what the simulation does not tell apart, a reading will not tell either
-    relative = np.sqrt(relative**2 + variance / sum(share for _, share in likely))
-    weight, scale = np.concatenate(weights), np.concatenate(scales)
+    relative = np.sqrt(sigma[:, :count] ** 2 + variance / sum(share for _, share in likely))
+    sigma[:, :count] = relative * signal[:, :count]
     order = np.argsort(scale, kind="stable")
     return _Cloud(
         of=np.concatenate(of)[order],
         names=names,
         weights=weight[order] / weight.sum(),
-        signals=np.concatenate(signals)[order],
-        relative_sigma=relative,
+        signals=signal[order],
+        sigmas=sigma[order],
         yields=scale[order] if scale.all() else None,
     )
 

@@ -429,6 +429,13 @@ class AdviceSettings:
     #: Sets of effects that are simulated for it besides, and the probability from which one is.
     most_sets: int = 5
     likely: float = 0.01
+    #: Time that a number takes that is measured again: a transmittance with its reference, and
+    #: what is made of it.
+    number_minutes: float = 60.0
+    #: Time that a look at the bench takes, with what has to be taken apart for it, and how often it
+    #: tells rightly whether an effect is there: small ones are overlooked.
+    look_minutes: float = 15.0
+    look_right: float = 0.95
     #: Points that further readings are made at.
     outcomes: int = 128
     #: An error that is promised counts as kept within this part of it.

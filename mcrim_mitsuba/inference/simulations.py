@@ -53,6 +53,8 @@ class MeasurementProposals:
     configurations: Sequence[dict[str, Value]]
     #: Of these configurations one after the other, taken for readings: of light, of beams.
     models: Sequence[Models]
+    #: Of the campaign's readings, made once more.
+    repeated: Models
     #: Of a new reading; one, or (m,).
     relative_sigma: float | Array
     #: What a parameter's change from the scene's value takes besides a mounting.
@@ -62,22 +64,30 @@ class MeasurementProposals:
     #: The scene's own values, from which nothing is changed.
     own: Mapping[str, Value] = field(default_factory=dict)
 
-    def predict(self, effects: tuple[str, ...], thetas: Array) -> Array:
-        """(points, m) signals of the model with these effects at (points, free) parameters."""
-        return np.hstack([models(effects).predict_many(thetas) for models in self.models])
+    def predict(self, effects: tuple[str, ...], thetas: Array, rows: Sequence[int]) -> Array:
+        """(points, m + rows) signals of the model with these effects at (points, free) parameters.
 
-    def noise(self, effects: tuple[str, ...], theta: Array) -> Array:
-        """(m,) relative errors of what is predicted, by the simulation."""
-        predictions = [models(effects).predict(theta, check=True) for models in self.models]
-        return np.concatenate([np.asarray(each.eta_sigma) / each.eta for each in predictions])
+        Behind those of the configurations stand those of the campaign's `rows`, made once more.
+        """
+        new = [models(effects).predict_many(thetas) for models in self.models]
+        return np.hstack([*new, self.repeated(effects).predict_many(thetas)[:, rows]])
 
-    def hours(self, *places: int) -> float:
-        """To mount some of the configurations; what two have in common is changed once."""
-        changes = {item for i in places for item in self.configurations[i].items()}
+    def noise(self, effects: tuple[str, ...], theta: Array, rows: Sequence[int]) -> Array:
+        """(m + rows,) relative errors of what is predicted, by the simulation."""
+        *new, again = (
+            np.asarray(prediction.eta_sigma) / prediction.eta
+            for models in (*self.models, self.repeated)
+            for prediction in [models(effects).predict(theta, check=True)]
+        )
+        return np.concatenate([*new, again[rows]])
+
+    def hours(self, *configurations: Mapping[str, Value]) -> float:
+        """To mount some configurations; what two have in common is changed once."""
+        changes = {item for configuration in configurations for item in configuration.items()}
         further = sum(
             self.minutes.get(name, 0.0) for name, value in changes if self.own.get(name) != value
         )
-        return (EXTENT.minutes_per_mounting * len(places) + further) / 60.0
+        return (EXTENT.minutes_per_mounting * len(configurations) + further) / 60.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -310,11 +320,20 @@ class CampaignSimulations:
         return MeasurementProposals(
             [*light, *beams],
             [self.predict_at(kind, EXTENT.proposed_part) for kind in (light, beams) if kind],
+            self._repeated(),
             np.array(sigmas),
             minutes=self.campaign.next_measurements.get(NEXT_MINUTES, {}),
             comments={n: known.comment for n, known in self.campaign.scene.defaults.items()},
             own={**BEAM_PARAMETERS, **self.campaign.values},
         )
+
+    def _repeated(self) -> Models:
+        """Models of the campaign's readings, as if they were made now, after all others."""
+        models, measured = self.models, self.campaign.measurements
+        # readings without a line come last
+        now = tuple(replace(reading, line=0) for reading in measured.readings)
+        campaign = replace(self.campaign, measurements=replace(measured, readings=now))
+        return cache(lambda effects: models.model_of(campaign.with_effects(effects)))
 
     def _usual_sigma(self, *, of_beam: bool) -> float:
         """Relative error of a proposed reading of a kind."""

@@ -516,10 +516,13 @@ def proposals_table(diagnosis: Diagnosis) -> Table:
     def told_apart(measurement: NextMeasurement) -> str:
         return "; ".join(sentences.told_apart(diagnosis, measurement))
 
+    def yield_to(measurement: NextMeasurement) -> Cell:
+        return Cell(sentences.outcomes_text(measurement), measurement.light_yield_sigma)
+
     columns = (
-        Column("configuration", of="words"),
+        Column("what to do", of="words"),
         Column("time", "hours", lambda hours: f"{hours:.2g} h"),
-        Column("yield to", "light_yield_sigma", sentences.relative_text),
+        Column("yield to", "light_yield_sigma", of=yield_to),
         Column("sure to", "probability", _whole_percent),
         Column("gain in chi2", "expected_delta_chi2", number),
         Column("tells apart", "separates", of=told_apart),

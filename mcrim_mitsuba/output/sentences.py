@@ -462,9 +462,15 @@ def limit_text(limit: Limit) -> str:
     return f"{number(lower)} to {number(upper)}"
 
 
-def relative_text(error: float | None) -> str:
-    """A relative error in per cent."""
-    return "-" if error is None else f"{100.0 * error:.1f} %"
+def outcomes_text(measurement: NextMeasurement) -> str:
+    """The light yield's error by outcomes: ``± 2.0 % in 7 of 10 outcomes, else ± 4.0 %``."""
+    error, otherwise = measurement.light_yield_sigma, measurement.light_yield_sigma_otherwise
+    if error is None or measurement.light_yield_kept is None:
+        return "-"
+    tenths = round(10.0 * measurement.light_yield_kept)
+    if otherwise is None or tenths == 10:
+        return f"± {percent(error)}"
+    return f"± {percent(error)} in {tenths} of 10 outcomes, else ± {percent(otherwise)}"
 
 
 #: Standard errors that hold 95 % of a Gaussian likelihood; over these, how near or far the ends of

@@ -667,13 +667,14 @@ def _known(trial: Trial, campaign: Path, threads: int | None, photons: int | Non
 def _advised(
     trial: Trial, folder: Path, said: dict, threads: int | None, photons: int | None
 ) -> dict | None:
-    """What becomes of the diagnosis where what is proposed first is measured.
+    """What becomes of the diagnosis where the first new configuration that is proposed is measured.
 
     None where effects could be told apart, or nothing is proposed.
     """
-    if said["verdict"] != "ambiguous" or not said["next_measurements"]:
+    new = (p for p in said["next_measurements"] if {*p["kind"].split(" + ")} == {"reading"})
+    best = next(new, None)
+    if said["verdict"] != "ambiguous" or best is None:
         return None
-    best = said["next_measurements"][0]
     proposed = [best["parameters"]] + ([best["also"]] if best["also"] else [])
     further = measured(trial, proposed)
     name = f"{trial.kind}-{trial.number}-further"

@@ -296,7 +296,7 @@ def test_few_readings_are_ambiguous_and_ask_for_more():
         return bench.Model(few, tuple(added))
 
     proposals = MeasurementProposals(
-        bench.ROWS, [lambda added: bench.Model(rows, added)], bench.SIGMA
+        bench.ROWS, [lambda added: bench.Model(rows, added)], models, bench.SIGMA
     )
     found = diagnose_models(models, SOME, proposals=proposals)
     assert found.verdict == "ambiguous" and "gap_bubble" in found.leading
@@ -311,9 +311,9 @@ def test_few_readings_are_ambiguous_and_ask_for_more():
 def test_what_is_as_in_the_scene_takes_no_time_to_change():
     rows, own = [{"n_gap": 1.46, "gap_mm": 0.05}, {"gap_mm": 0.5}], {"n_gap": 1.0, "gap_mm": 0.05}
     minutes = {"n_gap": 6.0, "gap_mm": 60.0}
-    proposals = MeasurementProposals(rows, [], 0.01, minutes, own=own)
-    assert proposals.hours(0) == pytest.approx(0.6)
-    assert proposals.hours(0, 1) == pytest.approx(0.6 + 1.5)
+    proposals = MeasurementProposals(rows, [], None, 0.01, minutes, own=own)
+    assert proposals.hours(rows[0]) == pytest.approx(0.6)
+    assert proposals.hours(*rows) == pytest.approx(0.6 + 1.5)
 
 
 @pytest.mark.parametrize("together, told", [(103.0, True), (12.0, False)])
