@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -142,8 +142,8 @@ def next_measurements(
     cloud = _cloud(judgement, proposals, likely, offers)
     # what leads only beside wrong readings predicts with them
     leading = [effects for effects in judgement.leading if " + ".join(effects) in cloud.names]
-    outcomes = cloud.outcomes()
-    before = cloud.left(np.zeros((1, len(cloud.weights))), efficiency)
+    outcomes, answering = cloud.half(0).outcomes(), cloud.half(1)
+    before = answering.left(np.zeros((1, len(answering.weights))), efficiency)
 
     def hours(places: tuple[int, ...]) -> float:
         chosen = [offers[i] for i in places]
@@ -152,8 +152,8 @@ def next_measurements(
 
     def bought_by(places: tuple[int, ...]) -> tuple[float, _Left]:
         """Half the sum of the parts by which error and doubt fall, per hour, discounted."""
-        likelihood = np.sum([cloud.log_likelihood(outcomes, i) for i in places], axis=0)
-        left = cloud.left(likelihood, efficiency)
+        likelihood = np.sum([answering.log_likelihood(outcomes, i) for i in places], axis=0)
+        left = answering.left(likelihood, efficiency)
         fallen = 1.0 - left.error / before.error if cloud.yields is not None else 0.0
         doubt = (left.probability - before.probability) / max(1.0 - before.probability, 1e-9)
         return 0.5 * (fallen + doubt) / hours(places) * left.kept**ADVICE.discount, left
@@ -270,7 +270,7 @@ def _offers(
 class _Cloud:
     """Points of all explanations that are likely, and what they predict."""
 
-    #: (points,) of which explanation each is, by `names`; probabilities, which sum to 1.
+    #: (points,) of which explanation each is, by `names`; their probabilities, up to a factor.
     of: Array
     names: tuple[str, ...]
     weights: Array
@@ -281,17 +281,25 @@ class _Cloud:
     #: None where the scale is not fitted.
     yields: Array | None
 
-    def outcomes(self) -> Array:
-        """(outcomes, m) what is then measured, made at some of the points: every other one.
+    def half(self, first: int) -> _Cloud:
+        """Every other point: 0, to measure at; 1, to answer (what made it knows it too well)."""
+        return replace(
+            self,
+            of=self.of[first::2],
+            weights=self.weights[first::2],
+            signals=self.signals[first::2],
+            sigmas=self.sigmas[first::2],
+            yields=None if self.yields is None else self.yields[first::2],
+        )
 
-        The others answer them (`left`): a point that made a reading knows it too well.
-        """
+    def outcomes(self) -> Array:
+        """(outcomes, m) what is then measured, made at some of the points."""
         rng = np.random.default_rng(0)
         at = (np.arange(ADVICE.outcomes) + 0.5) / ADVICE.outcomes
-        cumulated = np.cumsum(self.weights[::2])
+        cumulated = np.cumsum(self.weights)
         true = np.minimum(np.searchsorted(cumulated, at * cumulated[-1]), len(cumulated) - 1)
         noise = rng.standard_normal((ADVICE.outcomes, self.signals.shape[1]))
-        return self.signals[2 * true] + self.sigmas[2 * true] * noise
+        return self.signals[true] + self.sigmas[true] * noise
 
     def log_likelihood(self, readings: Array, place: int) -> Array:
         """(outcomes, points) of what is measured of one offer, by all points."""
@@ -301,8 +309,7 @@ class _Cloud:
 
     def left(self, log_likelihood: Array, efficiency: float) -> _Left:
         """What outcomes leave, (outcomes, points) of logarithms."""
-        answering = np.where(np.arange(len(self.weights)) % 2 == 1, self.weights, 0.0)
-        weights = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True)) * answering
+        weights = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True)) * self.weights
         weights /= weights.sum(axis=1, keepdims=True)
         by_name = np.stack([weights[:, self.of == k].sum(axis=1) for k in range(len(self.names))])
         probability = float(by_name.max(axis=0).mean())
@@ -413,7 +420,7 @@ def _cloud(
     return _Cloud(
         of=np.concatenate(of)[order],
         names=names,
-        weights=weight[order] / weight.sum(),
+        weights=weight[order],
         signals=signal[order],
         sigmas=sigma[order],
         yields=scale[order] if scale.all() else None,

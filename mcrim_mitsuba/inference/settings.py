@@ -432,9 +432,10 @@ class AdviceSettings:
     #: Time that a number takes that is measured again: a transmittance with its reference, and
     #: what is made of it.
     number_minutes: float = 60.0
-    #: Time that a look at the bench takes, with what has to be taken apart for it, and how often it
-    #: tells rightly whether an effect is there: small ones are overlooked.
-    look_minutes: float = 15.0
+    #: Time that a look at the bench takes, that of a mounting: most of those of the catalogue turn,
+    #: cover or take off something; and how often it tells rightly whether an effect is there: small
+    #: ones are overlooked.
+    look_minutes: float = 30.0
     look_right: float = 0.95
     #: Points that further readings are made at.
     outcomes: int = 128

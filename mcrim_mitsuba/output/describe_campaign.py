@@ -522,10 +522,10 @@ def proposals_table(diagnosis: Diagnosis) -> Table:
     columns = (
         Column("what to do", of="words"),
         Column("time", "hours", lambda hours: f"{hours:.2g} h"),
-        Column("yield to", "light_yield_sigma", of=yield_to),
+        Column("yield to", "light_yield_sigma", of=yield_to, left=True),
         Column("sure to", "probability", _whole_percent),
         Column("gain in chi2", "expected_delta_chi2", number),
-        Column("tells apart", "separates", of=told_apart),
+        Column("tells apart", "separates", of=told_apart, left=True),
     )
     return records("what to measure next", columns, diagnosis.next_measurements)
 

@@ -227,11 +227,31 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
     if verdict == "ambiguous":
         assert row_of(out, "water, gap of 0.5 mm;")[1:] == [
             "1 h",
-            "8.3 %",
+            "± 8.3 % in 7 of 10 outcomes, else ± 10.5 %",
             "94 %",
             "12.3",
             "absorbing crystal surface from air bubble in the gap",
         ]
+
+
+def test_what_is_no_new_reading_is_done_first(mcrim, campaign, found):
+    following = by.diagnosis("ambiguous").next_measurements[0]
+    look = replace(
+        following,
+        kind="look",
+        parameters={},
+        also=None,
+        light_yield_kept=0.96,
+        words="look for air bubble in the gap",
+    )
+    unknown = replace(look, light_yield_sigma=None, light_yield_kept=None)
+    found["diagnose"] = by.diagnosis("ambiguous", next_measurements=(look, unknown))
+    lines = mcrim.shown("diagnose", campaign).splitlines()
+    assert lines[-1].startswith(
+        "Next: look for air bubble in the gap, and diagnose again with what it says; or mcrim"
+    )
+    shown = [line.split("│")[3].strip() for line in lines if "│ look for air bubble" in line]
+    assert shown == ["± 8.3 %", "-"]
 
 
 def test_a_pair_and_suspect_readings_are_named(mcrim, campaign, found):

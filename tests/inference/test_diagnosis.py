@@ -300,9 +300,10 @@ def test_few_readings_are_ambiguous_and_ask_for_more():
     )
     found = diagnose_models(models, SOME, proposals=proposals)
     assert found.verdict == "ambiguous" and "gap_bubble" in found.leading
-    best, measured = found.next_measurements[0], [row.parameters for row in few]
+    measured = [row.parameters for row in few]
+    best = next(each for each in found.next_measurements if each.kind == "reading")
     assert best.parameters not in measured and best.hours == 0.5
-    together = next(each for each in found.next_measurements if each.also)
+    together = next(each for each in found.next_measurements if " + " in each.kind)
     assert together.separates and together.expected_delta_chi2 > 4 and together.hours == 1.0
     sure = max(found.probabilities.values())
     assert sure + 0.05 < best.probability < together.probability < 1.0

@@ -5,15 +5,20 @@ Seeds are fixed.
 
 import math
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 import synthetic_bench as bench
 
-from mcrim_mitsuba.campaign.campaign import LightYieldInput
+from mcrim_mitsuba.campaign.campaign import LightYieldInput, read_campaign
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.diagnose import _judged
+from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.next_measurements import next_measurements
-from mcrim_mitsuba.inference.simulations import MeasurementProposals
+from mcrim_mitsuba.inference.simulations import CampaignSimulations, MeasurementProposals
+from mcrim_mitsuba.inference.weighing import Hypothesis
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 LIGHT = LightYieldInput(50.0, 0.1, 0.0)
@@ -71,3 +76,57 @@ class Bench:
 
     def advice(self):
         return next_measurements(self.judged(), self.proposals())
+
+
+def test_a_wrong_reading_is_made_once_more():
+    """Nothing new can be built; who repeats the reading gets the error that was promised."""
+    every_other = tuple(range(0, 16, 2))
+    for seed in (0, 1):
+        campaign = Bench({}, (), ("gap_bubble",), every_other, seed, wrong={4: 1.07})
+        proposals = replace(campaign.proposals(), configurations=[], models=[])
+        advice = next_measurements(campaign.judged(), proposals)
+        assert {part for one in advice for part in one.kind.split(" + ")} >= {"repeat", "number"}
+        repeat = next(one for one in advice if one.words == "reading row5 once more")
+        assert (repeat.kind, repeat.hours, repeat.also) == ("repeat", 0.5, None)
+        assert repeat.parameters == bench.ROWS[4] and not repeat.is_of_readings
+        after = replace(campaign, more=(4,)).judged()
+        averaged = after.light_yield
+        assert averaged.sigma / averaged.value == pytest.approx(repeat.light_yield_sigma, rel=0.3)
+        wrong = after.weighing.probability(lambda h: "bad reading row5" in h.name)
+        assert wrong > 0.9
+
+
+def test_a_look_is_right_as_often_as_is_said():
+    """Where an effect is as likely there as not, who looked is so sure as looks are right."""
+    campaign = Bench({}, (), ("gap_bubble",), tuple(range(0, 16, 2)))
+    effects = {"gap_bubble": bench.EFFECTS["gap_bubble"]}
+    explanations = bench.explanations_of(campaign.models, effects)
+    alike = tuple(
+        Hypothesis(
+            effects=names,
+            log_weight=0.0,
+            log_scale=0.0,
+            log_scale_sigma=0.1,
+            evidence=explanations.evidence(names),
+        )
+        for names in (("gap_bubble",), ())
+    )
+    weighing = SimpleNamespace(hypotheses=alike, shares=np.full(2, 0.5), families={})
+    judgement = Judgement(explanations, NullDistribution(explanations, ()), weighing)
+    advice = next_measurements(judgement, campaign.proposals())
+    look = next(one for one in advice if one.kind == "look")
+    assert look.words == "look for air bubble in the gap" and look.parameters == {}
+    assert look.probability == pytest.approx(0.95, abs=0.015)
+    both = next(one for one in advice if " + " in one.kind)
+    assert "look" in both.kind and "; and " in both.words and both.also is not None
+
+
+def test_a_reading_that_is_made_once_more_comes_last(scenes):
+    """What drifts with the order of the readings has gone on until then."""
+    campaign = read_campaign(scenes / "camoo4_campaign.toml")
+    bench_of = CampaignSimulations(campaign, Run(512, check=False))
+    drift, repeated = ("gain_drift",), bench_of.proposals().repeated
+    once, again = bench_of.models.model(drift), repeated(drift)
+    theta = np.array([0.1 if p.name == "gain_drift" else 0.5 for p in once.free])
+    ratio = again.predict(theta).signal / once.predict(theta).signal
+    assert ratio[-1] == pytest.approx(1.0) and ratio[0] == pytest.approx(1.1, abs=0.01)

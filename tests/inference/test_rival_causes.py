@@ -161,13 +161,14 @@ def test_something_without_a_name_grows_with_the_misfit():
 
 
 def test_a_proposed_reading_buys_what_it_then_does():
-    """Where there is one explanation the error is that of the fit with the reading in it."""
+    """Where there is one explanation the error is that of the fit with it: readings, a number."""
     signal = bench.signals(TRUTH)
     rows = bench.readings(signal)
 
-    def explained(taken):
+    def explained(taken, numbers=1):
+        sigma = bench.PRIOR_SIGMA / np.sqrt(numbers)
         return bench.explanations_of(
-            lambda added: bench.Model(taken, tuple(added), light_yield=LIGHT), {}
+            lambda added: bench.Model(taken, added, light_yield=LIGHT, prior_sigma=sigma), {}
         )
 
     few = tuple(rows[i] for i in (0, 4, 8))
@@ -180,18 +181,23 @@ def test_a_proposed_reading_buys_what_it_then_does():
     judge = Judgement(before, null, weighing)
     minutes = {"crystal_height_mm": 90.0}
     proposals = MeasurementProposals(
-        bench.ROWS, [lambda added: bench.Model(rows, added)], bench.SIGMA, minutes
+        bench.ROWS[6:14],
+        [lambda added: bench.Model(rows[6:14], added)],
+        lambda added: bench.Model(few, added),
+        bench.SIGMA,
+        minutes,
     )
     found = next_measurements(judge, proposals)
-    assert any(one.also for one in found)
+    assert {one.kind for one in found} == {"reading", "number", "reading + reading"}
     for one in found:
+        numbers = one.kind.count("number")
         chosen = [each for each in (one.parameters, one.also) if each]
         further = tuple(rows[bench.ROWS.index(each)] for each in chosen)
-        after = explained((*few, *further)).evidence(())
+        after = explained((*few, *further), 1 + numbers).evidence(())
         sigma = after.sigma["scale"] / after.mean["scale"]
         assert one.light_yield_sigma == pytest.approx(sigma, rel=0.15)
         heights = {each["crystal_height_mm"] for each in chosen}
-        assert one.hours == pytest.approx(0.5 * len(chosen) + 1.5 * len(heights))
+        assert one.hours == pytest.approx(0.5 * len(chosen) + 1.5 * len(heights) + numbers)
 
 
 def test_what_has_no_name_is_likely_to_go_on_where_it_was_measured():
@@ -216,6 +222,11 @@ def test_what_has_no_name_is_likely_to_go_on_where_it_was_measured():
 def test_what_is_promised_is_what_most_outcomes_keep():
     """Of outcomes that go either way the median may be between, where hardly any end."""
     errors = np.array([0.010] * 40 + [0.011] * 20 + [0.025] * 5 + [0.060] * 55)
-    assert _most_kept(errors) == (pytest.approx(0.010), 0.5)
+    assert _most_kept(errors) == (pytest.approx(0.010), 0.5, pytest.approx(0.060))
     assert np.median(errors) == pytest.approx(0.018)
-    assert _most_kept(np.array([0.02] * 9 + [0.0])) == (pytest.approx(0.02), 0.9)
+    assert _most_kept(np.array([0.02] * 9 + [0.0])) == (
+        pytest.approx(0.02),
+        0.9,
+        pytest.approx(0.0),
+    )
+    assert _most_kept(np.full(9, 0.02)) == (pytest.approx(0.02), 1.0, None)
