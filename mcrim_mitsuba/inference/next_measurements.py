@@ -155,8 +155,10 @@ def next_measurements(
         likelihood = np.sum([answering.log_likelihood(outcomes, i) for i in places], axis=0)
         left = answering.left(likelihood, efficiency)
         fallen = 1.0 - left.error / before.error if cloud.yields is not None else 0.0
-        doubt = (left.probability - before.probability) / max(1.0 - before.probability, 1e-9)
-        return 0.5 * (fallen + doubt) / hours(places) * left.kept**ADVICE.discount, left
+        doubt = (left.probability - before.probability) / max(1.0 - before.probability, 1e-6)
+        worth = 0.5 * (fallen + doubt) / hours(places) * left.kept**ADVICE.discount
+        # by place where they differ by rounding only
+        return round(worth, 6), left
 
     single: list[tuple[int, ...]] = [(i,) for i in range(len(offers))]
     bought = {places: bought_by(places) for places in single}
@@ -312,7 +314,7 @@ class _Cloud:
         weights = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True)) * self.weights
         weights /= weights.sum(axis=1, keepdims=True)
         by_name = np.stack([weights[:, self.of == k].sum(axis=1) for k in range(len(self.names))])
-        probability = float(by_name.max(axis=0).mean())
+        probability = min(float(by_name.max(axis=0).mean()), 1.0)
         if self.yields is None:
             return _Left(math.nan, 1.0, None, probability)
         cumulated = np.cumsum(weights, axis=1)
