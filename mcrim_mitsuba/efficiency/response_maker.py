@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.tolerances import REACH, Tolerance
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
@@ -98,7 +99,8 @@ class _Node(NamedTuple):
 class _EffectPlan:
     """What an effect's response is made of; readings without nodes do not see the effect."""
 
-    effect: Effect
+    #: Of the effect, or of a tolerance.
+    name: str
     axes: tuple[Axis, ...]
     nodes: Sequence[_Node]
 
@@ -204,12 +206,14 @@ class ResponseMaker:
         a scene is not sound, leaks, or cannot take an effect.
         """
         benches = self._benches()
-        plans = list(self._plans(effects, look, [bench.run for bench in benches]))
+        plain = [bench.run for bench in benches]
+        plans = list(self._plans(effects, look, plain))
+        plans += [self._plan_of_tolerance(each, plain) for each in self.campaign.tolerances]
         of_benches = [table for bench in benches for table in bench.tables]
         tables = self.schedule.tables([*of_benches, *(t for plan in plans for t in plan.tables)])
         self.schedule.rest_on(_PLAIN, of_benches)
         for plan in plans:
-            self.schedule.rest_on(plan.effect.name, plan.tables)
+            self.schedule.rest_on(plan.name, plan.tables)
         known = [
             bench.closed_form or [tables[table.number] for table in bench.tables]
             for bench in benches
@@ -220,7 +224,7 @@ class ResponseMaker:
             (number, bench.run.radius_mm): table
             for number, (bench, (_, table)) in enumerate(zip(benches, known, strict=True))
         }
-        responses = {plan.effect.name: self._response(plan, tables, coarse) for plan in plans}
+        responses = {plan.name: self._response(plan, tables, coarse) for plan in plans}
         return Responses(
             self.grid, self._coarse, log_eta, deviations, responses, self.schedule.photons
         )
@@ -300,7 +304,34 @@ class ResponseMaker:
                         angle = further.nominal + offset
                         pair = _within(reference, angle), _within(changed, angle)
                     nodes.append(_Node((*place, i), number, *pair))
-        return _EffectPlan(effect, axes if further is None else (*axes, further), nodes)
+        return _EffectPlan(effect.name, axes if further is None else (*axes, further), nodes)
+
+    def _plan_of_tolerance(self, tolerance: Tolerance, plain: Sequence[PlannedRun]) -> _EffectPlan:
+        """A number of the bench, off by `REACH` of its uncertainties either way."""
+        reach = REACH * tolerance.sigma
+        parameter = EffectParameter(
+            name="offset",
+            meaning="off the scene's value",
+            minimum=-reach,
+            maximum=reach,
+            start=0.0,
+            plausible=(-reach, reach),
+            nodes=(-reach, reach),
+        )
+        nodes = []
+        for number, run in enumerate(plain):
+            if not tolerance.is_of(run.parameters):
+                continue
+            of_beam = run.of_beam
+            bench = replace(run, photons=self._look_photons, check=False)
+            for place, offset in enumerate((-reach, reach), start=1):
+                number_there = float(run.parameters[tolerance.parameter]) + offset
+                values = {**run.parameters, tolerance.parameter: number_there}
+                moved = self._simulation(
+                    self.campaign.scene, values, bench.photons, of_beam=of_beam
+                )
+                nodes.append(_Node((place,), number, bench.table(), moved.table()))
+        return _EffectPlan(tolerance.name, (Axis(parameter, [0.0, -reach, reach]),), nodes)
 
     def _sources(
         self, effect: Effect, run: PlannedRun, photons: int
@@ -357,7 +388,7 @@ class ResponseMaker:
             log_ratio[(*node.place, node.reading)] = added.log_eta
             of_batches: Any = (slice(None), *node.place, node.reading)
             deviations[of_batches] = added.deviations
-        self._refuse_darkness(log_ratio, len(plan.axes), f" with {plan.effect.name}")
+        self._refuse_darkness(log_ratio, len(plan.axes), f" with {plan.name}")
         return EffectResponse(plan.axes, log_ratio, deviations)
 
     def anchor(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Anchor:

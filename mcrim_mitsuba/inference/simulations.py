@@ -345,7 +345,7 @@ class CampaignSimulations:
         )
         # no columns: what one proposal changes may be fitted to the others
         measured = replace(self.campaign.measurements, columns=(), readings=readings)
-        proposed = replace(self.campaign, measurements=measured)
+        proposed = replace(self.campaign, measurements=measured, tolerances=())
         if readings[0].of_beam:
             proposed = replace(proposed, beam={**BEAM_PARAMETERS, **self.campaign.beam})
 

@@ -514,6 +514,8 @@ _CALLED = {
     "tube scale": "the scale of the detector's efficiency",
     "emission spectrum": "the emission spectrum",
     "source depth": "the depth of the source",
+    "tolerances": "the bench's numbers",
+    "tolerance": "the number",
     "monte_carlo": "the simulation",
 }
 
