@@ -274,12 +274,15 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         document, scene, measurements, of_effects | {*scene.parameters, EFFICIENCY_FACTOR}
     )
     _refuse_rows_the_scene_cannot_take(scene, measurements)
+    tolerances = read_tolerances(document, scene, measurements)
+    wrong = {effect.name: effect for effect in (tolerance.wrong for tolerance in tolerances)}
     campaign = Campaign(
         path=document.path,
         scene=scene,
         measurements=measurements,
         effects_folder=folder,
-        catalogue=effects,
+        catalogue={**effects, **wrong},
+        tolerances=tolerances,
         raw=raw,
         beam=_read_beam(document, scene, measurements),
         executed=() if folder is None else (whose(folder),),
@@ -291,7 +294,6 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         campaign,
         next_measurements=_read_next(document.table(schema.NEXT), campaign),
         spectrum=_read_spectrum(entries, campaign),
-        tolerances=read_tolerances(document, scene, measurements, campaign.parameters),
         title=_words(entries, "title") or document.path.stem,
         unit=_words(entries, "unit"),
         convention=choice(entries, schema.CONVENTION, schema.CAMPAIGN),

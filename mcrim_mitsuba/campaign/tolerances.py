@@ -11,8 +11,8 @@ gives several values, each is a part of its own, such as three masks, with an of
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection
+from dataclasses import dataclass
 
 from mcrim_mitsuba.campaign.entries import (
     EACH,
@@ -25,55 +25,70 @@ from mcrim_mitsuba.campaign.entries import (
 )
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.core.errors import did_you_mean
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value, judge, said, without_unit
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, judge, unit_of
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
-from mcrim_mitsuba.effects.effect import filled
+from mcrim_mitsuba.effects.effect import WRONG, BenchNumber, Effect, EffectParameter
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.scene.spectrophotometer import GAP_INDEX
 
 #: Standard uncertainties by which a number is moved either way to see what it does. Photons of both
 #: ends are the same; farther away what it does is less straight, nearer the photons tell less.
 REACH = 2.0
+#: Standard uncertainties by which a number that is wrong, not inexact, may be off: another glass, a
+#: drawing that was read wrongly. The smaller ones are for numbers that cannot be off so far.
+_WRONG_BY = (10.0, 7.0, 5.0, 4.0, 3.0, REACH)
+#: Part of it that is usual.
+_USUAL_PART = 0.6
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Standard uncertainty of a scene parameter, or of one of its values."""
+    """Standard uncertainty of a number of the bench."""
 
-    parameter: str
-    #: In the parameter's unit.
+    number: BenchNumber
+    #: In the number's unit.
     sigma: float
-    #: The readings' value that it is of; None: of all.
-    value: float | None = None
+    #: How far it may be off where it is wrong.
+    farthest: float
 
     @property
-    def name(self) -> str:
-        """``n_window``; of one value of several ``aperture_radius_mm = 7``."""
-        return self.parameter if self.value is None else f"{self.parameter} = {self.value:g}"
-
-    @property
-    def words(self) -> str:
-        """``window index``; ``aperture radius 7 mm``."""
-        if self.value is None:
-            return without_unit(self.parameter)
-        return said(self.parameter, self.value)
-
-    def is_of(self, values: Mapping[str, Value]) -> bool:
-        """Whether the part is in a configuration with these values; the index of air is known."""
-        if self.parameter not in values or (self.parameter == GAP_INDEX and not filled(values)):
-            return False
-        return self.value is None or self.value == values[self.parameter]
+    def wrong(self) -> Effect:
+        """The effect that the number is wrong: beyond what its uncertainty allows."""
+        words, far = self.number.words, self.farthest
+        return Effect(
+            name=f"{WRONG}{self.number.name}",
+            title=f"wrong {words}",
+            physics=f"The {words} is not what the scene says, and not by its uncertainty of "
+            f"{self.sigma:g} only: it was measured wrongly, read off another drawing, or the part "
+            "is another one. What is fitted is how far it is off.",
+            source="JCGM 100:2008 (GUM), 3.4.7, on blunders",
+            parameters=(
+                EffectParameter(
+                    name=self.number.offset_name,
+                    meaning=f"Off the {words} of the scene",
+                    unit=unit_of(self.number.parameter) or "",
+                    minimum=-far,
+                    maximum=far,
+                    start=0.0,
+                    plausible=(-_USUAL_PART * far, _USUAL_PART * far),
+                    nodes=(-far, -0.4 * far, 0.4 * far, far),
+                ),
+            ),
+            family="numbers",
+            look=f"Measure the {words} again, with another instrument.",
+            number=self.number,
+        )
 
 
 def read_tolerances(
-    document: TomlDocument, scene: SceneFile, measurements: Measurements, known: Collection[str]
+    document: TomlDocument, scene: SceneFile, measurements: Measurements
 ) -> tuple[Tolerance, ...]:
-    """``[tolerances]`` of a campaign; `known` are the parameters that it fits or holds.
+    """``[tolerances]`` of a campaign.
 
-    Raises InputError, with the line, if a name is no number of the scene or is among `known`, or
-    where the uncertainty is none or larger than the number can be.
+    Raises InputError, with the line, if a name is no number of the scene or is a parameter of the
+    campaign, or where the uncertainty is none or larger than the number can be.
     """
     table, tolerances = document.table(TOLERANCES), list[Tolerance]()
+    known = document.table("parameters")
     if table.get(NONE) is True and len(table) == 1:
         return ()
     for name in table:
@@ -89,15 +104,13 @@ def read_tolerances(
         # where the column varies each value is a part; the index of air is none
         rows = [{**scene.parameters, **reading.parameters} for reading in measurements.readings]
         of_rows = dict.fromkeys(float(row[name]) for row in rows)
-        whole = Tolerance(name, sigma)
-        parts = [replace(whole, value=value) for value in of_rows]
+        parts = [BenchNumber(name, value) for value in of_rows]
         parts = [part for part in parts if any(map(part.is_of, rows))]
-        for part in parts:
-            _refuse_sigma(table, part)
+        far = [_farthest(table, part, sigma) for part in parts]
         if len(of_rows) > 1 and each == EACH_VALUE:
-            tolerances += parts
+            tolerances += [Tolerance(n, sigma, f) for n, f in zip(parts, far, strict=True)]
         elif parts:
-            tolerances.append(whole)
+            tolerances.append(Tolerance(BenchNumber(name), sigma, min(far)))
     return tuple(tolerances)
 
 
@@ -117,14 +130,21 @@ def _refuse_name(table: TomlTable, name: str, scene: SceneFile, known: Collectio
         raise table.refusal(name, f"{name} is not a number", f"remove {name}")
 
 
-def _refuse_sigma(table: TomlTable, part: Tolerance) -> None:
-    """Refuse an uncertainty that is none, or by which the number would be impossible."""
-    name, value, sigma = part.parameter, part.value, part.sigma
+def _farthest(table: TomlTable, part: BenchNumber, sigma: float) -> float:
+    """How far a number may be off where it is wrong.
+
+    Refuses an uncertainty that is none, or by which the number would be impossible.
+    """
+    name, value = part.parameter, part.value
     assert value is not None  # of a column, or the scene's own
     if not sigma > 0.0:
         mend = f"give the standard uncertainty, or remove {name}: it is exact then"
         raise table.refusal(name, f"the uncertainty {sigma:g} of {name} is not above 0", mend)
-    for end in (value - REACH * sigma, value + REACH * sigma):
-        if (wrong := judge(name, end)) is not None:
-            problem = f"{name} = {value:g} ± {sigma:g} reaches {end:g}: {wrong[1]}"
-            raise table.refusal(name, problem, "give a smaller uncertainty")
+    for times in _WRONG_BY:
+        ends = (value - times * sigma, value + times * sigma)
+        wrong = [(end, why) for end in ends if (why := judge(name, end)) is not None]
+        if not wrong:
+            return times * sigma
+    ((end, why), *_) = wrong
+    problem = f"{name} = {value:g} ± {sigma:g} reaches {end:g}: {why[1]}"
+    raise table.refusal(name, problem, "give a smaller uncertainty")

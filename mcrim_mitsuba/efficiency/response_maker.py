@@ -308,30 +308,17 @@ class ResponseMaker:
 
     def _plan_of_tolerance(self, tolerance: Tolerance, plain: Sequence[PlannedRun]) -> _EffectPlan:
         """A number of the bench, off by `REACH` of its uncertainties either way."""
-        reach = REACH * tolerance.sigma
-        parameter = EffectParameter(
-            name="offset",
-            meaning="off the scene's value",
-            minimum=-reach,
-            maximum=reach,
-            start=0.0,
-            plausible=(-reach, reach),
-            nodes=(-reach, reach),
-        )
+        effect, reach = tolerance.wrong, REACH * tolerance.sigma
+        (parameter,) = effect.parameters
         nodes = []
         for number, run in enumerate(plain):
-            if not tolerance.is_of(run.parameters):
-                continue
-            of_beam = run.of_beam
-            bench = replace(run, photons=self._look_photons, check=False)
-            for place, offset in enumerate((-reach, reach), start=1):
-                number_there = float(run.parameters[tolerance.parameter]) + offset
-                values = {**run.parameters, tolerance.parameter: number_there}
-                moved = self._simulation(
-                    self.campaign.scene, values, bench.photons, of_beam=of_beam
-                )
-                nodes.append(_Node((place,), number, bench.table(), moved.table()))
-        return _EffectPlan(tolerance.name, (Axis(parameter, [0.0, -reach, reach]),), nodes)
+            if self._is_seen(effect, run):
+                source, reference = self._sources(effect, run, self._look_photons)
+                for place, offset in enumerate((-reach, reach), start=1):
+                    changed = self._changed(effect, source, run, {parameter.name: offset})
+                    nodes.append(_Node((place,), number, reference, changed))
+        axes = (Axis(parameter, [0.0, -reach, reach]),)
+        return _EffectPlan(tolerance.number.name, axes, nodes)
 
     def _sources(
         self, effect: Effect, run: PlannedRun, photons: int
@@ -362,7 +349,10 @@ class ResponseMaker:
         if self._weighs(effect):
             return source.table(effect=effect, values=values)
         scene = _with_effect(self.campaign.scene, effect)
-        there = {**self._left(scene, run.parameters), **values}
+        there = {
+            **self._left(scene, run.parameters),
+            **_as_scene_values(effect, run.parameters, values),
+        }
         return self._simulation(scene, there, source.photons, of_beam=run.of_beam).table()
 
     def _response(
@@ -414,6 +404,10 @@ class ResponseMaker:
             for name in (ALPHA_SCAT, ALPHA_ABS):  # a sample may have its own
                 if (of := self.campaign.parameter_of(reading, name)) != name:
                     there[name] = values[of]
+            for effect in physical:
+                if effect.number is not None and effect.number.is_of(there):
+                    own = {p.name: values.get(p.name, 0.0) for p in effect.parameters}
+                    there |= _as_scene_values(effect, there, own)
             points.append(there)
             run = self._simulation(scene, there, photons, of_beam=reading.of_beam)
             wanted.append(run.table(coarse=False))
@@ -460,6 +454,8 @@ class ResponseMaker:
 
     def _is_seen(self, effect: Effect, run: PlannedRun) -> bool:
         """Whether a reading can see an effect at all."""
+        if effect.number is not None:
+            return effect.number.is_of(run.parameters)
         if effect.filled_only and not filled(run.parameters):
             return False
         if effect.of_beam:
@@ -552,7 +548,9 @@ def _scene_for(scene: SceneFile, of_beam: bool) -> SceneFile:
 
 @functools.lru_cache(maxsize=128)
 def _with_effect(scene: SceneFile, effect: Effect) -> SceneFile:
-    """The scene with an effect in it, where it is not there yet."""
+    """The scene with an effect in it, where it is not there yet, or is written there at all."""
+    if effect.number is not None:
+        return scene
     names = [p.name for p in effect.parameters]
     if effect.is_in(scene) or (names and all(name in scene.parameters for name in names)):
         return scene
@@ -593,6 +591,17 @@ def _axis(
         above = max([1.0, *(node / high for node in nodes if node > high > 0)])
         nodes = [node / (below if node < 0 else above) for node in nodes]
     return Axis(parameter, [*absent, *nodes], nominal)
+
+
+def _as_scene_values(
+    effect: Effect, values_of: Mapping[str, Value], values: Mapping[str, float]
+) -> dict[str, Value]:
+    """Values of an effect's parameters as a configuration's scene takes them."""
+    number = effect.number
+    if number is None:
+        return dict(values)
+    own = float(values_of[number.parameter])
+    return {number.parameter: own + sum(values.values())}
 
 
 def _nodes(axes: Sequence[Axis]) -> Iterator[tuple[tuple[int, ...], dict[str, float]]]:

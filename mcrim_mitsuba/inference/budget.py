@@ -51,7 +51,7 @@ def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, Erro
             parts[origin] = np.abs(moved)
     of_numbers = np.abs(pulled @ minimum.weights.errors.tolerances).T
     for number, part in zip(fit.offsets, of_numbers, strict=True):
-        parts[f"tolerance, {number.tolerance.words}"] = part
+        parts[f"tolerance, {number.tolerance.number.words}"] = part
     parts["monte_carlo"] = quantities.sigmas
     budgets = {}
     for i, (name, value) in enumerate(

@@ -99,7 +99,7 @@ class Calibration:
         """Plain numbers, strings, lists and dicts; what is not finite becomes None."""
         matrices = attributes(self, "covariance correlation")
         tolerances = {
-            number.tolerance.name: {"tolerance": number.tolerance.sigma}
+            number.tolerance.number.name: {"tolerance": number.tolerance.sigma}
             | attributes(number, "offset sigma of_scale")
             for number in self.offsets
         }

@@ -203,9 +203,9 @@ class ResponseModel:
         )
         #: By tolerance that was simulated.
         self.tolerances = {
-            tolerance: responses.effects[tolerance.name]
+            tolerance: responses.effects[tolerance.number.name]
             for tolerance in campaign.tolerances
-            if tolerance.name in responses.effects
+            if tolerance.number.name in responses.effects
         }
         self._column = {parameter.name: i for i, parameter in enumerate(self.free)}
         self._set_rows()

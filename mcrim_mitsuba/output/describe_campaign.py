@@ -82,7 +82,10 @@ _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 
 #: Of the bench, with tolerances.
 _NUMBERS = (
-    Column("number", of=lambda number: Cell(number.tolerance.words, number.tolerance.name)),
+    Column(
+        "number",
+        of=lambda number: Cell(number.tolerance.number.words, number.tolerance.number.name),
+    ),
     Column("tolerance", of="tolerance.sigma", form=".2g"),
     Column("off, by the readings", "offset", of=lambda n: measured(n.offset, n.sigma)),
     Column(

@@ -209,38 +209,40 @@ def test_strange_readings_end_in_a_line_or_in_a_fit_that_says_so(campaign, rows,
     assert found.parameters["alpha_scat_per_cm"].value > 3
 
 
-def test_a_tolerance_is_a_fitted_number_with_a_prior(scenes, tmp_path):
-    """Integrated out to first order, and fitted along five nodes: one yield, one offset.
-
-    Sixteen readings of a crystal that is wider than its scene has it.
-    """
+@pytest.fixture
+def wide(scenes, tmp_path):
+    """Writes a campaign of a crystal 0.3 mm wider than its scene has it; gives its simulations."""
     scene = (scenes / "camoo4.xml").read_text()
-    narrow, wide = (f'name="crystal_width_mm" value="{width}"' for width in ("10", "10.3"))
-    text, *priors = (scenes / "camoo4_misfit.toml").read_text().partition("[parameters")
+    narrow, broad = (f'name="crystal_width_mm" value="{width}"' for width in ("10", "10.3"))
+    text, *known = (scenes / "camoo4_misfit.toml").read_text().partition("[parameters")
     header, *table = [
         line.split(",")
         for line in (scenes / "camoo4_misfit.csv").read_text().splitlines()
         if not line.startswith("#")
     ]
 
-    def fit(scene: str, parameters: str, rows: list[list[str]]):
+    def write(scene: str, parameters: str, rows: list[list[str]]) -> CampaignSimulations:
         (tmp_path / "camoo4.xml").write_text(scene)
         (tmp_path / "camoo4_misfit.csv").write_text("\n".join(map(",".join, (header, *rows))))
         path = tmp_path / "campaign.toml"
         path.write_text(text + parameters)
-        return calibrate(CampaignSimulations(read_campaign(path), Run(131_072)))
+        return CampaignSimulations(read_campaign(path), Run(65_536))
 
     truth = {"alpha_scat_per_cm": 0.5, "alpha_abs_per_cm": 0.055, "scale": 40.0}
     held = "".join(f"[parameters.{n}]\nstart = {v}\nfixed = true\n" for n, v in truth.items())
-    made = fit(scene.replace(narrow, wide), held, table).rows
+    made = calibrate(write(scene.replace(narrow, broad), held, table)).rows
     rows = [
         [label, f"{reading.model:.6g}", f"{0.007 * reading.model:.4g}", *rest]
         for reading, (label, _, _, *rest) in zip(made, table, strict=True)
     ]
-    known = "".join(priors)
-    integrated = fit(scene, f"{known}\n[tolerances]\ncrystal_width_mm = 0.3\n", rows)
+    return lambda more: write(scene, f"{''.join(known)}\n{more}", rows)
+
+
+def test_a_tolerance_is_a_fitted_number_with_a_prior(wide):
+    """Integrated out to first order, and fitted along five nodes: one yield, one offset."""
+    integrated = calibrate(wide("[tolerances]\ncrystal_width_mm = 0.3\n"))
     prior = "prior = 10\nprior_sigma = 0.3\nmin = 9.2\nmax = 10.8\n"
-    fitted = fit(scene, f"{known}\n[parameters.crystal_width_mm]\n{prior}", rows)
+    fitted = calibrate(wide(f"[parameters.crystal_width_mm]\n{prior}"))
     (offset,), estimate = integrated.offsets, fitted.parameters["crystal_width_mm"]
     assert offset.sigma < 0.06 and abs(offset.offset - 0.3) < 3 * offset.sigma
     assert offset.offset == pytest.approx(estimate.value - 10.0, abs=0.08)
@@ -250,3 +252,17 @@ def test_a_tolerance_is_a_fitted_number_with_a_prior(scenes, tmp_path):
     assert light.value == pytest.approx(other.value, abs=0.2 * other.sigma)
     assert light.sigma == pytest.approx(other.sigma, rel=0.05)
     assert light.contributions["tolerances"] == pytest.approx(offset.of_scale * light.value)
+
+
+def test_a_number_that_is_wrong_is_named(wide):
+    """By five of its uncertainties: what a tolerance does not take up."""
+    simulations = wide("[tolerances]\ncrystal_width_mm = 0.06\nn_window = 0.005\ngap_mm = 0.01\n")
+    wrong = {"wrong:crystal_width_mm", "wrong:n_window", "wrong:gap_mm=0.05", "wrong:gap_mm=0.5"}
+    possible = simulations.possible()
+    assert wrong == {name for name in possible if name.startswith("wrong:")}
+    assert "gap_thickness" not in possible  # a number with a tolerance is a candidate by itself
+    others = ("edge_chamfer", "surface_roughness", "mask_offset")
+    diagnosis = diagnose(simulations, only=(*sorted(wrong), *others))
+    assert diagnosis.leading[0] == "wrong:crystal_width_mm", diagnosis.reason
+    offset = diagnosis.candidates[0].parameters["wrong_crystal_width_offset_mm"]
+    assert abs(offset.value - 0.3) < 3 * offset.sigma < 0.4
