@@ -885,6 +885,7 @@ def of_plan(planning: Planning) -> Description:
             strong=lambda plan: plan is planning.cheapest,
         ),
         map(strong, sentences.verdict(planning)),
+        sentences.rehearsal_text(planning),
         f"Assumed: {assumed.events_per_second:g} events per second in the band, "
         f"{assumed.minutes_per_mounting:g} minutes per mounting, a scatter of "
         f"{percent(assumed.mounting_scatter)} from mounting to mounting, and a spread of "

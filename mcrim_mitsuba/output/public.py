@@ -880,7 +880,7 @@ def plan(
     Returns
     -------
     PlanResult
-        With ``cheapest``, ``plans``, ...; picture ``plan``.
+        With ``cheapest``, ``plans``, ``capability``, ...; picture ``plan``.
     """
     from mcrim_mitsuba.inference.plan import plan as plan_measurement
     from mcrim_mitsuba.output.campaign_results import PlanResult
