@@ -279,6 +279,8 @@ def _doubt(fit: Calibration) -> Iterator[str]:
             f"the model does not describe the readings: chi2 = {fit.chi2:.3g}, "
             f"{p_equals(fit.p_value)}: the doubt about the model is not in these plans"
         )
+    if fit.offsets:
+        yield "the bench's numbers count as exact in these plans, whatever their tolerances"
     for name, estimate in fit.parameters.items():
         if estimate.at_bound is not None:
             at_bound = f"the campaign's own fit ended with {name} at its bound"

@@ -150,6 +150,11 @@ def _shapes(profiles: Iterable[Profile]) -> Iterator[Piece]:
     return (strong(f"- {words}") for words in sentences.shapes(profiles))
 
 
+def numbers_table(fit: Calibration) -> Table:
+    """The bench's numbers that have tolerances, and how far off the readings have them."""
+    return records("numbers of the bench", _NUMBERS, fit.offsets)
+
+
 def _origins(fit: Calibration) -> Iterator[Piece]:
     """Where the errors of a fit come from; parameters at a bound have none that mean anything."""
     origins = (*_ORIGINS, *(["tolerances"] if fit.offsets else []))
@@ -160,7 +165,7 @@ def _origins(fit: Calibration) -> Iterator[Piece]:
         rows.append((_title(name), *(shown(parts.get(origin), ".2g") for origin in origins)))
     yield table("where the errors come from", columns, rows)
     if fit.offsets:
-        yield records("numbers of the bench", _NUMBERS, fit.offsets)
+        yield numbers_table(fit)
     light = fit.parameters.get(LIGHT_YIELD)
     if light is not None and light.efficiency_contributions:
         words = (f"{name} {part:.2g}" for name, part in light.efficiency_contributions.items())
