@@ -2,7 +2,7 @@
 
 Tests lie in folders by room of the package; `project` has what concerns all of it, `scripts` those
 of scripts/, and `test_golden.py` holds what commands give. `places`, `refusals`, `comparisons`,
-`browser` and the benches that cost no simulation (`formula_surfaces`, `synthetic_bench`,
+`browser` and benches that cost no simulation (`formula_surfaces`,
 `findings_by_hand`) are for all: this folder and scripts/ are on the path.
 """
 

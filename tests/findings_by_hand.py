@@ -73,7 +73,17 @@ def rows(shrunk: float = 1.0) -> tuple[FittedRow, ...]:
 
 
 #: A fit made by hand has no model, and no profiles.
-MINIMUM = cast(Minimum, SimpleNamespace(names=(), statistic=SimpleNamespace(model=None)))
+NONE = np.zeros((0, 0))
+MINIMUM = cast(
+    Minimum,
+    SimpleNamespace(
+        names=(),
+        statistic=SimpleNamespace(model=None),
+        weights=SimpleNamespace(errors=SimpleNamespace(tolerances=NONE)),
+        weighted_residuals=np.zeros(0),
+        precision=NONE,
+    ),
+)
 
 
 def calibration(parameters=FITTED, shrunk: float = 1.0, chi2: float = 64.2) -> Calibration:

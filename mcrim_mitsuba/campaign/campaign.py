@@ -25,6 +25,7 @@ from mcrim_mitsuba.campaign.parameter import (
 from mcrim_mitsuba.campaign.raw_data import file_in
 from mcrim_mitsuba.campaign.reduction import RawData, reduce_raw_data
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR, Sample, own_name, read_samples
+from mcrim_mitsuba.campaign.tolerances import Tolerance, read_tolerances
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by, visible
 from mcrim_mitsuba.core.files import READS, collected, is_there
 from mcrim_mitsuba.core.numbers import (
@@ -99,6 +100,8 @@ class Campaign:
     unit: str = ""
     #: Crystals among the readings besides the campaign's own.
     samples: dict[str, Sample] = field(default_factory=dict)
+    #: How exactly the scene's numbers are known; what is not named is exact.
+    tolerances: tuple[Tolerance, ...] = ()
     #: ``article``: conventions and physics are those of the article; None: of this package.
     convention: str | None = None
     #: Effects that are in its scene because material and energy are named, and a note of them.
@@ -271,12 +274,15 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         document, scene, measurements, of_effects | {*scene.parameters, EFFICIENCY_FACTOR}
     )
     _refuse_rows_the_scene_cannot_take(scene, measurements)
+    tolerances = read_tolerances(document, scene, measurements)
+    wrong = {effect.name: effect for effect in (tolerance.wrong for tolerance in tolerances)}
     campaign = Campaign(
         path=document.path,
         scene=scene,
         measurements=measurements,
         effects_folder=folder,
-        catalogue=effects,
+        catalogue={**effects, **wrong},
+        tolerances=tolerances,
         raw=raw,
         beam=_read_beam(document, scene, measurements),
         executed=() if folder is None else (whose(folder),),

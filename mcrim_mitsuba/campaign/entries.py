@@ -44,6 +44,14 @@ NEXT_SIGMA = "sigma_relative"
 #: What it takes to change a scene parameter, beside the mounting itself.
 NEXT_MINUTES = "minutes"
 
+#: Standard uncertainties of the scene's numbers, that all are exact, and of one number: its
+#: standard uncertainty, and whether every value of a column is a part of its own.
+TOLERANCES = "tolerances"
+NONE = "none"
+SIGMA = "sigma"
+EACH = "each"
+EACH_VALUE = "value"
+
 #: Characters of a title or a unit, at most: they stand in one line of a figure.
 LONGEST_WORDS = 100
 
@@ -179,6 +187,14 @@ BEAM: Entries = {
 PEAKS: Entries = {
     "shape": {"enum": list(SHAPES), "description": "How the peaks of histograms are described"}
 }
+#: Of an entry of ``[tolerances]``.
+TOLERANCE: Entries = {
+    SIGMA: _number("Standard uncertainty, in the unit of the name", exclusiveMinimum=0),
+    EACH: {
+        "enum": [EACH_VALUE, "all"],
+        "description": "Whether every value of a column has an offset of its own, or all have one",
+    },
+}
 #: Of ``[next_measurements]``, beside the lists of values.
 NEXT_ENTRIES: Entries = {
     NEXT_SIGMA: _number(
@@ -225,6 +241,14 @@ CAMPAIGN: Entries = {
         "description": "Values of scene parameters among which further measurements are proposed",
         "properties": NEXT_ENTRIES,
         "additionalProperties": _VALUES,
+    },
+    TOLERANCES: {
+        "type": "object",
+        "description": "Standard uncertainties of the scene's numbers, by name",
+        "properties": {NONE: {"const": True, "description": "All numbers are exact"}},
+        "additionalProperties": {
+            "anyOf": [TOLERANCE[SIGMA], _table("Of a column of the readings", TOLERANCE)]
+        },
     },
     HISTOGRAMS: _table("How histograms become readings", PEAKS),
     BEAM_TABLE: _table("The spectrophotometer, of readings of the kind transmittance", BEAM),

@@ -143,17 +143,20 @@ def _after_comparison(campaign: str, measurements: Path, comparison) -> str:
 @options.campaign
 @options.effects("--without", "Leave these out.")
 @options.effects("--only", "Try these alone.")
+@options.option(
+    "--sure", options.Number("P", 0.5, 1.0), "Probability from which it is named.", default=0.9
+)
 @options.figure("the ranking of the effects")
 @options.effect_photons
 @options.work
-def diagnose(campaign, figure, json_file, work, without, only) -> None:
+def diagnose(campaign, figure, json_file, work, without, only, sure) -> None:
     """Rank the catalogue's effects as explanations of a misfit of CAMPAIGN (TOML).
 
-    The campaign is fitted with each effect added in turn, and with pairs where none suffices.
+    The campaign is fitted with each effect added in turn; all sets of up to three are weighed.
     """
     read = showing.read_campaign(campaign, json_file, figure)
     with work.begin() as run:
-        diagnosis = mcrim.diagnose(read, without=without, only=only, run=run)
+        diagnosis = mcrim.diagnose(read, without=without, only=only, sure=sure, run=run)
     screen = showing.answer(diagnosis, json_file, figure)
     screen.line(f"Next: {_after_diagnosis(campaign, diagnosis)}", style="bold")
 

@@ -17,7 +17,7 @@ from mcrim_mitsuba.core.files import read_text
 from mcrim_mitsuba.core.numbers import number_of, parse_number
 from mcrim_mitsuba.core.run import OWN_MODULES
 from mcrim_mitsuba.effects import crystal, crystal_faces, detector, gap, readings, surroundings
-from mcrim_mitsuba.effects.effect import Effect, function_of
+from mcrim_mitsuba.effects.effect import WRONG, Effect, function_of
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
@@ -214,7 +214,10 @@ def _broken(effect: Effect, problem: str, error: Exception | None = None) -> Bro
 def effect_of(name: str, effects: Mapping[str, Effect], path: str | Path | None = None) -> Effect:
     """The effect of a name, or an InputError that says which there are."""
     if name not in effects:
-        raise InputError(f"there is no effect {name}", did_you_mean(name, effects), path=path)
+        mend = did_you_mean(name, effects)
+        if name.startswith(WRONG) and not any(other.startswith(WRONG) for other in effects):
+            mend = "it is one of a campaign with [tolerances]; a scene's number is edited there"
+        raise InputError(f"there is no effect {name}", mend, path=path)
     return effects[name]
 
 

@@ -12,13 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from mcrim_mitsuba.core.numbers import Value
+from mcrim_mitsuba.core.numbers import Value, said, unit_of, without_unit
 from mcrim_mitsuba.core.run import OWN_MODULES
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.spectrophotometer import GAP_INDEX
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+#: Before the name of a number of the bench, as the name of the effect that it is wrong.
+WRONG = "wrong:"
 _COORDINATES = ("linear", "reciprocal", "logarithmic")
 
 Columns = Mapping[str, np.ndarray]
@@ -164,16 +167,51 @@ class EffectParameter:
 
 
 @dataclass(frozen=True)
+class BenchNumber:
+    """A number of the bench: a scene parameter, or one of its values where readings differ."""
+
+    parameter: str
+    #: None: all of them.
+    value: float | None = None
+
+    @property
+    def name(self) -> str:
+        """``n_window``; of one value of several ``aperture_radius_mm=7``."""
+        return self.parameter if self.value is None else f"{self.parameter}={self.value:g}"
+
+    @property
+    def words(self) -> str:
+        """``window index``; ``mask radius 7 mm``."""
+        if self.value is None:
+            return without_unit(self.parameter)
+        return said(self.parameter, self.value)
+
+    @property
+    def offset_name(self) -> str:
+        """What a fitted offset of it is called: ``wrong_aperture_radius_7_offset_mm``."""
+        unit = unit_of(self.parameter)
+        ending = f"_{unit}" if unit == "mm" else ""
+        value = "" if self.value is None else f"_{self.value:g}".translate({46: "_", 45: "m"})
+        return f"wrong_{self.parameter.removesuffix(ending)}{value}_offset{ending}"
+
+    def is_of(self, values: Mapping[str, Value]) -> bool:
+        """Whether a configuration with these values has it; the index of air is known."""
+        if self.parameter not in values or (self.parameter == GAP_INDEX and not filled(values)):
+            return False
+        return self.value is None or self.value == values[self.parameter]
+
+
+@dataclass(frozen=True)
 class Effect:
     """Something that the plain bench leaves out and a laboratory may meet.
 
     An effect enters through `edit` (it is simulated), through `weight` (photon records of a
-    scene without it, or with it at `proposal`, are reweighted exactly) or through `reading`
-    (it acts on signals, whatever the photons did). One with a `weight` usually has an `edit`
-    too, for people who want to see it in a scene.
+    scene without it, or with it at `proposal`, are reweighted exactly), through `reading`
+    (it acts on signals, whatever the photons did) or by a `number` that is off. One with a
+    `weight` usually has an `edit` too, for people who want to see it in a scene.
 
-    Raises ValueError if it has none of `edit`, `weight`, `colours` and `reading`, or contradicts
-    itself.
+    Raises ValueError if it has none of `edit`, `weight`, `colours`, `reading` and `number`, or
+    contradicts itself.
     """
 
     #: Its id.
@@ -217,6 +255,8 @@ class Effect:
     #: of the signals' shape, whose last axis is that of the rows; ``rows`` may be left out of what
     #: it takes. It acts on light, never on transmittances.
     reading: Reading | None = None
+    #: The number of the bench whose offset its one parameter is.
+    number: BenchNumber | None = None
     #: Of several effects on the readings, that of the lower number acts first.
     order: int = 0
     #: What it is a relative of, such as ``surface`` or ``gap``: a verdict may name the family where
@@ -241,9 +281,9 @@ class Effect:
 
     def __post_init__(self) -> None:
         """Refuse (ValueError) what makes no sense; a function of the reading gets all arguments."""
-        if not _NAME.fullmatch(self.name):
+        if self.number is None and not _NAME.fullmatch(self.name):
             raise ValueError(f"the name {self.name!r} is not letters, digits and _")
-        acts = (self.edit, self.weight, self.colours, self.reading)
+        acts = (self.edit, self.weight, self.colours, self.reading, self.number)
         if all(act is None for act in acts):
             problem = "has none of edit, weight, colours and reading: it does nothing"
             raise ValueError(f"{self.name} {problem}")

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
+from mcrim_mitsuba.campaign.tolerances import REACH, Tolerance
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
@@ -98,7 +99,8 @@ class _Node(NamedTuple):
 class _EffectPlan:
     """What an effect's response is made of; readings without nodes do not see the effect."""
 
-    effect: Effect
+    #: Of the effect, or of a tolerance.
+    name: str
     axes: tuple[Axis, ...]
     nodes: Sequence[_Node]
 
@@ -204,12 +206,14 @@ class ResponseMaker:
         a scene is not sound, leaks, or cannot take an effect.
         """
         benches = self._benches()
-        plans = list(self._plans(effects, look, [bench.run for bench in benches]))
+        plain = [bench.run for bench in benches]
+        plans = list(self._plans(effects, look, plain))
+        plans += [self._plan_of_tolerance(each, plain) for each in self.campaign.tolerances]
         of_benches = [table for bench in benches for table in bench.tables]
         tables = self.schedule.tables([*of_benches, *(t for plan in plans for t in plan.tables)])
         self.schedule.rest_on(_PLAIN, of_benches)
         for plan in plans:
-            self.schedule.rest_on(plan.effect.name, plan.tables)
+            self.schedule.rest_on(plan.name, plan.tables)
         known = [
             bench.closed_form or [tables[table.number] for table in bench.tables]
             for bench in benches
@@ -220,7 +224,7 @@ class ResponseMaker:
             (number, bench.run.radius_mm): table
             for number, (bench, (_, table)) in enumerate(zip(benches, known, strict=True))
         }
-        responses = {plan.effect.name: self._response(plan, tables, coarse) for plan in plans}
+        responses = {plan.name: self._response(plan, tables, coarse) for plan in plans}
         return Responses(
             self.grid, self._coarse, log_eta, deviations, responses, self.schedule.photons
         )
@@ -300,7 +304,21 @@ class ResponseMaker:
                         angle = further.nominal + offset
                         pair = _within(reference, angle), _within(changed, angle)
                     nodes.append(_Node((*place, i), number, *pair))
-        return _EffectPlan(effect, axes if further is None else (*axes, further), nodes)
+        return _EffectPlan(effect.name, axes if further is None else (*axes, further), nodes)
+
+    def _plan_of_tolerance(self, tolerance: Tolerance, plain: Sequence[PlannedRun]) -> _EffectPlan:
+        """A number of the bench, off by `REACH` of its uncertainties either way."""
+        effect, reach = tolerance.wrong, REACH * tolerance.sigma
+        (parameter,) = effect.parameters
+        nodes = []
+        for number, run in enumerate(plain):
+            if self._is_seen(effect, run):
+                source, reference = self._sources(effect, run, self._look_photons)
+                for place, offset in enumerate((-reach, reach), start=1):
+                    changed = self._changed(effect, source, run, {parameter.name: offset})
+                    nodes.append(_Node((place,), number, reference, changed))
+        axes = (Axis(parameter, [0.0, -reach, reach]),)
+        return _EffectPlan(tolerance.number.name, axes, nodes)
 
     def _sources(
         self, effect: Effect, run: PlannedRun, photons: int
@@ -331,7 +349,10 @@ class ResponseMaker:
         if self._weighs(effect):
             return source.table(effect=effect, values=values)
         scene = _with_effect(self.campaign.scene, effect)
-        there = {**self._left(scene, run.parameters), **values}
+        there = {
+            **self._left(scene, run.parameters),
+            **_as_scene_values(effect, run.parameters, values),
+        }
         return self._simulation(scene, there, source.photons, of_beam=run.of_beam).table()
 
     def _response(
@@ -357,7 +378,7 @@ class ResponseMaker:
             log_ratio[(*node.place, node.reading)] = added.log_eta
             of_batches: Any = (slice(None), *node.place, node.reading)
             deviations[of_batches] = added.deviations
-        self._refuse_darkness(log_ratio, len(plan.axes), f" with {plan.effect.name}")
+        self._refuse_darkness(log_ratio, len(plan.axes), f" with {plan.name}")
         return EffectResponse(plan.axes, log_ratio, deviations)
 
     def anchor(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Anchor:
@@ -383,6 +404,10 @@ class ResponseMaker:
             for name in (ALPHA_SCAT, ALPHA_ABS):  # a sample may have its own
                 if (of := self.campaign.parameter_of(reading, name)) != name:
                     there[name] = values[of]
+            for effect in physical:
+                if effect.number is not None and effect.number.is_of(there):
+                    own = {p.name: values.get(p.name, 0.0) for p in effect.parameters}
+                    there |= _as_scene_values(effect, there, own)
             points.append(there)
             run = self._simulation(scene, there, photons, of_beam=reading.of_beam)
             wanted.append(run.table(coarse=False))
@@ -429,6 +454,8 @@ class ResponseMaker:
 
     def _is_seen(self, effect: Effect, run: PlannedRun) -> bool:
         """Whether a reading can see an effect at all."""
+        if effect.number is not None:
+            return effect.number.is_of(run.parameters)
         if effect.filled_only and not filled(run.parameters):
             return False
         if effect.of_beam:
@@ -521,7 +548,9 @@ def _scene_for(scene: SceneFile, of_beam: bool) -> SceneFile:
 
 @functools.lru_cache(maxsize=128)
 def _with_effect(scene: SceneFile, effect: Effect) -> SceneFile:
-    """The scene with an effect in it, where it is not there yet."""
+    """The scene with an effect in it, where it is not there yet, or is written there at all."""
+    if effect.number is not None:
+        return scene
     names = [p.name for p in effect.parameters]
     if effect.is_in(scene) or (names and all(name in scene.parameters for name in names)):
         return scene
@@ -562,6 +591,17 @@ def _axis(
         above = max([1.0, *(node / high for node in nodes if node > high > 0)])
         nodes = [node / (below if node < 0 else above) for node in nodes]
     return Axis(parameter, [*absent, *nodes], nominal)
+
+
+def _as_scene_values(
+    effect: Effect, values_of: Mapping[str, Value], values: Mapping[str, float]
+) -> dict[str, Value]:
+    """Values of an effect's parameters as a configuration's scene takes them."""
+    number = effect.number
+    if number is None:
+        return dict(values)
+    own = float(values_of[number.parameter])
+    return {number.parameter: own + sum(values.values())}
 
 
 def _nodes(axes: Sequence[Axis]) -> Iterator[tuple[tuple[int, ...], dict[str, float]]]:

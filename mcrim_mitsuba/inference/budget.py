@@ -49,6 +49,9 @@ def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, Erro
             origin = _PRIORS.get(parameter.name, f"prior, {parameter.name}")
             moved = quantities.slopes @ fit.covariance[:, i] / parameter.prior_sigma
             parts[origin] = np.abs(moved)
+    of_numbers = np.abs(pulled @ minimum.weights.errors.tolerances).T
+    for number, part in zip(fit.offsets, of_numbers, strict=True):
+        parts[f"tolerance, {number.tolerance.number.words}"] = part
     parts["monte_carlo"] = quantities.sigmas
     budgets = {}
     for i, (name, value) in enumerate(

@@ -205,6 +205,7 @@ def diagnose(
     without: Sequence[str] = (),
     only: Sequence[str] = (),
     adding: Sequence[str] = (),
+    sure: float = JUDGING.named,
 ) -> Diagnosis:
     """Rank the catalogue's effects as explanations of a campaign's misfit.
 
@@ -236,6 +237,7 @@ def diagnose(
             fit=baseline,
             proposals=simulations.proposals(),
             adding=tuple(dict.fromkeys(adding)),
+            sure=sure,
             seed=run.seed,
             progress=lambda words: run.tell(words, 1, 1),
         )
@@ -322,6 +324,7 @@ def diagnose_models(
     fit: Calibration | None = None,
     proposals: MeasurementProposals | None = None,
     adding: tuple[str, ...] = (),
+    sure: float = JUDGING.named,
     seed: int = 0,
     progress: Callable[[str], None] = lambda words: None,
 ) -> Diagnosis:
@@ -334,10 +337,10 @@ def diagnose_models(
     the scene cannot take an effect.
 
     `effects` are tried, of all in the `catalogue` that may be missing (by default the same), and
-    `proposals` may be measured next. `fit` is that of the campaign as it
-    is, made here where it is not given. The repair adds `adding`, whatever the verdict. `seed` is
-    of the campaigns that are drawn to know what chance gains, and `progress` is told in words what
-    is being done.
+    `proposals` may be measured next. `fit` is that of the campaign as it is, made here where it is
+    not given. The repair adds `adding`, whatever the verdict. A family is named from the
+    probability `sure` on. `seed` is of the campaigns that are drawn to know what chance gains, and
+    `progress` is told in words what is being done.
     """
     began = time.perf_counter()
     fit = fit_model(models(())) if fit is None else fit
@@ -355,7 +358,7 @@ def diagnose_models(
             seconds=time.perf_counter() - began,
             titles=titles,
         )
-    judgement = _judged(explanations, seed, progress)
+    judgement = _judged(explanations, seed, sure, progress)
     verdict, weighing = judgement.verdict, judgement.weighing
     candidates = CandidateMaker(judgement)
     limits = {}
@@ -393,7 +396,9 @@ def diagnose_models(
     )
 
 
-def _judged(explanations: Explanations, seed: int, progress: Callable[[str], None]) -> Judgement:
+def _judged(
+    explanations: Explanations, seed: int, sure: float, progress: Callable[[str], None]
+) -> Judgement:
     """Every effect fitted, and all sets of causes weighed."""
     progress(f"fitting {len(explanations.effects)} effects")
     fits = explanations.singles()
@@ -403,7 +408,7 @@ def _judged(explanations: Explanations, seed: int, progress: Callable[[str], Non
     progress("drawing what chance would gain")
     null = NullDistribution(explanations, fits, seed)
     progress("weighing all sets of causes")
-    return Judgement(explanations, null, weigh_hypotheses(explanations, null))
+    return Judgement(explanations, null, weigh_hypotheses(explanations, null), sure)
 
 
 def _repair(

@@ -10,6 +10,8 @@ import numpy as np
 
 from mcrim_mitsuba.campaign.campaign import Campaign, LightYieldInput
 from mcrim_mitsuba.campaign.measurements import LIGHT, TRANSMITTANCE, Reading
+from mcrim_mitsuba.campaign.parameter import SCALE
+from mcrim_mitsuba.campaign.tolerances import Tolerance
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.drivers import Minimum
 from mcrim_mitsuba.inference.model import Prediction
@@ -32,8 +34,8 @@ class ParameterEstimate:
     #: statistic's curvature, and the interval is one-sided.
     at_bound: str | None
     #: `sigma` by origin: ``statistical`` (readings, what mountings share included),
-    #: ``prior``, ``monte_carlo`` and, for the light yield, ``detector_efficiency``; they
-    #: add up in quadrature.
+    #: ``prior``, ``monte_carlo``, ``tolerances`` where the campaign has any and, for the light
+    #: yield, ``detector_efficiency``; they add up in quadrature.
     contributions: dict[str, float]
     #: The part ``detector_efficiency`` by its own origins, where the campaign has the spectra;
     #: None elsewhere.
@@ -68,6 +70,49 @@ class FittedRow:
         return self.kind == TRANSMITTANCE
 
 
+@dataclass(frozen=True, kw_only=True)
+class NumberOffset:
+    """How far a number of the bench is off, as the readings have it."""
+
+    tolerance: Tolerance
+    #: In the number's unit; what is known beforehand, the tolerance around 0, is in it.
+    offset: float
+    sigma: float
+    #: Relative standard error of the scale, and so of the light yield, by the tolerance; None where
+    #: the scale is held.
+    of_scale: float | None
+
+
+def offsets(minimum: Minimum) -> tuple[NumberOffset, ...]:
+    """Offsets of the bench's numbers, which were integrated out of a fit's statistic.
+
+    With T what standard uncertainties do to the predictions, they are T^T C^-1 r and have the
+    variances 1 - T^T P T, in these units; P is `Minimum.precision`, r the residuals.
+    """
+    moved = minimum.weights.errors.tolerances
+    mean = moved.T @ minimum.weighted_residuals
+    variances = 1.0 - np.einsum("rt,rs,st->t", moved, minimum.precision, moved)
+    of_scale: list[float | None] = [None] * len(mean)
+    if SCALE in minimum.names:
+        relative = minimum.response[minimum.names.index(SCALE)] @ moved / minimum.values[SCALE]
+        of_scale = np.abs(relative).tolist()
+    return tuple(
+        NumberOffset(
+            tolerance=tolerance,
+            offset=tolerance.sigma * offset,
+            sigma=tolerance.sigma * math.sqrt(max(variance, 0.0)),
+            of_scale=part,
+        )
+        for tolerance, offset, variance, part in zip(
+            minimum.statistic.model.campaign.tolerances if len(mean) else (),
+            mean.tolist(),
+            variances.tolist(),
+            of_scale,
+            strict=True,
+        )
+    )
+
+
 def estimates(minimum: Minimum) -> dict[str, ParameterEstimate]:
     """Every free parameter with its errors by origin, and the light yield where it is known how.
 
@@ -83,6 +128,8 @@ def estimates(minimum: Minimum) -> dict[str, ParameterEstimate]:
         "prior": covariance**2 @ statistic.prior_weight,
         "monte_carlo": np.square(response @ errors.simulated).sum(axis=1),
     }
+    if errors.tolerances.size:
+        variances["tolerances"] = np.square(response @ errors.tolerances).sum(axis=1)
     parameters = {}
     for i, bounds in enumerate(statistic.free):
         whole, value = max(float(covariance[i, i]), 0.0), float(minimum.theta[i])

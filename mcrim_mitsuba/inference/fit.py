@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,14 @@ from mcrim_mitsuba.core.files import attributes, plain
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT
 from mcrim_mitsuba.core.rounding import p_equals
 from mcrim_mitsuba.inference.drivers import Minimum, find_minima
-from mcrim_mitsuba.inference.estimates import FittedRow, ParameterEstimate, estimates, fitted_rows
+from mcrim_mitsuba.inference.estimates import (
+    FittedRow,
+    NumberOffset,
+    ParameterEstimate,
+    estimates,
+    fitted_rows,
+    offsets,
+)
 from mcrim_mitsuba.inference.model import Model, Prediction, held
 from mcrim_mitsuba.inference.profiles import Profile, profiles_of
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, FIT_NOTES, ONE_SIGMA
@@ -82,12 +90,23 @@ class Calibration:
         """How chi2 rises along every free parameter and the light yield."""
         return profiles_of(self.minimum)
 
+    @cached_property
+    def offsets(self) -> tuple[NumberOffset, ...]:
+        """How far the bench's numbers are off, of those that the campaign has tolerances of."""
+        return offsets(self.minimum)
+
     def numbers(self) -> dict[str, Any]:
         """Plain numbers, strings, lists and dicts; what is not finite becomes None."""
         matrices = attributes(self, "covariance correlation")
+        tolerances = {
+            number.tolerance.number.name: {"tolerance": number.tolerance.sigma}
+            | attributes(number, "offset sigma of_scale")
+            for number in self.offsets
+        }
         return plain(
             attributes(self, "parameters fixed chi2 ndf p_value rows")
             | {name: {"names": self.names, "matrix": matrix} for name, matrix in matrices.items()}
+            | ({"tolerances": tolerances} if tolerances else {})
             | attributes(self, "converged notes")
         )
 

@@ -57,6 +57,8 @@ class Judgement:
     explanations: Explanations
     null: NullDistribution
     weighing: Weighing
+    #: Probability of a family from which it is named.
+    sure: float = JUDGING.named
 
     @property
     def baseline(self) -> Minimum:
@@ -177,7 +179,7 @@ class Judgement:
         return tuple(
             family
             for family, p in self.weighing.families.items()
-            if p >= JUDGING.named and family not in others
+            if p >= self.sure and family not in others
         )
 
     @property
@@ -189,7 +191,7 @@ class Judgement:
     def capability(self, seed: int) -> Capability:
         """What such readings could say, whatever they say."""
         families = {name: effect.family for name, effect in self.explanations.effects.items()}
-        return capability(self.weighing.design, families, seed)
+        return capability(self.weighing.design, families, seed, self.sure)
 
     @property
     def suspects(self) -> tuple[Suspect, ...]:
@@ -211,7 +213,7 @@ class Judgement:
         of_instrument = weighing.families[INSTRUMENT]
         of_effects = weighing.probability(lambda h: bool(h.effects))
         suspects = self.suspects
-        if suspects and of_instrument >= JUDGING.named:
+        if suspects and of_instrument >= self.sure:
             return _of_suspects(suspects)
         if of_effects >= 0.5 and weighing.p_value >= ACCEPTABLE_P and self.leading:
             return self._of_leading(suspects)

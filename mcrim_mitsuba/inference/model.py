@@ -50,6 +50,9 @@ class Prediction:
     #: its covariance E E^T; None unless asked for. Readings that share a simulation share its
     #: error; different simulations are independent.
     eta_errors: Array | None = None
+    #: (readings, tolerances) float64 or None: Change of `eta` by a standard uncertainty of each of
+    #: the campaign's numbers; with `eta_errors`, where it has tolerances.
+    eta_of_tolerances: Array | None = None
 
 
 class Model(Protocol):
@@ -198,6 +201,12 @@ class ResponseModel:
             "only {:g}..{:g} is simulated",
             "give it min and max within that range",
         )
+        #: By tolerance that was simulated.
+        self.tolerances = {
+            tolerance: responses.effects[tolerance.number.name]
+            for tolerance in campaign.tolerances
+            if tolerance.number.name in responses.effects
+        }
         self._column = {parameter.name: i for i, parameter in enumerate(self.free)}
         self._set_rows()
         self._latest: PredictionPoint | None = None
@@ -263,9 +272,10 @@ class ResponseModel:
                 eta_slopes[:, column] = eta * at.slopes[name]
         sent = self._sent(values, eta, eta_slopes)
         signal, signal_slopes, per_eta = self._read(values, *sent)
-        eta_errors = eta_sigma = None
+        eta_errors = eta_sigma = of_tolerances = None
         if covariance or check:
             eta_errors = eta[:, None] * errors_of(at.deviations)
+            of_tolerances = eta[:, None] * at.by_tolerances
             eta_sigma = np.sqrt(np.square(eta_errors).sum(axis=1))
         return Prediction(
             scale=values[SCALE],
@@ -277,6 +287,7 @@ class ResponseModel:
             eta_sigma=eta_sigma,
             interpolation_error=at.interpolation_error() * eta if check else None,
             eta_errors=eta_errors if covariance else None,
+            eta_of_tolerances=of_tolerances if covariance else None,
         )
 
     def _sent(
@@ -383,6 +394,7 @@ class PredictionPoint:
     ) -> None:
         self.values = values
         self._anchor, self._responses = model.anchor, model.responses
+        self._tolerances = model.tolerances
         self._fine, self._coarse = model.points(values)
         # each with its parameters' values
         self._switched_on = {
@@ -419,6 +431,15 @@ class PredictionPoint:
         for response, own in self._added:
             deviations = deviations + response.deviations_at(self._coarse, own)
         return deviations
+
+    @property
+    def by_tolerances(self) -> Array:
+        """(readings, tolerances) change of log(eta) by a standard uncertainty of each number."""
+        moved = [np.zeros((len(self.log_eta), 0))]
+        for tolerance, response in self._tolerances.items():
+            _, _, _, by_offset = response.at(self._coarse, [0.0])
+            moved.append(tolerance.sigma * by_offset.T)
+        return np.hstack(moved)
 
     def interpolation_error(self) -> Array:
         """(readings,) estimated size of the error that interpolation makes in log(eta)."""

@@ -3,32 +3,40 @@
 The campaign is fitted as it is. At its solution the model predicts the signals of candidate
 configurations, counting statistics and the mountings' scatter predict their errors, and the fit's
 own Fisher information, priors included, predicts the errors of what would be fitted to them. The
-simulation's error counts as none: photons are cheap. What the model neglects comes on top.
+simulation's error counts as none: photons are cheap. What the model neglects comes on top: what the
+readings of the proposed plan could tell of it is rehearsed.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain, combinations, product
 from pathlib import Path
 
 import numpy as np
 
 from mcrim_mitsuba.campaign.campaign import Campaign, as_campaign
+from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import SCALE
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, placed
 from mcrim_mitsuba.core.numbers import ALPHA_SCAT, judge, said
 from mcrim_mitsuba.core.rounding import p_equals
-from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.core.run import Run, one_thread
+from mcrim_mitsuba.inference.displacement import NullDistribution
+from mcrim_mitsuba.inference.drivers import settle
 from mcrim_mitsuba.inference.estimates import ParameterEstimate
+from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.fit import Calibration
+from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.model import Model
+from mcrim_mitsuba.inference.rehearsal import Capability
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, PLANNING
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
-from mcrim_mitsuba.inference.statistic import undetermined
+from mcrim_mitsuba.inference.statistic import Statistic, undetermined
+from mcrim_mitsuba.inference.weighing import weigh_hypotheses
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 
@@ -152,6 +160,16 @@ class Planning:
     undetermined: tuple[tuple[int, ...], ...]
     #: What the reader must know before using the numbers.
     notes: tuple[str, ...]
+    #: What readings of the proposed plan could say of effects that are missing; None where nothing
+    #: is left to check the model with, so that none could show.
+    capability: Capability | None = None
+    #: These effects in words.
+    titles: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def proposed(self) -> Plan:
+        """The cheapest plan, or the most precise one where none reaches the wanted error."""
+        return self.cheapest or min(self.plans, key=lambda p: p.light_yield.total)
 
     @property
     def cheapest(self) -> Plan | None:
@@ -230,7 +248,7 @@ def plan(
         problem = f"none of these couplings together determine {', '.join(fit.names)}"
         mend = "allow more couplings in --n-gap, or give the campaign a prior"
         raise InputError(problem, mend, path=campaign.path)
-    return Planning(
+    planning = Planning(
         wanted=wanted,
         conditions=conditions,
         candidates=expected.candidates,
@@ -240,6 +258,7 @@ def plan(
         undetermined=tuple(without),
         notes=(*_doubt(fit), *simulations.provenance().notes),
     )
+    return _rehearsed(planning, expected.measured(planning.proposed), fit, run)
 
 
 def _refuse_unplannable(campaign: Campaign) -> None:
@@ -260,10 +279,39 @@ def _doubt(fit: Calibration) -> Iterator[str]:
             f"the model does not describe the readings: chi2 = {fit.chi2:.3g}, "
             f"{p_equals(fit.p_value)}: the doubt about the model is not in these plans"
         )
+    if fit.offsets:
+        yield "the bench's numbers count as exact in these plans, whatever their tolerances"
     for name, estimate in fit.parameters.items():
         if estimate.at_bound is not None:
             at_bound = f"the campaign's own fit ended with {name} at its bound"
             yield f"{at_bound}: the plans start from there"
+
+
+def _rehearsed(planning: Planning, proposed: Campaign, fit: Calibration, run: Run) -> Planning:
+    """With what readings of the proposed plan, made into a campaign, could say of effects."""
+    if proposed.ndf <= 0:
+        return planning
+    simulations = CampaignSimulations(proposed, run)
+    possible = simulations.possible()
+    models = simulations.simulate(tuple(possible), look=possible)
+    run.tell("weighing what the proposed plan could name", 1, 1)
+    with one_thread():
+        # readings and priors as the solution predicts them: there is nothing to be explained
+        statistic = Statistic(models.model())
+        theta = statistic.theta(fit.values)
+        signal = statistic.model.predict(theta).signal[statistic.used]
+        exact = statistic.against(signal, theta)
+        explanations = Explanations(models.model, possible, settle(exact, theta))
+        tried = [name for name in possible if explanations.possible((name,))]
+        null = NullDistribution(explanations, tried, run.seed)
+        weighing = weigh_hypotheses(explanations, null, closed=True)
+        capability = Judgement(explanations, null, weighing).capability(run.seed)
+    return replace(
+        planning,
+        capability=capability,
+        titles={name: effect.title for name, effect in possible.items()},
+        notes=tuple(dict.fromkeys((*planning.notes, *simulations.provenance().notes))),
+    )
 
 
 def _couplings(campaign: Campaign, n_gap: Sequence[float]) -> list[dict[str, float]]:
@@ -380,14 +428,35 @@ class Expectation:
         self, chosen: Sequence[int], mountings: int, events: float
     ) -> tuple[ExpectedError, ExpectedError | None]:
         """Of the light yield and of alpha_scat."""
-        used = [self.candidates[i] for i in chosen]
-        of_events = np.array([each.event_sigma / each.signal for each in used])
-        of_events /= math.sqrt(events * mountings)
-        of_mountings = np.full(len(chosen), self._scatter / math.sqrt(mountings))
+        of_events, of_mountings = self._of_readings(chosen, mountings, events)
         light_yield = self._parts(SCALE, chosen, of_events, of_mountings)
         if ALPHA_SCAT not in self._fit.names:
             return light_yield, None
         return light_yield, self._parts(ALPHA_SCAT, chosen, of_events, of_mountings)
+
+    def measured(self, plan: Plan) -> Campaign:
+        """The campaign with a plan's readings instead of its own; transmittances stay."""
+        campaign, chosen = self._fit.model.campaign, plan.configurations
+        errors = np.hypot(*self._of_readings(chosen, plan.mountings, plan.events)).tolist()
+        used = [self.candidates[place] for place in chosen]
+        light = (
+            Reading(at.name, at.signal, at.signal * error, {**at.parameters}, line=line)
+            for line, (at, error) in enumerate(zip(used, errors, strict=True), 1)
+        )
+        beams = (reading for reading in campaign.measurements.in_use if reading.of_beam)
+        readings = (*light, *beams)
+        columns = tuple(dict.fromkeys(name for row in readings for name in row.parameters))
+        measured = replace(campaign.measurements, columns=columns, readings=readings)
+        return replace(campaign, measurements=measured)
+
+    def _of_readings(
+        self, chosen: Sequence[int], mountings: int, events: float
+    ) -> tuple[Array, Array]:
+        """(chosen,) relative errors of readings, by events and by mountings."""
+        used = [self.candidates[i] for i in chosen]
+        of_events = np.array([each.event_sigma / each.signal for each in used])
+        of_mountings = np.full(len(chosen), self._scatter / math.sqrt(mountings))
+        return of_events / math.sqrt(events * mountings), of_mountings
 
     def _parts(
         self, name: str, chosen: Sequence[int], of_events: Array, of_mountings: Array

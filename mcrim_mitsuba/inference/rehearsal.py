@@ -156,10 +156,12 @@ class Capability:
     light_yield_sigma: float | None
 
 
-def capability(design: Design, families: Mapping[str, str], seed: int = 0) -> Capability:
+def capability(
+    design: Design, families: Mapping[str, str], seed: int = 0, sure: float = JUDGING.named
+) -> Capability:
     """Readings with every effect in turn, of sizes drawn from its prior, weighed one at a time.
 
-    `families` are those of effects, by name.
+    `families` are those of effects, by name; they are named from the probability `sure` on.
     """
     if not design.curves:
         return Capability(named={}, false=0.0, light_yield_sigma=None)
@@ -182,7 +184,7 @@ def capability(design: Design, families: Mapping[str, str], seed: int = 0) -> Ca
     own = np.array([kinds.index(families[name]) for name in names], int)
     of_sets = np.append(own, np.full(len(design.causes) - len(names) + 1, -1))[members]
     by_kind = np.stack([shares[:, of_sets == kind].sum(axis=1) for kind in range(len(kinds))], 1)
-    likeliest = np.where(by_kind.max(axis=1) >= JUDGING.named, by_kind.argmax(axis=1), -1)
+    likeliest = np.where(by_kind.max(axis=1) >= sure, by_kind.argmax(axis=1), -1)
     true = np.repeat(own, REHEARSALS.draws)
     hits = (likeliest == true).reshape(len(names), -1).mean(axis=1)
     means = (shares * log_scales).sum(axis=1, keepdims=True)

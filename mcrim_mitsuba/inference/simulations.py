@@ -44,6 +44,9 @@ from mcrim_mitsuba.scene.spectrophotometer import (
     too_wide,
 )
 
+#: Effects that a number of the bench is another one, and the number.
+NUMBERS_OF = {"crystal_index": "n_crystal", "gap_index": "n_gap", "gap_thickness": "gap_mm"}
+
 
 @dataclass(frozen=True)
 class MeasurementProposals:
@@ -364,7 +367,7 @@ class CampaignSimulations:
         )
         # no columns: what one proposal changes may be fitted to the others
         measured = replace(self.campaign.measurements, columns=(), readings=readings)
-        proposed = replace(self.campaign, measurements=measured)
+        proposed = replace(self.campaign, measurements=measured, tolerances=())
         if readings[0].of_beam:
             proposed = replace(proposed, beam={**BEAM_PARAMETERS, **self.campaign.beam})
 
@@ -428,9 +431,13 @@ class CampaignSimulations:
         """Effects of the catalogue that the scene can take and does not have."""
         found = {}
         campaign = self.campaign
+        # a number with a tolerance is a candidate by itself
+        numbers = {tolerance.number.parameter for tolerance in campaign.tolerances}
         for name, effect in campaign.catalogue.items():
             there = (*campaign.effects, *campaign.known_physics)
             if name in there or effect.is_in(campaign.scene):
+                continue
+            if NUMBERS_OF.get(name) in numbers:
                 continue
             if effect.of_beam and not campaign.beam:
                 continue

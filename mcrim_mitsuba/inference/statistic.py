@@ -3,11 +3,12 @@
     chi2 = r^T C^-1 r + sum of ((theta - prior) / prior_sigma)^2
 
 with r = signal - predicted signal and C from the readings' errors, the relative errors that
-mountings share, and the Monte Carlo errors of eta. C scales with the predicted signal. Left free,
-that would let a fit buy a smaller chi2 with larger errors, unless the logarithm of its determinant
-were added; so C is held as `Weights` during a descent and updated between descents. This gives the
-same estimate as iteratively reweighted least squares, without that bias and without R. W. Peelle's
-(which comes from scaling errors with the readings).
+mountings share, the Monte Carlo errors of eta, and the tolerances of the bench's numbers: an offset
+of each, to first order and with a Gaussian prior, is integrated out. C scales with the predicted
+signal. Left free, that would let a fit buy a smaller chi2 with larger errors, unless the logarithm
+of its determinant were added; so C is held as `Weights` during a descent and updated between
+descents. This gives the same estimate as iteratively reweighted least squares, without that bias
+and without R. W. Peelle's (which comes from scaling errors with the readings).
 """
 
 from __future__ import annotations
@@ -80,6 +81,9 @@ class ErrorMatrices:
     mountings: NDArray[np.int64]
     #: (used, sources) float64: Errors of the predictions by independent sources.
     simulated: Array
+    #: (used, tolerances) float64: What a standard uncertainty of each number of the bench does to
+    #: the predictions; an offset of each has been integrated out.
+    tolerances: Array
     #: (used, used) float64: Covariance of what no parameter explains, if it is to be weighed.
     unexplained: Array | None = None
 
@@ -93,9 +97,14 @@ class ErrorMatrices:
         return matrix if self.unexplained is None else matrix + self.unexplained
 
     @property
+    def predicted(self) -> Array:
+        """(used, sources + tolerances) errors of the predictions, all of them independent."""
+        return np.hstack([self.simulated, self.tolerances])
+
+    @property
     def total(self) -> Array:
         """Covariance of reading minus prediction."""
-        return self.readings + self.simulated @ self.simulated.T
+        return self.readings + self.predicted @ self.predicted.T
 
     def statistical_variances(self, response: Array) -> Array:
         """(k,) variances, by `readings`, of numbers that move by (k, used) with the readings."""
@@ -140,8 +149,9 @@ class Weights:
         """Weigh by the sources one after the other, without any matrix."""
         errors = self.errors
         # what no two readings share belongs to their own errors
-        lone = np.count_nonzero(errors.simulated, axis=0) < 2
-        variance = errors.variance + np.square(errors.simulated[:, lone]).sum(axis=1)
+        predicted = errors.predicted
+        lone = np.count_nonzero(predicted, axis=0) < 2
+        variance = errors.variance + np.square(predicted[:, lone]).sum(axis=1)
         self._root = 1.0 / np.sqrt(variance)
         shared = errors.shared * self._root
         of_mountings = np.bincount(errors.mountings, shared**2).astype(float)
@@ -150,7 +160,7 @@ class Weights:
         self._sources: list[tuple[Any, Array]] = []
         if shared.any():
             self._sources = [(mountings, _taken_along(of_mountings))]
-        rest = self._taken(self._root * errors.simulated[:, ~lone].T, self._sources)
+        rest = self._taken(self._root * predicted[:, ~lone].T, self._sources)
         _, sizes, directions = np.linalg.svd(rest, full_matrices=False)
         self._sources.append((sizes[:, None] * directions, _taken_along(sizes**2)))
         self.log_determinant = float(
@@ -378,18 +388,22 @@ class Statistic:
         prediction = self.model.predict(theta, covariance=True)
         assert prediction.eta_errors is not None  # asked for
         signal, per_eta = prediction.signal[self.used], prediction.signal_per_eta[self.used]
+        tolerances = np.zeros((len(signal), 0))
+        if prediction.eta_of_tolerances is not None:
+            tolerances = per_eta[:, None] * prediction.eta_of_tolerances[self.used]
         return ErrorMatrices(
             self.variance,
             self._shared * signal,
             self._mountings,
             per_eta[:, None] * prediction.eta_errors[self.used],
+            tolerances,
             None if self._unexplained is None else self._unexplained * np.outer(signal, signal),
         )
 
     def errors_before_any_fit(self) -> ErrorMatrices:
         """Covariance without a model: shared errors from the readings, no Monte Carlo error."""
         none = np.zeros((len(self.signal), 0))
-        return ErrorMatrices(self.variance, self._shared * self.signal, self._mountings, none)
+        return ErrorMatrices(self.variance, self._shared * self.signal, self._mountings, none, none)
 
     def residuals(self, prediction: Prediction) -> Array:
         """(used,) reading minus predicted signal."""

@@ -80,6 +80,20 @@ _TYPED = Column("id", "id", left=True, small=True)
 _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 
 
+#: Of the bench, with tolerances.
+_NUMBERS = (
+    Column(
+        "number",
+        of=lambda number: Cell(number.tolerance.number.words, number.tolerance.number.name),
+    ),
+    Column("tolerance", of="tolerance.sigma", form=".2g"),
+    Column("off, by the readings", "offset", of=lambda n: measured(n.offset, n.sigma)),
+    Column(
+        "of the light yield", "of_scale", form=lambda part: "-" if part is None else percent(part)
+    ),
+)
+
+
 def _title(name: str) -> Cell:
     """A fitted parameter in words, and its name for data frames."""
     return Cell(sentences.title_of(name), name)
@@ -136,14 +150,22 @@ def _shapes(profiles: Iterable[Profile]) -> Iterator[Piece]:
     return (strong(f"- {words}") for words in sentences.shapes(profiles))
 
 
+def numbers_table(fit: Calibration) -> Table:
+    """The bench's numbers that have tolerances, and how far off the readings have them."""
+    return records("numbers of the bench", _NUMBERS, fit.offsets)
+
+
 def _origins(fit: Calibration) -> Iterator[Piece]:
     """Where the errors of a fit come from; parameters at a bound have none that mean anything."""
-    columns = ("parameter", *(name.replace("_", " ") for name in _ORIGINS))
+    origins = (*_ORIGINS, *(["tolerances"] if fit.offsets else []))
+    columns = ("parameter", *(name.replace("_", " ") for name in origins))
     rows = []
     for name, estimate in fit.parameters.items():
         parts = {} if estimate.at_bound else estimate.contributions
-        rows.append((_title(name), *(shown(parts.get(origin), ".2g") for origin in _ORIGINS)))
+        rows.append((_title(name), *(shown(parts.get(origin), ".2g") for origin in origins)))
     yield table("where the errors come from", columns, rows)
+    if fit.offsets:
+        yield numbers_table(fit)
     light = fit.parameters.get(LIGHT_YIELD)
     if light is not None and light.efficiency_contributions:
         words = (f"{name} {part:.2g}" for name, part in light.efficiency_contributions.items())
@@ -871,6 +893,7 @@ def of_plan(planning: Planning) -> Description:
             strong=lambda plan: plan is planning.cheapest,
         ),
         map(strong, sentences.verdict(planning)),
+        sentences.rehearsal_text(planning),
         f"Assumed: {assumed.events_per_second:g} events per second in the band, "
         f"{assumed.minutes_per_mounting:g} minutes per mounting, a scatter of "
         f"{percent(assumed.mounting_scatter)} from mounting to mounting, and a spread of "

@@ -697,6 +697,7 @@ def diagnose(
     *,
     without: str | Sequence[str] = (),
     only: str | Sequence[str] = (),
+    sure: Number = 0.9,
     run: Run | None = None,
     photons: Number | None = None,
     precision: Number | None = None,
@@ -712,6 +713,8 @@ def diagnose(
     ----------
     without, only : str or sequence of str
         Effects that are left out, and those that alone are tried: ``"background,saturation"``.
+    sure : float
+        Probability, 0.5 to 1, from which a family of effects, or a wrong reading, is named.
     run, photons, precision, seed, threads, variant, progress, check
         How it is simulated, see `Run`: 260,000 photons of every simulation with an effect;
         configurations as they are get four times as many.
@@ -727,8 +730,13 @@ def diagnose(
 
     campaign = _read(campaign)
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
+    sure = number_of("sure", sure, mend := "give a probability from 0.5 to 1")
+    if not 0.5 <= sure <= 1.0:
+        raise InputError(f"sure = {sure:g}", mend)
     simulations = CampaignSimulations(campaign, run)
-    diagnosis = diagnose_campaign(simulations, without=_names(without), only=_names(only))
+    diagnosis = diagnose_campaign(
+        simulations, without=_names(without), only=_names(only), sure=sure
+    )
     notes = diagnosis.baseline.notes
     return DiagnosisResult.of(diagnosis, campaign, simulations.provenance(), notes)
 
@@ -880,7 +888,7 @@ def plan(
     Returns
     -------
     PlanResult
-        With ``cheapest``, ``plans``, ...; picture ``plan``.
+        With ``cheapest``, ``plans``, ``capability``, ...; picture ``plan``.
     """
     from mcrim_mitsuba.inference.plan import plan as plan_measurement
     from mcrim_mitsuba.output.campaign_results import PlanResult

@@ -119,7 +119,7 @@ def together(names: Sequence[str], word: str = "and") -> str:
     return f"{', '.join(first)} {word} {last}" if first else last
 
 
-def titles_of(diagnosis: Diagnosis, effects: Iterable[str]) -> list[str]:
+def titles_of(diagnosis: Diagnosis | Planning, effects: Iterable[str]) -> list[str]:
     """Titles of effects, given by their ids; what has no title is called by its id."""
     return [diagnosis.titles.get(name, name) for name in effects]
 
@@ -252,9 +252,9 @@ def family_probabilities(diagnosis: Diagnosis) -> str:
     return f"{', '.join([*likely_families, f'nothing missing {nothing}'])}{others}"
 
 
-def capability_text(diagnosis: Diagnosis) -> str:
-    """What such readings could say of effects of usual sizes, in a sentence; or nothing."""
-    can = diagnosis.capability
+def capability_text(result: Diagnosis | Planning, readings: str = "such readings") -> str:
+    """What readings could say of effects of usual sizes, in a sentence; or nothing."""
+    can = result.capability
     if can is None or not can.named:
         return ""
     often = sorted((n for n, p in can.named.items() if p > 0.5), key=lambda n: -can.named[n])
@@ -264,13 +264,13 @@ def capability_text(diagnosis: Diagnosis) -> str:
     if often:
         first = [
             f"{t} {probability(can.named[n])}"
-            for n, t in zip(often, titles_of(diagnosis, often), strict=True)
+            for n, t in zip(often, titles_of(result, often), strict=True)
         ]
         words += f" ({', '.join(first[:MOST_NAMED])}{', ...' if len(first) > MOST_NAMED else ''})"
     error = can.light_yield_sigma
     light = "" if error is None else f"; the light yield to {percent(error)}, but for the detector"
     return (
-        f"What such readings can say of effects of usual sizes: they name {words}, "
+        f"What {readings} can say of effects of usual sizes: they name {words}, "
         f"and another one in {probability(can.false)}{light}."
     )
 
@@ -520,6 +520,8 @@ _CALLED = {
     "tube scale": "the scale of the detector's efficiency",
     "emission spectrum": "the emission spectrum",
     "source depth": "the depth of the source",
+    "tolerances": "the bench's numbers",
+    "tolerance": "the number",
     "monte_carlo": "the simulation",
 }
 
@@ -661,6 +663,19 @@ def plan_text(planning: Planning, plan: Plan, more: int = 0) -> str:
     if scattering is None:
         return text
     return f"{text}, scattering to {percent(scattering.total)}"
+
+
+def rehearsal_text(planning: Planning) -> str:
+    """What the proposed plan could name of missing effects, in a sentence; or that none shows."""
+    plan = planning.proposed
+    readings = f"readings of {planning.name(plan.configurations)}"
+    if planning.capability is None:  # what determines all parameters lacks one reading, no more
+        return (
+            f"No missing effect could show in {readings}: none is left to check the model with. "
+            "That takes one more, with another coupling, mask or height."
+        )
+    mountings = f"{counted(plan.mountings, 'mounting')} of {plan.events:,.0f} events each"
+    return capability_text(planning, f"{readings} ({mountings})")
 
 
 def _forbidden(planning: Planning, couplings: tuple[int, ...], floor: ExpectedError) -> str:

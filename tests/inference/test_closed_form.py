@@ -9,9 +9,9 @@ import time
 
 import numpy as np
 import pytest
-import synthetic_bench as bench
 from scipy import stats
 from scipy.special import logsumexp, ndtr, softmax
+from trials import formula_bench as bench
 
 from mcrim_mitsuba.inference.closed_form import Cause, Discrepancy, Surroundings, weigh_sets
 from mcrim_mitsuba.inference.displacement import NullDistribution

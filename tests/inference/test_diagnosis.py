@@ -8,9 +8,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import synthetic_bench as bench
 from scipy import stats
 from scipy.special import softmax
+from trials import formula_bench as bench
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.core.files import plain

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-import synthetic_bench as bench
 from scipy import special, stats
+from trials import formula_bench as bench
 
 import mcrim_mitsuba
 from mcrim_mitsuba.campaign.campaign import LightYieldInput

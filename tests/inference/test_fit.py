@@ -574,6 +574,7 @@ def test_factors_of_a_covariance_weigh_as_its_matrix_does():
             rng.normal(size=60) * (mountings > 1),
             rng.integers(0, mountings, 60),
             simulated,
+            rng.normal(size=(60, sources // 4)),
             np.eye(60),
         )
         some = rng.normal(size=(3, 60))

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import synthetic_bench as bench
 from convert_results import read_results
 from places import SCENES
 from refusals import refusal
+from trials import formula_bench as bench
 
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.inference.hypotheses import fits_of, refuse_unlike, side_by_side

@@ -9,16 +9,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import synthetic_bench as bench
+from trials import formula_bench as bench
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput, read_campaign
 from mcrim_mitsuba.core.run import Run
-from mcrim_mitsuba.inference.diagnose import _judged
 from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.next_measurements import next_measurements
 from mcrim_mitsuba.inference.simulations import CampaignSimulations, MeasurementProposals
-from mcrim_mitsuba.inference.weighing import Hypothesis
+from mcrim_mitsuba.inference.weighing import Hypothesis, weigh_hypotheses
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
 LIGHT = LightYieldInput(50.0, 0.1, 0.0)
@@ -41,7 +40,8 @@ class Bench:
         explanations = bench.explanations_of(
             self.models, {name: bench.EFFECTS[name] for name in self.known}
         )
-        return _judged(explanations, 0, lambda words: None)
+        null = NullDistribution(explanations, explanations.singles())
+        return Judgement(explanations, null, weigh_hypotheses(explanations, null))
 
     def models(self, added: tuple) -> bench.Model:
         rng = np.random.default_rng(self.seed)

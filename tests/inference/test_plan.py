@@ -19,6 +19,7 @@ from mcrim_mitsuba.core.rounding import percent
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.eta_surface import record_surface
 from mcrim_mitsuba.inference import plan as measuring
+from mcrim_mitsuba.inference.diagnose import diagnose
 from mcrim_mitsuba.inference.fit import fit_model
 from mcrim_mitsuba.inference.plan import (
     EFFICIENCY,
@@ -28,11 +29,13 @@ from mcrim_mitsuba.inference.plan import (
     measured_conditions,
     plan,
 )
+from mcrim_mitsuba.inference.settings import REHEARSALS
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.laboratory.peak import COUNTING, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
-from mcrim_mitsuba.output.sentences import verdict
+from mcrim_mitsuba.output.sentences import rehearsal_text, verdict
 from mcrim_mitsuba.scene.scene_file import read_scene
+from mcrim_mitsuba.transport.launch_plan import LANES
 
 # a right code fails each statistical test with one in 1000 fresh seeds
 FALSE_ALARM = 1e-3
@@ -68,10 +71,13 @@ def article(scenes):
 
 @pytest.fixture
 def without_photons(monkeypatch):
-    """Models by given surfaces instead of simulations."""
+    """Models by given surfaces instead of simulations; gives the campaigns that ask for them."""
+    simulated = []
 
     def use(surfaces):
         def simulations(campaign, run):
+            simulated.append(campaign)
+
             def predict_at(configurations):
                 readings = [
                     Reading(f"{i}", 1.0, 1.0, dict(values), line=2)
@@ -84,10 +90,15 @@ def without_photons(monkeypatch):
             return SimpleNamespace(
                 fit=lambda: fit_model(CampaignModel(campaign, surfaces), profile=False),
                 predict_at=predict_at,
+                possible=dict,
+                simulate=lambda effects, look: SimpleNamespace(
+                    model=lambda effects=(): CampaignModel(campaign, surfaces)
+                ),
                 provenance=lambda: SimpleNamespace(notes=()),
             )
 
         monkeypatch.setattr(measuring, "CampaignSimulations", simulations)
+        return simulated
 
     return use
 
@@ -276,6 +287,49 @@ def test_two_errors_that_differ_are_said_differently(article, without_photons):
     first, *_ = verdict(replace(found, wanted=found.plans[0].light_yield.total * (1 - 1e-5)))
     said = re.search(r"to ([\d.]+) % is not among.* light yield to ([\d.]+) %", first)
     assert float(said[1]) < float(said[2])
+
+
+def test_a_plan_that_leaves_nothing_to_check_with_says_so_without_photons(article, without_photons):
+    simulated = without_photons(formulas)
+    two = plan(article, 0.2, **TWO)
+    assert simulated == [article] and two.capability is None
+    assert rehearsal_text(two) == (
+        "No missing effect could show in readings of gap index 1, 1.46: none is left to check the "
+        "model with. That takes one more, with another coupling, mask or height."
+    )
+    three = plan(article, 0.01, n_gap=[1.0, 1.2, 1.46], mountings=[4], events=[1e4])
+    assert three.capability is not None and three.proposed.configurations == (0, 1, 2)
+    rows = simulated[-1].measurements.readings
+    assert [row.parameters for row in rows] == [of.parameters for of in three.candidates]
+
+
+def test_a_plan_could_name_what_a_diagnosis_of_its_readings_could(article):
+    """Readings as the solution predicts them, with the errors that are expected."""
+    names = ("gap_bubble", "edge_chamfer", "background")
+    campaign = replace(article, catalogue={name: article.catalogue[name] for name in names})
+    run, couplings = Run(photons=8 * LANES), (1.0, 1.1, 1.2, 1.333, 1.46, 1.6, 1.74, 1.9)
+    planned = plan(
+        campaign,
+        0.01,
+        n_gap=couplings,
+        mountings=[1],
+        events=[1e7],
+        conditions=Conditions(mounting_scatter=0.001),
+        run=run,
+    )
+    chosen = planned.proposed.configurations
+    signals = [planned.candidates[place].signal for place in chosen]
+    readings = measured(campaign, planned, chosen, signals, 1, 1e7)
+    could, can = planned.capability, diagnose(CampaignSimulations(readings, run)).capability
+    assert could.named.keys() == can.named.keys() == set(names)
+    assert max(could.named.values()) > 0.5
+    # the same draws, of which one may lie at the edge of being named
+    for name in names:
+        assert could.named[name] == pytest.approx(can.named[name], abs=1.5 / REHEARSALS.draws)
+    assert could.false == pytest.approx(can.false, abs=0.5 / REHEARSALS.draws)
+    assert could.light_yield_sigma == pytest.approx(can.light_yield_sigma, rel=1e-3)
+    assert "What readings of gap index 1, 1.1, " in (said := rehearsal_text(planned))
+    assert "they name 1 of 3 effects in more than half of all campaigns (bevel of the edges" in said
 
 
 def _hold_the_scale(campaign):

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import synthetic_bench as bench
+from trials import formula_bench as bench
 
 from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.inference.compare import find_suspects, likely_swaps

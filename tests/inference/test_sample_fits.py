@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from places import SCENES
 from scipy.stats import chi2
-from synthetic_bench import explanations_of
+from trials.formula_bench import explanations_of
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.run import Run

@@ -230,7 +230,7 @@ def plan(campaign, wanted, n_gap, events, mountings, figure, json_file, work, **
     From the campaign's solution the model predicts what every set of couplings would bring; its
     readings must be detected photons per event. The light yield's statistical error falls with
     events and mountings; priors and detector efficiency stay, and what the model neglects
-    (mcrim budget) comes on top.
+    (mcrim budget) comes on top: what readings of the proposed plan could tell of it is said, too.
     """
     from mcrim_mitsuba.inference.plan import measured_conditions
 

@@ -112,9 +112,14 @@ def signals(values: Mapping[str, float], effects: tuple[str, ...] = ()) -> np.nd
 
 def readings(signal: np.ndarray, sigma: float = SIGMA) -> tuple[Reading, ...]:
     """The standard campaign's rows with these signals."""
+    return readings_of(np.arange(len(ROWS)), signal, sigma)
+
+
+def readings_of(rows: np.ndarray, signal: np.ndarray, sigma: float) -> tuple[Reading, ...]:
+    """Readings of some of its rows, perhaps several times each."""
     return tuple(
-        Reading(f"row{i + 1}", float(s), sigma * float(s), dict(row), line=i + 2)
-        for i, (row, s) in enumerate(zip(ROWS, signal, strict=True))
+        Reading(f"row{i + 1}", float(s), sigma * float(s), dict(ROWS[row]), line=int(row) + 2)
+        for i, (row, s) in enumerate(zip(rows, signal, strict=True))
     )
 
 
