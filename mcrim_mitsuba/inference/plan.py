@@ -87,8 +87,8 @@ class PlanCandidate:
 class ExpectedError:
     """Expected relative standard error of a parameter."""
 
-    #: By origin: ``events``, ``mountings``, ``prior of NAME`` (a parameter, or the label of a
-    #: transmittance that was measured) and, of the light yield,
+    #: By origin: ``events``, ``mountings``, ``prior of NAME`` (a parameter, a number of the bench,
+    #: or the label of a transmittance that was measured) and, of the light yield,
     #: ``detector efficiency`` or what makes its error; they add up in quadrature.
     parts: dict[str, float]
 
@@ -231,7 +231,7 @@ def plan(
     simulations = CampaignSimulations(campaign, run)
     fit = simulations.fit()
     expected = Expectation(
-        fit, simulations.predict_at(configurations)(()), configurations, conditions
+        fit, simulations.predict_at(configurations, tolerances=True)(()), configurations, conditions
     )
     plans, floors, without = list[Plan](), {}, []
     places = range(len(expected.candidates))
@@ -279,8 +279,6 @@ def _doubt(fit: Calibration) -> Iterator[str]:
             f"the model does not describe the readings: chi2 = {fit.chi2:.3g}, "
             f"{p_equals(fit.p_value)}: the doubt about the model is not in these plans"
         )
-    if fit.offsets:
-        yield "the bench's numbers count as exact in these plans, whatever their tolerances"
     for name, estimate in fit.parameters.items():
         if estimate.at_bound is not None:
             at_bound = f"the campaign's own fit ended with {name} at its bound"
@@ -388,7 +386,7 @@ class Expectation:
         configurations: Sequence[dict[str, float]],
         conditions: Conditions,
     ) -> None:
-        prediction = further.predict(fit.theta, check=True)
+        prediction = further.predict(fit.theta, check=True, covariance=True)
         candidates = []
         for parameters, signal in zip(configurations, prediction.signal.tolist(), strict=True):
             with placed(", ".join(f"{name} = {value:g}" for name, value in parameters.items())):
@@ -396,17 +394,27 @@ class Expectation:
             candidates.append(PlanCandidate(parameters, signal, event))
         self.candidates = tuple(candidates)
         self._fit, self._scatter = fit, conditions.mounting_scatter
-        # (candidates, free) d log(signal) / d parameter
-        self._slopes = prediction.signal_slopes / prediction.signal[:, None]
+        # offsets of the bench's numbers, in their tolerances, are parameters with priors
+        numbers = [PRIOR + number.tolerance.number.words for number in fit.offsets]
+        per_eta = prediction.signal_per_eta / prediction.signal
+        moved = np.zeros((len(candidates), len(numbers)))
+        if prediction.eta_of_tolerances is not None:
+            moved = per_eta[:, None] * prediction.eta_of_tolerances
+        # (candidates, free + numbers) d log(signal) / d parameter
+        slopes = prediction.signal_slopes / prediction.signal[:, None]
+        self._slopes = np.hstack([slopes, moved])
+        self._names = (*fit.names, *numbers)
         statistic = fit.minimum.statistic
-        priors = np.diag(np.sqrt(statistic.prior_weight))
-        # by origin, (free,) d known / d parameter, in standard errors of what is known
+        priors = np.diag([*np.sqrt(statistic.prior_weight), *np.ones(len(numbers))])
+        origins = (*(PRIOR + name for name in fit.names), *numbers)
+        # by origin, (free + numbers,) d known / d parameter, in standard errors of what is known
         self._known = {
-            PRIOR + name: row for name, row in zip(fit.names, priors, strict=True) if row.any()
+            origin: row for origin, row in zip(origins, priors, strict=True) if row.any()
         }
         # transmittances are not measured again: what they told goes on, like priors
         beams = [reading.of_beam for reading in fit.model.readings if reading.use]
-        measured = fit.minimum.slopes / np.sqrt(statistic.variance)[:, None]
+        measured = np.hstack([fit.minimum.slopes, fit.minimum.weights.errors.tolerances])
+        measured /= np.sqrt(statistic.variance)[:, None]
         self._known |= {
             PRIOR + label: row
             for label, row, of_beam in zip(statistic.labels, measured, beams, strict=True)
@@ -416,7 +424,7 @@ class Expectation:
     def determined(self, chosen: Sequence[int]) -> bool:
         """Whether these configurations, and the priors, determine all parameters."""
         information = self._information(chosen, np.full(len(chosen), PLANNING.perfect))
-        return not undetermined(information, self._fit.names)
+        return not undetermined(information, self._names)
 
     def floor(self, chosen: Sequence[int]) -> ExpectedError:
         """The light yield's error with readings of no error."""

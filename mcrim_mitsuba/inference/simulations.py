@@ -348,12 +348,16 @@ class CampaignSimulations:
         return float(np.median(used)) if used else EXTENT.usual_sigma
 
     def predict_at(
-        self, configurations: Sequence[Mapping[str, Value]], part: float = 1.0
+        self,
+        configurations: Sequence[Mapping[str, Value]],
+        part: float = 1.0,
+        *,
+        tolerances: bool = False,
     ) -> Callable[[tuple[str, ...]], ResponseModel]:
         """Models of configurations, taken for readings that nobody made, with some effects.
 
         All are of light, or all of beams. They are simulated when they are first asked for, with a
-        part of the photons.
+        part of the photons, and the bench's numbers count as exact without `tolerances`.
         """
         readings = tuple(
             Reading(
@@ -367,7 +371,9 @@ class CampaignSimulations:
         )
         # no columns: what one proposal changes may be fitted to the others
         measured = replace(self.campaign.measurements, columns=(), readings=readings)
-        proposed = replace(self.campaign, measurements=measured, tolerances=())
+        proposed = replace(self.campaign, measurements=measured)
+        if not tolerances:
+            proposed = replace(proposed, tolerances=())
         if readings[0].of_beam:
             proposed = replace(proposed, beam={**BEAM_PARAMETERS, **self.campaign.beam})
 

@@ -78,7 +78,7 @@ def without_photons(monkeypatch):
         def simulations(campaign, run):
             simulated.append(campaign)
 
-            def predict_at(configurations):
+            def predict_at(configurations, tolerances):
                 readings = [
                     Reading(f"{i}", 1.0, 1.0, dict(values), line=2)
                     for i, values in enumerate(configurations)
@@ -161,6 +161,34 @@ def test_expected_errors_are_the_fit_s_own(article, without_photons):
             (expected.light_yield.parts[EFFICIENCY], light.contributions["detector_efficiency"]),
         ):
             assert ours == pytest.approx(theirs / light.value, rel=1e-3)
+
+
+def test_tolerances_are_in_a_plan_as_in_the_fit_of_its_readings(scenes, tmp_path):
+    for name in ("camoo4.xml", "camoo4_campaign.toml", "camoo4_measured.csv"):
+        (tmp_path / name).write_text((scenes / name).read_text())
+    path, run = tmp_path / "camoo4_campaign.toml", Run(64 * LANES)
+    with path.open("a") as file:
+        file.write("[tolerances]\nn_gap = 0.03\nn_crystal = 0.03\ngap_mm = 0.015\n")
+    planning = plan(path, 0.2, **TWO, run=run)
+    (best,) = (each for each in planning.plans if len(each.configurations) == 2)
+    scatter = planning.conditions.mounting_scatter / math.sqrt(best.mountings)
+    events = best.mountings * best.events
+    rows = []
+    for i, each in enumerate(planning.candidates):
+        error = math.hypot(each.event_sigma / math.sqrt(events), scatter * each.signal)
+        rows.append(f"{i},{each.signal},{error},{each.parameters['n_gap']}")
+    (tmp_path / "camoo4_measured.csv").write_text("\n".join(["label,signal,sigma,n_gap", *rows]))
+    fit = CampaignSimulations(read_campaign(path), run).fit().parameters[LIGHT_YIELD]
+    # the simulation's error, which a plan has not, apart
+    sigma = math.sqrt(fit.sigma**2 - fit.contributions["monte_carlo"] ** 2)
+    assert best.light_yield.total == pytest.approx(sigma / fit.value, rel=0.02)
+    of_numbers = [best.light_yield.parts[f"prior of {n}"] for n in ("gap index 1.46", "gap")]
+    assert of_numbers[0] > 3.0 * of_numbers[1] > 0.0
+    tolerances = [part for name, part in best.light_yield.parts.items() if "of " in name]
+    absorption = best.light_yield.parts["prior of alpha_abs_per_cm"]
+    assert math.hypot(*tolerances) == pytest.approx(
+        math.hypot(absorption, fit.contributions["tolerances"] / fit.value), rel=0.05
+    )
 
 
 def test_100_synthetic_campaigns_scatter_as_planned(scenes, article, without_photons):
@@ -439,10 +467,22 @@ def test_a_measured_transmittance_goes_on_into_a_plan(scenes, without_photons):
             theta=np.array([0.1, 48.0]),
             names=("alpha_scat_per_cm", "scale"),
             model=SimpleNamespace(readings=readings, campaign=three),
-            minimum=SimpleNamespace(statistic=statistic, slopes=slopes[: len(readings)]),
+            minimum=SimpleNamespace(
+                statistic=statistic,
+                slopes=slopes[: len(readings)],
+                weights=SimpleNamespace(
+                    errors=SimpleNamespace(tolerances=np.zeros((len(readings), 0)))
+                ),
+            ),
+            offsets=(),
         )
-        prediction = SimpleNamespace(signal=np.array([14.0, 25.0]), signal_slopes=slopes[:2])
-        further = SimpleNamespace(predict=lambda theta, check: prediction)
+        prediction = SimpleNamespace(
+            signal=np.array([14.0, 25.0]),
+            signal_slopes=slopes[:2],
+            signal_per_eta=np.full(2, 48.0),
+            eta_of_tolerances=None,
+        )
+        further = SimpleNamespace(predict=lambda theta, **asked: prediction)
         return Expectation(fit, further, [{"n_gap": 1.0}, {"n_gap": 1.46}], Conditions())
 
     found, without = expected([*light, beam]), expected(light)
