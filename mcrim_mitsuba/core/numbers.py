@@ -48,6 +48,10 @@ _MATERIAL = ", or a material at a wavelength, such as glycerol@540nm (`mcrim lab
 BOOLEANS = {"true": True, "false": False}
 
 
+#: An offset of a number of the bench, or of one of its values: as `effects.effect.BenchNumber`.
+_OFFSET = re.compile(r"wrong_(.+?)((?:_\d+)*)_offset(_mm)?")
+
+
 def unit_of(name: str) -> str | None:
     """Unit that ends a parameter's name: ``mm`` for ``gap_mm``; None without one."""
     return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)
@@ -57,6 +61,10 @@ def without_unit(name: str) -> str:
     """A parameter's name without its unit, in words: ``scattering`` for ``alpha_scat_per_cm``."""
     if name in _CALLED:
         return _CALLED[name]
+    if offset := _OFFSET.fullmatch(name):
+        number, value, unit = offset.groups(default="")
+        words = without_unit(number + unit)
+        return " ".join((words, *([value[1:].replace("_", ".")] if value else []), "off"))
     ending = next((ending for ending in _UNITS if name.endswith(ending)), "")
     return name.removesuffix(ending).replace("_", " ")
 

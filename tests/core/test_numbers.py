@@ -24,6 +24,10 @@ cases = cases_of(__file__)
         ("acceptance_deg", "degrees", "acceptance", "acceptance (degrees)"),
         ("n_gap", None, "gap index", "gap index"),
         ("polarization", None, "polarization", "polarization"),
+        # of `BenchNumber.offset_name`
+        ("wrong_crystal_width_offset_mm", "mm", "crystal width off", "crystal width off (mm)"),
+        ("wrong_gap_0_05_offset_mm", "mm", "gap 0.05 off", "gap 0.05 off (mm)"),
+        ("wrong_n_gap_1_465_offset", None, "gap index 1.465 off", "gap index 1.465 off"),
     ],
 )
 def test_the_unit_of_a_parameter_is_the_end_of_its_name(name, unit, words, title):
