@@ -239,7 +239,7 @@ def _light_yield(
     entry = campaign.light_yield
     if entry is None or SCALE not in campaign.free:
         return None
-    relative = entry.detector_efficiency_sigma / entry.detector_efficiency
+    relative = entry.relative_sigma
     if (shared := campaign.parameters.get(EFFICIENCY_FACTOR)) is not None:
         relative = math.hypot(relative, shared.prior_sigma or 0.0)
     light_yield = scale * entry.per_scale

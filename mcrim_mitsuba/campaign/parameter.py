@@ -223,6 +223,11 @@ class LightYieldInput:
         """Photons per keV that a unit of the scale stands for."""
         return 1.0 / (self.energy_keV * self.detector_efficiency)
 
+    @property
+    def relative_sigma(self) -> float:
+        """Of the light yield, by the detector's efficiency."""
+        return self.detector_efficiency_sigma / self.detector_efficiency
+
 
 @dataclass(frozen=True)
 class DetectorTerms:

@@ -168,9 +168,7 @@ def _known_scale(table: TomlTable, light_yield: LightYieldInput) -> tuple[float,
     if value is None or sigma is None:
         problem = f"only one of {schema.KNOWN_YIELD} and {schema.KNOWN_YIELD_SIGMA} is given"
         raise table.refusal("", problem, "give both or none")
-    relative = math.hypot(
-        sigma / value, light_yield.detector_efficiency_sigma / light_yield.detector_efficiency
-    )
+    relative = math.hypot(sigma / value, light_yield.relative_sigma)
     return value / light_yield.per_scale, relative * value / light_yield.per_scale
 
 

@@ -51,7 +51,6 @@ from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, EXPLAINING, HYPOTHESE
 from mcrim_mitsuba.inference.simulations import CampaignSimulations, MeasurementProposals
 from mcrim_mitsuba.inference.weighing import (
     INSTRUMENT,
-    OTHERS,
     AveragedYield,
     weigh_hypotheses,
 )
@@ -446,11 +445,15 @@ def _families(judgement: Judgement) -> tuple[FamilyProbability, ...]:
     """Probabilities by family, the likeliest first: relatives among effects, or readings."""
     effects = judgement.explanations.effects
     members: dict[str, dict[str, None]] = {}
-    for cause in (cause for name in judgement.probabilities for cause in name.split(" + ")):
-        if cause in effects:
-            members.setdefault(effects[cause].family, {})[cause] = None
-        elif cause not in (UNKNOWN, NOTHING_MISSING, OTHERS):
-            members.setdefault(INSTRUMENT, {})[cause] = None
+    listed = judgement.probabilities
+    for hypothesis in (
+        hypothesis for hypothesis, _ in judgement.groups if hypothesis.name in listed
+    ):
+        for effect in hypothesis.effects:
+            members.setdefault(effects[effect].family, {})[effect] = None
+        for cause in hypothesis.besides:
+            if cause != UNKNOWN:
+                members.setdefault(INSTRUMENT, {})[cause] = None
     return tuple(
         FamilyProbability(family, p, tuple(members.get(family, ())))
         for family, p in judgement.weighing.families.items()

@@ -152,7 +152,7 @@ def estimates(minimum: Minimum) -> dict[str, ParameterEstimate]:
 def light_yield(scale: ParameterEstimate, known: LightYieldInput) -> ParameterEstimate:
     """Photons per keV: scale / (energy efficiency), the efficiency's error in quadrature."""
     value = scale.value * known.per_scale
-    of_efficiency = value * known.detector_efficiency_sigma / known.detector_efficiency
+    of_efficiency = value * known.relative_sigma
 
     def end(of_scale: float | None, sign: float) -> float | None:
         if of_scale is None:

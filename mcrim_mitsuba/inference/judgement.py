@@ -111,13 +111,13 @@ class Judgement:
         weighing = self.weighing
         for hypothesis, share in zip(weighing.hypotheses, weighing.shares.tolist(), strict=True):
             shares[hypothesis.name] = shares.get(hypothesis.name, 0.0) + share
-        with_effects = {h.name for h in weighing.hypotheses if h.effects}
+        by_name = {hypothesis.name: hypothesis for hypothesis in weighing.hypotheses}
         groups: dict[str, str] = {}
         heads: list[tuple[str, frozenset[str]]] = []
         for name in _likeliest_first(shares):
-            causes = frozenset(name.split(" + "))
+            causes = frozenset(by_name[name].causes)
             groups[name] = next((head for head, fewer in heads if fewer < causes), name)
-            if groups[name] == name and name in with_effects:
+            if groups[name] == name and by_name[name].effects:
                 heads.append((name, causes))
         return groups
 
@@ -240,9 +240,7 @@ class Judgement:
         words = [self.explanations.title(hypothesis.effects)] if hypothesis.effects else []
         if hypothesis.suspect is not None:
             words.append(hypothesis.suspect.words)
-        words += [
-            NO_EFFECTS[name] for name in hypothesis.besides.split(" + ") if name in NO_EFFECTS
-        ]
+        words += [NO_EFFECTS[name] for name in hypothesis.besides if name in NO_EFFECTS]
         return f"{' with '.join(words)} ({probability(share)})"
 
     def _of_leading(self, suspects: tuple[Suspect, ...]) -> Verdict:

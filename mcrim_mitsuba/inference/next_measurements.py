@@ -138,7 +138,7 @@ def next_measurements(
     if not offers:
         return ()
     known = judgement.baseline.statistic.model.campaign.light_yield
-    efficiency = known.detector_efficiency_sigma / known.detector_efficiency if known else 0.0
+    efficiency = known.relative_sigma if known else 0.0
     cloud = _cloud(judgement, proposals, likely, offers)
     # what leads only beside wrong readings predicts with them
     leading = [effects for effects in judgement.leading if " + ".join(effects) in cloud.names]

@@ -288,7 +288,7 @@ def _of_light_yield(scale: Profile, name: str, light_yield: LightYieldInput) -> 
     the rise of the scale's profile and of the prior together is least.
     """
     per_scale = light_yield.per_scale
-    relative = light_yield.detector_efficiency_sigma / light_yield.detector_efficiency
+    relative = light_yield.relative_sigma
     value = scale.value * per_scale
     sigma = math.hypot(scale.sigma * per_scale, value * relative)
     if relative == 0:

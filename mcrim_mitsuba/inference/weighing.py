@@ -94,8 +94,8 @@ class Hypothesis:
 
     #: Effects that are added.
     effects: tuple[str, ...] = ()
-    #: What is there besides, which is no effect; empty for nothing.
-    besides: str = ""
+    #: What is there besides, which is no effect.
+    besides: tuple[str, ...] = ()
     #: Of the discrepancy; 0: there is none.
     amplitude: float = 0.0
     #: Natural logarithm of its weight, over that of the campaign as it is.
@@ -113,7 +113,12 @@ class Hypothesis:
     @property
     def name(self) -> str:
         """As probabilities are listed."""
-        return " + ".join(filter(None, (*self.effects, self.besides))) or NOTHING_MISSING
+        return " + ".join(self.causes) or NOTHING_MISSING
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """All that is there; none where nothing is missing."""
+        return (*self.effects, *self.besides)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,7 +172,7 @@ class Weighing:
             return None
         means = np.array([h.log_scale for h in self.hypotheses])
         sigmas = np.array([h.log_scale_sigma for h in self.hypotheses])
-        efficiency = known.detector_efficiency_sigma / known.detector_efficiency
+        efficiency = known.relative_sigma
         unnamed = np.array([h.amplitude > 0.0 for h in self.hypotheses])
         middle = quantile(self.shares, means, sigmas, 0.5)
         factor_68, factor_95 = self.widening
@@ -422,7 +427,7 @@ class _Weigher:
         besides += [UNDERSTATED] if around.error_factor != 1.0 else []
         return Hypothesis(
             effects=tuple(name for name in names if name not in self._readings),
-            besides=" + ".join(besides),
+            besides=tuple(besides),
             amplitude=around.amplitude,
             log_weight=float(self._log_weights[place]),
             log_scale=float(self._log_scales[place]),
@@ -509,8 +514,7 @@ class _Weigher:
         width = np.sqrt(np.maximum(variances - own * factors**2, 1e-12 + 1e-6 * own))
         limit = math.sqrt(own)
         if (known := self._frame.fit.statistic.model.campaign.light_yield) is not None:
-            efficiency = known.detector_efficiency_sigma / known.detector_efficiency
-            limit = math.hypot(limit, efficiency)
+            limit = math.hypot(limit, known.relative_sigma)
         moves = ndtr((-limit - means) / width) + ndtr((means - limit) / width)
         moves *= there
         # a wrong reading moves no prediction but through what is fitted

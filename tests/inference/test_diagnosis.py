@@ -432,7 +432,7 @@ def test_what_only_the_simulations_error_lets_lead_is_named_apart(monkeypatch):
 def test_hypotheses_that_differ_by_rounding_only_keep_their_order():
     """Two wrong readings of a symmetric campaign: the order is not the processor's."""
     bad = [
-        Hypothesis(besides=name, log_weight=0.0, log_scale=0.0, log_scale_sigma=0.1)
+        Hypothesis(besides=(name,), log_weight=0.0, log_scale=0.0, log_scale_sigma=0.1)
         for name in ("bad reading air", "bad reading gel")
     ]
     for shares in ([0.5, np.nextafter(0.5, 1.0)], [np.nextafter(0.5, 1.0), 0.5]):

@@ -163,7 +163,7 @@ def test_the_averaged_yield_is_the_mixtures():
         )
         for effects, besides, log, scale, sigma in zip(
             ((), ("one",), ("other",)),
-            ("", "", "unknown"),
+            ((), (), ("unknown",)),
             (0.0, 2.0, 1.5),
             scales,
             sigmas,
