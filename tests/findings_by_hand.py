@@ -224,7 +224,7 @@ def diagnosis(verdict: str, **changed) -> Diagnosis:
         upper_limits=limits if verdict == "adequate" else {},
         repair=STEPS,
         next_measurements=(following,) if verdict == "ambiguous" else (),
-        not_tried={"saturation": "excluded"},
+        not_tried={"nonlinearity": "excluded"},
         probabilities={FIRST: 0.7, SECOND: 0.29, "none": 0.01},
         light_yield_averaged=AveragedYield(7.7, 0.86, 0.78, 0.34, 0.12),
         seconds=1.0,

@@ -29,7 +29,7 @@ BACKGROUND = Effect(
     physics=(
         "A pedestal that was not quite subtracted, stray light, or light that is born in the "
         "window adds the same to every reading. It weighs most on the weakest reading, which is "
-        "that of the air gap. It is added after saturation."
+        "that of the air gap. It is added after a nonlinear readout acts."
     ),
     source="E. H. Bellamy et al., Nucl. Instrum. Meth. A 339 (1994) 468",
     parameters=(
@@ -49,45 +49,59 @@ BACKGROUND = Effect(
 )
 
 
-def reading_saturation(signals: np.ndarray, value: float, rows: Rows) -> Predicted:
-    """reading = signal / (1 + k signal)."""
-    damped = 1.0 + value * signals
-    return signals / damped, damped**-2.0, -((signals / damped) ** 2)
+#: Where a reading is so many times the light, it goes on straight; no readout comes near that.
+_STRAIGHT_FROM = 10.0
 
 
-def plausible_beside_saturation(signals: np.ndarray) -> tuple[float, float]:
-    """A tube that reads its strongest signal a tenth too low is not used."""
-    return 0.0, 0.1 / float(signals.max())
+def reading_nonlinearity(signals: np.ndarray, value: float, rows: Rows) -> Predicted:
+    """reading = signal / (1 + k signal), straight on along its slope before that divides by 0."""
+    # the signal where a negative k has made ten of one; far away for any other
+    knee = (1.0 - 1.0 / _STRAIGHT_FROM) / np.maximum(-value, 1e-300)
+    bent = np.minimum(signals, knee)
+    damped = 1.0 + value * bent
+    return bent / damped + (signals - bent) / damped**2, damped**-2.0, -((bent / damped) ** 2)
 
 
-SATURATION = Effect(
-    name="saturation",
-    title="saturation of the readout",
+def plausible_beside_nonlinearity(signals: np.ndarray) -> tuple[float, float]:
+    """A tube that reads its strongest signal a tenth too low, or too high, is not used."""
+    largest = 0.1 / float(signals.max())
+    return -largest, largest
+
+
+NONLINEARITY = Effect(
+    name="nonlinearity",
+    title="nonlinear readout",
     family="readings",
     look=(
-        "Put a grey filter of known transmittance before the tube: the signal must fall by "
-        "just that part."
+        "Put a grey filter of known transmittance before the tube: strong and weak signals must "
+        "fall by just that part."
     ),
     physics=(
         "Space charge in a photomultiplier, the finite number of a silicon detector's cells, an "
         "amplifier near its limit or dead time read strong signals too low: reading = true / "
-        "(1 + k true), the form of a non-paralyzable dead time. It acts before a background is "
-        "added."
+        "(1 + k true), the form of a non-paralyzable dead time, k above 0. Strong signals are read "
+        "too high, k below 0, where the tube's current raises the voltages of its first dynodes, "
+        "an amplifier or converter bends upwards, or a threshold takes more of the weak ones. It "
+        "acts before a background is added."
     ),
-    source="G. F. Knoll, Radiation Detection and Measurement, 4th ed., Wiley 2010, chapter 4",
+    source=(
+        "G. F. Knoll, Radiation Detection and Measurement, 4th ed., Wiley 2010, chapter 4; "
+        "Hamamatsu Photonics, Photomultiplier Tubes, 3rd ed., 2007, chapter 5 (linearity of the "
+        "voltage divider)"
+    ),
     parameters=(
         EffectParameter(
-            name="saturation",
+            name="nonlinearity",
             meaning="k of reading = true / (1 + k true), per unit of the readings",
-            minimum=0.0,
+            minimum=-0.05,
             maximum=0.05,
             start=0.002,
-            plausible=(0.0, 0.01),
+            plausible=(-0.01, 0.01),
             nodes=(),
-            plausible_beside=plausible_beside_saturation,
+            plausible_beside=plausible_beside_nonlinearity,
         ),
     ),
-    reading=reading_saturation,
+    reading=reading_nonlinearity,
 )
 
 
@@ -147,7 +161,7 @@ SAMPLE_SCALE = Effect(
         "Crystals of other sizes are other pieces, and doping, stoichiometry and annealing change "
         "along a boule: their light yield is not quite that of the crystal of the scene. Readings "
         "of every crystal whose width or height differs from the scene's are multiplied by one "
-        "plus this, before the readout saturates. Transmittances know no light yield."
+        "plus this, before a nonlinear readout acts. Transmittances know no light yield."
     ),
     source="V. Alenkov et al., JINST 8 (2013) P06002, section 1 (samples of other thickness)",
     parameters=(

@@ -150,7 +150,7 @@ def _campaign_writing(data: bytes) -> None:
     read = _campaign_of(data)
     if read is None:
         return
-    effects = [name for name in ("background", "saturation") if name not in read.effects]
+    effects = [name for name in ("background", "nonlinearity") if name not in read.effects]
     target = Path("next.toml")
     texts = [campaign_with_measurements(read, target, Path("measured.csv"))]
     with contextlib.suppress(InputError):  # these effects do not fit this campaign

@@ -15,6 +15,8 @@ from mcrim_mitsuba.campaign.campaign import LightYieldInput
 from mcrim_mitsuba.campaign.measurements import Reading
 from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.effects.catalogue import catalogue
+from mcrim_mitsuba.effects.effect import Rows
+from mcrim_mitsuba.effects.readings import reading_nonlinearity
 from mcrim_mitsuba.inference.drivers import find_minima
 from mcrim_mitsuba.inference.explanations import Explanations
 from mcrim_mitsuba.inference.model import Prediction
@@ -44,6 +46,8 @@ COLUMNS = {name: np.array([row[name] for row in ROWS]) for name in ROWS[0]}
 _GAP, _RADIUS = COLUMNS["gap_mm"], COLUMNS["aperture_radius_mm"]
 _HEIGHT = COLUMNS["crystal_height_mm"]
 _FILLED = (COLUMNS["n_gap"] > 1.0005).astype(float)
+# a nonlinear readout knows nothing of them
+_NO_ROWS = Rows(np.zeros(0), np.zeros(0, dtype=bool))
 
 
 EFFECTS = {name: effect for name, effect in catalogue().items() if not effect.of_beam}
@@ -107,7 +111,7 @@ def signals(values: Mapping[str, float], effects: tuple[str, ...] = ()) -> np.nd
     """(readings,) without any error; `values` by name, absent ones left out."""
     v = {**_PLAIN, **values}
     true = values["scale"] * np.exp(_log_eta(v, frozenset(effects)).real)
-    return true / (1.0 + values.get("saturation", 0.0) * true) + values.get("background", 0.0)
+    return true / (1.0 + v["nonlinearity"] * true) + v["background"]
 
 
 def readings(signal: np.ndarray, sigma: float = SIGMA) -> tuple[Reading, ...]:
@@ -182,8 +186,8 @@ class Model:
         scale = v.pop("scale")
         log = _log_eta(v, frozenset(self.effects))[:, self._at] + self._error
         true = scale * np.exp(log)
-        bent = 1.0 + v["saturation"] * true
-        signal = true / bent + v["background"]
+        read, by_signal, _ = reading_nonlinearity(true, v["nonlinearity"], _NO_ROWS)
+        signal = read + v["background"]
         eta = np.exp(log[0].real)
         return Prediction(
             scale=float(theta[-1]),
@@ -194,7 +198,7 @@ class Model:
             interpolation_error=np.zeros(len(eta)),
             signal=signal[0].real,
             signal_slopes=(signal[1:].imag / step).T,
-            signal_per_eta=scale[0, 0].real / bent[0].real ** 2,
+            signal_per_eta=scale[0, 0].real * by_signal[0].real,
         )
 
     def predict_many(self, thetas) -> np.ndarray:
@@ -202,7 +206,7 @@ class Model:
         true = v.pop("scale") * np.exp(
             _log_eta(v, frozenset(self.effects))[:, self._at] + self._error
         )
-        return true / (1.0 + v["saturation"] * true) + v["background"]
+        return reading_nonlinearity(true, v["nonlinearity"], _NO_ROWS)[0] + v["background"]
 
     def eta_batches(self, theta) -> np.ndarray:
         return (self.noise - self.noise.mean(axis=0))[:, self._at]

@@ -63,9 +63,9 @@ TRANSMITTANCE_SIGMA, ACCEPTANCE_DEG, BEAM_DIAMETER_MM = 0.01, 5.0, 3.0
 BEAM_PHOTONS = 40_000
 #: What turns the scale into a light yield; without an error, which would blur the pulls.
 ENERGY_KEV, DETECTOR_EFFICIENCY = 59.5, 0.127
-#: Sizes of the readings' effects are relative: a background to the smallest reading, a saturation
-#: is the relative loss of the largest.
-OF_READINGS = ("background", "saturation", "gain_drift", "sample_scale")
+#: Sizes of the readings' effects are relative: a background to the smallest reading, a nonlinearity
+#: is the relative loss of the largest, below 0 its gain.
+OF_READINGS = ("background", "nonlinearity", "gain_drift", "sample_scale")
 #: Expected excess of the plain fit's chi2 that trials are drawn with.
 EXCESS = (40.0, 670.0)
 #: The same where advice is tried: little tells the effects apart.
@@ -185,7 +185,7 @@ def size_in_units(effect: str, size: float, signal: Array) -> float:
     """A size as the catalogue has it; `signal` is without the effects of the readings."""
     if effect == "background":
         return size * float(signal.min())
-    if effect == "saturation":
+    if effect == "nonlinearity":
         return size / ((1.0 - size) * float(signal.max()))
     return size
 
@@ -202,10 +202,10 @@ def distort(
     other_sample = np.array([row[2] != _USUAL["crystal_height_mm"] for row in design])
     of_sample = 1.0 + sizes.get("sample_scale", 0.0) * other_sample
     light = of_sample * signal
-    held_back = 1.0 + sizes.get("saturation", 0.0) * light
+    bent = 1.0 + sizes.get("nonlinearity", 0.0) * light
     gain = 1.0 + sizes.get("gain_drift", 0.0) * position
-    read = gain * (light / held_back + sizes.get("background", 0.0))
-    return read, gain * of_sample / held_back**2
+    read = gain * (light / bent + sizes.get("background", 0.0))
+    return read, gain * of_sample / bent**2
 
 
 def readings_of(store: HistoryStore, hidden: Hidden, truth: Truth, design: Design) -> Readings:

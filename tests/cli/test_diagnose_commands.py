@@ -210,7 +210,7 @@ def test_diagnose_says_the_verdict_first_and_what_to_do_last(mcrim, campaign, fo
     assert ("How to look for it, without a fit:" in lines) == named
     assert (f"- {FIRST}: Polish it again." in lines) == named
     assert "By family: surface 70 %, gap 29 %, nothing missing 1 %" in lines
-    assert "not tried: saturation of the readout (saturation): excluded" in lines
+    assert "not tried: nonlinear readout (nonlinearity): excluded" in lines
     assert ("what the readings allow" in out) == (verdict == "adequate")
     if verdict == "adequate":
         # the table of effects comes first, that of limits last

@@ -229,7 +229,7 @@ def test_few_photons_are_not_the_usual_number(campaign):
 def test_slopes_of_the_model_are_those_of_its_values(campaign, made):
     sizes = {
         "gap_index": {"gap_index_offset": 0.045},
-        "saturation": {"saturation": 0.01},
+        "nonlinearity": {"nonlinearity": 0.01},
         "source_depth": {"source_depth_mm": 3.0},
         "background": {"background": 0.3},
         "gain_drift": {"gain_drift": -0.04},

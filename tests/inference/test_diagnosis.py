@@ -43,7 +43,7 @@ SOME = {
         "detector_angle",
         "detector_radius",
         "background",
-        "saturation",
+        "nonlinearity",
     )
 }
 #: Family-wise false alarms of the statistical tests below; seeds are fixed.
@@ -210,6 +210,16 @@ def test_a_hidden_effect_is_found_and_repaired(one_hidden):
     truth = TRUTH["scale"] / 6.0
     light = after.light_yield_ph_per_keV
     assert abs(light["value"] - truth) < 3.0 * light["sigma"]
+
+
+@pytest.mark.parametrize("size", [-0.004, 0.004])
+def test_a_readout_that_bends_either_way_is_named(size):
+    names = "nonlinearity background gap_bubble surface_absorption polarization source_depth"
+    models = campaign(7, {"nonlinearity": size, "scale": 3.0 * TRUTH["scale"]})
+    found = diagnose_models(models, {name: SOME[name] for name in names.split()})
+    assert found.verdict == "missing_effect" and found.leading == ("nonlinearity",)
+    estimate = found.candidates[0].parameters["nonlinearity"]
+    assert abs(estimate.value - size) < 3.0 * estimate.sigma
 
 
 def test_a_race_keeps_what_may_explain_the_readings():

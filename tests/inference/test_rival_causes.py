@@ -30,7 +30,7 @@ HIDDEN = {
     "gap_absorption": ("gap_absorption_per_cm", 3.0),
     "detector_reflection": ("detector_reflectance", 0.3),
     "surface_absorption": ("surface_loss", 0.03),
-    "saturation": ("saturation", 0.01),
+    "nonlinearity": ("nonlinearity", 0.01),
     "gap_index": ("gap_index_offset", 0.08),
 }
 SOME = {n: bench.EFFECTS[n] for n in (*HIDDEN, "scattering_gradient", "anisotropic_scattering")}
@@ -140,7 +140,8 @@ def test_caution_costs_little_where_the_truth_is_known():
         assert name in found.leading and abs(averaged.value - 8.0) < 3.3 * averaged.sigma, name
         (own,) = (each for each in found.candidates if each.effect == name)
         dearer.append(averaged.sigma / own.light_yield_ph_per_keV["sigma"])
-    assert np.median(dearer) < 1.3, dearer
+    # 1.23 where a readout may bend one way only: one of either sign is a rival of more effects
+    assert np.median(dearer) < 1.4, dearer
 
 
 def test_something_without_a_name_grows_with_the_misfit():

@@ -61,7 +61,7 @@ def write_campaign(folder: Path, scenes: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def by_hand():
-    return diagnosis("ambiguous", not_tried={"saturation": BREAKOUT})
+    return diagnosis("ambiguous", not_tried={"nonlinearity": BREAKOUT})
 
 
 @pytest.fixture(scope="module")

@@ -127,7 +127,7 @@ def _is_a_quantity(value):
 @SLOW
 @given(st.lists(sizes, min_size=4, max_size=4))
 def test_a_campaign_with_more_effects_is_read_with_their_starts(campaign, folder, starts):
-    chosen = ("background", "saturation")
+    chosen = ("background", "nonlinearity")
     mended = campaign.with_effects(chosen)
     known = mended.parameters
     inside = {
