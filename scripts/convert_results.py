@@ -25,6 +25,7 @@ from mcrim_mitsuba.core.files import read_text, refuse_outputs, resolved, write_
 from mcrim_mitsuba.core.numbers import parse_number
 from mcrim_mitsuba.core.rounding import pdg
 from mcrim_mitsuba.core.table_text import csv_cells
+from mcrim_mitsuba.effects.effect import with_new_names
 from mcrim_mitsuba.efficiency.table import COLUMNS
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output.codec import (
@@ -94,7 +95,7 @@ def read_json(path: Path) -> JsonObject:
     """
     text = read_text(path, _LIMIT_MB)
     try:
-        content = json.loads(text)
+        content = with_new_names(json.loads(text))
         json.dumps(content, ensure_ascii=False).encode()
     except json.JSONDecodeError as error:
         problem = f"not JSON ({error.msg})"

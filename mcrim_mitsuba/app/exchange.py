@@ -30,6 +30,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.files import attributes, json_text, write_bytes, write_text
 from mcrim_mitsuba.core.numbers import value_text
 from mcrim_mitsuba.core.run import Run
+from mcrim_mitsuba.effects.effect import with_new_names
 from mcrim_mitsuba.inference.repair import mended_scene, rounded, scene_text
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import GAP_INDEX, spectrophotometer_of
@@ -276,7 +277,7 @@ def read_session(name: str, content: bytes, scene: SceneFile) -> dict[str, Any]:
     Raises InputError if it is none, or of another scene.
     """
     try:
-        document = json.loads(content)
+        document = with_new_names(json.loads(content))
         fits = document["fits"]
         tables = [document["table"], *(state["readings"] for state in (document, *fits))]
         is_ours = document["format"] == _SESSION and len(fits) <= _MOST_FITS

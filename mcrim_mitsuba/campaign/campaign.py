@@ -40,7 +40,7 @@ from mcrim_mitsuba.core.numbers import (
 from mcrim_mitsuba.core.rounding import counted
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable, is_plain_number, read_toml
 from mcrim_mitsuba.effects.catalogue import catalogue, effect_of, exclude_each_other
-from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.effects.effect import Effect, with_new_names
 from mcrim_mitsuba.effects.trust import refuse_untrusted, trust, whose
 from mcrim_mitsuba.scene.emitted_light import EmittedLight, read_light
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
@@ -215,6 +215,7 @@ class Campaign:
         another one, if it needs a parameter that the scene lacks, or if one of its parameters is in
         the campaign, or a column, already.
         """
+        names = with_new_names(names)
         effects = [*self.effects, *names]
         _refuse_effects(effects, self)
         ranges = known_ranges(self.catalogue, names, self.values)
@@ -253,13 +254,20 @@ def read_campaign(path: str | Path, *, trust_effects: bool = False) -> Campaign:
         kind, entries_of_it = others[path.suffix.lower()]
         mend = f"name a campaign (.toml) with {entries_of_it}"
         raise InputError(f"this is {kind}, not a campaign", mend, path=path)
-    document = read_toml(path)
+    document = _with_new_names(read_toml(path))
     folder = _folder(document.table("", schema.CAMPAIGN), trust_effects)
     with collected(READS) as files:
         campaign = _campaign_of(document, folder)
     sources = () if folder is None else sorted(folder.glob("*.py"))
     files = [path, *campaign.scene.files, *files, *sources]
     return replace(campaign, files=tuple(dict.fromkeys(files)))
+
+
+def _with_new_names(document: TomlDocument) -> TomlDocument:
+    """The document with parameters of effects as they are named today."""
+    content = {**document.content, "parameters": with_new_names(document.table("parameters"))}
+    lines = {".".join(with_new_names(n.split("."))): line for n, line in document.lines.items()}
+    return replace(document, content=content, lines=lines | document.lines)
 
 
 def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
@@ -485,7 +493,7 @@ def _folder(entries: TomlTable, trusted: bool) -> Path | None:
 
 def _read_effects(entries: TomlTable, campaign: Campaign) -> tuple[str, ...]:
     """The effects that are switched on."""
-    names = entries.get("effects", [])
+    names = with_new_names(entries.get("effects", []))
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise entries.refusal("effects", "effects is not a list of names", "write effects = []")
     with said_by(partial(entries.refusal, "effects")):

@@ -29,6 +29,7 @@ from mcrim_mitsuba.core.errors import InputError, visible
 from mcrim_mitsuba.core.files import attributes, beside, read_text, write_text
 from mcrim_mitsuba.core.numbers import MM_PER_CM, value_text
 from mcrim_mitsuba.core.rounding import pdg
+from mcrim_mitsuba.effects.effect import OLD_NAMES
 from mcrim_mitsuba.laboratory.light_yield import SCALE as TUBE_SCALE
 from mcrim_mitsuba.optics.absorption import Absorption
 
@@ -120,6 +121,9 @@ def _document(
 ) -> tomlkit.TOMLDocument:
     """The campaign file with its paths as the target needs them."""
     document = tomlkit.parse(read_text(campaign.path, _LIMIT_MB))
+    for old, new in OLD_NAMES.items():
+        if table_in(document, f"parameters.{old}") is not None:
+            document["parameters"][new] = document["parameters"].pop(old)
 
     def relative(path: Path) -> str:
         return Path(os.path.relpath(path.absolute(), target.parent.absolute())).as_posix()

@@ -17,7 +17,13 @@ from mcrim_mitsuba.core.files import read_text
 from mcrim_mitsuba.core.numbers import number_of, parse_number
 from mcrim_mitsuba.core.run import OWN_MODULES
 from mcrim_mitsuba.effects import crystal, crystal_faces, detector, gap, readings, surroundings
-from mcrim_mitsuba.effects.effect import WRONG, Effect, function_of
+from mcrim_mitsuba.effects.effect import (
+    OLD_NAMES,
+    WRONG,
+    Effect,
+    function_of,
+    with_new_names,
+)
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
@@ -139,10 +145,11 @@ def _line_within(file: str, error: BaseException) -> int | None:
 
 def _refuse_taken_names(effect: Effect, taken: Mapping[str, Effect], place: _Place) -> None:
     """Refuse an effect whose name, or parameter, another one has: files refer to these."""
-    if effect.name in taken:
+    if effect.name in taken or effect.name in OLD_NAMES:
         problem = f"an effect {effect.name} exists already"
         raise InputError(problem, "give EFFECT another name", **place)
     owners = {p.name: other.name for other in taken.values() for p in other.parameters}
+    owners |= OLD_NAMES
     for parameter in effect.parameters:
         if parameter.name in owners:
             problem = f"{parameter.name} is a parameter of {owners[parameter.name]} already"
@@ -174,7 +181,8 @@ def add(
     could be put into it.
     """
     effects = catalogue(folder) if isinstance(effect, str) or folder is not None else {}
-    chosen = effect_of(effect, effects, scene.path) if isinstance(effect, str) else effect
+    name = with_new_names(effect)
+    chosen = effect_of(name, effects, scene.path) if isinstance(effect, str) else effect
     if chosen.edit is None:
         where = "the readings" if chosen.reading is not None else "the photon records"
         problem = f"{chosen.name} belongs to {where}, not to the scene"

@@ -22,12 +22,29 @@ from mcrim_mitsuba.scene.spectrophotometer import GAP_INDEX
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 #: Before the name of a number of the bench, as the name of the effect that it is wrong.
 WRONG = "wrong:"
+#: Today's names of effects, and of their parameters, by those that older files and commands have.
+OLD_NAMES = {"saturation": "nonlinearity"}
 _COORDINATES = ("linear", "reciprocal", "logarithmic")
 
 Columns = Mapping[str, np.ndarray]
 Values = Mapping[str, float]
 Parameters = Mapping[str, Value]
 Weight = Callable[[Columns, Values, Parameters], np.ndarray]
+
+
+def with_new_names(content: Any) -> Any:
+    """A name as it is today; of documents all keys, all in lists, and texts under ``effect``."""
+    if isinstance(content, dict):
+        return {
+            # both are left where both are given, for others to refuse
+            key if OLD_NAMES.get(key) in content else OLD_NAMES.get(key, key): (
+                text if isinstance(text, str) and key != "effect" else with_new_names(text)
+            )
+            for key, text in content.items()
+        }
+    if isinstance(content, (list, tuple)):
+        return list(map(with_new_names, content))
+    return OLD_NAMES.get(content, content) if isinstance(content, str) else content
 
 
 @dataclass(frozen=True)
@@ -281,6 +298,7 @@ class Effect:
 
     def __post_init__(self) -> None:
         """Refuse (ValueError) what makes no sense; a function of the reading gets all arguments."""
+        object.__setattr__(self, "excludes", tuple(with_new_names(self.excludes)))
         if self.number is None and not _NAME.fullmatch(self.name):
             raise ValueError(f"the name {self.name!r} is not letters, digits and _")
         acts = (self.edit, self.weight, self.colours, self.reading, self.number)

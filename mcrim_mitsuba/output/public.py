@@ -132,9 +132,11 @@ def _above_0(name: str, value: object, kind: str) -> float:
 
 
 def _names(given: str | Sequence[str]) -> tuple[str, ...]:
-    """Names, also as a text with commas between them."""
+    """Names of effects as they are today, also of a text with commas between them."""
+    from mcrim_mitsuba.effects.effect import with_new_names
+
     several = given.split(",") if isinstance(given, str) else given
-    return tuple(name.strip() for name in several if name.strip())
+    return tuple(with_new_names(name.strip()) for name in several if name.strip())
 
 
 # ---------------------------------------------------------------- of a scene
@@ -712,7 +714,7 @@ def diagnose(
     Parameters
     ----------
     without, only : str or sequence of str
-        Effects that are left out, and those that alone are tried: ``"background,saturation"``.
+        Effects that are left out, and those that alone are tried: ``"background,nonlinearity"``.
     sure : float
         Probability, 0.5 to 1, from which a family of effects, or a wrong reading, is named.
     run, photons, precision, seed, threads, variant, progress, check
@@ -946,5 +948,6 @@ def report(
     from mcrim_mitsuba.output.report import report as write_report
 
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
-    sections = write_report(campaign, output, effects=effects, run=run)
+    chosen = None if effects is None else _names(effects)
+    sections = write_report(campaign, output, effects=chosen, run=run)
     return ReportResult.of_report(Path(output), sections)

@@ -395,6 +395,11 @@ def test_a_session_is_kept_in_a_file(files, scenes):
         assert not again.campaign.measurements.readings[15].use
         assert again.settings.known["alpha_abs_per_cm"].how == HELD
 
+        older = exchange.read_session(
+            name, content.replace(b"gap_bubble", b"saturation"), other.state.campaign.scene
+        )
+        assert older["fits"][1]["settings"]["effects"] == ["nonlinearity"]
+
         changed = json.loads(content) | {"fits": [{"settings": {}}]}
         number = json.loads(content) | {"measurements": 5}
         documents = [json.dumps(document).encode() for document in (changed, number)]

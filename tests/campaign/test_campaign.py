@@ -3,6 +3,7 @@
 import math
 import pickle
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from refusals import refusal
 from mcrim_mitsuba.campaign.campaign import LightYieldInput, read_campaign
 from mcrim_mitsuba.campaign.editor import campaign_with_effects
 from mcrim_mitsuba.campaign.entries import json_schema
+from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.trust import UntrustedEffectsError, fingerprint, trust
 from mcrim_mitsuba.inference.fit import UndeterminedError
@@ -178,6 +180,38 @@ def test_effects_bring_their_parameters(folder):
         ("source_depth", "needs crystal_height_mm"),
     ):
         assert says in refusal(read.with_effects, [name])
+
+
+def test_the_old_name_of_an_effect_is_read(folder):
+    """In all forms of TOML; what goes on from such a campaign says the new one, once."""
+    (folder / "measured.csv").write_text(CSV + "oil,26,0.4,1.52\n")
+    on = CAMPAIGN.replace("effects = []", 'effects = ["saturation"]')
+    table = "[parameters.saturation]\nstart = 0.003\nprior = 0.002\nprior_sigma = 0.001\n"
+    inline = "[parameters]\nsaturation = {start = 0.003, prior = 0.002, prior_sigma = 0.001}\n"
+    old = campaign(folder, on + table)
+    assert old.effects == ("nonlinearity",)
+    size = CampaignParameter("nonlinearity", 0.003, -0.05, 0.05, prior=0.002, prior_sigma=0.001)
+    assert old.parameters["nonlinearity"] == size and "saturation" not in old.parameters
+    same = campaign(
+        folder,
+        on.replace("[parameters.alpha_scat_per_cm]", f"{inline}[parameters.alpha_scat_per_cm]"),
+    )
+    assert same.parameters["nonlinearity"] == size
+    assert campaign(folder, CAMPAIGN).with_effects(["saturation"]).effects == ("nonlinearity",)
+
+    campaign(folder, on + table)
+    text = campaign_with_effects(old, folder / "on.toml", old.scene.path, {"nonlinearity": 0.001})
+    assert "saturation" not in text and text.count("[parameters.nonlinearity]") == 1
+    again = campaign(folder, text).parameters["nonlinearity"]
+    assert again == replace(size, start=0.001)
+
+    for more, says in (
+        ("[parameters.saturation]\nstart = 1\n", ", line 16: start = 1 of nonlinearity is outside"),
+        (table + "[parameters.nonlinearity]\n", "saturation is not a parameter of camoo4.xml"),
+    ):
+        with pytest.raises(InputError) as refused:
+            campaign(folder, on + more)
+        assert says in str(refused.value)
 
 
 def test_an_index_begins_beside_the_scenes(folder):

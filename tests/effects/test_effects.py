@@ -333,7 +333,43 @@ def test_what_drifts_and_what_another_crystal_reads():
     assert KNOWN["sample_scale"].reading(signals, 0.1, rows)[0] == pytest.approx([10.0, 11, 11])
     # the yield comes first; what drifts is what is read in the end
     last = sorted((e for e in KNOWN.values() if e.reading), key=lambda e: e.order)
-    assert [e.name for e in last] == ["sample_scale", "saturation", "background", "gain_drift"]
+    assert [e.name for e in last] == ["sample_scale", "nonlinearity", "background", "gain_drift"]
+
+
+def test_a_nonlinear_readout_divides_by_nothing_and_rises_on():
+    """reading = true / (1 + k true) up to ten times the light, and straight on from there."""
+    reading = KNOWN["nonlinearity"].reading
+    true, nothing = np.geomspace(1e-3, 1e4, 400), Rows(np.zeros(0), np.zeros(0, dtype=bool))
+    sizes = [[-0.05], [-0.004], [0.0], [0.004], [0.05]]
+    for value in (*(size for (size,) in sizes), np.array(sizes)):
+        read, by_true, by_value = reading(true, value, nothing)
+        formula = np.broadcast_to(1.0 + value * true, read.shape)
+        inside = formula > 0.1
+        assert inside.any() and read[inside] == pytest.approx((true / formula)[inside])
+        assert np.isfinite(read).all() and (np.diff(read) > 0.0).all() and (by_true > 0.0).all()
+        up, down = (
+            reading(true * 1.0001, value, nothing)[0],
+            reading(true * 0.9999, value, nothing)[0],
+        )
+        assert by_true == pytest.approx((up - down) / (2e-4 * true), rel=0.01)
+        up, down = (reading(true, value + step, nothing)[0] for step in (1e-8, -1e-8))
+        assert by_value == pytest.approx((up - down) / 2e-8, rel=0.01)
+    low, high = KNOWN["nonlinearity"].parameters[0].plausible_among({}, np.array([5.0, 40.0]))
+    assert (low, high) == (-0.1 / 40.0, 0.1 / 40.0)
+
+
+def test_the_old_name_of_an_effect_is_read_and_taken(bench, tmp_path):
+    assert "nonlinearity belongs to the readings" in refusal(add, "saturation", bench)
+    (tmp_path / "spot.py").write_text(
+        OWN.replace("edit=edit", "edit=edit, excludes=('saturation',)")
+    )
+    assert catalogue(tmp_path)["spot"].excludes == ("nonlinearity",)
+    for old, says in (
+        ('"spot", title', "an effect saturation exists already"),
+        ('"spot_mm", unit', "saturation is a parameter of nonlinearity already"),
+    ):
+        (tmp_path / "spot.py").write_text(OWN.replace(old, f'"saturation",{old.split(",")[1]}'))
+        assert says in refusal(catalogue, tmp_path)
 
 
 OWN = """from mcrim_mitsuba.effects import Effect, EffectParameter

@@ -166,6 +166,28 @@ def test_a_calibration_in_all_three(write, tmp_path):
     assert r"light yield (ph\,keV$^{-1}$)" in text
 
 
+def test_results_of_an_effects_old_name_say_the_new_one(write):
+    def with_old_name(content):
+        names = (
+            ("gap_bubble", "saturation"),
+            ("bubble_fraction", "saturation"),
+            ("gel", "saturation"),
+        )
+        text = json.dumps(content)
+        for name, old in names:
+            text = text.replace(f'"{name}"', f'"{old}"')
+        return text
+
+    candidate = read_results([write("old.json", with_old_name(diagnosis()))]).rows[1]
+    assert (candidate["effect"], candidate["leading"]) == ("nonlinearity", True)
+    assert candidate["size"] == "nonlinearity = 0.27 ± 0.07"
+    fitted = calibration(parameters={"bubble_fraction": estimate(0.002, 0.001)})
+    fit = read_results([write("fit.json", with_old_name(fitted))])
+    assert fit.rows[0]["nonlinearity"] == 0.002
+    # a reading is called what it is called
+    assert fit.readings[1]["label"] == "saturation"
+
+
 def test_a_report_counts_as_its_calibration(write):
     whole = diagnosis() | {"calibration": calibration(chi2=7.0), "seed": 5}
     table = read_results([write("report.json", whole)])

@@ -200,6 +200,13 @@ def test_proposals_that_were_asked_for_and_are_not_listed_are_said():
     assert any("listed only where effects are to be told apart" in note for note in notes)
 
 
+def test_the_old_name_of_an_effect_is_taken():
+    campaign = SCENES / "camoo4_table1.toml"
+    for only, without in (("saturation", "nonlinearity"), (["nonlinearity"], ["saturation"])):
+        with pytest.raises(mcrim.InputError, match="no effect is left to be tried"):
+            mcrim.diagnose(campaign, only=only, without=without)
+
+
 def test_results_are_sent_between_processes():
     code = (
         "import functools, multiprocessing, mcrim_mitsuba as mcrim\n"
