@@ -143,7 +143,8 @@ def weigh_one(kind: str, number: int, seed: int) -> dict:
         "half_95": 0.5 * (light.upper_95 - light.lower_95) / true,
         "log_density": log_density,
         "crps": crps,
-        "first": first == wanted if wanted and kind != "withheld" else None,
+        # of several causes one may hide all others
+        "first": bool(first) and first <= wanted if wanted and kind != "withheld" else None,
         "adequate": verdict.word == "adequate",
         "named": verdict.word == "missing_effect" if hidden else None,
         "seconds": seconds,
