@@ -17,13 +17,7 @@ from mcrim_mitsuba.core.files import read_text
 from mcrim_mitsuba.core.numbers import number_of, parse_number
 from mcrim_mitsuba.core.run import OWN_MODULES
 from mcrim_mitsuba.effects import crystal, crystal_faces, detector, gap, readings, surroundings
-from mcrim_mitsuba.effects.effect import (
-    OLD_NAMES,
-    WRONG,
-    Effect,
-    function_of,
-    with_new_names,
-)
+from mcrim_mitsuba.effects.effect import OLD_NAMES, WRONG, Effect, function_of, with_new_names
 from mcrim_mitsuba.scene.editor import SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
@@ -148,8 +142,7 @@ def _refuse_taken_names(effect: Effect, taken: Mapping[str, Effect], place: _Pla
     if effect.name in taken or effect.name in OLD_NAMES:
         problem = f"an effect {effect.name} exists already"
         raise InputError(problem, "give EFFECT another name", **place)
-    owners = {p.name: other.name for other in taken.values() for p in other.parameters}
-    owners |= OLD_NAMES
+    owners = {p.name: other.name for other in taken.values() for p in other.parameters} | OLD_NAMES
     for parameter in effect.parameters:
         if parameter.name in owners:
             problem = f"{parameter.name} is a parameter of {owners[parameter.name]} already"

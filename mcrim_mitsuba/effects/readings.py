@@ -49,15 +49,10 @@ BACKGROUND = Effect(
 )
 
 
-#: Where a reading is so many times the light, it goes on straight; no readout comes near that.
-_STRAIGHT_FROM = 10.0
-
-
 def reading_nonlinearity(signals: np.ndarray, value: float, rows: Rows) -> Predicted:
     """reading = signal / (1 + k signal), straight on along its slope before that divides by 0."""
-    # the signal where a negative k has made ten of one; far away for any other
-    knee = (1.0 - 1.0 / _STRAIGHT_FROM) / np.maximum(-value, 1e-300)
-    bent = np.minimum(signals, knee)
+    # there a negative k makes readings of ten times the light, which no readout comes near
+    bent = np.minimum(signals, 0.9 / np.maximum(-value, 1e-300))
     damped = 1.0 + value * bent
     return bent / damped + (signals - bent) / damped**2, damped**-2.0, -((bent / damped) ** 2)
 
@@ -79,15 +74,13 @@ NONLINEARITY = Effect(
     physics=(
         "Space charge in a photomultiplier, the finite number of a silicon detector's cells, an "
         "amplifier near its limit or dead time read strong signals too low: reading = true / "
-        "(1 + k true), the form of a non-paralyzable dead time, k above 0. Strong signals are read "
-        "too high, k below 0, where the tube's current raises the voltages of its first dynodes, "
-        "an amplifier or converter bends upwards, or a threshold takes more of the weak ones. It "
-        "acts before a background is added."
+        "(1 + k true), the form of a non-paralyzable dead time. Where k is below 0 they are read "
+        "too high: the tube's current raises the voltages of its first dynodes, an amplifier bends "
+        "upwards, or a threshold takes more of the weak ones. It acts before background is added."
     ),
     source=(
         "G. F. Knoll, Radiation Detection and Measurement, 4th ed., Wiley 2010, chapter 4; "
-        "Hamamatsu Photonics, Photomultiplier Tubes, 3rd ed., 2007, chapter 5 (linearity of the "
-        "voltage divider)"
+        "Hamamatsu Photonics, Photomultiplier Tubes, 3rd ed., 2007, chapter 5"
     ),
     parameters=(
         EffectParameter(

@@ -948,6 +948,5 @@ def report(
     from mcrim_mitsuba.output.report import report as write_report
 
     run = _run_of(run, photons, precision, seed, threads, variant, progress, check)
-    chosen = None if effects is None else _names(effects)
-    sections = write_report(campaign, output, effects=chosen, run=run)
+    sections = write_report(campaign, output, effects=effects and _names(effects), run=run)
     return ReportResult.of_report(Path(output), sections)
