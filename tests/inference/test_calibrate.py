@@ -211,9 +211,10 @@ def test_strange_readings_end_in_a_line_or_in_a_fit_that_says_so(campaign, rows,
     assert found.parameters["alpha_scat_per_cm"].value > 3
 
 
-@pytest.fixture
-def wide(scenes, tmp_path):
+@pytest.fixture(scope="module")
+def wide(scenes, tmp_path_factory):
     """Writes a campaign of a crystal 0.3 mm wider than its scene has it; gives its simulations."""
+    tmp_path = tmp_path_factory.mktemp("wide")
     scene = (scenes / "camoo4.xml").read_text()
     narrow, broad = (f'name="crystal_width_mm" value="{width}"' for width in ("10", "10.3"))
     text, *known = (scenes / "camoo4_misfit.toml").read_text().partition("[parameters")
