@@ -36,7 +36,7 @@ from mcrim_mitsuba.inference.weighing import weigh_hypotheses
 from mcrim_mitsuba.output.description import table
 from trials import formula_bench as bench
 from trials.executor import Trial, Trials, executor_options
-from trials.truth import unfinished
+from trials.truth import do_missing
 
 KINDS = "known withheld pairs triples nothing wrong understated coarse six forty".split()
 #: Least and most of it; the least of readings whose errors hide more.
@@ -62,10 +62,7 @@ def main(number: int, kinds: tuple[str, ...], seed: int, json_file: str | None, 
     code = [Path(__file__), Path(bench.__file__)]
     trials = Trials("formulas", {"seed": seed}, wanted, code, executor)
     arguments = {trial: (trial.kind, trial.number, seed) for trial in trials.missing}
-    with terminal.photon_progress(log=log) as report:
-        failures = trials.do(weigh_one, arguments, report)
-    lacking = bool(failures or trials.elsewhere)
-    ended = unfinished(screen, "formulas", failures, trials, lacking=lacking)
+    ended = do_missing(screen, "formulas", trials, weigh_one, arguments, log)
     if ended is not None:
         return ended
     found = {kind: [trials.results[t] for t in wanted if t.kind == kind] for kind in kinds}

@@ -24,7 +24,7 @@ from mcrim_mitsuba.laboratory.peak import COUNTING, GAUSSIAN, fit_peak
 from mcrim_mitsuba.laboratory.peak_shapes import PhotonSpectrum
 from mcrim_mitsuba.output.description import table
 from trials.executor import Trial, Trials, executor_options
-from trials.truth import unfinished
+from trials.truth import do_missing
 
 MEANS, MINUTES, PER_S = (14.3, 24.5), 10.0, 33.0
 #: Histograms of a trial.
@@ -43,10 +43,7 @@ def main(repeats: int, seed: int, json_file: str | None, executor, log) -> int:
     wanted = [Trial(f"{mean:g}-photons", block) for mean in MEANS for block in blocks]
     trials = Trials("peak", {"seed": seed}, wanted, [Path(__file__)], executor)
     arguments = {one: (float(one.kind.split("-")[0]), seed, one.number) for one in trials.missing}
-    with terminal.photon_progress(log=log) as report:
-        failures = trials.do(fit_block, arguments, report)
-    lacking = bool(failures or trials.elsewhere)
-    ended = unfinished(screen, "peak", failures, trials, lacking=lacking)
+    ended = do_missing(screen, "peak", trials, fit_block, arguments, log)
     if ended is not None:
         return ended
     rows = []

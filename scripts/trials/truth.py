@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
 import numpy as np
 
+from mcrim_mitsuba.cli import terminal
 from mcrim_mitsuba.cli.terminal import DONE, OUR_FAULT, Screen
-from trials.executor import Trials
+from trials.executor import Trial, Trials
 
 #: Where truths are drawn: alpha_scat evenly in its logarithm, the others evenly.
 TRUE_ALPHA_SCAT_PER_CM, TRUE_ALPHA_ABS_PER_CM = (0.15, 1.2), (0.027, 0.051)
@@ -17,6 +21,20 @@ PRIOR_SIGMA_PER_CM = 0.012
 def draw_absorption_and_scale(rng: np.random.Generator) -> tuple[float, float]:
     """The absorption, 1/cm, and the readings' unit."""
     return rng.uniform(*TRUE_ALPHA_ABS_PER_CM), rng.uniform(*TRUE_SCALE)
+
+
+def do_missing(
+    screen: Screen,
+    who: str,
+    trials: Trials,
+    function: Callable[..., Any],
+    arguments: Mapping[Trial, tuple[Any, ...]],
+    log: str | None,
+) -> int | None:
+    """Do the trials that are missing, and say as `unfinished` what is then lacking."""
+    with terminal.photon_progress(log=log) as report:
+        failures = trials.do(function, arguments, report)
+    return unfinished(screen, who, failures, trials, lacking=bool(failures or trials.elsewhere))
 
 
 def unfinished(
