@@ -277,16 +277,35 @@ class ResponseMaker:
         *,
         is_look: bool,
     ) -> _EffectPlan:
-        """Nodes of an effect; those of `acceptance` come last, if a beam sees the effect."""
+        """An effect at the nodes of its parameters."""
         photons = self._look_photons if is_look else self._effect_photons
         benches = [{**self.campaign.values, **run.parameters} for run in plain]
         few = is_look and (not self._weighs(effect) or effect.proposal is not None)
         axes = tuple(
             _axis(parameter, self.campaign.values, benches, few) for parameter in effect.parameters
         )
+        return self._plan_along(axes, effect, plain, photons, acceptance)
+
+    def _plan_of_tolerance(self, tolerance: Tolerance, plain: Sequence[PlannedRun]) -> _EffectPlan:
+        """A number of the bench, off by `REACH` of its uncertainties either way."""
+        effect, reach = tolerance.wrong, REACH * tolerance.sigma
+        axes = (Axis(effect.parameters[0], [0.0, -reach, reach]),)
+        plan = self._plan_along(axes, effect, plain, self._look_photons)
+        return replace(plan, name=tolerance.number.name)
+
+    def _plan_along(
+        self,
+        axes: tuple[Axis, ...],
+        effect: Effect,
+        plain: Sequence[PlannedRun],
+        photons: int,
+        acceptance: EffectParameter | None = None,
+    ) -> _EffectPlan:
+        """An effect at nodes of some axes; those of `acceptance` are last, where beams see it."""
         seeing = [number for number, run in enumerate(plain) if self._is_seen(effect, run)]
         further = None
         if acceptance and not effect.of_beam and any(plain[number].of_beam for number in seeing):
+            benches = [{**self.campaign.values, **run.parameters} for run in plain]
             further = _axis(acceptance, self.campaign.values, benches)
         nodes: list[_Node] = []
         for number in seeing:
@@ -305,20 +324,6 @@ class ResponseMaker:
                         pair = _within(reference, angle), _within(changed, angle)
                     nodes.append(_Node((*place, i), number, *pair))
         return _EffectPlan(effect.name, axes if further is None else (*axes, further), nodes)
-
-    def _plan_of_tolerance(self, tolerance: Tolerance, plain: Sequence[PlannedRun]) -> _EffectPlan:
-        """A number of the bench, off by `REACH` of its uncertainties either way."""
-        effect, reach = tolerance.wrong, REACH * tolerance.sigma
-        (parameter,) = effect.parameters
-        nodes = []
-        for number, run in enumerate(plain):
-            if self._is_seen(effect, run):
-                source, reference = self._sources(effect, run, self._look_photons)
-                for place, offset in enumerate((-reach, reach), start=1):
-                    changed = self._changed(effect, source, run, {parameter.name: offset})
-                    nodes.append(_Node((place,), number, reference, changed))
-        axes = (Axis(parameter, [0.0, -reach, reach]),)
-        return _EffectPlan(tolerance.number.name, axes, nodes)
 
     def _sources(
         self, effect: Effect, run: PlannedRun, photons: int

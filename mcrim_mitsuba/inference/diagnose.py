@@ -446,9 +446,7 @@ def _families(judgement: Judgement) -> tuple[FamilyProbability, ...]:
     effects = judgement.explanations.effects
     members: dict[str, dict[str, None]] = {}
     listed = judgement.probabilities
-    for hypothesis in (
-        hypothesis for hypothesis, _ in judgement.groups if hypothesis.name in listed
-    ):
+    for hypothesis in (head for head, _ in judgement.groups if head.name in listed):
         for effect in hypothesis.effects:
             members.setdefault(effects[effect].family, {})[effect] = None
         for cause in hypothesis.besides:

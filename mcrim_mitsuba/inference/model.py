@@ -272,10 +272,9 @@ class ResponseModel:
                 eta_slopes[:, column] = eta * at.slopes[name]
         sent = self._sent(values, eta, eta_slopes)
         signal, signal_slopes, per_eta = self._read(values, *sent)
-        eta_errors = eta_sigma = of_tolerances = None
+        eta_errors = eta_sigma = None
         if covariance or check:
             eta_errors = eta[:, None] * errors_of(at.deviations)
-            of_tolerances = eta[:, None] * at.by_tolerances
             eta_sigma = np.sqrt(np.square(eta_errors).sum(axis=1))
         return Prediction(
             scale=values[SCALE],
@@ -287,7 +286,7 @@ class ResponseModel:
             eta_sigma=eta_sigma,
             interpolation_error=at.interpolation_error() * eta if check else None,
             eta_errors=eta_errors if covariance else None,
-            eta_of_tolerances=of_tolerances if covariance else None,
+            eta_of_tolerances=eta[:, None] * at.by_tolerances if covariance else None,
         )
 
     def _sent(

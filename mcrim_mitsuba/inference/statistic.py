@@ -104,7 +104,8 @@ class ErrorMatrices:
     @property
     def total(self) -> Array:
         """Covariance of reading minus prediction."""
-        return self.readings + self.predicted @ self.predicted.T
+        predicted = self.predicted
+        return self.readings + predicted @ predicted.T
 
     def statistical_variances(self, response: Array) -> Array:
         """(k,) variances, by `readings`, of numbers that move by (k, used) with the readings."""
