@@ -137,11 +137,13 @@ class LiveModel:
             theta[place] = value if p.name == SCALE else min(max(value, p.minimum), p.maximum)
         if settings.fit_scale:
             theta, sigma = _fit_scale(statistic, theta)
-        prediction = statistic.model.predict(theta, check=True)
+        prediction = statistic.model.predict(theta, check=True, covariance=True)
         assert prediction.eta_sigma is not None  # checked
         assert prediction.interpolation_error is not None
         errors = list(map(math.hypot, prediction.eta_sigma, prediction.interpolation_error))
-        chi2 = statistic.chi2(theta, Weights(statistic.errors_at(theta)))
+        weights = Weights(statistic.errors_at(theta))
+        chi2 = statistic.chi2(theta, weights)
+        prediction = prediction.where_off(weights.offsets(statistic.residuals(prediction)))
         ndf = statistic.ndf + sum(
             n in knowledge and knowledge[n].how == HELD for n in statistic.names
         )

@@ -25,7 +25,7 @@ from mcrim_mitsuba.campaign.parameter import (
 from mcrim_mitsuba.campaign.raw_data import file_in
 from mcrim_mitsuba.campaign.reduction import RawData, reduce_raw_data
 from mcrim_mitsuba.campaign.samples import EFFICIENCY_FACTOR, Sample, own_name, read_samples
-from mcrim_mitsuba.campaign.tolerances import Tolerance, read_tolerances
+from mcrim_mitsuba.campaign.tolerances import Tolerance, read_tolerances, wrong_numbers
 from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by, visible
 from mcrim_mitsuba.core.files import READS, collected, is_there
 from mcrim_mitsuba.core.numbers import (
@@ -282,8 +282,14 @@ def _campaign_of(document: TomlDocument, folder: Path | None) -> Campaign:
         document, scene, measurements, of_effects | {*scene.parameters, EFFICIENCY_FACTOR}
     )
     _refuse_rows_the_scene_cannot_take(scene, measurements)
-    tolerances = read_tolerances(document, scene, measurements)
-    wrong = {effect.name: effect for effect in (tolerance.wrong for tolerance in tolerances)}
+    sizes = {
+        parameter.name
+        for effect in effects.values()
+        for parameter in effect.parameters
+        if parameter.nominal is None
+    }
+    tolerances = read_tolerances(document, scene, measurements, sizes)
+    wrong = wrong_numbers(tolerances)
     campaign = Campaign(
         path=document.path,
         scene=scene,

@@ -189,7 +189,7 @@ PEAKS: Entries = {
 }
 #: Of an entry of ``[tolerances]``.
 TOLERANCE: Entries = {
-    SIGMA: _number("Standard uncertainty, in the unit of the name", exclusiveMinimum=0),
+    SIGMA: _number("Standard uncertainty, in the unit of the name; 0: exact", minimum=0),
     EACH: {
         "enum": [EACH_VALUE, "all"],
         "description": "Whether every value of a column has an offset of its own, or all have one",

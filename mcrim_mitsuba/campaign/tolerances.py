@@ -6,13 +6,14 @@
 
 Every number of a scene was measured by somebody with something. Where a column of the readings
 gives several values, each is a part of its own, such as three masks, with an offset of its own;
-``each = "all"`` says that one ruler, or one index, is wrong for all of them.
+``each = "all"`` says that one ruler, or one index, is wrong for all of them. What is left out has
+what is usual for a number of its kind; ``none = true`` says that all is exact.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
 
 from mcrim_mitsuba.campaign.entries import (
     EACH,
@@ -25,19 +26,31 @@ from mcrim_mitsuba.campaign.entries import (
 )
 from mcrim_mitsuba.campaign.measurements import Measurements
 from mcrim_mitsuba.core.errors import did_you_mean
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, judge, unit_of
+from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, THIN, judge, unit_of
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
 from mcrim_mitsuba.effects.effect import WRONG, BenchNumber, Effect, EffectParameter
 from mcrim_mitsuba.scene.scene_file import SceneFile
 
 #: Standard uncertainties by which a number is moved either way to see what it does. Photons of both
 #: ends are the same; farther away what it does is less straight, nearer the photons tell less.
-REACH = 2.0
-#: Standard uncertainties by which a number that is wrong, not inexact, may be off: another glass, a
-#: drawing that was read wrongly. The smaller ones are for numbers that cannot be off so far.
-_WRONG_BY = (10.0, 7.0, 5.0, 4.0, 3.0, REACH)
-#: Part of it that is usual.
-_USUAL_PART = 0.6
+_REACH = 4.0
+#: Standard uncertainties that a number must be able to be off by.
+_POSSIBLE = 2.0
+#: Usual standard uncertainties: of lengths, in part and at least; of gaps and films, in part; of
+#: indices that no material tells; of reflectances.
+LENGTH_PART, LENGTH_MM, GAP_PART, INDEX, REFLECTANCE = 0.01, 0.05, 0.3, 0.005, 0.02
+#: The same in words.
+USUAL = (
+    f"lengths {LENGTH_PART:.0%}, at least {LENGTH_MM:g} mm; gaps {GAP_PART:.0%}; indices "
+    f"{INDEX:g}, or what the material says; reflectances {REFLECTANCE:g}"
+)
+#: Standard uncertainties by which a number that is wrong, not inexact, may be off: a drawing that
+#: was read wrongly; and those within which it usually is. Another glass is another index.
+_WRONG_BY, _USUALLY_BY, _OTHER_INDEX = 10.0, 6.0, 0.1
+#: Part of the farthest at which what an index does is simulated as well: it may bend.
+_BETWEEN = 0.5
+#: Part of a number that it cannot be too large by.
+_MOST_LESS = 0.8
 
 
 @dataclass(frozen=True)
@@ -47,13 +60,25 @@ class Tolerance:
     number: BenchNumber
     #: In the number's unit.
     sigma: float
-    #: How far it may be off where it is wrong.
-    farthest: float
+    #: How far it may be off where it is wrong, below and above.
+    farthest: tuple[float, float]
+    #: Whether the campaign says so; else it is what is usual.
+    given: bool = True
+
+    @property
+    def near(self) -> tuple[float, float]:
+        """Offsets from which what its uncertainty does is told."""
+        (low, high), reach = self.farthest, _REACH * self.sigma
+        return max(low, -reach), min(high, reach)
 
     @property
     def wrong(self) -> Effect:
         """The effect that the number is wrong: beyond what its uncertainty allows."""
-        words, far = self.number.words, self.farthest
+        words, (low, high) = self.number.words, self.farthest
+        usual = _USUALLY_BY * self.sigma
+        nodes = {low, *self.near, high}
+        if self.number.parameter.startswith("n_"):
+            nodes |= {_BETWEEN * low, _BETWEEN * high}
         return Effect(
             name=f"{WRONG}{self.number.name}",
             title=f"wrong {words}",
@@ -66,11 +91,14 @@ class Tolerance:
                     name=self.number.offset_name,
                     meaning=f"Off the {words} of the scene",
                     unit=unit_of(self.number.parameter) or "",
-                    minimum=-far,
-                    maximum=far,
+                    minimum=low,
+                    maximum=high,
                     start=0.0,
-                    plausible=(-_USUAL_PART * far, _USUAL_PART * far),
-                    nodes=(-far, -0.4 * far, 0.4 * far, far),
+                    plausible=(max(low, -usual), min(high, usual)),
+                    nodes=tuple(sorted(nodes)),
+                    # where an index passes that of a neighbour total reflection begins, and beyond
+                    # the nodes of a first look lines are safe
+                    kinked=True,
                 ),
             ),
             family="numbers",
@@ -80,38 +108,66 @@ class Tolerance:
 
 
 def read_tolerances(
-    document: TomlDocument, scene: SceneFile, measurements: Measurements
+    document: TomlDocument,
+    scene: SceneFile,
+    measurements: Measurements,
+    of_effects: Collection[str] = (),
 ) -> tuple[Tolerance, ...]:
-    """``[tolerances]`` of a campaign.
+    """``[tolerances]`` of a campaign, and what is usual of the scene's other numbers.
 
-    Raises InputError, with the line, if a name is no number of the scene or is a parameter of the
-    campaign, or where the uncertainty is none or larger than the number can be.
+    Sizes of effects, `of_effects`, and fitted parameters have their errors elsewhere. Raises
+    InputError, with the line, if a name is no number of the scene or is a parameter of the
+    campaign, or where the uncertainty is larger than the number can be.
     """
     table, tolerances = document.table(TOLERANCES), list[Tolerance]()
-    known = document.table("parameters")
+    elsewhere = {*document.table("parameters"), ALPHA_SCAT, ALPHA_ABS}
     if table.get(NONE) is True and len(table) == 1:
         return ()
     for name in table:
-        _refuse_name(table, name, scene, known)
-        each, sigma = EACH_VALUE, table[name]
+        _refuse_name(table, name, scene, elsewhere)
+    for name, own in scene.parameters.items():
+        if not isinstance(own, float) or (name in elsewhere or name in of_effects) > (
+            name in table
+        ):
+            continue
+        each, sigma = EACH_VALUE, table.get(name)
         if isinstance(sigma, dict):
             entry = document.table(f"{TOLERANCES}.{name}", TOLERANCE)
             each, sigma = choice(entry, EACH, TOLERANCE) or each, entry.number(SIGMA)
             if sigma is None:
                 raise table.refusal(name, f"{name} has no {SIGMA}", f"write {name} = 0.01")
-        else:
+        elif name in table:
             sigma = table.known_number(name)
         # where the column varies each value is a part; the index of air is none
         rows = [{**scene.parameters, **reading.parameters} for reading in measurements.readings]
         of_rows = dict.fromkeys(float(row[name]) for row in rows)
         parts = [BenchNumber(name, value) for value in of_rows]
         parts = [part for part in parts if any(map(part.is_of, rows))]
-        far = [_farthest(table, part, sigma) for part in parts]
+        found = [
+            _usual(scene, part) if sigma is None else _given(table, part, float(sigma))
+            for part in parts
+        ]
+        of_parts = [tolerance for tolerance in found if tolerance is not None]
         if len(of_rows) > 1 and each == EACH_VALUE:
-            tolerances += [Tolerance(n, sigma, f) for n, f in zip(parts, far, strict=True)]
-        elif parts:
-            tolerances.append(Tolerance(BenchNumber(name), sigma, min(far)))
+            tolerances += of_parts
+        elif of_parts:
+            lows, highs = zip(*(tolerance.farthest for tolerance in of_parts), strict=True)
+            one = replace(of_parts[0], number=BenchNumber(name))
+            tolerances.append(replace(one, farthest=(max(lows), min(highs))))
     return tuple(tolerances)
+
+
+def wrong_numbers(tolerances: Iterable[Tolerance]) -> dict[str, Effect]:
+    """Effects that a number is wrong, by name; where values differ, that all are by as much too."""
+    of_each = dict[str, list[Tolerance]]()
+    for tolerance in tolerances:
+        of_each.setdefault(tolerance.number.parameter, []).append(tolerance)
+    for name, parts in of_each.items():
+        if len(parts) > 1:
+            lows, highs = zip(*(part.farthest for part in parts), strict=True)
+            sigma = min(part.sigma for part in parts)
+            parts.append(Tolerance(BenchNumber(name), sigma, (max(lows), min(highs))))
+    return {part.wrong.name: part.wrong for parts in of_each.values() for part in parts}
 
 
 def _refuse_name(table: TomlTable, name: str, scene: SceneFile, known: Collection[str]) -> None:
@@ -120,7 +176,7 @@ def _refuse_name(table: TomlTable, name: str, scene: SceneFile, known: Collectio
     if name == NONE:
         mend = "write none = true alone: all numbers are exact; or remove it"
         raise table.refusal(name, "none stands beside other entries, or is not true", mend)
-    if name in known or name in (ALPHA_SCAT, ALPHA_ABS):
+    if name in known:
         mend = f"give its prior and prior_sigma in [parameters.{name}]"
         raise table.refusal(name, f"{name} belongs among the parameters", mend)
     if name not in scene.parameters:
@@ -130,21 +186,57 @@ def _refuse_name(table: TomlTable, name: str, scene: SceneFile, known: Collectio
         raise table.refusal(name, f"{name} is not a number", f"remove {name}")
 
 
-def _farthest(table: TomlTable, part: BenchNumber, sigma: float) -> float:
-    """How far a number may be off where it is wrong.
+def _usual(scene: SceneFile, part: BenchNumber) -> Tolerance | None:
+    """What is usual of a number of its kind; None of other kinds."""
+    name, value = part.parameter, part.value
+    assert value is not None  # of a column, or the scene's own
+    if name.startswith("n_"):
+        named = scene.materials.get(name)
+        own = named is not None and named.value == value
+        sigma = named.material.sigma or INDEX if named is not None and own else INDEX
+    elif name.endswith("reflectance"):
+        sigma = REFLECTANCE
+    elif name.endswith("_mm"):
+        thin = any(word in name for word in THIN)
+        sigma = GAP_PART * value if thin else max(LENGTH_PART * value, LENGTH_MM)
+    else:
+        return None
+    # what is near an end of what there is cannot be off so far
+    for less in (1.0, 0.5, 0.25, 0.1):
+        farthest = _farthest(part, less * sigma)
+        if sigma > 0.0 and -farthest[0] >= _POSSIBLE * less * sigma <= farthest[1]:
+            return Tolerance(part, less * sigma, farthest, given=False)
+    return None
 
-    Refuses an uncertainty that is none, or by which the number would be impossible.
+
+def _given(table: TomlTable, part: BenchNumber, sigma: float) -> Tolerance | None:
+    """What the campaign says of a number; None where it is exact.
+
+    Refuses an uncertainty by which the number would be impossible.
     """
     name, value = part.parameter, part.value
     assert value is not None  # of a column, or the scene's own
-    if not sigma > 0.0:
-        mend = f"give the standard uncertainty, or remove {name}: it is exact then"
-        raise table.refusal(name, f"the uncertainty {sigma:g} of {name} is not above 0", mend)
-    for times in _WRONG_BY:
-        ends = (value - times * sigma, value + times * sigma)
-        wrong = [(end, why) for end in ends if (why := judge(name, end)) is not None]
-        if not wrong:
-            return times * sigma
-    ((end, why), *_) = wrong
-    problem = f"{name} = {value:g} ± {sigma:g} reaches {end:g}: {why[1]}"
-    raise table.refusal(name, problem, "give a smaller uncertainty")
+    if sigma < 0.0:
+        mend = "give the standard uncertainty, or 0: it is exact then"
+        raise table.refusal(name, f"the uncertainty {sigma:g} of {name} is below 0", mend)
+    for end in (value - _POSSIBLE * sigma, value + _POSSIBLE * sigma):
+        if (why := judge(name, end)) is not None:
+            problem = f"{name} = {value:g} ± {sigma:g} reaches {end:g}: {why[1]}"
+            raise table.refusal(name, problem, "give a smaller uncertainty")
+    return Tolerance(part, sigma, _farthest(part, sigma)) if sigma else None
+
+
+def _farthest(part: BenchNumber, sigma: float) -> tuple[float, float]:
+    """How far a number may be off where it is wrong, below and above; 0: not at all."""
+    name, value = part.parameter, part.value
+    assert value is not None  # of a column, or the scene's own
+    far = max(_WRONG_BY * sigma, _OTHER_INDEX if name.startswith("n_") else 0.0)
+    ends = []
+    for most in (-min(far, _MOST_LESS * value) if value > 0.0 else -far, far):
+        parts = (
+            part
+            for part in (1.0, 0.7, 0.5, 0.4, 0.3, 0.2)
+            if judge(name, value + part * most) is None
+        )
+        ends.append(round(next(parts, 0.0) * most, 12))
+    return ends[0], ends[1]

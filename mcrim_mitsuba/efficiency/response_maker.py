@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mcrim_mitsuba.campaign.campaign import Campaign
-from mcrim_mitsuba.campaign.tolerances import REACH, Tolerance
+from mcrim_mitsuba.campaign.tolerances import Tolerance
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, Value
 from mcrim_mitsuba.core.run import Run
@@ -284,12 +284,16 @@ class ResponseMaker:
         axes = tuple(
             _axis(parameter, self.campaign.values, benches, few) for parameter in effect.parameters
         )
+        if few and effect.number is not None:
+            # as its tolerance: nothing more is simulated for a first look at it
+            (parameter,) = effect.parameters
+            axes = (Axis(parameter, [0.0, *sorted(parameter.nodes, key=abs)[:2]]),)
         return self._plan_along(axes, effect, plain, photons, acceptance)
 
     def _plan_of_tolerance(self, tolerance: Tolerance, plain: Sequence[PlannedRun]) -> _EffectPlan:
-        """A number of the bench, off by `REACH` of its uncertainties either way."""
-        effect, reach = tolerance.wrong, REACH * tolerance.sigma
-        axes = (Axis(effect.parameters[0], [0.0, -reach, reach]),)
+        """A number of the bench, off a little either way."""
+        effect = tolerance.wrong
+        axes = (Axis(effect.parameters[0], [0.0, *tolerance.near]),)
         plan = self._plan_along(axes, effect, plain, self._look_photons)
         return replace(plan, name=tolerance.number.name)
 

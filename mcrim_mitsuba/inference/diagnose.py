@@ -222,8 +222,17 @@ def diagnose(
     names = tuple(candidates)
     screened = ScreeningCache(simulations, names)
     precise = screened.read()
+    models = simulations.simulate(names, look=set(names) - {*(precise or ()), *adding})
+    idle = {name for name in names if not models.acts(name)} - {*adding}
+    if idle & {*only}:
+        problem = f"{', '.join(sorted(idle & {*only}))} changes none of the readings"
+        raise InputError(problem, "leave it out", path=campaign.path)
+    possible, candidates = (
+        {name: effect for name, effect in of.items() if name not in idle}
+        for of in (possible, candidates)
+    )
+    names = tuple(candidates)
     if precise is None:
-        models = simulations.simulate(names, look=set(names) - {*adding})
         run.tell("looking for what deserves more photons", 1, 1)
         precise = promising_effects(models.model, candidates, baseline.minimum)
     first = frozenset(precise)

@@ -160,7 +160,11 @@ def result_of(minima: list[Minimum], *, profile: bool) -> Calibration:
         chi2=best.chi2,
         ndf=best.ndf,
         p_value=best.p_value,
-        rows=fitted_rows(model.readings, prediction, prediction.eta_sigma.tolist()),
+        rows=fitted_rows(
+            model.readings,
+            prediction.where_off(best.weights.offsets(best.residuals)),
+            prediction.eta_sigma.tolist(),
+        ),
         names=best.names,
         covariance=best.covariance,
         response=of_rows,
@@ -218,7 +222,7 @@ def _checked_prediction(best: Minimum) -> Prediction:
     """The prediction at the solution, refused where the simulation says too little."""
     model = best.statistic.model
     try:
-        return model.predict(best.theta, check=True)
+        return model.predict(best.theta, check=True, covariance=True)
     except InputError as error:
         problem, mend = (
             f"the fit ended where the simulation says too little: {error.problem}",

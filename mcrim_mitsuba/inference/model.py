@@ -54,6 +54,15 @@ class Prediction:
     #: the campaign's numbers; with `eta_errors`, where it has tolerances.
     eta_of_tolerances: Array | None = None
 
+    def where_off(self, offsets: Array) -> Prediction:
+        """With the bench's numbers off by (tolerances,) offsets, in standard uncertainties."""
+        if self.eta_of_tolerances is None or not len(offsets):
+            return self
+        moved = self.eta_of_tolerances @ offsets
+        return replace(
+            self, eta=self.eta + moved, signal=self.signal + self.signal_per_eta * moved
+        )
+
 
 class Model(Protocol):
     """What fits ask of a model."""

@@ -194,12 +194,14 @@ class ScreeningSettings:
 
     #: How far behind the best in chi2 it may be: this, and this part of what the best gains. A
     #: first look has few nodes.
-    behind: float = 20.0
-    part_behind: float = 0.1
+    behind: float = 12.0
+    part_behind: float = 0.2
     #: What it must gain where the campaign as it is describes the readings.
     least_gain: float = 6.0
     #: Standard errors of the simulation by which both are eased.
     errors: float = 1.0
+    #: Least change of log(eta), of any reading, with which an effect counts as one.
+    acts: float = 1e-4
     #: Probability of all sets with an effect from which it deserves more, where no effect alone
     #: explains the readings.
     included: float = 0.02
@@ -382,7 +384,7 @@ class CandidateSettings:
 
     #: How far behind the best, in chi2, an effect's mimics are found by fits; the others' to first
     #: order.
-    within_reach: float = 30.0
+    within_reach: float = 12.0
     #: The first-order separation, in chi2, up to which a fit is worth its time.
     worth_a_fit: float = 80.0
     #: Standard errors of plausible sizes beyond which that of a fit says that nothing determines

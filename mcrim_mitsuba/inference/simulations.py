@@ -21,7 +21,7 @@ from mcrim_mitsuba.core.numbers import ALPHA_SCAT, Value
 from mcrim_mitsuba.core.rounding import number
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
-from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.effects.effect import WRONG, Effect
 from mcrim_mitsuba.efficiency.proposals import Beyond
 from mcrim_mitsuba.efficiency.response_maker import (
     EFFECT_PHOTONS,
@@ -34,7 +34,7 @@ from mcrim_mitsuba.inference.drivers import Minimum, find_minima, newton
 from mcrim_mitsuba.inference.explanations import Models, plausible_priors
 from mcrim_mitsuba.inference.fit import Calibration, UndeterminedError, fit_model, result_of
 from mcrim_mitsuba.inference.model import ResponseModel, acts_on, held
-from mcrim_mitsuba.inference.settings import EXTENT, ONE_SIGMA, USUAL
+from mcrim_mitsuba.inference.settings import EXTENT, ONE_SIGMA, SCREENING, USUAL
 from mcrim_mitsuba.inference.statistic import Statistic
 from mcrim_mitsuba.scene.spectrophotometer import (
     ACCEPTANCE,
@@ -110,6 +110,14 @@ class CampaignModels:
         """Effects that models can have, besides the campaign's own: those of the readings too."""
         responses, catalogue = self.responses.effects, self.campaign.catalogue
         return frozenset(n for n, e in catalogue.items() if n in responses or e.reading is not None)
+
+    def acts(self, effect: str) -> bool:
+        """Whether a simulated effect changes what any reading in use is made of."""
+        if (response := self.responses.effects.get(effect)) is None:
+            return True
+        used = [reading.use for reading in self.campaign.measurements.readings]
+        moved = response.log_ratio.swapaxes(0, -3)[used]
+        return bool(np.abs(moved).max(initial=0.0) >= SCREENING.acts)
 
     def model(self, effects: Sequence[str] = ()) -> ResponseModel:
         """The campaign's model with more effects than its own switched on."""
@@ -439,11 +447,14 @@ class CampaignSimulations:
         campaign = self.campaign
         # a number with a tolerance is a candidate by itself
         numbers = {tolerance.number.parameter for tolerance in campaign.tolerances}
+        # where values differ each is, and of liquids, which share a temperature, all together
+        parts = {f"{WRONG}{tolerance.number.name}" for tolerance in campaign.tolerances}
+        parts |= {f"{WRONG}{name}" for name in numbers if name.startswith("n_")}
         for name, effect in campaign.catalogue.items():
             there = (*campaign.effects, *campaign.known_physics)
             if name in there or effect.is_in(campaign.scene):
                 continue
-            if NUMBERS_OF.get(name) in numbers:
+            if NUMBERS_OF.get(name) in numbers or (effect.number and name not in parts):
                 continue
             if effect.of_beam and not campaign.beam:
                 continue
