@@ -41,7 +41,7 @@ _POSSIBLE = 2.0
 LENGTH_PART, LENGTH_MM, GAP_PART, INDEX, REFLECTANCE = 0.01, 0.05, 0.3, 0.005, 0.02
 #: The same in words.
 USUAL = (
-    f"lengths {LENGTH_PART:.0%}, at least {LENGTH_MM:g} mm; gaps {GAP_PART:.0%}; indices "
+    f"lengths {100 * LENGTH_PART:g} %, at least {LENGTH_MM:g} mm; gaps {100 * GAP_PART:g} %; indices "
     f"{INDEX:g}, or what the material says; reflectances {REFLECTANCE:g}"
 )
 #: Standard uncertainties by which a number that is wrong, not inexact, may be off: a drawing that

@@ -49,10 +49,16 @@ def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, Erro
             origin = _PRIORS.get(parameter.name, f"prior, {parameter.name}")
             moved = quantities.slopes @ fit.covariance[:, i] / parameter.prior_sigma
             parts[origin] = np.abs(moved)
-    of_numbers = np.abs(pulled @ minimum.weights.errors.tolerances).T
-    for number, part in zip(fit.offsets, of_numbers, strict=True):
-        parts[f"tolerance, {number.tolerance.number.words}"] = part
     parts["monte_carlo"] = quantities.sigmas
+    of_numbers = np.abs(pulled @ minimum.weights.errors.tolerances).T
+    whole = np.sqrt(np.square([*parts.values(), *of_numbers]).sum(axis=0))
+    others = np.zeros(len(quantities.names))
+    for number, part in zip(fit.offsets, of_numbers, strict=True):
+        if (part > BUDGETING.matters * whole).any():
+            parts[f"tolerance, {number.tolerance.number.words}"] = part
+        else:
+            others = np.hypot(others, part)
+    parts["tolerance, others"] = others
     budgets = {}
     for i, (name, value) in enumerate(
         zip(quantities.names, quantities.values.tolist(), strict=True)

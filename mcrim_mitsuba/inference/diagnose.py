@@ -48,7 +48,11 @@ from mcrim_mitsuba.inference.rehearsal import Capability
 from mcrim_mitsuba.inference.rival_causes import UNKNOWN
 from mcrim_mitsuba.inference.screening import ScreeningCache, promising_effects
 from mcrim_mitsuba.inference.settings import ACCEPTABLE_P, EXPLAINING, HYPOTHESES, JUDGING
-from mcrim_mitsuba.inference.simulations import CampaignSimulations, MeasurementProposals
+from mcrim_mitsuba.inference.simulations import (
+    CampaignSimulations,
+    MeasurementProposals,
+    as_numbers,
+)
 from mcrim_mitsuba.inference.weighing import (
     INSTRUMENT,
     AveragedYield,
@@ -215,6 +219,7 @@ def diagnose(
     """
     campaign, run = simulations.campaign, simulations.run
     possible = simulations.possible()
+    without, only, adding = (as_numbers(names, possible) for names in (without, only, adding))
     candidates = _candidates(simulations, possible, without, only, adding)
     simulations.simulate()
     run.tell("fitting the campaign as it is", 1, 1)

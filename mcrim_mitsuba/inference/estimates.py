@@ -15,7 +15,7 @@ from mcrim_mitsuba.campaign.tolerances import Tolerance
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.inference.drivers import Minimum
 from mcrim_mitsuba.inference.model import Prediction
-from mcrim_mitsuba.inference.settings import LINEAR
+from mcrim_mitsuba.inference.settings import BUDGETING, LINEAR
 
 LIGHT_YIELD = "light_yield_ph_per_keV"
 
@@ -81,6 +81,18 @@ class NumberOffset:
     #: Relative standard error of the scale, and so of the light yield, by the tolerance; None where
     #: the scale is held.
     of_scale: float | None
+
+    def matters(self, relative_sigma: float) -> bool:
+        """Whether it is worth a line beside a scale with this error: by its part, or where it is.
+
+        One that the campaign names always is.
+        """
+        far = abs(self.offset) > BUDGETING.off * self.tolerance.sigma
+        return (
+            self.tolerance.given
+            or far
+            or (self.of_scale or 0.0) > BUDGETING.matters * relative_sigma
+        )
 
 
 def offsets(minimum: Minimum) -> tuple[NumberOffset, ...]:

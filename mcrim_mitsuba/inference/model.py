@@ -59,9 +59,7 @@ class Prediction:
         if self.eta_of_tolerances is None or not len(offsets):
             return self
         moved = self.eta_of_tolerances @ offsets
-        return replace(
-            self, eta=self.eta + moved, signal=self.signal + self.signal_per_eta * moved
-        )
+        return replace(self, eta=self.eta + moved, signal=self.signal + self.signal_per_eta * moved)
 
 
 class Model(Protocol):

@@ -481,6 +481,10 @@ class BudgetSettings:
 
     #: Parts of an error smaller than this, relative to the largest, are rounding.
     rounding: float = 1e-6
+    #: Part of a quantity's error from which a number of the bench has a row of its own.
+    matters: float = 0.1
+    #: Standard uncertainties of a number from which it is worth telling how far off it is.
+    off: float = 1.0
     #: Photons of a simulation with another index, shared out among the configurations, and the
     #: fewest of each. Simulations with one index get `responses.PLAIN_FACTOR` times as many.
     photons: int = 1_572_864

@@ -44,7 +44,8 @@ from mcrim_mitsuba.scene.spectrophotometer import (
     too_wide,
 )
 
-#: Effects that a number of the bench is another one, and the number.
+#: Effects of the catalogue that a number of the bench is another one, and the number: names, in a
+#: campaign in which that has a tolerance, of the effects that it is wrong.
 NUMBERS_OF = {"crystal_index": "n_crystal", "gap_index": "n_gap", "gap_thickness": "gap_mm"}
 
 
@@ -473,6 +474,21 @@ class CampaignSimulations:
                 continue
             found[name] = effect
         return found
+
+
+def as_numbers(names: Iterable[str], possible: Collection[str]) -> tuple[str, ...]:
+    """Names of effects, with ``wrong:n_crystal`` in the place of ``crystal_index`` where possible.
+
+    Of a number that differs from reading to reading these are those of its values, if all together
+    are none.
+    """
+    found = dict[str, None]()
+    for name in names:
+        whole = f"{WRONG}{NUMBERS_OF.get(name)}"
+        parts = [other for other in possible if other.startswith(f"{whole}=")]
+        others = [whole] if whole in possible else parts
+        found |= dict.fromkeys([name] if name in possible or not others else others)
+    return tuple(found)
 
 
 def spent_together(spent: Sequence[Provenance], notes: Iterable[str] = ()) -> Provenance:

@@ -17,9 +17,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcrim_mitsuba.campaign.parameter import SCALE
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT
+from mcrim_mitsuba.campaign.tolerances import USUAL
+from mcrim_mitsuba.core.numbers import ALPHA_SCAT, titled
 from mcrim_mitsuba.core.rounding import (
     capital,
+    counted,
     number,
     p_equals,
     p_text,
@@ -28,6 +30,7 @@ from mcrim_mitsuba.core.rounding import (
     percent,
     probability,
 )
+from mcrim_mitsuba.effects.effect import BenchNumber
 from mcrim_mitsuba.inference.estimates import LIGHT_YIELD
 from mcrim_mitsuba.output import sentences
 from mcrim_mitsuba.output.description import (
@@ -82,10 +85,7 @@ _ORIGINS = ("statistical", "prior", "monte_carlo", "detector_efficiency")
 
 #: Of the bench, with tolerances.
 _NUMBERS = (
-    Column(
-        "number",
-        of=lambda number: Cell(number.tolerance.number.words, number.tolerance.number.name),
-    ),
+    Column("number", of=lambda n: Cell(_number_words(n.tolerance.number), n.tolerance.number.name)),
     Column("tolerance", of="tolerance.sigma", form=".2g"),
     Column("off, by the readings", "offset", of=lambda n: measured(n.offset, n.sigma)),
     Column(
@@ -150,9 +150,23 @@ def _shapes(profiles: Iterable[Profile]) -> Iterator[Piece]:
     return (strong(f"- {words}") for words in sentences.shapes(profiles))
 
 
-def numbers_table(fit: Calibration) -> Table:
-    """The bench's numbers that have tolerances, and how far off the readings have them."""
-    return records("numbers of the bench", _NUMBERS, fit.offsets)
+def _number_words(number: BenchNumber) -> str:
+    return titled(number.parameter) if number.value is None else number.words
+
+
+def numbers_of_bench(fit: Calibration) -> Iterator[Piece]:
+    """The bench's numbers that matter, how far off the readings have them, and what of others."""
+    scale = fit.parameters.get(SCALE)
+    relative = scale.sigma / scale.value if scale and scale.value and not scale.at_bound else 0.0
+    matter = [number for number in fit.offsets if number.matters(relative)]
+    if matter:
+        yield records("numbers of the bench", _NUMBERS, matter)
+    if others := len(fit.offsets) - len(matter):
+        left = f"{others} more numbers" if matter else counted(others, "number")
+        yield (
+            f"{left} of the bench with usual uncertainties ({USUAL}; [tolerances] says otherwise) "
+            "matter little"
+        )
 
 
 def _origins(fit: Calibration) -> Iterator[Piece]:
@@ -164,8 +178,7 @@ def _origins(fit: Calibration) -> Iterator[Piece]:
         parts = {} if estimate.at_bound else estimate.contributions
         rows.append((_title(name), *(shown(parts.get(origin), ".2g") for origin in origins)))
     yield table("where the errors come from", columns, rows)
-    if fit.offsets:
-        yield numbers_table(fit)
+    yield from numbers_of_bench(fit)
     light = fit.parameters.get(LIGHT_YIELD)
     if light is not None and light.efficiency_contributions:
         words = (f"{name} {part:.2g}" for name, part in light.efficiency_contributions.items())
