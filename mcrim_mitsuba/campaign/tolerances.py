@@ -41,8 +41,8 @@ _POSSIBLE = 2.0
 LENGTH_PART, LENGTH_MM, GAP_PART, INDEX, REFLECTANCE = 0.01, 0.05, 0.3, 0.005, 0.02
 #: The same in words.
 USUAL = (
-    f"lengths {100 * LENGTH_PART:g} %, at least {LENGTH_MM:g} mm; gaps {100 * GAP_PART:g} %; indices "
-    f"{INDEX:g}, or what the material says; reflectances {REFLECTANCE:g}"
+    f"lengths {100 * LENGTH_PART:g} %, at least {LENGTH_MM:g} mm; gaps {100 * GAP_PART:g} %; "
+    f"indices {INDEX:g}, or what the material says; reflectances {REFLECTANCE:g}"
 )
 #: Standard uncertainties by which a number that is wrong, not inexact, may be off: a drawing that
 #: was read wrongly; and those within which it usually is. Another glass is another index.
