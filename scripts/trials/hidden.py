@@ -43,6 +43,8 @@ TRIALS = {
     "family_out": 40,
     "advice": 60,
     "edge": 60,
+    "numbers": 60,
+    "numbers_out": 60,
 }
 _ORDER = (*EFFECTS, *TOO_SMALL)
 _COLUMNS = (

@@ -87,7 +87,8 @@ FILLED_ONLY = (
 _OPEN_MM = 25.0
 _APERTURES = tuple(sorted({row[1] for row in POOL}))
 
-#: What is hidden: changes of the bench, by `Bench` field.
+#: What is hidden: changes of the bench, by `Bench` field, or by one of the values of a column:
+#: ``gap_mm=0.05``.
 Changes = Mapping[str, float | bool]
 
 
@@ -132,6 +133,17 @@ class Run:
     proposals_per_cm: tuple[float, ...]
     photons: int
     seed: int
+
+    @property
+    def fields(self) -> dict[str, float | bool]:
+        """Those of `Bench`."""
+        return {name: value for name, value in self.bench if "=" not in name}
+
+    @property
+    def apertures_mm(self) -> list[float]:
+        """All apertures of `POOL`, rising, as they are."""
+        wrong = dict(self.bench)
+        return [wrong.get(f"aperture_radius_mm={mm:g}", mm) for mm in _APERTURES]
 
     @property
     def key(self) -> str:
@@ -186,7 +198,7 @@ class Histories:
         eta = sums.sum(axis=0) / photons
         variance = (squares - sums**2 / photons).sum(axis=0) / photons**2
         # detectors are calibrated head-on
-        calibration = head_on(Bench(**dict(self.run.bench)))
+        calibration = head_on(Bench(**self.run.fields))
         return eta / calibration, np.sqrt(variance) / calibration
 
 
@@ -205,12 +217,25 @@ class HistoryStore:
         return [self._run(changes, mounting) for mounting in MOUNTINGS]
 
     def _run(self, changes: Changes, mounting: Mounting) -> Run:
-        parameters = {**mounting._asdict(), **changes}
+        own = mounting._asdict()
+        of_masks = {
+            name: v for name, v in changes.items() if name.startswith("aperture_radius_mm=")
+        }
+        changes = {name: v for name, v in changes.items() if name not in of_masks}
+        others = {f"{name}={value:g}": name for name, value in own.items()}
+        changes = {
+            others.get(name, name): v
+            for name, v in changes.items()
+            if "=" not in name or name in others
+        }
+        parameters = {**own, **changes}
         if mounting.n_gap <= FILLED_ABOVE:
             parameters = {n: v for n, v in parameters.items() if n not in FILLED_ONLY}
         bench, plain = asdict(Bench(**parameters)), asdict(Bench())
         unlike = tuple(sorted((n, v) for n, v in bench.items() if v != plain[n]))
-        is_plain = {name for name, _ in unlike} <= set(Mounting._fields)
+        # a mask is cut out of the histories
+        unlike += tuple(of_masks.items())
+        is_plain = {name for name, _ in unlike} <= set(Mounting._fields) and not changes
         smallest = min(row[1] for row in POOL if mounting_of(row) == mounting)
         share = _SHARE.get(smallest, 1) * (PLAIN_FACTOR if is_plain else 1)
         proposals = PLAIN_PROPOSALS_PER_CM if is_plain else PROPOSALS_PER_CM
@@ -305,10 +330,10 @@ def trace_to_file(file: Path, run: Run) -> int:
             aperture_radius_mm=_OPEN_MM,
             alpha_scat_per_cm=proposal,
             alpha_abs_per_cm=ABSORPTION_PER_CM,
-            **dict(run.bench),
+            **run.fields,
         )
         found = trace(bench, run.photons, seed, histories=True).histories
-        hole = np.searchsorted(_APERTURES, found.mask_radius_mm).astype(np.uint8)
+        hole = np.searchsorted(run.apertures_mm, found.mask_radius_mm).astype(np.uint8)
         kept = hole < len(_APERTURES)
         for name, part in {
             "detected": np.array([kept.sum()], np.int64),

@@ -10,7 +10,17 @@ from typing import NamedTuple
 from shared import fraction_error, markdown
 
 from mcrim_mitsuba.effects.catalogue import catalogue
-from trials.hidden_trials import ADVICE, FAMILY_OUT, INSTRUMENT_IN_TURN, LEFT_OUT, OUTSIDERS
+from mcrim_mitsuba.effects.effect import WRONG
+from trials.hidden_trials import (
+    ADVICE,
+    FAMILY_OUT,
+    INSTRUMENT_IN_TURN,
+    LEFT_OUT,
+    NUMBERS,
+    NUMBERS_FAMILY,
+    NUMBERS_OUT,
+    OUTSIDERS,
+)
 
 #: Least p-value of a mended campaign, and how far from the truth, in standard errors, it may be.
 ACCEPTABLE_P, CLOSE = 0.01, 2.0
@@ -131,6 +141,11 @@ def rates(trials: Sequence[dict]) -> list[Rate]:
             0.9,
         ),
         *_of_left_out(of(FAMILY_OUT), "family left out", rate, 0.8),
+        rate("a number of the bench: leads", of(NUMBERS), _number_leads, 0.85),
+        rate(
+            "a number of the bench: 95 % of the averaged yield hold it", of(NUMBERS), _covers, 0.92
+        ),
+        *_of_left_out(of(NUMBERS_OUT), "number left out", rate, 0.85),
         rate(
             "advice followed: light yield's error as promised within 30 %",
             advised,
@@ -185,8 +200,16 @@ def cost_of_caution(trials: Sequence[dict]) -> tuple[float, float] | None:
 def _leads(trial: dict) -> bool:
     """Whether what is hidden is in the leading group, or its family is the likeliest."""
     families = trial["families"]
-    family = catalogue()[trial["what"]].family
+    family = (
+        NUMBERS_FAMILY if trial["what"].startswith(WRONG) else catalogue()[trial["what"]].family
+    )
     return trial["what"] in trial["leading"] or bool(families and families[0][0] == family)
+
+
+def _number_leads(trial: dict) -> bool:
+    """Whether the number is in the leading group, by itself or with others of its values."""
+    number = trial["what"].partition("=")[0]
+    return any(name.partition("=")[0] == number for name in trial["leading"])
 
 
 def _no_other(trial: dict) -> bool:

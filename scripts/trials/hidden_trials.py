@@ -11,6 +11,8 @@ outsiders   what the catalogue does not have: a collar of gel, a black spot on t
 too_small   effects at the ends of their ranges that cannot reach an excess of 40
 beam        haze or roughness of the faces, in campaigns with a transmittance as well
 left_out    as single, but the package does not know the effect; and once more when it does
+numbers     a number of the bench is another one than the scene says, by far more than its tolerance
+numbers_out the same, but the number is no candidate; and once more when it is
 family_out  the same with all its relatives
 advice      as single; where it is ambiguous, what is proposed is measured, and that once
 
@@ -40,7 +42,7 @@ from shared import SCENE
 import mcrim_mitsuba as mcrim
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.files import plain, write_text
-from mcrim_mitsuba.effects.catalogue import catalogue
+from mcrim_mitsuba.effects.effect import WRONG, Effect
 from mcrim_mitsuba.efficiency.bench import FILLED_ABOVE, NOT_IN_A_BEAM, Bench
 from mcrim_mitsuba.inference.judgement import UNEXPLAINED
 from mcrim_mitsuba.reference.tracer import trace
@@ -90,10 +92,12 @@ KINDS = (
     "family_out",
     "advice",
     "edge",
+    "numbers",
+    "numbers_out",
 )
 #: Kinds that are diagnosed without the effect that is hidden, or without its relatives too; and
 #: the one where a proposed reading is added.
-LEFT_OUT, FAMILY_OUT, ADVICE = KINDS[-4:-1]
+LEFT_OUT, FAMILY_OUT, ADVICE, _, NUMBERS, NUMBERS_OUT = KINDS[-6:]
 #: Ways in which readings are wrong, in turn: so many bad ones, exchanged rows, or effects.
 BAD_READINGS = {"bad_reading": 1, "two_bad_readings": 2, "three_bad_readings": 3}
 SWAPPED_ROWS = "swapped_rows"
@@ -118,12 +122,14 @@ class HiddenEffect(NamedTuple):
 
 TABLES = tomllib.loads(Path(__file__).with_name("hidden.toml").read_text(encoding="utf-8"))
 #: Effects that can reach an excess of 50, those that cannot, those that a transmittance tells
-#: apart, and what the catalogue does not have.
-EFFECTS, TOO_SMALL, BESIDE_BEAM, OUTSIDERS = (
+#: apart, numbers of the bench, and what the catalogue does not have.
+EFFECTS, TOO_SMALL, BESIDE_BEAM, WRONG_NUMBERS, OUTSIDERS = (
     {name: HiddenEffect(known[0], tuple(known[1:])) for name, known in TABLES[kind].items()}
-    for kind in ("effects", "too_small", "beside_beam", "outsiders")
+    for kind in ("effects", "too_small", "beside_beam", "numbers", "outsiders")
 )
-_ALL = BESIDE_BEAM | EFFECTS | TOO_SMALL | OUTSIDERS
+_ALL = BESIDE_BEAM | EFFECTS | TOO_SMALL | WRONG_NUMBERS | OUTSIDERS
+#: The family of numbers of the bench.
+NUMBERS_FAMILY = "numbers"
 
 #: What is hidden: effects and their sizes.
 Hidden = tuple[tuple[str, float | bool], ...]
@@ -182,7 +188,13 @@ def changes_of(hidden: Hidden) -> dict[str, float | bool]:
 
 
 def size_in_units(effect: str, size: float, signal: Array) -> float:
-    """A size as the catalogue has it; `signal` is without the effects of the readings."""
+    """A size as the catalogue has it; `signal` is without the effects of the readings.
+
+    That of a number of the bench is how far it is off.
+    """
+    if effect == f"{WRONG}{_ALL[effect].parameter}":
+        name, _, value = _ALL[effect].parameter.partition("=")
+        return size - (float(value) if value else getattr(Bench(), name))
     if effect == "background":
         return size * float(signal.min())
     if effect == "nonlinearity":
@@ -447,6 +459,7 @@ class TrialMaker:
             "pairs": [*PAIRS, *hidden_alone(of_pairs)],
             "outsiders": hidden_alone(OUTSIDERS),
             "too_small": hidden_alone(TOO_SMALL),
+            **dict.fromkeys((NUMBERS, NUMBERS_OUT), hidden_alone(WRONG_NUMBERS)),
             "beam": hidden_alone(BESIDE_BEAM, BESIDE_BEAM),
         }
         hidden = [(), *(each for kind in kinds for each in of_kind.get(kind, ()))]
@@ -485,7 +498,12 @@ class TrialMaker:
             if what not in EFFECTS:
                 return self._spoiled(rng, what, truth, design)
             return self._sized(rng, what, truth, design)
-        of_kind = {"outsiders": OUTSIDERS, "beam": BESIDE_BEAM}.get(kind)
+        of_kind = {
+            "outsiders": OUTSIDERS,
+            "beam": BESIDE_BEAM,
+            NUMBERS: WRONG_NUMBERS,
+            NUMBERS_OUT: WRONG_NUMBERS,
+        }.get(kind)
         effect = self._in_turn(kind, tuple(of_kind) if of_kind else self._only, number)
         bounds = ADVICE_EXCESS if kind == ADVICE else EXCESS
         found = self._sized(rng, effect, truth, design, of_kind or EFFECTS, bounds)
@@ -589,12 +607,12 @@ def run_trial(
     name = f"{trial.kind}-{trial.number}"
     campaign = write_campaign(folder, name, trial.design, trial.signal, trial.sigma, trial.truth)
     start = time.perf_counter()
-    without = left_out_of(trial)
+    without = left_out_of(trial, mcrim.read_campaign(campaign).catalogue)
     said = diagnose_and_repair(campaign, threads, photons, without)
     further: dict = {}
     if trial.kind == ADVICE:
         further["advice"] = _advised(trial, folder, said, threads, photons)
-    if trial.kind in (LEFT_OUT, FAMILY_OUT):
+    if trial.kind in (LEFT_OUT, FAMILY_OUT, NUMBERS_OUT):
         further["known"] = _known(trial, campaign, threads, photons)
     seconds = time.perf_counter() - start
     effects = {effect for effect, _ in trial.hidden}
@@ -734,14 +752,15 @@ def measured(trial: Trial, proposed: Sequence[Mapping]) -> tuple[Design, Array, 
     return design, signal, sigma
 
 
-def left_out_of(trial: Trial) -> tuple[str, ...]:
-    """Effects that the package must not know in a trial."""
-    effects = catalogue()
-    if trial.kind == LEFT_OUT:
-        return (trial.what,)
+def left_out_of(trial: Trial, known: Mapping[str, Effect]) -> tuple[str, ...]:
+    """Effects of those of a campaign that the package must not know in a trial."""
+    if trial.kind in (LEFT_OUT, NUMBERS_OUT):
+        # of a number all that says that it, or another of its values, is wrong
+        number = trial.what.partition("=")[0]
+        return tuple(name for name in known if name.partition("=")[0] == number)
     if trial.kind == FAMILY_OUT:
-        family = effects[trial.what].family
-        return tuple(name for name, effect in effects.items() if effect.family == family)
+        family = known[trial.what].family
+        return tuple(name for name, effect in known.items() if effect.family == family)
     return ()
 
 

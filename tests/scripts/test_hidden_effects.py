@@ -23,7 +23,10 @@ SEED, TRACED, SIMULATED = 1, 8_000, 131_072
 KNOWN = {
     "surface_absorption",
     "surface_roughness",
-    "gap_index",
+    "wrong:n_gap=1.333",
+    "wrong:n_gap=1.46",
+    "wrong:n_gap=1.515",
+    "wrong:n_gap",
     "gap_bubble",
     "gap_absorption",
     "detector_radius",
