@@ -245,7 +245,7 @@ CAMPAIGN: Entries = {
     TOLERANCES: {
         "type": "object",
         "description": "Standard uncertainties of the scene's numbers, by name",
-        "properties": {NONE: {"const": True, "description": "All numbers are exact"}},
+        "properties": {NONE: {"const": True, "description": "Numbers not named are exact"}},
         "additionalProperties": {
             "anyOf": [TOLERANCE[SIGMA], _table("Of a column of the readings", TOLERANCE)]
         },

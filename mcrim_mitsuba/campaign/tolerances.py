@@ -7,7 +7,7 @@
 Every number of a scene was measured by somebody with something. Where a column of the readings
 gives several values, each is a part of its own, such as three masks, with an offset of its own;
 ``each = "all"`` says that one ruler, or one index, is wrong for all of them. What is left out has
-what is usual for a number of its kind; ``none = true`` says that all is exact.
+what is usual for a number of its kind; with ``none = true`` it is exact.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from mcrim_mitsuba.scene.scene_file import SceneFile
 
 #: Standard uncertainties by which a number is moved either way to see what it does. Photons of both
 #: ends are the same; farther away what it does is less straight, nearer the photons tell less.
-_REACH = 4.0
+#: So it is not by a larger part of its value than this, where it is known so well.
+_REACH, _STRAIGHT = 4.0, 0.05
 #: Standard uncertainties that a number must be able to be off by.
 _POSSIBLE = 2.0
 #: Usual standard uncertainties: of lengths, in part and at least; of gaps and films, in part; of
@@ -58,6 +59,8 @@ class Tolerance:
     """Standard uncertainty of a number of the bench."""
 
     number: BenchNumber
+    #: Of the scene, or of a column; of several the smallest.
+    value: float
     #: In the number's unit.
     sigma: float
     #: How far it may be off where it is wrong, below and above.
@@ -68,7 +71,8 @@ class Tolerance:
     @property
     def near(self) -> tuple[float, float]:
         """Offsets from which what its uncertainty does is told."""
-        (low, high), reach = self.farthest, _REACH * self.sigma
+        (low, high), value = self.farthest, abs(self.value)
+        reach = max(_POSSIBLE * self.sigma, min(_REACH * self.sigma, _STRAIGHT * value))
         return max(low, -reach), min(high, reach)
 
     @property
@@ -121,14 +125,11 @@ def read_tolerances(
     """
     table, tolerances = document.table(TOLERANCES), list[Tolerance]()
     elsewhere = {*document.table("parameters"), ALPHA_SCAT, ALPHA_ABS}
-    if table.get(NONE) is True and len(table) == 1:
-        return ()
     for name in table:
         _refuse_name(table, name, scene, elsewhere)
     for name, own in scene.parameters.items():
-        if not isinstance(own, float) or (name in elsewhere or name in of_effects) > (
-            name in table
-        ):
+        usual = NONE not in table and name not in elsewhere and name not in of_effects
+        if not isinstance(own, float) or not (usual or name in table):
             continue
         each, sigma = EACH_VALUE, table.get(name)
         if isinstance(sigma, dict):
@@ -165,8 +166,8 @@ def wrong_numbers(tolerances: Iterable[Tolerance]) -> dict[str, Effect]:
     for name, parts in of_each.items():
         if len(parts) > 1:
             lows, highs = zip(*(part.farthest for part in parts), strict=True)
-            sigma = min(part.sigma for part in parts)
-            parts.append(Tolerance(BenchNumber(name), sigma, (max(lows), min(highs))))
+            value, sigma = min(p.value for p in parts), min(p.sigma for p in parts)
+            parts.append(Tolerance(BenchNumber(name), value, sigma, (max(lows), min(highs))))
     return {part.wrong.name: part.wrong for parts in of_each.values() for part in parts}
 
 
@@ -174,8 +175,10 @@ def _refuse_name(table: TomlTable, name: str, scene: SceneFile, known: Collectio
     """Refuse what is no number of the scene, and what has its error elsewhere."""
     numbers = [n for n, value in scene.parameters.items() if isinstance(value, float)]
     if name == NONE:
-        mend = "write none = true alone: all numbers are exact; or remove it"
-        raise table.refusal(name, "none stands beside other entries, or is not true", mend)
+        if table[name] is not True:
+            mend = "write none = true: what is not named is exact; or remove it"
+            raise table.refusal(name, "none is not true", mend)
+        return
     if name in known:
         mend = f"give its prior and prior_sigma in [parameters.{name}]"
         raise table.refusal(name, f"{name} belongs among the parameters", mend)
@@ -205,7 +208,7 @@ def _usual(scene: SceneFile, part: BenchNumber) -> Tolerance | None:
     for less in (1.0, 0.5, 0.25, 0.1):
         farthest = _farthest(part, less * sigma)
         if sigma > 0.0 and -farthest[0] >= _POSSIBLE * less * sigma <= farthest[1]:
-            return Tolerance(part, less * sigma, farthest, given=False)
+            return Tolerance(part, value, less * sigma, farthest, given=False)
     return None
 
 
@@ -223,7 +226,7 @@ def _given(table: TomlTable, part: BenchNumber, sigma: float) -> Tolerance | Non
         if (why := judge(name, end)) is not None:
             problem = f"{name} = {value:g} ± {sigma:g} reaches {end:g}: {why[1]}"
             raise table.refusal(name, problem, "give a smaller uncertainty")
-    return Tolerance(part, sigma, _farthest(part, sigma)) if sigma else None
+    return Tolerance(part, value, sigma, _farthest(part, sigma)) if sigma else None
 
 
 def _farthest(part: BenchNumber, sigma: float) -> tuple[float, float]:

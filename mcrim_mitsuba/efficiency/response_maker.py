@@ -285,9 +285,11 @@ class ResponseMaker:
             _axis(parameter, self.campaign.values, benches, few) for parameter in effect.parameters
         )
         if few and effect.number is not None:
-            # as its tolerance: nothing more is simulated for a first look at it
+            # as its tolerance, which is simulated anyway; what an index does bends
             (parameter,) = effect.parameters
-            axes = (Axis(parameter, [0.0, *sorted(parameter.nodes, key=abs)[:2]]),)
+            bends = effect.number.parameter.startswith("n_")
+            nodes = sorted(parameter.nodes, key=abs)[: None if bends else 2]
+            axes = (Axis(parameter, [0.0, *nodes]),)
         return self._plan_along(axes, effect, plain, photons, acceptance)
 
     def _plan_of_tolerance(self, tolerance: Tolerance, plain: Sequence[PlannedRun]) -> _EffectPlan:

@@ -56,7 +56,7 @@ class Explanations:
         self._models = models
         self.effects = dict(effects)
         possible = effects if catalogue is None else catalogue
-        self._relatives = Counter(effect.family for effect in possible.values())
+        self._relatives = Counter(e.family for e in possible.values() if e.number is None)
         self._statistics: dict[tuple[str, ...], Statistic] = {}
         self._fits: dict[tuple[str, ...], Minimum] = {}
         self._evidences: dict[tuple[str, ...], Evidence] = {}
@@ -178,11 +178,15 @@ class Explanations:
         """Natural logarithm of the odds, before the readings, of some effects to none.
 
         `HYPOTHESES.expected_effects` are expected of all that may be missing, evenly of every
-        family and of every effect in it.
+        family and of every effect in it; numbers of the bench are mistaken one by one.
         """
-        members = [self._relatives[self.effects[name].family] for name in added]
         each = HYPOTHESES.expected_effects / max(len(self._relatives), 1)
-        return sum(math.log(each / count) for count in members)
+        return sum(
+            math.log(HYPOTHESES.wrong_number)
+            if effect.number is not None
+            else math.log(each / self._relatives[effect.family])
+            for effect in (self.effects[name] for name in added)
+        )
 
     def priors(self, added: Iterable[str]) -> dict[str, PriorDensity]:
         """What is known of every free parameter of the model with some effects, by name."""

@@ -300,6 +300,8 @@ class HypothesisSettings:
 
     #: Effects that are expected before the readings, of all that may be missing.
     expected_effects: float = 0.5
+    #: Odds of every number of the bench that it is wrong, not inexact.
+    wrong_number: float = 0.02
     #: Sets that are averaged over in full, besides single effects, at most; and the part of all
     #: probability below which the next one is not worth it.
     in_full: int = 30

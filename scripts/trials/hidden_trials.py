@@ -108,6 +108,10 @@ BAD_READING_OFF = (0.05, 0.12)
 _MOST_TRUTHS = 60
 #: The scene's values of what a design changes.
 _USUAL = dict(zip(COLUMNS, (1.0, 14.0, 10.0, 0.05), strict=True))
+#: What a laboratory says of its numbers where one is wrong: lengths by a caliper.
+CALIPER = "\n[tolerances]\n" + "".join(
+    f"{name} = 0.05\n" for name in ("crystal_width_mm", "crystal_height_mm", "aperture_radius_mm")
+)
 #: Photons of a reading that is measured on advice: as good as it is promised, the tracer's error
 #: being a fifth of `READING_SIGMA` behind the narrowest mask.
 FURTHER_PHOTONS = 6_000_000
@@ -606,6 +610,8 @@ def run_trial(
     """
     name = f"{trial.kind}-{trial.number}"
     campaign = write_campaign(folder, name, trial.design, trial.signal, trial.sigma, trial.truth)
+    if trial.kind in (NUMBERS, NUMBERS_OUT):
+        write_text(campaign, campaign.read_text(encoding="utf-8") + CALIPER)
     start = time.perf_counter()
     without = left_out_of(trial, mcrim.read_campaign(campaign).catalogue)
     said = diagnose_and_repair(campaign, threads, photons, without)

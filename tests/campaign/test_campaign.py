@@ -2,6 +2,7 @@
 
 import math
 import pickle
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from mcrim_mitsuba.campaign.parameter import CampaignParameter
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.effects.trust import UntrustedEffectsError, fingerprint, trust
 from mcrim_mitsuba.inference.fit import UndeterminedError
+from mcrim_mitsuba.optics.materials import material
 
 cases = cases_of(__file__)
 
@@ -524,8 +526,39 @@ def test_a_liquid_without_a_parameter_cannot_be_left_out_of_the_beam(three):
 )
 def test_every_value_of_a_column_is_a_part_with_a_tolerance(folder, entry, names):
     (folder / "measured.csv").write_text(CSV + "water,20.0,0.3,1.333\n")
-    read = campaign(folder, f"{CAMPAIGN}[tolerances]\n{entry}\n")
+    only = "none = true\n" * (entry != "none = true")
+    read = campaign(folder, f"{CAMPAIGN}[tolerances]\n{only}{entry}\n")
     assert sorted(tolerance.number.name for tolerance in read.tolerances) == names
     air = {"n_gap": 1.0, "gap_mm": 0.05}
     assert not any(t.number.is_of(air) for t in read.tolerances if t.number.parameter == "n_gap")
     assert all(t.sigma == 0.01 for t in read.tolerances)
+
+
+def test_a_number_that_is_not_named_is_as_exact_as_is_usual(folder):
+    """By kind; sizes of effects, and what is fitted, have their errors elsewhere."""
+    new = '<default name="{}" value="{}"/>'
+    more = {
+        "n_window": "BK7@540nm",
+        "height_mm": "30",
+        "film_mm": "0.02",
+        "wrap_reflectance": "0.97",
+    }
+    more |= {"top_roughness_alpha": "0.1", "surface_loss": "0.01", "chamfer_mm": "0"}
+    lines = "".join(f"\n  {new.format(*item)}" for item in more.items())
+    (folder / "camoo4.xml").write_text(re.sub(r"(<scene [^>]*>)", rf"\1{lines}", SCENE, count=1))
+    for entry, exact in (("", []), ("[tolerances]\nheight_mm = 0\n", ["height_mm"])):
+        read = campaign(folder, CAMPAIGN + entry)
+        found = {t.number.name: (round(t.sigma, 9), t.given) for t in read.tolerances}
+        usual = {
+            "n_gap=1.46": 0.005,
+            "gap_mm": 0.015,
+            "n_window": material("BK7").sigma,
+            "height_mm": 0.3,
+            "film_mm": 0.006,
+            # its reflectance cannot be more than two of these higher
+            "wrap_reflectance": 0.01,
+        }
+        assert found == {n: (sigma, False) for n, sigma in usual.items() if n not in exact}
+    far = {t.number.name: t.farthest for t in read.tolerances}
+    assert far["n_gap=1.46"] == (-0.1, 0.1) and far["gap_mm"] == (-0.04, 0.15)
+    assert far["wrap_reflectance"][1] <= 0.03

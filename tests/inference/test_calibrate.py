@@ -21,6 +21,7 @@ from mcrim_mitsuba.inference.drivers import settle
 from mcrim_mitsuba.inference.repair import repair
 from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.inference.statistic import Statistic
+from mcrim_mitsuba.output.describe_campaign import numbers_of_bench
 from mcrim_mitsuba.transport.launch_plan import LANES
 
 
@@ -28,20 +29,25 @@ from mcrim_mitsuba.transport.launch_plan import LANES
 def campaign(scenes, tmp_path):
     """Writes the article's campaign with other rows; gives its path."""
 
-    def write(rows: str, columns: str = "label,signal,sigma,n_gap"):
+    def write(rows: str, columns: str = "label,signal,sigma,n_gap", more: str = ""):
         for name in ("camoo4.xml", "camoo4_campaign.toml"):
             (tmp_path / name).write_text((scenes / name).read_text())
+        with (tmp_path / "camoo4_campaign.toml").open("a") as file:
+            file.write(more)
         (tmp_path / "camoo4_measured.csv").write_text(f"{columns}\n{rows}")
         return tmp_path / "camoo4_campaign.toml"
 
     return write
 
 
+EXACT = "[tolerances]\nnone = true\n"
 ARTICLE = "air,14.3,0.2,1.00\ngel,24.5,0.4,1.46\n"
 
 
 def test_photons_are_accounted_for(campaign):
-    bench = CampaignSimulations(read_campaign(campaign(ARTICLE)), Run(16 * LANES, seed=1))
+    bench = CampaignSimulations(
+        read_campaign(campaign(ARTICLE, more=EXACT)), Run(16 * LANES, seed=1)
+    )
     fitted = calibrate(bench).parameters["alpha_scat_per_cm"]
     # references with the campaign's ratio of 0.5837: 0.560 + 0.006, unpolarised
     part = fitted.contributions["monte_carlo"]
@@ -125,7 +131,7 @@ def test_a_misfit_is_not_lessened_by_poor_simulations(campaign):
         f"{n_gap} {radius},{signal:.5g},{sigma:.5g},{n_gap},{radius}\n"
         for (n_gap, radius), signal, sigma in zip(places, measured, sigmas, strict=True)
     )
-    path = campaign(rows, "label,signal,sigma,n_gap,aperture_radius_mm")
+    path = campaign(rows, "label,signal,sigma,n_gap,aperture_radius_mm", EXACT)
     found = calibrate(CampaignSimulations(read_campaign(path), Run(40 * LANES, seed=0)))
     best = least_squares(
         lambda x: np.append((signals(*x) - measured) / sigmas, (x[1] - 0.039) / 0.012),
@@ -233,19 +239,19 @@ def wide(scenes, tmp_path_factory):
 
     truth = {"alpha_scat_per_cm": 0.5, "alpha_abs_per_cm": 0.055, "scale": 40.0}
     held = "".join(f"[parameters.{n}]\nstart = {v}\nfixed = true\n" for n, v in truth.items())
-    made = calibrate(write(scene.replace(narrow, broad), held, table)).rows
+    made = calibrate(write(scene.replace(narrow, broad), held + EXACT, table)).rows
     rows = [
         [label, f"{reading.model:.6g}", f"{0.007 * reading.model:.4g}", *rest]
         for reading, (label, _, _, *rest) in zip(made, table, strict=True)
     ]
-    return lambda more: write(scene, f"{''.join(known)}\n{more}", rows)
+    return lambda more: write(scene, f"{''.join(known)}\n[tolerances]\n{more}", rows)
 
 
 def test_a_tolerance_is_a_fitted_number_with_a_prior(wide):
     """Integrated out to first order, and fitted along five nodes: one yield, one offset."""
-    integrated = calibrate(wide("[tolerances]\ncrystal_width_mm = 0.3\n"))
+    integrated = calibrate(wide("none = true\ncrystal_width_mm = 0.3\n"))
     prior = "prior = 10\nprior_sigma = 0.3\nmin = 9.2\nmax = 10.8\n"
-    fitted = calibrate(wide(f"[parameters.crystal_width_mm]\n{prior}"))
+    fitted = calibrate(wide(f"none = true\n[parameters.crystal_width_mm]\n{prior}"))
     (offset,), estimate = integrated.offsets, fitted.parameters["crystal_width_mm"]
     assert offset.sigma < 0.06 and abs(offset.offset - 0.3) < 3 * offset.sigma
     assert offset.offset == pytest.approx(estimate.value - 10.0, abs=0.08)
@@ -259,7 +265,7 @@ def test_a_tolerance_is_a_fitted_number_with_a_prior(wide):
 
 def test_a_number_that_is_wrong_is_named(wide):
     """By five of its uncertainties: what a tolerance does not take up."""
-    simulations = wide("[tolerances]\ncrystal_width_mm = 0.06\nn_window = 0.005\ngap_mm = 0.01\n")
+    simulations = wide("none = true\ncrystal_width_mm = 0.06\nn_window = 0.005\ngap_mm = 0.01\n")
     wrong = {"wrong:crystal_width_mm", "wrong:n_window", "wrong:gap_mm=0.05", "wrong:gap_mm=0.5"}
     possible = simulations.possible()
     assert wrong == {name for name in possible if name.startswith("wrong:")}
@@ -280,7 +286,7 @@ def test_light_yields_hold_where_every_number_is_off_by_its_tolerance(wide):
         "crystal_width_mm = 0.1\ncrystal_height_mm = 0.1\nn_crystal = 0.01\nn_window = 0.005\n"
         "gap_mm = 0.015\nn_gap = 0.005\naperture_radius_mm = 0.1\n"
     )
-    simulations = wide(f"[tolerances]\n{tolerances}")
+    simulations = wide(f"none = true\n{tolerances}")
     wrong = {t.wrong.name: t for t in simulations.campaign.tolerances}
     models = simulations.simulate(list(wrong), look=wrong)
     bench, plain = models.model(list(wrong)), Statistic(models.model())
@@ -298,3 +304,42 @@ def test_light_yields_hold_where_every_number_is_off_by_its_tolerance(wide):
     within = [np.mean(np.abs(pulls) < width) for width in (1.0, 2.0)]
     assert 0.62 <= within[0] <= 0.74 and within[1] >= 0.93, within
     assert abs(np.mean(pulls)) < 3.3 / math.sqrt(200), np.mean(pulls)
+
+
+def test_readings_stand_beside_the_bench_as_they_have_it(wide):
+    """With offsets as parameters chi2 is the sum of all squares: of readings, priors, offsets."""
+    fit = calibrate(wide(""))
+    prior = (fit.parameters["alpha_abs_per_cm"].value - 0.058) / 0.012
+    squares = [
+        prior,
+        *((row.measured - row.model) / row.sigma for row in fit.rows),
+        *(number.offset / number.tolerance.sigma for number in fit.offsets),
+    ]
+    # the simulation's errors are shared by readings, as squares do not have it
+    assert sum(x * x for x in squares) == pytest.approx(fit.chi2, rel=0.1)
+    width = next(n for n in fit.offsets if n.tolerance.number.name == "crystal_width_mm")
+    assert width.offset > width.tolerance.sigma
+    # none of them is named by the campaign: those that matter have a row, and a line the others
+    *_, rows, line = numbers_of_bench(fit)
+    assert "crystal width (mm)" in [row.cells[0].text for row in rows.rows]
+    assert len(rows.rows) < len(fit.offsets) and "lengths 1 %" in line
+
+
+def test_what_changes_no_reading_is_no_candidate(wide):
+    """A plate 1.2 mm wider: masks of 14 mm and less cover it all the same, but for its corners."""
+    simulations = wide("none = true\nwindow_width_mm = 0.005\ncrystal_width_mm = 0.1\n")
+    found = diagnose(simulations, without=[n for n in simulations.possible() if "wrong" not in n])
+    assert [each.effect for each in found.candidates] == ["wrong:crystal_width_mm"]
+    with pytest.raises(InputError, match="wrong:window_width_mm changes none of the readings"):
+        diagnose(simulations, only=["wrong:window_width_mm"])
+
+
+def test_old_names_of_effects_lead_to_the_numbers(wide):
+    simulations = wide("")
+    for name, others in {
+        "crystal_index": ["wrong:n_crystal"],
+        "gap_index": ["wrong:n_gap"],
+        "gap_thickness": ["wrong:gap_mm=0.05", "wrong:gap_mm=0.5"],
+    }.items():
+        found = diagnose(simulations, only=[name])
+        assert sorted(each.effect for each in found.candidates) == others
