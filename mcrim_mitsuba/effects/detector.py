@@ -96,7 +96,7 @@ DETECTOR_REFLECTION = Effect(
     title="diffusely reflecting detector",
     family="detector reflects",
     look=(
-        "Measure with another tube. Put a black ring around the crystal on the window: the "
+        "Measure with another detector. Put a black ring around the crystal on the window: the "
         "readings fall if light went to and fro."
     ),
     physics=(
@@ -171,8 +171,8 @@ DETECTOR_ANGLE = Effect(
     title="angle-dependent detection",
     family="detector accepts",
     look=(
-        "Turn a narrow beam of light about the middle of the tube's window, and read the "
-        "tube at each angle."
+        "Turn a narrow beam of light about the middle of the detector's window, and read the "
+        "detector at each angle."
     ),
     physics=(
         "Reflection and absorption in a photocathode, a thin film on glass, depend on the angle "
@@ -212,7 +212,7 @@ DETECTOR_RADIUS = Effect(
     name="detector_radius",
     title="position-dependent detection",
     family="detector accepts",
-    look=("Move a narrow beam of light across the tube's window, and read the tube at each place."),
+    look=("Move a narrow beam of light across the detector's window, and read it at each place."),
     physics=(
         "The collection of photoelectrons, and the photocathode itself, get worse towards the "
         "edge of a photomultiplier. Of the light that arrives at the radius r the part "

@@ -58,7 +58,7 @@ def reading_nonlinearity(signals: np.ndarray, value: float, rows: Rows) -> Predi
 
 
 def plausible_beside_nonlinearity(signals: np.ndarray) -> tuple[float, float]:
-    """A tube that reads its strongest signal a tenth too low, or 3 % too high, is not used."""
+    """A detector that reads its strongest signal a tenth too low, or 3 % too high, is not used."""
     largest = float(signals.max())
     return -0.03 / largest, 0.1 / largest
 
@@ -68,14 +68,14 @@ NONLINEARITY = Effect(
     title="nonlinear readout",
     family="readings",
     look=(
-        "Put a grey filter of known transmittance before the tube: strong and weak signals must "
-        "fall by just that part."
+        "Put a grey filter of known transmittance before the detector: strong and weak signals "
+        "must fall by just that part."
     ),
     physics=(
         "Space charge in a photomultiplier, the finite number of a silicon detector's cells, an "
         "amplifier near its limit or dead time read strong signals too low: reading = true / "
         "(1 + k true), the form of a non-paralyzable dead time. Where k is below 0 they are read "
-        "too high: the tube's current raises the voltages of its first dynodes, an amplifier bends "
+        "too high: a tube's current raises the voltages of its first dynodes, an amplifier bends "
         "upwards, or a threshold takes more of the weak ones. It acts before background is added."
     ),
     source=(

@@ -181,7 +181,7 @@ MASK_OFFSET = Effect(
     ),
     physics=(
         "A crystal is set on the window by hand, and its middle may be some millimetres off the "
-        "middle of the mask's hole and of the tube. The mask then covers more of what leaves "
+        "middle of the mask's hole and of the detector. The mask then covers more of what leaves "
         "the crystal on one side than it uncovers on the other, and a small hole may end under "
         "the crystal. Mask and detector axis are shifted along x; crystal, gap and window stay."
     ),

@@ -243,12 +243,12 @@ ADVICE: dict[str, Advice] = {
         "more couplings and liquids: it is fitted to the ratios of the signals", "statistical"
     ),
     "detector_efficiency": Advice(
-        "the tube's calibration against a standard, an emission spectrum of one's own"
+        "the detector's calibration against a standard, an emission spectrum of one's own"
     ),
     "tube scale": Advice(
-        "not by repeating: only by calibrating the tube against a standard (5 % to 1-2 %)"
+        "not by repeating: only by calibrating the detector against a standard (5 % to 1-2 %)"
     ),
-    "quantum efficiency curve": Advice("a measurement of this very tube with a calibrated lamp"),
+    "quantum efficiency curve": Advice("a measurement of this detector with a calibrated lamp"),
     "emission spectrum": Advice(
         "a measurement on this very crystal, the spectrometer corrected with a calibrated lamp"
     ),

@@ -619,7 +619,7 @@ _MENDS = {
         "of known light yield (mcrim lab relative)"
     ),
     "quantum efficiency curve": (
-        "a quantum-efficiency curve of this very tube, measured better, or a comparison with a "
+        "a quantum-efficiency curve of this very detector, measured better, or a comparison with a "
         "crystal of known light yield (mcrim lab relative)"
     ),
     "emission spectrum": "an emission spectrum measured better",
