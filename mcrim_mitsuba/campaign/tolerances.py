@@ -30,6 +30,7 @@ from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, THIN, judge, unit_
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
 from mcrim_mitsuba.effects.effect import WRONG, BenchNumber, Effect, EffectParameter
 from mcrim_mitsuba.scene.scene_file import SceneFile
+from mcrim_mitsuba.scene.spectrophotometer import GAP_INDEX
 
 #: Standard uncertainties by which a number is moved either way to see what it does. Photons of both
 #: ends are the same; farther away what it does is less straight, nearer the photons tell less.
@@ -76,6 +77,19 @@ class Tolerance:
         return max(low, -reach), min(high, reach)
 
     @property
+    def _instrument(self) -> str:
+        name = self.number.parameter
+        if name == GAP_INDEX:
+            return "a drop on a refractometer, at the temperature of the bench"
+        if name.startswith("n_"):
+            return "the deviation of a laser in a prism of the same piece, or Brewster's angle"
+        if name.endswith("reflectance"):
+            return "an integrating sphere, beside a standard of known reflectance"
+        if any(word in name for word in THIN):
+            return "a feeler gauge, or a microscope focused on both faces"
+        return "a micrometer or a travelling microscope, at several places"
+
+    @property
     def wrong(self) -> Effect:
         """The effect that the number is wrong: beyond what its uncertainty allows."""
         words, (low, high) = self.number.words, self.farthest
@@ -106,7 +120,7 @@ class Tolerance:
                 ),
             ),
             family="numbers",
-            look=f"Measure the {words} again, with another instrument.",
+            look=f"Measure the {words} again, with another instrument: {self._instrument}.",
             number=self.number,
         )
 
