@@ -235,7 +235,7 @@ class HistoryStore:
         unlike = tuple(sorted((n, v) for n, v in bench.items() if v != plain[n]))
         # a mask is cut out of the histories
         unlike += tuple(of_masks.items())
-        is_plain = {name for name, _ in unlike} <= set(Mounting._fields) and not changes
+        is_plain = all(own.get(name) == value for name, value in unlike)
         smallest = min(row[1] for row in POOL if mounting_of(row) == mounting)
         share = _SHARE.get(smallest, 1) * (PLAIN_FACTOR if is_plain else 1)
         proposals = PLAIN_PROPOSALS_PER_CM if is_plain else PROPOSALS_PER_CM

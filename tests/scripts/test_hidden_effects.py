@@ -12,7 +12,6 @@ from trials import hidden_scores as scores
 from trials import hidden_trials as trials
 
 from mcrim_mitsuba.campaign.campaign import as_campaign
-from mcrim_mitsuba.effects.catalogue import catalogue
 from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.inference.settings import USUAL
 from mcrim_mitsuba.reference.tracer import trace
@@ -68,7 +67,8 @@ def run(store, shared_cache, tmp_path_factory):
         diagnose = trials.diagnose_and_repair
 
         def of_some(campaign, threads, photons, without=()):
-            return diagnose(campaign, threads, photons, {*without, *(catalogue().keys() - KNOWN)})
+            others = as_campaign(campaign).catalogue.keys() - KNOWN
+            return diagnose(campaign, threads, photons, {*without, *others})
 
         patch.setattr(trials, "diagnose_and_repair", of_some)
         yield lambda kind, number, only=(): trials.run_trial(
