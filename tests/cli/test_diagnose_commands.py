@@ -335,8 +335,8 @@ def test_what_to_measure_next_is_named_with_its_part_of_the_error():
     fit = by.calibration({"light_yield_ph_per_keV": light})
     assert sentences.next_for_fit(fit, ()) == (
         "What to measure next: the detector's efficiency: 10.0 of the light yield's 10.8 %, in "
-        "quadrature. What helps: the detector's calibration against a standard, an emission spectrum "
-        "of one's own."
+        "quadrature. What helps: the detector's calibration against a standard, an emission "
+        "spectrum of one's own."
     )
     known = replace(light, efficiency_contributions={"tube scale": 0.2, "emission spectrum": 0.1})
     fit = by.calibration({"light_yield_ph_per_keV": known})
