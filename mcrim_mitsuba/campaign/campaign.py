@@ -516,6 +516,7 @@ def _refuse_effects(names: Sequence[str], campaign: Campaign) -> None:
         if name in campaign.measurements.columns:
             problem = f"{name} is switched on and a column of {campaign.measurements.path.name}"
             raise InputError(problem, "remove one of the two")
+        effect.refuse_without_part(campaign.scene)
         if effect.of_beam and not campaign.beam:
             problem = f"{name} acts on transmittances, and no reading is one"
             raise InputError(problem, f"do without {name}")

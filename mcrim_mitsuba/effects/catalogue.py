@@ -182,6 +182,7 @@ def add(
         mend = f'write effects = ["{chosen.name}"] in the campaign; `mcrim repair` does'
         raise InputError(problem, mend, path=scene.path)
     _refuse_what_is_there(chosen, scene, effects or catalogue())
+    chosen.refuse_without_part(scene)
     given = _values(chosen, scene, values or {})
     editor = SceneEditor(scene, given)
     for parameter in chosen.parameters:

@@ -18,6 +18,7 @@ from mcrim_mitsuba.effects.scene_edits import (
     worn_towards_air,
 )
 from mcrim_mitsuba.scene.editor import SceneEditor
+from mcrim_mitsuba.scene.scene_file import SceneFile
 
 #: Of rough faces.
 FACETS = (
@@ -266,19 +267,21 @@ GROUND_BOTTOM = one_side(
 )
 
 
-def edit_surface_loss(editor: SceneEditor) -> None:
-    """Let all faces of the crystal lose light that they reflect inwards."""
+def edit_loss(editor: SceneEditor, name: str) -> None:
+    """Let all faces of the crystal lose light that comes from inside, or part of them of it."""
     for face in editor.crystal_faces:
         if editor.medium(face, "interior") is not editor.crystal:
             problem = f"the crystal is in front of {face.label}, not behind it"
             mend = "turn the face around: the loss acts on light that comes from behind"
             raise editor.refusal(problem, mend, face)
-    polish_crystal(editor, "surface_loss", "$surface_loss")
+    polish_crystal(editor, name, f"${name}")
 
 
-def weight_surface_loss(columns: Columns, values: Values, parameters: Parameters) -> np.ndarray:
-    """(1 - loss) to the power of the reflections back into the crystal."""
-    return (1.0 - values["surface_loss"]) ** columns["reflections"].astype(np.float64)
+def weight_loss(
+    columns: Columns, values: Values, parameters: Parameters, *, name: str, column: str
+) -> np.ndarray:
+    """(1 - loss) to the power of a column: how often light met what takes it."""
+    return (1.0 - values[name]) ** columns[column].astype(np.float64)
 
 
 SURFACE_ABSORPTION = Effect(
@@ -309,9 +312,57 @@ SURFACE_ABSORPTION = Effect(
             nodes=(0.002, 0.005, 0.01, 0.02, 0.035, 0.05),
         ),
     ),
-    edit=edit_surface_loss,
+    edit=partial(edit_loss, name="surface_loss"),
     columns=("reflections",),
-    weight=weight_surface_loss,
+    weight=partial(weight_loss, name="surface_loss", column="reflections"),
+)
+
+
+def without_rough_faces(scene: SceneFile) -> tuple[str, str] | None:
+    """What to say of a scene whose interfaces are all smooth."""
+    numbers = (e for e in scene.root.iter("float") if e.get("name") == "roughness_alpha")
+    if any(float(number.attrib["value"]) for number in numbers):
+        return None
+    return "rough faces, and the scene has none", "add ground, or ground_side or the like, to it"
+
+
+GROUND_LOSS = Effect(
+    name="ground_loss",
+    title="loss at ground faces",
+    family="surface",
+    look=(
+        "Polish one of the ground faces and measure again; etching takes the damaged layer off "
+        "and leaves the face dull."
+    ),
+    physics=(
+        "Grinding leaves cracks and grains below the facets of a face, which hold light and dirt. "
+        "Light from inside loses this part each time it meets such a face, before the facets "
+        "reflect or refract it; so a bench in Geant4 is told by the reflectivity of a ground "
+        "surface. What is polished loses nothing: see surface_absorption. It is there where the "
+        "scene has ground faces, whose facets do not take any light themselves."
+    ),
+    source=(
+        "A. Levin and C. Moisan, IEEE Nuclear Science Symposium Conference Record 1996, vol. 2, 702"
+    ),
+    parameters=(
+        EffectParameter(
+            name="ground_loss",
+            meaning="Fraction lost each time light from inside meets a ground face of the crystal",
+            minimum=0.0,
+            maximum=0.5,
+            start=0.05,
+            plausible=(0.02, 0.2),
+            nodes=(0.02, 0.05, 0.1, 0.2, 0.35, 0.5),
+            coordinate="logarithmic",
+            scale=0.1,
+        ),
+    ),
+    excludes=("surface_roughness", *_ROUGH),
+    lacks=without_rough_faces,
+    # on smooth faces it does nothing, but these may be ground later
+    edit=partial(edit_loss, name="ground_loss"),
+    columns=("rough_hits",),
+    weight=partial(weight_loss, name="ground_loss", column="rough_hits"),
 )
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value, said, unit_of, without_unit
 from mcrim_mitsuba.core.run import OWN_MODULES
 from mcrim_mitsuba.scene.check_text import is_filled
@@ -249,6 +250,9 @@ class Effect:
     filled_only: bool = False
     #: Acts on transmittances only; its parameters are the spectrophotometer's.
     of_beam: bool = False
+    #: ``lacks(scene)`` -> what a scene lacks for it to act on and how that is mended, in words, or
+    #: None. It is no candidate there.
+    lacks: Callable[[SceneFile], tuple[str, str] | None] | None = None
     #: ``there(scene)`` -> whether the scene has it; needed where no parameter tells.
     there: Callable[[SceneFile], bool] | None = None
     #: ``edit(editor)`` writes it into a scene. ``$name`` of its parameters may be used: `add`
@@ -288,6 +292,16 @@ class Effect:
         needed = (*nominal, *self.needs, *(["n_gap"] if self.filled_only else []))
         numbers = (name for name in needed if not isinstance(parameters.get(name), float))
         return next(numbers, None)
+
+    def acts_in(self, scene: SceneFile) -> bool:
+        """Whether a scene has what the effect acts on."""
+        return self.lacks is None or self.lacks(scene) is None
+
+    def refuse_without_part(self, scene: SceneFile) -> None:
+        """Refuse (InputError) a scene that lacks what the effect acts on."""
+        if self.lacks is not None and (lacking := self.lacks(scene)) is not None:
+            what, mend = lacking
+            raise InputError(f"{self.name} acts on {what}", mend, path=scene.path)
 
     def is_in(self, scene: SceneFile) -> bool:
         """Whether a scene has it already, at whatever size."""

@@ -21,6 +21,7 @@ _FURTHER = (
     "roughness_alpha",
     "distribution",
     "surface_loss",
+    "ground_loss",
     "rms_roughness_nm",
     WAVELENGTH,
 )

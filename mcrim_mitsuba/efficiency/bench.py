@@ -158,6 +158,9 @@ class Bench:
     wavelength_nm: float = _between(540.0, 100.0, 1e4)
     #: Fraction lost at every reflection at a crystal face back into the crystal.
     surface_loss: float = _between(0.0, 0.0, 1.0)
+    #: Fraction of the light from inside that a rough face of the crystal takes before its facets
+    #: reflect or refract it.
+    ground_loss: float = _between(0.0, 0.0, 1.0)
     #: Leg of the 45 degree chamfers of the crystal's twelve edges. The gap
     #: keeps its footprint, and its uncovered rim borders air.
     chamfer_mm: float = _between(0.0, 0.0, math.inf)

@@ -459,6 +459,8 @@ class CampaignSimulations:
                 continue
             if effect.of_beam and not campaign.beam:
                 continue
+            if not effect.acts_in(campaign.scene):
+                continue
             if effect.reading is not None and not acts_on(effect, campaign):
                 continue
             if any(name in campaign.catalogue[other].excludes for other in there):

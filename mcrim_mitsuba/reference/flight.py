@@ -488,6 +488,11 @@ class Flights:
             optical = np.flatnonzero(ahead < FIRST_FATE)
             who, ahead, normal = who[optical], ahead[optical], normal[:, optical]
             face = face[optical]
+        if region == Place.CRYSTAL and self._bench.ground_loss:
+            rough = self._layout.roughness(body, face, ahead) > 0.0
+            taken = rough & (self._rng.random(who.size) < self._bench.ground_loss)
+            place[who[taken]] = Place.ABSORBED_SURFACE
+            who, ahead, normal, face = who[~taken], ahead[~taken], normal[:, ~taken], face[~taken]
         reflected = who[~self._cross(flock, who, body, face, normal, ahead)]
         place[reflected] = region
         if region == Place.CRYSTAL and self._bench.surface_loss:

@@ -308,6 +308,7 @@ _IMPERFECTIONS = (
     ("roughness", 1, "rough (alpha = {:g})"),
     ("hazy_part", 100, "hazy ({:.3g} % of what is reflected inwards head-on is scattered)"),
     ("surface_loss", 100, "{:g} % of what is reflected inwards is lost"),
+    ("ground_loss", 100, "{:g} % of what comes from inside is lost before it is reflected"),
     ("specular", 100, "{:g} % is reflected as by a mirror"),
     ("angular_falloff", 100, "detection falls by {:g} % towards grazing incidence"),
     ("angular_falloff", -100, "detection rises by {:g} % towards grazing incidence"),

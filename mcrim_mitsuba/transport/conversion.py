@@ -220,6 +220,7 @@ def _of_polish(bsdf) -> dict:
         "roughness": bsdf.roughness_alpha,
         "beckmann": bsdf.distribution == "beckmann",
         "surface_loss": bsdf.surface_loss,
+        "ground_loss": bsdf.ground_loss if bsdf.roughness_alpha else 0.0,
         "haze": 2.0 * math.pi * (bsdf.rms_roughness_nm / bsdf.wavelength_nm) * bsdf.int_ior,
     }
 

@@ -154,6 +154,8 @@ class GeneralPath:
         )
         if outcome.from_reflector is not None:
             through.from_reflector = through.from_detector = mi.Mask(False)
+        if outcome.met_rough is not None:
+            through.met_rough = mi.Mask(False)
         if outcome.from_mask is not None:
             through.from_mask = mi.Mask(False)
         if outcome.mask_radius2_mm2 is not None:
@@ -181,7 +183,7 @@ class GeneralPath:
         outcome.crossed = dr.select(asks, crossed, outcome.crossed)
         alive = outcome.fate == surface_physics.ALIVE
         dead = asks & (value <= 0.0) & alive
-        outcome.weight = dr.select(asks & alive & ~dead, value, 1.0)
+        outcome.weight = dr.select(asks & alive & ~dead, value, outcome.weight)
         outcome.fate = dr.select(dead, mi.UInt32(surface_physics.SURFACE), outcome.fate)
         if self.polarization:
             fresh = unpolarised_field(wo, dr.two_pi * uniforms[3])

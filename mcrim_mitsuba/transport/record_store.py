@@ -93,6 +93,13 @@ BIRTH_PLACE = ("birth_from_left_mm", "birth_from_front_mm", "birth_from_top_mm")
 COLUMNS = {
     # internal ones at the crystal's polished faces
     "reflections": Recorded(np.uint16, _reflections),
+    # encounters from inside with the crystal's rough faces
+    "rough_hits": Recorded(
+        np.uint16,
+        _at_surface(
+            lambda outcome, mine: None if outcome.met_rough is None else outcome.met_rough & mine
+        ),
+    ),
     # times that a diffuse reflector, or a detector, sent the photon back
     "reflector_hits": Recorded(np.uint8, _at_surface(lambda outcome, mine: outcome.from_reflector)),
     "detector_hits": Recorded(np.uint8, _at_surface(lambda outcome, mine: outcome.from_detector)),

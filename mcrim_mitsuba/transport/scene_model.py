@@ -84,6 +84,8 @@ class Surface:
     beckmann: bool = False
     #: Part of the light reflected back into the interior that a dielectric's surface takes.
     surface_loss: float = 0.0
+    #: Part of the light from the interior that a rough one takes before it reflects or refracts.
+    ground_loss: float = 0.0
     #: 2 pi n s / wavelength of a dielectric's fine roughness s, n being the index behind the face.
     haze: float = 0.0
     #: Cosine of the largest angle to the normal that a detector accepts.

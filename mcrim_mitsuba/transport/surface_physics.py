@@ -49,6 +49,7 @@ _COLUMNS: tuple[tuple[Callable[[Surface], Any], dict[str, Callable[[Surface], fl
     (lambda s: s.least_cosine > STRAIGHT_ACROSS, {"least_cosine": lambda s: s.least_cosine}),
     (lambda s: s.roughness, {"roughness": lambda s: -s.roughness if s.beckmann else s.roughness}),
     (lambda s: s.surface_loss, {"surface_loss": lambda s: s.surface_loss}),
+    (lambda s: s.ground_loss, {"ground_loss": lambda s: s.ground_loss}),
     (lambda s: s.haze, {"haze": lambda s: s.haze}),
     (lambda s: s.specular, {"specular": lambda s: s.specular}),
     (lambda s: s.mask_reflectance, {"mask_reflectance": lambda s: s.mask_reflectance}),
@@ -74,7 +75,7 @@ class SurfaceTables:
         self._beckmann = any(s.roughness and s.beckmann for s in surfaces)
         # all detectors are alike
         self._film = next((FilmTerms.of(s.film) for s in surfaces if s.film is not None), None)
-        losses = {"surface_loss", "angular_falloff", "least_cosine"}
+        losses = {"surface_loss", "ground_loss", "angular_falloff", "least_cosine"}
         #: Whether a surface can take light that is counted neither as mask nor as reflector.
         self.may_absorb = self._film is not None or not losses.isdisjoint(columns)
         #: Whether a surface takes a choice and a random direction.
@@ -131,6 +132,7 @@ class SurfaceRow:
     roughness: Any = None
     beckmann: bool = False
     surface_loss: Any = None
+    ground_loss: Any = None
     angular_falloff: Any = None
     radial_falloff: Any = None
     haze: Any = None
@@ -164,6 +166,8 @@ class Outcome:
     #: Factor on the weight, below 1 only at surfaces that lose energy. Of photons that end it is 1,
     #: but for what a photocathode detects.
     weight: Any = 1.0
+    #: Whether it came from inside onto a rough interface; ``None`` where no face is rough.
+    met_rough: Any = None
     #: UInt32: Volume it is in afterwards.
     volume: Any = None
     #: Whether a diffuse reflector or a detector sent it back; ``None`` where none ever does.
@@ -259,6 +263,11 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
     if row.surface_loss is not None:
         inwards = outcome.polished & reflected & leaving & (outcome.fate == ALIVE)
         outcome.weight = dr.select(inwards, 1.0 - row.surface_loss, outcome.weight)
+    if row.roughness is not None:
+        outcome.met_rough = (row.kind == DIELECTRIC) & (row.roughness != 0.0) & leaving
+    if row.ground_loss is not None:
+        passing = outcome.met_rough & (outcome.fate == ALIVE)
+        outcome.weight *= dr.select(passing, 1.0 - row.ground_loss, 1.0)
     outcome.volume = volume_after(row, outcome.crossed, leaving)
     return outcome
 

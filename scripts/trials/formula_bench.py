@@ -50,7 +50,7 @@ _FILLED = (COLUMNS["n_gap"] > 1.0005).astype(float)
 _NO_ROWS = Rows(np.zeros(0), np.zeros(0, dtype=bool))
 
 
-EFFECTS = {name: effect for name, effect in catalogue().items() if not effect.of_beam}
+EFFECTS = {n: e for n, e in catalogue().items() if not (e.of_beam or e.lacks)}
 SCENE = {"n_crystal": 2.01}
 
 

@@ -28,6 +28,19 @@ _ANY = ({"n_gap": 1.0}, {"n_gap": 1.46, "crystal_height_mm": 5.0, "aperture_radi
 _FILLED = (_ANY[1], {"n_gap": 1.333, "gap_mm": 0.5})
 
 
+#: The article's bench.
+_PLAIN = "camoo4.xml"
+
+
+def home(effect: str) -> SceneFile:
+    """The article's bench, or where that has nothing for an effect to act on one that has."""
+    name, *others = _TABLES["homes"].get(effect, [_PLAIN])
+    scene = read_scene(SCENES / name)
+    for other, size in (each for effects in others for each in effects.items()):
+        scene = scene.edited(add(other, scene, size))
+    return scene
+
+
 @dataclass(frozen=True)
 class Case:
     """A bench, described to both programs from the same numbers.
@@ -39,7 +52,7 @@ class Case:
 
     group: str
     parameters: dict[str, float | str]
-    scene: str = "camoo4.xml"
+    scene: str = _PLAIN
     effect: str = ""
     size: dict[str, float] = field(default_factory=dict)
 
@@ -62,7 +75,7 @@ class Case:
 
     def scene_file(self) -> SceneFile:
         """The bench for Mitsuba."""
-        scene = read_scene(SCENES / self.scene)
+        scene = home(self.effect) if self.scene == _PLAIN else read_scene(SCENES / self.scene)
         if self.effect and not (self.size and set(self.size) <= set(scene.parameters)):
             scene = scene.edited(add(self.effect, scene, self.size))
         if self.group == "beam":
@@ -72,8 +85,8 @@ class Case:
     def bench(self) -> Bench:
         """The bench for the other programs, which share no code with Mitsuba's scene."""
         switch = {} if self.size or not self.effect else {self.effect: True}
-        wrapped = self.group == "wrapped"
-        of_scene = read_scene(SCENES / self.scene).parameters if wrapped else self._of_group
+        own = self.group == "wrapped" or self.effect in _TABLES["homes"]
+        of_scene = self.scene_file().parameters if own else self._of_group
         return Bench.from_parameters({**of_scene, **self.parameters, **self.size, **switch})
 
     @property

@@ -27,6 +27,7 @@ from mcrim_mitsuba.effects.catalogue import BUILT_IN, add
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.launch_plan import LANES, SHARE_STEPS, ScatteringProposals
 from mcrim_mitsuba.transport.simulation import Simulation
+from validate.benches import home
 from validate.judging import FALSE_ALARM
 
 #: Coefficients, 1/cm: most light goes round more often than it scatters.
@@ -48,7 +49,7 @@ def _of_crystal(name: str) -> SceneFile:
 
 
 def _with_effect(name: str) -> SceneFile:
-    scene = _of_crystal("")
+    scene = home(name)
     return scene.edited(add(name, scene))
 
 

@@ -7,13 +7,17 @@ import math
 import pickle
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from places import SCENES, cases_of, tables_of
 from refusals import refusal
+from validate.benches import home
 
+from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.effects.catalogue import (
     BUILT_IN,
     BrokenEffectError,
@@ -22,6 +26,7 @@ from mcrim_mitsuba.effects.catalogue import (
     entry_points_there_are,
 )
 from mcrim_mitsuba.effects.effect import Effect, EffectParameter, Rows
+from mcrim_mitsuba.inference.simulations import CampaignSimulations
 from mcrim_mitsuba.scene.scene_file import read_scene
 from mcrim_mitsuba.transport.simulation import Simulation
 
@@ -29,7 +34,10 @@ cases = cases_of(__file__)
 TABLES = tables_of(__file__)
 
 KNOWN = catalogue()
-EDITS = [name for name, effect in KNOWN.items() if effect.edit is not None]
+PLAIN = read_scene(SCENES / "camoo4.xml")
+EDITS = [name for name, e in KNOWN.items() if e.edit is not None and e.acts_in(PLAIN)]
+#: Of the others, which act on what the plain bench has not.
+AT_HOME = [name for name, e in KNOWN.items() if not e.acts_in(PLAIN)]
 #: Effects that change the same parts of a scene.
 NEIGHBOURS = TABLES["neighbours"]
 EXCLUDED = set(map(frozenset, TABLES["excluded"]))
@@ -41,6 +49,11 @@ MAY_CHANGE = TABLES["may_change"]
 @pytest.fixture(scope="module")
 def bench(scenes):
     return read_scene(scenes / "camoo4.xml")
+
+
+@pytest.fixture(scope="module")
+def campaign(scenes):
+    return read_campaign(scenes / "camoo4_campaign.toml")
 
 
 def changes(old: str, new: str) -> tuple[list[str], list[str]]:
@@ -69,7 +82,7 @@ def added(scene, *names):
 
 def test_every_effect_of_the_definitions_is_there():
     assert KNOWN == BUILT_IN and list(KNOWN) == list(BUILT_IN)
-    assert len(KNOWN) == 39
+    assert len(KNOWN) == 40
     for name, effect in KNOWN.items():
         assert effect.name == name
         assert (
@@ -82,9 +95,10 @@ def test_every_effect_of_the_definitions_is_there():
     assert ranges == {name: tuple(ends) for name, ends in TABLES["ranges"].items()}
 
 
-@pytest.mark.parametrize("name", EDITS)
-def test_an_effect_adds_itself_and_changes_nothing_else(bench, name):
-    old = bench.path.read_text()
+@pytest.mark.parametrize("name", [*EDITS, *AT_HOME])
+def test_an_effect_adds_itself_and_changes_nothing_else(name):
+    bench = home(name)
+    old = bench.unwritten_text or bench.path.read_text()
     new = add(name, bench)
     taken, put = changes(old, new)
     allowed = MAY_CHANGE.get(name)
@@ -104,6 +118,17 @@ def test_an_effect_adds_itself_and_changes_nothing_else(bench, name):
         if name == "crystal_index":
             raise InputError("a value can be changed again", "")
         add(name, scene)
+
+
+@pytest.mark.parametrize("name", AT_HOME)
+def test_an_effect_is_not_put_where_it_has_nothing_to_act_on(bench, name, campaign):
+    """Nor switched on there, nor a candidate; where it has, it is both."""
+    for refused in (refusal(add, name, bench), refusal(campaign.with_effects, [name])):
+        assert f"{name} acts on " in refused and "the scene has no" in refused
+    for scene, offered in ((bench, False), (home(name), True)):
+        simulations = CampaignSimulations(replace(campaign, scene=scene), Run())
+        assert (name in simulations.possible()) == offered
+        assert not any(name in note for note in simulations.notes)
 
 
 def test_effects_go_on_top_of_each_other_in_any_order(bench):
@@ -288,6 +313,7 @@ def test_weights_are_ratios_of_densities():
     assert factor("gap_absorption", gap, air, path_gap_cm=[0.5]) == pytest.approx([1])
     for name, values, columns, expected in (
         ("surface_absorption", {"surface_loss": 0.1}, {"reflections": [0, 2]}, [1, 0.81]),
+        ("ground_loss", {"ground_loss": 0.1}, {"rough_hits": [0, 2]}, [1, 0.81]),
         ("gap_absorption", gap, {"path_gap_cm": [0.5]}, [math.exp(-1)]),
         ("detector_angle", {"angular_falloff": 0.4}, {"arrival_cosine": [1, 0.5]}, [1, 0.8]),
         ("detector_angle", {"angular_falloff": -1}, {"arrival_cosine": [1, 0.5]}, [1, 1.5]),

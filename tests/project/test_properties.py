@@ -29,7 +29,8 @@ numbers = st.one_of(st.just(0.0), sizes, sizes.map(lambda x: -x))
 #: What a cell of a file can hold: no line ends, no half characters.
 words = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\n\r\0"), max_size=30)
 names = words.map(str.strip).filter(lambda text: text and text[0] not in "=@+-")
-EFFECTS = {name: known for name, known in effects.catalogue().items() if known.edit is not None}
+BENCH = read_scene(SCENES / "camoo4.xml")
+EFFECTS = {n: e for n, e in effects.catalogue().items() if e.edit is not None and e.acts_in(BENCH)}
 
 
 @pytest.fixture(scope="module")

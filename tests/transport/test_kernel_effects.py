@@ -376,6 +376,37 @@ def test_both_paths_agree_on_rough_lossy_crystals_and_choosy_detectors(bench, po
     assert_same_light(fast, slow, z_max=Z)
 
 
+GROUND_BOX = """<scene version="3.0.0">
+  <integrator type="light_collection"/>
+  <medium type="bulk" id="crystal"/><medium type="bulk" id="around"/>
+  <emitter type="scintillation"><ref id="crystal"/></emitter>
+  <shape type="cube" id="box"><transform name="to_world"><scale value="5"/></transform>
+    <bsdf type="polish"><float name="int_ior" value="1.5"/><float name="ext_ior" value="1.5"/>
+      <float name="roughness_alpha" value="0.3"/><float name="ground_loss" value="0.2"/></bsdf>
+    <ref name="interior" id="crystal"/><ref name="exterior" id="around"/></shape>
+  <shape type="cube" id="plate"><transform name="to_world"><scale value="8"/></transform>
+    <bsdf type="photodetector"/><ref name="interior" id="around"/></shape></scene>"""
+
+
+@pytest.mark.parametrize("general", [False, True], ids=["flat", "general"])
+def test_a_ground_face_takes_its_part_once(tmp_path, general):
+    """Matched, it reflects nothing: all light that is born within meets it once, and 80 % go on."""
+    path = tmp_path / "ground.xml"
+    path.write_text(GROUND_BOX)
+    result = Simulation(path, check=False).collect(50_000, seed=50, general=general)
+    assert result.eta == pytest.approx(0.8, abs=1e-5)
+    assert result.budget["absorbed_surface"] == pytest.approx(0.2, abs=1e-5)
+
+
+def test_records_of_ground_faces_answer_for_what_they_take(bench):
+    """Light meets them many times, and those that it meets weigh: not those that are polished."""
+    records = record(bench("ground", GEL | {"ground_loss": 0.0}), ("rough_hits",), seed=51)
+    lossy = bench("ground", GEL | {"ground_loss": 0.3})
+    hits = records.further["rough_hits"].astype(float)
+    assert_eta(records, 0.7**hits, lossy.collect(10**6, seed=52))
+    assert hits.max() > 5 and (hits == 0).any()
+
+
 # ---- the emitter --------------------------------------------------------------------------------
 
 

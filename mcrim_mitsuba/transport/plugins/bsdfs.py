@@ -203,6 +203,8 @@ class Polish(mi.BSDF):
         Of the facets' slopes.
     ``surface_loss`` : float, default 0
         Part of the light reflected back into the interior that the surface absorbs.
+    ``ground_loss`` : float, default 0
+        Part of the light from the interior that a rough face absorbs before its facets decide.
     ``rms_roughness_nm`` : float, default 0
         Height of a fine roughness, whose slopes do not matter: part of the light that is reflected
         or refracted goes to other directions of that side.
@@ -224,6 +226,7 @@ class Polish(mi.BSDF):
         if self.distribution not in ("ggx", "beckmann"):
             raise ValueError(f"distribution is ggx or beckmann, not {self.distribution}")
         self.surface_loss = number(props, "surface_loss", 0.0)
+        self.ground_loss = number(props, "ground_loss", 0.0)
         self.rms_roughness_nm = number(props, "rms_roughness_nm", 0.0, high=HIGHEST_NM)
         self.wavelength_nm = number(props, "wavelength_nm", 540.0, low=100.0, high=1e4)
         self.smooth = mi.load_dict(
@@ -241,7 +244,13 @@ class Polish(mi.BSDF):
         return self.smooth.pdf(ctx, si, wo, active)
 
     traverse, to_string = described(
-        "int_ior", "ext_ior", "roughness_alpha", "surface_loss", "rms_roughness_nm", "wavelength_nm"
+        "int_ior",
+        "ext_ior",
+        "roughness_alpha",
+        "surface_loss",
+        "ground_loss",
+        "rms_roughness_nm",
+        "wavelength_nm",
     )
 
 
