@@ -182,6 +182,8 @@ MEANINGFUL = {
     "roughness_alpha": (0.0, 1.0),
     "surface_loss": (0.0, 1.0),
     "ground_loss": (0.0, 1.0),
+    "wrap_contact": (0.0, 1.0),
+    "wrap_specular": (0.0, 1.0),
     "gap_index_offset": (-0.5, 0.5),
     "gap_offset_mm": (-LONGEST_GAP_MM, LONGEST_GAP_MM),
     "bubble_fraction": (0.0, 1.0),

@@ -14,7 +14,7 @@ from mcrim_mitsuba.effects.effect import (
     Values,
     weight_of_reflections,
 )
-from mcrim_mitsuba.effects.scene_edits import crystal_box, element, set_masks
+from mcrim_mitsuba.effects.scene_edits import add_numbers, crystal_box, element, set_masks
 from mcrim_mitsuba.scene.editor import Node, SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE
@@ -80,6 +80,91 @@ TOP_REFLECTOR = Effect(
         simulated_at=_REFLECTOR_SIMULATED_AT,
     ),
     proposal={"top_reflectance": _REFLECTOR_SIMULATED_AT},
+)
+
+
+def without_wrapping(scene: SceneFile) -> tuple[str, str] | None:
+    """What to say of a scene whose crystal is bare."""
+    if any(shape.get("type") == "wrapping" for shape in scene.root.iter("shape")):
+        return None
+    return "a wrapping, and the scene has none", 'add <shape type="wrapping"> around the crystal'
+
+
+def edit_wrapping(editor: SceneEditor, name: str, value: str) -> None:
+    """Give every wrapping one more number."""
+    for shape in editor.shapes:
+        if shape.type == "wrapping":
+            if (part := shape.named(name)) is not None:
+                problem = f"{shape.label} has its {name} already"
+                raise editor.refusal(problem, "change this number instead", part)
+            add_numbers(editor, shape, f'<float name="{name}" value="{value}"/>')
+
+
+WRAP_CONTACT = Effect(
+    name="wrap_contact",
+    title="wrapping in contact with the crystal",
+    family="housing",
+    look=(
+        "Look through a bare face at the wrapped ones: where a film of air is behind a face it "
+        "mirrors, where the wrapping touches it is white. Wrap anew, looser, and measure again."
+    ),
+    physics=(
+        "A wrapping lies on the crystal with a film of air between, but for places where it is "
+        "pressed or glued on, or where grease has crept in. Each time light from inside meets a "
+        "wrapped face it finds no film with this probability: there is no total reflection, and "
+        "it meets the reflector at once, which sends its part back into the crystal or takes the "
+        "rest. Reflection by a reflector that is coupled so differs from that through a film. "
+        "Trapped light is freed, and light meets the reflector more often. Light that is in the "
+        "film meets the crystal where there is one."
+    ),
+    source=(
+        "M. Janecek and W. W. Moses, IEEE Transactions on Nuclear Science 57 (2010) 964 (crystals "
+        "with reflectors behind air, and glued on)"
+    ),
+    parameters=(
+        EffectParameter(
+            name="wrap_contact",
+            meaning="Probability that light from inside finds no film of air before the wrapping",
+            minimum=0.0,
+            maximum=1.0,
+            start=0.1,
+            plausible=(0.02, 0.5),
+            nodes=(0.02, 0.06, 0.15, 0.3, 0.6, 1.0),
+            coordinate="logarithmic",
+            scale=0.05,
+        ),
+    ),
+    lacks=without_wrapping,
+    edit=partial(edit_wrapping, name="contact", value="$wrap_contact"),
+)
+
+
+WRAP_SPECULAR = Effect(
+    name="wrap_specular",
+    title="wrapping that mirrors",
+    family="housing",
+    look="Look at the wrapping under a lamp: a foil shows the lamp, Teflon a white glow.",
+    physics=(
+        "Teflon, paper and paint reflect diffusely, by Lambert's law, foils of metal or of many "
+        "polymer layers (ESR) as mirrors, and some reflectors, such as Tyvek, in part. This part "
+        "of what the wrapping reflects keeps its angle to the face. A mirror behind a film of air "
+        "returns light to where it came from: light that leaves a box so is not trapped, but "
+        "may go round until it scatters."
+    ),
+    source="M. Janecek and W. W. Moses, IEEE Transactions on Nuclear Science 55 (2008) 2432",
+    parameters=(
+        EffectParameter(
+            name="wrap_specular",
+            meaning="Part of what the wrapping reflects that goes as from a mirror",
+            minimum=0.0,
+            maximum=1.0,
+            start=0.2,
+            plausible=(0.0, 1.0),
+            nodes=(0.2, 0.4, 0.6, 0.8, 1.0),
+        ),
+    ),
+    lacks=without_wrapping,
+    edit=partial(edit_wrapping, name="specular", value="$wrap_specular"),
 )
 
 

@@ -126,6 +126,10 @@ class Bench:
     wrap_reflectance: float | None = _between(None, 0.0, 1.0)
     #: Thickness of that air film; without meaning for a bare crystal.
     film_mm: float = 0.01
+    #: Probability that light from inside a wrapped crystal finds no film before the wrap, and part
+    #: of what the wrap reflects that goes as from a mirror; without meaning for a bare crystal.
+    wrap_contact: float = _between(0.0, 0.0, 1.0)
+    wrap_specular: float = _between(0.0, 0.0, 1.0)
     #: What follows is what the plain bench leaves out; by default it is absent.
     #: Mean cosine of Henyey and Greenstein's phase function.
     scattering_g: float = _between(0.0, -0.99, 0.99)

@@ -431,7 +431,8 @@ class Flights:
         photons.touched[met] = Place.FILM
         at_rim = wall[met] == BOTTOM
         place[met[at_rim]] = Place.OUTSIDE
-        self._reflect(flock, met[~at_rim], -normal[:, ~at_rim], self._bench.wrap_reflectance)
+        back = -normal[:, ~at_rim]
+        self._reflect(flock, met[~at_rim], back, self._bench.wrap_reflectance, wrap=True)
         place[strayed | outside_film] = Place.LOST
 
     def _nearest_body(self, flock: Flock) -> tuple[Floats, Codes, Indices, Flags]:
@@ -493,6 +494,13 @@ class Flights:
             taken = rough & (self._rng.random(who.size) < self._bench.ground_loss)
             place[who[taken]] = Place.ABSORBED_SURFACE
             who, ahead, normal, face = who[~taken], ahead[~taken], normal[:, ~taken], face[~taken]
+        if region == Place.CRYSTAL and self._bench.wrap_contact:
+            touches = ahead == Place.FILM
+            touches &= self._rng.random(who.size) < self._bench.wrap_contact
+            back = -normal[:, touches]
+            self._reflect(flock, who[touches], back, self._bench.wrap_reflectance, wrap=True)
+            apart = ~touches
+            who, ahead, normal, face = who[apart], ahead[apart], normal[:, apart], face[apart]
         reflected = who[~self._cross(flock, who, body, face, normal, ahead)]
         place[reflected] = region
         if region == Place.CRYSTAL and self._bench.surface_loss:
@@ -618,15 +626,34 @@ class Flights:
         row[who] = np.maximum(row[who], radius)
 
     def _reflect(
-        self, flock: Flock, who: Indices, normal: Floats, reflectance: float | None
+        self,
+        flock: Flock,
+        who: Indices,
+        normal: Floats,
+        reflectance: float | None,
+        *,
+        wrap: bool = False,
     ) -> None:
-        """Reflect photons diffusely about ``normal``, (3, m), into their region, or absorb them."""
+        """Reflect photons about ``normal``, (3, m), into their region, or absorb them.
+
+        Diffusely, but for the `wrap`'s part that goes as from a metal's mirror.
+        """
         assert reflectance is not None  # a bench without a reflector has no light there
         reflected = self._rng.random(who.size) < reflectance
         flock.place[who[~reflected]] = Place.ABSORBED_REFLECTOR
         who = who[reflected]
         flock.place[who] = flock.region
-        self._launch(flock.photons, who, lambertian(self._rng, normal[:, reflected]))
+        photons, normal = flock.photons, normal[:, reflected]
+        mirrored = np.zeros(who.size, dtype=bool)
+        if wrap and self._bench.wrap_specular:
+            mirrored = self._rng.random(who.size) < self._bench.wrap_specular
+            of, axis = who[mirrored], normal[:, mirrored]
+            before = photons.direction[:, of]
+            photons.direction[:, of] = before - 2.0 * dot(before, axis) * axis
+            if photons.field is not None:
+                field = photons.field[:, of]
+                photons.field[:, of] = 2.0 * dot(field, axis) * axis - field
+        self._launch(photons, who[~mirrored], lambertian(self._rng, normal[:, ~mirrored]))
 
     def _launch(self, photons: PhotonArrays, who: Indices, direction: Floats) -> None:
         """Give photons new directions, (3, m), and with them a new, random polarisation."""

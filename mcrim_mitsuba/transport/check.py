@@ -254,12 +254,13 @@ def _surface_sentences(surface: Surface) -> list[str]:
     """What a surface does besides being an interface."""
     name, radius_mm, (x, y) = surface.name, surface.aperture_radius_mm, surface.axis_mm
     axis = f" about x = {x:g}, y = {y:g} mm" if x or y else ""
+    how = "" if surface.mirror_part else " diffusely"
     reflected = f"reflects {100 * surface.mask_reflectance:g} % diffusely upwards"
     sentences_if = {
         f"{name} wears a black mask with a hole of radius {radius_mm:g} mm{axis}": radius_mm
         < np.inf,
         f"the mask of {name} {reflected}": surface.mask_reflectance > 0,
-        f"{name} reflects {100 * surface.reflectance:g} % diffusely": surface.reflectance > 0,
+        f"{name} reflects {100 * surface.reflectance:g} %{how}": surface.reflectance > 0,
         f"{name} does what Mitsuba's {surface.plugin} does": surface.plugin,
     }
     sentences = [sentence for sentence, holds in sentences_if.items() if holds]
@@ -308,6 +309,8 @@ _IMPERFECTIONS = (
     ("roughness", 1, "rough (alpha = {:g})"),
     ("hazy_part", 100, "hazy ({:.3g} % of what is reflected inwards head-on is scattered)"),
     ("surface_loss", 100, "{:g} % of what is reflected inwards is lost"),
+    ("contact", 100, "{:g} % of what comes from inside meets the wrapping at once"),
+    ("mirror_part", 100, "{:g} % of what is reflected goes as from a mirror"),
     ("ground_loss", 100, "{:g} % of what comes from inside is lost before it is reflected"),
     ("specular", 100, "{:g} % is reflected as by a mirror"),
     ("angular_falloff", 100, "detection falls by {:g} % towards grazing incidence"),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -30,6 +30,7 @@ from mcrim_mitsuba.transport.scene_model import (
     SceneModel,
     Surface,
     Volume,
+    box_of,
     cross,
 )
 
@@ -122,6 +123,7 @@ def read_scene_model(scene) -> SceneModel:
         elif flat is None:
             curved.append(number)
         faces.extend(flat or [])
+    _let_wrappings_touch(shapes, surfaces)
     if len({(s.film, s.head_on) for s in surfaces if s.kind == DETECTOR}) > 1:
         problem = "the detectors differ in what they take of light that arrives head-on"
         raise InputError(problem, "let all have the same cathode_nm and angular_falloff")
@@ -136,6 +138,27 @@ def read_scene_model(scene) -> SceneModel:
         size,
         tuple(walls),
     )
+
+
+def _let_wrappings_touch(shapes: Sequence[Any], surfaces: list[Surface]) -> None:
+    """Give faces within a wrapping that touches them its contact, above where it ends."""
+    for shape, wrapping in zip(shapes, list(surfaces), strict=True):
+        contact = getattr(shape, "contact", 0.0)
+        if not contact:
+            continue
+        film, (low, high) = wrapping.exterior, box_of(shape)
+        rounding = 1e-6 * (high - low).max()
+        for number, (other, face) in enumerate(zip(shapes, surfaces, strict=True)):
+            bottom, top = box_of(other)
+            within = np.all(bottom > low - rounding) and np.all(top < high + rounding)
+            if face.kind != DIELECTRIC or film not in face.sides or not within or top[2] <= low[2]:
+                continue
+            if face.interior == film:
+                problem = f"{face.name}: the film of a wrapping that touches is behind it"
+                raise InputError(
+                    problem, "turn the face around, so that its normal points outwards"
+                )
+            surfaces[number] = replace(face, contact=contact, wrapping=wrapping)
 
 
 def _media(shape) -> tuple:
@@ -271,6 +294,11 @@ def _followed(shape, interior: int, exterior: int) -> dict:
         problem = "the transport does not follow instances of a shapegroup"
         raise InputError(problem, "write the shape itself, once for each place")
     properties = surface_properties(shape.bsdf())
+    if getattr(shape, "contact", 0.0) or getattr(shape, "specular", 0.0):
+        if properties["kind"] != DIFFUSE:
+            problem = "contact and specular are of a wrapping that reflects diffusely else"
+            raise InputError(problem, 'let it wear <bsdf type="diffuse">')
+        properties["mirror_part"] = shape.specular
     if "aperture_radius_mm" in properties:
         width, depth, height = (float(shape.bbox().extents()[i]) for i in range(3))
         if height > 1e-4 * max(width, depth):

@@ -35,11 +35,16 @@ _MARGIN = 1e-6
 def total_from(surface: Surface, volume: int) -> float:
     """Sine squared of the angle of incidence from which on light from a volume is only reflected.
 
-    A face that is rough, hazy, masked, takes part of the light, or is no interface of two
-    dielectrics does other things too at any angle: 2 there.
+    A face that is rough, hazy, masked, touches a wrapping, takes part of the light, or is no
+    interface of two dielectrics does other things too at any angle: 2 there.
     """
     polished = surface.kind == DIELECTRIC and not (surface.roughness or surface.haze)
-    if not polished or surface.surface_loss or surface.aperture_radius_mm < math.inf:
+    if (
+        not polished
+        or surface.contact
+        or surface.surface_loss
+        or surface.aperture_radius_mm < math.inf
+    ):
         return _NEVER
     ratio = surface.eta if surface.interior == volume else 1.0 / surface.eta
     return float(ratio**-2) * (1.0 + _MARGIN)

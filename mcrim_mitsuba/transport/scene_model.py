@@ -71,6 +71,12 @@ class Surface:
     eta: float = 1.0
     #: Of a diffuse reflector, or of a detector.
     reflectance: float = 0.0
+    #: Part of what a diffuse reflector reflects that goes as from a mirror instead.
+    mirror_part: float = 0.0
+    #: Probability that light from the interior finds no film between a dielectric and the wrapping,
+    #: and meets that at once.
+    contact: float = 0.0
+    wrapping: Surface | None = None
     #: Whether a diffuse reflector reflects on its back as well.
     two_sided: bool = False
     #: The hole of a mask on the face; the radius is infinite where there is none.
@@ -341,9 +347,7 @@ class SceneModel:
     def bounds(self, volume: int) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest coordinates of a volume: float64, shape (3,), mm."""
         walls = {wall.surface: wall.bounds() for wall in self.walls}
-        boxes = [
-            walls[i] if i in walls else _box_of(self.shapes[i]) for i in self.bordering(volume)
-        ]
+        boxes = [walls[i] if i in walls else box_of(self.shapes[i]) for i in self.bordering(volume)]
         return np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)
 
     def within(self, wall: RoundWall) -> int:
@@ -367,7 +371,7 @@ class SceneModel:
         return [volume.name for volume in self.volumes]
 
 
-def _box_of(shape) -> tuple[np.ndarray, np.ndarray]:
+def box_of(shape) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest coordinates of a shape: float64, shape (3,), mm."""
     box = shape.bbox()
     return np.array(box.min, dtype=np.float64), np.array(box.max, dtype=np.float64)

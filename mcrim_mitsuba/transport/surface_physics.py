@@ -33,12 +33,14 @@ _COLUMNS: tuple[tuple[Callable[[Surface], Any], dict[str, Callable[[Surface], fl
     ),
     (lambda s: s.axis_mm != (0.0, 0.0), {"x": lambda s: s.axis_mm[0], "y": lambda s: s.axis_mm[1]}),
     (
-        lambda s: s.kind == DIFFUSE or (s.kind == DETECTOR and s.reflectance),
+        lambda s: s.kind == DIFFUSE or (s.kind == DETECTOR and s.reflectance) or s.contact,
         {
-            "reflectance": lambda s: s.reflectance,
-            "two_sided": lambda s: s.two_sided or s.kind == DETECTOR,
+            "reflectance": lambda s: (s.wrapping or s).reflectance,
+            "two_sided": lambda s: s.two_sided or s.kind == DETECTOR or s.wrapping is not None,
         },
     ),
+    (lambda s: s.mirror_part, {"mirror_part": lambda s: (s.wrapping or s).mirror_part}),
+    (lambda s: s.contact, {"contact": lambda s: s.contact}),
     (
         lambda s: s.angular_falloff or s.radial_falloff_per_mm2,
         {
@@ -124,6 +126,8 @@ class SurfaceRow:
     normal: Any
     reflectance: Any = None
     two_sided: Any = None
+    mirror_part: Any = None
+    contact: Any = None
     #: Of the hole of a mask. The axis of the mask, or of a detector, goes through x and y.
     radius: Any = None
     x: Any = 0.0
@@ -204,6 +208,8 @@ class Encounter:
     #: Cosine of the angle of incidence, and the unit normal on their side of the face.
     cosine: Any
     facing: Any
+    #: Whether they meet a wrapping in contact with the face; ``None`` where none ever do.
+    touching: Any = None
     #: Part of the choices that a detector has taken to send light back, and what it detects of
     #: light that it has not; ``None`` for all.
     returned_part: Any = None
@@ -218,6 +224,17 @@ class Encounter:
             return direction, None
         return direction, dielectric.unpolarised_field(direction, dr.two_pi * self.turn)
 
+    def mirrored(self):
+        """The direction that a mirror gives, and the field that a perfect metal's does."""
+        direction = dr.normalize(dr.fma(self.facing, 2.0 * self.cosine, self.direction))
+        if self.field is None:
+            return direction, None
+        turned = (
+            dr.fma(self.facing, 2.0 * dr.dot(self.facing, e), -e)
+            for e in (self.field.re, self.field.im)
+        )
+        return direction, dielectric.Field(*turned)
+
 
 def interact(row, position, direction, field, uniforms, rng=None, active=True) -> Outcome:
     """Decide a photon's way at a surface, stage by stage.
@@ -231,6 +248,12 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
     choice, u, v, *turn = uniforms
     cos_signed = dr.dot(direction, row.normal)
     leaving = cos_signed > 0
+    touching = None
+    if row.contact is not None:
+        # the rest of the choice is even again
+        touching = leaving & (choice < row.contact)
+        apart = dr.select(leaving, (choice - row.contact) / (1.0 - row.contact), choice)
+        choice = dr.select(touching, choice / row.contact, apart)
     light = Encounter(
         row=row,
         direction=direction,
@@ -242,6 +265,7 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
         leaving=leaving,
         cosine=dr.minimum(dr.abs(cos_signed), 1.0),
         facing=dr.select(leaving, -row.normal, row.normal),
+        touching=touching,
     )
     new_direction, new_field, reflected = _at_interface(light, rng, active)
     outcome = Outcome(
@@ -254,7 +278,7 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
         position=position,
         from_axis2_mm2=dr.square(position.x - row.x) + dr.square(position.y - row.y),
     )
-    for stage in (_reflect_diffusely, _reflect_off_detector, _refuse, _mask):
+    for stage in (_reflect, _reflect_off_detector, _refuse, _mask):
         stage(light, outcome)
     outcome.weight = mi.Float(1.0)
     if light.detected_part is not None:
@@ -303,17 +327,23 @@ def _at_interface(light: Encounter, rng, active):
 # Stages: each does what one property of surfaces does, where any surface has it.
 
 
-def _reflect_diffusely(light: Encounter, outcome: Outcome) -> None:
-    """Send part of the light back by Lambert's law: a reflector, or a detector."""
+def _reflect(light: Encounter, outcome: Outcome) -> None:
+    """Send part of the light back: a reflector, on its own or on a face, or a detector."""
     row = light.row
     if row.reflectance is None:
         return
     diffuse, detector = row.kind == DIFFUSE, row.kind == DETECTOR
+    if light.touching is not None:
+        diffuse |= light.touching
+        outcome.polished &= ~light.touching
     kept = (light.choice < row.reflectance) & (row.two_sided | ~light.leaving)
     outcome.from_reflector, outcome.from_detector = diffuse & kept, detector & kept
     fate = dr.select(diffuse & ~kept, mi.UInt32(REFLECTOR), outcome.fate)
     outcome.fate = dr.select(outcome.from_detector, mi.UInt32(ALIVE), fate)
     outcome.send(diffuse | outcome.from_detector, light, *light.lambertian())
+    if row.mirror_part is not None:
+        mirrored = diffuse & (light.choice < row.reflectance * row.mirror_part)
+        outcome.send(mirrored, light, *light.mirrored())
     light.returned_part = row.reflectance
 
 
@@ -331,8 +361,7 @@ def _reflect_off_detector(light: Encounter, outcome: Outcome) -> None:
         outcome.from_reflector, outcome.from_detector = mi.Mask(False), mirrored
     else:
         outcome.from_detector = outcome.from_detector | mirrored
-    direction = dr.normalize(dr.fma(light.facing, 2.0 * light.cosine, light.direction))
-    field = None
+    direction, field = light.mirrored()
     if light.field is not None:
         field = dielectric.field_of(waves, across, direction)
     outcome.send(mirrored, light, direction, field)

@@ -10,7 +10,7 @@ import numpy as np
 
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.transport.conversion import write_parameters
-from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis
+from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis, number
 from mcrim_mitsuba.transport.scene_model import Circle, RoundWall
 
 #: What is narrower than this part of the whole is rounding of single precision: not there.
@@ -465,9 +465,16 @@ class Wrapping(Polygons):
         Of what is wrapped, in the scene's millimetres.
     ``film`` : float
         Thickness of the air between it and the wrapping.
+    ``contact`` : float, default 0
+        Probability that light from inside finds no film before the wrapping, each time it meets a
+        face of what is wrapped.
+    ``specular`` : float, default 0
+        Part of what its ``diffuse`` bsdf reflects that goes as from a mirror instead; pictures do
+        not show it.
     """
 
     def polygons(self, props, to_world):
+        self.contact, self.specular = (number(props, n, 0.0) for n in ("contact", "specular"))
         width, height, film = (float(props[name]) for name in ("width", "height", "film"))
         if not min(width, height, film) > 0.0:
             raise ValueError("a wrapping's width, height and film must be positive")
