@@ -151,7 +151,8 @@ def _let_wrappings_touch(shapes: Sequence[Any], surfaces: list[Surface]) -> None
         for number, (other, face) in enumerate(zip(shapes, surfaces, strict=True)):
             bottom, top = box_of(other)
             within = np.all(bottom > low - rounding) and np.all(top < high + rounding)
-            if face.kind != DIELECTRIC or film not in face.sides or not within or top[2] <= low[2]:
+            ends = top[2] < low[2] + rounding
+            if face.kind != DIELECTRIC or film not in face.sides or not within or ends:
                 continue
             if face.interior == film:
                 problem = f"{face.name}: the film of a wrapping that touches is behind it"

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from places import SCENES, tables_of
+from validate.benches import home
 
 from mcrim_mitsuba.campaign.campaign import read_campaign
 from mcrim_mitsuba.core.run import Run
@@ -86,6 +87,23 @@ def test_prediction_of_an_effect_is_what_its_scene_gives(campaign, made, name):
     for row, (eta, sigma) in enumerate(ours):
         expected, expected_sigma = directly(campaign, {name: SIZES[name]}, row, seed=11)
         assert abs(eta - expected) < 4.5 * math.hypot(sigma, expected_sigma), (row, eta, expected)
+
+
+def test_contact_with_a_wrapping_is_predicted_between_its_nodes(campaign):
+    """And its mirror part; on a bar of LYSO whose foot is dry or greased."""
+    scene = home("wrap_contact").with_overrides(
+        {"n_crystal": 1.82, "crystal_width_mm": 3.0, "crystal_height_mm": 15.0}
+    )
+    wrapped = replace(campaign, scene=scene)
+    maker = ResponseMaker(wrapped, Run(4 * LANES, seed=3, check=False))
+    names = ("wrap_contact", "wrap_specular")
+    responses = maker.make([wrapped.catalogue[name] for name in names])
+    for name, value in ((names[0], 0.01), (names[0], 0.15), (names[1], 0.5)):
+        size = {name: {name: value}}
+        for row, (eta, sigma) in enumerate(predicted(wrapped, responses, size)[:2]):
+            expected, expected_sigma = directly(wrapped, size, row, seed=13)
+            assert abs(eta - expected) < 4.5 * math.hypot(sigma, expected_sigma), (name, row)
+            assert sigma < 0.015 * eta
 
 
 def test_interpolation_says_how_wrong_it_may_be(campaign, made):
