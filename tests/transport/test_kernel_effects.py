@@ -388,12 +388,18 @@ GROUND_BOX = """<scene version="3.0.0">
     <bsdf type="photodetector"/><ref name="interior" id="around"/></shape></scene>"""
 
 
-@pytest.mark.parametrize("general", [False, True], ids=["flat", "general"])
-def test_a_ground_face_takes_its_part_once(tmp_path, general):
+#: A shape far away with a BSDF that is asked what it does, so that others are on that path, too.
+FAR_METAL = """<shape type="sphere" id="far"><float name="radius" value="1"/>
+  <point name="center" x="30" y="0" z="0"/><bsdf type="conductor"/></shape></scene>"""
+
+
+@pytest.mark.parametrize("path", ["flat", "general", "asking"])
+def test_a_ground_face_takes_its_part_once(tmp_path, path):
     """Matched, it reflects nothing: all light that is born within meets it once, and 80 % go on."""
-    path = tmp_path / "ground.xml"
-    path.write_text(GROUND_BOX)
-    result = Simulation(path, check=False).collect(50_000, seed=50, general=general)
+    text = GROUND_BOX.replace("</scene>", FAR_METAL) if path == "asking" else GROUND_BOX
+    (tmp_path / "ground.xml").write_text(text)
+    simulation = Simulation(tmp_path / "ground.xml", check=False)
+    result = simulation.collect(50_000, seed=50, general=path == "general")
     assert result.eta == pytest.approx(0.8, abs=1e-5)
     assert result.budget["absorbed_surface"] == pytest.approx(0.2, abs=1e-5)
 
