@@ -29,7 +29,7 @@ OPAQUE = 0.01
 
 @dataclass(frozen=True)
 class Material:
-    """Indices of refraction, and for solids and liquids of one formula the density."""
+    """Indices of refraction; density and light, as far as they are known."""
 
     #: As scenes write it.
     name: str
@@ -132,9 +132,9 @@ _FORMULA = re.compile(r"main/((?:[A-Z][a-z]?[0-9]*)+)/")
 
 
 def is_known(name: str) -> bool:
-    """Whether a text is a material's name: one of the table's, or one of the database's form."""
+    """Whether a text is a material's name, no more: the table's, or of the database's form."""
     name = name.strip().lower()
-    return name in _BY_NAME or name.startswith(PREFIX)
+    return name in _BY_NAME or (name.startswith(PREFIX) and "@" not in name)
 
 
 @functools.lru_cache(maxsize=256)

@@ -363,6 +363,8 @@ def gammas(formula, energy_keV, density, json_file) -> None:
     \b
     mcrim lab gammas CaMoO4 --energy-keV 59.5
 
+    FORMULA may be the name of a material that has one, such as LYSO.
+
     The length is that in which their number falls to 1/e at normal incidence; slanting gammas
     stop nearer to the surface.
     """
