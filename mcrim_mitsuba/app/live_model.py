@@ -143,7 +143,8 @@ class LiveModel:
         errors = list(map(math.hypot, prediction.eta_sigma, prediction.interpolation_error))
         weights = Weights(statistic.errors_at(theta))
         chi2 = statistic.chi2(theta, weights)
-        prediction = prediction.where_off(weights.offsets(statistic.residuals(prediction)))
+        pulled = weights.weigh(statistic.residuals(prediction))
+        prediction = prediction.where_off(weights.errors.tolerances, pulled)
         ndf = statistic.ndf + sum(
             n in knowledge and knowledge[n].how == HELD for n in statistic.names
         )

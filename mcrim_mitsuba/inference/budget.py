@@ -50,7 +50,7 @@ def contributions_to(fit: Calibration, quantities: Quantities) -> dict[str, Erro
             moved = quantities.slopes @ fit.covariance[:, i] / parameter.prior_sigma
             parts[origin] = np.abs(moved)
     parts["monte_carlo"] = quantities.sigmas
-    of_numbers = np.abs(pulled @ minimum.weights.errors.tolerances).T
+    of_numbers = np.abs(quantities.by_tolerances)
     whole = np.sqrt(np.square([*parts.values(), *of_numbers]).sum(axis=0))
     others = np.zeros(len(quantities.names))
     for number, part in zip(fit.offsets, of_numbers, strict=True):

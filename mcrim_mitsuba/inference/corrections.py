@@ -55,6 +55,9 @@ class Quantities:
     #: (batches, quantities) float64: How far every batch of photons alone would be from `values`,
     #: to first order.
     batches: Array
+    #: (tolerances, quantities) float64: How far a number of the bench that is off by its standard
+    #: uncertainty moves them.
+    by_tolerances: Array
     #: (quantities, free parameters) float64: d quantity / d free parameter of the fit.
     slopes: Array
 
@@ -77,9 +80,11 @@ def at(model: ResponseModel, values: Mapping[str, float]) -> Quantities:
     And their ratio, where two readings of light are in use.
     """
     theta = np.array([values[parameter.name] for parameter in model.free])
-    prediction = model.predict(theta)
+    prediction = model.predict(theta, covariance=True)
     eta, slopes = prediction.eta, prediction.eta_slopes
     batches = eta * model.eta_batches(theta)
+    assert prediction.eta_of_tolerances is not None  # with the covariance
+    by_tolerances = prediction.eta_of_tolerances.T
     names = [f"{_ETA}{reading.label}" for reading in model.readings]
     used = [i for i, reading in enumerate(model.readings) if reading.use and not reading.of_beam]
     if len(used) == 2:
@@ -91,22 +96,31 @@ def at(model: ResponseModel, values: Mapping[str, float]) -> Quantities:
             return of_eta[..., one, None] / eta[one] - of_eta[..., two, None] / eta[two]
 
         batches = np.hstack([batches, ratio * relative(batches)])
+        by_tolerances = np.hstack([by_tolerances, ratio * relative(by_tolerances)])
         slopes = np.vstack([slopes, ratio * relative(slopes.T).T])
         eta = np.append(eta, ratio)
-    return Quantities(tuple(names), eta, batches, slopes)
+    return Quantities(tuple(names), eta, batches, by_tolerances, slopes)
 
 
 def fitted(fit: Calibration) -> Quantities:
-    """Efficiencies, their ratio and parameters where a fit ended.
+    """Efficiencies, their ratio and parameters where a fit ended, of the bench as readings have it.
 
-    Where a batch alone would give other efficiencies, the fit would end elsewhere: by the
-    response of the estimate to the readings, to first order.
+    Where a batch alone would give other efficiencies, or a number of the bench is off, the fit
+    would end elsewhere: by the response of the estimate to the readings, to first order.
     """
     model, theta = fit.model, fit.theta
     assert isinstance(model, ResponseModel)  # with batches
     there, per_eta = at(model, fit.values), model.predict(theta).signal_per_eta
-    # a model that predicts more acts as a reading that is lower
-    moved = -(there.batches[:, : len(per_eta)] * per_eta) @ fit.response.T
+
+    def moved(of_eta: Array) -> Array:
+        """(..., free) a model that predicts more acts as a reading that is lower."""
+        return -(of_eta[:, : len(per_eta)] * per_eta) @ fit.response.T
+
+    def all_moved(directly: Array) -> Array:
+        by_fit = moved(directly)
+        return np.hstack([by_fit @ parameters.T, directly + by_fit @ there.slopes.T])
+
+    offsets = [number.offset / number.tolerance.sigma for number in fit.offsets]
     names, parameters = list(fit.names), np.eye(len(theta))
     for scale, (name, known) in model.campaign.light_yields.items():
         if scale in names:
@@ -114,8 +128,9 @@ def fitted(fit: Calibration) -> Quantities:
             names[place], parameters[place, place] = name, known.per_scale
     return Quantities(
         (*names, *there.names),
-        np.concatenate([parameters @ theta, there.values]),
-        np.hstack([moved @ parameters.T, there.batches + moved @ there.slopes.T]),
+        np.concatenate([parameters @ theta, there.values + offsets @ there.by_tolerances]),
+        all_moved(there.batches),
+        all_moved(there.by_tolerances),
         np.vstack([parameters, there.slopes]),
     )
 

@@ -102,7 +102,7 @@ def offsets(minimum: Minimum) -> tuple[NumberOffset, ...]:
     variances 1 - T^T P T, in these units; P is `Minimum.precision`, r the residuals.
     """
     moved = minimum.weights.errors.tolerances
-    mean = minimum.weights.offsets(minimum.residuals)
+    mean = moved.T @ minimum.weighted_residuals
     variances = 1.0 - np.einsum("rt,rs,st->t", moved, minimum.precision, moved)
     of_scale: list[float | None] = [None] * len(mean)
     if SCALE in minimum.names:

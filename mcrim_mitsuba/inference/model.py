@@ -54,11 +54,15 @@ class Prediction:
     #: the campaign's numbers; with `eta_errors`, where it has tolerances.
     eta_of_tolerances: Array | None = None
 
-    def where_off(self, offsets: Array) -> Prediction:
-        """With the bench's numbers off by (tolerances,) offsets, in standard uncertainties."""
-        if self.eta_of_tolerances is None or not len(offsets):
+    def where_off(self, tolerances: Array, weighted_residuals: Array) -> Prediction:
+        """With the bench's numbers off as the readings have them: T^T C^-1 r of their tolerances.
+
+        That is how likely offsets are, in standard uncertainties, with T, (used, tolerances), what
+        these do to the readings, and C^-1 r (used,).
+        """
+        if self.eta_of_tolerances is None:
             return self
-        moved = self.eta_of_tolerances @ offsets
+        moved = self.eta_of_tolerances @ (tolerances.T @ weighted_residuals)
         return replace(self, eta=self.eta + moved, signal=self.signal + self.signal_per_eta * moved)
 
 

@@ -192,13 +192,6 @@ class Weights:
             return x @ self.inverse
         return self._root * self._taken(self.whiten(x), self._sources[::-1])
 
-    def offsets(self, residuals: Array) -> Array:
-        """(tolerances,) likeliest offsets of the bench's numbers, T^T C^-1 r of (used,) residuals.
-
-        In their standard uncertainties, which T is of.
-        """
-        return self.errors.tolerances.T @ self.weigh(residuals)
-
     @staticmethod
     def _taken(x: Array, sources: list[tuple[Any, Array]]) -> Array:
         """(..., used) vectors without what they have along sources."""

@@ -462,19 +462,18 @@ class _Weigher:
     def _p_unnamed(self, shares: Array) -> float:
         """Probability that what is there has no name: no effect, nor anything of the instrument.
 
-        A cause in no catalogue may look like one that has a name: by the odds before the readings
-        so much of what is named is its, too.
+        A cause in no catalogue may look like the instrument's: by the odds before the readings so
+        much of that is its, too.
         """
         sets, priors = self.sets, np.exp([around.log_prior for around in self._surroundings])
         effects = ((sets.members >= 0) & (sets.members < len(self._effects))).any(axis=1)
         unknown = np.array([around.amplitude > 0.0 for around in self._surroundings])
         nothing = (sets.members[:, 0] < 0) & (sets.within == 0)
-        without_name = ~effects & unknown[sets.within]
+        of_instrument = ~effects & ~unknown[sets.within] & ~nothing
         rivals = priors[1:][~unknown[1:]].sum() + RIVALS.bad_odds + RIVALS.swapped_odds
-        rivals += HYPOTHESES.expected_effects
         mistaken = priors[unknown].sum() / (priors[unknown].sum() + rivals)
-        named = shares[~without_name & ~nothing].sum()
-        return float(shares[without_name].sum() + mistaken * named)
+        without_name = shares[~effects & unknown[sets.within]].sum()
+        return float(without_name + mistaken * shares[of_instrument].sum())
 
     def _inclusion(self, shares: Array) -> dict[str, float]:
         """Probability of all sets with an effect, by effect."""

@@ -42,48 +42,80 @@ Formula = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
-class Sellmeier:
-    """n^2 = 1 + constant + sum of B l^2 / (l^2 - C)."""
+class NumberedFormula:
+    """One of the nine formulas of refractiveindex.info, by which publications fit dispersion.
 
-    #: B of each resonance.
-    strengths: tuple[float, ...]
-    #: C of each resonance, the square of its wavelength in micrometres.
-    squares_um2: tuple[float, ...]
-    #: What resonances far away add.
-    constant: float = 0.0
-
-    def __call__(self, wavelength_um: Array) -> Array:
-        square = wavelength_um**2
-        terms = zip(self.strengths, self.squares_um2, strict=True)
-        return np.sqrt(1.0 + self.constant + sum(b * square / (square - c) for b, c in terms))
-
-
-@dataclass(frozen=True)
-class Cauchy:
-    """n = A + B / l^2 + C / l^4; `coefficients` are A, B in um^2 and C in um^4.
-
-    A alone is one number for all wavelengths, where nobody has published more.
+    They are defined in "Dispersion formulas" among that database's documents (M. N. Polyanskiy,
+    Sci. Data 11 (2024) 94): 1 and 2 are Sellmeier's, 5 is Cauchy's, 6 that of gases, 7
+    Herzberger's.
     """
 
+    number: int
+    #: C1, C2, ... of the formula, lengths in micrometres; where there are fewer, the others are 0.
     coefficients: tuple[float, ...]
 
     def __call__(self, wavelength_um: Array) -> Array:
-        terms = (a * wavelength_um ** (-2.0 * k) for k, a in enumerate(self.coefficients))
-        return np.asarray(sum(terms))
+        um = np.asarray(wavelength_um, dtype=float)
+        square, (first, *rest) = um**2, self.coefficients
+        # 7 to 9 have none
+        pairs = list(zip(rest[::2], rest[1::2], strict=False))
+        match self.number:
+            case 1:
+                return np.sqrt(1 + first + sum(b * square / (square - c**2) for b, c in pairs))
+            case 2:
+                return np.sqrt(1 + first + sum(b * square / (square - c) for b, c in pairs))
+            case 3:
+                return np.sqrt(first + sum(b * um**power for b, power in pairs))
+            case 4:
+                both = zip(pairs[:4:2], pairs[1:4:2], strict=True)
+                resonances = sum(b * um**p / (square - c**q) for (b, p), (c, q) in both)
+                return np.sqrt(first + resonances + sum(b * um**p for b, p in pairs[4:]))
+            case 5:
+                return np.asarray(first + sum((b * um**power for b, power in pairs), 0.0 * um))
+            case 6:
+                return np.asarray(1 + first + sum(b / (c - 1 / square) for b, c in pairs))
+            case 7:
+                inverse = 1 / (square - 0.028)
+                powers = (inverse, inverse**2, square, square**2, square**3)
+                terms = zip(rest, powers, strict=True)
+                return np.asarray(first + sum(c * power for c, power in terms))
+            case 8:
+                b, c, d = rest
+                ratio = first + b * square / (square - c) + d * square
+                return np.sqrt((1 + 2 * ratio) / (1 - ratio))
+            case _:
+                b, c, d, e, f = rest
+                resonance = d * (um - e) / ((um - e) ** 2 + f)
+                return np.sqrt(first + b / (square - c) + resonance)
+
+
+@dataclass(frozen=True, eq=False)
+class Tabulated:
+    """Between tabulated values, at least two, straight lines in 1/l^2, and on beyond the ends.
+
+    Cauchy's formula is nearly straight in it: of tables in steps of 100 nm, as those of W. L. Bond,
+    J. Appl. Phys. 36 (1965) 1674, straight lines in l would be wrong by 0.005 in the visible.
+    """
+
+    #: (points,) float64, ascending.
+    wavelengths_um: Array
+    values: Array
+
+    def __call__(self, wavelength_um: Array) -> Array:
+        x, y = self.wavelengths_um**-2, self.values
+        left = np.clip(np.searchsorted(self.wavelengths_um, wavelength_um) - 1, 0, x.size - 2)
+        slopes = np.diff(y) / np.diff(x)
+        return np.asarray(y[left] + (wavelength_um**-2 - x[left]) * slopes[left])
 
 
 @dataclass(frozen=True)
-class Gas:
-    """n = 1 + sum of B / (C - 1/l^2), the form of Ciddor's air."""
+class MeanFormula:
+    """The mean of several indices, such as the three principal ones of a biaxial crystal."""
 
-    #: B and C of each resonance, in squares of the wave number (1/um^2).
-    strengths_per_um2: tuple[float, ...]
-    squares_per_um2: tuple[float, ...]
+    formulas: tuple[Formula, ...]
 
     def __call__(self, wavelength_um: Array) -> Array:
-        wave_number = wavelength_um**-2.0
-        terms = zip(self.strengths_per_um2, self.squares_per_um2, strict=True)
-        return np.asarray(1.0 + sum(b / (c - wave_number) for b, c in terms))
+        return np.mean([formula(wavelength_um) for formula in self.formulas], axis=0)
 
 
 @dataclass(frozen=True)
@@ -113,7 +145,11 @@ class Dispersion:
                 f"{self.longest_nm:g} nm, not at {outside.flat[0]:.10g} nm",
                 "name a wavelength in this range, or give the index as a number",
             )
-        return self.formula(wavelength_nm / NM_PER_UM)
+        return self.at(wavelength_nm)
+
+    def at(self, wavelength_nm: ArrayLike) -> Array:
+        """What the formula gives, float64 of the wavelengths' shape, in its range or not."""
+        return self.formula(np.asarray(wavelength_nm, dtype=float) / NM_PER_UM)
 
     def group_index(self, wavelength_nm: ArrayLike, material: str) -> Array:
         """n - lambda dn/dlambda, the speed of light in vacuum over that of a pulse.

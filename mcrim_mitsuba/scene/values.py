@@ -1,6 +1,7 @@
 """Values of scene parameters from texts: one, a list, or a material's refractive index.
 
-An index may be given by a material's name: ``BK7@540nm``, ``CaMoO4@band.csv``.
+An index may be given by a material's name: ``BK7@540nm``, ``CaMoO4@band.csv``,
+``rii:main/BaF2/Malitson@540nm``.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ class MaterialIndex:
     def words(self) -> str:
         """Material, wavelength, error and source."""
         material = self.material
+        error = f"known to {material.sigma:g}" if material.sigma else "its error is not stated"
         at = (
             f"at {self.wavelength_nm:g} nm"
             if self.emission is None
@@ -80,10 +82,7 @@ class MaterialIndex:
         if material.extraordinary:
             at += ", mean of all directions and polarisations (2 n_o + n_e) / 3"
         notes = "".join(f"; {note}" for note in self.notes)
-        return (
-            f"{material.name} ({material.what}) {at}, known to {material.sigma:g}; source: "
-            f"{material.source}{notes}"
-        )
+        return f"{material.name} ({material.what}) {at}, {error}; source: {material.source}{notes}"
 
 
 def names_material(name: str, text: str) -> bool:
@@ -106,6 +105,7 @@ def read_index(what: str, text: str, folder: Path | None = None, **place: Any) -
         home = Path(place.get("path") or "").parent if folder is None else folder
         return _over_emission(what, text, medium, home / where, place)
     with placed(what.rstrip(","), **place):
+        _refuse_opaque(medium, where)
         value = round(float(medium.index(where)), _INDEX_DECIMALS)
     return MaterialIndex(text.strip(), value, medium, where, emission=None)
 
@@ -144,10 +144,18 @@ def _over_emission(
     emission = read_spectrum(path, "emission")
     with placed(what.rstrip(","), **place):
         band = index_over(medium.name, emission)
+        _refuse_opaque(medium, band.mean_wavelength_nm)
     value = round(band.mean, _INDEX_DECIMALS)
     return MaterialIndex(
         text.strip(), value, medium, None, emission=path, notes=(*emission.notes, *band.notes)
     )
+
+
+def _refuse_opaque(medium: Material, wavelength_nm: float) -> None:
+    if medium.is_opaque(wavelength_nm):
+        problem = f"{medium.name} is opaque at {wavelength_nm:g} nm"
+        mend = "name a transparent material; `mcrim lab index` says what this one reflects"
+        raise InputError(problem, mend)
 
 
 def parse_material(
@@ -241,7 +249,8 @@ def parse_list(option: str, text: str, name: str = "", folder: Path | None = Non
 
     body = text.strip()
     logarithmic = body.startswith("log:")
-    if not logarithmic and ":" not in body:
+    # names of materials may have a colon
+    if not logarithmic and (":" not in body or SEPARATOR in body):
         if not body:
             raise InputError(f"{option} is empty", _FORMS)
         if ";" in body:

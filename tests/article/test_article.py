@@ -304,7 +304,10 @@ def hill(noise):
     x = np.log(np.array(table1.PEAK_POINTS_PER_CM) / 0.35)
     etas = 0.43 - 0.015 * x**2 - 0.004 * x**3 + noise.mean(axis=0)
     columns = zip(etas, noise.T - noise.T.mean(axis=1, keepdims=True), strict=True)
-    return [Quantities((), np.array([eta]), of[:, None], np.empty(0)) for eta, of in columns]
+    return [
+        Quantities((), np.array([eta]), of[:, None], np.empty((0, 1)), np.empty(0))
+        for eta, of in columns
+    ]
 
 
 def test_error_of_the_maximum_is_the_spread_of_repetitions():
@@ -340,12 +343,12 @@ def test_the_two_claims_on_the_transmittance(result):
     assert {fitted.verdict, sphere.verdict} == {INCONSISTENT}
     forward = row(rows, "the same into a sphere, scattering forward (g = 0.9)")
     assert forward.ours == pytest.approx(70.8, abs=0.4) and "ratio of 0.5" in forward.remark
-    # what is known of the bench takes from the misfit; by 16 times the photons chi2 is 4.6 to 5.1,
-    # and 5.2 to 5.8: its Monte Carlo error is 1 here
+    # what is known of the bench takes from the misfit; by 32 times the photons chi2 is 4.1 to 4.3,
+    # 0.3 more were all numbers exact: its Monte Carlo error is 1 here (six seeds: 2.9 to 5.6)
     known, ignorant = found.diagnosis.baseline, found.ignorant
     assert (known.ndf, ignorant.ndf) == (1, 1)
-    assert known.chi2 == pytest.approx(4.3, abs=1.2)
-    assert ignorant.chi2 == pytest.approx(5.5, abs=1.2) and ignorant.chi2 > known.chi2
+    assert known.chi2 == pytest.approx(4.2, abs=1.5)
+    assert ignorant.chi2 == pytest.approx(5.2, abs=1.5) and ignorant.chi2 > known.chi2
     claims = contradiction.sentences(found)
     assert "44 %, or 50 % into a sphere" in claims[0] and "standard errors" in claims[1]
     assert "over this catalogue with these priors" in claims[2]

@@ -46,6 +46,7 @@ def campaign(tmp_path_factory):
         f'scene = "{SCENE}"\nmeasurements = "readings.csv"\n'
         "[parameters.alpha_scat_per_cm]\nstart = 0.5\n"
         "[parameters.alpha_abs_per_cm]\nstart = 0.039\nprior = 0.039\nprior_sigma = 0.012\n"
+        "[tolerances]\nnone = true\n"
     )
     return read_campaign(folder / "campaign.toml")
 
@@ -387,6 +388,7 @@ def with_beam(tmp_path_factory):
         f'scene = "{SCENE}"\nmeasurements = "readings.csv"\n'
         "[parameters.alpha_scat_per_cm]\nmin = 0.002\nmax = 5\n"
         "[parameters.alpha_abs_per_cm]\nprior = 0.02\nprior_sigma = 0.01\n"
+        "[tolerances]\nnone = true\n"
     )
     return read_campaign(folder / "campaign.toml")
 

@@ -177,6 +177,8 @@ max = 8.0
 start = 0.04
 min = 0.0
 max = 1.0
+[tolerances]
+none = true
 """
 
 

@@ -243,6 +243,9 @@ def index(material, wavelength_nm, emission, json_file) -> None:
     The name of a birefringent crystal stands for the mean over all directions and polarisations,
     (2 n_o + n_e) / 3; NAME_o and NAME_e are its rays. Scenes and measurements may write
     BK7@540nm or CaMoO4@emission.csv where they have a number n_...
+
+    Any entry of refractiveindex.info is a MATERIAL too, as rii:SHELF/BOOK/PAGE of its address:
+    rii:main/BaF2/Malitson. A page that has no ending -o or -e stands for both rays.
     """
     if wavelength_nm is not None and emission is not None:
         raise InputError("both --nm and --emission are given", "leave one of them out")
@@ -271,9 +274,9 @@ def _as_in_scenes(
 
 def _catalogue(wavelength_nm: float) -> VerbResult:
     """All materials with their indices at a wavelength; None beyond a formula's range."""
-    from mcrim_mitsuba.optics.materials import MATERIALS
+    from mcrim_mitsuba.optics.materials import catalogue
 
-    covered = {crystal: crystal.ordinary.covers(wavelength_nm) for crystal in MATERIALS}
+    covered = {crystal: crystal.ordinary.covers(wavelength_nm) for crystal in catalogue()}
     indices = {c: float(c.index(wavelength_nm)) if there else None for c, there in covered.items()}
     materials = [{**_json(crystal), "n": n} for crystal, n in indices.items()]
     document = {"wavelength_nm": wavelength_nm, "materials": materials}
@@ -291,8 +294,16 @@ def _at(name: str, wavelength_nm: float) -> VerbResult:
     extraordinary = None if crystal.extraordinary is None else ordinary + difference
     document = {**_json(crystal), "wavelength_nm": wavelength_nm, "n": n, "n_ordinary": ordinary}
     document |= {"n_extraordinary": extraordinary, "birefringence": difference, "notes": []}
-    lines = [f"n = {n:.5f} ± {crystal.sigma:g} at {wavelength_nm:g} nm"]
+    error = f" ± {crystal.sigma:g}" if crystal.sigma else ""
+    lines = [f"n = {n:.5f}{error} at {wavelength_nm:g} nm"]
+    if (extinction := crystal.extinction) is not None and extinction.covers(wavelength_nm):
+        k = float(extinction.at(wavelength_nm))
+        reflectance = abs((n + 1j * k - 1.0) / (n + 1j * k + 1.0)) ** 2
+        document |= {"k": k, "reflectance": reflectance}
+        lines.append(f"k = {k:.3g}; in air it reflects {reflectance:.4f} at normal incidence")
     scene = f'in a scene: value="{crystal.name}@{wavelength_nm:g}nm"'
+    if crystal.is_opaque(wavelength_nm):
+        scene = "light does not cross it: no index of a scene"
     shown = describe_laboratory.of_index(crystal, lines, ordinary, difference, scene)
     return VerbResult(kind="index", shown=shown, numbers=document)
 
@@ -329,7 +340,7 @@ def _json(crystal) -> dict:
         **attributes(crystal, "material=name what source"),
         "shortest_nm": shortest,
         "longest_nm": longest,
-        **attributes(crystal, "n_sigma=sigma formula density_g_per_cm3"),
+        **attributes(crystal, "n_sigma=sigma formula density_g_per_cm3 emission_nm decay_ns"),
     }
 
 
@@ -351,6 +362,8 @@ def gammas(formula, energy_keV, density, json_file) -> None:
 
     \b
     mcrim lab gammas CaMoO4 --energy-keV 59.5
+
+    FORMULA may be the name of a material that has one, such as LYSO.
 
     The length is that in which their number falls to 1/e at normal incidence; slanting gammas
     stop nearer to the surface.
