@@ -86,11 +86,11 @@ def set_masks(editor: SceneEditor, name: str, xml: str, *, detectors: bool = Fal
 
 
 def set_part(editor: SceneEditor, bsdfs: Iterable[Node], name: str, xml: str) -> None:
-    """Put a property of a name into detectors or masks, or refuse one that has it."""
+    """Put a property of a name into detectors, masks or wrappings, or refuse one that has it."""
     for bsdf in bsdfs:
         part = bsdf.named(name)
         if part is not None:
-            what = "detector" if bsdf in editor.detectors else "mask"
+            what = {"photodetector": "detector", "aperture": "mask"}.get(bsdf.type, bsdf.type)
             problem = f"the {what} has its {name} already"
             raise editor.refusal(problem, "change this number instead", part)
         numbers = [part for part in bsdf.elements if "name" in part.attrib]

@@ -14,7 +14,7 @@ from mcrim_mitsuba.effects.effect import (
     Values,
     weight_of_reflections,
 )
-from mcrim_mitsuba.effects.scene_edits import add_numbers, crystal_box, element, set_masks
+from mcrim_mitsuba.effects.scene_edits import crystal_box, element, set_masks, set_part
 from mcrim_mitsuba.scene.editor import Node, SceneEditor
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.spectrophotometer import ACCEPTANCE
@@ -92,12 +92,8 @@ def without_wrapping(scene: SceneFile) -> tuple[str, str] | None:
 
 def edit_wrapping(editor: SceneEditor, name: str, value: str) -> None:
     """Give every wrapping one more number."""
-    for shape in editor.shapes:
-        if shape.type == "wrapping":
-            if (part := shape.named(name)) is not None:
-                problem = f"{shape.label} has its {name} already"
-                raise editor.refusal(problem, "change this number instead", part)
-            add_numbers(editor, shape, f'<float name="{name}" value="{value}"/>')
+    wrappings = [shape for shape in editor.shapes if shape.type == "wrapping"]
+    set_part(editor, wrappings, name, f'<float name="{name}" value="{value}"/>')
 
 
 WRAP_CONTACT = Effect(

@@ -431,8 +431,7 @@ class Flights:
         photons.touched[met] = Place.FILM
         at_rim = wall[met] == BOTTOM
         place[met[at_rim]] = Place.OUTSIDE
-        back = -normal[:, ~at_rim]
-        self._reflect(flock, met[~at_rim], back, self._bench.wrap_reflectance, wrap=True)
+        self._reflect(flock, met[~at_rim], -normal[:, ~at_rim], self._bench.wrap_reflectance)
         place[strayed | outside_film] = Place.LOST
 
     def _nearest_body(self, flock: Flock) -> tuple[Floats, Codes, Indices, Flags]:
@@ -497,8 +496,8 @@ class Flights:
         if region == Place.CRYSTAL and self._bench.wrap_contact:
             touches = ahead == Place.FILM
             touches &= self._rng.random(who.size) < self._bench.wrap_contact
-            back = -normal[:, touches]
-            self._reflect(flock, who[touches], back, self._bench.wrap_reflectance, wrap=True)
+            of_wrap = self._bench.wrap_reflectance
+            self._reflect(flock, who[touches], -normal[:, touches], of_wrap)
             apart = ~touches
             who, ahead, normal, face = who[apart], ahead[apart], normal[:, apart], face[apart]
         reflected = who[~self._cross(flock, who, body, face, normal, ahead)]
@@ -626,17 +625,11 @@ class Flights:
         row[who] = np.maximum(row[who], radius)
 
     def _reflect(
-        self,
-        flock: Flock,
-        who: Indices,
-        normal: Floats,
-        reflectance: float | None,
-        *,
-        wrap: bool = False,
+        self, flock: Flock, who: Indices, normal: Floats, reflectance: float | None
     ) -> None:
         """Reflect photons about ``normal``, (3, m), into their region, or absorb them.
 
-        Diffusely, but for the `wrap`'s part that goes as from a metal's mirror.
+        Diffusely, but for the wrap's part that goes as from a metal's mirror.
         """
         assert reflectance is not None  # a bench without a reflector has no light there
         reflected = self._rng.random(who.size) < reflectance
@@ -645,7 +638,7 @@ class Flights:
         flock.place[who] = flock.region
         photons, normal = flock.photons, normal[:, reflected]
         mirrored = np.zeros(who.size, dtype=bool)
-        if wrap and self._bench.wrap_specular:
+        if flock.region != Place.OUTSIDE and self._bench.wrap_specular:
             mirrored = self._rng.random(who.size) < self._bench.wrap_specular
             of, axis = who[mirrored], normal[:, mirrored]
             before = photons.direction[:, of]
