@@ -209,7 +209,9 @@ def test_samples_are_fitted_and_shown_side_by_side(files, scenes):
         # the scale that follows is that of the campaign's own readings
         moved = replace(asked, values={**asked.values, "alpha_scat_per_cm": 0.3})
         best = session.model.show(moved)
-        assert best.rows[2] == shown.rows[2] and best.rows[0].model != shown.rows[0].model
+        # they share the bench's numbers, and how far off these are
+        assert best.rows[2].model == pytest.approx(shown.rows[2].model, rel=2e-3)
+        assert best.rows[0].model != shown.rows[0].model
         for part in (0.999, 1.001):
             values = {**moved.values, "scale": part * best.scale}
             shown = session.model.show(replace(moved, values=values, fit_scale=False))
@@ -223,7 +225,7 @@ def test_samples_are_fitted_and_shown_side_by_side(files, scenes):
         known = {"alpha_abs_cawo4_per_cm": Known(HELD), "scale_cawo4": Known(PRIOR, 230.0, 5.0)}
         held = fitted(session, known=known)
         assert session.state.steps[-1].words == (
-            "absorption of cawo4 held at 0.05734, scale of cawo4 known to be 230.0 ± 5.0"
+            "absorption of cawo4 held at 0.05736, scale of cawo4 known to be 230.0 ± 5.0"
         )
         written = downloaded(session, folder / "got")
     with opened(written, folder) as other:  # each in its sample's table
@@ -246,7 +248,8 @@ def test_other_configurations_are_simulated(files):
             # nor is the former waited for
             session.edit(exchange.with_cell, 3, "aperture_radius_mm", "5.5")
         wait(session)
-        assert session.model.live is not first and session.history.bench_number == 1
+        # one more for the mask's radius, which may be wrong as others may
+        assert session.model.live is not first and session.history.bench_number == 2
         eta = session.model.show(asked).rows[3].eta
         session.edit(exchange.with_copy, 3)
         wait(session)
