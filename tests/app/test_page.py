@@ -45,10 +45,11 @@ def test_jobs_wait_and_stop(browser, campaign, scenes):
         assert not browser.text("#error") and browser.text("#chi2-words") == "being simulated"
         # what is asked for meanwhile waits; all of it stays in sight; an index is simulated at two
         # values, a bubble at seven
-        for effect in ("crystal_index", "edge_chamfer", "background"):
+        browser.find("#numbers summary").click()
+        for effect in ("wrong:n_crystal", "edge_chamfer", "background"):
             app.control("effect", effect).click()
         browser.wait_for(
-            lambda: "; then simulating wrong index of the crystal and 2 more" in status(), "queue"
+            lambda: "; then simulating wrong crystal index and 2 more" in status(), "queue"
         )
         fit, box = browser.find("#fit"), app.control("effect", "edge_chamfer")
         assert fit.text == "Stop" and fit.get_attribute("aria-label") == "Stop: Fit"
@@ -62,7 +63,7 @@ def test_jobs_wait_and_stop(browser, campaign, scenes):
         browser.wait_for(app.is_idle, "all of them", LONGEST_SIMULATION_S)
         assert not browser.text("#error") and not browser.text("#pending")
         rest = [
-            app.control("effect", name).is_selected() for name in ("crystal_index", "background")
+            app.control("effect", name).is_selected() for name in ("wrong:n_crystal", "background")
         ]
         assert rest == [True, True] and "as it came" in browser.text("#fitted")
         assert fit.text == "Fit" and browser.complaints() == []

@@ -193,6 +193,8 @@ function takeOver(told) {
   }
   for (const [name, { box, sizes }] of boxes) {
     box.checked = settings.effects.includes(name);
+    // what is switched on is in sight
+    if (box.checked && box.closest("details")) box.closest("details").open = true;
     sizes.hidden = !box.checked;
   }
   follows.checked = settings.fit_scale;
