@@ -118,10 +118,12 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
     if history.number == shown_number:
         return document
     settings, measurements = now.settings, now.campaign.measurements
-    known_now = session.model.live.controls.known(settings)
+    controls = session.model.live.controls
+    # what was undone may know nothing of a number that the readings have now
+    of_controls = {"values": controls.starts | settings.values, "known": controls.known(settings)}
     panels = {"diagnosis": _diagnosis_panel(now.diagnosis), "fitted": _fits_panel(session)}
     document |= {
-        "settings": {**settings.to_json(), "known": known_now},
+        "settings": settings.to_json() | of_controls,
         "readings": [
             attributes(reading, f"label signal sigma use {KIND} {SAMPLE}")
             | {n: reading.parameters.get(n, "") for n in measurements.columns}
