@@ -250,10 +250,7 @@ def _farthest(part: BenchNumber, sigma: float) -> tuple[float, float]:
     far = max(_WRONG_BY * sigma, _OTHER_INDEX if name.startswith("n_") else 0.0)
     ends = []
     for most in (-min(far, _MOST_LESS * value) if value > 0.0 else -far, far):
-        parts = (
-            part
-            for part in (1.0, 0.7, 0.5, 0.4, 0.3, 0.2)
-            if judge(name, value + part * most) is None
-        )
-        ends.append(round(next(parts, 0.0) * most, 12))
+        shares = (1.0, 0.7, 0.5, 0.4, 0.3, 0.2)
+        possible = (share for share in shares if judge(name, value + share * most) is None)
+        ends.append(round(next(possible, 0.0) * most, 12))
     return ends[0], ends[1]

@@ -218,7 +218,7 @@ def effect_of(name: str, effects: Mapping[str, Effect], path: str | Path | None 
     if name not in effects:
         mend = did_you_mean(name, effects)
         if name.startswith(WRONG) and not any(other.startswith(WRONG) for other in effects):
-            mend = "it is one of a campaign with [tolerances]; a scene's number is edited there"
+            mend = "campaigns have such effects; in a scene write the number itself"
         raise InputError(f"there is no effect {name}", mend, path=path)
     return effects[name]
 
