@@ -120,7 +120,8 @@ def state(session: Session, shown_number: int) -> dict[str, Any]:
     settings, measurements = now.settings, now.campaign.measurements
     controls = session.model.live.controls
     # what was undone may know nothing of a number that the readings have now
-    of_controls = {"values": controls.starts | settings.values, "known": controls.known(settings)}
+    values = {**controls.starts, **settings.values}
+    of_controls = {"values": values, "known": controls.known(settings)}
     panels = {"diagnosis": _diagnosis_panel(now.diagnosis), "fitted": _fits_panel(session)}
     document |= {
         "settings": settings.to_json() | of_controls,
