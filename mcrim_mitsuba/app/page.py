@@ -71,11 +71,11 @@ def make_page(session: Session, prefix: str) -> flask.Flask:
             return {**layout.state(session, asked["known"]), "slip": slip}
 
     @application.get(f"{prefix}reading/<int:place>")
-    def reading(place: int) -> dict[str, str]:
+    def reading(place: int) -> flask.Response:
         with session.history.lock:
-            if place >= len(session.state.campaign.measurements.readings):
-                flask.abort(404)
-            return {"html": layout.reading(session, place)}
+            # the page may not know yet that a row was taken away
+            there = place < len(session.state.campaign.measurements.readings)
+            return flask.jsonify({"html": layout.reading(session, place)} if there else None)
 
     @application.get(f"{prefix}file")
     def file() -> flask.Response:
