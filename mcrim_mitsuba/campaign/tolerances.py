@@ -12,8 +12,9 @@ what is usual for a number of its kind; with ``none = true`` it is exact.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from mcrim_mitsuba.campaign.entries import (
     EACH,
@@ -81,7 +82,7 @@ class Tolerance:
         name = self.number.parameter
         if name == GAP_INDEX:
             return "a drop on a refractometer, at the temperature of the bench"
-        if name.startswith("n_"):
+        if self.number.is_index:
             return "the deviation of a laser in a prism of the same piece, or Brewster's angle"
         if name.endswith("reflectance"):
             return "an integrating sphere, beside a standard of known reflectance"
@@ -89,13 +90,13 @@ class Tolerance:
             return "a feeler gauge, or a microscope focused on both faces"
         return "a micrometer or a travelling microscope, at several places"
 
-    @property
+    @cached_property
     def wrong(self) -> Effect:
         """The effect that the number is wrong: beyond what its uncertainty allows."""
         words, (low, high) = self.number.words, self.farthest
         usual = _USUALLY_BY * self.sigma
         nodes = {low, *self.near, high}
-        if self.number.parameter.startswith("n_"):
+        if self.number.is_index:
             nodes |= {_BETWEEN * low, _BETWEEN * high}
         return Effect(
             name=f"{WRONG}{self.number.name}",
@@ -166,9 +167,7 @@ def read_tolerances(
         if len(of_rows) > 1 and each == EACH_VALUE:
             tolerances += of_parts
         elif of_parts:
-            lows, highs = zip(*(tolerance.farthest for tolerance in of_parts), strict=True)
-            one = replace(of_parts[0], number=BenchNumber(name))
-            tolerances.append(replace(one, farthest=(max(lows), min(highs))))
+            tolerances.append(_all_alike(of_parts))
     return tuple(tolerances)
 
 
@@ -177,12 +176,22 @@ def wrong_numbers(tolerances: Iterable[Tolerance]) -> dict[str, Effect]:
     of_each = dict[str, list[Tolerance]]()
     for tolerance in tolerances:
         of_each.setdefault(tolerance.number.parameter, []).append(tolerance)
-    for name, parts in of_each.items():
+    for parts in of_each.values():
         if len(parts) > 1:
-            lows, highs = zip(*(part.farthest for part in parts), strict=True)
-            value, sigma = min(p.value for p in parts), min(p.sigma for p in parts)
-            parts.append(Tolerance(BenchNumber(name), value, sigma, (max(lows), min(highs))))
+            parts.append(_all_alike(parts))
     return {part.wrong.name: part.wrong for parts in of_each.values() for part in parts}
+
+
+def _all_alike(parts: Sequence[Tolerance]) -> Tolerance:
+    """That of all values of a number at once, which are off by as much."""
+    lows, highs = zip(*(part.farthest for part in parts), strict=True)
+    return replace(
+        parts[0],
+        number=BenchNumber(parts[0].number.parameter),
+        value=min(part.value for part in parts),
+        sigma=min(part.sigma for part in parts),
+        farthest=(max(lows), min(highs)),
+    )
 
 
 def _refuse_name(table: TomlTable, name: str, scene: SceneFile, known: Collection[str]) -> None:
@@ -207,7 +216,7 @@ def _usual(scene: SceneFile, part: BenchNumber) -> Tolerance | None:
     """What is usual of a number of its kind; None of other kinds."""
     name, value = part.parameter, part.value
     assert value is not None  # of a column, or the scene's own
-    if name.startswith("n_"):
+    if part.is_index:
         named = scene.materials.get(name)
         own = named is not None and named.value == value
         sigma = named.material.sigma or INDEX if named is not None and own else INDEX
@@ -247,7 +256,7 @@ def _farthest(part: BenchNumber, sigma: float) -> tuple[float, float]:
     """How far a number may be off where it is wrong, below and above; 0: not at all."""
     name, value = part.parameter, part.value
     assert value is not None  # of a column, or the scene's own
-    far = max(_WRONG_BY * sigma, _OTHER_INDEX if name.startswith("n_") else 0.0)
+    far = max(_WRONG_BY * sigma, _OTHER_INDEX if part.is_index else 0.0)
     ends = []
     for most in (-min(far, _MOST_LESS * value) if value > 0.0 else -far, far):
         shares = (1.0, 0.7, 0.5, 0.4, 0.3, 0.2)

@@ -205,6 +205,11 @@ class BenchNumber:
         return said(self.parameter, self.value)
 
     @property
+    def is_index(self) -> bool:
+        """Whether it is an index of refraction."""
+        return self.parameter.startswith("n_")
+
+    @property
     def offset_name(self) -> str:
         """What a fitted offset of it is called: ``wrong_aperture_radius_7_offset_mm``."""
         unit = unit_of(self.parameter)

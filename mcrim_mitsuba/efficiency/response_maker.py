@@ -287,8 +287,7 @@ class ResponseMaker:
         if few and effect.number is not None:
             # as its tolerance, which is simulated anyway; what an index does bends
             (parameter,) = effect.parameters
-            bends = effect.number.parameter.startswith("n_")
-            nodes = sorted(parameter.nodes, key=abs)[: None if bends else 2]
+            nodes = sorted(parameter.nodes, key=abs)[: None if effect.number.is_index else 2]
             axes = (Axis(parameter, [0.0, *nodes]),)
         return self._plan_along(axes, effect, plain, photons, acceptance)
 

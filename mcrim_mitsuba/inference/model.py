@@ -442,7 +442,7 @@ class PredictionPoint:
             deviations = deviations + response.deviations_at(self._coarse, own)
         return deviations
 
-    @property
+    @cached_property
     def by_tolerances(self) -> Array:
         """(readings, tolerances) change of log(eta) by a standard uncertainty of each number."""
         moved = [np.zeros((len(self.log_eta), 0))]

@@ -450,7 +450,7 @@ class CampaignSimulations:
         numbers = {tolerance.number.parameter for tolerance in campaign.tolerances}
         # where values differ each is, and of liquids, which share a temperature, all together
         parts = {f"{WRONG}{tolerance.number.name}" for tolerance in campaign.tolerances}
-        parts |= {f"{WRONG}{name}" for name in numbers if name.startswith("n_")}
+        parts |= {f"{WRONG}{t.number.parameter}" for t in campaign.tolerances if t.number.is_index}
         for name, effect in campaign.catalogue.items():
             there = (*campaign.effects, *campaign.known_physics)
             if name in there or effect.is_in(campaign.scene):

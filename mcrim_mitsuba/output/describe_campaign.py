@@ -162,10 +162,10 @@ def numbers_of_bench(fit: Calibration) -> Iterator[Piece]:
     if matter:
         yield records("numbers of the bench", _NUMBERS, matter)
     if others := len(fit.offsets) - len(matter):
-        left = f"{others} more numbers" if matter else counted(others, "number")
+        left = counted(others, "more number" if matter else "number")
         yield (
             f"{left} of the bench with usual uncertainties ({USUAL}; [tolerances] says otherwise) "
-            "matter little"
+            f"matter{'s' if others == 1 else ''} little"
         )
 
 
