@@ -219,11 +219,15 @@ class Encounter:
     returned_part: Any = None
     detected_part: Any = None
 
-    def lambertian(self):
-        """A direction by Lambert's law, and unpolarised light along it."""
+    def diffuse_about(self, normal):
+        """A direction by Lambert's law about a unit normal."""
         # a point of the unit sphere that touches the surface
         sphere = mi.warp.square_to_uniform_sphere(mi.Point2f(self.u, self.v))
-        direction = dr.normalize(self.facing + sphere)
+        return dr.normalize(normal + sphere)
+
+    def lambertian(self):
+        """A direction by Lambert's law, and unpolarised light along it."""
+        direction = self.diffuse_about(self.facing)
         if self.field is None:
             return direction, None
         return direction, dielectric.unpolarised_field(direction, dr.two_pi * self.turn)
