@@ -172,9 +172,9 @@ LONGEST_GAP_MM = 10.0
 #: Coefficients above this (1/cm) would leave no light to measure; 1/m is the likely unit.
 LARGEST_PER_CM = 100.0
 #: In names of what is thin by nature.
-THIN = ("gap", "film", "chamfer", "depth")
+THIN = ("gap", "film", "chamfer", "depth", "rim")
 #: Lengths that may be 0: then the part is not there.
-_MAY_BE_ZERO = ("chamfer",)
+_MAY_BE_ZERO = ("chamfer", "film", "rim")
 #: Ranges in which parameters of effects have a meaning (the catalogue's are narrower).
 MEANINGFUL = {
     "scattering_g": (-0.999, 0.999),
@@ -184,6 +184,7 @@ MEANINGFUL = {
     "ground_loss": (0.0, 1.0),
     "wrap_contact": (0.0, 1.0),
     "wrap_specular": (0.0, 1.0),
+    "wrap_missing": (0.0, 0.99),
     "gap_index_offset": (-0.5, 0.5),
     "gap_offset_mm": (-LONGEST_GAP_MM, LONGEST_GAP_MM),
     "bubble_fraction": (0.0, 1.0),

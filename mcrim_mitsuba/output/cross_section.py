@@ -119,7 +119,8 @@ class SectionAxes:
         styles |= {"detector": (_DETECTOR, 5.0)}
         band = 16 * np.diff(self.ax.get_ylim()) / self.box.height  # mm: as thick as 16 pixels
         for trace in self.cut.traces:
-            face, kind = self.model.surfaces[trace.surface], interfaces[trace.surface].kind
+            face = self.model.surfaces[trace.surface].seen
+            kind = interfaces[trace.surface].kind
             text, percent = kind, 100 * face.reflectance
             if percent > 0:
                 text = f"{face.name}: {kind}, {percent:.3g} %"

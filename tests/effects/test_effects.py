@@ -82,7 +82,7 @@ def added(scene, *names):
 
 def test_every_effect_of_the_definitions_is_there():
     assert KNOWN == BUILT_IN and list(KNOWN) == list(BUILT_IN)
-    assert len(KNOWN) == 42
+    assert len(KNOWN) == 43
     for name, effect in KNOWN.items():
         assert effect.name == name
         assert (

@@ -1,4 +1,4 @@
-"""A wrapping that touches the crystal here and there, and mirrors in part.
+"""Wrappings of boxes, cylinders and prisms, which may touch them, mirror in part, or be paint.
 
 In a closed cavity whose floor detects, closed forms know the answer. Statistical tests have fixed
 seeds and compare at z < 4: right programs fail this file in one run of 500.
@@ -135,9 +135,9 @@ def test_what_is_within_the_wrapping_touches_it_and_no_more(scenes):
     [
         ('name="c" value="0.1"', 'name="c" value="1.5"', "contact is 1.5; give 0 to 1"),
         ('name="s" value="0"', 'name="s" value="-1"', "specular is -1; give 0 to 1"),
-        ('name="film" value="0.02"', 'name="film" value="0"', "must be positive"),
+        ('name="film" value="0.02"', 'name="film" value="-1"', "must be positive"),
         ('<spectrum name="reflectance" value="$rho"/>', "", "let it wear"),
-        ('name="interior" id="crystal"', 'name="exterior" id="crystal"', "turn the face around"),
+        ('name="interior" id="crystal"', 'name="exterior" id="crystal"', "turn the face around: its normal"),
     ],
 )
 def test_what_cannot_touch_is_refused(tmp_path, old, new, says):
@@ -149,3 +149,35 @@ def test_what_cannot_touch_is_refused(tmp_path, old, new, says):
         text = f'{head}<bsdf type="conductor">{tail}'
     (tmp_path / "cavity.xml").write_text(text)
     assert says in refusal(Simulation, tmp_path / "cavity.xml", check=False)
+
+
+#: The solids of the shipped benches, what wraps each, and bounds that may be left out.
+_SOLIDS = {
+    "camoo4.xml": ('<float name="width" value="$crystal_width_mm"/>', 5.0),
+    "camoo4_cylinder.xml": ('<float name="diameter" value="$crystal_diameter_mm"/>', 5.0),
+    "camoo4_hexagonal.xml": (
+        '<float name="width" value="$crystal_across_flats_mm"/><integer name="sides" value="6"/>',
+        5.0,
+    ),
+}
+_WRAPPED = """<scene version="3.0.0"><default name="rho" value="1"/>
+  <default name="film_mm" value="0.02"/><default name="n_gap" value="1.46"/>
+  <default name="alpha_abs_per_cm" value="0"/>
+  {default}<include filename="{bench}"/>
+  <shape type="wrapping" id="wrapping">{size}<float name="height" value="$crystal_height_mm"/>
+    <float name="film" value="$film_mm"/>{numbers}
+    <bsdf type="diffuse"><spectrum name="reflectance" value="$rho"/></bsdf></shape></scene>"""
+
+
+@pytest.fixture
+def wrapped(scenes, tmp_path):
+    """A shipped bench with a wrapping around its crystal: what loads it, from its file."""
+
+    def load(bench: str, numbers: str = "", size: str | None = None, **overrides) -> Simulation:
+        (tmp_path / bench).write_text((scenes / bench).read_text())
+        path = tmp_path / f"wrapped_{bench}"
+        size = _SOLIDS[bench][0] if size is None else size
+        path.write_text(_WRAPPED.format(bench=bench, size=size, numbers=numbers, default=""))
+        return Simulation(path, overrides, check=False)
+
+    return load
