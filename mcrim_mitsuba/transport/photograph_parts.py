@@ -341,7 +341,8 @@ class PhotographedBench:
 def _face(group: Sequence[tuple[Surface, Triangles]]) -> BenchPart:
     """A detector, a reflector or another opaque face, of one or more surfaces that are alike."""
     surface, _ = group[0]
-    more = f" and {len(group) - 1} more" if len(group) > 1 else ""
+    others = len({other.name for other, _ in group}) - 1
+    more = f" and {others} more" if others else ""
     percent, finish = f"{100 * surface.reflectance:.3g} %", _opaque(surface)
     shapes = [shape for _, shape in group]
     rods: list[Body] = []
