@@ -192,7 +192,8 @@ WRAP_MISSING = Effect(
     physics=(
         "Tape is cut short, slips up or is folded back where the crystal stands on its window, and "
         "paint is kept off the joint. This share of the side area, a strip around the foot, is "
-        "bare: light leaves there into what is around the wrapping, and is mostly lost. In a "
+        "bare: light leaves there into what is around the wrapping, and is lost unless it falls on "
+        "a window that is wider than the crystal. In a "
         "cavity that reflects well a bare share f acts like a port of an integrating sphere: each "
         "time round a part 1 - R (1 - f) is lost in place of 1 - R, so that a few per cent are as "
         "bad as a much darker wrapping. A clear, polished crystal keeps some of it by total "
