@@ -26,7 +26,8 @@ from mcrim_mitsuba.transport.scene_model import (
 #: Of positions, in parts of the wrapping's size.
 _ROUNDING = 1e-5
 #: Places of the plugin's ``top`` and ``foot`` among its bounds.
-_TOP, _FOOT = 0, 1
+_TOP = 0
+_FOOT = 1
 
 
 def outlines(

@@ -18,7 +18,8 @@ from mcrim_mitsuba.transport.scene_model import Circle, RoundWall
 #: Sides of the polygon around a round wrapping, which is drawn; as many as `Circle.points`.
 _AROUND = 180
 #: What ``without`` may name besides the sides of four.
-TOP, SIDES = "top", "sides"
+TOP = "top"
+SIDES = "sides"
 #: The plane on which what is wrapped stands.
 FOOT = "foot"
 #: Of four sides, in the order of `regular_polygon`.
