@@ -346,3 +346,16 @@ def test_a_bare_foot_is_that_of_faces_written_one_by_one(tmp_path, form, film):
         results.append(simulation.collect(150_000, seed=seed))
     assert results[0].budget["escaped"] > 0.05
     assert_same_light(*results, z_max=Z)
+
+
+def test_a_black_rim_takes_what_the_whole_chip_would_detect(scenes):
+    whole, rimmed = (
+        Simulation(
+            scenes / "lyso_teflon.xml", {"rim_reflectance": 0, "dead_rim_mm": rim}, check=False
+        ).collect(200_000, seed=8)
+        for rim in (0.0, 0.7)
+    )
+    assert rimmed.eta < 0.9 * whole.eta
+    lost = rimmed.budget["absorbed_reflector"] - whole.budget["absorbed_reflector"]
+    sigma = np.hypot(whole.eta_sigma, rimmed.eta_sigma)
+    assert_compatible(rimmed.eta + lost, sigma, whole.eta, 0.0, z_max=Z)
