@@ -23,6 +23,10 @@ def is_filled(index: float) -> bool:
     return index > FILLED_ABOVE
 
 
+#: Scene parameter that says whose light is eta: the id of a detector's shape, or all together.
+COUNTED, ALL_DETECTORS = "detector", "all"
+
+
 @dataclass(frozen=True)
 class SceneProblem:
     """One thing that is wrong with a scene."""

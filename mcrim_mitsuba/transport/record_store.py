@@ -89,7 +89,9 @@ MASK_RADIUS = "mask_radius_mm"
 ARRIVAL_PLACE = ("arrival_x_mm", "arrival_y_mm", "arrival_z_mm")
 #: Of a birth, along x, y and downwards; other than ``birth_depth_mm`` in full precision.
 BIRTH_PLACE = ("birth_from_left_mm", "birth_from_front_mm", "birth_from_top_mm")
-#: What every scene can give besides.
+#: Which of several detectors took the photon.
+DETECTOR_HIT = "detector"
+#: What every scene can give besides; the last but one where there are several detectors.
 COLUMNS = {
     # internal ones at the crystal's polished faces
     "reflections": Recorded(np.uint16, _reflections),
@@ -131,6 +133,10 @@ COLUMNS = {
         name: Recorded(np.float32, arrival=lambda step, birth, axis=axis: birth()[axis])
         for axis, name in enumerate(BIRTH_PLACE)
     },
+    # number of the detector
+    DETECTOR_HIT: Recorded(
+        np.uint8, arrival=lambda step, birth: dr.reinterpret_array(mi.Float, step.outcome.detector)
+    ),
     "arrival_angle_deg": Recorded(
         np.float32, arrival=lambda step, birth: dr.rad2deg(dr.safe_acos(step.outcome.cosine))
     ),
@@ -159,7 +165,8 @@ class RecordStore:
         others = [n for n in range(len(volumes)) if n != emitter.volume]
         available = COLUMNS | {f"path_{volumes[n].name}_cm": _path_in(n) for n in others}
         for name in columns:
-            if name not in available:
+            several = len(emitter.model.detectors) > 1
+            if name not in available or (name == DETECTOR_HIT and not several):
                 problem = f"photon records have no column {name!r}"
                 raise InputError(problem, f"use one of {', '.join(available)}")
         if volumes[emitter.volume].uneven:
