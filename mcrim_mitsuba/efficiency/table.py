@@ -14,17 +14,25 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
 from mcrim_mitsuba.core.files import write_text
 from mcrim_mitsuba.core.numbers import (
+    ALL_DETECTORS,
     ALPHA_ABS,
     ALPHA_SCAT,
     COEFFICIENTS,
+    COUNTED,
     Value,
     judge,
     number_of,
 )
 from mcrim_mitsuba.core.run import OverAxes, Run
-from mcrim_mitsuba.efficiency.eta_grid import APERTURE, has_open_mask, open_aperture
+from mcrim_mitsuba.efficiency.eta_grid import (
+    APERTURE,
+    has_open_mask,
+    open_aperture,
+    tells_detectors,
+)
 from mcrim_mitsuba.efficiency.eta_surface import (
     MOST_PHOTONS,
+    Cut,
     EtaRequest,
     EtaRun,
     EtaSurface,
@@ -33,6 +41,7 @@ from mcrim_mitsuba.efficiency.eta_surface import (
 from mcrim_mitsuba.efficiency.proposals import SMALLEST_PER_CM
 from mcrim_mitsuba.efficiency.simulate import collect
 from mcrim_mitsuba.efficiency.surface import Coefficients
+from mcrim_mitsuba.scene.check_text import problems_of_counted
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.transport.simulation import SimulationResult
 
@@ -211,24 +220,27 @@ class _Configuration(NamedTuple):
     scene: SceneFile
     recorded_name: str
     recorded: SceneFile
-    #: Radius of the mask that is cut out of these; None: they are answered as they are.
-    mask_mm: float | None
+    #: What of these counts.
+    cut: Cut
 
     @classmethod
     def of(cls, file: SceneFile, given: dict[str, Value], *, cuts_masks: bool) -> _Configuration:
-        """With these parameters; where masks are cut out, one bench without serves them all."""
-        scene = file.with_overrides(given)
-        name = _words(given) or file.path.name
-        if not cuts_masks:
-            return cls(name, scene, name, scene, None)
-        mask_mm = float(given.pop(APERTURE))
-        return cls(
-            name,
-            scene,
-            _words(given) or file.path.name,
-            scene.with_overrides(open_aperture(scene.parameters)),
-            mask_mm,
-        )
+        """With these parameters; one bench without masks, which are cut out, serves them all.
+
+        So does one of all detectors. Raises InputError if there is no such detector.
+        """
+        scene = recorded = file.with_overrides(given)
+        for problem in problems_of_counted(scene):
+            raise problem.error()
+        name, mask_mm, detector = _words(given) or file.path.name, None, None
+        if cuts_masks:
+            mask_mm = float(given.pop(APERTURE))
+            recorded = recorded.with_overrides(open_aperture(scene.parameters))
+        if COUNTED in given and tells_detectors(scene):
+            counted = str(given.pop(COUNTED))
+            detector = None if counted == ALL_DETECTORS else counted
+            recorded = recorded.with_overrides({COUNTED: ALL_DETECTORS})
+        return cls(name, scene, _words(given) or file.path.name, recorded, Cut(mask_mm, detector))
 
 
 def _words(values: Mapping[str, Value]) -> str:
@@ -267,7 +279,7 @@ def _answer_all(
             surfaces, runs = _record(benches.values(), words, group, run)
             work += runs
             for (key, bench), point in itertools.product(benches.items(), group):
-                surface = surfaces[bench.recorded.content_hash, bench.mask_mm]
+                surface = surfaces[bench.recorded.content_hash, bench.cut]
                 if (answer := surface.answer(point)) is not None:
                     answers[key, point] = answer.eta, answer.sigma
     notes = [note for behind in work for note in behind.notes]
@@ -284,16 +296,16 @@ def _answer_all(
 
 def _record(
     benches: Iterable[_Configuration], words: str, points: Sequence[Coefficients], run: Run
-) -> tuple[dict[tuple[str, float | None], EtaSurface], list[EtaRun]]:
-    """Surfaces by scene and mask, and what was simulated for them; `words` follow a bench's name.
+) -> tuple[dict[tuple[str, Cut], EtaSurface], list[EtaRun]]:
+    """Surfaces by scene and cut, and what was simulated for them; `words` follow a bench's name.
 
-    Masks that one scene is asked for are answered by the same photons.
+    Masks and detectors that one scene is asked for are answered by the same photons.
     """
     scenes: dict[str, _Configuration] = {}
-    masks: dict[str, dict[float | None, None]] = {}
+    cuts: dict[str, dict[Cut, None]] = {}
     for bench in benches:
         scenes.setdefault(bench.recorded.content_hash, bench)
-        masks.setdefault(bench.recorded.content_hash, {})[bench.mask_mm] = None
+        cuts.setdefault(bench.recorded.content_hash, {})[bench.cut] = None
     recorded = record_surfaces(
         [
             EtaRequest(
@@ -301,16 +313,16 @@ def _record(
                 bench.recorded,
                 points,
                 run,
-                masks_mm=tuple(masks[scene]),
+                cuts=tuple(cuts[scene]),
             )
             for scene, bench in scenes.items()
         ]
     )
     runs = [behind for _, behind in recorded]
     surfaces = {
-        (scene, mask_mm): surface
+        (scene, cut): surface
         for scene, behind in zip(scenes, runs, strict=True)
-        for mask_mm, surface in zip(masks[scene], behind.surfaces, strict=True)
+        for cut, surface in zip(cuts[scene], behind.surfaces, strict=True)
     }
     return surfaces, runs
 

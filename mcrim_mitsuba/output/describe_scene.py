@@ -72,6 +72,10 @@ def of_simulation(result: results.LightResult) -> Description:
     return described(
         "light collection efficiency",
         f"eta = {pdg(result.eta, result.eta_sigma)}   ({work}, {result.transport})",
+        ", ".join(
+            f"{name}: {pdg(eta, result.eta_by_detector_sigma[name])}"
+            for name, eta in result.eta_by_detector.items()
+        ),
         table("where the light ends", columns, fates),
         notes=result.notes,
     )

@@ -91,8 +91,8 @@ PRESENTERS = {
             "arrival": lambda light: light_figures.draw_arrival(light.lights),
             "fates": lambda light: light_figures.draw_fates(light.lights),
         },
-        names="eta eta_sigma photons cached_photons seed seconds photons_per_second budget "
-        "budget_sigma parameters versions scene_hash polarization transport "
+        names="eta eta_sigma **of_detectors photons cached_photons seed seconds photons_per_second "
+        "budget budget_sigma parameters versions scene_hash polarization transport "
         "photons_requested=requested interrupted notes",
     ),
     "MapResult": Presenter(

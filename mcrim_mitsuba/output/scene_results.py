@@ -42,6 +42,12 @@ class LightResult(Result, SimulationResult):
         return {**self.__dict__, "simulation": None}
 
     @property
+    def of_detectors(self) -> dict[str, dict[str, float]]:
+        """What `--json` writes of several detectors; empty where there is one."""
+        names = ("eta_by_detector", "eta_by_detector_sigma")
+        return {name: getattr(self, name) for name in names if self.eta_by_detector}
+
+    @property
     def pictures(self) -> tuple[str, ...]:
         """Names of its figures; none without photons."""
         return super().pictures if self.photons else ()

@@ -9,8 +9,14 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import LARGEST_INDEX, judge, parse_number
+from mcrim_mitsuba.core.errors import InputError, did_you_mean
+from mcrim_mitsuba.core.numbers import (
+    ALL_DETECTORS,
+    COUNTED,
+    LARGEST_INDEX,
+    judge,
+    parse_number,
+)
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.xml_tree import Node, misled, misspelt
 
@@ -21,10 +27,6 @@ FILLED_ABOVE = 1.0005
 def is_filled(index: float) -> bool:
     """Whether a volume of this nominal index holds more than a gas."""
     return index > FILLED_ABOVE
-
-
-#: Scene parameter that says whose light is eta: the id of a detector's shape, or all together.
-COUNTED, ALL_DETECTORS = "detector", "all"
 
 
 @dataclass(frozen=True)
@@ -155,6 +157,7 @@ def problems_of_text(file: SceneFile) -> list[SceneProblem]:
     # what a misspelt word was to say would be found missing
     return _problems_of_words(file) or [
         *_problems_of_parameters(file),
+        *problems_of_counted(file),
         *_problems_of_rotations(file),
         *_problems_of_faces(file),
     ]
@@ -192,6 +195,26 @@ def _problems_of_parameters(file: SceneFile) -> list[SceneProblem]:
     text = f"crystal_width_mm = {crystal:g} is not smaller than window_width_mm = {window:g}"
     mend = "make the crystal narrower or the window wider"
     return [SceneProblem("value", text, mend, default.path, default.line)]
+
+
+def detectors_of(file: SceneFile) -> list[str]:
+    """Ids of the shapes that wear a photodetector."""
+    parts = file.parts
+    wear = (s for s in parts.shapes if any(b.type == "photodetector" for b in parts.worn_by(s)))
+    return [shape.get("id", "") for shape in wear]
+
+
+def problems_of_counted(file: SceneFile) -> list[SceneProblem]:
+    """An integrator that is to count a detector which there is not."""
+    problems = []
+    for integrator in file.root.iter("integrator"):
+        counted = integrator.named(COUNTED)
+        names = [ALL_DETECTORS, *detectors_of(file)]
+        if counted is not None and (name := counted.get("value", "")) not in names:
+            text = f"{COUNTED} = {name!r} is the id of no shape that wears a photodetector"
+            place = (file.path, None) if file.overrides else file.place_of(counted)
+            problems.append(SceneProblem("detector", text, did_you_mean(name, names), *place))
+    return problems
 
 
 def _problems_of_rotations(file: SceneFile) -> list[SceneProblem]:

@@ -364,9 +364,6 @@ class CrystalVolume:
             born_before = np.expm1(-self._steepness * (1.0 - depth if self._from_high else depth))
             along = np.abs(np.diff(born_before)) / np.diff(depth) / -np.expm1(-self._steepness)
             density *= np.expand_dims(along, [i for i in range(3) if i != self._axis])
-        if self.in_slab:
-            within = np.diff(np.clip(edges_mm[2], self.born_lower[2], self.born_upper[2]))
-            density *= within / np.diff(edges_mm[2]) / (within.sum() / np.ptp(edges_mm[2]))
         return density
 
     def _sees_itself(self):

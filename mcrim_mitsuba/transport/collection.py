@@ -66,8 +66,9 @@ def choose_path(
 
 def empty_tally(model: SceneModel) -> FateTally:
     """What photons of a scene are tallied in; eta is what its integrator counts."""
-    several = model.counted is not None and len(model.detectors) > 1
-    counted = detected_by(model.detectors[model.counted]) if several else "detected"
+    counted = "detected"
+    if model.counted is not None and len(model.detectors) > 1:
+        counted = detected_by(model.detectors[model.counted])
     return FateTally(head_on=model.head_on, counted=counted)
 
 

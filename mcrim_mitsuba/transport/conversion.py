@@ -16,8 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from mcrim_mitsuba.core.errors import InputError, did_you_mean
-from mcrim_mitsuba.core.numbers import ALPHA_ABS, ALPHA_SCAT, MM_PER_CM
-from mcrim_mitsuba.scene.check_text import ALL_DETECTORS
+from mcrim_mitsuba.core.numbers import ALL_DETECTORS, ALPHA_ABS, ALPHA_SCAT, MM_PER_CM
 from mcrim_mitsuba.transport.scene_model import (
     DETECTOR,
     DIELECTRIC,

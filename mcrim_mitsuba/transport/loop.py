@@ -124,8 +124,8 @@ class Loop:
     `seed` and `number`, of the run and of this launch within it, together fix the random numbers.
     After `max_depth` free flights a photon is truncated. Coefficients of the crystal may be
     `proposals` in place of the scene's, shared out by the plan. With `columns` the histories
-    of the photons that eta counts are returned, these besides scatterings, path, weight and batch (see
-    `RecordStore`); what is not asked for costs nothing.
+    of the photons that eta counts are returned, these besides scatterings, path, weight and batch
+    (see `RecordStore`); what is not asked for costs nothing.
 
     With a `tangent` the detected weight is also differentiated, by Dr.Jit's forward mode, along
     this change of volumes' scattering and absorption, 1/mm per unit of whatever varies: photons'

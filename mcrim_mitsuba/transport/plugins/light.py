@@ -9,9 +9,9 @@ import drjit as dr
 import mitsuba as mi
 
 from mcrim_mitsuba.core.errors import InputError
-from mcrim_mitsuba.core.numbers import ALPHA_SCAT, COEFFICIENTS, MM_PER_CM
+from mcrim_mitsuba.core.numbers import ALL_DETECTORS, ALPHA_SCAT, COEFFICIENTS, MM_PER_CM
 from mcrim_mitsuba.optics.emission_band import USUAL_NM, USUAL_WIDTH_NM, WIDTHS
-from mcrim_mitsuba.scene.check_text import ALL_DETECTORS, is_filled
+from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.transport.bulk import CollimatedBeam, CrystalVolume, read_crystal
 from mcrim_mitsuba.transport.collection import Launcher, collect, slope_along
 from mcrim_mitsuba.transport.conversion import read_scene_model
