@@ -24,6 +24,7 @@ from mcrim_mitsuba.core.numbers import (
     number_of,
 )
 from mcrim_mitsuba.core.run import OverAxes, Run
+from mcrim_mitsuba.efficiency.attenuation import SOURCE_Z, Attenuation, attenuations
 from mcrim_mitsuba.efficiency.eta_grid import (
     APERTURE,
     has_open_mask,
@@ -64,6 +65,8 @@ class EtaTable(OverAxes):
     eta_sigma: NDArray[np.float64]
     #: How many of the photons that the points rest on the cache had.
     cached_photons: int
+    #: Fits over ``source_z_mm``, where that is an axis of three values or more.
+    attenuation: tuple[Attenuation, ...] = ()
     #: What the reader must know before using the numbers.
     notes: tuple[str, ...] = ()
 
@@ -144,11 +147,16 @@ def eta_table(
     precision = run.precision
     run = replace(run, photons=run.photons_or(MOST_PHOTONS if precision else DEFAULT_PHOTONS))
     answers, work, notes = _answer_all(file, grid, run)
-    values = np.array([answers[key, p] for key in grid.configurations for p in grid.points])
+    in_order = [answers[key, p] for key in grid.configurations for p in grid.points]
+    eta, eta_sigma = (
+        np.array([getattr(answer, name) for answer in in_order]).reshape(grid.shape)
+        for name in ("eta", "sigma")
+    )
     table = EtaTable(
         axes=grid.axes,
-        eta=values[:, 0].reshape(grid.shape),
-        eta_sigma=values[:, 1].reshape(grid.shape),
+        eta=eta,
+        eta_sigma=eta_sigma,
+        attenuation=_attenuations(grid, eta, in_order),
         photons=sum(part.photons for part in work),
         cached_photons=sum(part.cached_photons for part in work),
         seed=run.seed,
@@ -170,6 +178,19 @@ def eta_table(
             f"{100 * worst:.2g} %"
         )
     return replace(table, notes=(*table.notes, *notes))
+
+
+def _attenuations(
+    grid: TableGrid, eta: NDArray[np.float64], answers: Sequence[_Answer]
+) -> tuple[Attenuation, ...]:
+    """Fits over the place of birth; none where a point was simulated on its own."""
+    batches = [answer.batches for answer in answers if answer.batches is not None]
+    if SOURCE_Z not in grid.axes or len(batches) < len(answers):
+        return ()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        log_eta = np.log(eta)
+        of_batches = np.log(np.transpose(batches)).reshape(-1, *grid.shape) - log_eta
+    return attenuations(grid.axes, log_eta, of_batches)
 
 
 @dataclass(frozen=True)
@@ -249,13 +270,22 @@ def _words(values: Mapping[str, Value]) -> str:
     )
 
 
+class _Answer(NamedTuple):
+    """Eta at a point, and its error."""
+
+    eta: float
+    sigma: float
+    #: (batches,) eta by each; None of a point that was simulated on its own.
+    batches: NDArray[np.float64] | None
+
+
 #: Values of a configuration's parameters, and coefficients there.
 _Place = tuple[tuple[Value, ...], Coefficients]
 
 
 def _answer_all(
     file: SceneFile, grid: TableGrid, run: Run
-) -> tuple[dict[_Place, tuple[float, float]], list[EtaRun | SimulationResult], list[str]]:
+) -> tuple[dict[_Place, _Answer], list[EtaRun | SimulationResult], list[str]]:
     """Eta and its error at all places, what was simulated for them, and notes.
 
     From photon records, of all configurations together, where these tell enough; else a point is
@@ -272,7 +302,7 @@ def _answer_all(
         key: _Configuration.of(file, dict(zip(grid.outer, key, strict=True)), cuts_masks=cuts_masks)
         for key in dict.fromkeys(grid.configurations)
     }
-    answers: dict[_Place, tuple[float, float]] = {}
+    answers: dict[_Place, _Answer] = {}
     work: list[EtaRun | SimulationResult] = []
     for words, group in groups.items():
         if group:
@@ -281,12 +311,13 @@ def _answer_all(
             for (key, bench), point in itertools.product(benches.items(), group):
                 surface = surfaces[bench.recorded.content_hash, bench.cut]
                 if (answer := surface.answer(point)) is not None:
-                    answers[key, point] = answer.eta, answer.sigma
+                    batches = surface.batches([point])[:, 0]
+                    answers[key, point] = _Answer(answer.eta, answer.sigma, batches)
     notes = [note for behind in work for note in behind.notes]
     for (key, bench), point in itertools.product(benches.items(), points):
         if (key, point) not in answers:
             result = _simulate(bench.scene, bench.name, point, run)
-            answers[key, point] = result.eta, result.eta_sigma
+            answers[key, point] = _Answer(result.eta, result.eta_sigma, None)
             work.append(result)
             a_s, a_a = point
             place = f"{bench.name}, alpha_scat = {a_s:g} /cm, alpha_abs = {a_a:g} /cm"

@@ -121,7 +121,8 @@ PRESENTERS = {
         kind="table",
         describe=describe_scene.of_table,
         figures={"eta": light_figures.draw_table},
-        names="rows photons cached_photons seed seconds parameters scene_hash notes",
+        names="rows **of_attenuation photons cached_photons seed seconds parameters scene_hash "
+        "notes",
     ),
     "CheckResult": Presenter(
         kind="check",

@@ -16,6 +16,7 @@ from mcrim_mitsuba.core.files import attributes
 from mcrim_mitsuba.core.numbers import said
 from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.efficiency.arrival_times import ArrivalTimes
+from mcrim_mitsuba.efficiency.attenuation import Attenuation
 from mcrim_mitsuba.efficiency.eta_spectrum import EtaSpectrum
 from mcrim_mitsuba.efficiency.lighting import EtaMap, Light, Spread, follow_light
 from mcrim_mitsuba.efficiency.table import EtaTable
@@ -102,6 +103,11 @@ class TableResult(Result, EtaTable):
 
     #: Wall time.
     seconds: float
+
+    @property
+    def of_attenuation(self) -> dict[str, tuple[Attenuation, ...]]:
+        """What `--json` writes of attenuation lengths; empty where none were fitted."""
+        return {"attenuation": self.attenuation} if self.attenuation else {}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
