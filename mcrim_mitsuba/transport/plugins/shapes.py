@@ -488,8 +488,9 @@ class Wrapping(Polygons):
         return [*walls, [(x, y, top) for x, y in reversed(ring)]]
 
 
-#: Distance of a beam's detector behind the crystal: light at any angle still arrives on it.
-BEHIND_MM = 0.005
+#: Distance of a beam's detector behind the crystal, and what it is over the crystal's size at
+#: least, so that rays tell the two apart: light at any angle still arrives on it.
+BEHIND_MM, BEHIND_PART = 0.005, 2.5e-4
 
 
 class BeamDetector(Polygons):
@@ -513,7 +514,7 @@ class BeamDetector(Polygons):
         across, up = (along + 1) % 3, (along + 2) % 3
         # clockwise as seen from beyond, so that the normal points back at the crystal
         corners = np.zeros((4, 3))
-        corners[:, along] = half[along] + BEHIND_MM
+        corners[:, along] = half[along] + max(BEHIND_MM, BEHIND_PART * max(width, height))
         corners[:, across] = half[across] * np.array([-1, -1, 1, 1])
         corners[:, up] = half[up] * np.array([-1, 1, 1, -1])
         corners[:, 2] += half[2]
