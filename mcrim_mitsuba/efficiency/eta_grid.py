@@ -388,7 +388,9 @@ def counted(
 
 # One simulation with the tables of eta that are made of its photons: a unit of diagnoses.
 
-MASK, ANGLE, DETECTOR_HIT = "mask_radius_mm", "arrival_angle_deg", "detector"
+MASK, ANGLE = "mask_radius_mm", "arrival_angle_deg"
+#: Column of the detector's number.
+DETECTOR_HIT = "detector"
 #: Tables that are made at once.
 _AT_ONCE = 2
 

@@ -89,9 +89,7 @@ MASK_RADIUS = "mask_radius_mm"
 ARRIVAL_PLACE = ("arrival_x_mm", "arrival_y_mm", "arrival_z_mm")
 #: Of a birth, along x, y and downwards; other than ``birth_depth_mm`` in full precision.
 BIRTH_PLACE = ("birth_from_left_mm", "birth_from_front_mm", "birth_from_top_mm")
-#: Which of several detectors took the photon.
-DETECTOR_HIT = "detector"
-#: What every scene can give besides; the last but one where there are several detectors.
+#: What every scene can give besides.
 COLUMNS = {
     # internal ones at the crystal's polished faces
     "reflections": Recorded(np.uint16, _reflections),
@@ -133,13 +131,17 @@ COLUMNS = {
         name: Recorded(np.float32, arrival=lambda step, birth, axis=axis: birth()[axis])
         for axis, name in enumerate(BIRTH_PLACE)
     },
-    # number of the detector
-    DETECTOR_HIT: Recorded(
-        np.uint8, arrival=lambda step, birth: dr.reinterpret_array(mi.Float, step.outcome.detector)
-    ),
     "arrival_angle_deg": Recorded(
         np.float32, arrival=lambda step, birth: dr.rad2deg(dr.safe_acos(step.outcome.cosine))
     ),
+}
+
+
+#: What scenes of several detectors can give: the number of that which took the photon.
+OF_DETECTORS = {
+    "detector": Recorded(
+        np.uint8, arrival=lambda step, birth: dr.reinterpret_array(mi.Float, step.outcome.detector)
+    )
 }
 
 
@@ -163,10 +165,10 @@ class RecordStore:
     def __init__(self, emitter: CrystalVolume, photons: int, columns: Sequence[str]) -> None:
         volumes = emitter.model.volumes
         others = [n for n in range(len(volumes)) if n != emitter.volume]
-        available = COLUMNS | {f"path_{volumes[n].name}_cm": _path_in(n) for n in others}
+        several = OF_DETECTORS if len(emitter.model.detectors) > 1 else {}
+        available = COLUMNS | several | {f"path_{volumes[n].name}_cm": _path_in(n) for n in others}
         for name in columns:
-            several = len(emitter.model.detectors) > 1
-            if name not in available or (name == DETECTOR_HIT and not several):
+            if name not in available:
                 problem = f"photon records have no column {name!r}"
                 raise InputError(problem, f"use one of {', '.join(available)}")
         if volumes[emitter.volume].uneven:

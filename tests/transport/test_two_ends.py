@@ -241,10 +241,9 @@ def test_attenuation_lengths_and_their_errors():
 
 def test_a_table_over_places_tells_them(mirrors, request):
     """Light that keeps its angle falls faster than the axis' own exponential."""
-    table = request.getfixturevalue("mcrim").json(
-        "table", mirrors.path, "--axis", "source_z_mm=10,30,50,70,90", "--axis",
-        "detector=left,right", "--alpha-scat", "0.001", "--photons", "65536",
-    )  # fmt: skip
+    axes = ("--axis", "source_z_mm=10,30,50,70,90", "--axis", "detector=left,right")
+    given = (*axes, "--alpha-scat", "0.001", "--photons", "65536")
+    table = request.getfixturevalue("mcrim").json("table", mirrors.path, *given)
     lengths = {fit["light"]: fit for fit in table["attenuation"]}
     assert list(lengths) == ["left", "right", "left / right"]
     for fit in lengths.values():

@@ -490,9 +490,10 @@ class Wrapping(Polygons):
         return [*walls, [(x, y, top) for x, y in reversed(ring)]]
 
 
-#: Distance of a beam's detector behind the crystal, and what it is over the crystal's size at
-#: least, so that rays tell the two apart: light at any angle still arrives on it.
-BEHIND_MM, BEHIND_PART = 0.005, 2.5e-4
+#: Distance of a beam's detector behind the crystal: light at any angle still arrives on it.
+BEHIND_MM = 0.005
+#: The same over the crystal's size, at least, so that rays tell the two apart.
+BEHIND_PART = 2.5e-4
 
 
 class BeamDetector(Polygons):
