@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from mcrim_mitsuba.core.numbers import ALL_DETECTORS, COUNTED, Value
 from mcrim_mitsuba.efficiency.eta_grid import standard_error
 
-#: Scene parameter: where along the crystal light is born.
+#: Scene parameter: where along the crystal light is born, and in how thick a slab.
 SOURCE_Z = "source_z_mm"
+SOURCE_WIDTH = "source_width_mm"
 #: Places that tell whether a line is straight, at least.
 _LEAST_PLACES = 3
 
