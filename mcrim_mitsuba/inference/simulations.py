@@ -535,12 +535,12 @@ def buildable(campaign: Campaign) -> list[dict[str, Value]]:
 
 
 def _lit(scene: Mapping[str, Value]) -> bool:
-    """Whether a crystal of these parameters holds the slab in which light is born."""
+    """Whether the slab in which light is born lies in a crystal of these parameters."""
     names = (HEIGHT, SOURCE_Z, SOURCE_WIDTH)
     if not all(name in scene for name in names):
         return True
     height, middle, width = (float(scene[name]) for name in names)
-    return width >= height or width / 2.0 <= middle <= height - width / 2.0
+    return -width / 2.0 < middle < height + width / 2.0
 
 
 def _combinations(axes: Mapping[str, Sequence[float]]) -> list[dict[str, Value]]:

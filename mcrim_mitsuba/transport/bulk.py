@@ -171,7 +171,7 @@ class CrystalVolume:
     ``side_depth_mm``); infinite: evenly. One of the two at most is finite. They may be in a slab
     alone, which is told by the height of its middle above the bottom and its thickness.
 
-    Raises InputError if the slab sticks out of the volume, or if births fall along its thickness.
+    Raises InputError if the slab lies outside of the volume, or if births fall along its thickness.
     """
 
     #: Unit direction of all photons at birth; ``None``: any direction.
@@ -240,10 +240,10 @@ class CrystalVolume:
         rounding = 1e-6 * height_mm
         if low <= rounding and high >= height_mm - rounding:
             return
-        if low < -rounding or high > height_mm + rounding:
+        if high <= rounding or low >= height_mm - rounding:
             problem = f"light is born from {low:g} to {high:g} mm above the crystal's bottom"
             mend = f"give source_z_mm and source_width_mm a slab within 0 to {height_mm:g} mm"
-            raise InputError(f"{problem}, some of it outside", mend)
+            raise InputError(f"{problem}, outside of it", mend)
         if self.source_depth_mm < np.inf:
             problem = "light is born in a slab and falls with the depth below the top"
             raise InputError(problem, "give source_z_mm or source_depth_mm")

@@ -102,6 +102,9 @@ def test_births_fill_the_slab_evenly_whatever_the_crystal(scenes, tmp_path, name
     assert z.min() >= 2.0 - 1e-4 and z.max() <= 7.0 + 1e-4
     if name != "camoo4_cylinder_lying":  # which is wider in the middle
         assert kstest((z - 2.0) / 5.0, "uniform").pvalue > 1e-4
+    beside = _with_slab(scenes / f"{name}.xml", tmp_path, 0.5, 2.0).crystal
+    assert beside.born_lower[2] == beside.lower[2]
+    assert beside.born_upper[2] - beside.lower[2] == pytest.approx(1.5)
     assert abs(x.mean() - (crystal.lower[0] + crystal.upper[0]) / 2) < 0.1
     assert abs(y.mean() - (crystal.lower[1] + crystal.upper[1]) / 2) < 0.1
 
@@ -197,7 +200,7 @@ def test_a_reading_of_a_detector_that_is_not_there(mirrors, tmp_path, row, words
     ("given", "words"),
     [
         ({"detector": "rihgt"}, "did you mean right?"),
-        ({"source_z_mm": 99.95}, "from 99.85 to 100.05 mm above the crystal's bottom"),
+        ({"source_z_mm": 100.2}, "from 100.1 to 100.3 mm above the crystal's bottom"),
         ({"source_z_mm": 120.0}, "a slab within 0 to 100 mm"),
     ],
 )

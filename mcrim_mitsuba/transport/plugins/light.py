@@ -119,8 +119,8 @@ class ScintillationEmitter(mi.Emitter):
     ``side_depth_mm`` : float, default infinite
         The same from the side of the lowest x; not beside ``source_depth_mm``.
     ``source_width_mm`` : float, default infinite
-        Light is born in a slab alone, so thick along z, as of collimated gammas from the side; not
-        beside ``source_depth_mm``. One that covers the crystal is none.
+        Light is born in a slab alone, so thick along z, as of collimated gammas from the side: in
+        what of it lies in the crystal. Not beside ``source_depth_mm``.
     ``source_z_mm`` : float
         Height of the middle of that slab above the bottom of the crystal.
     """
