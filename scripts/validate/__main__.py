@@ -225,12 +225,12 @@ class Comparison:
         return found | {"our code": ", ".join(sources)}
 
     def _goes_to_geant4(self, case: Case) -> bool:
-        bench, why = case.bench(), PHASE
+        why = PHASE
         if not is_installed():
             why = "it is not installed"
-        elif not bench.polarization:
+        elif not case.parameters.get("polarization"):
             try:
-                refuse_bench(bench)
+                refuse_bench(case.bench())
                 return True
             except InputError as error:
                 why = error.problem
