@@ -6,12 +6,13 @@ import functools
 import math
 from collections.abc import Mapping
 
+from shared import SCENE, SCENES
+
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import Value
 from mcrim_mitsuba.effects.catalogue import add, catalogue
 from mcrim_mitsuba.scene.scene_file import SceneFile, read_scene
 from mcrim_mitsuba.scene.spectrophotometer import BEAM_PARAMETERS, spectrophotometer_of
-from shared import SCENE, SCENES
 
 #: What the article's bench is.
 USUAL = dict(read_scene(SCENE).parameters)

@@ -41,7 +41,9 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function that is compiled when it is first called, and then kept on disk."""
     if numba is None:
         return function
-    compile_it: Callable[..., Any] = numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+    compile_it: Callable[..., Any] = numba.njit(
+        cache=True, nogil=True, error_model="numpy", _nrt=False
+    )
     return compile_it(function)
 
 

@@ -230,7 +230,9 @@ class FacedBench:
         rows = np.zeros(len(self.surfaces), SURFACE_FIELDS)
         rows["mask_radius"] = math.inf
         for row, surface in zip(rows, self.surfaces, strict=True):
-            row["interior"], row["exterior"] = map(self.number, (surface.interior, surface.exterior))
+            row["interior"], row["exterior"] = map(
+                self.number, (surface.interior, surface.exterior)
+            )
             for name, value in surface.optics.items():
                 row[name] = value
         return rows

@@ -15,7 +15,9 @@ from mcrim_mitsuba.reference.compiling import compiled
 
 # Random numbers: a generator for each photon, so that its numbers depend on nobody else.
 
-_STEP, _FIRST, _SECOND = map(np.uint64, (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
+_STEP, _FIRST, _SECOND = map(
+    np.uint64, (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
+)
 _STRIDE = np.uint64(0xD1342543DE82EF95)
 _30, _27, _31, _11 = map(np.uint64, (30, 27, 31, 11))
 

@@ -82,7 +82,8 @@ def read_bench(file: SceneFile) -> FacedBench:
         name: _volume(Properties(file, node)) for name, node in media.items() if node is not None
     }
     named = {side for s in surfaces if s.faces for side in (s.interior, s.exterior)}
-    surfaces = [_touched(surface, surfaces, wrappings) for surface in surfaces]
+    there = [surface for surface in surfaces if surface.faces or surface.name in wrappings]
+    surfaces = [_touched(surface, there, wrappings) for surface in there]
     integrator = Properties(file, next(file.root.iter("integrator")))
     depth = integrator.text("max_depth")
     emitter = Properties(file, next(file.root.iter("emitter")))

@@ -271,7 +271,9 @@ def _panel(shape: Properties, matrix: Floats) -> list[Face]:
     """A rectangle from -1 to 1 of which what lies on one side of a line, or a disc, is left out."""
     width, depth = (2.0 * float(np.linalg.norm(matrix[:3, i])) for i in (0, 1))
     keep, trim = shape.text("keep", "beyond"), shape.number("trim", 0.0)
-    (x0, x1), (y0, y1) = ((2.0 * trim / size - 1.0, 1.0 - 2.0 * trim / size) for size in (width, depth))
+    (x0, x1), (y0, y1) = (
+        (2.0 * trim / size - 1.0, 1.0 - 2.0 * trim / size) for size in (width, depth)
+    )
     if "disc" in shape:
         radius = _disc_radius(shape, width)
         u, v = (matrix[:3, i] * 2.0 * radius / width for i in (0, 1))
@@ -317,7 +319,9 @@ def _frame(shape: Properties, matrix: Floats) -> list[Face]:
     if outer - inner <= 2.0 * _NARROWEST * outer or half - start <= _NARROWEST * outer:
         return []
     deep = shape.number("inner_depth", inner) / 2.0
-    corners = _regular(sides, inner) if sides != 4 else _square((-inner / 2, inner / 2), (-deep, deep))
+    corners = (
+        _regular(sides, inner) if sides != 4 else _square((-inner / 2, inner / 2), (-deep, deep))
+    )
     return [polygon(around, _moved(matrix, corners))]
 
 

@@ -37,6 +37,7 @@ _FATES = {
     walk.LOST: "lost",
 }
 
+
 @dataclass(frozen=True, eq=False)
 class DetectedHistories:
     """What each detected photon went through, for reweighting.
@@ -179,7 +180,9 @@ def trace(
         # the generator's words overflow, as they shall
         with np.errstate(over="ignore"):
             rng, number = np.empty(1, np.uint64), np.uint64(first)
-            walk.follow(tables, birth, rng, root, number, max_depth, bench.polarised, fates, records)
+            walk.follow(
+                tables, birth, rng, root, number, max_depth, bench.polarised, fates, records
+            )
         detected = records[fates == walk.DETECTED]
         places = Counter(detected[:, walk.PLACE].astype(int).tolist())
         return Counter(fates.tolist()), places, detected if histories else detected[:0]

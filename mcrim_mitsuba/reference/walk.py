@@ -208,9 +208,7 @@ def _in_quadric(q, k, vector, moved):
 
 
 @compiled
-def _distance(
-    faces, quadrics, half_spaces, number, position, direction, side, on_it, limit
-):
+def _distance(faces, quadrics, half_spaces, number, position, direction, side, on_it, limit):
     """Distance, mm, to where light meets a face; `limit` where it does not, or not before that.
 
     `side` is +1 where it comes from behind the face, -1 from in front of it, 0 from either; it may

@@ -7,12 +7,12 @@ for good. The responses are simulated once, and kept.
 
 import numpy as np
 import pytest
+from bench_scene import bench_scene
 from trials import hidden_histories as histories
 from trials import hidden_scores as scores
 from trials import hidden_trials as trials
 
 from mcrim_mitsuba.campaign.campaign import as_campaign
-from mcrim_mitsuba.efficiency.bench import Bench
 from mcrim_mitsuba.inference.settings import USUAL
 from mcrim_mitsuba.reference.tracer import trace
 from mcrim_mitsuba.runs.cache import FOLDER_VARIABLE
@@ -83,7 +83,7 @@ def test_histories_answer_other_coefficients_and_smaller_apertures(store):
     for reading in (2, 3, 11):
         n_gap, aperture, height, gap = histories.STANDARD[reading]
         direct = trace(
-            Bench(
+            bench_scene(
                 n_gap=n_gap,
                 aperture_radius_mm=aperture,
                 crystal_height_mm=height,
@@ -171,7 +171,7 @@ def test_what_is_measured_on_advice_is_the_same_bench(monkeypatch):
     eta = np.array(
         [
             trace(
-                Bench(
+                bench_scene(
                     n_gap=n,
                     aperture_radius_mm=r,
                     crystal_height_mm=h,
