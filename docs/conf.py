@@ -20,10 +20,8 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "myst_nb",
-    "command_help",
     "data_comments",
     "mathml",
-    "effects_catalogue",
     "python_reference",
 ]
 

@@ -324,12 +324,12 @@ def _log_mixture(
 
 #: Scene parameter that is the radius of the hole in a mask, and a radius (in window widths) that
 #: leaves all of a square window open.
-APERTURE, _WINDOW, _OPEN_WIDTHS = "aperture_radius_mm", "window_width_mm", 2.0
+APERTURE, WINDOW, _OPEN_WIDTHS = "aperture_radius_mm", "window_width_mm", 2.0
 
 
 def open_aperture(parameters: Mapping[str, Value]) -> dict[str, float]:
     """The parameter that opens the mask of a scene with these ones, as `has_open_mask` wants it."""
-    return {APERTURE: _OPEN_WIDTHS * float(parameters[_WINDOW])}
+    return {APERTURE: _OPEN_WIDTHS * float(parameters[WINDOW])}
 
 
 @functools.lru_cache(maxsize=64)
@@ -338,7 +338,7 @@ def has_open_mask(scene: SceneFile) -> bool:
 
     Of black ones: light that others reflect goes on. Records with an open mask answer all others.
     """
-    if APERTURE not in scene.parameters or _WINDOW not in scene.parameters:
+    if APERTURE not in scene.parameters or WINDOW not in scene.parameters:
         return False
     masks = (bsdf for bsdf in scene.root.iter("bsdf") if bsdf.get("type") == "aperture")
     if any(part.get("name") == "reflectance" for mask in masks for part in mask):

@@ -138,9 +138,6 @@ def free_parameters(
 
 # ---- from responses ----
 
-#: Scene parameters that tell crystals apart.
-_CRYSTAL_SIZES = ("crystal_width_mm", "crystal_height_mm")
-
 
 def _rows(campaign: Campaign) -> Rows:
     """What effects of the readings know of a campaign's rows."""
@@ -151,7 +148,10 @@ def _rows(campaign: Campaign) -> Rows:
     position[read] = np.linspace(-0.5, 0.5, len(read)) if len(read) > 1 else 0.0
     others = [
         campaign.parameter_of(each, SCALE) == SCALE
-        and any(n in each.parameters and each.parameters[n] != scene.get(n) for n in _CRYSTAL_SIZES)
+        and any(
+            name.startswith("crystal_") and name.endswith("_mm") and value != scene.get(name)
+            for name, value in each.parameters.items()
+        )
         for each in readings
     ]
     return Rows(position, np.array(others, dtype=bool))

@@ -171,18 +171,27 @@ EXTENT = ExtentSettings()
 
 @dataclass(frozen=True, kw_only=True)
 class UsualBench:
-    """What may be proposed where a campaign does not say.
+    """What may be proposed where a campaign does not say, in proportion to its own bench.
 
-    Liquids and apertures with each other, and other gaps and crystals with each of two liquids.
+    Liquids and masks with each other, and other gaps and crystals with each of two couplings.
     """
 
     liquids: tuple[float, ...] = (1.0, 1.333, 1.46, 1.515, 1.74)
-    apertures_mm: tuple[float, ...] = (14.0, 7.0, 4.0)
-    gaps_mm: tuple[float, ...] = (0.5,)
-    crystal_heights_mm: tuple[float, ...] = (20.0, 2.0)
-    #: Transmittances, where there is one already: within other angles, and through a long crystal.
+    #: Where a campaign has one coupling only, the other one for its gaps and crystals.
+    other_end: tuple[float, ...] = (1.46,)
+    #: A liquid whose index is this near to one that the campaign has is the same.
+    alike: float = 0.02
+    #: Radii of masks, in widths of the crystal, up to this part of the window's width: beyond, a
+    #: hole has nothing but the window's corners to cut off.
+    masks: tuple[float, ...] = (0.7, 0.4)
+    widest_mask: float = 0.5
+    #: Factors on the bench's gap, and on the crystal's length.
+    gaps: tuple[float, ...] = (10.0,)
+    crystals: tuple[float, ...] = (2.0, 0.2)
+    #: Transmittances, where there is one already: within other angles, and through a crystal that
+    #: is so many times as long.
     acceptances_deg: tuple[float, ...] = (1.0, 30.0)
-    long_crystal_mm: float = 20.0
+    long_crystal: float = 2.0
 
 
 USUAL = UsualBench()

@@ -22,6 +22,8 @@ from mcrim_mitsuba.core.rounding import number
 from mcrim_mitsuba.core.run import Provenance, Run
 from mcrim_mitsuba.effects.catalogue import BrokenEffectError, add
 from mcrim_mitsuba.effects.effect import WRONG, Effect
+from mcrim_mitsuba.effects.scene_edits import GAP, HEIGHT, WIDTH
+from mcrim_mitsuba.efficiency.eta_grid import APERTURE, WINDOW
 from mcrim_mitsuba.efficiency.proposals import Beyond
 from mcrim_mitsuba.efficiency.response_maker import (
     EFFECT_PHOTONS,
@@ -40,10 +42,14 @@ from mcrim_mitsuba.scene.spectrophotometer import (
     ACCEPTANCE,
     BEAM_AXIS,
     BEAM_PARAMETERS,
+    GAP_INDEX,
     spectrophotometer_of,
     too_wide,
 )
 
+#: What scenes call a crystal's length, and its width.
+CRYSTAL_LENGTHS = (HEIGHT, "crystal_length_mm")
+CRYSTAL_WIDTHS = (WIDTH, "crystal_diameter_mm")
 #: Effects of the catalogue that a number of the bench is another one, and the number: names, in a
 #: campaign in which that has a tolerance, of the effects that it is wrong.
 NUMBERS_OF = {"crystal_index": "n_crystal", "gap_index": "n_gap", "gap_thickness": "gap_mm"}
@@ -416,7 +422,7 @@ class CampaignSimulations:
                 for row in measured
             )
 
-        found = [p for p in _buildable(campaign) if new(p)]
+        found = [p for p in buildable(campaign) if new(p)]
         if len(found) > EXTENT.most_proposals:
             self.notes.append(
                 f"of {len(found)} configurations that could be measured next, "
@@ -503,7 +509,7 @@ def spent_together(spent: Sequence[Provenance], notes: Iterable[str] = ()) -> Pr
     )
 
 
-def _buildable(campaign: Campaign) -> list[dict[str, Value]]:
+def buildable(campaign: Campaign) -> list[dict[str, Value]]:
     """Configurations that may be proposed, each as what differs from the scene."""
     scene = campaign.scene.parameters
     given = {name: v for name, v in campaign.next_measurements.items() if name in scene}
@@ -511,15 +517,55 @@ def _buildable(campaign: Campaign) -> list[dict[str, Value]]:
         if not given:
             return []
         return [dict(zip(given, values, strict=True)) for values in product(*given.values())]
-    found: list[dict[str, Value]] = []
-    if "n_gap" in scene and "aperture_radius_mm" in scene:
-        each = product(USUAL.liquids, USUAL.apertures_mm)
-        found = [{"n_gap": n, "aperture_radius_mm": radius} for n, radius in each]
-    further = {"gap_mm": USUAL.gaps_mm, "crystal_height_mm": USUAL.crystal_heights_mm}
-    for name, values in further.items():
-        if name in scene and "n_gap" in scene:
-            found += [{"n_gap": n, name: v} for n in (1.0, 1.46) for v in values]
-    return found
+    values = _values_of_bench(campaign)
+    couplings, masks = values.pop(GAP_INDEX, []), values.pop(APERTURE, [])
+    further = (
+        n for n in USUAL.liquids if couplings and all(abs(n - m) > USUAL.alike for m in couplings)
+    )
+    found = _combinations({GAP_INDEX: sorted([*couplings, *further]), APERTURE: masks})
+    # the readings of one coupling tell little more of another one between
+    ends = [couplings[0], couplings[-1]] if len(couplings) > 1 else [*couplings, *USUAL.other_end]
+    for name, others in values.items():
+        found += _combinations({GAP_INDEX: ends if couplings else [], name: others})
+    named = {GAP_INDEX, *campaign.measurements.columns}
+    found = [{n: v for n, v in each.items() if n in named or v != scene[n]} for each in found]
+    return [each for place, each in enumerate(found) if each and each not in found[:place]]
+
+
+def _combinations(axes: Mapping[str, Sequence[float]]) -> list[dict[str, Value]]:
+    """All combinations of values of those parameters that have any."""
+    axes = {name: values for name, values in axes.items() if values}
+    return [dict(zip(axes, values, strict=True)) for values in product(*axes.values()) if axes]
+
+
+def _values_of_bench(campaign: Campaign) -> dict[str, list[float]]:
+    """What the laboratory can give to the bench's gap and lengths, in rising order.
+
+    The scene's own values, those of the campaign's readings, and usual ones beside the scene's.
+    """
+    scene, columns = campaign.scene.parameters, campaign.measurements.columns
+    width = next((float(scene[name]) for name in CRYSTAL_WIDTHS if name in scene), 0.0)
+    widest = USUAL.widest_mask * float(scene.get(WINDOW, width))
+    usual: dict[str, list[float]] = {
+        GAP_INDEX: [],
+        APERTURE: [part * width for part in USUAL.masks if 0.0 < part * width <= widest],
+        GAP: [factor * float(scene.get(GAP, 0.0)) for factor in USUAL.gaps],
+    }
+    for name in CRYSTAL_LENGTHS:
+        usual[name] = [factor * float(scene.get(name, 0.0)) for factor in USUAL.crystals]
+    sizes = [*usual, *(name for name in columns if name.endswith("_mm") and name not in usual)]
+    readings = [each for each in campaign.measurements.readings if not each.of_beam]
+    return {
+        name: sorted(
+            {
+                float(scene[name]),
+                *(float(f"{value:.3g}") for value in usual.get(name, ())),
+                *(float(each.parameters.get(name, scene[name])) for each in readings),
+            }
+        )
+        for name in sizes
+        if name in scene
+    }
 
 
 def _beams(campaign: Campaign) -> list[dict[str, Value]]:
@@ -544,7 +590,7 @@ def _beams(campaign: Campaign) -> list[dict[str, Value]]:
         same = {ACCEPTANCE: own[ACCEPTANCE]}
         found += [
             {**same, BEAM_AXIS: other},
-            {**same, BEAM_AXIS: "z", "crystal_height_mm": USUAL.long_crystal_mm},
+            {**same, BEAM_AXIS: "z", HEIGHT: USUAL.long_crystal * float(campaign.values[HEIGHT])},
         ]
     return [
         {KIND: TRANSMITTANCE, **each}

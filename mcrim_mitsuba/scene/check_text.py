@@ -177,17 +177,7 @@ def _problems_of_parameters(file: SceneFile) -> list[SceneProblem]:
             if name in file.overrides:
                 what, place = f"the value given for {name} is {value:g}", (file.path, None)
             problems.append(SceneProblem(kind, f"{what}: {text}", mend, *place))
-    if problems:
-        return problems
-    names = [f"{part}_width_mm" for part in ("crystal", "window")]
-    sizes = [float(file.parameters[name]) for name in names if name in file.parameters]
-    if len(sizes) < 2 or sizes[0] < sizes[1]:
-        return []
-    crystal, window = sizes
-    default = file.defaults["crystal_width_mm"]
-    text = f"crystal_width_mm = {crystal:g} is not smaller than window_width_mm = {window:g}"
-    mend = "make the crystal narrower or the window wider"
-    return [SceneProblem("value", text, mend, default.path, default.line)]
+    return problems
 
 
 def _problems_of_rotations(file: SceneFile) -> list[SceneProblem]:

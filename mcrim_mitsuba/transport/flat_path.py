@@ -9,6 +9,7 @@ which are nearly all, are tested as planes (`transport.convex`), the others one 
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +28,7 @@ from mcrim_mitsuba.transport.convex import (
     convex_solids,
     slack_of,
 )
+from mcrim_mitsuba.transport.film import FilmTrips, film_before
 from mcrim_mitsuba.transport.folding import FoldedBody
 from mcrim_mitsuba.transport.scene_model import OTHER, OUTSIDE, RoundWall, SceneModel, Surface
 
@@ -111,7 +113,7 @@ class FlatPath:
     """Intersection and interaction with a scene of flat faces, for which `suits` is true.
 
     With `polarization` photons carry a field, see `surface_physics`. In the volume `fold` flights
-    pass over total reflections, as far as they can.
+    pass over total reflections, as far as they can, and lead through a wrapping's film and back.
     """
 
     name = "fast path for flat faces"
@@ -137,6 +139,9 @@ class FlatPath:
         self._bodies = [body(solid) for solid in solids]
         #: Where flights pass over total reflections.
         self.folded = next((b for b in self._bodies if isinstance(b, FoldedBody)), None)
+        #: What leads light through the film before a wrapping.
+        films = (film_before(model, solid) for solid in solids if solid.volume == fold)
+        self.film = next((FilmTrips(model, film) for film in films if film is not None), None)
         # numbers of the faces that are tested one by one, their interior and exterior, their bounds
         self._alone = [
             (number, model.surfaces[faces[number].surface].sides, self._shape(faces[number]))
@@ -270,7 +275,12 @@ class FlatPath:
         """What happens at the face: see `surface_physics.interact`."""
         row = self._tables.at(face, active)
         self.turn_normals(row, face, position)
-        return surface_physics.interact(row, position, direction, field, uniforms, rng, active)
+        film, beyond = self.film, None
+        if film is not None:
+            beyond = functools.partial(film.go, face=face, rng=rng, active=active)
+        return surface_physics.interact(
+            row, position, direction, field, uniforms, rng, active, beyond
+        )
 
     def turn_normals(self, row, face, position) -> None:
         """Give rows of round walls their normals at the places where light meets them."""

@@ -352,12 +352,13 @@ class Loop:
         )
         place = dr.select(at_surface, outcome.position, position)
         volume = dr.select(at_surface, outcome.volume, p.volume)
+        face = path.face_of(met) if outcome.face is None else outcome.face
         return Photon(
             o=dr.select(ended, self._birthplace(serial), place),
             d=dr.select(fresh, scattered, dr.select(onwards, arriving, outcome.direction)),
             field=field,
             volume=dr.select(ended, mi.UInt32(self.emitter.birth_volume), volume),
-            face=dr.select(at_surface & ~ended, path.face_of(met), mi.UInt32(NO_FACE)),
+            face=dr.select(at_surface & ~ended, face, mi.UInt32(NO_FACE)),
             w=dr.select(ended, 1.0, w),
             steps=dr.select(ended, mi.UInt32(0), steps),
             history=history,

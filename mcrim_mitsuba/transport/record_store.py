@@ -14,6 +14,7 @@ from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.transport.conversion import opaque, opaque_vector
 from mcrim_mitsuba.transport.launch_plan import LanePlan
+from mcrim_mitsuba.transport.scene_model import OUTSIDE
 
 if TYPE_CHECKING:
     from mcrim_mitsuba.transport.bulk import CrystalVolume
@@ -139,9 +140,14 @@ COLUMNS = {
 
 def _path_in(volume: int) -> Recorded:
     """Path in a volume that does not emit, cm: that of light outside all others, too."""
-    return Recorded(
-        np.float16, lambda step, mine: dr.select(step.inside[volume], step.distance, 0.0), kept=_cm
-    )
+
+    def path(step: Step, mine):
+        flown = dr.select(step.inside[volume], step.distance, 0.0)
+        if volume != OUTSIDE or step.outcome.in_film is None:
+            return flown
+        return flown + dr.select(step.at_surface & ~step.ended, step.outcome.in_film, 0.0)
+
+    return Recorded(np.float16, path, kept=_cm)
 
 
 class RecordStore:

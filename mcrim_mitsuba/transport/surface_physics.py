@@ -174,6 +174,10 @@ class Outcome:
     met_rough: Any = None
     #: UInt32: Volume it is in afterwards.
     volume: Any = None
+    #: UInt32: Face it is on afterwards, and Float: its way in the film before a wrapping, mm;
+    #: ``None`` where none goes through such a film in this step (`transport.film`).
+    face: Any = None
+    in_film: Any = None
     #: Whether a diffuse reflector or a detector sent it back; ``None`` where none ever does.
     from_reflector: Any = None
     from_detector: Any = None
@@ -215,11 +219,15 @@ class Encounter:
     returned_part: Any = None
     detected_part: Any = None
 
-    def lambertian(self):
-        """A direction by Lambert's law, and unpolarised light along it."""
+    def diffuse_about(self, normal):
+        """A direction by Lambert's law about a unit normal."""
         # a point of the unit sphere that touches the surface
         sphere = mi.warp.square_to_uniform_sphere(mi.Point2f(self.u, self.v))
-        direction = dr.normalize(self.facing + sphere)
+        return dr.normalize(normal + sphere)
+
+    def lambertian(self):
+        """A direction by Lambert's law, and unpolarised light along it."""
+        direction = self.diffuse_about(self.facing)
         if self.field is None:
             return direction, None
         return direction, dielectric.unpolarised_field(direction, dr.two_pi * self.turn)
@@ -236,7 +244,9 @@ class Encounter:
         return direction, dielectric.Field(*turned)
 
 
-def interact(row, position, direction, field, uniforms, rng=None, active=True) -> Outcome:
+def interact(
+    row, position, direction, field, uniforms, rng=None, active=True, beyond=None
+) -> Outcome:
     """Decide a photon's way at a surface, stage by stage.
 
     It is met at a `position` (Point3f, mm) in a unit `direction` of flight (Vector3f); the normal
@@ -244,6 +254,7 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
     is followed. Of the `uniforms` (Float) the first is a choice, two are for a diffuse direction
     (and one more when polarised); `rng` (``mitsuba.PCG32``) gives further numbers for the facets of
     rough faces, and is advanced in place. Photons that are at a surface at all are `active` (Mask).
+    What happens `beyond` it in the same step is a function of Encounter and Outcome.
     """
     choice, u, v, *turn = uniforms
     cos_signed = dr.dot(direction, row.normal)
@@ -293,6 +304,8 @@ def interact(row, position, direction, field, uniforms, rng=None, active=True) -
         passing = outcome.met_rough & (outcome.fate == ALIVE)
         outcome.weight *= dr.select(passing, 1.0 - row.ground_loss, 1.0)
     outcome.volume = volume_after(row, outcome.crossed, leaving)
+    if beyond is not None:
+        beyond(light, outcome)
     return outcome
 
 

@@ -1,4 +1,4 @@
-"""Flights that pass over total reflections against those from one reflection to the next.
+"""Flights that pass over total reflections, and through a film, against those from face to face.
 
     python scripts/validate/folding.py                 # every case, 16 million photons each
     python scripts/validate/folding.py --case wrapped --photons 1e6
@@ -37,6 +37,8 @@ COLUMNS = (
     "reflections",
     "log_rayleigh",
     "path_gap_cm",
+    "path_outside_cm",
+    "reflector_hits",
     "birth_depth_mm",
     "arrival_cosine",
     "arrival_radius_mm",

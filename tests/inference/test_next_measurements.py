@@ -16,7 +16,11 @@ from mcrim_mitsuba.core.run import Run
 from mcrim_mitsuba.inference.displacement import NullDistribution
 from mcrim_mitsuba.inference.judgement import Judgement
 from mcrim_mitsuba.inference.next_measurements import next_measurements
-from mcrim_mitsuba.inference.simulations import CampaignSimulations, MeasurementProposals
+from mcrim_mitsuba.inference.simulations import (
+    CampaignSimulations,
+    MeasurementProposals,
+    buildable,
+)
 from mcrim_mitsuba.inference.weighing import Hypothesis, weigh_hypotheses
 
 TRUTH = {"alpha_scat_per_cm": 0.54, "alpha_abs_per_cm": 0.039, "scale": 40.0}
@@ -158,3 +162,31 @@ def test_a_reading_that_is_made_once_more_comes_last(scenes):
     theta = np.array([0.1 if p.name == "gain_drift" else 0.5 for p in once.free])
     ratio = again.predict(theta).signal / once.predict(theta).signal
     assert ratio[-1] == pytest.approx(1.0) and ratio[0] == pytest.approx(1.1, abs=0.01)
+
+
+def test_what_is_proposed_is_in_proportion_to_the_bench(scenes, tmp_path):
+    """A slim bar on a window of its own width, of which the article's masks would cut nothing."""
+    sizes = {"crystal_width_mm": 3, "window_width_mm": 3, "crystal_height_mm": 15}
+    defaults = "".join(f'<default name="{n}" value="{v}"/>' for n, v in sizes.items())
+    bar, campaign = tmp_path / "bar.xml", tmp_path / "bar.toml"
+    (tmp_path / "camoo4.xml").write_bytes((scenes / "camoo4.xml").read_bytes())
+    include = '<include filename="camoo4.xml"/>'
+    bar.write_text(f'<scene version="3.0.0">{defaults}{include}</scene>')
+    rows = [f"{n} {h},100,1,{n},{h}" for n in (1.0, 1.465) for h in (10, 15, 25)]
+    (tmp_path / "bar.csv").write_text(
+        "label,signal,sigma,n_gap,crystal_height_mm\n" + "\n".join(rows)
+    )
+    campaign.write_text(
+        'scene = "bar.xml"\nmeasurements = "bar.csv"\n[parameters.alpha_scat_per_cm]\nstart = 0.1\n'
+    )
+    found = buildable(read_campaign(campaign))
+    values = {
+        name: {each[name] for each in found if name in each} for each in found for name in each
+    }
+    assert values == {
+        "n_gap": {1.0, 1.333, 1.465, 1.515, 1.74},
+        "aperture_radius_mm": {1.2},
+        "gap_mm": {0.5},
+        "crystal_height_mm": {3.0, 10.0, 15.0, 25.0, 30.0},
+    }
+    assert all(found.count(each) == 1 for each in found)

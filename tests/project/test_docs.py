@@ -13,6 +13,7 @@ import click
 import lxml.html
 import pytest
 from places import ROOT
+from write_pages import WRITERS, written
 
 from mcrim_mitsuba.cli.main import mcrim
 from mcrim_mitsuba.effects.catalogue import catalogue
@@ -87,6 +88,13 @@ def test_every_field_of_an_effect_is_explained():
             assert f"`{each.name}`" in told, each.name
     (told,) = re.findall(r"\| column \| .*?\n\n", text, re.DOTALL)
     assert {f"`{name}`" for name in COLUMNS} <= set(re.findall("`[^`]+`", told))
+
+
+def test_what_pages_say_of_the_package_is_what_it_says_of_itself():
+    """In a clone, without a built site; ``python scripts/write_pages.py`` writes them anew."""
+    for page, _ in WRITERS:
+        text = (ROOT / "docs" / page).read_text()
+        assert written(page, text) == text, page
 
 
 def test_the_site_builds_without_a_warning(site):

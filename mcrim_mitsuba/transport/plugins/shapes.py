@@ -237,7 +237,7 @@ class Frame(Polygons):
     under the crystal is another interface. XML: ``<shape type="frame">`` with
 
     ``outer_width`` : float
-        Outer edge length in the scene's millimetres.
+        Outer edge length in the scene's millimetres; that of the hole is no frame at all.
     ``inner_width`` or ``rim`` : float
         Edge length of the hole, or width of the frame itself; a rim of 0 is no frame at all.
     ``inner_depth`` : float, default ``inner_width``
@@ -267,12 +267,14 @@ class Frame(Polygons):
         else:
             name = "inner_width" if "inner_width" in props else "inner_diameter"
             inner = float(props[name])
-            if not outer > inner > 0.0:
+            # a square hole of its whole width leaves no frame at all
+            is_none = name == "inner_width" and inner == outer
+            if not (outer > inner or is_none) or not inner > 0.0:
                 raise ValueError(
                     f"a frame's outer_width ({outer:g}) must exceed its {name} ({inner:g})"
                 )
         deep, sides = float(props.get("inner_depth", inner)), sides_of(props)
-        if "inner_depth" in props and not outer > deep > 0.0:
+        if "inner_depth" in props and not outer >= deep > 0.0:
             raise ValueError(
                 f"a frame's outer_width ({outer:g}) must exceed its inner_depth ({deep:g})"
             )
