@@ -1,6 +1,6 @@
 """The plain bench by its parameters, as scenes name them, for what knows no scenes.
 
-The solver without photons (`polished_box`) and Geant4 (`scripts/geant4.py`) are told their bench so.
+The solver without photons (`polished_box`) and Geant4 (`scripts/geant4.py`) are told theirs so.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Bench:
         names = {attribute.name for attribute in fields(cls)}
         unknown = sorted(name for name, value in parameters.items() if value and name not in names)
         if unknown:
-            problem = f"the solver without photons knows no {', '.join(unknown)}"
+            problem = f"the plain bench knows no {', '.join(unknown)}"
             raise InputError(problem, "leave it out, or simulate photons")
         return cls(**{name: value for name, value in parameters.items() if name in names})
 

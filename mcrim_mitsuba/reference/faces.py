@@ -106,7 +106,7 @@ def mantle(foot: ArrayLike, u: ArrayLike, v: ArrayLike, along: ArrayLike) -> Fac
 
 
 def ellipsoid(centre: ArrayLike, axes: ArrayLike) -> Face:
-    """A sphere, or an ellipsoid, of these half axes, the columns of (3, 3); its front is outside."""
+    """A sphere, or an ellipsoid, of these half axes, as columns; its front is outside."""
     centre, axes = np.asarray(centre, float), np.asarray(axes, float)
     reach = np.linalg.norm(axes, axis=1)
     quadric = np.column_stack((np.linalg.inv(axes), centre))

@@ -6,24 +6,23 @@ Shares no code with the transport, which reads the loaded scene.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.reference.faces import BenchSurface, FacedBench
 from mcrim_mitsuba.reference.scene_shapes import Properties, Wrapping, faces_of, to_world
 from mcrim_mitsuba.reference.walk import DETECTOR, DIELECTRIC, REFLECTS
 from mcrim_mitsuba.scene.check_text import indices_of
 from mcrim_mitsuba.scene.scene_file import SceneFile
-from mcrim_mitsuba.scene.xml_tree import SIDES, Node
+from mcrim_mitsuba.scene.xml_tree import SIDES
 
 #: Distance from the axis, mm, at which the radial falloff is what is lacking.
 FALLOFF_RADIUS_MM = 14.0
 #: Usual wavelength and width of the light's band, nm.
 _WAVELENGTH_NM, _BANDWIDTH_NM = 540.0, 150.0
-
 # The photocathode K-Cs-Sb: wavelengths in nm, and n and k of its index n + ik. D. Motta and
 # S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217, as tabulated in WCSim
 # (data/CathodeParameters_KCsCb.txt); 420 and 540 nm are this project's.
@@ -36,6 +35,7 @@ _CATHODE_K = """
     1.69 1.69 1.71 1.57 1.53 1.50 1.44 1.34 1.11 1.06 1.05 0.86
     0.7055 0.63 0.53 0.46 0.42 0.38 0.37 0.35 0.34 0.34 0.33
 """
+Optics = dict[str, complex]
 
 
 def cathode_index(wavelength_nm: float) -> complex:
@@ -50,48 +50,39 @@ def read_bench(file: SceneFile) -> FacedBench:
 
     Raises InputError, which names the part, if the tracer does not know what the scene has.
     """
-    parts, surfaces, wrappings = file.parts, list[BenchSurface](), dict[str, Wrapping]()
-    media = {"": None} | {node.get("id", ""): node for node in file.root.iter("medium")}
-    for number, node in enumerate(parts.shapes):
+    surfaces, wrappings = list[BenchSurface](), dict[str, Wrapping]()
+    for number, node in enumerate(file.parts.shapes):
         shape, name = Properties(file, node), node.get("id") or f"shape {number}"
-        sides = [parts.medium(node, side) for side in SIDES]
-        interior, exterior = ("" if side is None else side.get("id", "") for side in sides)
-        bsdf = parts.bsdf(node)
+        sides = [file.parts.medium(node, side) for side in SIDES]
+        bsdf = file.parts.bsdf(node)
         if bsdf is None:
             raise shape.refusal("what this shape wears")
-        optics = _optics(file, bsdf) | _indices(file, node)
+        optics = _optics(Properties(file, bsdf))
+        if (indices := indices_of(file, node)) is not None:
+            optics |= dict(zip(("n_interior", "n_exterior"), indices, strict=True))
         if node.type == "wrapping":
             wrapping = wrappings[name] = Wrapping(shape, to_world(shape))
-            paint = wrapping.film == 0.0
-            optics |= {
-                "specular": shape.number("specular", 0.0),
-                "contact": 1.0 if paint else shape.number("contact", 0.0),
-                "contact_z": wrapping.begin,
-                "paint": paint,
-            }
-        surfaces.append(
-            BenchSurface(
-                name=name,
-                faces=faces_of(shape),
-                interior=interior,
-                exterior=exterior,
-                optics=optics,
+            contact = shape.number("contact", 0.0) if wrapping.film else 1.0
+            optics |= {"specular": shape.number("specular", 0.0), "contact": contact}
+            optics |= {"contact_z": wrapping.begin, "paint": wrapping.film == 0.0}
+        faces = faces_of(shape)
+        if faces or node.type == "wrapping":
+            media = ("" if side is None else side.get("id", "") for side in sides)
+            interior, exterior = media
+            surface = BenchSurface(
+                name=name, faces=faces, interior=interior, exterior=exterior, optics=optics
             )
-        )
-    volumes = {
-        name: _volume(Properties(file, node)) for name, node in media.items() if node is not None
-    }
-    named = {side for s in surfaces if s.faces for side in (s.interior, s.exterior)}
-    there = [surface for surface in surfaces if surface.faces or surface.name in wrappings]
-    surfaces = [_touched(surface, there, wrappings) for surface in there]
-    integrator = Properties(file, next(file.root.iter("integrator")))
-    depth = integrator.text("max_depth")
-    emitter = Properties(file, next(file.root.iter("emitter")))
-    detector = integrator.text("detector")
-    (crystal,) = parts.targets(emitter.node, "medium")
+            surfaces.append(surface)
+    borders = {side for s in surfaces for side in (s.interior, s.exterior)}
+    media = {node.get("id", ""): Properties(file, node) for node in file.root.iter("medium")}
+    integrator, emitter = (
+        Properties(file, next(file.root.iter(tag))) for tag in ("integrator", "emitter")
+    )
+    depth, detector = integrator.text("max_depth"), integrator.text("detector")
+    (crystal,) = file.parts.targets(emitter.node, "medium")
     return FacedBench(
-        surfaces=surfaces,
-        volumes={name: values for name, values in volumes.items() if name in named},
+        surfaces=[_touched(surface, surfaces, wrappings) for surface in surfaces],
+        volumes={name: _volume(medium) for name, medium in media.items() if name in borders},
         birth=_birth(emitter),
         crystal=crystal.get("id", ""),
         slab_mm=_slab(emitter),
@@ -102,12 +93,10 @@ def read_bench(file: SceneFile) -> FacedBench:
 
 
 def _touched(
-    surface: BenchSurface, surfaces: list[BenchSurface], wrappings: dict[str, Wrapping]
+    surface: BenchSurface, surfaces: list[BenchSurface], wrappings: Mapping[str, Wrapping]
 ) -> BenchSurface:
     """A dielectric with its faces told which wrapping touches them."""
-    if surface.optics["kind"] != DIELECTRIC:
-        return surface
-    for other in surfaces:
+    for other in surfaces if surface.optics["kind"] == DIELECTRIC else ():
         wrapping = wrappings.get(other.name)
         if wrapping is None or not other.optics["contact"] or surface.exterior != other.exterior:
             continue
@@ -119,77 +108,57 @@ def _touched(
     return surface
 
 
-def _indices(file: SceneFile, shape: Node) -> dict[str, complex]:
-    """Indices of what lies on the sides of a dielectric, offsets added."""
-    found = indices_of(file, shape)
-    return {} if found is None else dict(zip(("n_interior", "n_exterior"), found, strict=True))
-
-
-def _optics(file: SceneFile, node: Node) -> dict[str, complex]:
+def _optics(bsdf: Properties) -> Optics:
     """What light meets at a surface that wears a bsdf, but for indices."""
-    bsdf = Properties(file, node)
-    read = {
-        "aperture": _aperture,
-        "photodetector": _photodetector,
-        "dielectric": _smooth,
-        "polish": _polish,
-        "diffuse": _diffuse,
-        "twosided": _two_sided,
-        "conductor": _conductor,
-    }.get(node.type)
-    if read is None:
-        raise bsdf.refusal(f"what wears a bsdf of type {node.type}")
-    return read(bsdf)
+    kind = bsdf.node.type
+    if kind in ("aperture", "twosided"):
+        inner = bsdf.file.parts.targets(bsdf.node, "bsdf")
+        if len(inner) != 1:
+            raise bsdf.refusal(f"a bsdf of type {kind} around {len(inner)} others")
+        optics = _optics(Properties(bsdf.file, inner[0]))
+        return optics | ({"two_sided": 1} if kind == "twosided" else _mask(bsdf))
+    if kind == "photodetector":
+        return _detector(bsdf)
+    if kind == "polish" or (kind == "dielectric" and not bsdf.has_any("specular_")):
+        return _polish(bsdf)
+    if kind == "diffuse" and bsdf.node.find("texture") is None:
+        return {"kind": REFLECTS, "reflectance": bsdf.number("reflectance", 0.5)}
+    if kind == "conductor" and bsdf.text("material") == "none":
+        part = bsdf.number("specular_reflectance", 1.0)
+        return {"kind": REFLECTS, "reflectance": part, "specular": 1.0}
+    raise bsdf.refusal(f"what wears a bsdf of type {kind}, or not as here")
 
 
-def _nested(bsdf: Properties) -> Node:
-    """The bsdf within another."""
-    inner = bsdf.file.parts.targets(bsdf.node, "bsdf")
-    if len(inner) != 1:
-        raise bsdf.refusal(f"a bsdf of type {bsdf.node.type} around {len(inner)} others")
-    return inner[0]
-
-
-def _aperture(bsdf: Properties) -> dict[str, complex]:
+def _mask(bsdf: Properties) -> Optics:
     x, y, _ = bsdf.point("centre")
-    return _optics(bsdf.file, _nested(bsdf)) | {
-        "mask_radius": bsdf.number("radius"),
-        "axis_x": x,
-        "axis_y": y,
-        "mask_reflectance": bsdf.number("reflectance", 0.0),
+    optics: Optics = {"mask_radius": bsdf.number("radius"), "axis_x": x, "axis_y": y}
+    return optics | {"mask_reflectance": bsdf.number("reflectance", 0.0)}
+
+
+def _detector(bsdf: Properties) -> Optics:
+    x, y, _ = bsdf.point("centre")
+    optics: Optics = {
+        name: bsdf.number(name, 0.0) for name in ("reflectance", "specular", "angular_falloff")
     }
-
-
-def _photodetector(bsdf: Properties) -> dict[str, complex]:
-    x, y, _ = bsdf.point("centre")
-    optics: dict[str, complex] = {
+    optics |= {
         "kind": DETECTOR,
         "axis_x": x,
         "axis_y": y,
-        "reflectance": bsdf.number("reflectance", 0.0),
-        "specular": bsdf.number("specular", 0.0),
-        "angular_falloff": bsdf.number("angular_falloff", 0.0),
         "radial_falloff": bsdf.number("radial_falloff", 0.0) / FALLOFF_RADIUS_MM**2,
         "least_cosine": math.cos(math.radians(bsdf.number("acceptance_deg", 90.0))),
     }
     if thickness_nm := bsdf.number("cathode_nm", 0.0):
         wavelength = bsdf.number("wavelength_nm", _WAVELENGTH_NM)
-        if not (n := bsdf.number("cathode_n", 0.0)) and not 380.0 <= wavelength <= 680.0:
+        n, k = bsdf.number("cathode_n", 0.0), bsdf.number("cathode_k", 0.0)
+        if not n and not _CATHODE_NM[0] <= wavelength <= _CATHODE_NM[-1]:
             raise bsdf.refusal(f"the photocathode's index at {wavelength:g} nm")
-        index = complex(n, bsdf.number("cathode_k", 0.0)) if n else cathode_index(wavelength)
+        index = complex(n, k) if n else cathode_index(wavelength)
         optics |= {"film_index": index, "film_wavelengths": thickness_nm / wavelength}
         optics["n_interior"] = bsdf.number("window_index", 1.0)
     return optics
 
 
-def _smooth(bsdf: Properties) -> dict[str, complex]:
-    for name in ("specular_reflectance", "specular_transmittance"):
-        if name in bsdf:
-            raise bsdf.refusal(name)
-    return {"kind": DIELECTRIC}
-
-
-def _polish(bsdf: Properties) -> dict[str, complex]:
+def _polish(bsdf: Properties) -> Optics:
     wavelength = bsdf.number("wavelength_nm", _WAVELENGTH_NM)
     return {
         "kind": DIELECTRIC,
@@ -201,24 +170,6 @@ def _polish(bsdf: Properties) -> dict[str, complex]:
     }
 
 
-def _diffuse(bsdf: Properties) -> dict[str, complex]:
-    if bsdf.node.find("texture") is not None:
-        raise bsdf.refusal("a texture")
-    return {"kind": REFLECTS, "reflectance": bsdf.number("reflectance", 0.5)}
-
-
-def _two_sided(bsdf: Properties) -> dict[str, complex]:
-    return _optics(bsdf.file, _nested(bsdf)) | {"two_sided": True}
-
-
-def _conductor(bsdf: Properties) -> dict[str, complex]:
-    """A perfect mirror, but for what its reflectance takes."""
-    if bsdf.text("material") != "none":
-        raise bsdf.refusal("a conductor that is a material")
-    part = bsdf.number("specular_reflectance", 1.0)
-    return {"kind": REFLECTS, "reflectance": part, "specular": 1.0}
-
-
 def _volume(medium: Properties) -> dict[str, float]:
     """A medium in the words of `walk.VOLUME_FIELDS`."""
     phase = medium.node.find("phase")
@@ -227,22 +178,22 @@ def _volume(medium: Properties) -> dict[str, float]:
         raise medium.refusal(f"the phase function {kind}")
     g = 0.0 if phase is None or kind != "hg" else Properties(medium.file, phase).number("g", 0.8)
     values: dict[str, float] = {"rayleigh": kind == "rayleigh", "g": g}
-    if medium.node.type == "bulk":
-        wavelength = medium.number("wavelength_nm", _WAVELENGTH_NM)
-        is_there = medium.is_filled()
-        return values | {
-            "scattering": is_there * medium.number("alpha_scat_per_cm", 0.0) / MM_PER_CM,
-            "absorption": is_there * medium.number("alpha_abs_per_cm", 0.0) / MM_PER_CM,
-            "gradient": medium.number("scattering_gradient", 0.0),
-            "exponent": medium.number("scattering_exponent", 0.0),
-            "bandwidth": medium.number("bandwidth_nm", _BANDWIDTH_NM) / wavelength,
-            "endless": medium.flag("endless"),
-        }
-    if medium.node.type != "homogeneous":
+    if medium.node.type == "homogeneous":
+        extinction = medium.number("sigma_t", 1.0) * medium.number("scale", 1.0)
+        albedo = medium.number("albedo", 0.75)
+        coefficients = {"scattering": albedo * extinction, "absorption": (1 - albedo) * extinction}
+        return values | coefficients
+    if medium.node.type != "bulk":
         raise medium.refusal(f"a medium of type {medium.node.type}")
-    extinction = medium.number("sigma_t", 1.0) * medium.number("scale", 1.0)
-    albedo = medium.number("albedo", 0.75)
-    return values | {"scattering": albedo * extinction, "absorption": (1.0 - albedo) * extinction}
+    wavelength, is_there = medium.number("wavelength_nm", _WAVELENGTH_NM), medium.is_filled()
+    return values | {
+        "scattering": is_there * medium.number("alpha_scat_per_cm", 0.0) / MM_PER_CM,
+        "absorption": is_there * medium.number("alpha_abs_per_cm", 0.0) / MM_PER_CM,
+        "gradient": medium.number("scattering_gradient", 0.0),
+        "exponent": medium.number("scattering_exponent", 0.0),
+        "bandwidth": medium.number("bandwidth_nm", _BANDWIDTH_NM) / wavelength,
+        "endless": medium.flag("endless"),
+    }
 
 
 def _birth(emitter: Properties) -> dict[str, float]:
@@ -253,28 +204,14 @@ def _birth(emitter: Properties) -> dict[str, float]:
     if emitter.node.type != "scintillation":
         raise emitter.refusal(f"an emitter of type {emitter.node.type}")
     if "side_depth_mm" in emitter:
-        return {"axis": 0, "depth": _depth(emitter, "side_depth_mm")}
-    return {"axis": 2, "from_high": True, "depth": _depth(emitter, "source_depth_mm")}
-
-
-def _depth(emitter: Properties, name: str) -> float:
-    text = emitter.text(name, "inf")
-    return math.inf if text.lstrip("+").startswith("inf") else emitter.number(name)
+        return {"axis": 0, "depth": emitter.number("side_depth_mm")}
+    return {"axis": 2, "from_high": True, "depth": emitter.number("source_depth_mm", math.inf)}
 
 
 def _slab(emitter: Properties) -> tuple[float, float] | None:
     """Lowest and highest z of births above the crystal's lowest."""
-    width = _depth(emitter, "source_width_mm")
+    width = emitter.number("source_width_mm", math.inf)
     if math.isinf(width):
         return None
     middle = emitter.number("source_z_mm")
     return middle - width / 2.0, middle + width / 2.0
-
-
-def refuse_unknown(file: SceneFile) -> None:
-    """Refuse a scene that the tracer does not know; InputError."""
-    try:
-        read_bench(file)
-    except (ValueError, StopIteration):
-        problem = "the independent tracer cannot read this scene"
-        raise InputError(problem, "let mcrim check look at it", path=file.path) from None

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mcrim_mitsuba.core.errors import InputError
 from mcrim_mitsuba.reference.faces import (
@@ -43,6 +44,10 @@ class Properties:
 
     def __contains__(self, name: str) -> bool:
         return self.node.named(name) is not None
+
+    def has_any(self, beginning: str) -> bool:
+        """Whether a property's name begins so."""
+        return any(part.get("name", "").startswith(beginning) for part in self.node.elements)
 
     def refusal(self, problem: str) -> InputError:
         """The error that the tracer does not know something of this element."""
@@ -117,7 +122,7 @@ def _step(shape: Properties, part: Node) -> Floats:
 
 
 def faces_of(shape: Properties) -> list[Face]:
-    """Faces of a shape; none where it is empty. InputError if the tracer does not know the shape."""
+    """Faces of a shape; none where it is empty. InputError if it is not known."""
     read = _READERS.get(shape.node.type)
     if read is None:
         raise shape.refusal(f"shapes of type {shape.node.type}")
@@ -130,9 +135,13 @@ def _moved(matrix: Floats, points: Any) -> Floats:
     return np.asarray(points, float) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def _square(x: tuple[float, float], y: tuple[float, float]) -> list[tuple[float, float, float]]:
+def _square(x: Sequence[float], y: Sequence[float]) -> list[tuple[float, float, float]]:
     """Corners of a rectangle in the plane z = 0, its front upwards."""
     return [(x[0], y[0], 0.0), (x[1], y[0], 0.0), (x[1], y[1], 0.0), (x[0], y[1], 0.0)]
+
+
+def _up(points: Any, z: float) -> Floats:
+    return np.asarray(points, float) + np.array([0.0, 0.0, z])
 
 
 def _prism(foot: Any, top: Any) -> list[list]:
@@ -149,8 +158,7 @@ def _rectangle(shape: Properties, matrix: Floats) -> list[Face]:
 
 
 def _cube(shape: Properties, matrix: Floats) -> list[Face]:
-    top = np.array(_square((-1, 1), (-1, 1))) + (0.0, 0.0, 1.0)
-    foot = top - (0.0, 0.0, 2.0)
+    top, foot = (_up(_square((-1, 1), (-1, 1)), z) for z in (1.0, -1.0))
     sides = [top, foot[::-1], *_prism(foot, top)]
     return [polygon(_moved(matrix, side)) for side in sides]
 
@@ -175,127 +183,92 @@ def _sphere(shape: Properties, matrix: Floats) -> list[Face]:
 
 
 def _mesh(shape: Properties, matrix: Floats) -> list[Face]:
-    folders = (shape.file.path.parent, Path())
-    paths = [folder / shape.text("filename") for folder in folders]
+    paths = [folder / shape.text("filename") for folder in (shape.file.path.parent, Path())]
     path = next((path for path in paths if path.is_file()), paths[0])
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise shape.refusal(f"a mesh that cannot be read: {error.strerror}") from None
-    try:
-        vertices, facets = (_obj if shape.node.type == "obj" else _ply)(data)
-    except (ValueError, IndexError, KeyError, UnicodeDecodeError):
+        vertices, facets = (_obj if shape.node.type == "obj" else _ply)(path.read_bytes())
+    except (OSError, ValueError, LookupError, AttributeError):
         raise shape.refusal(f"the format of {path.name}") from None
-    return [polygon(_moved(matrix, vertices[list(facet)])) for facet in facets]
+    # quadrilaterals in two
+    triangles = [(f[0], *pair) for f in facets for pair in itertools.pairwise(f[1:])]
+    return [polygon(_moved(matrix, vertices[list(triangle)])) for triangle in triangles]
 
 
-def _obj(data: bytes) -> tuple[Floats, list[Sequence[int]]]:
-    """Vertices, and of every triangle the numbers of its own."""
-    vertices, facets = [], []
-    for line in data.decode().splitlines():
-        word, *rest = line.split() or [""]
-        if word == "v":
-            vertices.append([float(part) for part in rest[:3]])
-        elif word == "f":
-            numbers = [int(part.split("/")[0]) for part in rest]
-            numbers = [n - 1 if n > 0 else len(vertices) + n for n in numbers]
-            facets += [(numbers[0], *pair) for pair in itertools.pairwise(numbers[1:])]
-    return np.array(vertices), facets
+def _obj(data: bytes) -> tuple[Floats, Sequence[Sequence[int]]]:
+    """Vertices, and of every facet the numbers of its own."""
+    lines = [line.split() for line in data.decode().splitlines()]
+    vertices = np.array([line[1:4] for line in lines if line[:1] == ["v"]], float)
+    facets = [[int(n.split("/")[0]) for n in line[1:]] for line in lines if line[:1] == ["f"]]
+    return vertices, [[n - (n > 0) for n in facet] for facet in facets]
 
 
-_PLY_TYPES = dict(
-    zip(
-        "char uchar short ushort int uint float double int8 uint8 int16 uint16 int32 uint32 "
-        "float32 float64".split(),
-        "i1 u1 i2 u2 i4 u4 f4 f8 i1 u1 i2 u2 i4 u4 f4 f8".split(),
-        strict=True,
+_PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
+_PLY_TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2"}
+_PLY_TYPES |= {"uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"}
+
+
+def _ply(data: bytes) -> tuple[Floats, Sequence[Sequence[int]]]:
+    """As `_obj`: vertices and triangles, in ASCII or binary."""
+    head, _, body = data.partition(b"end_header\n")
+    text = head.decode()
+    kind, (points, count) = text.split()[2], map(int, re.findall(r"element \w+ (\d+)", text))
+    names = re.findall(r"property (\w+) (\w+)\n", text.partition("element face")[0])
+    if kind == "ascii":
+        rows = [line.split() for line in body.decode().splitlines() if line.strip()]
+        vertices = np.array([row[: len(names)] for row in rows[:points]], float)
+        return vertices[:, :3], [[int(n) for n in row[1:]] for row in rows[points:]]
+    order = "<" if "little" in kind else ">"
+    vertex = np.dtype([(name, order + _PLY_TYPES[type_name]) for type_name, name in names])
+    length, number = re.search(r"property list (\w+) (\w+)", text).groups()  # type: ignore[union-attr]
+    facet = np.dtype([("n", order + _PLY_TYPES[length]), ("of", order + _PLY_TYPES[number], 3)])
+    found = np.frombuffer(body, vertex, points)
+    return (
+        np.column_stack([found[axis] for axis in "xyz"]).astype(float),
+        np.frombuffer(body, facet, count, points * vertex.itemsize)["of"].tolist(),
     )
-)
-
-
-def _ply(data: bytes) -> tuple[Floats, list[Sequence[int]]]:
-    """As `_obj`, of a file in ASCII or binary."""
-    head, _, body = data.partition(b"end_header")
-    body = body[body.index(b"\n") + 1 :]
-    lines = [line.split() for line in head.decode().splitlines()]
-    kind = next(line[1] for line in lines if line[0] == "format")
-    elements: list[tuple[str, int, list[list[str]]]] = []
-    for line in lines:
-        if line[0] == "element":
-            elements.append((line[1], int(line[2]), []))
-        elif line[0] == "property":
-            elements[-1][2].append(line[1:])
-    words = iter(body.split()) if kind == "ascii" else None
-    order, at = "<" if "little" in kind else ">", 0
-
-    def number(type_name: str) -> float:
-        nonlocal at
-        if words is not None:
-            return float(next(words))
-        kind = np.dtype(order + _PLY_TYPES[type_name])
-        at += kind.itemsize
-        return float(np.frombuffer(body, kind, 1, at - kind.itemsize)[0])
-
-    vertices, facets = [], []
-    for name, count, properties in elements:
-        for _ in range(count):
-            row: dict[str, Any] = {}
-            for kind_name, *rest in properties:
-                if kind_name == "list":
-                    row[rest[-1]] = [int(number(rest[1])) for _ in range(int(number(rest[0])))]
-                else:
-                    row[rest[0]] = number(kind_name)
-            if name == "vertex":
-                vertices.append([row[axis] for axis in "xyz"])
-            elif name == "face":
-                numbers = row.get("vertex_indices") or row["vertex_index"]
-                facets += [(numbers[0], *pair) for pair in itertools.pairwise(numbers[1:])]
-    return np.array(vertices), facets
 
 
 # Ours.
 
 
+def _thickness(shape: Properties) -> float:
+    return shape.number("thickness") + shape.number("thickness_offset", 0.0)
+
+
 def _cut(shape: Properties) -> float:
-    """The part of a width that is cut off at the side of low x."""
-    return shape.number("cut", 0.0) if shape.is_filled() else 0.0
+    """Where, from -1 to 1, a bubble ends that begins at the side of low x."""
+    return 2.0 * shape.number("cut", 0.0) * shape.is_filled() - 1.0
 
 
 def _disc_radius(shape: Properties, width: float) -> float:
     """Of the disc that takes a part of a square; 0 where there is none."""
-    share = shape.number("disc") if shape.is_filled() else 0.0
-    return width * math.sqrt(share / math.pi)
+    radius = width * math.sqrt(shape.number("disc") / math.pi) * shape.is_filled()
+    return radius if radius > _NARROWEST * width else 0.0
 
 
 def _panel(shape: Properties, matrix: Floats) -> list[Face]:
     """A rectangle from -1 to 1 of which what lies on one side of a line, or a disc, is left out."""
-    width, depth = (2.0 * float(np.linalg.norm(matrix[:3, i])) for i in (0, 1))
-    keep, trim = shape.text("keep", "beyond"), shape.number("trim", 0.0)
-    (x0, x1), (y0, y1) = (
-        (2.0 * trim / size - 1.0, 1.0 - 2.0 * trim / size) for size in (width, depth)
-    )
+    sizes = np.linalg.norm(matrix[:3, :2], axis=0)
+    keep, trim, middle = shape.text("keep", "beyond"), shape.number("trim", 0.0), matrix[:3, 3]
+    ends = [[trim / size - 1.0, 1.0 - trim / size] for size in sizes]
     if "disc" in shape:
-        radius = _disc_radius(shape, width)
-        u, v = (matrix[:3, i] * 2.0 * radius / width for i in (0, 1))
+        radius = _disc_radius(shape, 2.0 * float(sizes[0]))
+        ways = (matrix[:3, :2] * radius / sizes[0]).T
         if keep == "inside":
-            return [ellipse(matrix[:3, 3], u, v)] if radius > _NARROWEST * width else []
-        whole = polygon(_moved(matrix, _square((x0, x1), (y0, y1))))
-        no_hole = radius <= _NARROWEST * width
-        return [whole if no_hole else with_round_hole(whole, matrix[:3, 3], u, v)]
+            return [ellipse(middle, *ways)] if radius else []
+        whole = polygon(_moved(matrix, _square(*ends)))
+        return [with_round_hole(whole, middle, *ways) if radius else whole]
+    along, line, upper = 0, _cut(shape), keep == "beyond"
     if "level" in shape:
         along = int(np.abs(matrix[2, :2]).argmax())
         rises = float(matrix[2, along])
-        part = min(shape.number("level") / abs(2.0 * rises), 1.0) if shape.is_filled() else 0.0
+        part = min(shape.number("level") / abs(2.0 * rises), 1.0) * shape.is_filled()
         line = (2.0 * part - 1.0) * math.copysign(1.0, rises)
         upper = (keep == "above") == (rises > 0.0)
-    else:
-        along, line, upper = 0, 2.0 * _cut(shape) - 1.0, keep == "beyond"
-    ends = [[x0, x1], [y0, y1]]
     low, high = ends[along]
     ends[along] = [max(low, line), high] if upper else [low, min(high, line)]
-    if ends[along][1] - ends[along][0] <= 2.0 * _NARROWEST:
-        return []
-    return [polygon(_moved(matrix, _square(*map(tuple, ends))))]
+    is_there = ends[along][1] - ends[along][0] > 2.0 * _NARROWEST
+    return [polygon(_moved(matrix, _square(*ends)))] if is_there else []
 
 
 def _regular(sides: int, width: float) -> Floats:
@@ -307,68 +280,49 @@ def _regular(sides: int, width: float) -> Floats:
 
 def _frame(shape: Properties, matrix: Floats) -> list[Face]:
     """A square with a hole: square, oblong, of several sides or round."""
-    outer = shape.number("outer_width")
-    half, sides = outer / 2.0, int(shape.number("sides", 4))
-    start = _cut(shape) * outer - half
+    outer, sides = shape.number("outer_width"), int(shape.number("sides", 4))
+    half, start = outer / 2.0, _cut(shape) * outer / 2.0
     around = _moved(matrix, _square((start, half), (-half, half)))
     if "inner_diameter" in shape:
-        radius = shape.number("inner_diameter") / 2.0
-        ways = radius * matrix[:3, 0], radius * matrix[:3, 1]
+        ways = (matrix[:3, :2] * shape.number("inner_diameter") / 2.0).T
         return [with_round_hole(polygon(around), matrix[:3, 3], *ways)]
     inner = outer - 2.0 * shape.number("rim") if "rim" in shape else shape.number("inner_width")
     if outer - inner <= 2.0 * _NARROWEST * outer or half - start <= _NARROWEST * outer:
         return []
-    deep = shape.number("inner_depth", inner) / 2.0
-    corners = (
-        _regular(sides, inner) if sides != 4 else _square((-inner / 2, inner / 2), (-deep, deep))
-    )
-    return [polygon(around, _moved(matrix, corners))]
-
-
-def _thickness(shape: Properties) -> float:
-    return shape.number("thickness") + shape.number("thickness_offset", 0.0)
+    wide, deep = inner / 2.0, shape.number("inner_depth", inner) / 2.0
+    hole = _regular(sides, inner) if sides != 4 else _square((-wide, wide), (-deep, deep))
+    return [polygon(around, _moved(matrix, hole))]
 
 
 def _gap_sides(shape: Properties, matrix: Floats) -> list[Face]:
-    half = shape.number("width") / 2.0
-    start = (2.0 * _cut(shape) - 1.0) * half
-    if half - start <= 2.0 * _NARROWEST * half:
-        return []
-    top = np.array(_square((start, half), (-half, half)))
-    return [polygon(_moved(matrix, s)) for s in _prism(top - (0.0, 0.0, _thickness(shape)), top)]
+    half, start = shape.number("width") / 2.0, _cut(shape)
+    top = _square((start * half, half), (-half, half))
+    walls = _prism(_up(top, -_thickness(shape)), top) if 1.0 - start > 2.0 * _NARROWEST else []
+    return [polygon(_moved(matrix, wall)) for wall in walls]
 
 
 def _round_wall(shape: Properties, matrix: Floats) -> list[Face]:
-    radius = _disc_radius(shape, shape.number("width"))
-    if radius <= _NARROWEST * shape.number("width"):
-        return []
-    x, y, z = np.eye(3)
-    thickness = _thickness(shape)
-    return [mantle(-thickness * z, radius * x, radius * y, thickness * z).flipped]
+    radius, (x, y, z) = _disc_radius(shape, shape.number("width")), np.eye(3)
+    deep = _thickness(shape) * z
+    return [mantle(-deep, radius * x, radius * y, deep).flipped] if radius else []
 
 
 def _chamfers(shape: Properties, matrix: Floats) -> list[Face]:
     """Hexagons: each takes a leg off both faces at an edge, and ends in points at the corners."""
     width, height, leg = (shape.number(name) for name in ("width", "height", "leg"))
-    half, faces = np.array([width, width, height]) / 2.0, []
-    for along, signs in itertools.product(range(3), itertools.product((-1.0, 1.0), repeat=2)):
-        first, second = (along + 1) % 3, (along + 2) % 3
-        # how far corners lie from the box's on the two faces, and along the edge
-        insets = [(0.0, leg, leg), (0.5 * leg, 0.5 * leg, 0.5 * leg), (leg, 0.0, leg)]
-        corners = []
-        for end, order in ((-1.0, insets), (1.0, insets[::-1])):
-            for one, other, inwards in order:
-                corner = np.zeros(3)
-                corner[[first, second, along]] = (*signs, end)
-                inset = np.zeros(3)
-                inset[[first, second, along]] = one, other, inwards
-                corners.append(corner * (half - inset) + (0.0, 0.0, half[2]))
-        outwards = np.zeros(3)
-        outwards[[first, second]] = signs
-        face = polygon(_moved(matrix, corners)) if leg else None
-        if face is not None and face.plane is not None:
-            wrong = face.plane[:3] @ (matrix[:3, :3] @ outwards) < 0.0
-            faces.append(polygon(_moved(matrix, corners[::-1])) if wrong else face)
+    half, faces = np.array([width, width, height]) / 2.0, list[Face]()
+    # how far corners lie from the box's on the two faces, and along the edge
+    insets = leg * np.array([(0.0, 1.0, 1.0), (0.5, 0.5, 0.5), (1.0, 0.0, 1.0)])
+    signs = tuple(itertools.product((-1.0, 1.0), repeat=2))
+    for along, sign in itertools.product(range(3) if leg else (), signs):
+        axes = [(along + 1) % 3, (along + 2) % 3, along]
+        corners = np.zeros((6, 3))
+        for i, inset in enumerate((*insets, *insets[::-1])):
+            corners[i, axes] = np.array([*sign, 1.0 if i > 2 else -1.0]) * (half[axes] - inset)
+        outwards = corners.mean(axis=0)
+        if np.cross(corners[1] - corners[0], corners[2] - corners[0]) @ outwards < 0.0:
+            corners = corners[::-1]
+        faces.append(polygon(_moved(matrix, _up(corners, half[2]))))
     return faces
 
 
@@ -428,11 +382,10 @@ class Wrapping:
 def _beam_detector(shape: Properties, matrix: Floats) -> list[Face]:
     width, height = shape.number("width"), shape.number("height")
     half, along = np.array([width, width, height]) / 2.0, "xyz".index(shape.text("axis", "x"))
-    corners = np.zeros((4, 3))
+    corners, across = np.zeros((4, 3)), [(along + 1) % 3, (along + 2) % 3]
     corners[:, along] = half[along] + _BEHIND_MM
-    across, up = (along + 1) % 3, (along + 2) % 3
-    corners[:, [across, up]] = half[[across, up]] * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
-    return [polygon(_moved(matrix, corners + (0.0, 0.0, half[2]))).flipped]
+    corners[:, across] = half[across] * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    return [polygon(_moved(matrix, _up(corners, half[2]))).flipped]
 
 
 def _polygon(shape: Properties, matrix: Floats) -> list[Face]:
@@ -444,11 +397,9 @@ def _polygon(shape: Properties, matrix: Floats) -> list[Face]:
 def _prism_sides(shape: Properties, matrix: Floats) -> list[Face]:
     sides, width = int(shape.number("sides", 4)), shape.number("width")
     top_width = shape.number("top_width", width)
-    top = _regular(sides, top_width) + (0.0, 0.0, shape.number("height"))
+    top = _up(_regular(sides, top_width), shape.number("height"))
     walls = _prism(_regular(sides, width), top)
-    if not top_width:
-        walls = [wall[:3] for wall in walls]
-    return [polygon(_moved(matrix, wall)) for wall in walls]
+    return [polygon(_moved(matrix, wall if top_width else wall[:3])) for wall in walls]
 
 
 def _lying(shape: Properties) -> tuple[float, float, float, float]:
@@ -459,34 +410,20 @@ def _lying(shape: Properties) -> tuple[float, float, float, float]:
 
 
 def _lying_mantle(shape: Properties, matrix: Floats) -> list[Face]:
-    radius, half, _, level = _lying(shape)
-    x, y, z = np.eye(3)
+    (radius, half, _, level), (x, y, z) = _lying(shape), np.eye(3)
     whole = mantle(radius * z - half * x, radius * y, radius * z, 2.0 * half * x)
-    is_wet = shape.text("keep") == "wet"
-    edge = half_space(z if is_wet else -z, level * z)
-    return [_bounded(whole, edge)]
-
-
-def _bounded(face: Face, edge: NDArray[np.float64]) -> Face:
-    return Face(
-        face.plane, bounds=(*face.bounds, edge), quadric=face.quadric, circle=1, box=face.box
-    )
+    edge = half_space(z if shape.text("keep") == "wet" else -z, level * z)
+    return [replace(whole, bounds=(*whole.bounds, edge))]
 
 
 def _lying_fillet(shape: Properties, matrix: Floats) -> list[Face]:
     """The sides of what is below a lying cylinder: two walls along it, two ends that it bounds."""
-    radius, half, wet, level = _lying(shape)
-    foot = np.array(_square((-half, half), (-wet, wet))) - (0.0, 0.0, shape.number("thickness"))
-    walls = [polygon(wall) for wall in _prism(foot, foot * (1.0, 1.0, 0.0) + (0.0, 0.0, level))]
-    _, y, z = np.eye(3)
-    return [
-        walls[0],
-        walls[2],
-        *(
-            with_round_hole(end, (place, 0.0, radius), radius * y, radius * z)
-            for end, place in ((walls[1], half), (walls[3], -half))
-        ),
-    ]
+    (radius, half, wet, level), (_, y, z) = _lying(shape), np.eye(3)
+    strip = _square((-half, half), (-wet, wet))
+    walls = [polygon(w) for w in _prism(_up(strip, -shape.number("thickness")), _up(strip, level))]
+    for i, place in ((1, half), (3, -half)):
+        walls[i] = with_round_hole(walls[i], (place, 0.0, radius), radius * y, radius * z)
+    return walls
 
 
 _READERS: dict[str, Callable[[Properties, Floats], list[Face]]] = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,9 +36,9 @@ from mcrim_mitsuba.reference.interface import (
 # Fates; from ABSORBED on, absorption in the volumes by their numbers.
 DETECTED, APERTURE, REFLECTOR, SURFACE, ESCAPED, TRUNCATED, LOST, ABSORBED = range(8)
 _ALIVE = -1
-#: What light meets at a surface. A reflector is diffuse but for its `specular` part.
+#: What light meets at a surface.
 DIELECTRIC, DETECTOR, REFLECTS = range(3)
-#: Forms of faces: a flat one, a round one, and where a round hole is in, or an ellipse all of, it.
+#: Forms of faces.
 FLAT, ROUND = range(2)
 #: The volume that is around everything.
 OUTSIDE = 0
@@ -49,99 +50,38 @@ _BEYOND_MM = 1e-9
 #: How far off its edges, in mm, a face is still met: no light slips through between two.
 _OVERLAP_MM = 1e-10
 
-#: A surface: what the faces of a shape have in common.
-SURFACE_FIELDS = np.dtype(
-    [
-        ("kind", "i8"),
-        ("interior", "i8"),
-        ("exterior", "i8"),
-        # indices behind and in front of it, of a dielectric; of a detector's glass
-        ("n_interior", "f8"),
-        ("n_exterior", "f8"),
-        # the hole of the mask on it (infinite: none), its axis or a detector's, its upper side
-        ("mask_radius", "f8"),
-        ("axis_x", "f8"),
-        ("axis_y", "f8"),
-        ("mask_reflectance", "f8"),
-        # of a reflector, the part of this that mirrors; of a detector diffusely, then as a metal
-        ("reflectance", "f8"),
-        ("specular", "f8"),
-        ("two_sided", "b1"),
-        # of a wrapping: how often light from inside finds no film before it, from which z on;
-        # light from both sides where it is paint
-        ("contact", "f8"),
-        ("contact_z", "f8"),
-        ("paint", "b1"),
-        ("roughness", "f8"),
-        ("beckmann", "b1"),
-        ("heights", "f8"),  # over the wavelength
-        ("surface_loss", "f8"),
-        ("ground_loss", "f8"),
-        # of a detector
-        ("angular_falloff", "f8"),
-        ("radial_falloff", "f8"),  # per mm2
-        ("least_cosine", "f8"),
-        ("film_index", "c16"),
-        ("film_wavelengths", "f8"),  # 0: no film
-    ]
-)
-#: A volume; coefficients per mm.
-VOLUME_FIELDS = np.dtype(
-    [
-        ("scattering", "f8"),
-        ("absorption", "f8"),
-        ("gradient", "f8"),
-        ("low", "f8"),
-        ("high", "f8"),
-        ("rayleigh", "b1"),
-        ("g", "f8"),
-        ("index", "f8"),
-        # of light that is born in it: power of the wavelength, full width of the band over it
-        ("exponent", "f8"),
-        ("bandwidth", "f8"),
-        ("endless", "b1"),
-    ]
-)
-#: Where light is born: evenly within a box as far as it is in a volume, or falling off from one end
-#: of an axis; as a beam along it, on a disc about the middle of the box.
-BIRTH_FIELDS = np.dtype(
-    [
-        ("volume", "i8"),
-        ("x0", "f8"),
-        ("y0", "f8"),
-        ("z0", "f8"),
-        ("x1", "f8"),
-        ("y1", "f8"),
-        ("z1", "f8"),
-        ("axis", "i8"),
-        ("depth", "f8"),  # infinite: evenly
-        ("from_high", "b1"),
-        ("beam_radius", "f8"),  # 0: isotropic light
-    ]
-)
+
+def _fields(whole: str, real: str, others: Sequence[tuple[str, str]] = ()) -> np.dtype:
+    """A row of whole and of real numbers."""
+    numbers = [(name, "i8") for name in whole.split()] + [(name, "f8") for name in real.split()]
+    return np.dtype([*numbers, *others])
 
 
-#: A face, flat or round.
-FACE_FIELDS = np.dtype(
-    [
-        ("form", "i8"),
-        # of flat ones +1 if what lies within the quadric is left, -1 if that is missing, 0: no
-        # matter; of round ones +1 if normals point outwards, else -1
-        ("circle", "i8"),
-        # unit normal and its product with any point of the plane
-        ("x", "f8"),
-        ("y", "f8"),
-        ("z", "f8"),
-        ("level", "f8"),
-        # rows of `Tables.half_spaces`: its bounds begin, then those of its hole, and end
-        ("bounds", "i8"),
-        ("hole", "i8"),
-        ("end", "i8"),
-        # rows of `Tables.surfaces`: its own, and of the wrapping that touches it, or -1
-        ("surface", "i8"),
-        ("wrapping", "i8"),
-    ]
+#: A surface: what the faces of a shape have in common. `n_interior` is a detector's glass, too;
+#: the axis is that of the mask (radius infinite: none) or of a detector; a reflector mirrors its
+#: part `specular` and is diffuse else, a detector first reflects diffusely, then as a metal.
+#: Contact is a wrapping's: how often light from inside, or from both sides of paint, finds no
+#: film, from a z on. Heights are over the wavelength, as a film's thickness (0: none).
+SURFACE_FIELDS = _fields(
+    "kind interior exterior two_sided paint beckmann",
+    "n_interior n_exterior mask_radius axis_x axis_y mask_reflectance reflectance specular "
+    "contact contact_z roughness heights surface_loss ground_loss "
+    "angular_falloff radial_falloff least_cosine film_wavelengths",
+    [("film_index", "c16")],
 )
+#: A volume; coefficients per mm. Of light that is born in it the scattering goes with a power, the
+#: `exponent`, of the wavelength, whose band has a full width over the wavelength.
+VOLUME_FIELDS = _fields(
+    "rayleigh endless", "scattering absorption gradient low high g index exponent bandwidth"
+)
+#: Where light is born: within a box as far as it is in a volume, evenly (depth infinite) or falling
+#: off from one end of an axis; as a beam along it, on a disc before the middle of the box.
+BIRTH_FIELDS = _fields("volume axis from_high", "x0 y0 z0 x1 y1 z1 depth beam_radius")
+#: A face: its unit normal and the product of this with any point of a flat one's plane; the quadric
+#: of a round one, or of a hole (`circle` -1) in a flat one, or of what is left of it (+1); of round
+#: ones +1 if normals point outwards. Rows of `Tables.half_spaces`, of `surfaces`, and of the latter
+#: for the wrapping that touches it, or -1.
+FACE_FIELDS = _fields("form circle bounds hole end surface wrapping", "x y z level")
 
 
 class Tables(NamedTuple):
@@ -436,7 +376,7 @@ def _dielectric(rng, surface, indices, leaving, direction, facing, field, polari
             polarised,
             heights,
             surface["roughness"],
-            surface["beckmann"],
+            surface["beckmann"] > 0,
         )
     else:
         direction, crossed, field = cross(
@@ -544,7 +484,7 @@ def _walk(tables, birth, rng, most_flights, polarised, record):
                 rng, surface, position, direction, facing, field, polarised
             )
         elif surface["kind"] == REFLECTS:
-            if leaving and not surface["two_sided"]:
+            if leaving and surface["two_sided"] == 0:
                 return REFLECTOR
             fate, direction, field = _reflector(rng, surface, direction, facing, field, polarised)
         elif leaving and surface["roughness"] > 0.0 and uniform(rng) < surface["ground_loss"]:
@@ -561,7 +501,7 @@ def _walk(tables, birth, rng, most_flights, polarised, record):
             return fate
         if crossed:
             volume = surface["exterior"] if leaving else surface["interior"]
-        elif medium["endless"]:
+        elif medium["endless"] > 0:
             return ESCAPED  # it is in the liquid for ever
     return TRUNCATED
 
