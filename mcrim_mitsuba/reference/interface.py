@@ -15,11 +15,10 @@ from mcrim_mitsuba.reference.compiling import compiled
 
 # Random numbers: a generator for each photon, so that its numbers depend on nobody else.
 
-_STEP, _FIRST, _SECOND = map(
-    np.uint64, (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
-)
+_STEP = np.uint64(0x9E3779B97F4A7C15)
 _STRIDE = np.uint64(0xD1342543DE82EF95)
-_30, _27, _31, _11 = map(np.uint64, (30, 27, 31, 11))
+_FIRST = np.uint64(0xBF58476D1CE4E5B9)
+_SECOND = np.uint64(0x94D049BB133111EB)
 
 
 @compiled
@@ -28,9 +27,9 @@ def mixed(word):
 
     G. L. Steele, D. Lea and C. H. Flood, OOPSLA 2014.
     """
-    word = (word ^ (word >> _30)) * _FIRST
-    word = (word ^ (word >> _27)) * _SECOND
-    return word ^ (word >> _31)
+    word = (word ^ (word >> np.uint64(30))) * _FIRST
+    word = (word ^ (word >> np.uint64(27))) * _SECOND
+    return word ^ (word >> np.uint64(31))
 
 
 @compiled
@@ -43,7 +42,7 @@ def seed_photon(rng, seed, number):
 def uniform(rng):
     """A number in [0, 1)."""
     rng[0] += _STEP
-    return float(mixed(rng[0]) >> _11) * 2.0**-53
+    return float(mixed(rng[0]) >> np.uint64(11)) * 2.0**-53
 
 
 @compiled

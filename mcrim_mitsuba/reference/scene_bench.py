@@ -13,7 +13,7 @@ import numpy as np
 
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.reference.faces import BenchSurface, FacedBench
-from mcrim_mitsuba.reference.scene_shapes import Properties, Wrapping, faces_of, to_world
+from mcrim_mitsuba.reference.scene_shapes import Properties, WrappedSolid, faces_of, to_world
 from mcrim_mitsuba.reference.walk import DETECTOR, DIELECTRIC, REFLECTS
 from mcrim_mitsuba.scene.check_text import indices_of
 from mcrim_mitsuba.scene.scene_file import SceneFile
@@ -22,7 +22,8 @@ from mcrim_mitsuba.scene.xml_tree import SIDES
 #: Distance from the axis, mm, at which the radial falloff is what is lacking.
 FALLOFF_RADIUS_MM = 14.0
 #: Usual wavelength and width of the light's band, nm.
-_WAVELENGTH_NM, _BANDWIDTH_NM = 540.0, 150.0
+_WAVELENGTH_NM = 540.0
+_BANDWIDTH_NM = 150.0
 # The photocathode K-Cs-Sb: wavelengths in nm, and n and k of its index n + ik. D. Motta and
 # S. Schönert, Nucl. Instrum. Meth. A 539 (2005) 217, as tabulated in WCSim
 # (data/CathodeParameters_KCsCb.txt); 420 and 540 nm are this project's.
@@ -50,7 +51,7 @@ def read_bench(file: SceneFile) -> FacedBench:
 
     Raises InputError, which names the part, if the tracer does not know what the scene has.
     """
-    surfaces, wrappings = list[BenchSurface](), dict[str, Wrapping]()
+    surfaces, wrappings = list[BenchSurface](), dict[str, WrappedSolid]()
     for number, node in enumerate(file.parts.shapes):
         shape, name = Properties(file, node), node.get("id") or f"shape {number}"
         sides = [file.parts.medium(node, side) for side in SIDES]
@@ -61,14 +62,13 @@ def read_bench(file: SceneFile) -> FacedBench:
         if (indices := indices_of(file, node)) is not None:
             optics |= dict(zip(("n_interior", "n_exterior"), indices, strict=True))
         if node.type == "wrapping":
-            wrapping = wrappings[name] = Wrapping(shape, to_world(shape))
+            wrapping = wrappings[name] = WrappedSolid(shape, to_world(shape))
             contact = shape.number("contact", 0.0) if wrapping.film else 1.0
             optics |= {"specular": shape.number("specular", 0.0), "contact": contact}
             optics |= {"contact_z": wrapping.begin, "paint": wrapping.film == 0.0}
         faces = faces_of(shape)
         if faces or node.type == "wrapping":
-            media = ("" if side is None else side.get("id", "") for side in sides)
-            interior, exterior = media
+            interior, exterior = ("" if s is None else s.get("id", "") for s in sides)
             surface = BenchSurface(
                 name=name, faces=faces, interior=interior, exterior=exterior, optics=optics
             )
@@ -93,7 +93,7 @@ def read_bench(file: SceneFile) -> FacedBench:
 
 
 def _touched(
-    surface: BenchSurface, surfaces: list[BenchSurface], wrappings: Mapping[str, Wrapping]
+    surface: BenchSurface, surfaces: list[BenchSurface], wrappings: Mapping[str, WrappedSolid]
 ) -> BenchSurface:
     """A dielectric with its faces told which wrapping touches them."""
     for other in surfaces if surface.optics["kind"] == DIELECTRIC else ():

@@ -117,7 +117,7 @@ def _step(shape: Properties, part: Node) -> Floats:
         size = math.isqrt(len(written))
         matrix[:size, :size] = np.reshape(written, (size, size))
     else:
-        raise shape.refusal(f"<{part.tag}> of a transform")
+        raise shape.refusal(f"<{part.tag!s}> of a transform")
     return matrix
 
 
@@ -326,7 +326,7 @@ def _chamfers(shape: Properties, matrix: Floats) -> list[Face]:
     return faces
 
 
-class Wrapping:
+class WrappedSolid:
     """What is around a box, prism or cylinder: walls and a lid behind a film, or paint."""
 
     def __init__(self, shape: Properties, matrix: Floats) -> None:
@@ -439,7 +439,7 @@ _READERS: dict[str, Callable[[Properties, Floats], list[Face]]] = {
     "gap_sides": _gap_sides,
     "round_wall": _round_wall,
     "chamfers": _chamfers,
-    "wrapping": lambda shape, matrix: Wrapping(shape, matrix).faces(),
+    "wrapping": lambda shape, matrix: WrappedSolid(shape, matrix).faces(),
     "beam_detector": _beam_detector,
     "polygon": _polygon,
     "prism_sides": _prism_sides,

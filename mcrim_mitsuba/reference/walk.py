@@ -34,16 +34,32 @@ from mcrim_mitsuba.reference.interface import (
 )
 
 # Fates; from ABSORBED on, absorption in the volumes by their numbers.
-DETECTED, APERTURE, REFLECTOR, SURFACE, ESCAPED, TRUNCATED, LOST, ABSORBED = range(8)
+DETECTED = 0
+APERTURE = 1
+REFLECTOR = 2
+SURFACE = 3
+ESCAPED = 4
+TRUNCATED = 5
+LOST = 6
+ABSORBED = 7
 _ALIVE = -1
 #: What light meets at a surface.
-DIELECTRIC, DETECTOR, REFLECTS = range(3)
+DIELECTRIC = 0
+DETECTOR = 1
+REFLECTS = 2
 #: Forms of faces.
-FLAT, ROUND = range(2)
+FLAT = 0
+ROUND = 1
 #: The volume that is around everything.
 OUTSIDE = 0
 #: Columns of `follow`'s records, one row a photon; lengths in mm.
-SCATTERINGS, PATH, SCATTERING_PATH, MASK_RADIUS, COSINE, RADIUS, PLACE = range(7)
+SCATTERINGS = 0
+PATH = 1
+SCATTERING_PATH = 2
+MASK_RADIUS = 3
+COSINE = 4
+RADIUS = 5
+PLACE = 6
 RECORDED = 7
 #: How far, in mm, rounding may put light beyond a face that it has not met yet.
 _BEYOND_MM = 1e-9

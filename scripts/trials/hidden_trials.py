@@ -118,7 +118,7 @@ FURTHER_PHOTONS = 6_000_000
 
 
 class HiddenEffect(NamedTuple):
-    """A parameter of the bench, or the own name of an effect of the readings; sizes it is hidden with."""
+    """A parameter of the bench, or an effect of the readings; sizes it is hidden with."""
 
     parameter: str
     sizes: tuple[float | bool, ...]
