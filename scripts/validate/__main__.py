@@ -57,7 +57,7 @@ PHASE = "its polarisation leaves out the phase of total reflection: another mode
     type=options.Precision(),
     default="0.2%",
     show_default=True,
-    help="Of eta in the NumPy tracer and in Geant4.",
+    help="Of eta in the independent tracer and in Geant4.",
 )
 @options.seed
 @click.option(
@@ -93,7 +93,7 @@ PHASE = "its polarisation leaves out the phase of total reflection: another mode
 @click.option("--log", metavar="FILE", help="Append the progress to this file.")
 @options.json_output
 def main(precision, seed, processes, page, only, units_file, log, json_file) -> int:
-    """Compare Mitsuba with closed forms, the solver without photons, the NumPy tracer and Geant4.
+    """Compare Mitsuba with closed forms, the solver without photons, the independent tracer and Geant4.
 
     Geant4 is left out where it is not installed.
     """
