@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib
+import os
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -22,7 +23,10 @@ with contextlib.suppress(ImportError):
         _sources = [path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))]
         _named = hashlib.sha256(b"".join(_sources)).hexdigest()[:16]
         _cache = platformdirs.user_cache_path("mcrim_mitsuba", appauthor=False)
-        numba.config.CACHE_DIR = str(_cache / "numba" / _named)
+        _folder = _cache / "numba" / _named
+        with contextlib.suppress(OSError):  # where nothing can be kept, each process compiles
+            _folder.mkdir(parents=True, exist_ok=True)
+            numba.config.CACHE_DIR = str(_folder) if os.access(_folder, os.W_OK) else ""
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -30,8 +34,8 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     if numba is None:
         return function
     # without counted references, which would cost half of the time: none makes arrays
-    options = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
-    compile_it: Callable[..., Any] = numba.njit(**options)
+    options = {"nogil": True, "error_model": "numpy", "_nrt": False}
+    compile_it: Callable[..., Any] = numba.njit(cache=bool(numba.config.CACHE_DIR), **options)
     return compile_it(function)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from mcrim_mitsuba.core.numbers import MM_PER_CM
 from mcrim_mitsuba.reference.faces import BenchSurface, FacedBench
 from mcrim_mitsuba.reference.scene_shapes import Properties, WrappedSolid, faces_of, to_world
-from mcrim_mitsuba.reference.walk import DETECTOR, DIELECTRIC, REFLECTS
+from mcrim_mitsuba.reference.walk import DETECTOR, DIELECTRIC, METAL, REFLECTS
 from mcrim_mitsuba.scene.check_text import indices_of
 from mcrim_mitsuba.scene.scene_file import SceneFile
 from mcrim_mitsuba.scene.xml_tree import SIDES
@@ -125,7 +125,7 @@ def _optics(bsdf: Properties) -> Optics:
         return {"kind": REFLECTS, "reflectance": bsdf.number("reflectance", 0.5)}
     if kind == "conductor" and bsdf.text("material") == "none":
         part = bsdf.number("specular_reflectance", 1.0)
-        return {"kind": REFLECTS, "reflectance": part, "specular": 1.0}
+        return {"kind": METAL, "reflectance": part, "specular": 1.0}
     raise bsdf.refusal(f"what wears a bsdf of type {kind}, or not as here")
 
 

@@ -47,6 +47,7 @@ _ALIVE = -1
 DIELECTRIC = 0
 DETECTOR = 1
 REFLECTS = 2
+METAL = 3
 #: Forms of faces.
 FLAT = 0
 ROUND = 1
@@ -328,7 +329,7 @@ def _reflector(rng, surface, direction, facing, field, polarised):
     """Reflect light, which comes from where `facing` points to, or absorb it."""
     choice = uniform(rng)
     if choice >= surface["reflectance"]:
-        return REFLECTOR, direction, field
+        return SURFACE if surface["kind"] == METAL else REFLECTOR, direction, field
     if choice < surface["reflectance"] * surface["specular"]:
         way = unit(plus(direction, -2.0 * dot(direction, facing), facing))
         if polarised:
@@ -499,7 +500,7 @@ def _walk(tables, birth, rng, most_flights, polarised, record):
             fate, direction, field = _detector(
                 rng, surface, position, direction, facing, field, polarised
             )
-        elif surface["kind"] == REFLECTS:
+        elif surface["kind"] >= REFLECTS:
             if leaving and surface["two_sided"] == 0:
                 return REFLECTOR
             fate, direction, field = _reflector(rng, surface, direction, facing, field, polarised)
