@@ -102,15 +102,12 @@ unpolarised_reflectance = np.vectorize(
 
 
 @compiled
-def _cross(rng, way, axis, n_in, n_out, field, polarised, heights, alpha, beckmann, through):
+def _cross(rng, way, axis, n_in, n_out, field, heights, alpha, beckmann, through):
     for i in range(way.shape[1]):
         d, n, e = _vector(way, i), _vector(axis, i), _vector(field, i)
-        if alpha > 0.0:
-            d, through[i], e = interface.cross_rough(
-                rng, d, n, n_in, n_out, e, polarised, heights, alpha, beckmann
-            )
-        else:
-            d, through[i], e = interface.cross(rng, d, n, n_in, n_out, e, polarised, heights)
+        d, through[i], e = interface.cross_rough(
+            rng, d, n, n_in, n_out, e, heights, alpha, beckmann
+        )
         _put(way, i, d)
         _put(field, i, e)
 
@@ -120,7 +117,7 @@ def cross(rng, direction, normal, n_in, n_out, field=None, heights=0.0, alpha=0.
     way, through = np.array(direction, float, order="C"), np.empty(direction.shape[1], bool)
     fields = np.zeros(way.shape, complex) if field is None else np.array(field, complex, order="C")
     axis, indices = np.ascontiguousarray(normal), (float(n_in), float(n_out))
-    light = fields, field is not None, float(heights), float(alpha), beckmann
+    light = fields, float(heights), float(alpha), beckmann
     _cross(state(rng), way, axis, *indices, *light, through)
     return way, through, None if field is None else fields
 
@@ -197,11 +194,10 @@ def inside(bench, volume, position):
 
 
 @compiled
-def _detections(rng, surface, direction, field, polarised, fates):
+def _detections(rng, surface, direction, field, fates):
     for i in range(len(fates)):
         way, light = _vector(direction, i), _vector(field, i)
-        facing, place = (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
-        fates[i], way, light = walk._detector(rng, surface[0], place, way, facing, light, polarised)
+        fates[i], way, light = walk._detector(rng, surface[0], 0.0, way, (0.0, 0.0, 1.0), light)
         _put(direction, i, way)
         _put(field, i, light)
 
@@ -211,5 +207,5 @@ def detections(rng, bench, direction, field=None):
     surface = bench.tables()[0].surfaces[[next(iter(bench.detectors))]]
     way, fates = np.array(direction, float, order="C"), np.empty(direction.shape[1], int)
     light = np.zeros(way.shape, complex) if field is None else np.array(field, complex, order="C")
-    _detections(state(rng), surface, way, light, field is not None, fates)
+    _detections(state(rng), surface, way, light, fates)
     return fates, way, light

@@ -1,7 +1,8 @@
 """Random numbers, directions, and what becomes of one photon at an interface, compiled.
 
 Vectors are tuples of three; a photon's polarisation is its complex electric field, a unit vector
-across its direction of flight. `rng` is the state of a photon's own generator, one uint64.
+across its direction of flight, or 0 where it is not followed. `rng` is the state of a photon's own
+generator, one uint64.
 """
 
 from __future__ import annotations
@@ -146,6 +147,18 @@ def random_polarisation(rng, direction):
 
 
 @compiled
+def followed(field):
+    """Whether a photon's polarisation is followed."""
+    return field[0] != 0.0 or field[1] != 0.0 or field[2] != 0.0
+
+
+@compiled
+def depolarised(rng, field, direction):
+    """The field of a photon that has a new direction and nothing left of its old field."""
+    return random_polarisation(rng, direction) if followed(field) else field
+
+
+@compiled
 def scattered_cosine(rng, rayleigh, g):
     """Cosine of the angle of a scattering, by Rayleigh's phase function or one of mean cosine g.
 
@@ -224,7 +237,7 @@ def field_of(field_s, field_p, s, direction):
 
 
 @compiled
-def cross(rng, direction, axis, n_in, n_out, field, polarised, heights):
+def cross(rng, direction, axis, n_in, n_out, field, heights):
     """Send a photon through an interface: its direction, whether it is transmitted, its field.
 
     It flies along a unit vector, and the unit normal `axis` points ahead; indices are those before
@@ -232,7 +245,7 @@ def cross(rng, direction, axis, n_in, n_out, field, polarised, heights):
     """
     cos_in = min(1.0, dot(direction, axis))
     cos_out = math.sqrt(max(0.0, cosine_squared_out(cos_in, n_in, n_out)))
-    s = axis
+    s, polarised = axis, followed(field)
     field_s, field_p, through_s, through_p = 0j, 0j, 0j, 0j
     if polarised:
         s = across_incidence(direction, axis)
@@ -254,8 +267,7 @@ def cross(rng, direction, axis, n_in, n_out, field, polarised, heights):
         field = field_of(field_s, field_p, s, way)
     if heights > 0.0 and uniform(rng) < haze(cos_in, n_in, n_out, transmitted, heights)[1]:
         way = hazy_direction(rng, axis, n_in, n_out, transmitted, heights)
-        if polarised:
-            field = random_polarisation(rng, way)
+        field = depolarised(rng, field, way)
     return way, transmitted, field
 
 
@@ -301,15 +313,17 @@ _TINY = 1e-100
 
 
 @compiled
-def cross_rough(rng, direction, axis, n_in, n_out, field, polarised, heights, alpha, beckmann):
-    """Send a photon through a rough interface; what it takes and gives is as of `cross`.
+def cross_rough(rng, direction, axis, n_in, n_out, field, heights, alpha, beckmann):
+    """Send a photon through an interface that may be rough; the rest is as of `cross`.
 
     The random walk of E. Heitz et al., ACM Transactions on Graphics 35 (2016) 58, in Smith's field
     of heights: a photon meets a facet, drawn by the area that it sees, Fresnel's formulae decide
     there, and it flies on, until it is above or below all. Behind the interface it walks in the
     heights turned upside down. Nothing is lost, and isotropic light in equilibrium stays so.
-    ``alpha``, above 0, is that of GGX slopes or, with ``beckmann``, of Beckmann's.
+    ``alpha`` is that of GGX slopes or, with ``beckmann``, of Beckmann's.
     """
+    if alpha == 0.0:
+        return cross(rng, direction, axis, n_in, n_out, field, heights)
     up, transmitted = times(-1.0, axis), False
     # logarithm of the share of the face that is lower than the photon; it comes from above
     level = 0.0
@@ -321,9 +335,7 @@ def cross_rough(rng, direction, axis, n_in, n_out, field, polarised, heights, al
             return direction, transmitted, field
         facet = _visible_normal(rng, times(-1.0, direction), up, alpha, beckmann)
         ahead = times(-1.0, facet)
-        direction, through, field = cross(
-            rng, direction, ahead, n_in, n_out, field, polarised, heights
-        )
+        direction, through, field = cross(rng, direction, ahead, n_in, n_out, field, heights)
         if through:
             transmitted, up = not transmitted, times(-1.0, up)
             # a share of 0 would be a bottom that nothing leaves

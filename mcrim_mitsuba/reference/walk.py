@@ -13,12 +13,13 @@ from mcrim_mitsuba.reference.compiling import compiled
 from mcrim_mitsuba.reference.interface import (
     about,
     across_incidence,
-    cross,
     cross_rough,
+    depolarised,
     dot,
     exponential,
     field_of,
     film_waves,
+    followed,
     isotropic,
     lambertian,
     normal,
@@ -325,82 +326,48 @@ def _strength_at(volume, position):
 
 
 @compiled
-def _reflector(rng, surface, direction, facing, field, polarised):
+def _reflector(rng, surface, direction, facing, field):
     """Reflect light, which comes from where `facing` points to, or absorb it."""
     choice = uniform(rng)
     if choice >= surface["reflectance"]:
         return SURFACE if surface["kind"] == METAL else REFLECTOR, direction, field
     if choice < surface["reflectance"] * surface["specular"]:
         way = unit(plus(direction, -2.0 * dot(direction, facing), facing))
-        if polarised:
-            # as a metal does
-            field = plus(times(-1.0 + 0j, field), 2.0 * dot(field, facing), facing)
-        return _ALIVE, way, field
+        # as a perfect metal does
+        return _ALIVE, way, plus(times(-1.0 + 0j, field), 2.0 * dot(field, facing), facing)
     way = lambertian(rng, facing)
-    return _ALIVE, way, random_polarisation(rng, way) if polarised else field
+    return _ALIVE, way, depolarised(rng, field, way)
 
 
 @compiled
-def _detector(rng, surface, position, direction, facing, field, polarised):
+def _detector(rng, surface, radius, direction, facing, field):
     """Send light back, diffusely, then as a mirror, or refuse it, or detect it."""
     if uniform(rng) < surface["reflectance"]:
         way = lambertian(rng, facing)
-        return _ALIVE, way, random_polarisation(rng, way) if polarised else field
+        return _ALIVE, way, depolarised(rng, field, way)
     cosine = min(1.0, max(1e-9, -dot(direction, facing)))
+    # a perfect metal, unpolarised light
     r_s, r_p, t_s, t_p = -1.0 + 0j, 1.0 + 0j, 0.0, 0.0
-    mirror = surface["specular"]
     e_s, e_p, s = complex(math.sqrt(0.5)), complex(math.sqrt(0.5)), facing
-    if polarised:
+    if followed(field):
         s = across_incidence(direction, facing)
         e_s, e_p = dot(field, s), dot(field, vector_product(s, direction))
-    lost = 0.0
+    mirror, lost = surface["specular"], 0.0
     if surface["film_wavelengths"] > 0.0:
-        r_s, r_p, t_s, t_p = film_waves(
-            surface["film_index"], surface["n_interior"], surface["film_wavelengths"], cosine
-        )
+        film = surface["film_index"], surface["n_interior"], surface["film_wavelengths"]
+        r_s, r_p, t_s, t_p = film_waves(film[0], film[1], film[2], cosine)
         mirror = square(r_s * e_s) + square(r_p * e_p)
         lost = square(e_s) * t_s + square(e_p) * t_p
     choice = uniform(rng)
     if choice < mirror:
         way = unit(plus(direction, 2.0 * cosine, facing))
-        return _ALIVE, way, field_of(r_s * e_s, r_p * e_p, s, way) if polarised else field
+        return _ALIVE, way, field_of(r_s * e_s, r_p * e_p, s, way) if followed(field) else field
     if choice < mirror + lost or cosine < surface["least_cosine"]:
         return SURFACE, direction, field
     falloff = surface["angular_falloff"]
-    by_angle = min(1.0, max(0.0, (1.0 - falloff * (1.0 - cosine)) / (1.0 - min(falloff, 0.0))))
-    x, y = position[0] - surface["axis_x"], position[1] - surface["axis_y"]
-    by_radius = max(0.0, 1.0 - surface["radial_falloff"] * (x * x + y * y))
-    return (
-        DETECTED if uniform(rng) < by_angle * by_radius else SURFACE,
-        direction,
-        field,
-    )
-
-
-@compiled
-def _dielectric(rng, surface, indices, leaving, direction, facing, field, polarised):
-    """Reflect or refract light; some is lost."""
-    n_in, n_out = indices
-    ahead, heights = times(-1.0, facing), surface["heights"]
-    if surface["roughness"] > 0.0:
-        direction, crossed, field = cross_rough(
-            rng,
-            direction,
-            ahead,
-            n_in,
-            n_out,
-            field,
-            polarised,
-            heights,
-            surface["roughness"],
-            surface["beckmann"] > 0,
-        )
-    else:
-        direction, crossed, field = cross(
-            rng, direction, ahead, n_in, n_out, field, polarised, heights
-        )
-    lost = leaving and not crossed and uniform(rng) < surface["surface_loss"]
-    return SURFACE if lost else _ALIVE, direction, field, crossed
+    accepted = min(1.0, max(0.0, (1.0 - falloff * (1.0 - cosine)) / (1.0 - min(falloff, 0.0))))
+    accepted *= max(0.0, 1.0 - surface["radial_falloff"] * radius * radius)
+    return DETECTED if uniform(rng) < accepted else SURFACE, direction, field
 
 
 @compiled
@@ -437,9 +404,8 @@ def _indices(tables, surface, volume, leaving):
 def _walk(tables, birth, rng, most_flights, polarised, record):
     """Follow a photon to its fate; what it went through is written into a row of records."""
     position, direction = _birth(tables, birth, rng)
-    crystal = birth["volume"]
+    crystal, field = birth["volume"], (0j, 0j, 0j)
     volume = crystal if birth["beam_radius"] == 0.0 else OUTSIDE
-    field = (0j, 0j, 0j)
     if polarised:
         field = random_polarisation(rng, direction)
     strength = _strength_of_birth(tables.volumes[crystal], rng)
@@ -452,7 +418,7 @@ def _walk(tables, birth, rng, most_flights, polarised, record):
         most = scattering * (1.0 + abs(medium["gradient"])) + medium["absorption"]
         free_path = exponential(rng) / most if most > 0.0 else math.inf
         if free_path == math.inf and face < 0:
-            return ESCAPED if volume == OUTSIDE or medium["endless"] else LOST
+            return ESCAPED if volume == OUTSIDE or medium["endless"] > 0 else LOST
         flight = min(free_path, distance)
         if volume == crystal:
             middle = _strength_at(medium, plus(position, 0.5 * flight, direction))
@@ -467,53 +433,52 @@ def _walk(tables, birth, rng, most_flights, polarised, record):
             if choice < scattering * _strength_at(medium, position):
                 flights += 1
                 record[SCATTERINGS] += volume == crystal
-                cosine = scattered_cosine(rng, medium["rayleigh"], medium["g"])
+                cosine = scattered_cosine(rng, medium["rayleigh"] > 0, medium["g"])
                 direction = about(rng, direction, cosine)
-                if polarised:
-                    field = random_polarisation(rng, direction)
-                last = -1
+                field, last = depolarised(rng, field, direction), -1
             continue
         flights += 1
         number, last = tables.faces[face]["surface"], face
         surface, axis = tables.surfaces[number], _normal(tables, face, position)
-        leaving = dot(direction, axis) > 0.0
+        leaving, fate, crossed = dot(direction, axis) > 0.0, _ALIVE, False
         facing = times(-1.0, axis) if leaving else axis
-        fate, crossed = _ALIVE, False
-        x, y = position[0] - surface["axis_x"], position[1] - surface["axis_y"]
-        radius = math.hypot(x, y)
+        radius = math.hypot(position[0] - surface["axis_x"], position[1] - surface["axis_y"])
         if surface["mask_radius"] < math.inf:
             record[MASK_RADIUS] = max(record[MASK_RADIUS], radius)
         if radius > surface["mask_radius"]:
             if direction[2] >= 0.0 or uniform(rng) >= surface["mask_reflectance"]:
                 return APERTURE
             direction = lambertian(rng, facing)
-            if polarised:
-                field = random_polarisation(rng, direction)
+            field = depolarised(rng, field, direction)
         elif surface["kind"] == DETECTOR:
-            record[COSINE], record[PLACE] = abs(dot(direction, axis)), number
-            record[RADIUS] = radius
+            record[COSINE], record[PLACE], record[RADIUS] = (
+                abs(dot(direction, axis)),
+                number,
+                radius,
+            )
             if birth["beam_radius"] > 0.0:
                 low, high = _box(birth)
-                away = plus(position, -0.5, plus(low, 1.0, high))
-                away = _with(away, birth["axis"], 0.0)
+                away = _with(plus(position, -0.5, plus(low, 1.0, high)), birth["axis"], 0.0)
                 record[RADIUS] = math.sqrt(dot(away, away))
-            fate, direction, field = _detector(
-                rng, surface, position, direction, facing, field, polarised
-            )
+            fate, direction, field = _detector(rng, surface, radius, direction, facing, field)
         elif surface["kind"] >= REFLECTS:
             if leaving and surface["two_sided"] == 0:
                 return REFLECTOR
-            fate, direction, field = _reflector(rng, surface, direction, facing, field, polarised)
+            fate, direction, field = _reflector(rng, surface, direction, facing, field)
         elif leaving and surface["roughness"] > 0.0 and uniform(rng) < surface["ground_loss"]:
             return SURFACE
         elif _touches(rng, tables, face, position, leaving):
             wrapping = tables.surfaces[tables.faces[face]["wrapping"]]
-            fate, direction, field = _reflector(rng, wrapping, direction, facing, field, polarised)
+            fate, direction, field = _reflector(rng, wrapping, direction, facing, field)
         else:
-            indices = _indices(tables, surface, volume, leaving)
-            fate, direction, field, crossed = _dielectric(
-                rng, surface, indices, leaving, direction, facing, field, polarised
+            n_in, n_out = _indices(tables, surface, volume, leaving)
+            ahead, slopes = times(-1.0, facing), surface["beckmann"] > 0
+            heights, alpha = surface["heights"], surface["roughness"]
+            direction, crossed, field = cross_rough(
+                rng, direction, ahead, n_in, n_out, field, heights, alpha, slopes
             )
+            if leaving and not crossed and uniform(rng) < surface["surface_loss"]:
+                return SURFACE
         if fate != _ALIVE:
             return fate
         if crossed:

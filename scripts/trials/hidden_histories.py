@@ -1,4 +1,4 @@
-"""Photon histories of the independent tracer on what a laboratory can mount, with effects in the bench.
+"""Photon histories of the independent tracer on what a laboratory can mount, with effects.
 
 Every mounting (liquid, crystal, gap) of a case is traced once, with a mask that leaves the whole
 plate free and at a few scattering coefficients; the histories are then weighted to any coefficients

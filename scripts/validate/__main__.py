@@ -93,7 +93,7 @@ PHASE = "its polarisation leaves out the phase of total reflection: another mode
 @click.option("--log", metavar="FILE", help="Append the progress to this file.")
 @options.json_output
 def main(precision, seed, processes, page, only, units_file, log, json_file) -> int:
-    """Compare Mitsuba with closed forms, the solver without photons, the independent tracer and Geant4.
+    """Compare Mitsuba with closed forms, the noise-free solver, the independent tracer and Geant4.
 
     Geant4 is left out where it is not installed.
     """
