@@ -41,7 +41,7 @@ class Face:
     bounds: Sequence[HalfSpace] = ()
     #: What is missing is where all of these hold.
     hole: Sequence[HalfSpace] = ()
-    #: (3, 4): A and c of |A (x - c)| = 1, columns first.
+    #: (3, 4): A and c of ``|A (x - c)| = 1``, columns first.
     quadric: Floats | None = None
     #: Of a flat face +1 if it is what lies within the quadric, -1 if it is what lies around; of
     #: a round one +1 if its front is outside.

@@ -123,7 +123,7 @@ class TracerResult(FateCounts):
     The fates: detected, absorbed_aperture, absorbed_reflector, absorbed_surface (losses at the
     crystal's faces and what the detector refuses), escaped, truncated (still on their way after
     the largest number of flights), lost (numerically astray: an error of ours if it is not 0) and
-    absorbed_ with the name of each volume.
+    ``absorbed_`` with the name of each volume.
     """
 
     #: None unless asked for. Results are compared without them.

@@ -107,7 +107,7 @@ class Tables(NamedTuple):
 
     #: (faces,) of `FACE_FIELDS`.
     faces: NDArray
-    #: (faces, 12): A, row by row, and c of the quadric |A (x - c)| = 1.
+    #: (faces, 12): A, row by row, and c of the quadric ``|A (x - c)| = 1``.
     quadrics: NDArray[np.float64]
     #: (half spaces, 4): unit vector u and number m; a face is where u . x <= m of all its bounds,
     #: but not where that is so of all that its hole has.
