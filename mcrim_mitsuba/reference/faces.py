@@ -174,7 +174,9 @@ class FacedBench:
     @property
     def head_on(self) -> float:
         """Part that the detectors, all alike, detect of head-on light; they were calibrated so."""
-        detector = self.surfaces[next(iter(self.detectors))].optics
+        if not self.detectors:
+            return 1.0
+        detector = self.surfaces[min(self.detectors)].optics
         part = 1.0 / (1.0 - min(0.0, float(detector.get("angular_falloff", 0.0).real)))
         if wavelengths := detector.get("film_wavelengths", 0.0):
             index, glass = complex(detector["film_index"]), detector["n_interior"]

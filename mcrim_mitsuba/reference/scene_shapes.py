@@ -32,8 +32,9 @@ from mcrim_mitsuba.scene.xml_tree import Node
 
 #: What is narrower than this part of the whole is not there.
 _NARROWEST = 1e-6
-#: Distance, mm, of a beam's detector behind the crystal.
+#: Distance, mm, of a beam's detector behind the crystal; at least this part of the crystal's size.
 _BEHIND_MM = 0.005
+_BEHIND_PART = 2.5e-4
 
 
 class Properties:
@@ -383,7 +384,7 @@ def _beam_detector(shape: Properties, matrix: Floats) -> list[Face]:
     width, height = shape.number("width"), shape.number("height")
     half, along = np.array([width, width, height]) / 2.0, "xyz".index(shape.text("axis", "x"))
     corners, across = np.zeros((4, 3)), [(along + 1) % 3, (along + 2) % 3]
-    corners[:, along] = half[along] + _BEHIND_MM
+    corners[:, along] = half[along] + max(_BEHIND_MM, _BEHIND_PART * max(width, height))
     corners[:, across] = half[across] * [(-1, -1), (1, -1), (1, 1), (-1, 1)]
     return [polygon(_moved(matrix, _up(corners, half[2]))).flipped]
 
