@@ -64,7 +64,7 @@ class KnownCrystal:
 
         Unless it is `assumed`, nothing is known of an emission that has no spectrum.
         """
-        asked = not (name is emission is wavelength_nm is None)
+        asked = any(given is not None for given in (name, emission, wavelength_nm))
         name = name or material_of(campaign)
         if name is None:
             reason = "nothing tells what the crystal is made of: give --material, such as CaMoO4"
