@@ -144,9 +144,9 @@ def unmodelled() -> Iterator[str]:
 def parts() -> Iterator[str]:
     """Every plugin of a kind with its attributes, as its class explains them."""
     use_variant()
-    from mcrim_mitsuba.transport.plugins import bsdfs, light, shapes, solids
+    from mcrim_mitsuba.transport.plugins import bsdfs, light, shapes, solids, wrapping
 
-    for module in (light, bsdfs, shapes, solids):
+    for module in (light, bsdfs, shapes, solids, wrapping):
         for plugin in dict.fromkeys(filter(inspect.isclass, vars(module).values())):
             if plugin.__module__ == module.__name__ and "XML:" in (plugin.__doc__ or ""):
                 yield from _part(plugin)

@@ -135,6 +135,8 @@ IN_AIR = "in air"
 IN_WINDOW = "inside the window"
 COLLECTION = "collection_efficiency"
 COLLECTION_SIGMA = "collection_efficiency_sigma"
+CROSSTALK = "crosstalk"
+AFTERPULSING = "afterpulsing"
 #: Of ``[light_yield]``, of the detector.
 DETECTOR: Entries = {
     EFFICIENCY_OF: {
@@ -144,6 +146,18 @@ DETECTOR: Entries = {
     },
     COLLECTION: _number("Part of photoelectrons that is counted", exclusiveMinimum=0, maximum=1),
     COLLECTION_SIGMA: _number("Standard error of the collection efficiency", minimum=0),
+    CROSSTALK: _number(
+        "Of a silicon photomultiplier: probability that a cell fires others at once",
+        minimum=0,
+        exclusiveMaximum=0.6,
+    ),
+    f"{CROSSTALK}_sigma": _number("Its standard error", minimum=0),
+    AFTERPULSING: _number(
+        "Mean number of afterpulses of a cell that fired, within the integration",
+        minimum=0,
+        exclusiveMaximum=1,
+    ),
+    f"{AFTERPULSING}_sigma": _number("Its standard error", minimum=0),
 }
 #: Of ``[light_yield]`` of a campaign with samples.
 SHARED: Entries = {
@@ -292,6 +306,10 @@ _BEYOND = {
     "detector_efficiency_sigma": ("is negative", "give the standard error of detector_efficiency"),
     COLLECTION: ("is not above 0 and at most 1", "give a fraction: 0.9 for 90 %"),
     COLLECTION_SIGMA: ("is negative", "give the standard error of collection_efficiency"),
+    CROSSTALK: ("is not from 0 to 0.6", "give a probability: 0.05 for 5 %"),
+    f"{CROSSTALK}_sigma": ("is negative", "give the standard error of crosstalk"),
+    AFTERPULSING: ("is not from 0 to 1", "give a fraction: 0.02 for 2 %"),
+    f"{AFTERPULSING}_sigma": ("is negative", "give the standard error of afterpulsing"),
     "quantum_efficiency_scale_sigma": (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),
     NEXT_SIGMA: (_BETWEEN, "it is a relative error: write 0.007 for 0.7 %"),
     SHARED_SIGMA: (_BETWEEN, "it is a relative error: write 0.05 for 5 %"),

@@ -14,6 +14,7 @@ from mcrim_mitsuba.core.errors import InputError, did_you_mean, said_by
 from mcrim_mitsuba.core.numbers import Value, parse_number, unit_of, value_text
 from mcrim_mitsuba.core.toml_document import TomlDocument, TomlTable
 from mcrim_mitsuba.effects.effect import Effect
+from mcrim_mitsuba.laboratory.light_yield import fired_cells
 from mcrim_mitsuba.optics.fresnel import reflectance
 from mcrim_mitsuba.optics.materials import material
 from mcrim_mitsuba.scene.editor import SceneEditor
@@ -206,7 +207,7 @@ class LightYieldInput:
     #: Energy deposited per event.
     energy_keV: float
     #: Emission-weighted efficiency for light inside the window, a fraction, and its standard error;
-    #: what is lost of its photoelectrons included.
+    #: what is lost of its photoelectrons, or fires besides, included.
     detector_efficiency: float
     detector_efficiency_sigma: float
     #: That error by its origins, which add up in quadrature; empty where the campaign gives
@@ -245,13 +246,23 @@ class DetectorTerms:
     collection: float | None
     _: KW_ONLY
     collection_sigma: float
+    #: Cells of a silicon photomultiplier that fire for each photoelectron, with crosstalk and
+    #: afterpulses, None where the campaign does not say it: 1; and the relative standard error.
+    cells: float | None
+    cells_sigma: float
     #: Relative error of the efficiency that all samples share; 0 where none is named.
     shared_sigma: float
 
     @property
     def relative_sigma(self) -> float:
-        """Relative standard error of the collection."""
-        return self.collection_sigma / (self.collection or 1.0)
+        """Relative standard error of what becomes of photoelectrons."""
+        return math.hypot(*self.parts.values())
+
+    @property
+    def parts(self) -> dict[str, float]:
+        """`relative_sigma` by its origins, which add up in quadrature."""
+        collection = self.collection_sigma / (self.collection or 1.0)
+        return {schema.COLLECTION: collection, schema.CROSSTALK: self.cells_sigma}
 
     @property
     def common_sigma(self) -> float:
@@ -260,8 +271,12 @@ class DetectorTerms:
 
     @property
     def factor(self) -> float:
-        """The efficiency inside the window after collection, over the one that a campaign gives."""
-        return (self.collection or 1.0) / (1.0 - self.window_reflectance * self.in_air)
+        """What is counted of light inside the window, over the efficiency that a campaign gives."""
+        return (
+            (self.collection or 1.0)
+            * (self.cells or 1.0)
+            / (1.0 - self.window_reflectance * self.in_air)
+        )
 
     @property
     def notes(self) -> Iterator[str]:
@@ -276,7 +291,7 @@ class DetectorTerms:
                 f"window; measured in air it contains the {percent} that the window reflects, and "
                 "the light yield is too high by that"
             )
-        if self.collection is None:
+        if self.collection is None and self.cells is None:
             yield (
                 f"{schema.COLLECTION} is not given and counts as 1: losses before the first dynode "
                 "and below the threshold (5 to 20 %) make the light yield higher, afterpulses lower"
@@ -331,8 +346,9 @@ def read_light_yield(
     errors = {origin: detector.factor * part for origin, part in (parts or {}).items()}
     if detector.relative_sigma and not own_scales:
         errors = errors or {"detector_efficiency": sigma}
-        errors[schema.COLLECTION] = detector.relative_sigma * efficiency
-        sigma = math.hypot(sigma, errors[schema.COLLECTION])
+        parts = {name: part * efficiency for name, part in detector.parts.items() if part}
+        errors |= parts
+        sigma = math.hypot(sigma, *parts.values())
     return LightYieldInput(energy, efficiency, sigma, errors, material=crystal, detector=detector)
 
 
@@ -341,12 +357,20 @@ def read_detector(
 ) -> DetectorTerms:
     """What ``[light_yield]``, and the scene of the window, say; raises InputError with the line."""
     table = document.table(schema.YIELD_TABLE)
-    names = (schema.COLLECTION, schema.COLLECTION_SIGMA)
-    collection, sigma = (number_within(table, name, schema.DETECTOR) for name in names)
-    if sigma is not None and collection is None:
-        problem = f"{schema.COLLECTION_SIGMA} without {schema.COLLECTION}"
-        mend = f"add {schema.COLLECTION}, or remove it"
-        raise table.refusal(schema.COLLECTION_SIGMA, problem, mend)
+    known: dict[str, tuple[float | None, float]] = {}
+    for name in (schema.COLLECTION, schema.CROSSTALK, schema.AFTERPULSING):
+        both = (name, f"{name}_sigma")
+        value, sigma = (number_within(table, entry, schema.DETECTOR) for entry in both)
+        if sigma is not None and value is None:
+            problem = f"{name}_sigma without {name}"
+            raise table.refusal(f"{name}_sigma", problem, f"add {name}, or remove it")
+        known[name] = value, sigma or 0.0
+    collection, sigma = known.pop(schema.COLLECTION)
+    cells, cells_sigma = None, 0.0
+    if any(value is not None for value, _ in known.values()):
+        cells, cells_sigma = fired_cells(
+            *(number or 0.0 for pair in known.values() for number in pair)
+        )
     of_article = document.content.get(schema.CONVENTION) == schema.ARTICLE
     given = choice(table, schema.EFFICIENCY_OF, schema.DETECTOR)
     usual = schema.IN_WINDOW if of_article else schema.IN_AIR
@@ -355,7 +379,9 @@ def read_detector(
         (given or usual) == schema.IN_AIR,
         given is not None,
         collection,
-        collection_sigma=sigma or 0.0,
+        collection_sigma=sigma,
+        cells=cells,
+        cells_sigma=cells_sigma,
         shared_sigma=number_within(table, schema.SHARED_SIGMA, schema.SHARED) or 0.0,
     )
 

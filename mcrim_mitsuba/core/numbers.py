@@ -177,7 +177,7 @@ LARGEST_PER_CM = 100.0
 #: In names of what is thin by nature.
 THIN = ("gap", "film", "chamfer", "depth")
 #: Lengths that may be 0: then the part is not there.
-_MAY_BE_ZERO = ("chamfer",)
+_MAY_BE_ZERO = ("chamfer", "film", "rim")
 #: Ranges in which parameters of effects have a meaning (the catalogue's are narrower).
 MEANINGFUL = {
     "scattering_g": (-0.999, 0.999),
@@ -187,6 +187,7 @@ MEANINGFUL = {
     "ground_loss": (0.0, 1.0),
     "wrap_contact": (0.0, 1.0),
     "wrap_specular": (0.0, 1.0),
+    "wrap_missing": (0.0, 0.99),
     "gap_index_offset": (-0.5, 0.5),
     "gap_offset_mm": (-LONGEST_GAP_MM, LONGEST_GAP_MM),
     "bubble_fraction": (0.0, 1.0),
@@ -226,9 +227,10 @@ def judge(name: str, value: float) -> tuple[str, str, str] | None:
 def _judge_length(name: str, value: float) -> tuple[str, str, str] | None:
     """What is wrong with a length in mm, as `judge` says it."""
     thin = any(word in name for word in THIN)
-    shortest = SHORTEST_GAP_MM if thin else SHORTEST_PART_MM
+    may_vanish = any(word in name for word in _MAY_BE_ZERO)
+    shortest = SHORTEST_GAP_MM if thin or may_vanish else SHORTEST_PART_MM
     longest = LONGEST_GAP_MM if thin else LONGEST_PART_MM
-    if value == 0 and any(word in name for word in _MAY_BE_ZERO):
+    if value == 0 and may_vanish:
         return None
     if value <= 0:
         return "value", "a length must be positive", "give it in mm"

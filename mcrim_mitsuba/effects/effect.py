@@ -283,6 +283,8 @@ class Effect:
     reading: Reading | None = None
     #: The number of the bench whose offset its one parameter is.
     number: BenchNumber | None = None
+    #: Whether a diagnosis tries it; else it acts where a campaign's ``effects`` name it.
+    offered: bool = True
     #: Of several effects on the readings, that of the lower number acts first.
     order: int = 0
     #: What it is a relative of, such as ``surface`` or ``gap``: a verdict may name the family where

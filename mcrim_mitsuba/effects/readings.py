@@ -98,6 +98,47 @@ NONLINEARITY = Effect(
 )
 
 
+def reading_cell_saturation(signals: np.ndarray, value: float, rows: Rows) -> Predicted:
+    """reading = cells (1 - exp(-signal / cells))."""
+    share = np.maximum(signals, 0.0) / value
+    dark = np.exp(-share)
+    below = np.minimum(signals, 0.0)
+    return value * (1.0 - dark) + below, dark, 1.0 - dark - share * dark
+
+
+CELL_SATURATION = Effect(
+    name="cell_saturation",
+    title="finite number of cells",
+    family="readings",
+    look="Put a grey filter of known transmittance between crystal and detector, and read again.",
+    physics=(
+        "A cell of a silicon photomultiplier that has fired is dead for tens of nanoseconds. Of a "
+        "flash that is shorter, n photoelectrons (crosstalk included) on evenly lit cells fire "
+        "cells (1 - exp(-n / cells)) of them, fewer than n. Readings must be in fired cells. In "
+        "light that lasts longer, cells recover and count again: more than there are, to be "
+        "calibrated with a filter. The number is known of a detector, so no diagnosis tries it: "
+        "name it in effects, and hold it with fixed = true or a prior. What bends readings "
+        "unknown is found as nonlinearity, 1/(2 cells) of this to first order."
+    ),
+    source="P. Buzhan et al., Nucl. Instrum. Meth. A 504 (2003) 48",
+    parameters=(
+        EffectParameter(
+            name="cells",
+            meaning="Cells that the light falls on, in the unit of the readings: fired cells",
+            minimum=50.0,
+            maximum=1e7,
+            start=3600.0,
+            absent=None,
+            plausible=(100.0, 1e6),
+            nodes=(),
+        ),
+    ),
+    excludes=("nonlinearity",),
+    reading=reading_cell_saturation,
+    offered=False,
+)
+
+
 def reading_gain_drift(signals: np.ndarray, value: float, rows: Rows) -> Predicted:
     """reading = signal (1 + drift position)."""
     gain = 1.0 + value * rows.position

@@ -85,9 +85,25 @@ TOP_REFLECTOR = Effect(
 
 def without_wrapping(scene: SceneFile) -> tuple[str, str] | None:
     """What to say of a scene whose crystal is bare."""
-    if any(shape.get("type") == "wrapping" for shape in scene.root.iter("shape")):
+    if scene.parts.all("shape", "wrapping"):
         return None
     return "a wrapping, and the scene has none", 'add <shape type="wrapping"> around the crystal'
+
+
+def without_film(scene: SceneFile) -> tuple[str, str] | None:
+    """What to say of a scene whose crystal is bare, or painted."""
+    films = [wrapping.named("film") for wrapping in scene.parts.all("shape", "wrapping")]
+    if films and not any(film is None or float(film.get("value", "")) for film in films):
+        return "a film of air, and paint has none", "give the wrapping a film above 0"
+    return without_wrapping(scene)
+
+
+def without_wrapped_sides(scene: SceneFile) -> tuple[str, str] | None:
+    """What to say of a scene whose crystal has bare sides."""
+    words = [wrapping.named("without") for wrapping in scene.parts.all("shape", "wrapping")]
+    if words and all(word is not None and "sides" in word.get("value", "") for word in words):
+        return "wrapped sides, and the scene has none", "take sides out of the wrapping's without"
+    return without_wrapping(scene)
 
 
 def edit_wrapping(editor: SceneEditor, name: str, value: str) -> None:
@@ -131,7 +147,7 @@ WRAP_CONTACT = Effect(
             scale=0.01,
         ),
     ),
-    lacks=without_wrapping,
+    lacks=without_film,
     edit=partial(edit_wrapping, name="contact", value="$wrap_contact"),
 )
 
@@ -162,6 +178,43 @@ WRAP_SPECULAR = Effect(
     ),
     lacks=without_wrapping,
     edit=partial(edit_wrapping, name="specular", value="$wrap_specular"),
+)
+
+
+WRAP_MISSING = Effect(
+    name="wrap_missing",
+    title="wrapping that ends above the window",
+    family="housing",
+    look=(
+        "Look at the foot of the crystal from the side: does tape, foil or paint go down to the "
+        "window all around? Close the strip with tape and measure again."
+    ),
+    physics=(
+        "Tape is cut short, slips up or is folded back where the crystal stands on its window, and "
+        "paint is kept off the joint. This share of the side area, a strip around the foot, is "
+        "bare: light leaves there into what is around the wrapping, and is lost unless it falls on "
+        "a window that is wider than the crystal. In a "
+        "cavity that reflects well a bare share f acts like a port of an integrating sphere: each "
+        "time round a part 1 - R (1 - f) is lost in place of 1 - R, so that a few per cent are as "
+        "bad as a much darker wrapping. A clear, polished crystal keeps some of it by total "
+        "reflection."
+    ),
+    source="D. G. Goebel, Applied Optics 6 (1967) 125 (ports of integrating spheres)",
+    parameters=(
+        EffectParameter(
+            name="wrap_missing",
+            meaning="Part of the sides' area, from the bottom edge upwards, that is not wrapped",
+            minimum=0.0,
+            maximum=0.3,
+            start=0.03,
+            plausible=(0.01, 0.2),
+            nodes=(0.01, 0.03, 0.07, 0.12, 0.2, 0.3),
+            coordinate="logarithmic",
+            scale=0.05,
+        ),
+    ),
+    lacks=without_wrapped_sides,
+    edit=partial(edit_wrapping, name="missing", value="$wrap_missing"),
 )
 
 

@@ -253,6 +253,7 @@ ADVICE: dict[str, Advice] = {
         "a measurement on this very crystal, the spectrometer corrected with a calibrated lamp"
     ),
     "collection_efficiency": Advice("the spectrum of single photoelectrons, at this threshold"),
+    "crosstalk": Advice("dark counts against the threshold, at this overvoltage"),
     "tolerances": Advice("the bench's numbers, measured again"),
     "tolerance": Advice("this number, measured again"),
     "energy": Advice("lines of sources are known far better than the rest", reducible=False),

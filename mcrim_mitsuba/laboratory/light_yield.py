@@ -156,6 +156,22 @@ def light_yield_ph_per_keV(
     )
 
 
+def fired_cells(
+    crosstalk: float, crosstalk_sigma: float, afterpulsing: float, afterpulsing_sigma: float
+) -> tuple[float, float]:
+    """Cells of a silicon photomultiplier that fire for each photoelectron, and the relative error.
+
+    `crosstalk` is the probability p that a cell fires others at once, of dark counts those above
+    1.5 over all above 0.5 photoelectrons. These fire others in turn: a branching Poisson process
+    of 1/(1 - m) cells on average, m = -ln(1 - p) (S. Vinogradov, Nucl. Instrum. Meth. A 695 (2012)
+    247). `afterpulsing` is the mean number of pulses that follow each, within the integration.
+    """
+    follow = -math.log1p(-crosstalk)
+    of_crosstalk = crosstalk_sigma / ((1.0 - crosstalk) * (1.0 - follow))
+    relative = math.hypot(of_crosstalk, afterpulsing_sigma / (1.0 + afterpulsing))
+    return (1.0 + afterpulsing) / (1.0 - follow), relative
+
+
 def light_yield_by_reference(
     signal: Uncertain | float,
     eta: Uncertain | float,

@@ -119,11 +119,15 @@ class SectionAxes:
         styles |= {"detector": (_DETECTOR, 5.0)}
         band = 16 * np.diff(self.ax.get_ylim()) / self.box.height  # mm: as thick as 16 pixels
         for trace in self.cut.traces:
-            face, kind = self.model.surfaces[trace.surface], interfaces[trace.surface].kind
+            surface = self.model.surfaces[trace.surface]
+            face = surface.seen
+            kind = interfaces[trace.surface].kind
             text, percent = kind, 100 * face.reflectance
             if percent > 0:
                 text = f"{face.name}: {kind}, {percent:.3g} %"
-                far = trace.points[::-1] + band * trace.back
+                # paint lies outside of the face that wears it
+                back = -trace.back if surface.painted else trace.back
+                far = trace.points[::-1] + band * back
                 outline = np.vstack([trace.points, far])
                 self.ax.fill(*outline.T, fc="white", ec=INK, hatch="/" * 6, lw=0)
                 self.line(far, "none", 0.0)

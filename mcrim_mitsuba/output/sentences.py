@@ -517,6 +517,7 @@ _CALLED = {
     "detector_efficiency": "the detector's efficiency",
     "quantum efficiency curve": "the detector's quantum efficiency",
     "collection_efficiency": "the part of the photoelectrons that is counted",
+    "crosstalk": "crosstalk and afterpulses",
     "tube scale": "the scale of the detector's efficiency",
     "emission spectrum": "the emission spectrum",
     "source depth": "the depth of the source",

@@ -78,7 +78,7 @@ def interfaces_of(file: SceneFile, model: SceneModel) -> tuple[Interface, ...]:
     faces = []
     for surface in model.surfaces:
         element = elements[surface.name]
-        kind = surface.plugin if surface.kind == OTHER else KIND_NAMES[surface.kind]
+        kind = surface.plugin if surface.kind == OTHER else KIND_NAMES[surface.seen.kind]
         inner, outer = (model.volumes[side].name for side in surface.sides)
         n_inner, n_outer = check_text.indices_of(file, element) or (None, None)
         place = file.place_of(element)
@@ -211,8 +211,16 @@ def describe(simulation: Simulation, interfaces: Sequence[Interface], transport:
         sentences.append(f"eta is that of {model.detectors[model.counted]} alone")
     for surface in model.surfaces:
         sentences += _surface_sentences(surface)
+    sentences += [
+        f"{shape.id()} {shape.words}" for shape in model.scene.shapes() if hasattr(shape, "words")
+    ]
     imperfect: dict[str, list[str]] = {}
     for surface in model.surfaces:
+        if surface.painted:
+            paint = surface.seen
+            says = f"painted, light from either side finds {paint.name}: {_reflects(paint)}"
+            imperfect.setdefault(says, []).append(surface.name)
+            continue
         for name, factor, says in _IMPERFECTIONS:
             if (value := factor * getattr(surface, name)) > 0:
                 imperfect.setdefault(says.format(value), []).append(surface.name)
@@ -256,13 +264,12 @@ def _surface_sentences(surface: Surface) -> list[str]:
     """What a surface does besides being an interface."""
     name, radius_mm, (x, y) = surface.name, surface.aperture_radius_mm, surface.axis_mm
     axis = f" about x = {x:g}, y = {y:g} mm" if x or y else ""
-    how = "" if surface.mirror_part else " diffusely"
     reflected = f"reflects {100 * surface.mask_reflectance:g} % diffusely upwards"
     sentences_if = {
         f"{name} wears a black mask with a hole of radius {radius_mm:g} mm{axis}": radius_mm
         < np.inf,
         f"the mask of {name} {reflected}": surface.mask_reflectance > 0,
-        f"{name} reflects {100 * surface.reflectance:g} %{how}": surface.reflectance > 0,
+        f"{name} {_reflects(surface)}": surface.reflectance > 0,
         f"{name} does what Mitsuba's {surface.plugin} does": surface.plugin,
     }
     sentences = [sentence for sentence, holds in sentences_if.items() if holds]
@@ -273,6 +280,13 @@ def _surface_sentences(surface: Surface) -> list[str]:
             f"head-on, which counts 1, and at 60 degrees {oblique:.3g} times as much"
         )
     return sentences
+
+
+def _reflects(surface: Surface) -> str:
+    """How much a reflector reflects, and how."""
+    mirrors = f", {100 * surface.mirror_part:g} % of that as a mirror"
+    how = mirrors if surface.mirror_part else " diffusely"
+    return f"reflects {100 * surface.reflectance:g} %{how}"
 
 
 def _emission(crystal: CrystalVolume) -> str:
@@ -315,7 +329,6 @@ _IMPERFECTIONS = (
     ("hazy_part", 100, "hazy ({:.3g} % of what is reflected inwards head-on is scattered)"),
     ("surface_loss", 100, "{:g} % of what is reflected inwards is lost"),
     ("contact", 100, "{:g} % of what comes from inside meets the wrapping at once"),
-    ("mirror_part", 100, "{:g} % of what is reflected goes as from a mirror"),
     ("ground_loss", 100, "{:g} % of what comes from inside is lost before it is reflected"),
     ("specular", 100, "{:g} % is reflected as by a mirror"),
     ("angular_falloff", 100, "detection falls by {:g} % towards grazing incidence"),

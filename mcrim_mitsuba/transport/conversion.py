@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -30,9 +30,9 @@ from mcrim_mitsuba.transport.scene_model import (
     SceneModel,
     Surface,
     Volume,
-    box_of,
     cross,
 )
+from mcrim_mitsuba.transport.wrapped import WrappedFaces, outlines
 
 #: A mesh of more triangles than this is not listed face by face: it counts as curved.
 MOST_TRIANGLES = 128
@@ -123,7 +123,7 @@ def read_scene_model(scene) -> SceneModel:
         elif flat is None:
             curved.append(number)
         faces.extend(flat or [])
-    _let_wrappings_touch(shapes, surfaces)
+    _let_wrappings_touch(scene, surfaces, shapes, faces, walls, volumes)
     if len({(s.film, s.head_on) for s in surfaces if s.kind == DETECTOR}) > 1:
         problem = "the detectors differ in what they take of light that arrives head-on"
         raise InputError(problem, "let all have the same cathode_nm and angular_falloff")
@@ -153,26 +153,19 @@ def _counted(scene, detectors: list[str]) -> int | None:
     return None if name == ALL_DETECTORS else detectors.index(name)
 
 
-def _let_wrappings_touch(shapes: Sequence[Any], surfaces: list[Surface]) -> None:
-    """Give faces within a wrapping that touches them its contact, above where it ends."""
-    for shape, wrapping in zip(shapes, list(surfaces), strict=True):
-        contact = getattr(shape, "contact", 0.0)
-        if not contact:
-            continue
-        film, (low, high) = wrapping.exterior, box_of(shape)
-        rounding = 1e-6 * (high - low).max()
-        for number, (other, face) in enumerate(zip(shapes, surfaces, strict=True)):
-            bottom, top = box_of(other)
-            within = np.all(bottom > low - rounding) and np.all(top < high + rounding)
-            ends = top[2] < low[2] + rounding
-            if face.kind != DIELECTRIC or film not in face.sides or not within or ends:
-                continue
-            if face.interior == film:
-                problem = f"{face.name}: the film of a wrapping that touches is behind it"
-                raise InputError(
-                    problem, "turn the face around, so that its normal points outwards"
-                )
-            surfaces[number] = replace(face, contact=contact, wrapping=wrapping)
+def _let_wrappings_touch(scene, surfaces, shapes, faces, walls, volumes) -> None:
+    """Give faces that wrappings touch, or are painted on, what light finds of these behind them."""
+    wraps = [shape for shape in scene.shapes() if hasattr(shape, "is_paint")]
+    rims = outlines(shapes, faces, walls) if wraps else []
+    names = [volume.name for volume in volumes]
+    for shape in wraps:
+        inner, outer = (OUTSIDE if m is None else names.index(m.id()) for m in _media(shape))
+        wrapping = Surface(shape.id(), inner, outer, **_followed(shape, inner, outer))
+        wrapped = WrappedFaces.of(shape, wrapping, surfaces, rims)
+        within = wrapped.volumes(volumes)
+        if shape.contact or shape.is_paint:
+            for number, surface in wrapped.touched(within).items():
+                surfaces[number] = surface
 
 
 def _media(shape) -> tuple:
@@ -308,9 +301,9 @@ def _followed(shape, interior: int, exterior: int) -> dict:
         problem = "the transport does not follow instances of a shapegroup"
         raise InputError(problem, "write the shape itself, once for each place")
     properties = surface_properties(shape.bsdf())
-    if getattr(shape, "contact", 0.0) or getattr(shape, "specular", 0.0):
+    if any(getattr(shape, name, False) for name in ("is_paint", "contact", "specular")):
         if properties["kind"] != DIFFUSE:
-            problem = "contact and specular are of a wrapping that reflects diffusely else"
+            problem = "paint, contact and specular are of a wrapping that reflects diffusely else"
             raise InputError(problem, 'let it wear <bsdf type="diffuse">')
         properties["mirror_part"] = shape.specular
     if "aperture_radius_mm" in properties:
@@ -355,13 +348,13 @@ def _flat_faces(shape, number: int) -> list[FlatFace] | None:
         return [_face(centre - half_u - half_v, 2 * half_u, 2 * half_v, False, number)]
     if shape.shape_type() == int(mi.ShapeType.Disk):
         return _disk_face(shape, number)
-    if _wall(shape) is not None:
-        return None
     if getattr(shape, "round_faces", ()):
         return [
             replace(_face(corner, along, across, False, number), circle=circle)
             for corner, along, across, circle in shape.round_faces
         ]
+    if _wall(shape) is not None:
+        return None
     if shape.is_mesh():
         return _mesh_faces(shape, number)
     return None

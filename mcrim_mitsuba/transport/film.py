@@ -109,7 +109,7 @@ def _is_wall(model: SceneModel, surface: int) -> bool:
 def _is_plain(surface: Surface, crystal: int) -> bool:
     """Whether light crosses a face of the crystal to the outside, and back, by Fresnel alone."""
     loses = surface.roughness or surface.haze or surface.surface_loss or surface.ground_loss
-    masked = surface.aperture_radius_mm < np.inf
+    masked = surface.painted or surface.aperture_radius_mm < np.inf
     is_interface = surface.kind == DIELECTRIC and surface.sides == (crystal, OUTSIDE)
     return is_interface and not loses and not masked
 

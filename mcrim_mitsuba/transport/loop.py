@@ -449,7 +449,7 @@ def _frequent_fates(path) -> list[int]:
         physics.DETECTED: True,
         physics.ESCAPED: True,
         physics.APERTURE: any(s.aperture_radius_mm < np.inf for s in surfaces),
-        physics.REFLECTOR: any(s.kind == DIFFUSE for s in surfaces),
+        physics.REFLECTOR: any(s.kind == DIFFUSE or s.contact for s in surfaces),
         physics.SURFACE: path.surfaces_may_absorb,
     }
     return [code for code, often in happens.items() if often]

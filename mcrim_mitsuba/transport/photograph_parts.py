@@ -252,13 +252,13 @@ class PhotographedBench:
             if not self._is_air(number):
                 bodies += _rods(self._enclosing(number), _shade(number))
         for surface, shape in self._faces:
-            if surface.kind == DIELECTRIC:
+            if surface.seen.kind == DIELECTRIC:
                 inner, outer = map(self._tint, surface.sides)
                 tint = (inner[0] * outer[0], inner[1] * outer[1], inner[2] * outer[2])
                 bodies.append(Body(shape, Finish(GLASS, tint, surface.eta, surface.roughness)))
             else:
-                bodies.append(Body(shape, _opaque(surface)))
-                if surface.kind == DIFFUSE:
+                bodies.append(Body(shape, _opaque(surface.seen)))
+                if surface.seen.kind == DIFFUSE:
                     bodies += _rods([shape], GREY)
             bodies += self._mask(surface, shape)
         return tuple(bodies)
@@ -274,7 +274,7 @@ class PhotographedBench:
                 level = round(float(shape.corners[:, :, 2].mean()) / (1e-4 * self._model.size_mm))
                 hole = (surface.aperture_radius_mm, surface.axis_mm, level)
                 masks.setdefault(hole, []).extend(mask)
-            if surface.kind != DIELECTRIC:
+            if (surface := surface.seen).kind != DIELECTRIC:
                 key = (surface.kind, surface.reflectance, surface.plugin, *surface.sides)
                 faces.setdefault(key, []).append((surface, shape))
         for (radius, *_), bodies in masks.items():
@@ -341,7 +341,8 @@ class PhotographedBench:
 def _face(group: Sequence[tuple[Surface, Triangles]]) -> BenchPart:
     """A detector, a reflector or another opaque face, of one or more surfaces that are alike."""
     surface, _ = group[0]
-    more = f" and {len(group) - 1} more" if len(group) > 1 else ""
+    others = len({other.name for other, _ in group}) - 1
+    more = f" and {others} more" if others else ""
     percent, finish = f"{100 * surface.reflectance:.3g} %", _opaque(surface)
     shapes = [shape for _, shape in group]
     rods: list[Body] = []

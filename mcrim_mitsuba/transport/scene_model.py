@@ -77,6 +77,10 @@ class Surface:
     #: and meets that at once.
     contact: float = 0.0
     wrapping: Surface | None = None
+    #: The height from which on it does, where it does not everywhere.
+    contact_above_mm: float = -np.inf
+    #: Whether the reflector is on the face itself: light from the exterior meets it as well.
+    painted: bool = False
     #: Whether a diffuse reflector reflects on its back as well.
     two_sided: bool = False
     #: The hole of a mask on the face; the radius is infinite where there is none.
@@ -106,6 +110,11 @@ class Surface:
     detector: int = 0
     #: Of a surface of kind `OTHER`: Mitsuba's name for its BSDF.
     plugin: str = ""
+
+    @property
+    def seen(self) -> Surface:
+        """What is seen of it: the paint on it, or itself."""
+        return self.wrapping if self.painted and self.wrapping is not None else self
 
     @property
     def acceptance_deg(self) -> float:

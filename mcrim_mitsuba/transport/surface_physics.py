@@ -39,8 +39,16 @@ _COLUMNS: tuple[tuple[Callable[[Surface], Any], dict[str, Callable[[Surface], fl
             "two_sided": lambda s: s.two_sided or s.kind == DETECTOR or s.wrapping is not None,
         },
     ),
-    (lambda s: s.mirror_part, {"mirror_part": lambda s: (s.wrapping or s).mirror_part}),
+    (
+        lambda s: (s.wrapping or s).mirror_part,
+        {"mirror_part": lambda s: (s.wrapping or s).mirror_part},
+    ),
     (lambda s: s.contact, {"contact": lambda s: s.contact}),
+    (lambda s: s.painted, {"painted": lambda s: s.painted}),
+    (
+        lambda s: s.contact_above_mm > -math.inf,
+        {"contact_above_mm": lambda s: max(s.contact_above_mm, -NO_MASK)},
+    ),
     (
         lambda s: s.angular_falloff or s.radial_falloff_per_mm2,
         {
@@ -129,6 +137,8 @@ class SurfaceRow:
     two_sided: Any = None
     mirror_part: Any = None
     contact: Any = None
+    painted: Any = None
+    contact_above_mm: Any = None
     #: Of the hole of a mask. The axis of the mask, or of a detector, goes through x and y.
     radius: Any = None
     x: Any = 0.0
@@ -267,8 +277,11 @@ def interact(
     touching = None
     if row.contact is not None:
         # the rest of the choice is even again
-        touching = leaving & (choice < row.contact)
-        apart = dr.select(leaving, (choice - row.contact) / (1.0 - row.contact), choice)
+        meets = leaving if row.painted is None else leaving | (row.painted > 0.5)
+        if row.contact_above_mm is not None:
+            meets &= position.z > row.contact_above_mm
+        touching = meets & (choice < row.contact)
+        apart = dr.select(meets, (choice - row.contact) / (1.0 - row.contact), choice)
         choice = dr.select(touching, choice / row.contact, apart)
     light = Encounter(
         row=row,

@@ -271,7 +271,7 @@ def _on_variant_change(_old: str | None, new: str | None) -> None:
         return
     if new.startswith("llvm"):
         selected_llvm()
-    for name in ("shapes", "solids", "bsdfs", "light"):
+    for name in ("shapes", "solids", "wrapping", "bsdfs", "light"):
         module = f"{plugins.__name__}.{name}"
         if module in sys.modules:
             importlib.reload(sys.modules[module])

@@ -82,7 +82,7 @@ def added(scene, *names):
 
 def test_every_effect_of_the_definitions_is_there():
     assert KNOWN == BUILT_IN and list(KNOWN) == list(BUILT_IN)
-    assert len(KNOWN) == 42
+    assert len(KNOWN) == 44
     for name, effect in KNOWN.items():
         assert effect.name == name
         assert (
@@ -334,7 +334,9 @@ def test_weights_are_ratios_of_densities():
         assert factor(name, values, **columns) == pytest.approx(expected), name
 
 
-@pytest.mark.parametrize("name", [name for name in KNOWN if KNOWN[name].reading])
+@pytest.mark.parametrize(
+    "name", [n for n, e in KNOWN.items() if e.reading and e.parameters[0].absent == 0.0]
+)
 def test_readings_and_their_slopes(name):
     signals, value, step = np.array([0.5, 20.0, 3.0]), 0.01, 1e-6
     rows = Rows(np.array([-0.5, 0.0, 0.5]), np.array([False, True, True]))
@@ -360,7 +362,24 @@ def test_what_drifts_and_what_another_crystal_reads():
     assert KNOWN["sample_scale"].reading(signals, 0.1, rows)[0] == pytest.approx([10.0, 11, 11])
     # the yield comes first; what drifts is what is read in the end
     last = sorted((e for e in KNOWN.values() if e.reading), key=lambda e: e.order)
-    assert [e.name for e in last] == ["sample_scale", "nonlinearity", "background", "gain_drift"]
+    names = ["sample_scale", "nonlinearity", "cell_saturation", "background", "gain_drift"]
+    assert [e.name for e in last] == names
+
+
+def test_cells_that_have_fired_are_dead():
+    """As photoelectrons fall on cells; with slopes, of any number of cells."""
+    cells, rng = 400, np.random.default_rng(4)
+    true, nothing = np.array([20.0, 200.0, 900.0]), Rows(np.zeros(0), np.zeros(0, dtype=bool))
+    reading = KNOWN["cell_saturation"].reading
+    read, by_true, by_value = reading(true, cells, nothing)
+    for number, mean in zip(true, read, strict=True):
+        fell = (rng.integers(cells, size=rng.poisson(number)) for _ in range(2000))
+        fired = np.array([len(np.unique(some)) for some in fell])
+        assert mean == pytest.approx(fired.mean(), abs=4 * fired.std() / math.sqrt(2000))
+    above, below = (reading(true + step, cells, nothing)[0] for step in (1e-4, -1e-4))
+    assert by_true == pytest.approx((above - below) / 2e-4, rel=1e-6)
+    above, below = (reading(true, cells + step, nothing)[0] for step in (1e-3, -1e-3))
+    assert by_value == pytest.approx((above - below) / 2e-3, rel=1e-4)
 
 
 def test_a_nonlinear_readout_divides_by_nothing_and_rises_on():

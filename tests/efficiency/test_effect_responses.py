@@ -91,15 +91,22 @@ def test_prediction_of_an_effect_is_what_its_scene_gives(campaign, made, name):
 
 
 def test_contact_with_a_wrapping_is_predicted_between_its_nodes(campaign):
-    """And its mirror part; on a bar of LYSO whose foot is dry or greased."""
+    """And its mirror part, and its bare foot; on a bar of LYSO whose foot is dry or greased."""
     scene = home("wrap_contact").with_overrides(
         {"n_crystal": 1.82, "crystal_width_mm": 3.0, "crystal_height_mm": 15.0}
     )
     wrapped = replace(campaign, scene=scene)
     maker = ResponseMaker(wrapped, Run(4 * LANES, seed=3, check=False))
-    names = ("wrap_contact", "wrap_specular")
+    names = ("wrap_contact", "wrap_specular", "wrap_missing")
     responses = maker.make([wrapped.catalogue[name] for name in names])
-    for name, value in ((names[0], 0.01), (names[0], 0.15), (names[1], 0.5)):
+    sizes = (
+        (names[0], 0.01),
+        (names[0], 0.15),
+        (names[1], 0.5),
+        (names[2], 0.02),
+        (names[2], 0.16),
+    )
+    for name, value in sizes:
         size = {name: {name: value}}
         for row, (eta, sigma) in enumerate(predicted(wrapped, responses, size)[:2]):
             expected, expected_sigma = directly(wrapped, size, row, seed=13)

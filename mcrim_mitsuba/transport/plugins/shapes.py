@@ -1,4 +1,4 @@
-"""Shape plugins, each a few flat polygons: panel, frame, gap_sides, chamfers, wrapping."""
+"""Shape plugins, each a few flat polygons: panel, frame, gap_sides, chamfers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from mcrim_mitsuba.scene.check_text import is_filled
 from mcrim_mitsuba.transport.conversion import write_parameters
-from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis, number
+from mcrim_mitsuba.transport.plugins import BEAM_AXES, beam_axis
 from mcrim_mitsuba.transport.scene_model import Circle, RoundWall
 
 #: What is narrower than this part of the whole is rounding of single precision: not there.
@@ -216,6 +216,16 @@ def regular_polygon(sides: int, width: float) -> np.ndarray:
     angles = 2.0 * np.pi / sides * (np.arange(sides) - 0.5)
     radius = width / 2.0 / np.cos(np.pi / sides)
     return radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(sides)])
+
+
+def polygon_faces(sides: int, width: float) -> list[np.ndarray]:
+    """What a `regular_polygon` is made of: itself of four sides, else rhombi, which are faces."""
+    corners = regular_polygon(sides, width)
+    if sides == 4:
+        return [corners]
+    step, middle = 2 - sides % 2, np.zeros((1, 3))
+    around = np.concatenate([corners, corners[:1]])
+    return [np.concatenate([middle, around[i : i + step + 1]]) for i in range(0, sides, step)]
 
 
 def sides_of(props: mi.Properties) -> int:
@@ -457,39 +467,6 @@ def _hexagon(half, along: int, signs: tuple[float, float], leg: float) -> list[n
     return parts
 
 
-class Wrapping(Polygons):
-    """A reflective wrapping around a box-shaped crystal, behind a film of air.
-
-    Four walls and a lid whose normals point at the crystal; the box that they wrap stands on
-    z = 0, centred on the z axis of its own coordinates. XML: ``<shape type="wrapping">`` with
-
-    ``width``, ``height`` : float
-        Of what is wrapped, in the scene's millimetres.
-    ``film`` : float
-        Thickness of the air between it and the wrapping.
-    ``contact`` : float, default 0
-        Probability that light from inside finds no film before the wrapping, each time it meets a
-        face of what is wrapped.
-    ``specular`` : float, default 0
-        Part of what its ``diffuse`` bsdf reflects that goes as from a mirror instead; pictures do
-        not show it.
-    """
-
-    def polygons(self, props, to_world):
-        self.contact, self.specular = (number(props, n, 0.0) for n in ("contact", "specular"))
-        width, height, film = (float(props[name]) for name in ("width", "height", "film"))
-        if not min(width, height, film) > 0.0:
-            raise ValueError("a wrapping's width, height and film must be positive")
-        a, top = width / 2 + film, height + film
-        ring = [(-a, -a), (a, -a), (a, a), (-a, a)]
-        # Seen from inside, corners run anticlockwise, so that normals point inwards.
-        walls = [
-            [(*start, 0.0), (*end, 0.0), (*end, top), (*start, top)]
-            for start, end in zip(ring[1:] + ring[:1], ring, strict=True)
-        ]
-        return [*walls, [(x, y, top) for x, y in reversed(ring)]]
-
-
 #: Distance of a beam's detector behind the crystal: light at any angle still arrives on it.
 BEHIND_MM = 0.005
 #: The same over the crystal's size, at least, so that rays tell the two apart.
@@ -530,7 +507,6 @@ for _shape, _name in {
     GapSides: "gap_sides",
     Chamfers: "chamfers",
     RoundWallShape: "round_wall",
-    Wrapping: "wrapping",
     BeamDetector: "beam_detector",
 }.items():
     mi.register_shape(_name, _shape)

@@ -8,7 +8,12 @@ from collections.abc import Sequence
 import mitsuba as mi
 import numpy as np
 
-from mcrim_mitsuba.transport.plugins.shapes import Polygons, regular_polygon, sides_of
+from mcrim_mitsuba.transport.plugins.shapes import (
+    Polygons,
+    polygon_faces,
+    regular_polygon,
+    sides_of,
+)
 from mcrim_mitsuba.transport.scene_model import Circle, RoundWall
 
 #: Steps around a lying cylinder that is drawn.
@@ -32,13 +37,7 @@ class Polygon(Polygons):
             raise ValueError(f"a polygon's width is {width:g}; give 0 or more")
         if width == 0.0:
             return []
-        corners = regular_polygon(sides, width)
-        if sides == 4:
-            return [corners]
-        # rhombi of a hexagon, which are faces each
-        step, middle = 2 - sides % 2, np.zeros((1, 3))
-        around = np.concatenate([corners, corners[:1]])
-        return [np.concatenate([middle, around[i : i + step + 1]]) for i in range(0, sides, step)]
+        return polygon_faces(sides, width)
 
 
 class PrismSides(Polygons):

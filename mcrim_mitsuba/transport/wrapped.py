@@ -1,0 +1,148 @@
+"""What a wrapping does to the faces within it: where it touches them, or is painted on them.
+
+Faces stay the interfaces that they are; the transport decides at each encounter whether light finds
+the film of air behind one, or the reflector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mcrim_mitsuba.core.errors import InputError
+from mcrim_mitsuba.transport.scene_model import (
+    DIELECTRIC,
+    OUTSIDE,
+    FlatFace,
+    RoundWall,
+    Surface,
+    Volume,
+    box_of,
+)
+
+#: Of positions, in parts of the wrapping's size.
+_ROUNDING = 1e-5
+#: Places of the plugin's ``top`` and ``foot`` among its bounds.
+_TOP = 0
+_FOOT = 1
+
+
+def outlines(
+    shapes: Sequence[Any], faces: Sequence[FlatFace], walls: Sequence[RoundWall]
+) -> list[list[np.ndarray]]:
+    """Points on the rim of every face of each shape, shape (n, 3), mm; of others, of their box."""
+    rims: list[list[np.ndarray]] = [[] for _ in shapes]
+    for face in faces:
+        circle = face.circle
+        around = circle is not None and circle.inside
+        rims[face.surface].append(
+            circle.points(face.corner[circle.axis]) if circle and around else face.corners
+        )
+    for wall in walls:
+        ends = [wall.circle.points(end) for end in (wall.low_mm, wall.high_mm)]
+        rims[wall.surface].append(np.concatenate(ends))
+    return [rim or [np.array(box_of(shape))] for rim, shape in zip(rims, shapes, strict=True)]
+
+
+@dataclass(frozen=True)
+class WrappedFaces:
+    """The faces around a wrapping, and how they lie to its bounds."""
+
+    #: The plugin's shape, and what its reflector is.
+    shape: Any
+    wrapping: Surface
+    surfaces: Sequence[Surface]
+    #: Of each surface, how far beyond each bound its faces lie at least and at most, mm: float64,
+    #: shape (faces, 2, bounds).
+    reaches: Sequence[np.ndarray]
+
+    @classmethod
+    def of(
+        cls,
+        shape: Any,
+        wrapping: Surface,
+        surfaces: Sequence[Surface],
+        rims: Sequence[Sequence[np.ndarray]],
+    ) -> WrappedFaces:
+        """Those of a scene, from the `outlines` of its surfaces."""
+        reaches = []
+        for rim in rims:
+            beyond = [shape.beyond(points) for points in rim]
+            reaches.append(np.array([(b.min(axis=1), b.max(axis=1)) for b in beyond]))
+        return cls(shape, wrapping, surfaces, reaches)
+
+    @property
+    def rounding(self) -> float:
+        """In mm."""
+        return _ROUNDING * float(np.abs(self.shape.offsets).max())
+
+    def volumes(self, volumes: Sequence[Volume]) -> set[int]:
+        """Those that it is around; InputError for one that it cuts."""
+        film = self.wrapping.exterior
+        pairs = [s.sides for s in self.surfaces if s.kind == DIELECTRIC and film in s.sides]
+        within = set()
+        for volume in {side for pair in pairs for side in pair} - {OUTSIDE, film}:
+            own = [r for r, s in zip(self.reaches, self.surfaces, strict=True) if volume in s.sides]
+            reach = np.concatenate(own)
+            low, high = reach[:, 0].min(axis=0), reach[:, 1].max(axis=0)
+            if (low > -self.rounding).any():
+                continue  # beside it, or below
+            high[self.shape.open] = high[_FOOT] = -np.inf
+            if high.max() > self.rounding:
+                where = "top" if high.argmax() == _TOP else "sides"
+                beyond = f"{high.max():.3g} mm beyond the {where} of {self.wrapping.name}"
+                mend = "give that the crystal's own sizes; it wraps what stands upright"
+                raise InputError(f"{volumes[volume].name} reaches {beyond}", mend)
+            within.add(volume)
+        return within
+
+    def touched(self, within: set[int]) -> dict[int, Surface]:
+        """The surfaces that light from `within` may meet the reflector at, by their numbers."""
+        changed, film = {}, self.wrapping.exterior
+        for number, (surface, reach) in enumerate(zip(self.surfaces, self.reaches, strict=True)):
+            if (
+                surface.kind != DIELECTRIC
+                or film not in surface.sides
+                or not within & set(surface.sides)
+            ):
+                continue
+            lies_in = reach[:, 0] > -self.rounding  # (faces, bounds)
+            bare = lies_in[:, self.shape.open].any(axis=1)
+            if "sides" in self.shape.without:
+                bare |= ~lies_in[:, _TOP]
+            if bare.all() or lies_in[:, _FOOT].all():
+                continue
+            if bare.any():
+                problem = (
+                    f"{self.wrapping.name} covers a part of {surface.name}, which is one shape"
+                )
+                raise InputError(problem, "write the bare face as a shape of its own")
+            if surface.interior == film:
+                problem = f"{surface.name}: the film of a wrapping that touches is behind it"
+                raise InputError(problem, "turn the face around: its normal points outwards")
+            # a bare foot, or a face that is the crystal's bottom too
+            ends = self.shape.bare > 0.0 or lies_in[:, _FOOT].any()
+            level = self.shape.bare - self.shape.offsets[_FOOT] + self.rounding
+            changed[number] = replace(
+                surface,
+                contact=1.0 if self.shape.is_paint else self.shape.contact,
+                painted=self.shape.is_paint,
+                wrapping=self.wrapping,
+                contact_above_mm=level if ends else -np.inf,
+            )
+        if self.shape.is_paint:
+            self._refuse_paint_on_nothing(list(changed))
+        return changed
+
+    def _refuse_paint_on_nothing(self, numbers: Sequence[int]) -> None:
+        """Refuse paint at a distance."""
+        wanted = ~self.shape.open
+        wanted[_FOOT] = False
+        reach = [self.reaches[number][:, 1].max(axis=0) for number in numbers]
+        missed = np.max([*reach, np.full(wanted.shape, -np.inf)], axis=0) < -self.rounding
+        if (missed & wanted).any():
+            problem = f"{self.wrapping.name} is paint, without a film, and no crystal fills it"
+            raise InputError(problem, "give it the crystal's own sizes, or a film above 0")
